@@ -1,0 +1,36 @@
+"""The errors that a user sees: one line each, and the exit code that goes with it."""
+
+import enum
+
+
+class ExitCode(enum.IntEnum):
+    """What every command of the suite answers to its caller."""
+
+    PASS = 0
+    """The verdict is pass (or there was nothing to judge and the work is done)."""
+    FAIL = 1
+    """The verdict is fail."""
+    BAD_INPUT = 2
+    """An input, a configuration or a data file is wrong."""
+    WORLD = 3
+    """The world failed: engine, network, disk, timeout."""
+
+
+class CalibrationError(Exception):
+    """An error whose message is meant for the user: one line that says where, what was found, what to do."""
+
+    exit_code: ExitCode = ExitCode.WORLD
+
+
+class InputError(CalibrationError):
+    """Something that the user gave is wrong: an input, a configuration, a dataset (exit code 2)."""
+
+    exit_code = ExitCode.BAD_INPUT
+
+
+class UndeterminedError(InputError):
+    """The data cannot determine what was asked; the message names what is missing (exit code 2)."""
+
+
+class WorldError(CalibrationError):
+    """The world failed in a way that no change of input repairs (exit code 3)."""

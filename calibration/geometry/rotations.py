@@ -1,0 +1,120 @@
+"""SO(3): rotation matrices, rotation vectors, quaternions, Euler angles.
+
+Rotation matrices are (..., 3, 3); rotation vectors (axis times angle, radians) are (..., 3).
+"""
+
+import numpy as np
+
+from calibration.geometry.types import Array, ArrayLike
+
+
+def hat(w: ArrayLike) -> Array:
+    """The (..., 3, 3) matrix of the cross product: ``hat(w) @ v == cross(w, v)``."""
+    w = np.asarray(w, float)
+    W = np.zeros((*w.shape[:-1], 3, 3))
+    W[..., 0, 1], W[..., 0, 2], W[..., 1, 2] = -w[..., 2], w[..., 1], -w[..., 0]
+    W[..., 1, 0], W[..., 2, 0], W[..., 2, 1] = w[..., 2], -w[..., 1], w[..., 0]
+    return W
+
+
+def exp(w: ArrayLike) -> Array:
+    """Rotation vectors (..., 3) to rotation matrices (Rodrigues' formula)."""
+    w = np.asarray(w, float)
+    angle2 = (w * w).sum(-1)
+    angle = np.sqrt(angle2)
+    small = angle < 1e-4  # below it the series is exact to the last digit
+    safe = np.where(small, 1.0, angle)
+    a = np.where(small, 1 - angle2 / 6, np.sin(safe) / safe)
+    b = np.where(small, 0.5 - angle2 / 24, (1 - np.cos(safe)) / (safe * safe))
+    W = hat(w)
+    R: Array = np.eye(3) + a[..., None, None] * W + b[..., None, None] * (W @ W)
+    return R
+
+
+def log(R: ArrayLike) -> Array:
+    """Rotation matrices to rotation vectors, of length at most pi; exact near 0 and near pi.
+
+    Goes through the quaternion: its vector part is ``sin(angle / 2) * axis``.
+    """
+    q = to_quaternion(R)
+    v, w = q[..., :3], q[..., 3]
+    s = np.linalg.norm(v, axis=-1)
+    small = s < 1e-9
+    factor = np.where(small, 2 / np.maximum(w, 0.5), 2 * np.arctan2(s, w) / np.where(small, 1.0, s))
+    rotvec: Array = v * factor[..., None]
+    return rotvec
+
+
+def angle(R: ArrayLike) -> Array:
+    """The angle of each rotation, in [0, pi]."""
+    norm: Array = np.linalg.norm(log(R), axis=-1)
+    return norm
+
+
+def from_quaternion(q: ArrayLike) -> Array:
+    """Quaternions [x, y, z, w] (..., 4), of any length but 0, to rotation matrices."""
+    q = np.asarray(q, float)
+    q = q / np.linalg.norm(q, axis=-1, keepdims=True)
+    x, y, z, w = (q[..., i] for i in range(4))
+    R = np.empty((*q.shape[:-1], 3, 3))
+    R[..., 0, 0] = 1 - 2 * (y * y + z * z)
+    R[..., 1, 1] = 1 - 2 * (x * x + z * z)
+    R[..., 2, 2] = 1 - 2 * (x * x + y * y)
+    R[..., 0, 1], R[..., 1, 0] = 2 * (x * y - z * w), 2 * (x * y + z * w)
+    R[..., 0, 2], R[..., 2, 0] = 2 * (x * z + y * w), 2 * (x * z - y * w)
+    R[..., 1, 2], R[..., 2, 1] = 2 * (y * z - x * w), 2 * (y * z + x * w)
+    return R
+
+
+def to_quaternion(R: ArrayLike) -> Array:
+    """Rotation matrices to unit quaternions [x, y, z, w] with w >= 0.
+
+    The largest of the four components is taken from the diagonal, the others follow from it
+    (S. W. Shepperd, "Quaternion from rotation matrix", 1978), so no digit is lost at any angle.
+    """
+    R = np.asarray(R, float)
+    d = np.diagonal(R, axis1=-2, axis2=-1)
+    trace = d.sum(-1)
+    squares = np.concatenate([1 + 2 * d - trace[..., None], 1 + trace[..., None]], -1)  # 4 q_i^2
+    off = R - np.swapaxes(R, -1, -2)  # differences: 4 q_w q_i
+    on = R + np.swapaxes(R, -1, -2)  # sums: 4 q_i q_j
+    products = np.empty((*R.shape[:-2], 4, 4))  # row i: 4 q_i * (q_x, q_y, q_z, q_w)
+    products[..., :3, :3] = on
+    for i in range(4):
+        products[..., i, i] = squares[..., i]
+    for i, (j, k) in enumerate(((2, 1), (0, 2), (1, 0))):
+        products[..., i, 3] = products[..., 3, i] = off[..., j, k]
+    best = squares.argmax(-1)
+    row = np.take_along_axis(products, best[..., None, None], -2)[..., 0, :]
+    q = row / np.linalg.norm(row, axis=-1, keepdims=True)
+    positive: Array = np.where(q[..., 3:] < 0, -q, q)
+    return positive
+
+
+def from_rpy(rpy: ArrayLike) -> Array:
+    """Roll, pitch, yaw (..., 3) about the fixed axes x, y, z (URDF's, tf's "sxyz"): ``Rz @ Ry @ Rx``."""
+    rpy = np.asarray(rpy, float)
+    axes = np.eye(3)
+    Rx, Ry, Rz = (exp(rpy[..., i, None] * axes[i]) for i in range(3))
+    R: Array = Rz @ Ry @ Rx
+    return R
+
+
+def to_rpy(R: ArrayLike) -> Array:
+    """The inverse of `from_rpy`, with pitch in [-pi/2, pi/2]; at the singularity yaw is 0."""
+    R = np.asarray(R, float)
+    cos_pitch = np.hypot(R[..., 0, 0], R[..., 1, 0])
+    pitch = np.arctan2(-R[..., 2, 0], cos_pitch)
+    singular = cos_pitch < 1e-9
+    roll = np.where(singular, np.arctan2(-R[..., 1, 2], R[..., 1, 1]), np.arctan2(R[..., 2, 1], R[..., 2, 2]))
+    yaw = np.where(singular, 0.0, np.arctan2(R[..., 1, 0], R[..., 0, 0]))
+    return np.stack([roll, pitch, yaw], -1)
+
+
+def nearest(M: ArrayLike) -> Array:
+    """The rotation nearest to each 3x3 matrix in the Frobenius norm (orthogonal Procrustes)."""
+    U, _, Vt = np.linalg.svd(np.asarray(M, float))
+    sign = np.ones(U.shape[:-1])
+    sign[..., 2] = np.where(np.linalg.det(U) * np.linalg.det(Vt) < 0, -1.0, 1.0)
+    R: Array = (U * sign[..., None, :]) @ Vt
+    return R

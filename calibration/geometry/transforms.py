@@ -1,0 +1,83 @@
+"""SE(3) as 4x4 homogeneous matrices ``T_parent_child``, (..., 4, 4); composition is ``@``."""
+
+import numpy as np
+
+from calibration.geometry import rotations
+from calibration.geometry.types import Array, ArrayLike
+
+
+def transform(R: ArrayLike, t: ArrayLike) -> Array:
+    """From rotations (..., 3, 3) and translations (..., 3); batch axes broadcast."""
+    R, t = np.asarray(R, float), np.asarray(t, float)
+    T = np.zeros((*np.broadcast_shapes(R.shape[:-2], t.shape[:-1]), 4, 4))
+    T[..., :3, :3], T[..., :3, 3], T[..., 3, 3] = R, t, 1.0
+    return T
+
+
+def translation(t: ArrayLike) -> Array:
+    """A pure translation (..., 3)."""
+    return transform(np.eye(3), t)
+
+
+def from_quaternion(t: ArrayLike, q: ArrayLike) -> Array:
+    """From a translation (..., 3) and a quaternion [x, y, z, w] (..., 4)."""
+    return transform(rotations.from_quaternion(q), t)
+
+
+def from_xyz_rpy(xyz: ArrayLike, rpy: ArrayLike) -> Array:
+    """From a translation and roll, pitch, yaw about fixed axes, as URDF's ``<origin>``."""
+    return transform(rotations.from_rpy(rpy), xyz)
+
+
+def inverse(T: Array) -> Array:
+    """``T_child_parent`` from ``T_parent_child``, without a matrix inversion."""
+    out = np.empty_like(T)
+    Rt = np.swapaxes(T[..., :3, :3], -1, -2)
+    out[..., :3, :3] = Rt
+    out[..., :3, 3] = -(Rt @ T[..., :3, 3:])[..., 0]
+    out[..., 3, :] = (0.0, 0.0, 0.0, 1.0)
+    return out
+
+
+def apply(T: Array, points: Array) -> Array:
+    """Points (..., N, 3) in the child frame to the parent frame."""
+    moved: Array = points @ np.swapaxes(T[..., :3, :3], -1, -2) + T[..., None, :3, 3]
+    return moved
+
+
+def adjoint(T: Array) -> Array:
+    """The (..., 6, 6) matrix that maps a twist of the child frame to one of the parent frame.
+
+    For a twist (dt, dw) it is ``[[R, hat(t) R], [0, R]]`` (translation first).
+    """
+    R = T[..., :3, :3]
+    A = np.zeros((*T.shape[:-2], 6, 6))
+    A[..., :3, :3] = A[..., 3:, 3:] = R
+    # hat(t) @ R row by row: cheaper than the product with a matrix of zeros
+    x, y, z = T[..., 0, 3, None], T[..., 1, 3, None], T[..., 2, 3, None]
+    A[..., 0, 3:] = y * R[..., 2, :] - z * R[..., 1, :]
+    A[..., 1, 3:] = z * R[..., 0, :] - x * R[..., 2, :]
+    A[..., 2, 3:] = x * R[..., 1, :] - y * R[..., 0, :]
+    return A
+
+
+def retract(T: Array, twist: Array) -> Array:
+    """Move each transform by a twist (..., 6) in its own child frame: ``T @ [exp(dw), dt]``.
+
+    This is the product chart of R^3 x SO(3), equal to SE(3)'s exponential to first order and
+    cheaper; `local` is its inverse.
+    """
+    step: Array = T @ transform(rotations.exp(twist[..., 3:]), twist[..., :3])
+    return step
+
+
+def local(T0: Array, T: Array) -> Array:
+    """The twist (..., 6) for which ``retract(T0, twist) == T``."""
+    D = inverse(T0) @ T
+    return np.concatenate([D[..., :3, 3], rotations.log(D[..., :3, :3])], -1)
+
+
+def distance(T0: Array, T: Array) -> tuple[Array, Array]:
+    """How far two poses lie apart: norm of the translation (m) and angle (rad) of ``inverse(T0) @ T``."""
+    twist = local(T0, T)
+    return np.linalg.norm(twist[..., :3], axis=-1), np.linalg.norm(twist[..., 3:], axis=-1)
