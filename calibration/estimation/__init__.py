@@ -1,0 +1,15 @@
+"""The calibration engine: from labels to transforms with honest error bars.
+
+`calibration.estimation.calibrate.calibrate` is the way in. Numpy only.
+
+The rooms of the engine, in the order of the work:
+
+- ``problem``: what is unknown (blocks), how the unknowns make up each view's pose (chains);
+- ``build``: a dataset as such a problem;
+- ``planar_pose``, ``robot_world``, ``linear_start``: a start that needs no guess;
+- ``starting_noise``: the matrix's noisy guesses;
+- ``residuals``, ``normal_equations``, ``least_squares``: the optimum;
+- ``noise_levels``: what a pixel and a metre weigh;
+- ``observability``: covariance, weak directions, what the data cannot determine;
+- ``calibrate``: all of it, and the result.
+"""

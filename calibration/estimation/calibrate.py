@@ -1,0 +1,314 @@
+"""Calibrate a dataset: from its labels to transforms, their error bars, and what to think of them."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+
+from calibration.dataset.model import Dataset, Edge
+from calibration.errors import UndeterminedError
+from calibration.estimation.build import Setup, build
+from calibration.estimation.least_squares import minimise
+from calibration.estimation.linear_start import linear_start, pattern_poses
+from calibration.estimation.noise_levels import NoiseLevels
+from calibration.estimation.observability import covariances, open_directions
+from calibration.estimation.optimisation import WeightedOptimum, optimise, unflipped
+from calibration.estimation.problem import NoiseKind, Values
+from calibration.estimation.starting_noise import StartingNoise, perturb
+from calibration.geometry.transforms import distance, inverse, translation
+from calibration.geometry.types import Array, IntArray
+
+FAR = (0.25, 0.25)
+"""A given guess farther from the result than this (m, rad) is worth a warning."""
+FLIP_ROUNDS = 3
+
+
+@dataclass(frozen=True)
+class Options:
+    """How to calibrate."""
+
+    start: Literal["linear", "given"] = "linear"
+    """From our own linear solution, or from the (noisy) initial guess as the software under test must."""
+    loss: Literal["huber", "linear"] = "huber"
+    """Robust, or plain least squares."""
+    noise_levels: NoiseLevels = field(default_factory=NoiseLevels)
+    """Standard deviations of the labels; those not given are estimated."""
+
+
+@dataclass(frozen=True, eq=False)
+class ViewResiduals:
+    """What is left between labels and model, for one sensor and one pattern."""
+
+    sensor: str
+    pattern: str
+    kind: NoiseKind
+    collections: tuple[str, ...]
+    """(V,): the keys of the collections."""
+    magnitudes: Array
+    """(V, L): px or m; NaN where there is no label. Corners stand at their ids."""
+
+
+@dataclass(frozen=True)
+class RejectedLabel:
+    """A label that the robust loss gave less than half its weight."""
+
+    collection: str
+    sensor: str
+    pattern: str
+    kind: NoiseKind
+    label: int
+    """The corner's id, or the position of the point among the labels."""
+    residual: float
+    """px or m."""
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration:
+    """The result."""
+
+    dataset: Dataset
+    """The dataset with the calibrated transforms, the patterns' among them."""
+    transforms: Mapping[Edge, Array]
+    """The calibrated ``T_parent_child`` (4, 4) of sensors, additional transforms and fixed patterns."""
+    covariances: Mapping[Edge, Array]
+    """(6, 6) of each transform that was free: of a twist (translation, rotation) in its child frame, m and rad."""
+    converged: bool
+    """Whether this is the optimum: reached, finite, no pattern left flipped."""
+    reason: str
+    """Why it has not converged; empty when it has."""
+    cost: float
+    """The sum of squared residuals in standard deviations, with Huber's loss where it is robust."""
+    degrees_of_freedom: int
+    iterations: int
+    noise_levels: NoiseLevels
+    """The standard deviations of the labels, given or estimated."""
+    residuals: tuple[ViewResiduals, ...]
+    rejected: tuple[RejectedLabel, ...]
+    weak_directions: tuple[str, ...]
+    """What the data hardly determine, named by transform and axis."""
+    warnings: tuple[str, ...]
+    gauge: str | None
+    """The sensor that was held because the data determine only relative poses; None where nothing had to be."""
+    options: Options = field(default_factory=Options)
+
+    @cached_property
+    def rms_px(self) -> float:
+        """The root mean square of the corners' reprojection errors, px; NaN without a camera."""
+        errors = [r.magnitudes[np.isfinite(r.magnitudes)] for r in self.residuals if r.kind == "pixel"]
+        return float(np.sqrt(np.mean(np.concatenate(errors) ** 2))) if errors else float("nan")
+
+    def sigma_mm(self, edge: Edge) -> float:
+        """The standard deviation of a transform's translation, as the norm of the three axes, mm."""
+        return 1e3 * float(np.sqrt(np.trace(self.covariances[edge][:3, :3])))
+
+    def sigma_mrad(self, edge: Edge) -> float:
+        """The standard deviation of a transform's rotation, as the norm of the three axes, mrad."""
+        return 1e3 * float(np.sqrt(np.trace(self.covariances[edge][3:, 3:])))
+
+
+def calibrate(dataset: Dataset, options: Options | None = None, noise: StartingNoise | None = None) -> Calibration:
+    """Calibrate the sensors of a dataset.
+
+    Args:
+        dataset: the labels, and transforms that serve as the initial guess. It is not changed.
+        options: how.
+        noise: what to add to the initial guess first.
+
+    Raises:
+        UndeterminedError: the data cannot determine what is asked; the message names what is missing.
+        InputError: the labels cannot be used.
+    """
+    options = options or Options()
+    setup = build(dataset)
+    exact = _initial_values(setup)
+    guess = perturb(setup, exact, noise or StartingNoise())
+    robust = options.loss == "huber"
+    start = linear_start(setup, guess)
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        if options.start == "linear":
+            result, reason = _from_linear_start(setup, start.values, options)
+        else:
+            # as ATOM: the patterns stand where the cameras see them from the guess without noise
+            seen_from_guess = pattern_poses(setup, exact)
+            patterns = {setup.block(setup.pattern_edge(p)) for p in dataset.patterns}
+            values = tuple(seen_from_guess[i] if i in patterns else T for i, T in enumerate(guess))
+            result = optimise(setup.problem, values, options.noise_levels, robust)
+            reason = _false_minimum(setup, result, start.values)
+    return _result(dataset, setup, result, reason, guess, start.guessed, options)
+
+
+def _initial_values(setup: Setup) -> Values:
+    """The transforms as they stand in the first collection; patterns without a place yet."""
+    values = []
+    for block, edge in zip(setup.problem.blocks, setup.edges, strict=True):
+        if block.name in setup.dataset.patterns:
+            shape = (setup.problem.collections, 4, 4) if block.per_collection else (4, 4)
+            values.append(np.broadcast_to(np.eye(4), shape).copy())
+        else:
+            values.append(setup.dataset.transform(*edge)[0])
+    return tuple(values)
+
+
+def _from_linear_start(setup: Setup, start: Values, options: Options) -> tuple[WeightedOptimum, str]:
+    """The optimum from the linear start, or why there is none; with flipped patterns put right it is solved again."""
+    result = optimise(setup.problem, start, options.noise_levels, options.loss == "huber")
+    for _ in range(FLIP_ROUNDS):
+        if trouble := _not_reached(result):
+            return result, trouble
+        values, flipped = _unflipped(setup, result)
+        if not len(flipped):
+            return result, ""
+        result = optimise(setup.problem, values, options.noise_levels, options.loss == "huber")
+    return result, _trouble(setup, result)
+
+
+def _unflipped(setup: Setup, result: WeightedOptimum) -> tuple[Values, IntArray]:
+    optimum = result.optimum
+    values, flipped = unflipped(setup.problem, optimum.values, result.weighting, optimum.equations.cost)
+    return values, np.flatnonzero(flipped)
+
+
+def _not_reached(result: WeightedOptimum) -> str:
+    if not np.isfinite(result.optimum.cost):
+        return "the cost is not finite: a pattern lies behind a camera"
+    if not result.optimum.reached:
+        return f"no minimum was reached in {result.optimum.iterations} iterations"
+    return ""
+
+
+def _trouble(setup: Setup, result: WeightedOptimum) -> str:
+    """Why an optimum is none, or nothing."""
+    if trouble := _not_reached(result):
+        return trouble
+    _, flipped = _unflipped(setup, result)
+    if len(flipped):
+        keys = ", ".join(setup.dataset.keys[i] for i in flipped[:5])
+        return f"the pattern is left in its mirrored pose in {len(flipped)} collections ({keys})"
+    return ""
+
+
+def _false_minimum(setup: Setup, result: WeightedOptimum, start: Values) -> str:
+    """Why what the given guess led to is not the optimum, or nothing: flipped, or worse than from the linear start."""
+    trouble = _trouble(setup, result)
+    if trouble:
+        return trouble
+    best = minimise(setup.problem, start, result.weighting)
+    if best.reached and best.cost < result.optimum.cost * (1 - 1e-6) - 1e-6:
+        return f"a false minimum: cost {result.optimum.cost:.6g}, while {best.cost:.6g} can be reached"
+    return ""
+
+
+def _result(
+    dataset: Dataset,
+    setup: Setup,
+    result: WeightedOptimum,
+    reason: str,
+    guess: Values,
+    guessed: tuple[str, ...],
+    options: Options,
+) -> Calibration:
+    problem, optimum, weighting = setup.problem, result.optimum, result.weighting
+    names = [block.name for block in problem.blocks]
+    warnings = [f"no equation gives '{name}' a linear start; it starts from its guess" for name in guessed]
+    weak: tuple[str, ...] = ()
+    covariance: dict[Edge, Array] = {}
+    if not reason:
+        size = max(pattern.size for pattern in setup.dataset.patterns.values())
+        undetermined, weakly = open_directions(problem, optimum.equations, size)
+        if undetermined:
+            named = "; ".join(direction.describe(names) for direction in undetermined[:3])
+            raise UndeterminedError(
+                f"{setup.dataset.path}: the labels do not determine {named}; "
+                f"add collections with other rotations of the pattern or the robot"
+            )
+        weak = tuple(direction.describe(names) for direction in weakly)
+        covariance = {setup.edges[i]: C for i, C in covariances(problem, optimum.equations).items()}
+        warnings += _far_guesses(setup, optimum.values, guess)
+    return Calibration(
+        dataset=_calibrated(setup, optimum.values, dataset),
+        transforms=_transforms(setup, optimum.values),
+        covariances=covariance,
+        converged=not reason,
+        reason=reason,
+        cost=optimum.cost,
+        degrees_of_freedom=_labels(setup) - round(sum(result.parameters.values())),
+        iterations=optimum.iterations,
+        noise_levels=NoiseLevels(**{str(kind): scale for kind, scale in weighting.scales.items()}),
+        residuals=_residuals(setup, optimum.values),
+        rejected=_rejected(setup, result),
+        weak_directions=weak,
+        warnings=(*setup.ignored, *warnings),
+        gauge=setup.gauge,
+        options=options,
+    )
+
+
+def _labels(setup: Setup) -> int:
+    return sum(int(term.counts.sum()) * term.dimension for group in setup.problem.groups for term in group.terms)
+
+
+def _far_guesses(setup: Setup, values: Values, guess: Values) -> list[str]:
+    """A warning for each sensor whose guess is far from the result."""
+    warnings = []
+    for sensor in setup.dataset.sensors.values():
+        block = setup.block(sensor.edge)
+        t, r = (float(d) for d in distance(guess[block], values[block]))
+        if t > FAR[0] or r > FAR[1]:
+            relative = f", '{setup.gauge}' being held" if setup.gauge else ""
+            warnings.append(
+                f"the initial guess of '{sensor.name}' is {t:.2f} m and {np.degrees(r):.1f} degrees from the result"
+                f"{relative}"
+            )
+    return warnings
+
+
+def _transforms(setup: Setup, values: Values) -> dict[Edge, Array]:
+    """The shared blocks; patterns back from their centre to their own frame."""
+    patterns = {setup.pattern_edge(name): p for name, p in setup.dataset.patterns.items()}
+    return {
+        edge: value @ inverse(translation(patterns[edge].centre)) if edge in patterns else value
+        for edge, value in zip(setup.edges, values, strict=True)
+        if value.ndim == 2
+    }
+
+
+def _calibrated(setup: Setup, values: Values, dataset: Dataset) -> Dataset:
+    """The whole dataset with the new transforms; moving patterns where they count, NaN elsewhere."""
+    moving = {}
+    used = np.isin(dataset.keys, setup.dataset.keys)
+    for name, pattern in setup.dataset.patterns.items():
+        edge = setup.pattern_edge(name)
+        value = values[setup.block(edge)]
+        if value.ndim == 3:
+            poses = np.full((len(dataset.collections), 4, 4), np.nan)
+            poses[used] = value @ inverse(translation(pattern.centre))
+            moving[edge] = poses
+    return dataset.with_transforms({**_transforms(setup, values), **moving})
+
+
+def _residuals(setup: Setup, values: Values) -> tuple[ViewResiduals, ...]:
+    keys = setup.dataset.keys
+    residuals = []
+    for group in setup.problem.groups:
+        T = setup.problem.poses(group, values)
+        collections = tuple(keys[i] for i in group.collections)
+        residuals += [
+            ViewResiduals(group.sensor, group.pattern, term.kind, collections, term.magnitudes(T))
+            for term in group.terms
+        ]
+    return tuple(residuals)
+
+
+def _rejected(setup: Setup, result: WeightedOptimum) -> tuple[RejectedLabel, ...]:
+    huber = result.weighting.huber
+    if huber is None:
+        return ()
+    rejected = []
+    for r in _residuals(setup, result.optimum.values):
+        limit = 2 * huber * result.weighting.scales[r.kind]
+        for v, k in zip(*np.nonzero(np.nan_to_num(r.magnitudes) > limit), strict=True):
+            magnitude = float(r.magnitudes[v, k])
+            rejected.append(RejectedLabel(r.collections[v], r.sensor, r.pattern, r.kind, int(k), magnitude))
+    return tuple(sorted(rejected, key=lambda label: (label.collection, label.sensor, label.label)))

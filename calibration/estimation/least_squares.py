@@ -1,0 +1,108 @@
+"""Levenberg-Marquardt over poses."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from calibration.estimation.normal_equations import NormalEquations, Weighting, assemble
+from calibration.estimation.problem import Problem, Values
+from calibration.geometry.types import Array, BoolArray
+
+SETTLING = 20
+"""Steps that a collection has to find its own minimum in."""
+
+
+@dataclass(frozen=True)
+class Termination:
+    """When to stop."""
+
+    decrease: float = 1e-8
+    """The decrease of the cost that a step still promises, in squared standard deviations: the default
+    leaves every parameter within 1e-4 of its own standard deviation, or better."""
+    relative_decrease: float = 1e-14
+    """The same relative to the cost: below it rounding decides."""
+    iterations: int = 200
+
+
+@dataclass(frozen=True, eq=False)
+class Optimum:
+    """Where the minimisation ended."""
+
+    values: Values
+    equations: NormalEquations
+    """The normal equations there, undamped."""
+    iterations: int
+    reached: bool
+    """Whether it is a minimum; False when the iterations ran out or nothing finite was found."""
+
+    @property
+    def cost(self) -> float:
+        """The sum of squared residuals, in standard deviations (Huber's loss where it is robust)."""
+        return float(self.equations.cost.sum())
+
+
+def minimise(problem: Problem, values: Values, weighting: Weighting, until: Termination | None = None) -> Optimum:
+    """Minimise the cost from some start, by Levenberg-Marquardt.
+
+    The damping follows the gain ratio (H. B. Nielsen, "Damping parameter in Marquardt's method", 1999).
+    Each trial is linearised at once: nearly all are accepted, and then nothing is computed twice.
+    """
+    until = until or Termination()
+    equations = assemble(problem, values, weighting)
+    cost = float(equations.cost.sum())
+    damping, growth = 1e-4, 2.0
+    for iteration in range(until.iterations):
+        if not np.isfinite(cost):
+            return Optimum(values, equations, iteration, reached=False)
+        shared, local, predicted = equations.step(damping)
+        small = predicted <= max(until.decrease, until.relative_decrease * cost)
+        if np.isfinite(predicted):
+            trial = problem.moved(values, shared, local)
+            with np.errstate(over="ignore", invalid="ignore"):
+                trial_equations = assemble(problem, trial, weighting)
+            trial_cost = float(trial_equations.cost.sum())
+            gain = (cost - trial_cost) / max(predicted, 1e-300)
+            if trial_cost <= cost and (gain > 1e-4 or small):
+                values, equations, cost = trial, trial_equations, trial_cost
+                damping, growth = max(damping * max(1 / 3, 1 - (2 * gain - 1) ** 3), 1e-12), 2.0
+                if small:
+                    return Optimum(values, equations, iteration + 1, reached=True)
+                continue
+        if small:  # rounding decides: this is the minimum to the last digit
+            return Optimum(values, equations, iteration + 1, reached=True)
+        damping, growth = damping * growth, growth * 2
+        if damping > 1e16:
+            return Optimum(values, equations, iteration + 1, reached=False)
+    return Optimum(values, equations, until.iterations, reached=False)
+
+
+def settle(problem: Problem, values: Values, weighting: Weighting, which: BoolArray) -> tuple[Values, Array]:
+    """Minimise over the local blocks of some collections (N,), each on its own, the shared ones held.
+
+    Returns:
+        The values, and the cost (N,) of each collection.
+    """
+    equations = assemble(problem, values, weighting)
+    damping = np.full(problem.collections, 1e-3)
+    active = which.copy()
+    for _ in range(SETTLING):
+        trial = problem.moved(values, np.zeros((len(problem.shared), 6)), equations.local_step(damping))
+        trial = choose(problem, active, trial, values)
+        trial_equations = assemble(problem, trial, weighting)
+        decrease = equations.cost - trial_equations.cost
+        better = active & (decrease >= 0)
+        values = choose(problem, better, trial, values)
+        equations = trial_equations if better[active].all() else assemble(problem, values, weighting)
+        damping = np.where(better, damping / 5, damping * 10)
+        active &= ~(better & (decrease < 0.01)) & (damping < 1e6)
+        if not active.any():
+            break
+    return values, equations.cost
+
+
+def choose(problem: Problem, first: BoolArray, a: Values, b: Values) -> Values:
+    """The local blocks of ``a`` where ``first`` (N,) says so, else those of ``b``; shared ones of ``a``."""
+    out = list(a)
+    for block in problem.local:
+        out[block] = np.where(first[:, None, None], a[block], b[block])
+    return tuple(out)

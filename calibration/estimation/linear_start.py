@@ -1,0 +1,323 @@
+"""A start for the least squares that needs no guess.
+
+Every camera view gives the pose of its pattern by itself (`planar_pose`), every LiDAR view the plane
+it lies on. Seen through a chain ``T_sensor_pattern = ... X ... Y ...`` these are equations for the
+unknown transforms, linear ones: a chain with one unknown gives it directly, once for each view, to
+be averaged; one with two, such as a camera's mount and a pattern on an arm, is a robot-world problem.
+So the unknowns are found one after the other, like a spanning tree: always the one that most views
+speak for. Where the equations leave something open, the given guess is taken and it is said.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from calibration.errors import InputError, UndeterminedError
+from calibration.estimation.build import Setup
+from calibration.estimation.planar_pose import mean_pose, planar_poses, refine_poses
+from calibration.estimation.plane_alignment import align_planes, fit_planes
+from calibration.estimation.problem import Chain, Values, ViewGroup
+from calibration.estimation.residuals import CornerTerm, RangeTerm
+from calibration.estimation.robot_world import RobotWorld, solve_robot_world
+from calibration.geometry.transforms import inverse
+from calibration.geometry.types import Array, BoolArray
+
+SINGLE_AXIS = 0.02
+"""Rotations of a robot that tilt every direction by less than this (rad) about all but one axis are too poor."""
+
+
+@dataclass(frozen=True, eq=False)
+class LinearStart:
+    """Where to start, and what had to be taken from the guess."""
+
+    values: Values
+    guessed: tuple[str, ...]
+    """The blocks that no equation gave."""
+
+
+def linear_start(setup: Setup, guess: Values) -> LinearStart:
+    """Start values for all blocks.
+
+    Args:
+        setup: the problem.
+        guess: a value for each block; of these only the held ones are used, and those that no
+            equation gives.
+
+    Raises:
+        UndeterminedError: a robot's motion is too poor to tell a sensor's mount from the pattern's.
+    """
+    search = _Search(setup, [np.array(value) for value in guess])
+    search.know([i for i, block in enumerate(setup.problem.blocks) if block.held])
+    while search.find() or search.take_guess():
+        pass
+    search.require_all()
+    return LinearStart(tuple(search.values), tuple(search.guessed))
+
+
+def pattern_poses(setup: Setup, values: Values) -> Values:
+    """The values with the patterns' poses put where the cameras see them, all other blocks being right.
+
+    Raises:
+        InputError: no camera sees a fixed pattern.
+    """
+    search = _Search(setup, [np.array(value) for value in values])
+    patterns = {setup.block(setup.pattern_edge(pattern)) for pattern in setup.dataset.patterns}
+    search.know([i for i in range(len(values)) if i not in patterns])
+    while search.find():
+        pass
+    search.require_all()
+    return tuple(search.values)
+
+
+@dataclass
+class _Search:
+    """The unknowns that are left, and the views that speak for them."""
+
+    setup: Setup
+    values: list[Array]
+    guessed: list[str] = field(default_factory=list)
+    poses: dict[int, Array] = field(default_factory=dict)
+    """By group: ``T_sensor_pattern`` (V, 4, 4) of a camera's views; NaN where a view gives none."""
+    known: dict[int, BoolArray] = field(default_factory=dict)
+    """By block: in which collections its value is known, (N,)."""
+
+    def know(self, blocks: list[int]) -> None:
+        """Begin: with these blocks known, and with what the cameras see."""
+        problem = self.setup.problem
+        for i in range(len(problem.blocks)):
+            self.known[i] = np.full(problem.collections, i in blocks)
+        for i, group in enumerate(problem.groups):
+            if isinstance(group.terms[0], CornerTerm):
+                self.poses[i] = view_poses(group.terms[0])
+
+    def find(self) -> bool:
+        """Find one more unknown by linear algebra; False when nothing follows any more."""
+        return self._moving_patterns() or self._averaged() or self._robot_world() or self._planes()
+
+    def require_all(self) -> None:
+        """Refuse when a pattern's pose is not known in a collection that counts, or never."""
+        problem = self.setup.problem
+        observed = {i: np.zeros(problem.collections, bool) for i in range(len(problem.blocks))}
+        for group in problem.groups:
+            for link in group.chain.links:
+                observed[link.block][group.collections] = True
+        for i, block in enumerate(problem.blocks):
+            missing = observed[i] & ~self.known[i]
+            if missing.any():
+                key = self.setup.dataset.keys[int(missing.argmax())]
+                raise InputError(
+                    f"{self.setup.dataset.path}: collection {key}: no camera view tells the pose of '{block.name}'; "
+                    f"label more corners there, or leave the collection out"
+                )
+
+    def _moving_patterns(self) -> bool:
+        """The poses of moving patterns that a camera sees through a known chain; the fullest view decides."""
+        problem = self.setup.problem
+        found = False
+        for local in problem.local:
+            best = np.zeros(problem.collections, int)
+            for i, T in self.poses.items():
+                group = problem.groups[i]
+                if not self._only_unknown(group, local, everywhere=False):
+                    continue
+                candidates, usable = self._solved_for(group, T, local)
+                counts = group.terms[0].counts
+                better = usable & ~self.known[local][group.collections] & (counts > best[group.collections])
+                where = group.collections[better]
+                self.values[local][where] = candidates[better]
+                best[where] = counts[better]
+            new = best > 0
+            self.known[local] |= new
+            found = found or bool(new.any())
+        return found
+
+    def _averaged(self) -> bool:
+        """The shared block that most camera views give directly."""
+        problem = self.setup.problem
+        votes: dict[int, list[Array]] = {}
+        for block in self._unknown_shared():
+            for i, T in self.poses.items():
+                group = problem.groups[i]
+                if self._only_unknown(group, block):
+                    candidates, usable = self._solved_for(group, T, block)
+                    if usable.any():
+                        votes.setdefault(block, []).append(candidates[usable])
+        if not votes:
+            return False
+        block = max(votes, key=lambda b: sum(len(c) for c in votes[b]))
+        self._set(block, mean_pose(np.concatenate(votes[block])))
+        return True
+
+    def _robot_world(self) -> bool:
+        """Two unknowns at once: of one chain, or of two chains that share the poses of a moving pattern."""
+        options = [*self._pairs_in_one_chain(), *self._pairs_over_a_moving_pattern()]
+        if not options:
+            return False
+        a, b, A, B = max(options, key=lambda option: len(option[2]))
+        solution = solve_robot_world(A, B)
+        self._require_rotations(a, b, solution, len(A))
+        for (block, inverted), T in ((a, solution.X), (b, solution.Y)):
+            self._set(block, inverse(T) if inverted else T)
+        return True
+
+    def _planes(self) -> bool:
+        """A LiDAR's transform from the planes it sees and the poses of the pattern, known by now."""
+        problem = self.setup.problem
+        for group in problem.groups:
+            term = group.terms[0]
+            for block in self._unknown_shared():
+                if isinstance(term, RangeTerm) and self._only_unknown(group, block):
+                    before, link_inverted, after, usable = self._around(group, block)
+                    normals, offsets = fit_planes(term.rays * term.ranges[:, None], term.present)
+                    guess = inverse(self.values[block]) if link_inverted else self.values[block]
+                    X = align_planes(normals[usable], offsets[usable], before[usable], after[usable], guess)
+                    self._set(block, inverse(X) if link_inverted else X)
+                    return True
+        return False
+
+    def take_guess(self) -> bool:
+        """Nothing follows: take the guess of one more block, an additional transform first."""
+        unknown = self._unknown_shared()
+        if not unknown:
+            return False
+        sensors = {sensor.edge for sensor in self.setup.dataset.sensors.values()}
+        patterns = self.setup.dataset.patterns
+        rank = [
+            (e in sensors) + 2 * (self.setup.problem.blocks[i].name in patterns) for i, e in enumerate(self.setup.edges)
+        ]
+        block = min(unknown, key=lambda b: (rank[b], b))
+        self.guessed.append(self.setup.problem.blocks[block].name)
+        self._set(block, self.values[block])
+        return True
+
+    # ------------------------------------------------------------------------------------------
+
+    def _unknown_shared(self) -> list[int]:
+        return [b for b in self.setup.problem.shared if not self.known[b].any()]
+
+    def _set(self, block: int, T: Array) -> None:
+        self.values[block] = T
+        self.known[block][:] = True
+
+    def _unknown(self, group: ViewGroup) -> list[int]:
+        """The positions in a group's chain of links that are known in none of its collections."""
+        return [k for k, link in enumerate(group.chain.links) if not self.known[link.block][group.collections].any()]
+
+    def _only_unknown(self, group: ViewGroup, block: int, everywhere: bool = True) -> bool:
+        """Whether this block, once in the chain, is the only one that is not known.
+
+        A moving pattern may be known in some collections already (``everywhere`` False).
+        """
+        positions = [k for k, link in enumerate(group.chain.links) if link.block == block]
+        others = [k for k in self._unknown(group) if k not in positions]
+        return len(positions) == 1 and not others and (not everywhere or positions == self._unknown(group))
+
+    def _around(self, group: ViewGroup, block: int) -> tuple[Array, bool, Array, BoolArray]:
+        """A chain around one block: ``T = before * block^(+-1) * after`` (V, 4, 4 each), and where it is known."""
+        links = group.chain.links
+        k = next(k for k, link in enumerate(links) if link.block == block)
+        usable = np.ones(len(group.collections), bool)
+        for link in links[:k] + links[k + 1 :]:
+            usable &= self.known[link.block][group.collections]
+        return self._between(group, -1, k), links[k].inverted, self._between(group, k, len(links)), usable
+
+    def _between(self, group: ViewGroup, start: int, end: int) -> Array:
+        """The product (V, 4, 4) of what stands between two links of a chain; -1 is its begin, its length its end."""
+        chain = group.chain
+        constant = chain.before if start < 0 else chain.links[start].after
+        part = Chain(constant, chain.links[start + 1 : end])
+        return part.poses(tuple(self.values), slice(None), group.collections)
+
+    def _solved_for(self, group: ViewGroup, T: Array, block: int) -> tuple[Array, BoolArray]:
+        """What each view says a block is, and whether it says anything."""
+        before, inverted, after, usable = self._around(group, block)
+        X = inverse(before) @ T @ inverse(after)
+        return inverse(X) if inverted else X, usable & np.isfinite(T[:, 0, 0])
+
+    def _pairs_in_one_chain(self) -> list["_Pair"]:
+        """Chains with two unknown shared blocks: ``X B Y = A`` with A measured and B known."""
+        pairs: list[_Pair] = []
+        for i, T in self.poses.items():
+            group = self.setup.problem.groups[i]
+            links, unknown = group.chain.links, self._unknown(group)
+            if len(unknown) == 2 and not any(self.setup.problem.blocks[links[k].block].per_collection for k in unknown):
+                first, second = unknown
+                B = self._between(group, first, second)
+                A = inverse(self._between(group, -1, first)) @ T @ inverse(self._between(group, second, len(links)))
+                usable = np.isfinite(A[:, 0, 0])
+                pairs.append((_unknown_of(group, first), _unknown_of(group, second), A[usable], B[usable]))
+        return pairs
+
+    def _pairs_over_a_moving_pattern(self) -> list["_Pair"]:
+        """Two chains that end in the same moving pattern, each with one unknown shared block before it.
+
+        From ``T1 = U1 X C1 P`` and ``T2 = U2 Y C2 P`` the pattern drops out:
+        ``inverse(U1) T1 inverse(T2) U2 = X (C1 inverse(C2)) inverse(Y)``.
+        """
+        problem = self.setup.problem
+        halves = []
+        for i, T in self.poses.items():
+            group = problem.groups[i]
+            links, unknown = group.chain.links, self._unknown(group)
+            moving = [problem.blocks[links[k].block].per_collection for k in unknown]
+            if moving == [False, True] and unknown[1] == len(links) - 1 and links[-1].after is None:
+                first = unknown[0]
+                U, C = self._between(group, -1, first), self._between(group, first, len(links) - 1)
+                halves.append((group, _unknown_of(group, first), inverse(U) @ T, C))
+        pairs: list[_Pair] = []
+        for i, (one, x, Z1, C1) in enumerate(halves):
+            for two, y, Z2, C2 in halves[i + 1 :]:
+                common, at1, at2 = np.intersect1d(one.collections, two.collections, return_indices=True)
+                if one.pattern == two.pattern and x[0] != y[0] and len(common):
+                    A = Z1[at1] @ inverse(Z2[at2])
+                    usable = np.isfinite(A[:, 0, 0])
+                    pairs.append((x, (y[0], not y[1]), A[usable], (C1[at1] @ inverse(C2[at2]))[usable]))
+        return pairs
+
+    def _require_rotations(self, a: "_Unknown", b: "_Unknown", solution: RobotWorld, views: int) -> None:
+        """Refuse a motion that cannot tell the two unknowns apart."""
+        names = [self.setup.problem.blocks[block].name for block, _ in (a, b)]
+        what = f"{self.setup.dataset.path}: '{names[0]}' and '{names[1]}' cannot be told apart"
+        axes = solution.spectrum.axes(SINGLE_AXIS)
+        if views < 3:
+            raise UndeterminedError(f"{what}: {views} views, at least 3 with different rotations are needed")
+        if axes == 0:
+            raise UndeterminedError(f"{what}: the robot never rotates; add collections with rotations about two axes")
+        if axes == 1:
+            x, y, z = solution.spectrum.axis
+            raise UndeterminedError(
+                f"{what}: the robot rotates about a single axis only, ({x:.2f}, {y:.2f}, {z:.2f}) in the frame of "
+                f"'{names[1]}'; add collections with rotations about another axis"
+            )
+
+
+_Unknown = tuple[int, bool]
+"""A block, and whether it stands inverted in its chain."""
+_Pair = tuple[_Unknown, _Unknown, Array, Array]
+"""Two unknowns X and Y with ``A_i = X B_i Y``, and the poses A and B (n, 4, 4)."""
+
+
+def _unknown_of(group: ViewGroup, position: int) -> _Unknown:
+    link = group.chain.links[position]
+    return link.block, link.inverted
+
+
+def view_poses(term: CornerTerm) -> Array:
+    """``T_sensor_pattern`` (V, 4, 4) of each view by itself; NaN where its corners give none.
+
+    Views that the linear solution fits badly, because of outliers or few corners, are refined with
+    a robust loss.
+    """
+    camera = term.camera
+    u = (term.pixels[:, 0] - camera.cx) / camera.fx
+    v = (term.pixels[:, 1] - camera.cy) / camera.fy
+    rays = np.stack(camera.distortion.undistort(u, v), 1)
+    T = planar_poses(rays, term.corners, term.seen)
+    good = np.isfinite(T[:, 0, 0])
+    error = np.full(len(T), np.nan)
+    error[good] = np.sqrt(np.nanmean(term.magnitudes(np.where(good[:, None, None], T, np.eye(4)))[good] ** 2, -1))
+    bad = good & ~(error <= 2 * np.nanmedian(error)) if good.any() else good
+    if bad.any():
+        seen = None if term.seen is None else term.seen[bad]
+        T[bad], _ = refine_poses(T[bad], rays[bad], term.corners, seen, focal=camera.fx, huber=2.0)
+    return T

@@ -1,0 +1,81 @@
+"""How noisy the labels are: the standard deviation of each kind of residual, from the residuals."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from calibration.estimation.problem import NoiseKind, Problem, Values
+from calibration.geometry.types import Array
+
+FLOORS: dict[NoiseKind, float] = {"pixel": 1e-6, "range": 1e-8, "border": 1e-8}
+"""Nothing is labelled better than this (px, m); keeps exact data from weighing infinitely much."""
+INLIERS = 3.0
+"""Labels within so many standard deviations make the estimate."""
+# For a squared Gaussian residual of 1 or 2 dimensions: its median, and its mean below INLIERS^2
+# (d P(chi2_{d+2} < c) / P(chi2_d < c), with c = 9), both in squared standard deviations.
+_MEDIAN = {1: 0.4549364, 2: 1.3862944}
+_TRUNCATED_MEAN = {1: 0.9733369, 2: 1.8988755}
+
+
+@dataclass(frozen=True)
+class NoiseLevels:
+    """Standard deviations of labels; None where the dataset has none of that kind, or (given) to estimate it."""
+
+    pixel: float | None = None
+    """Of each image coordinate of a corner, px."""
+    range: float | None = None
+    """Of a LiDAR's range, m."""
+    border: float | None = None
+    """Of where a LiDAR finds a pattern's border, across it, m."""
+
+    def given(self) -> dict[NoiseKind, float]:
+        """Those that are set."""
+        levels: dict[NoiseKind, float | None] = {"pixel": self.pixel, "range": self.range, "border": self.border}
+        return {kind: level for kind, level in levels.items() if level is not None}
+
+
+def estimate_scales(
+    problem: Problem, values: Values, parameters: Mapping[NoiseKind, float], robust: bool
+) -> dict[NoiseKind, float]:
+    """The standard deviation of each kind of label.
+
+    Plain: root of the squared residuals over their degrees of freedom. Robust: the median first, then the
+    residuals within three of its standard deviations, corrected for the cut.
+
+    Args:
+        problem: the problem.
+        values: where the residuals are taken.
+        parameters: by kind, how many parameters its residuals have determined: their degrees of freedom
+            are so many fewer.
+        robust: whether outliers are to be kept out.
+    """
+    squares: dict[NoiseKind, list[Array]] = {}
+    dimensions: dict[NoiseKind, int] = {}
+    for group in problem.groups:
+        T = problem.poses(group, values)
+        for term in group.terms:
+            magnitudes = term.magnitudes(T).ravel()
+            squares.setdefault(term.kind, []).append(magnitudes[np.isfinite(magnitudes)] ** 2)
+            dimensions[term.kind] = term.dimension
+    return {
+        kind: max(FLOORS[kind], _scale(np.concatenate(parts), dimensions[kind], parameters.get(kind, 0.0), robust))
+        for kind, parts in squares.items()
+    }
+
+
+def _scale(squared: Array, dimension: int, parameters: float, robust: bool) -> float:
+    """The standard deviation per axis, from squared residuals (n,) of 1 or 2 dimensions."""
+    if not len(squared):
+        return 0.0
+    freedom = max(1.0, len(squared) * dimension - parameters) / (len(squared) * dimension)
+    if not robust:
+        return float(np.sqrt(squared.mean() / dimension / freedom))
+    variance = float(np.median(squared)) / _MEDIAN[dimension] / freedom
+    for _ in range(10):
+        inside = squared[squared <= INLIERS**2 * variance * freedom]
+        updated = float(inside.mean()) / _TRUNCATED_MEAN[dimension] / freedom if len(inside) else variance
+        if abs(updated - variance) <= 1e-6 * variance:
+            break
+        variance = updated
+    return float(np.sqrt(variance))

@@ -1,0 +1,195 @@
+"""The normal equations of all views, with the blocks of each collection eliminated.
+
+A view's Hessian M (6x6, from `calibration.estimation.residuals`) becomes the block (a, b) of the
+normal equations as ``J_a^T M J_b``, where J maps a block's twist to the view's: chain length costs
+products of 6x6 matrices per view, never work per label. Blocks that each collection has its own of
+(moving patterns) are eliminated collection by collection in one batched solve, and what remains is
+one small dense matrix for the shared blocks, the Schur complement. A Jacobian is never stored.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from calibration.estimation.problem import NoiseKind, Problem, Term, Values, ViewGroup
+from calibration.geometry.types import Array, IntArray
+
+VIEWS_AT_A_TIME = 1024
+"""Bounds the temporaries: 1024 views of 50 corners pass through in about 10 MB."""
+
+
+@dataclass(frozen=True)
+class Weighting:
+    """What residuals weigh."""
+
+    scales: Mapping[NoiseKind, float]
+    """The standard deviation of each kind, px or m."""
+    huber: float | None
+    """The threshold in standard deviations of the robust loss; None for plain least squares."""
+
+
+@dataclass(frozen=True, eq=False)
+class NormalEquations:
+    """``H step = -g``, in blocks: S shared blocks, P local ones in each of N collections."""
+
+    cost: Array
+    """(N,): the cost of each collection; the sum of squared residuals in standard deviations."""
+    H_shared: Array
+    """(6S, 6S)."""
+    H_mixed: Array
+    """(N, 6S, 6P)."""
+    H_local: Array
+    """(N, 6P, 6P)."""
+    g_shared: Array
+    """(6S,)."""
+    g_local: Array
+    """(N, 6P)."""
+
+    def step(self, damping: float) -> tuple[Array, Array, float]:
+        """The damped step: shared (S, 6), local (N, P, 6), and the decrease of the cost that it predicts.
+
+        Levenberg's damping, scaled by the diagonal (Marquardt). A singular system gives NaN.
+        """
+        N, P6 = self.g_local.shape
+        diagonal = np.diagonal(self.H_local, axis1=1, axis2=2)
+        H_local = _damped(self.H_local, damping)
+        H_shared = _damped(self.H_shared, damping)
+        try:
+            right = np.concatenate([np.swapaxes(self.H_mixed, 1, 2), self.g_local[..., None]], -1)
+            solved: Array = np.asarray(np.linalg.solve(H_local, right), float)
+            reduced = self._mixed @ solved.reshape(N * P6, len(self.g_shared) + 1)
+            shared = -np.asarray(np.linalg.solve(H_shared - reduced[:, :-1], self.g_shared - reduced[:, -1]), float)
+        except np.linalg.LinAlgError:
+            return np.full((self.g_shared.size // 6, 6), np.nan), np.full((N, P6 // 6, 6), np.nan), np.nan
+        local = -(solved[..., -1] + solved[..., :-1] @ shared)
+        penalty = (np.diagonal(self.H_shared) * shared**2).sum() + (diagonal * local**2).sum()
+        predicted = -(self.g_shared @ shared) - (self.g_local * local).sum() + damping * penalty
+        return shared.reshape(-1, 6), local.reshape(N, -1, 6), float(predicted)
+
+    def local_step(self, damping: Array) -> Array:
+        """The step of the local blocks alone, (N, P, 6), each collection with its own damping (N,)."""
+        H = _damped(self.H_local, damping[:, None])
+        step = -np.linalg.solve(H, self.g_local[..., None])[..., 0]
+        return np.asarray(step.reshape(len(step), -1, 6), float)
+
+    @cached_property
+    def schur(self) -> Array:
+        """(6S, 6S): the information of the data on the shared blocks, the local ones being free."""
+        solved = np.linalg.solve(self.H_local, np.swapaxes(self.H_mixed, 1, 2))
+        schur: Array = self.H_shared - self._mixed @ solved.reshape(self._mixed.T.shape)
+        return 0.5 * (schur + schur.T)
+
+    @property
+    def _mixed(self) -> Array:
+        """`H_mixed` with the collections side by side, (6S, 6P N)."""
+        N, S6, P6 = self.H_mixed.shape
+        return np.swapaxes(self.H_mixed, 0, 1).reshape(S6, N * P6)
+
+
+def assemble(problem: Problem, values: Values, weighting: Weighting) -> NormalEquations:
+    """Form the normal equations at some values."""
+    N = problem.collections
+    shared = {block: slice(6 * k, 6 * k + 6) for k, block in enumerate(problem.shared)}
+    local = {block: slice(6 * k, 6 * k + 6) for k, block in enumerate(problem.local)}
+    S6, P6 = 6 * len(shared), 6 * len(local)
+    equations = NormalEquations(
+        np.zeros(N), np.zeros((S6, S6)), np.zeros((N, S6, P6)), np.zeros((N, P6, P6)), np.zeros(S6), np.zeros((N, P6))
+    )
+    for group in problem.groups:
+        for start in range(0, len(group.collections), VIEWS_AT_A_TIME):
+            views = slice(start, min(start + VIEWS_AT_A_TIME, len(group.collections)))
+            _add(equations, problem, group, views, values, weighting, shared, local)
+    _fill_unobserved(equations.H_local)
+    return equations
+
+
+def linearise(group: ViewGroup, T: Array, views: slice, weighting: Weighting) -> tuple[Array, Array, Array]:
+    """Cost (v,), Hessian (v, 6, 6) and gradient (v, 6) of some views at their poses, all terms together."""
+
+    def of(term: Term) -> tuple[Array, Array, Array]:
+        return term.linearise(T, views, weighting.scales[term.kind], weighting.huber)
+
+    cost, M, g = of(group.terms[0])
+    for term in group.terms[1:]:
+        more_cost, more_M, more_g = of(term)
+        cost, M, g = cost + more_cost, M + more_M, g + more_g
+    return cost, M, g
+
+
+def _add(
+    equations: NormalEquations,
+    problem: Problem,
+    group: ViewGroup,
+    views: slice,
+    values: Values,
+    weighting: Weighting,
+    shared: Mapping[int, slice],
+    local: Mapping[int, slice],
+) -> None:
+    """Add some views of a group to the equations."""
+    collections = group.collections[views]
+    T, jacobians = group.chain.jacobians(values, views, collections, problem.held)
+    cost, M, g = linearise(group, T, views, weighting)
+    equations.cost[collections] += cost
+    for i, (a, J_a) in enumerate(jacobians):
+        gradient = (np.swapaxes(J_a, 1, 2) @ g[..., None])[..., 0]
+        if a in local:
+            equations.g_local[collections, local[a]] += gradient
+        else:
+            equations.g_shared[shared[a]] += gradient.sum(0)
+        MJ = M @ J_a
+        for b, J_b in jacobians[: i + 1]:
+            if a in local or b in local:
+                block = np.swapaxes(J_b, 1, 2) @ MJ  # (v, 6, 6): row b, column a
+                _add_local(equations, collections, a, b, block, shared, local)
+            else:
+                total = _sum_of_products(J_b, MJ)
+                equations.H_shared[shared[b], shared[a]] += total
+                if a != b:
+                    equations.H_shared[shared[a], shared[b]] += total.T
+
+
+def _add_local(
+    equations: NormalEquations,
+    collections: IntArray,
+    a: int,
+    b: int,
+    block: Array,
+    shared: Mapping[int, slice],
+    local: Mapping[int, slice],
+) -> None:
+    """Add blocks (v, 6, 6) of row b and column a, at least one of them local."""
+    if a in local and b in local:
+        equations.H_local[collections, local[b], local[a]] += block
+        if a != b:
+            equations.H_local[collections, local[a], local[b]] += np.swapaxes(block, 1, 2)
+    elif a in local:
+        equations.H_mixed[collections, shared[b], local[a]] += block
+    else:
+        equations.H_mixed[collections, shared[a], local[b]] += np.swapaxes(block, 1, 2)
+
+
+def _sum_of_products(J: Array, MJ: Array) -> Array:
+    """The sum over views of ``J^T M J``, as one product of tall matrices."""
+    if len(J) == 1:
+        single: Array = J[0].T @ MJ.sum(0)
+        return single
+    tall: Array = J.reshape(-1, 6).T @ MJ.reshape(-1, 6)
+    return tall
+
+
+def _damped(H: Array, damping: float | Array) -> Array:
+    """H with its diagonal multiplied by 1 + damping."""
+    out = H.copy()
+    index = np.arange(H.shape[-1])
+    out[..., index, index] *= 1 + damping
+    return out
+
+
+def _fill_unobserved(H_local: Array) -> None:
+    """Give local blocks that no view of their collection depends on a unit Hessian: their step is zero."""
+    index = np.arange(H_local.shape[-1])
+    diagonal = H_local[:, index, index]
+    H_local[:, index, index] = np.where(diagonal == 0.0, 1.0, diagonal)

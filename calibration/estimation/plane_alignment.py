@@ -1,0 +1,65 @@
+"""Transforms from planes: a LiDAR sees planes whose place in the world is known."""
+
+import numpy as np
+
+from calibration.geometry import rotations
+from calibration.geometry.transforms import inverse, transform
+from calibration.geometry.types import Array, BoolArray
+
+
+def fit_planes(points: Array, present: BoolArray) -> tuple[Array, Array]:
+    """Least-squares planes of views of points.
+
+    Args:
+        points: (V, 3, L), in the sensor's frame, m.
+        present: (V, L), which of them exist.
+
+    Returns:
+        Unit normals (V, 3), pointing away from the sensor, and distances (V,) from its origin, m.
+    """
+    weight = present / present.sum(-1, keepdims=True)
+    centre = (points * weight[:, None]).sum(-1)
+    spread = (points - centre[..., None]) * np.sqrt(weight)[:, None]
+    _, vectors = np.linalg.eigh(spread @ np.swapaxes(spread, 1, 2))
+    normals = vectors[..., 0]
+    offsets = (normals * centre).sum(-1)
+    sign = np.where(offsets < 0, -1.0, 1.0)
+    return normals * sign[:, None], offsets * sign
+
+
+def align_planes(normals: Array, offsets: Array, before: Array, after: Array, guess: Array) -> Array:
+    """The transform X for which the pattern's planes, seen through ``before @ X @ after``, are the measured ones.
+
+    The rotation aligns the normals (orthogonal Procrustes), the translation the distances (linear
+    least squares); both are reweighted a few times, so that single views with a flipped pattern do
+    not count. A LiDAR mostly sees the same side of the pattern as the cameras do; if the guess says
+    otherwise and fits better, it is followed. Translations that the planes leave open are the guess's.
+
+    Args:
+        normals: (V, 3), measured, in the sensor's frame, pointing away from it.
+        offsets: (V,), measured distances, m.
+        before: (V, 4, 4), sensor to X's parent.
+        after: (V, 4, 4), X's child to the pattern.
+        guess: (4, 4), of X.
+    """
+    back = inverse(before)
+    n = np.einsum("vij,vj->vi", back[:, :3, :3], normals)  # the planes in X's parent frame
+    d = offsets + (n * back[:, :3, 3]).sum(-1)
+    m, p = after[:, :3, 2], after[:, :3, 3]  # the pattern's normal and centre in X's child frame
+    by_guess = np.sign((n * (m @ guess[:3, :3].T)).sum(-1))
+    candidates = [_aligned(n * sign[:, None], d * sign, m, p, guess) for sign in (np.ones(len(n)), by_guess)]
+    return min(candidates, key=lambda found: found[1])[0]
+
+
+def _aligned(n: Array, d: Array, m: Array, p: Array, guess: Array) -> tuple[Array, float]:
+    """X with ``R m = n`` and ``n . (R p + t) = d``, and the median misfit of the planes (m)."""
+    weight = np.ones(len(n))
+    for _ in range(5):
+        R = rotations.nearest(np.einsum("v,vi,vj->ij", weight, n, m))
+        open_distance = d - (n * (p @ R.T + guess[:3, 3])).sum(-1)
+        root = np.sqrt(weight)
+        step = np.linalg.lstsq(n * root[:, None], open_distance * root, rcond=1e-3)[0]
+        tilt = np.linalg.norm(n - m @ R.T, axis=-1)
+        miss = np.abs(open_distance - n @ step) + tilt * np.median(np.abs(d))
+        weight = 1.0 / np.maximum(miss, 0.5 * np.median(miss) + 1e-9)
+    return transform(R, guess[:3, 3] + step), float(np.median(miss))

@@ -1,0 +1,53 @@
+"""The matrix's noisy starting guesses, as ATOM makes them.
+
+Every additional transform and then every sensor's transform (in the dataset's order; not the
+anchored sensor's, not the patterns') is moved by a translation of fixed length, in a direction
+drawn uniformly from the cube and normalised, and turned by plus or minus a fixed angle about each of
+its three fixed Euler axes.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from calibration.dataset.model import Dataset
+from calibration.estimation.build import Setup
+from calibration.estimation.problem import Values
+from calibration.geometry import rotations
+from calibration.geometry.transforms import transform
+from calibration.geometry.types import Array
+
+
+@dataclass(frozen=True)
+class StartingNoise:
+    """How far a starting guess is off."""
+
+    translation: float = 0.0
+    """The length of the displacement of each transform, m."""
+    rotation: float = 0.0
+    """The size of the error of each of its Euler angles, rad."""
+    seed: int = 1
+
+
+def perturb(setup: Setup, values: Values, noise: StartingNoise) -> Values:
+    """The values with noise on the transforms to calibrate; the same draws for every size of noise."""
+    rng = np.random.default_rng(noise.seed)
+    out = list(values)
+    dataset = setup.dataset
+    for edge in _noisy_edges(dataset):
+        block = setup.block(edge)
+        out[block] = _moved(values[block], noise, rng)
+    return tuple(out)
+
+
+def _noisy_edges(dataset: Dataset) -> list[tuple[str, str]]:
+    anchored = dataset.sensors[dataset.anchored].edge if dataset.anchored else None
+    edges = [*dataset.additional_transforms, *(sensor.edge for sensor in dataset.sensors.values())]
+    return [edge for edge in dict.fromkeys(edges) if edge != anchored]
+
+
+def _moved(T: Array, noise: StartingNoise, rng: np.random.Generator) -> Array:
+    direction = rng.uniform(-1.0, 1.0, 3)
+    signs = rng.choice([-1.0, 1.0], 3)
+    t = T[:3, 3] + noise.translation * direction / np.linalg.norm(direction)
+    return transform(rotations.from_rpy(rotations.to_rpy(T[:3, :3]) + noise.rotation * signs), t)
