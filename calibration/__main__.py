@@ -1,0 +1,171 @@
+"""The command ``calibration``, and the way in for the actions.
+
+Exit codes are those of :class:`calibration.errors.ExitCode`; a command that is stopped by SIGINT
+or SIGTERM cleans up and answers 130 or 143 (128 and the signal's number), as shells do.
+"""
+
+import importlib
+import os
+import sys
+from collections.abc import Mapping, Sequence
+from importlib.util import find_spec
+from typing import Any, NamedTuple
+
+import click
+
+from calibration import __version__
+from calibration.errors import CalibrationError, ExitCode
+from calibration.workflow import Runner, report_error, stop_commands
+from calibration.workflow.signals import Terminated, terminate_cleanly
+from calibration.workflow.text import did_you_mean
+
+
+class LazyCommand(NamedTuple):
+    """A command that is imported when it is called."""
+
+    target: str
+    """``module:attribute`` of the click command."""
+    help: str
+    """The line in the list of commands, kept here so that ``--help`` imports nothing."""
+
+
+COMMANDS: Mapping[str, LazyCommand] = {
+    "run": LazyCommand("calibration.commands.run:command", "Run the whole pipeline of calibration.yml."),
+    "calibrate-matrix": LazyCommand(
+        "calibration.commands.calibrate_matrix:command", "Calibrate systems from every noisy start."
+    ),
+    "introspect-csv": LazyCommand("calibration.commands.introspect_csv:command", "Check tables against rules."),
+    "collect-data-sim": LazyCommand(
+        "calibration.commands.collect_data_sim:command", "Collect a dataset in simulation."
+    ),
+    "schema": LazyCommand("calibration.commands.schema:command", "Print the JSON Schema of a file."),
+    "version": LazyCommand("calibration.commands.version:command", "Print the versions in use."),
+}
+"""Every command by its name, in the order of ``--help``."""
+
+
+class LazyGroup(click.Group):
+    """A group whose commands are imported only when they are called."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """List the commands whose module is installed."""
+        return [name for name, command in COMMANDS.items() if find_spec(command.target.partition(":")[0])]
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """Import a command; None for a name that is not in the list."""
+        return load_command(cmd_name) if cmd_name in self.list_commands(ctx) else None
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """Find the command that the arguments name; a usage error proposes the nearest name."""
+        known = self.list_commands(ctx)
+        if args[0] not in known and not args[0].startswith("-"):
+            ctx.fail(f"there is no command {args[0]!r}{did_you_mean(args[0], known)}")
+        return super().resolve_command(ctx, args)
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the list of commands for ``--help`` without importing them."""
+        with formatter.section("Commands"):
+            formatter.write_dl([(name, COMMANDS[name].help) for name in self.list_commands(ctx)])
+
+
+def load_command(name: str) -> click.Command:
+    """Import the command of that name."""
+    module, attribute = COMMANDS[name].target.split(":")
+    command = getattr(importlib.import_module(module), attribute)
+    if not isinstance(command, click.Command):
+        raise TypeError(f"{COMMANDS[name].target} is not a click command")
+    return command
+
+
+@click.group("calibration", cls=LazyGroup, no_args_is_help=False)
+@click.version_option(__version__, prog_name="calibration-ci", message="%(prog)s %(version)s")
+def group() -> None:
+    """Tell whether the robot still calibrates.
+
+    Exit codes: 0 pass, 1 the verdict is fail, 2 bad input, 3 the world failed (disk, network, engine).
+    """
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line (``sys.argv`` unless arguments are given) and return its exit code.
+
+    Only the arguments count: variables ``INPUT_*`` are not read.
+    """
+    return _execute(group, "calibration", sys.argv[1:] if arguments is None else arguments)
+
+
+def run_action(name: str) -> int:
+    """Run a command as an action and return its exit code.
+
+    Its options come from variables ``INPUT_<OPTION>`` (``--every-min`` from ``INPUT_EVERY_MIN``);
+    an empty variable counts as not given.
+    """
+    return _execute(name, name, [], auto_envvar_prefix="INPUT", help_option_names=[])
+
+
+def _execute(command: click.Command | str, name: str, arguments: Sequence[str], **settings: Any) -> int:
+    """Run a command, turn what it raises into one line for the user, and return the exit code."""
+    # Processes are the parallelism; and one thread gives the same bytes on every machine.
+    for variable in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
+        os.environ.setdefault(variable, "1")
+    for stream in (sys.stdout, sys.stderr):
+        if hasattr(stream, "reconfigure"):  # a test may have put another stream there
+            stream.reconfigure(errors="backslashreplace", line_buffering=True)
+    runner = Runner.from_environment(os.environ)
+    try:
+        with terminate_cleanly():
+            loaded = load_command(command) if isinstance(command, str) else command
+            with loaded.make_context(name, list(arguments), **settings) as context:
+                code = loaded.invoke(context)
+            return int(code or ExitCode.PASS)
+    except click.exceptions.Exit as stop:
+        return stop.exit_code
+    except click.ClickException as error:
+        report_error(runner, _usage_message(error, is_action=bool(settings)))
+        return ExitCode.BAD_INPUT
+    except CalibrationError as error:
+        report_error(runner, str(error))
+        return error.exit_code
+    except Terminated:
+        report_error(runner, "stopped by SIGTERM")
+        return 143
+    except KeyboardInterrupt:
+        report_error(runner, "stopped by SIGINT")
+        return 130
+    except BrokenPipeError:
+        return ExitCode.WORLD  # nobody reads what would be said
+    except OSError as error:
+        report_error(runner, str(error))
+        return ExitCode.WORLD
+    except ModuleNotFoundError as error:
+        if error.name is None or error.name.partition(".")[0] == "calibration":
+            return _report_bug(runner)
+        report_error(
+            runner, f"the package {error.name.partition('.')[0]} is not installed: pip install 'calibration-ci[all]'"
+        )
+        return ExitCode.WORLD
+    except Exception:  # whatever was not foreseen is our bug: the traceback is for us
+        return _report_bug(runner)
+
+
+def _usage_message(error: click.ClickException, is_action: bool) -> str:
+    message = error.format_message()
+    context = getattr(error, "ctx", None)
+    if is_action or context is None:
+        return message
+    return f"{message.rstrip('.')} (see {context.command_path} --help)"
+
+
+def _report_bug(runner: Runner) -> int:
+    import traceback
+
+    with stop_commands(runner, sys.stderr):
+        traceback.print_exc()
+    report_error(runner, "this is a bug in Calibration CI, please report it with the lines above")
+    return ExitCode.WORLD
+
+
+if __name__ == "__main__":
+    sys.exit(main())

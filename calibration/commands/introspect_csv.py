@@ -1,0 +1,168 @@
+"""``introspect-csv``: tables and rules to a verdict."""
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from glob import glob
+from pathlib import Path
+from typing import Any
+
+import click
+
+from calibration.commands.parameters import TEXT_LIST, boolean_option, count, number, path, text
+from calibration.errors import ExitCode, InputError, WorldError
+from calibration.files import write_atomically
+from calibration.introspection import report
+from calibration.introspection.judge import judge
+from calibration.introspection.parsing import RULE_KEYS, TABLE_KEYS, parse_rules
+from calibration.introspection.rules import RuleSet, refuse_contradictions
+from calibration.introspection.table import parse_delimiter, read_table
+from calibration.workflow import Runner, add_summary, annotate, set_outputs, stop_commands
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What ``introspect-csv`` is asked."""
+
+    files: tuple[str, ...]
+    """Paths and patterns of the tables."""
+    rules: RuleSet
+    baseline: Path | None = None
+    delimiter: str | None = None
+    encoding: str | None = None
+    output: Path | None = None
+    """Folder for results.json, junit.xml and summary.md."""
+
+
+@click.command("introspect-csv")
+@click.option("--file", type=TEXT_LIST, help="CSV files; patterns such as results/**/*.csv too.")
+@click.option("--rules", type=path, help="YAML file of rules, or a Rigelfile.")
+@click.option("--column", type=text, help="Column of the rule that the next options make.")
+@click.option("--row", type=text, help="The row that is judged: its label, first, last or index:3.")
+@click.option("--aggregate", type=text, help="Judge one number made from every row: max, min, mean, median or p95.")
+@click.option("--min", type=number, help="Smallest number that passes, for the row or aggregate, else for every row.")
+@click.option("--max", type=number, help="Largest number that passes, for the row or aggregate, else for every row.")
+@click.option("--every-min", type=number, help="Smallest number that passes in every row.")
+@click.option("--every-max", type=number, help="Largest number that passes in every row.")
+@boolean_option("--exclusive", help="A number equal to a limit does not pass.")
+@click.option("--contains", help="Text that the cell contains.")
+@click.option("--does-not-contain", help="Text that the cell does not contain.")
+@click.option("--matches", help="Regular expression that the whole cell matches.")
+@click.option("--max-increase", type=text, help="Largest increase against the baseline: 0.1, or 10%.")
+@click.option("--max-decrease", type=text, help="Largest decrease against the baseline: 0.1, or 10%.")
+@click.option("--baseline", type=path, help="CSV file that max-increase and max-decrease compare with.")
+@click.option("--required-rows", type=TEXT_LIST, help="Labels of rows that must be there.")
+@click.option("--min-rows", type=count, help="Smallest number of rows (1 unless given).")
+@click.option("--key-column", type=text, help="Column of the rows' labels (found unless given).")
+@boolean_option("--exclude-summary-rows", default=None, help="Summary rows are no part of every row.")
+@click.option("--summary-rows", type=TEXT_LIST, help="Labels of the summary rows (Averages unless given).")
+@click.option("--delimiter", help="comma, semicolon, tab, pipe or a character (recognised unless given).")
+@click.option("--encoding", type=text, help="Text encoding (recognised unless given).")
+@click.option("--output", type=path, help="Folder for results.json, junit.xml and summary.md.")
+def command(**options: Any) -> ExitCode:
+    """Check tables against rules; the verdict is fail when a value breaks one.
+
+    Rules come from a file, from the options (one column), or both.
+    """
+    return introspect(settings_from(options), Runner.from_environment(os.environ))
+
+
+def settings_from(options: dict[str, Any]) -> Settings:
+    """Make the settings of the options, with the rules of the file and of the options together.
+
+    Raises :class:`InputError` when there is no rule or no file, or one of them is wrong.
+    """
+    given = {name.replace("_", "-"): value for name, value in options.items() if value not in (None, ())}
+    rules = _rules(given)
+    files = given.get("file") or ((rules.file,) if rules.file else ())
+    if not files:
+        raise InputError("file is not given: name the CSV files to judge")
+    if rules.compares and "baseline" not in given:
+        raise InputError("baseline is not given: max-increase and max-decrease need one to compare with")
+    if not rules.compares and "baseline" in given:
+        raise InputError("baseline is given but no max-increase or max-decrease, so nothing would be compared with it")
+    return Settings(
+        files,
+        rules,
+        baseline=given.get("baseline"),
+        delimiter=parse_delimiter(given["delimiter"]) if "delimiter" in given else None,
+        encoding=given.get("encoding"),
+        output=given.get("output"),
+    )
+
+
+def introspect(settings: Settings, runner: Runner) -> ExitCode:
+    """Judge the tables, report every violation, and return pass or fail.
+
+    Raises :class:`InputError` when a file, a column or a labelled row is missing or a file is no
+    table, and :class:`calibration.errors.WorldError` when a result cannot be written. A result of
+    an earlier run is removed first, so that none is mistaken for this one's.
+    """
+    if settings.output is not None:
+        _remove_results(settings.output)
+    tables = [read_table(file, settings.delimiter, settings.encoding) for file in expand(settings.files)]
+    baseline = None
+    if settings.baseline is not None:
+        baseline = read_table(settings.baseline, settings.delimiter, settings.encoding)
+    verdicts = [judge(table, settings.rules, baseline) for table in tables]
+    passed = all(verdict.passed for verdict in verdicts)
+    with stop_commands(runner):  # cells are text that others wrote
+        runner.log(report.log(verdicts))
+    annotate(runner, report.annotations(verdicts))
+    summary = report.markdown(verdicts)
+    if settings.output is not None:
+        write_atomically(settings.output / "results.json", report.results_json(verdicts))
+        write_atomically(settings.output / "junit.xml", report.junit(verdicts))
+        write_atomically(settings.output / "summary.md", summary)
+    add_summary(runner, summary)
+    set_outputs(
+        runner,
+        {
+            "verdict": "pass" if passed else "fail",
+            "violations": sum(len(verdict.violations) for verdict in verdicts),
+            "results": "" if settings.output is None else settings.output / "results.json",
+            "values": report.values(verdicts),
+        },
+    )
+    runner.log(report.sentence(verdicts))
+    return ExitCode.PASS if passed else ExitCode.FAIL
+
+
+def expand(patterns: Sequence[str]) -> list[str]:
+    """Return the files that paths and patterns name, each once, those of a pattern in order.
+
+    Raises :class:`InputError` for a pattern that matches no file.
+    """
+    files: dict[str, None] = {}
+    for pattern in patterns:
+        if Path(pattern).exists() or not any(character in pattern for character in "*?["):
+            files[pattern] = None
+            continue
+        found = sorted(file for file in glob(pattern, recursive=True) if Path(file).is_file())  # noqa: PTH207
+        if not found:
+            raise InputError(f"{pattern}: no file matches this pattern")
+        files.update(dict.fromkeys(found))
+    return list(files)
+
+
+def _rules(given: dict[str, Any]) -> RuleSet:
+    rule = {key: given[key] for key in RULE_KEYS if key in given and given[key] is not False}
+    table = {key: given[key] for key in TABLE_KEYS if key in given and key not in ("rules", "file")}
+    if rule and "column" not in rule:
+        raise InputError(f"{next(iter(rule))} is given without the column that it is for")
+    from_options = {**table, "rules": [rule] if rule else []}
+    if "rules" not in given:
+        return parse_rules(from_options, "options")
+    from calibration.introspection.rulesfile import read_rules  # YAML is slow to import
+
+    rules = read_rules(given["rules"]).overridden_by(parse_rules(from_options, "options", required=False))
+    refuse_contradictions(rules.rules, f"{given['rules']} and options")
+    return rules
+
+
+def _remove_results(folder: Path) -> None:
+    for name in ("results.json", "junit.xml", "summary.md"):
+        try:
+            (folder / name).unlink(missing_ok=True)
+        except OSError as error:
+            raise WorldError(f"{folder / name}: an earlier result cannot be removed: {error.strerror}") from error

@@ -1,0 +1,108 @@
+"""Types and options that the commands share: ``click.option("--min", type=number)``.
+
+A value comes from the command line or, in an action, from an environment variable, where
+everything is text: so lists are one value with separators, and truth values can be written out.
+"""
+
+import math
+import re
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, TypeVar
+
+import click
+
+_TRUTH = {"true": True, "yes": True, "1": True, "false": False, "no": False, "0": False}
+_SEPARATOR = re.compile(r"[,\r\n]")
+_Item = TypeVar("_Item")
+_Callback = TypeVar("_Callback", bound=Callable[..., Any])
+
+
+def boolean(value: str | bool) -> bool:
+    """Read true, false, yes, no, 1 or 0 in any case; a usage error for anything else."""
+    truth = _TRUTH.get(str(value).strip().lower())
+    if truth is None:
+        raise click.BadParameter(f"{value!r} is neither true nor false")
+    return truth
+
+
+def number(value: str | float) -> float:
+    """Read a finite number; a usage error for text, NaN and infinity."""
+    try:
+        result = float(value)
+    except ValueError:
+        result = math.nan
+    if not math.isfinite(result):
+        raise click.BadParameter(f"{value!r} is not a finite number")
+    return result
+
+
+def non_negative(value: str | float) -> float:
+    """Read a finite number that is not below 0; a usage error for anything else."""
+    result = number(value)
+    if result < 0:
+        raise click.BadParameter(f"{value!r} is below 0")
+    return result
+
+
+def integer(value: str | int) -> int:
+    """Read a whole number; a usage error for anything else."""
+    try:
+        return int(value)
+    except ValueError:
+        raise click.BadParameter(f"{value!r} is not a whole number") from None
+
+
+def count(value: str | int) -> int:
+    """Read a whole number that is not below 1; a usage error for anything else."""
+    result = integer(value)
+    if result < 1:
+        raise click.BadParameter(f"{value!r} is below 1")
+    return result
+
+
+def text(value: str) -> str:
+    """Read a text without the white space around it."""
+    return value.strip()
+
+
+def path(value: str | Path) -> Path:
+    """Read a path, which need not exist: the command says what it needs there."""
+    return Path(value)
+
+
+def list_of(item: Callable[[str], _Item]) -> Callable[[str | Sequence[_Item]], tuple[_Item, ...]]:
+    """Make a type for items separated by commas or new lines; empty ones are dropped.
+
+    White space around an item does not belong to it. What ``item`` refuses is a usage error.
+    """
+
+    def items(value: str | Sequence[_Item]) -> tuple[_Item, ...]:
+        if not isinstance(value, str):
+            return tuple(value)
+        texts = (part.strip() for part in _SEPARATOR.split(value))
+        return tuple(item(part) for part in texts if part)
+
+    items.__name__ = f"{item.__name__},..."  # what --help shows
+    return items
+
+
+TEXT_LIST = list_of(text)
+NUMBER_LIST = list_of(number)
+NON_NEGATIVE_LIST = list_of(non_negative)
+INTEGER_LIST = list_of(integer)
+PATH_LIST = list_of(path)
+
+
+def boolean_option(
+    *names: str,
+    help: str,  # noqa: A002 (click's word)
+    default: bool | None = False,
+) -> Callable[[_Callback], _Callback]:
+    """Declare an option that can be written ``--flag``, ``--flag true`` or ``--flag no``."""
+
+    def or_default(_context: click.Context, _option: click.Parameter, value: bool | None) -> bool | None:
+        return default if value is None else value
+
+    # Not click's own default: with one, click 8.3.0 and 8.3.1 want a value after the flag.
+    return click.option(*names, type=boolean, is_flag=False, flag_value="true", callback=or_default, help=help)

@@ -1,0 +1,27 @@
+"""``calibration version``: what a bug report needs to know."""
+
+import platform
+from importlib.metadata import PackageNotFoundError, version
+
+import click
+
+from calibration import __version__
+from calibration.errors import ExitCode
+from calibration.workflow import Runner
+
+PACKAGES = ("click", "pyyaml", "numpy", "jsonschema", "defusedxml", "rich", "opencv-python-headless", "scipy")
+"""The distributions that the suite uses, needed or not."""
+
+
+@click.command("version")
+def command() -> ExitCode:
+    """Print the versions of Calibration CI, of Python and of the packages in use."""
+    runner = Runner()
+    runner.log(f"calibration-ci {__version__}")
+    runner.log(f"python {platform.python_version()} on {platform.system()} {platform.machine()}")
+    for package in PACKAGES:
+        try:
+            runner.log(f"{package} {version(package)}")
+        except PackageNotFoundError:
+            runner.log(f"{package} not installed")
+    return ExitCode.PASS

@@ -1,0 +1,26 @@
+"""Rules over tables, and the verdict.
+
+    table = read_table("rgb_to_rgb_results.csv")
+    rules = parse_rules([{"column": "RMS (pix)", "row": "Averages", "max": 3}], where="calibration.yml: rules")
+    verdict = judge(table, rules)
+
+Files of rules are read by :mod:`calibration.introspection.rulesfile`, which needs YAML.
+Knows nothing of calibration: any table with a header can be judged.
+"""
+
+from calibration.introspection.judge import judge
+from calibration.introspection.parsing import parse_rules
+from calibration.introspection.rules import RuleSet
+from calibration.introspection.table import Table, read_table
+from calibration.introspection.verdict import Check, Verdict, Violation
+
+__all__ = [
+    "Check",
+    "RuleSet",
+    "Table",
+    "Verdict",
+    "Violation",
+    "judge",
+    "parse_rules",
+    "read_table",
+]

@@ -1,0 +1,43 @@
+"""How far a number may move away from the one in a baseline."""
+
+from dataclasses import dataclass
+from decimal import Decimal
+
+from calibration.errors import InputError
+from calibration.introspection.numbers import number_text, parse_number
+
+
+@dataclass(frozen=True)
+class Allowance:
+    """How much larger or smaller than the baseline a number may be."""
+
+    amount: float
+    """In the column's unit, or in percent of the baseline's absolute value; not below 0."""
+    relative: bool
+
+    def __str__(self) -> str:
+        return number_text(self.amount) + ("%" if self.relative else "")
+
+    def above(self, baseline: float) -> float:
+        """Return the largest number that is allowed, as exact as its decimals are written."""
+        return float(Decimal(repr(baseline)) + self._change(baseline))
+
+    def below(self, baseline: float) -> float:
+        """Return the smallest number that is allowed, as exact as its decimals are written."""
+        return float(Decimal(repr(baseline)) - self._change(baseline))
+
+    def _change(self, baseline: float) -> Decimal:
+        amount = Decimal(repr(self.amount))
+        return amount * abs(Decimal(repr(baseline))) / 100 if self.relative else amount
+
+
+def parse_allowance(text: str) -> Allowance:
+    """Read an allowance: ``0.1`` in the column's unit, ``10%`` of the baseline.
+
+    Raises :class:`InputError` for anything else, and for what is negative.
+    """
+    number = text.strip()
+    amount = parse_number(number.removesuffix("%").rstrip())
+    if amount is None or amount < 0:
+        raise InputError(f"{text!r} is no allowance: give 0.1 (in the column's unit) or 10% (of the baseline)")
+    return Allowance(amount, relative=number.endswith("%"))

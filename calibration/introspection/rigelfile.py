@@ -1,0 +1,93 @@
+"""Rules as Rigel's file introspection plugin takes them, so that existing Rigelfiles keep working.
+
+The keys are the plugin's; their meaning is ours: limits are inclusive, every column is judged, and
+a limit that is broken turns the verdict red. ``validation_min`` and ``validation_max`` are for
+every row, ``acceptable_min`` and ``acceptable_max`` for the chosen one.
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+from calibration.errors import InputError
+from calibration.workflow.text import did_you_mean
+
+COLUMNS_KEY = "introspection_target_columns"
+"""The key that tells a Rigelfile from rules in our form."""
+
+_NAMES = {
+    "validation_min": "every-min",
+    "validation_max": "every-max",
+    "acceptable_min": "min",
+    "acceptable_max": "max",
+    "contains_str": "contains",
+    "does_not_contain_str": "does-not-contain",
+}
+_ROW_KEYS = ("use_latest_row", "value_row")
+
+
+def find_columns(document: object, where: str) -> Mapping[str, Any] | None:
+    """Find the plugin's settings: the document itself, its ``with``, or the ``with`` of one of its ``jobs``.
+
+    Returns None when the document has none, so that it is no Rigelfile. Raises :class:`InputError`
+    when more than one job has them.
+    """
+    if not isinstance(document, Mapping):
+        return None
+    for candidate in (document, document.get("with")):
+        if isinstance(candidate, Mapping) and COLUMNS_KEY in candidate:
+            return candidate
+    jobs = document.get("jobs")
+    settings = {name: job.get("with") for name, job in _mapping_items(jobs) if isinstance(job, Mapping)}
+    found = {name: value for name, value in settings.items() if isinstance(value, Mapping) and COLUMNS_KEY in value}
+    if len(found) > 1:
+        names = ", ".join(map(str, found))
+        raise InputError(f"{where}: the jobs {names} all have {COLUMNS_KEY}: put the one to use in a file of its own")
+    return next(iter(found.values()), None)
+
+
+def translate(settings: Mapping[str, Any], where: str) -> dict[str, Any]:
+    """Write the plugin's settings as rules in our form, for :func:`calibration.introspection.parse_rules`.
+
+    Raises :class:`InputError` for what the plugin refuses too: an unknown key, two ways of choosing
+    a row, or none for limits that need one.
+    """
+    for key in settings:
+        if key not in ("file", COLUMNS_KEY):
+            raise InputError(f"{where}: there is no key {key!r}{did_you_mean(str(key), ('file', COLUMNS_KEY))}")
+    columns = settings[COLUMNS_KEY]
+    if not isinstance(columns, list):
+        raise InputError(f"{where}: {COLUMNS_KEY}: a list of columns was expected, found {columns!r}")
+    rules = []
+    for number, entry in enumerate(columns, start=1):
+        if not isinstance(entry, Mapping) or len(entry) != 1 or not isinstance(next(iter(entry.values())), Mapping):
+            raise InputError(f"{where}: {COLUMNS_KEY}: entry {number}: one column and its limits were expected")
+        ((column, limits),) = entry.items()
+        rules.append(_rule(str(column), limits, f"{where}: {COLUMNS_KEY}: {column}"))
+    document: dict[str, Any] = {"rules": rules}
+    if settings.get("file") is not None:
+        document["file"] = settings["file"]
+    return document
+
+
+def _rule(column: str, limits: Mapping[str, Any], where: str) -> dict[str, Any]:
+    given = {key: value for key, value in limits.items() if value is not None}
+    for key, value in given.items():
+        if key not in (*_NAMES, *_ROW_KEYS):
+            raise InputError(f"{where}: there is no key {key!r}{did_you_mean(str(key), (*_NAMES, *_ROW_KEYS))}")
+        if "{{" in str(value):
+            raise InputError(f"{where}: {key}: only Rigel fills in {value!r}: write the value itself")
+    latest, label = given.get("use_latest_row", False), given.get("value_row")
+    if not isinstance(latest, bool):
+        raise InputError(f"{where}: use_latest_row: true or false was expected, found {latest!r}")
+    if latest and label is not None:
+        raise InputError(f"{where}: use_latest_row and value_row both choose a row: leave one out")
+    rule = {"column": column, **{_NAMES[key]: value for key, value in given.items() if key in _NAMES}}
+    if rule.keys() & {"min", "max", "contains", "does-not-contain"}:
+        if not latest and label is None:
+            raise InputError(f"{where}: the limits are for one row: choose it with value_row or use_latest_row")
+        rule["row"] = "last" if latest else f"label:{label}"
+    return rule
+
+
+def _mapping_items(value: object) -> list[tuple[Any, Any]]:
+    return list(value.items()) if isinstance(value, Mapping) else []

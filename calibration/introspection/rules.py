@@ -1,0 +1,161 @@
+"""Rules: what the cells of a column must be."""
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from typing import TypeAlias
+
+from calibration.errors import InputError
+from calibration.introspection.baseline import Allowance
+from calibration.introspection.numbers import number_text
+from calibration.introspection.selection import Target
+
+SUMMARY_ROWS = ("Averages",)
+"""The rows that sum up others unless the rules name them."""
+
+
+@dataclass(frozen=True)
+class Limits:
+    """An interval of numbers; a side that is None is open."""
+
+    minimum: float | None = None
+    maximum: float | None = None
+    exclusive: bool = False
+    """Whether the limits themselves are outside."""
+
+    def admit(self, value: float) -> bool:
+        """Tell whether a value is within the limits; NaN never is."""
+        if self.exclusive:
+            return (self.minimum is None or value > self.minimum) and (self.maximum is None or value < self.maximum)
+        return (self.minimum is None or value >= self.minimum) and (self.maximum is None or value <= self.maximum)
+
+    def contradict(self, other: "Limits") -> bool:
+        """Tell whether no number is within both."""
+        lows = [limits.minimum for limits in (self, other) if limits.minimum is not None]
+        highs = [limits.maximum for limits in (self, other) if limits.maximum is not None]
+        if not lows or not highs or max(lows) < min(highs):
+            return False
+        return not (self.admit(max(lows)) and other.admit(max(lows)))
+
+    def __str__(self) -> str:
+        low, high = ("more than", "less than") if self.exclusive else ("at least", "at most")
+        parts = [] if self.minimum is None else [f"{low} {number_text(self.minimum)}"]
+        parts += [] if self.maximum is None else [f"{high} {number_text(self.maximum)}"]
+        return " and ".join(parts)
+
+
+@dataclass(frozen=True)
+class LimitRule:
+    """Numbers of a column lie within limits."""
+
+    column: str
+    target: Target
+    limits: Limits
+
+    def __str__(self) -> str:
+        return str(self.limits)
+
+
+@dataclass(frozen=True)
+class TextRule:
+    """Texts of a column contain, do not contain, or match as a whole; what is None is not asked."""
+
+    column: str
+    target: Target
+    contains: str | None = None
+    does_not_contain: str | None = None
+    matches: re.Pattern[str] | None = None
+
+    def admit(self, text: str) -> bool:
+        """Tell whether a text is as asked."""
+        return (
+            (self.contains is None or self.contains in text)
+            and (self.does_not_contain is None or self.does_not_contain not in text)
+            and (self.matches is None or self.matches.fullmatch(text) is not None)
+        )
+
+    def contradicts_itself(self) -> bool:
+        """Tell whether what must be there must not be there."""
+        return (
+            self.contains is not None and self.does_not_contain is not None and self.does_not_contain in self.contains
+        )
+
+    def __str__(self) -> str:
+        parts = [] if self.contains is None else [f"text that contains {self.contains!r}"]
+        parts += [] if self.does_not_contain is None else [f"text that does not contain {self.does_not_contain!r}"]
+        parts += [] if self.matches is None else [f"text that matches {self.matches.pattern!r}"]
+        return " and ".join(parts)
+
+
+@dataclass(frozen=True)
+class ChangeRule:
+    """Numbers of a column have not moved further from the baseline than allowed; None is any way."""
+
+    column: str
+    target: Target
+    increase: Allowance | None = None
+    decrease: Allowance | None = None
+
+    def limits(self, baseline: float) -> Limits:
+        """Return the limits for a number whose baseline is given."""
+        return Limits(
+            None if self.decrease is None else self.decrease.below(baseline),
+            None if self.increase is None else self.increase.above(baseline),
+        )
+
+    def __str__(self) -> str:
+        parts = [] if self.decrease is None else [f"at least the baseline - {self.decrease}"]
+        parts += [] if self.increase is None else [f"at most the baseline + {self.increase}"]
+        return " and ".join(parts)
+
+
+Rule: TypeAlias = LimitRule | TextRule | ChangeRule
+
+
+@dataclass(frozen=True)
+class RuleSet:
+    """Rules for a table; what is None is not said."""
+
+    rules: tuple[Rule, ...] = ()
+    key_column: str | None = None
+    required_rows: tuple[str, ...] | None = None
+    min_rows: int | None = None
+    summary_rows: tuple[str, ...] | None = None
+    exclude_summary_rows: bool | None = None
+    file: str | None = None
+
+    @property
+    def judges(self) -> bool:
+        """Whether there is anything to judge."""
+        return bool(self.rules or self.required_rows or self.min_rows is not None)
+
+    @property
+    def compares(self) -> bool:
+        """Whether a baseline is needed."""
+        return any(isinstance(rule, ChangeRule) for rule in self.rules)
+
+    @property
+    def excluded_rows(self) -> tuple[str, ...]:
+        """The labels that are no part of "every row"."""
+        return (SUMMARY_ROWS if self.summary_rows is None else self.summary_rows) if self.exclude_summary_rows else ()
+
+    def overridden_by(self, other: "RuleSet") -> "RuleSet":
+        """Return these rules and then the other's, with all else that the other says in place of what is said here."""
+        names = [field.name for field in fields(other) if field.name != "rules"]
+        said = {name: value for name in names if (value := getattr(other, name)) is not None}
+        return replace(self, rules=self.rules + other.rules, **said)
+
+
+def refuse_contradictions(rules: Sequence[Rule], where: str) -> None:
+    """Raise :class:`InputError` for limits for the same cells that no value can keep."""
+    limits: dict[tuple[str, Target], list[Limits]] = {}
+    for rule in rules:
+        if isinstance(rule, TextRule) and rule.contradicts_itself():
+            raise InputError(f"{where}: contains and does-not-contain contradict each other: {rule}")
+        if isinstance(rule, LimitRule):
+            same = limits.setdefault((rule.column, rule.target), [])
+            same.append(rule.limits)
+            for other in same:
+                if rule.limits.contradict(other):
+                    both = f"{other}" if other == rule.limits else f"{other}, but {rule.limits}"
+                    raise InputError(f"{where}: no number can be as asked in {rule.column!r}, {rule.target}: {both}")

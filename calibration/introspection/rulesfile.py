@@ -1,0 +1,18 @@
+"""Files of rules: YAML in our form, or a Rigelfile."""
+
+from pathlib import Path
+
+from calibration.introspection.parsing import parse_rules
+from calibration.introspection.rigelfile import find_columns, translate
+from calibration.introspection.rules import RuleSet
+from calibration.yaml_file import read_yaml
+
+
+def read_rules(path: str | Path) -> RuleSet:
+    """Read rules from a YAML file (see :mod:`calibration.introspection.parsing`) or from a Rigelfile.
+
+    Raises :class:`InputError` that names the file and what is wrong in it.
+    """
+    document = read_yaml(path, "a file of rules")
+    settings = find_columns(document, str(path))
+    return parse_rules(document if settings is None else translate(settings, str(path)), str(path))

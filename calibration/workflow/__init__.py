@@ -1,0 +1,26 @@
+"""The GitHub runner, and nothing about calibration.
+
+Everything here works off GitHub too: annotations become plain lines, outputs and summaries are
+not written when the runner gave no file for them.
+"""
+
+from calibration.workflow.annotations import Annotation, Level, annotate, report_error
+from calibration.workflow.groups import group, stop_commands
+from calibration.workflow.masks import add_mask, redact
+from calibration.workflow.outputs import set_outputs
+from calibration.workflow.runner import Runner
+from calibration.workflow.summary import add_summary
+
+__all__ = [
+    "Annotation",
+    "Level",
+    "Runner",
+    "add_mask",
+    "add_summary",
+    "annotate",
+    "group",
+    "redact",
+    "report_error",
+    "set_outputs",
+    "stop_commands",
+]

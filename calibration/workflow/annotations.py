@@ -1,0 +1,75 @@
+"""Annotations: messages that GitHub shows at a file and line of the commit."""
+
+import enum
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+from calibration.workflow.commands import workflow_command
+from calibration.workflow.runner import Runner
+from calibration.workflow.text import one_line
+
+ANNOTATION_LIMIT = 9
+"""GitHub keeps ten annotations of a level per step; the tenth says how many more there are."""
+
+
+class Level(enum.StrEnum):
+    """How grave an annotation is."""
+
+    ERROR = "error"
+    WARNING = "warning"
+    NOTICE = "notice"
+
+
+@dataclass(frozen=True)
+class Annotation:
+    """One message, at a file and line where it has them."""
+
+    message: str
+    level: Level = Level.ERROR
+    file: str | Path | None = None
+    line: int | None = None
+    """Line number, the first is 1."""
+    title: str | None = None
+
+
+def annotate(runner: Runner, annotations: Iterable[Annotation]) -> None:
+    """Print annotations: workflow commands on GitHub, else lines ``error: file:line: message`` on stderr.
+
+    GitHub drops what a step prints beyond ten of a level, so there the first nine are printed and
+    then how many more there are. Print everything in the log or the summary as well, and call this
+    once per step.
+    """
+    if not runner.github:
+        for annotation in annotations:
+            print(_plain(annotation), file=runner.stderr, flush=True)
+        return
+    counts = dict.fromkeys(Level, 0)
+    for annotation in annotations:
+        counts[annotation.level] += 1
+        if counts[annotation.level] <= ANNOTATION_LIMIT:
+            runner.log(_command(runner, annotation))
+    for level, count in counts.items():
+        if count > ANNOTATION_LIMIT:
+            runner.log(workflow_command(level, f"and {count - ANNOTATION_LIMIT} more: see the log and the summary"))
+
+
+def report_error(runner: Runner, message: str) -> None:
+    """Say in one line on stderr why the command stops; on GitHub as an annotation too."""
+    message = one_line(message)
+    print(f"error: {message}", file=runner.stderr, flush=True)
+    if runner.github:
+        runner.log(workflow_command("error", message))
+
+
+def _command(runner: Runner, annotation: Annotation) -> str:
+    file = None if annotation.file is None else runner.relative(annotation.file)
+    return workflow_command(
+        annotation.level, annotation.message, file=file, line=annotation.line, title=annotation.title
+    )
+
+
+def _plain(annotation: Annotation) -> str:
+    place = "" if annotation.file is None else f"{annotation.file}:"
+    place += f"{annotation.line}:" if place and annotation.line is not None else ""
+    return one_line(f"{annotation.level}: {place}{' ' if place else ''}{annotation.message}")

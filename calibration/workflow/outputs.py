@@ -1,0 +1,47 @@
+"""The step's outputs, which later steps of the job read."""
+
+import json
+import re
+import secrets
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TypeAlias
+
+from calibration.errors import WorldError
+from calibration.workflow.runner import Runner
+
+OutputValue: TypeAlias = str | Path | bool | int | float | Sequence[object] | Mapping[str, object]
+"""Truth values are written as true and false, lists and mappings as JSON on one line."""
+
+_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_-]*")
+
+
+def set_outputs(runner: Runner, values: Mapping[str, OutputValue]) -> None:
+    """Set outputs of the step; does nothing where no runner gave a file for them.
+
+    Raises ``ValueError`` for a name that GitHub refuses or a number that is not finite, and
+    :class:`WorldError` when the runner's file cannot be written.
+    """
+    lines = "".join(_assignment(name, _text(value)) for name, value in values.items())
+    if runner.output_file is None:
+        return
+    try:
+        with runner.output_file.open("a", encoding="utf-8", errors="backslashreplace", newline="") as file:
+            file.write(lines)
+    except OSError as error:
+        raise WorldError(f"{runner.output_file}: the step's outputs cannot be written: {error.strerror}") from error
+
+
+def _text(value: OutputValue) -> str:
+    if isinstance(value, str | Path):
+        return str(value)
+    return json.dumps(value, allow_nan=False)
+
+
+def _assignment(name: str, value: str) -> str:
+    if not _NAME.fullmatch(name):
+        raise ValueError(f"{name!r} is not the name of an output")
+    if "\n" not in value and "\r" not in value:
+        return f"{name}={value}\n"
+    delimiter = f"end-{secrets.token_hex(16)}"
+    return f"{name}<<{delimiter}\n{value}\n{delimiter}\n"

@@ -1,0 +1,54 @@
+"""Progress of long work: a bar on a terminal, plain lines in a log."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Protocol
+
+from calibration.workflow.runner import Runner
+
+LINES = 40
+"""With more steps than this a log gets a line only for every part of so many, and for what is worth one."""
+
+
+class Advance(Protocol):
+    """Called after each step."""
+
+    def __call__(self, done: int, total: int, line: str, *, important: bool = False) -> None:
+        """Say how many of how many steps are done, and in one line what the last one brought."""
+
+
+@contextmanager
+def progress(runner: Runner, title: str) -> Iterator[Advance]:
+    """Show the progress of steps while the block runs."""
+    if not runner.github and runner.stdout.isatty():
+        with _bar(runner, title) as advance:
+            yield advance
+    else:
+        yield _lines(runner)
+
+
+def _lines(runner: Runner) -> Advance:
+    def advance(done: int, total: int, line: str, *, important: bool = False) -> None:
+        every = -(-total // LINES)
+        if important or done % every == 0 or done == total:
+            runner.log(f"[{done:>{len(str(total))}}/{total}] {line}")
+
+    return advance
+
+
+@contextmanager
+def _bar(runner: Runner, title: str) -> Iterator[Advance]:
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    console = Console(file=runner.stdout)
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=console, transient=True, refresh_per_second=5) as bar:
+        task = bar.add_task(title, total=None)
+
+        def advance(done: int, total: int, line: str, *, important: bool = False) -> None:
+            bar.update(task, completed=done, total=total)
+            if important:
+                console.print(line, markup=False, highlight=False)
+
+        yield advance

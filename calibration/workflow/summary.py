@@ -1,0 +1,65 @@
+"""The step's summary: Markdown that GitHub shows on the page of the run."""
+
+import re
+from collections.abc import Iterable, Sequence
+
+from calibration.errors import WorldError
+from calibration.workflow.runner import Runner
+
+SUMMARY_LIMIT = 1024 * 1024
+"""Bytes of summary that GitHub takes from a step; a longer one is dropped as a whole."""
+
+_CUT = "\n\n*The summary was cut here: GitHub takes 1 MiB. Everything is in the log.*\n"
+_ENTITIES = {"&": "&amp;", "<": "&lt;", ">": "&gt;", "|": "&#124;"}
+_SPECIAL = re.compile(r"\r\n|\r|\n|[&<>|]|[\\`*_\[\]#~$]")
+
+
+def add_summary(runner: Runner, markdown: str) -> None:
+    """Append Markdown to the step's summary; does nothing where no runner gave a file for it.
+
+    What would exceed :data:`SUMMARY_LIMIT` is cut at the end of a line, and the summary says so.
+    Raises :class:`WorldError` when the runner's file cannot be written.
+    """
+    if runner.summary_file is None:
+        return
+    try:
+        with runner.summary_file.open("ab") as file:
+            file.write(_cut((markdown.rstrip("\n") + "\n").encode("utf-8", "replace"), SUMMARY_LIMIT - file.tell()))
+    except OSError as error:
+        raise WorldError(f"{runner.summary_file}: the step's summary cannot be written: {error.strerror}") from error
+
+
+def markdown_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """Write a Markdown table; every cell is escaped."""
+    lines = [map(escape_markdown, header), ["---"] * len(header), *(map(escape_markdown, row) for row in rows)]
+    return "".join(f"| {' | '.join(line)} |\n" for line in lines)
+
+
+def escape_markdown(text: str) -> str:
+    """Escape a text so that Markdown shows it as it is, in a table's cell too: no markup, no HTML."""
+    return _SPECIAL.sub(_escape, text)
+
+
+def code_block(text: str) -> str:
+    """Fence a text as code; the fence is longer than any run of backticks in it."""
+    longest = max((len(run) for run in re.findall(r"`+", text)), default=0)
+    fence = "`" * max(3, longest + 1)
+    return f"{fence}\n{text.rstrip()}\n{fence}\n"
+
+
+def _escape(match: re.Match[str]) -> str:
+    found = match[0]
+    if found in ("\r\n", "\r", "\n"):
+        return "<br>"
+    return _ENTITIES.get(found, "\\" + found)
+
+
+def _cut(text: bytes, room: int) -> bytes:
+    if len(text) <= room:
+        return text
+    note = _CUT.encode()
+    if room < len(note):
+        return b""
+    kept = text[: room - len(note)]
+    kept = kept[: kept.rfind(b"\n")] if b"\n" in kept else kept.decode("utf-8", "ignore").encode()
+    return kept + note

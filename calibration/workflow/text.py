@@ -1,0 +1,39 @@
+"""Text for messages: what others wrote made safe to print, and what they may have meant."""
+
+import re
+from collections.abc import Iterable, Sequence
+
+_LINE_BREAKS = re.compile(r"[ \t]*[\n\v\f\r\x1c-\x1e\x85\u2028\u2029]+[ \t]*")
+_UNPRINTABLE = re.compile(r"[\x00-\x08\x0e-\x1b\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069\ud800-\udfff]")
+
+
+def one_line(text: str) -> str:
+    """Put a text on one line that cannot command a terminal or the runner.
+
+    Line breaks become spaces; control characters and changes of the writing direction become
+    visible escapes; ``##[``, which the runner reads as a command anywhere in a line, is broken up.
+    """
+    text = _LINE_BREAKS.sub(" ", text.strip())
+    text = _UNPRINTABLE.sub(lambda match: match[0].encode("unicode_escape").decode("ascii"), text)
+    return text.replace("##[", "## [")
+
+
+def shorten(text: str, length: int = 80) -> str:
+    """Cut a text to ``length`` characters, the last of them an ellipsis when something was cut."""
+    return text if len(text) <= length else text[: length - 1] + "…"
+
+
+def did_you_mean(word: str, known: Iterable[str]) -> str:
+    """Return ``": did you mean 'x'?"`` for the known word nearest to a misspelt one, or nothing."""
+    from difflib import get_close_matches  # only a mistake pays for it
+
+    nearest = get_close_matches(word, known, n=1)
+    return f": did you mean {nearest[0]!r}?" if nearest else ""
+
+
+def aligned(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """Lay out a table of texts for a log, each column as wide as it needs to be."""
+    table = [header, *([one_line(cell) for cell in row] for row in rows)]
+    widths = [max(map(len, column)) for column in zip(*table, strict=True)]
+    lines = ("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)) for row in table)
+    return "\n".join(line.rstrip() for line in lines)

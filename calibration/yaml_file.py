@@ -1,0 +1,56 @@
+"""YAML that others wrote, read safely."""
+
+from collections.abc import Hashable
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from calibration.errors import InputError
+from calibration.files import read_bytes
+
+MAX_BYTES = 1024 * 1024
+"""The largest YAML file that is read; more would take minutes to parse."""
+
+
+class _Loader(yaml.SafeLoader):
+    """Safe YAML in which no key may stand twice in a mapping, and ``!!python/tuple`` is a list."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
+        seen = set()
+        for key, _ in node.value:
+            if isinstance(key, yaml.ScalarNode):
+                if key.value in seen:
+                    problem = f"the key {key.value!r} stands twice"
+                    raise yaml.constructor.ConstructorError(None, None, problem, key.start_mark)
+                seen.add(key.value)
+        return super().construct_mapping(node, deep)
+
+    def construct_tuple(self, node: yaml.SequenceNode) -> list[Any]:
+        return self.construct_sequence(node, deep=True)
+
+
+_Loader.add_constructor("tag:yaml.org,2002:python/tuple", _Loader.construct_tuple)
+
+
+def read_yaml(path: Path | str, what: str) -> object:
+    """Parse a YAML file; nothing in it is executed.
+
+    Args:
+        path: the file.
+        what: what it should be, for the messages: "a pipeline configuration".
+
+    Raises:
+        InputError: there is no such file, it is too large, or not YAML; names file and line.
+    """
+    path = Path(path)
+    data = read_bytes(path, MAX_BYTES, what)
+    try:
+        return yaml.load(data, _Loader)  # noqa: S506 (a safe loader)
+    except yaml.MarkedYAMLError as error:
+        line = f":{error.problem_mark.line + 1}" if error.problem_mark else ""
+        raise InputError(f"{path}{line}: this is not valid YAML: {error.problem or error.context}") from None
+    except (yaml.YAMLError, ValueError, OverflowError, TypeError) as error:
+        raise InputError(f"{path}: this is not valid YAML: {error}") from None
+    except RecursionError:
+        raise InputError(f"{path}: the YAML is nested too deeply") from None

@@ -1,0 +1,300 @@
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import click
+import pytest
+
+from calibration import __main__ as entry
+from calibration.__main__ import COMMANDS, LazyCommand, main, run_action
+from calibration.commands import parameters
+from calibration.errors import ExitCode, InputError, UndeterminedError, WorldError
+
+
+@pytest.fixture(autouse=True)
+def _environment(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Keep what the tests' own runner says away from the command, and its settings from other tests."""
+    for name in [name for name in os.environ if name.startswith(("GITHUB_", "INPUT_", "RUNNER_"))]:
+        monkeypatch.delenv(name)
+    for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
+        monkeypatch.setenv(name, "1")
+
+
+def explode(error: BaseException) -> None:
+    raise error
+
+
+@pytest.fixture
+def ends_with(monkeypatch: pytest.MonkeyPatch) -> list[object]:
+    """Put a command ``end`` into the list that returns, or raises, the first item of this list."""
+    ends: list[object] = []
+
+    @click.command("end")
+    @click.option("--every-min", type=parameters.number)
+    @parameters.boolean_option("--exclusive", help="...")
+    @click.option("--names", type=parameters.TEXT_LIST)
+    def end(every_min: float | None, exclusive: bool, names: tuple[str, ...] | None) -> object:
+        if not ends:
+            ends.append((every_min, exclusive, names))
+        result = ends[0]
+        return explode(result) if isinstance(result, BaseException) else 0 if isinstance(result, tuple) else result
+
+    monkeypatch.setattr(entry, "end", end, raising=False)
+    monkeypatch.setattr(entry, "COMMANDS", {**COMMANDS, "end": LazyCommand("calibration.__main__:end", "End.")})
+    return ends
+
+
+def calibration(*arguments: str, **variables: str) -> subprocess.CompletedProcess[str]:
+    environment = {key: value for key, value in os.environ.items() if not key.startswith("GITHUB_")} | variables
+    return subprocess.run(
+        [sys.executable, "-m", "calibration", *arguments], capture_output=True, text=True, env=environment, timeout=60
+    )
+
+
+def test_help_lists_the_commands_that_are_there() -> None:
+    done = calibration("--help")
+    assert done.returncode == 0
+    assert done.stderr == ""
+    assert "introspect-csv" in done.stdout
+    assert "version" in done.stdout
+    assert "0 pass, 1 the verdict is fail, 2 bad input, 3 the world" in " ".join(done.stdout.split())
+
+
+def test_a_command_that_is_not_installed_is_not_listed(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(
+        entry, "COMMANDS", {**COMMANDS, "ghost": LazyCommand("calibration.commands.ghost:command", "!")}
+    )
+    assert main(["--help"]) == 0
+    assert "ghost" not in capsys.readouterr().out
+    assert main(["ghost"]) == 2
+    assert capsys.readouterr().err.startswith("error: there is no command 'ghost'")
+
+
+def test_every_command_that_is_there_can_be_loaded() -> None:
+    context = click.Context(entry.group)
+    for name in entry.group.list_commands(context):
+        command = entry.group.get_command(context, name)
+        assert command is not None
+        assert command.name == name
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["--version"], ["introspect-csv", "--help"], ["nonsense"]])
+def test_nothing_heavy_is_imported(arguments: list[str]) -> None:
+    script = (
+        "import sys; from calibration.__main__ import main; main(sys.argv[1:]);"
+        "heavy = {'numpy', 'scipy', 'cv2', 'rich', 'jsonschema', 'yaml', 'xml.etree', 'docker', 'boto3'};"
+        "heavy &= set(sys.modules);"
+        "sys.exit(f'imported: {heavy}' if heavy else 0)"
+    )
+    done = subprocess.run([sys.executable, "-c", script, *arguments], capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, done.stderr
+
+
+def test_version() -> None:
+    assert calibration("--version").stdout.startswith("calibration-ci ")
+    lines = calibration("version").stdout.splitlines()
+    assert lines[0].startswith("calibration-ci ")
+    assert lines[1].startswith("python 3.")
+    assert any(line.startswith("numpy ") for line in lines)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ([], "error: Missing command (see calibration --help)"),
+        (["introspct-csv"], "error: there is no command 'introspct-csv': did you mean 'introspect-csv'?"),
+        (["qqq"], "error: there is no command 'qqq' (see calibration --help)"),
+        (["--nonsense"], "error: No such option"),
+        (["introspect-csv", "--fil", "x"], "error: No such option"),
+        (["introspect-csv", "stray"], "error: Got unexpected extra argument (stray)"),
+        (["end", "--every-min", "x"], "error: Invalid value for '--every-min': 'x' is not a finite number"),
+        (["end", "--every-min", ""], "error: Invalid value for '--every-min': '' is not a finite number"),
+        (["end", "--every-min"], "error: Option '--every-min' requires an argument"),
+        (
+            ["end", "--exclusive", "perhaps"],
+            "error: Invalid value for '--exclusive': 'perhaps' is neither true nor false",
+        ),
+    ],
+)
+def test_wrong_usage_is_bad_input_in_one_line(
+    ends_with: list[object], capsys: pytest.CaptureFixture[str], arguments: list[str], message: str
+) -> None:
+    assert main(arguments) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.startswith(message)
+    assert err.count("\n") == 1
+
+
+@pytest.mark.parametrize(("end", "code"), [(None, 0), (ExitCode.PASS, 0), (ExitCode.FAIL, 1), (2, 2)])
+def test_the_exit_code_is_what_the_command_returns(ends_with: list[object], end: object, code: int) -> None:
+    ends_with.append(end)
+    assert main(["end"]) == code
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "line"),
+    [
+        (InputError("a.csv: is\nwrong"), 2, "error: a.csv: is wrong\n"),
+        (UndeterminedError("one axis"), 2, "error: one axis\n"),
+        (WorldError("disk full"), 3, "error: disk full\n"),
+        (OSError(28, "No space left", "/x"), 3, "error: [Errno 28] No space left: '/x'\n"),
+        (KeyboardInterrupt(), 130, "error: stopped by SIGINT\n"),
+        (
+            ModuleNotFoundError("No module named 'cv2'", name="cv2.x"),
+            3,
+            "error: the package cv2 is not installed: pip install 'calibration-ci[all]'\n",
+        ),
+    ],
+)
+@pytest.mark.parametrize("github", [False, True])
+def test_errors_are_one_line(
+    ends_with: list[object],
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    error: BaseException,
+    code: int,
+    line: str,
+    github: bool,
+) -> None:
+    monkeypatch.setenv("GITHUB_ACTIONS", str(github).lower())
+    ends_with.append(error)
+    assert main(["end"]) == code
+    out, err = capsys.readouterr()
+    assert err == line
+    assert out == (line.replace("error: ", "::error::") if github else "")
+
+
+@pytest.mark.parametrize(
+    "error", [ZeroDivisionError("x"), ModuleNotFoundError("No module named 'calibration.x'", name="calibration.x")]
+)
+def test_a_bug_shows_its_traceback(
+    ends_with: list[object], capsys: pytest.CaptureFixture[str], error: BaseException
+) -> None:
+    ends_with.append(error)
+    assert main(["end"]) == 3
+    err = capsys.readouterr().err
+    assert err.startswith("Traceback")
+    assert err.endswith("error: this is a bug in Calibration CI, please report it with the lines above\n")
+
+
+def test_a_bugs_message_commands_nothing(
+    ends_with: list[object], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("GITHUB_ACTIONS", "true")
+    ends_with.append(ValueError("\n::add-mask::x"))
+    assert main(["end"]) == 3
+    lines = capsys.readouterr().err.splitlines()
+    token = lines[0].removeprefix("::stop-commands::")
+    assert lines.index("::add-mask::x") < lines.index(f"::{token}::")
+
+
+def test_an_action_reads_its_inputs(ends_with: list[object], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("INPUT_EVERY_MIN", "-1.5")
+    monkeypatch.setenv("INPUT_EXCLUSIVE", "Yes")
+    monkeypatch.setenv("INPUT_NAMES", "a\nb c\n")
+    assert run_action("end") == 0
+    assert ends_with == [(-1.5, True, ("a", "b c"))]
+
+
+def test_an_empty_input_is_none(ends_with: list[object], monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("INPUT_EVERY_MIN", "INPUT_EXCLUSIVE", "INPUT_NAMES"):
+        monkeypatch.setenv(name, "")
+    monkeypatch.setenv("INPUT_HELP", "true")
+    assert run_action("end") == 0
+    assert ends_with == [(None, False, None)]
+
+
+def test_an_actions_input_can_be_false(ends_with: list[object], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("INPUT_EXCLUSIVE", "false")
+    assert run_action("end") == 0
+    assert ends_with == [(None, False, None)]
+
+
+def test_a_wrong_input_is_bad_input(
+    ends_with: list[object], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("INPUT_EVERY_MIN", "x")
+    assert run_action("end") == 2
+    line = capsys.readouterr().err
+    assert line.startswith("error: Invalid value for '--every-min'")
+    assert "'x' is not a finite number" in line
+    assert "--help" not in line
+
+
+def test_the_command_line_reads_no_inputs(ends_with: list[object], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("INPUT_EVERY_MIN", "3")
+    monkeypatch.setenv("INPUT_END_EVERY_MIN", "3")
+    monkeypatch.setenv("CALIBRATION_END_EVERY_MIN", "3")
+    assert main(["end"]) == 0
+    assert ends_with == [(None, False, None)]
+
+
+def test_threads_of_numpy_are_one_unless_told(ends_with: list[object], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("OMP_NUM_THREADS")
+    monkeypatch.setenv("OPENBLAS_NUM_THREADS", "4")
+    main(["end"])
+    assert os.environ["OMP_NUM_THREADS"] == "1"
+    assert os.environ["OPENBLAS_NUM_THREADS"] == "4"
+
+
+STOPPABLE = """
+import sys, time, click
+from calibration import __main__ as entry
+
+@click.command("wait")
+def wait():
+    try:
+        print("ready", flush=True)
+        time.sleep(60)
+    finally:
+        print("cleaned", flush=True)
+
+entry.wait = wait
+entry.COMMANDS = {"wait": entry.LazyCommand("calibration.__main__:wait", "")}
+sys.exit(entry.main(["wait"]))
+"""
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_signals_stop_cleanly(number: signal.Signals, code: int) -> None:
+    process = subprocess.Popen(
+        [sys.executable, "-c", STOPPABLE], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    assert process.stdout is not None
+    assert process.stdout.readline() == "ready\n"
+    process.send_signal(number)
+    out, err = process.communicate(timeout=30)
+    assert process.returncode == code
+    assert out == "cleaned\n"
+    assert err == f"error: stopped by {number.name}\n"
+
+
+def test_a_reader_that_goes_away_is_no_verdict(tmp_path: Path) -> None:
+    script = "import sys; from calibration.__main__ import main; sys.stdin.readline(); sys.exit(main(['version']))"
+    process = subprocess.Popen(
+        [sys.executable, "-c", script],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    assert process.stdout is not None
+    process.stdout.close()
+    process.stdout = None
+    _, err = process.communicate("go\n", timeout=30)
+    assert process.returncode == 3
+    assert err == ""
+
+
+def test_a_terminal_that_cannot_show_a_character(tmp_path: Path) -> None:
+    (tmp_path / "ü.csv").write_text("k,µ\na,1\n")
+    done = calibration(
+        "introspect-csv", "--file", str(tmp_path / "ü.csv"), "--column", "µ", "--max", "2", PYTHONIOENCODING="ascii"
+    )
+    assert done.returncode == 0
+    assert "\\xfc.csv" in done.stdout

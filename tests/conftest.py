@@ -1,0 +1,47 @@
+"""What all tests share: the rule for skipped tests in CI, and the data that is not part of the repository."""
+
+import os
+from collections.abc import Generator
+from pathlib import Path
+
+import pytest
+
+PROJECT = Path(__file__).resolve().parents[1]
+NO_SHARED_DATA = "needs ../shared/data beside the project"
+
+# Set by .ci/run, which installs what the tests need: a skipped test is a hole there, so it fails.
+# Only the data that cannot be installed may be missing.
+STRICT = os.environ.get("CALIBRATION_CI_STRICT") == "1"
+
+
+@pytest.fixture(scope="session")
+def shared_data() -> Path:
+    """Return the folder of real and synthetic datasets beside the project; skip where it is not."""
+    folder = PROJECT.parent / "shared" / "data"
+    if not folder.is_dir():
+        pytest.skip(NO_SHARED_DATA)
+    return folder
+
+
+def fail_if_skipped(report: pytest.TestReport | pytest.CollectReport) -> None:
+    """Turn the report of a skip into that of a failure, in CI."""
+    if not STRICT or not report.skipped or hasattr(report, "wasxfail"):
+        return
+    reason = report.longrepr[2] if isinstance(report.longrepr, tuple) else str(report.longrepr)
+    if NO_SHARED_DATA not in reason:
+        report.outcome = "failed"
+        report.longrepr = f"{reason} (a skip is a failure where CALIBRATION_CI_STRICT=1)"
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport() -> Generator[None, pytest.TestReport, pytest.TestReport]:
+    report = yield
+    fail_if_skipped(report)
+    return report
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_make_collect_report() -> Generator[None, pytest.CollectReport, pytest.CollectReport]:
+    report = yield
+    fail_if_skipped(report)
+    return report

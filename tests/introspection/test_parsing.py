@@ -1,0 +1,155 @@
+import re
+from typing import Any
+
+import pytest
+
+from calibration.errors import InputError
+from calibration.introspection import parse_rules
+from calibration.introspection.baseline import Allowance
+from calibration.introspection.rules import ChangeRule, LimitRule, Limits, RuleSet, TextRule
+from calibration.introspection.selection import Aggregate, EveryRow, IndexedRow, LabelledRow
+
+RMS = "RMS (pix)"
+
+
+def only(**rule: Any) -> Any:
+    """Return the one rule that a mapping makes; its keys are given with _ for -."""
+    (parsed,) = parse_rules([{key.replace("_", "-"): value for key, value in rule.items()}], "here").rules
+    return parsed
+
+
+@pytest.mark.parametrize(
+    ("rule", "parsed"),
+    [
+        ({"max": 3}, LimitRule(RMS, EveryRow(), Limits(None, 3))),
+        ({"every": True, "min": 0}, LimitRule(RMS, EveryRow(), Limits(0, None))),
+        ({"every_min": 0, "every_max": 2}, LimitRule(RMS, EveryRow(), Limits(0, 2))),
+        ({"row": "Averages", "min": 0, "max": 3}, LimitRule(RMS, LabelledRow("Averages"), Limits(0, 3))),
+        ({"row": "last", "max": 3, "exclusive": True}, LimitRule(RMS, IndexedRow(-1), Limits(None, 3, True))),
+        ({"aggregate": "p95", "max": "1e-3"}, LimitRule(RMS, Aggregate("p95"), Limits(None, 0.001))),
+        ({"row": "Averages", "max_increase": "10%"}, ChangeRule(RMS, LabelledRow("Averages"), Allowance(10, True))),
+        ({"max_decrease": 0.1}, ChangeRule(RMS, EveryRow(), None, Allowance(0.1, False))),
+        ({"contains": "ok"}, TextRule(RMS, EveryRow(), contains="ok")),
+        ({"row": "first", "does_not_contain": " x"}, TextRule(RMS, IndexedRow(0), does_not_contain=" x")),
+        ({"matches": "a|b"}, TextRule(RMS, EveryRow(), matches=re.compile("a|b"))),
+        ({"min": 3, "max": 3}, LimitRule(RMS, EveryRow(), Limits(3, 3))),
+    ],
+)
+def test_rules(rule: dict[str, Any], parsed: object) -> None:
+    assert only(column=RMS, **rule) == parsed
+
+
+def test_one_mapping_can_judge_a_row_and_every_row() -> None:
+    rule = {"column": RMS, "row": "Averages", "min": 0, "max": 3, "every-min": 0, "every-max": 2, "max-increase": "5%"}
+    assert parse_rules({"rules": [rule]}, "here").rules == (
+        LimitRule(RMS, LabelledRow("Averages"), Limits(0, 3)),
+        LimitRule(RMS, EveryRow(), Limits(0, 2)),
+        ChangeRule(RMS, LabelledRow("Averages"), Allowance(5, True)),
+    )
+
+
+def test_keys_of_the_table() -> None:
+    document = {
+        "rules": [],
+        "key-column": "Run",
+        "required-rows": ["000", "001"],
+        "min-rows": 20,
+        "summary-rows": ["Averages", "Mean"],
+        "exclude-summary-rows": True,
+        "file": "results/*.csv",
+    }
+    assert parse_rules(document, "here") == RuleSet(
+        (), "Run", ("000", "001"), 20, ("Averages", "Mean"), True, "results/*.csv"
+    )
+
+
+@pytest.mark.parametrize(
+    ("rule", "message"),
+    [
+        ({}, "the rule has no limit: give min, max"),
+        ({"row": "Averages"}, "the rule has no limit"),
+        ({"exclusive": True}, "the rule has no limit"),
+        ({"row": "Averages", "every-max": 2}, "a row is chosen but has no limit"),
+        ({"min": 3, "max": 2}, "no number can be as asked in 'RMS (pix)', every row: at least 3 and at most 2"),
+        ({"min": 3, "max": 3, "exclusive": True}, "no number can be as asked"),
+        ({"row": "x", "max": 1, "every-min": 2, "every-max": 1}, "no number can be as asked"),
+        ({"contains": "an error", "does-not-contain": "error"}, "contains and does-not-contain contradict"),
+        ({"max": 3, "contains": "x"}, "max is for numbers and contains for text: make two rules of it"),
+        ({"every-max": 3, "matches": "x"}, "every-max is for numbers and matches for text"),
+        ({"max-increase": "1%", "does-not-contain": "x"}, "max-increase is for numbers and does-not-contain for text"),
+        ({"aggregate": "max", "contains": "x"}, "contains is for text, of which there is no max"),
+        (
+            {"row": "x", "aggregate": "max", "max": 1},
+            "every, found row x and max of every row",
+        ),
+        ({"row": "x", "every": True, "max": 1}, "give one of row, aggregate, every"),
+        ({"max": 1, "every-max": 1}, "are all for every row"),
+        ({"contains": "x", "exclusive": True}, "exclusive is for min, max, every-min and every-max"),
+        ({"maximum": 3}, "there is no key 'maximum'"),
+        ({"every_max": 3}, "there is no key 'every_max': did you mean 'every-max'?"),
+        ({3: 3}, "there is no key 3"),
+        ({"max": None}, "max: a finite number was expected, found None"),
+        ({"max": True}, "max: a finite number was expected, found True"),
+        ({"max": "three"}, "max: a finite number was expected, found 'three'"),
+        ({"max": float("nan")}, "max: a finite number was expected, found nan"),
+        ({"max": float("inf")}, "max: a finite number was expected, found inf"),
+        ({"max": 10**400}, "max: a finite number was expected, found 1000"),
+        ({"max": [3]}, "max: a finite number was expected, found [3]"),
+        ({"row": 3, "max": 3}, "row: a text was expected, found 3: put it in quotes"),
+        ({"row": "", "max": 3}, "row: the text is empty"),
+        ({"row": "index:x", "max": 3}, "row: 'index:x': a whole number was expected"),
+        ({"aggregate": "avg", "max": 3}, "aggregate: 'avg' is no aggregate"),
+        ({"exclusive": "yes", "max": 3}, "exclusive: true or false was expected, found 'yes'"),
+        ({"contains": ""}, "contains: the text is empty"),
+        ({"matches": "("}, "matches: '(' is no regular expression: missing ), unterminated subpattern"),
+        ({"matches": "a{99999999999}"}, "matches: 'a{99999999999}' is no regular expression: the repetition number"),
+        ({"max-increase": "-1%"}, "max-increase: '-1%' is no allowance"),
+        ({"max-increase": None}, "max-increase: None is no allowance"),
+    ],
+)
+def test_wrong_rules(rule: dict[Any, Any], message: str) -> None:
+    with pytest.raises(InputError) as caught:
+        parse_rules({"rules": [{"column": "fine", "max": 1}, {"column": RMS, **rule}]}, "calibration.yml: rules")
+    text = str(caught.value)
+    assert text.startswith("calibration.yml: rules: rule 2")
+    assert message in text
+    assert "\n" not in text
+
+
+@pytest.mark.parametrize(
+    ("document", "message"),
+    [
+        (None, "here: a list of rules, or a mapping with the key rules, was expected"),
+        ("rules", "here: a list of rules"),
+        ([], "here: there is no rule, so nothing would be judged"),
+        ({}, "here: there is no rule"),
+        ({"rules": []}, "here: there is no rule"),
+        ({"key-column": "x", "required-rows": []}, "here: there is no rule"),
+        ({"rules": None}, "here: rules: a list was expected, found None"),
+        ({"rules": {"column": "x", "max": 1}}, "here: rules: a list was expected"),
+        (["x"], "here: rule 1: a mapping such as {column: RMS, max: 3} was expected, found 'x'"),
+        ([{"max": 3}], "here: rule 1: the key column is missing"),
+        ([{"column": " ", "max": 3}], "here: rule 1: column: the text is empty"),
+        ([{"column": 3, "max": 3}], "here: rule 1: column: a text was expected, found 3"),
+        ({"rule": []}, "here: there is no key 'rule': did you mean 'rules'?"),
+        ({"min-rows": 0}, "here: min-rows: a whole number of at least 1 was expected, found 0"),
+        ({"min-rows": True}, "here: min-rows: a whole number"),
+        ({"min-rows": 1.5}, "here: min-rows: a whole number"),
+        ({"required-rows": "000"}, "here: required-rows: a list of texts was expected, found '000'"),
+        ({"required-rows": [0]}, "here: required-rows: a text was expected, found 0: put it in quotes"),
+        ({"exclude-summary-rows": 1}, "here: exclude-summary-rows: true or false was expected"),
+        (
+            [{"column": RMS, "row": "a", "max": 1}, {"column": RMS, "row": "a", "min": 2}],
+            "here: no number can be as asked in 'RMS (pix)', row a: at most 1, but at least 2",
+        ),
+    ],
+)
+def test_wrong_sets_of_rules(document: object, message: str) -> None:
+    with pytest.raises(InputError) as caught:
+        parse_rules(document, "here")
+    assert str(caught.value).startswith(message)
+
+
+def test_rules_for_different_rows_do_not_contradict() -> None:
+    parse_rules([{"column": RMS, "row": "a", "max": 1}, {"column": RMS, "row": "b", "min": 2}], "here")
+    parse_rules([{"column": RMS, "max": 1}, {"column": "X", "min": 2}], "here")

@@ -1,0 +1,136 @@
+import json
+from pathlib import Path
+
+import jsonschema
+import pytest
+from defusedxml.ElementTree import fromstring
+
+from calibration import introspection
+from calibration.introspection import Table, Verdict, judge, parse_rules, report
+from calibration.introspection.table import parse_table
+
+SCHEMA = json.loads((Path(introspection.__file__).parent / "results.schema.json").read_text())
+RULES = parse_rules(
+    {
+        "rules": [
+            {"column": "RMS (pix)", "row": "Averages", "max": 3, "every-max": 0.8},
+            {"column": "Rot (deg)", "aggregate": "p95", "max": 0.01},
+            {"column": "Trans (mm)", "contains": "."},
+        ],
+        "required-rows": ["000"],
+    },
+    "rules",
+)
+
+
+@pytest.fixture
+def red(atom: Table) -> Verdict:
+    return judge(atom, RULES)
+
+
+@pytest.fixture
+def green(atom: Table) -> Verdict:
+    return judge(atom, parse_rules([{"column": "RMS (pix)", "max": 3}], "rules"))
+
+
+@pytest.fixture
+def hostile() -> Verdict:
+    """Return a verdict on cells that would break out of every format."""
+    cell = "|`</td>\x85 ]]>&amp; ::error::x ##[add-mask]y\u202e"
+    table = parse_table(f'k|,"v\n::x"\n{cell},{cell}\n', "a|b<c>.csv")
+    return judge(table, parse_rules([{"column": "v\n::x", "max": 1}, {"column": "k|", "matches": "x"}], "rules"))
+
+
+def test_sentence(red: Verdict, green: Verdict) -> None:
+    assert report.sentence([green]) == "pass: 2 checks of 1 table"
+    assert report.sentence([green, red]) == "fail: 2 violations in 8 checks of 2 tables"
+
+
+def test_log_lists_every_check_and_violation(red: Verdict, green: Verdict) -> None:
+    checks, violations = report.log([red]).split("\n\n")
+    assert len(checks.splitlines()) == 1 + len(red.checks)
+    assert violations.splitlines() == [
+        "file         line  column     row               found   expected",
+        "results.csv  3     RMS (pix)  001               0.9     at most 0.8",
+        "results.csv        Rot (deg)  p95 of every row  0.0385  at most 0.01",
+    ]
+    assert "found" not in report.log([green])
+
+
+def test_log_lines_cannot_be_broken(hostile: Verdict) -> None:
+    log = report.log([hostile])
+    assert len(log.split("\n")) == 1 + 3 + 2 + 2
+    assert "##[" not in log
+    assert "\u202e" not in log
+
+
+def test_markdown(red: Verdict, hostile: Verdict) -> None:
+    text = report.markdown([red])
+    assert text.startswith("## introspect-csv: fail: 2 violations in 6 checks of 1 table\n")
+    assert "| results.csv | 3 | RMS (pix) | 001 | 0.9 | at most 0.8 |\n" in text
+    for line in report.markdown([hostile]).split("\n"):
+        if line.startswith("|"):
+            assert line.count("|") == 7
+            assert "<" not in line.replace("<br>", "")
+
+
+def test_results_are_as_the_schema_says(red: Verdict, green: Verdict, hostile: Verdict) -> None:
+    jsonschema.Draft202012Validator.check_schema(SCHEMA)
+    empty = judge(parse_table("k,v\n", "t"), parse_rules([{"column": "v", "max": 1}], "rules"))
+    for verdicts in ([red], [green], [hostile], [red, green], [empty]):
+        jsonschema.validate(json.loads(report.results_json(verdicts)), SCHEMA)
+
+
+def test_results(red: Verdict, green: Verdict) -> None:
+    results = json.loads(report.results_json([green, red]))
+    assert (results["schema"], results["verdict"], results["violations"]) == (1, "fail", 2)
+    first, second = results["tables"]
+    assert (first["file"], first["rows"], first["key_column"], first["verdict"]) == (
+        "results.csv",
+        4,
+        "Collection #",
+        "pass",
+    )
+    assert second["violations"] == [
+        {"line": 3, "column": "RMS (pix)", "row": "001", "found": "0.9", "expected": "at most 0.8"},
+        {"line": None, "column": "Rot (deg)", "row": "p95 of every row", "found": "0.0385", "expected": "at most 0.01"},
+    ]
+    assert second["checks"][2] == {
+        "column": "RMS (pix)",
+        "rows": "row Averages",
+        "expected": "at most 3",
+        "judged": 1,
+        "value": 0.7,
+        "smallest": 0.7,
+        "largest": 0.7,
+        "violations": 0,
+        "verdict": "pass",
+    }
+    assert report.results_json([green, red]) == report.results_json([green, red])
+
+
+def test_values(red: Verdict) -> None:
+    values = report.values([red])
+    assert [value["value"] for value in values] == [4, None, 0.7, None, 0.0385, None]
+    assert {value["file"] for value in values} == {"results.csv"}
+
+
+def test_junit(red: Verdict, hostile: Verdict) -> None:
+    root = fromstring(report.junit([red]))
+    assert root.attrib["tests"] == "6"
+    assert root.attrib["failures"] == "2"
+    failures = root.findall(".//failure")
+    assert failures[0].text == "1 violation\nresults.csv:3: RMS (pix), 001: found 0.9, expected at most 0.8"
+    assert failures[1].text.endswith("results.csv: Rot (deg), p95 of every row: found 0.0385, expected at most 0.01")
+    assert root.find(".//testcase[failure]").attrib["line"] == "3"
+    fromstring(report.junit([hostile]))
+
+
+def test_annotations(red: Verdict) -> None:
+    first, second = report.annotations([red])
+    assert (first.file, first.line, first.message) == (
+        "results.csv",
+        3,
+        "RMS (pix), 001: found 0.9, expected at most 0.8",
+    )
+    assert second.line is None

@@ -1,0 +1,79 @@
+import os
+from pathlib import Path
+
+import pytest
+
+from calibration.errors import WorldError
+from calibration.files import write_atomically
+
+
+def names(folder: Path) -> list[str]:
+    return sorted(path.name for path in folder.iterdir())
+
+
+def test_writes_into_folders_that_it_makes(tmp_path: Path) -> None:
+    write_atomically(tmp_path / "a" / "b" / "c.txt", "line\r\nö\n")
+    assert (tmp_path / "a" / "b" / "c.txt").read_bytes() == "line\r\nö\n".encode()
+    assert names(tmp_path / "a" / "b") == ["c.txt"]
+
+
+def test_replaces_what_was_there(tmp_path: Path) -> None:
+    path = tmp_path / "c"
+    path.write_text("a longer text that was there")
+    write_atomically(path, b"\x00new")
+    assert path.read_bytes() == b"\x00new"
+    assert names(tmp_path) == ["c"]
+
+
+def test_others_may_read_it_as_any_new_file(tmp_path: Path) -> None:
+    (tmp_path / "plain").write_text("x")
+    write_atomically(tmp_path / "atomic", "x")
+    assert (tmp_path / "atomic").stat().st_mode == (tmp_path / "plain").stat().st_mode
+
+
+def test_a_link_is_replaced_and_its_target_left_alone(tmp_path: Path) -> None:
+    target, link = tmp_path / "target", tmp_path / "link"
+    target.write_text("old")
+    link.symlink_to(target)
+    write_atomically(link, "new")
+    assert target.read_text() == "old"
+    assert link.read_text() == "new"
+
+
+def test_what_utf8_cannot_hold_is_escaped(tmp_path: Path) -> None:
+    write_atomically(tmp_path / "x", "half \udcff")
+    assert (tmp_path / "x").read_text() == "half \\udcff"
+
+
+def test_a_failure_is_the_worlds_and_says_which_file_and_why(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("x")
+    with pytest.raises(WorldError, match=r"file/out\.json: cannot be written: File exists"):
+        write_atomically(tmp_path / "file" / "out.json", "x")
+    (tmp_path / "folder" / "inner").mkdir(parents=True)
+    with pytest.raises(WorldError, match="folder: cannot be written: Is a directory"):
+        write_atomically(tmp_path / "folder", "x")
+    assert names(tmp_path) == ["file", "folder"]
+
+
+def test_a_long_name_is_no_problem_of_the_temporary_file(tmp_path: Path) -> None:
+    write_atomically(tmp_path / ("ö" * 125), "x")
+    with pytest.raises(WorldError, match="File name too long"):
+        write_atomically(tmp_path / ("ö" * 150), "x")
+
+
+@pytest.mark.parametrize("error", [OSError(28, "No space left on device"), KeyboardInterrupt()])
+def test_the_old_file_survives_a_failure(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: BaseException) -> None:
+    path = tmp_path / "results.json"
+    path.write_text("old")
+
+    def fail(*_: object) -> None:
+        raise error
+
+    monkeypatch.setattr(os, "rename", fail)
+    monkeypatch.setattr(os, "replace", fail)
+    with pytest.raises((WorldError, KeyboardInterrupt)) as caught:
+        write_atomically(path, "new")
+    if isinstance(error, OSError):
+        assert str(caught.value) == f"{path}: cannot be written: No space left on device"
+    assert path.read_text() == "old"
+    assert names(tmp_path) == ["results.json"]

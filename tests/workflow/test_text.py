@@ -1,0 +1,42 @@
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from calibration.workflow.text import did_you_mean, one_line, shorten
+
+
+@pytest.mark.parametrize(
+    ("text", "line"),
+    [
+        ("plain", "plain"),
+        ("two\nlines", "two lines"),
+        ("a  \r\n\n  b", "a b"),
+        ("a\u2028b", "a b"),
+        ("\x1b[31mred", "\\x1b[31mred"),
+        ("##[add-mask]x", "## [add-mask]x"),
+        ("right\u202eleft", "right\\u202eleft"),
+        ("half \ud800", "half \\ud800"),
+        ("°µ ok", "°µ ok"),
+    ],
+)
+def test_one_line(text: str, line: str) -> None:
+    assert one_line(text) == line
+
+
+@given(st.text())
+def test_one_line_never_breaks_and_never_commands(text: str) -> None:
+    line = one_line(text)
+    assert len(line.splitlines()) <= 1
+    assert "##[" not in line
+    assert not any(ord(character) < 32 and character != "\t" for character in line)
+    line.encode()
+
+
+def test_shorten() -> None:
+    assert shorten("12345", 5) == "12345"
+    assert shorten("123456", 5) == "1234…"
+
+
+def test_did_you_mean() -> None:
+    assert did_you_mean("colum", ["row", "column"]) == ": did you mean 'column'?"
+    assert did_you_mean("xyz", ["row", "column"]) == ""
