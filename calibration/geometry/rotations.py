@@ -54,8 +54,8 @@ def angle(R: ArrayLike) -> Array:
 def from_quaternion(q: ArrayLike) -> Array:
     """Quaternions [x, y, z, w] (..., 4), of any length but 0, to rotation matrices."""
     q = np.asarray(q, float)
-    q = q / np.linalg.norm(q, axis=-1, keepdims=True)
-    x, y, z, w = (q[..., i] for i in range(4))
+    unit = q / np.linalg.norm(q, axis=-1, keepdims=True)
+    x, y, z, w = (unit[..., i] for i in range(4))
     R = np.empty((*q.shape[:-1], 3, 3))
     R[..., 0, 0] = 1 - 2 * (y * y + z * z)
     R[..., 1, 1] = 1 - 2 * (x * x + z * z)

@@ -1,0 +1,240 @@
+"""The calibration configuration: which sensors, patterns and transforms are calibrated.
+
+The same content stands in ATOM's config.yml and in a dataset's ``calibration_config``.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, get_args
+
+from calibration.dataset.document import Node, one_line
+from calibration.dataset.model import Edge
+from calibration.dataset.pattern import Pattern, PatternKind, corner_origin, grid, outline
+from calibration.errors import InputError
+
+MAX_CORNERS = 1000
+"""The largest number of corners along one side of a pattern."""
+MIN_SIZE, MAX_SIZE = 1e-6, 1e3
+"""The smallest and the largest square of a pattern (m)."""
+FIRST_PATTERN = "pattern_1"
+"""The name that a version 2 configuration's only pattern gets."""
+
+
+@dataclass(frozen=True)
+class SensorConfiguration:
+    """A sensor: the frame of its data, and the transform parent_link -> child_link to calibrate."""
+
+    name: str
+    modality: str
+    """As it is written: "rgb", "lidar3d", "depth" ..."""
+    link: str
+    parent_link: str
+    child_link: str
+    topic_name: str = ""
+    throttle: float | None = None
+
+
+@dataclass(frozen=True)
+class PatternConfiguration:
+    """A pattern, as it is printed and as it is mounted. Metres."""
+
+    name: str
+    kind: PatternKind
+    link: str
+    parent_link: str
+    fixed: bool
+    dimension: tuple[int, int]
+    """Inner corners along x and y."""
+    size: float
+    """The side of a square."""
+    inner_size: float | None = None
+    """The side of a charuco board's markers."""
+    border_size: tuple[float, float] = (0.0, 0.0)
+    """What the physical board has around the squares, along x and y."""
+    dictionary: str | None = None
+    """The ArUco dictionary of a charuco board."""
+    mesh_file: str = ""
+
+    def pattern(self, version: str = "3.0") -> Pattern:
+        """The geometry that a dataset of this version gives the pattern."""
+        columns, rows = self.dimension
+        origin = corner_origin(self.kind, version, self.size)
+        return Pattern(
+            name=self.name,
+            kind=self.kind,
+            link=self.link,
+            parent_link=self.parent_link,
+            fixed=self.fixed,
+            corners=grid(columns, rows, self.size, origin),
+            outline=outline(columns, rows, self.size, self.border_size, origin),
+        )
+
+
+@dataclass(frozen=True)
+class Configuration:
+    """What is calibrated, with what, and relative to what."""
+
+    world_link: str
+    sensors: Mapping[str, SensorConfiguration]
+    patterns: Mapping[str, PatternConfiguration]
+    anchored_sensor: str | None = None
+    additional_tfs: Mapping[str, Edge] = field(default_factory=dict)
+    joints: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    """The parameters to calibrate of each joint, such as ("origin_yaw",)."""
+    description_file: str = ""
+    bag_file: str = ""
+    package_name: str = ""
+    max_duration_between_msgs: float = 1000.0
+
+    def to_document(self) -> dict[str, Any]:
+        """The ``calibration_config`` of a version 3 dataset."""
+        return {
+            "world_link": self.world_link,
+            "anchored_sensor": self.anchored_sensor,
+            "additional_tfs": {
+                name: {"parent_link": parent, "child_link": child}
+                for name, (parent, child) in self.additional_tfs.items()
+            }
+            or None,
+            "joints": {name: {"params_to_calibrate": list(each)} for name, each in self.joints.items()} or None,
+            "description_file": self.description_file,
+            "bag_file": self.bag_file,
+            "package_name": self.package_name,
+            "max_duration_between_msgs": self.max_duration_between_msgs,
+            "version": 3.0,
+            "sensors": {
+                sensor.name: {
+                    "link": sensor.link,
+                    "parent_link": sensor.parent_link,
+                    "child_link": sensor.child_link,
+                    "topic_name": sensor.topic_name,
+                    "modality": sensor.modality,
+                    "throttle": sensor.throttle,
+                }
+                for sensor in self.sensors.values()
+            },
+            "calibration_patterns": {
+                pattern.name: {
+                    "link": pattern.link,
+                    "parent_link": pattern.parent_link,
+                    "fixed": pattern.fixed,
+                    "pattern_type": pattern.kind,
+                    "dictionary": pattern.dictionary,
+                    "mesh_file": pattern.mesh_file,
+                    "border_size": {"x": pattern.border_size[0], "y": pattern.border_size[1]},
+                    "dimension": {"x": pattern.dimension[0], "y": pattern.dimension[1]},
+                    "size": pattern.size,
+                    "inner_size": pattern.inner_size,
+                }
+                for pattern in self.patterns.values()
+            },
+        }
+
+
+def read_configuration(path: Path | str) -> Configuration:
+    """The configuration in ATOM's YAML form; a single ``calibration_pattern`` (version 2) is accepted.
+
+    Raises:
+        InputError: the file cannot be read, or something in it is missing or wrong.
+    """
+    from calibration.yaml_file import read_yaml  # here, so that reading a dataset does not pay for it
+
+    path = Path(path)
+    try:
+        content = read_yaml(path, "a calibration configuration")
+    except InputError as error:
+        raise InputError(one_line(str(error))) from None
+    return parse_configuration(Node(path, (), content))
+
+
+def parse_configuration(node: Node) -> Configuration:
+    """A configuration from a document, checked by itself.
+
+    Raises:
+        InputError: something in it is missing or wrong.
+    """
+    sensors = {name: _sensor(name, entry) for name, entry in node["sensors"].items()}
+    if not sensors:
+        raise node["sensors"].unexpected("at least one sensor")
+    if node.get("calibration_pattern") and not node.get("calibration_patterns"):
+        patterns = {FIRST_PATTERN: _pattern(FIRST_PATTERN, node["calibration_pattern"])}
+    else:
+        patterns = {name: _pattern(name, entry) for name, entry in node["calibration_patterns"].items()}
+        if not patterns:
+            raise node["calibration_patterns"].unexpected("at least one pattern")
+    anchored = node.get("anchored_sensor")
+    if anchored and anchored.text() and anchored.value not in sensors:
+        raise anchored.unexpected(f"a sensor ({', '.join(sensors)})")
+    additional, joints = node.get("additional_tfs"), node.get("joints")
+    return Configuration(
+        world_link=node["world_link"].name(),
+        sensors=sensors,
+        patterns=patterns,
+        anchored_sensor=(anchored and anchored.value) or None,
+        additional_tfs={name: _edge(entry) for name, entry in additional.items()} if additional else {},
+        joints={name: _parameters(entry) for name, entry in joints.items()} if joints else {},
+        description_file=_text(node, "description_file"),
+        bag_file=_text(node, "bag_file"),
+        package_name=_text(node, "package_name"),
+        max_duration_between_msgs=limit.number() if (limit := node.get("max_duration_between_msgs")) else 1000.0,
+    )
+
+
+def _sensor(name: str, node: Node) -> SensorConfiguration:
+    throttle = node.get("throttle")
+    parent, child = _edge(node)
+    return SensorConfiguration(
+        name=name,
+        modality=node["modality"].text(),
+        link=node["link"].name(),
+        parent_link=parent,
+        child_link=child,
+        topic_name=_text(node, "topic_name"),
+        throttle=throttle.number() if throttle else None,
+    )
+
+
+def _pattern(name: str, node: Node) -> PatternConfiguration:
+    kind = node["pattern_type"]
+    if kind.text() not in get_args(PatternKind):
+        raise kind.unexpected(" or ".join(get_args(PatternKind)))
+    dimension = node["dimension"]
+    size = node["size"].within(MIN_SIZE, MAX_SIZE)
+    inner = node.get("inner_size")
+    if inner and inner.within(MIN_SIZE, MAX_SIZE) >= size:
+        raise inner.unexpected(f"less than the size of a square, {size:g}")
+    return PatternConfiguration(
+        name=name,
+        kind=kind.value,
+        link=node["link"].name(),
+        parent_link=node["parent_link"].name(),
+        fixed=node["fixed"].flag(),
+        dimension=(dimension["x"].whole(2, MAX_CORNERS), dimension["y"].whole(2, MAX_CORNERS)),
+        size=size,
+        inner_size=inner.number() if inner else None,
+        border_size=_border(node.get("border_size")),
+        dictionary=_text(node, "dictionary") or None,
+        mesh_file=_text(node, "mesh_file"),
+    )
+
+
+def _border(node: Node | None) -> tuple[float, float]:
+    """One width for all sides, or {x, y}; absent means none."""
+    if node is None:
+        return (0.0, 0.0)
+    x, y = (node["x"], node["y"]) if isinstance(node.value, dict) else (node, node)
+    return (x.within(0.0, MAX_SIZE), y.within(0.0, MAX_SIZE))
+
+
+def _edge(node: Node) -> Edge:
+    return (node["parent_link"].name(), node["child_link"].name())
+
+
+def _parameters(node: Node) -> tuple[str, ...]:
+    return tuple(element.name() for element in node["params_to_calibrate"].elements())
+
+
+def _text(node: Node, key: str) -> str:
+    value = node.get(key)
+    return value.text() if value else ""

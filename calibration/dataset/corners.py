@@ -1,0 +1,28 @@
+"""Lists of numbered points ``{id, x, y}``, as labels and patterns have them."""
+
+from collections.abc import Iterable
+from itertools import chain
+from operator import itemgetter
+
+import numpy as np
+
+from calibration.dataset.document import Node, NotNumbersError, finite
+from calibration.geometry.types import Array
+
+KEYS = ("id", "x", "y")
+
+
+def read_corners(lists: Iterable[Node]) -> tuple[Array, Array]:
+    """The ids (K,), not yet checked to be whole, and the coordinates (K, 2) of all lists, one after the other.
+
+    Raises:
+        InputError: a key is missing, or a value is not a finite number.
+    """
+    nodes = list(lists)
+    corners = list(chain.from_iterable(node.sequence() for node in nodes))
+    try:
+        columns = finite(list(chain.from_iterable(map(itemgetter(key), corners) for key in KEYS))).reshape(3, -1)
+    except (NotNumbersError, KeyError, TypeError):  # one by one, until the wrong one says what it is
+        elements = chain.from_iterable(node.elements() for node in nodes)
+        columns = np.array([[element[key].number() for key in KEYS] for element in elements]).T
+    return columns[0], np.ascontiguousarray(columns[1:].T)

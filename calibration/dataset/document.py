@@ -1,0 +1,267 @@
+"""Documents (JSON, YAML) as they come from a file, and one line for whatever is wrong in them."""
+
+import json
+import math
+import os
+import stat
+import struct
+from collections.abc import Iterator
+from itertools import chain
+from pathlib import Path
+from typing import Any, NoReturn, TypeVar
+
+import numpy as np
+
+from calibration.errors import InputError
+from calibration.geometry.types import Array, IntArray
+
+MAX_BYTES = 1 << 30
+"""No file larger than this is read."""
+
+Numbers = TypeVar("Numbers", Array, IntArray)
+
+
+class Node:
+    """A value in a document, with the way to it: every error names the file, the keys, what was found."""
+
+    __slots__ = ("file", "keys", "value")
+
+    def __init__(self, file: Path, keys: tuple[str, ...], value: Any) -> None:
+        self.file = file
+        self.keys = keys
+        self.value = value
+
+    def __getitem__(self, key: str) -> "Node":
+        """The value of a key that must be there."""
+        value = self.mapping()
+        if key not in value:
+            raise self.fault(f"missing key '{key}'")
+        return Node(self.file, (*self.keys, key), value[key])
+
+    def get(self, key: str) -> "Node | None":
+        """The value of a key that may be absent or null."""
+        value = self.mapping().get(key)
+        return None if value is None else Node(self.file, (*self.keys, key), value)
+
+    def items(self) -> Iterator[tuple[str, "Node"]]:
+        """Every key of an object with its value."""
+        for key, value in self.mapping().items():
+            if not isinstance(key, str):  # YAML has keys of every type
+                raise self.fault(f"found the key {shown(key)}, expected text")
+            yield key, Node(self.file, (*self.keys, key), value)
+
+    def elements(self) -> Iterator["Node"]:
+        """Every element of a list."""
+        for i, value in enumerate(self.sequence()):
+            yield Node(self.file, (*self.keys, str(i)), value)
+
+    def mapping(self) -> dict[str, Any]:
+        """The value, which must be an object."""
+        if type(self.value) is not dict:
+            raise self.unexpected("an object")
+        return self.value
+
+    def sequence(self) -> list[Any]:
+        """The value, which must be a list."""
+        if type(self.value) is not list:
+            raise self.unexpected("a list")
+        return self.value
+
+    def text(self) -> str:
+        """The value, which must be text."""
+        if type(self.value) is not str:
+            raise self.unexpected("text")
+        return self.value
+
+    def name(self) -> str:
+        """The value, which must be text and not empty."""
+        if not self.text():
+            raise self.unexpected("a name")
+        return self.text()
+
+    def flag(self) -> bool:
+        """The value, which must be true or false."""
+        if type(self.value) is not bool:
+            raise self.unexpected("true or false")
+        return self.value
+
+    def number(self) -> float:
+        """The value, which must be a finite number."""
+        try:
+            if type(self.value) in (int, float) and math.isfinite(self.value):
+                return float(self.value)
+        except OverflowError:  # an integer beyond the range of floats
+            pass
+        raise self.unexpected("a finite number")
+
+    def within(self, low: float, high: float) -> float:
+        """The value, which must be a number from ``low`` to ``high``."""
+        number = self.number()
+        if not low <= number <= high:
+            raise self.unexpected(f"a number from {low:g} to {high:g}")
+        return number
+
+    def whole(self, low: int, high: int) -> int:
+        """The value, which must be a whole number from ``low`` to ``high``."""
+        number = self.number()
+        if number != int(number) or not low <= number <= high:
+            raise self.unexpected(f"a whole number from {low} to {high}")
+        return int(number)
+
+    def numbers(self, count: int) -> list[float]:
+        """The value, which must be a list of this many finite numbers."""
+        if len(self.sequence()) != count:
+            raise self.unexpected(f"a list of {count} numbers")
+        return [element.number() for element in self.elements()]
+
+    def unexpected(self, expected: str) -> InputError:
+        """The error that says what was found here and what was expected."""
+        return self.fault(f"found {shown(self.value)}, expected {expected}")
+
+    def fault(self, message: str) -> InputError:
+        """The error with this message about this place, on one line."""
+        where = "/".join(_shortened(key) for key in self.keys)
+        return InputError(one_line(f"{self.file}: {where}: {message}" if where else f"{self.file}: {message}"))
+
+
+class NotNumbersError(Exception):
+    """Something in a list is no number of the kind wanted; whoever catches it looks for the place."""
+
+
+def finite(flat: list[Any]) -> Array:
+    """Finite numbers as an array, checked all at once.
+
+    Raises:
+        NotNumbersError: a value is not a finite number.
+    """
+    values: Array = np.frombuffer(_packed("d", flat), np.float64)
+    if not np.isfinite(values).all():
+        raise NotNumbersError
+    return _refuse_flags(values, flat)
+
+
+def integers(flat: list[Any]) -> IntArray:
+    """Integers as an array, checked all at once.
+
+    Raises:
+        NotNumbersError: a value is not an integer of 64 bits.
+    """
+    values: IntArray = np.frombuffer(_packed("q", flat), np.int64)
+    return _refuse_flags(values, flat)
+
+
+def finite_rows(rows: list[Any], width: int) -> Array:
+    """Rows of ``width`` finite numbers each as an array (len(rows), width), checked all at once.
+
+    Raises:
+        NotNumbersError: a row has another length, or a value is not a finite number.
+        TypeError: a row is no list.
+    """
+    if not set(map(len, rows)) <= {width}:
+        raise NotNumbersError
+    return finite(list(chain.from_iterable(rows))).reshape(-1, width)
+
+
+def _packed(code: str, flat: list[Any]) -> bytes:
+    """The bytes of numbers: several times faster than `numpy.array`, and it parses no text."""
+    try:
+        return struct.pack(f"{len(flat)}{code}", *flat)
+    except (struct.error, OverflowError):
+        raise NotNumbersError from None
+
+
+def _refuse_flags(values: Numbers, flat: list[Any]) -> Numbers:
+    """False and true pass for 0 and 1 in Python, so look again at what seems to be 0 or 1."""
+    suspects = np.flatnonzero((values == 0) | (values == 1))
+    few = len(suspects) < len(flat) // 4
+    if bool in set(map(type, map(flat.__getitem__, suspects.tolist()) if few else flat)):
+        raise NotNumbersError
+    return values
+
+
+def read_json(path: Path) -> Node:
+    """The root of a JSON file.
+
+    Raises:
+        InputError: the file cannot be read, is not JSON, or its top level is not an object.
+    """
+    data = read_bytes(path)
+    root = Node(path, (), None)
+    try:
+        root.value = json.loads(data)
+    except json.JSONDecodeError as error:
+        _refuse_json(root, error)
+    except UnicodeDecodeError as error:
+        raise root.fault(f"byte {error.start}: found no UTF-8 text, expected JSON") from None
+    except RecursionError:
+        raise root.fault("nested too deeply") from None
+    except (ValueError, MemoryError) as error:  # an integer of thousands of digits
+        raise root.fault(f"cannot be read as JSON: {error}") from None
+    root.mapping()
+    return root
+
+
+_WORDS = ("true", "false", "null", "NaN", "Infinity", "-Infinity", ".", "e+", "e-", "E+", "E-")
+"""What JSON has besides text, digits and brackets."""
+
+
+def _refuse_json(root: Node, error: json.JSONDecodeError) -> NoReturn:
+    if not error.doc.strip():
+        raise root.fault("found an empty file, expected JSON") from None
+    place = f"line {error.lineno}, column {error.colno}"
+    rest = error.doc[error.pos :].rstrip()
+    if error.msg.startswith("Unterminated string") or any(word.startswith(rest) for word in _WORDS):
+        raise root.fault(f"{place}: the file ends in the middle of its JSON; is it truncated?") from None
+    raise root.fault(f"{place}: not JSON: {error.msg}") from None
+
+
+def read_bytes(path: Path | str, limit: int = MAX_BYTES) -> bytes:
+    """The content of a regular file of at most ``limit`` bytes.
+
+    Raises:
+        InputError: there is no such file, it is something else than a file, too large, or not readable.
+    """
+    try:
+        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK)  # a named pipe must not make it wait
+        try:
+            status = os.fstat(descriptor)
+            if not stat.S_ISREG(status.st_mode):
+                raise InputError(one_line(f"{path}: expected a file, found something else"))
+            if status.st_size > limit:
+                raise InputError(one_line(f"{path}: found {status.st_size} bytes, expected {limit} at most"))
+            return os.read(descriptor, status.st_size)
+        finally:
+            os.close(descriptor)
+    except (OSError, ValueError, MemoryError) as error:  # ValueError: a NUL or a lone surrogate in the name
+        raise InputError(one_line(f"{path}: cannot be read: {_reason(error)}")) from None
+
+
+def _reason(error: Exception) -> str:
+    return (isinstance(error, OSError) and error.strerror) or str(error) or type(error).__name__
+
+
+def shown(value: Any) -> str:
+    """A value of a document in the words of an error message."""
+    match value:
+        case None | True | False:
+            return {None: "null", True: "true", False: "false"}[value]
+        case dict():
+            return f"an object of {len(value)} keys" if value else "an empty object"
+        case list():
+            return f"a list of {len(value)}" if value else "an empty list"
+        case int() if abs(value) > 10**20:
+            return "a huge integer"
+        case str():
+            return f"'{_shortened(value)}'"
+    return _shortened(str(value))
+
+
+def one_line(text: str) -> str:
+    """The text with line ends and everything else that does not print escaped."""
+    if text.isprintable():
+        return text
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
+
+
+def _shortened(text: str) -> str:
+    return text if len(text) <= 80 else f"{text[:77]}..."

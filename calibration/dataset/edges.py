@@ -1,0 +1,126 @@
+"""The transforms of all collections, edge by edge, converted at once."""
+
+import math
+from collections.abc import Sequence
+from operator import itemgetter
+from typing import Any, NoReturn
+
+import numpy as np
+
+from calibration.dataset.document import Node, NotNumbersError, finite_rows
+from calibration.dataset.model import Edge
+from calibration.errors import InputError
+from calibration.geometry import rotations, transforms
+from calibration.geometry.types import Array
+
+QUATERNION_TOLERANCE = 1e-3
+"""How far from 1 the length of a quaternion may be; it is normalised."""
+
+_frames_of = itemgetter("parent", "child")
+_translation_of = itemgetter("trans")
+_quaternion_of = itemgetter("quat")
+
+
+def read_transforms(collections: Sequence[Node]) -> dict[Edge, Array]:
+    """(N, 4, 4) for each edge of any of the N collections' ``transforms``; NaN where a collection lacks it.
+
+    Raises:
+        InputError: something in them is missing or wrong.
+    """
+    entries = [collection["transforms"].mapping() for collection in collections]
+    slots: dict[Edge, int] = {}
+    try:
+        slot_of = _slots(entries, slots)
+        translations = finite_rows([t for each in entries for t in map(_translation_of, each.values())], 3)
+        quaternions = finite_rows([q for each in entries for q in map(_quaternion_of, each.values())], 4)
+    except (NotNumbersError, KeyError, TypeError):
+        slot_of, translations, quaternions = _one_by_one(collections, slots)
+    with np.errstate(over="ignore"):
+        lengths = np.sqrt((quaternions * quaternions).sum(-1))
+    wrong = ~(abs(lengths - 1) <= QUATERNION_TOLERANCE)
+    if wrong.any():
+        _refuse_quaternion(collections, int(wrong.argmax()), lengths)
+    if len(slots) * len(entries) > 16 * len(slot_of) + 1_000_000:
+        raise collections[0].fault(
+            f"the {len(entries)} collections have {len(slots)} different transforms but only {len(slot_of)} in all; "
+            "expected nearly the same ones in every collection"
+        )
+    T = np.full((len(slots), len(entries), 4, 4), np.nan)
+    owner = np.repeat(np.arange(len(entries)), [len(each) for each in entries])
+    T[slot_of, owner] = transforms.from_quaternion(translations, quaternions)
+    T.flags.writeable = False
+    return dict(zip(slots, T, strict=True))
+
+
+def read_transform(node: Node) -> tuple[Edge, Array]:
+    """A single transform (4, 4) and its edge.
+
+    Raises:
+        InputError: something in it is missing or wrong.
+    """
+    edge = (node["parent"].name(), node["child"].name())
+    translation, quaternion = node["trans"].numbers(3), node["quat"].numbers(4)
+    length = math.hypot(*quaternion)
+    if not abs(length - 1) <= QUATERNION_TOLERANCE:
+        raise _wrong_length(node["quat"], length)
+    return edge, transforms.from_quaternion(translation, quaternion)
+
+
+def transform_documents(edge: Edge, T: Array) -> list[dict[str, Any]]:
+    """Transforms (N, 4, 4) of an edge as a document holds them."""
+    translations, quaternions = T[:, :3, 3].tolist(), rotations.to_quaternion(T[:, :3, :3]).tolist()
+    return [
+        {"parent": edge[0], "child": edge[1], "trans": trans, "quat": quat}
+        for trans, quat in zip(translations, quaternions, strict=True)
+    ]
+
+
+def _slots(entries: Sequence[dict[str, dict[str, object]]], slots: dict[Edge, int]) -> list[int]:
+    """Number the edges in ``slots``, in order of appearance; the number of every transform's edge.
+
+    Raises:
+        KeyError, TypeError: a frame is missing, is no text, or does not fit the key.
+    """
+    numbers: list[int] = []
+    keys: list[str] = []
+    frames: list[Edge] = []
+    here: list[int] = []
+    for each in entries:
+        previous, frames = frames, list(map(_frames_of, each.values()))
+        if frames != previous or list(each) != keys:  # most collections repeat the one before
+            keys = list(each)
+            for key, (parent, child) in zip(keys, frames, strict=True):
+                if type(parent) is not str or type(child) is not str or key != f"{parent}-{child}":
+                    raise KeyError(key)
+            here = [slots.setdefault(edge, len(slots)) for edge in frames]
+        numbers += here
+    return numbers
+
+
+def _one_by_one(collections: Sequence[Node], slots: dict[Edge, int]) -> tuple[list[int], Array, Array]:
+    """What `read_transforms` reads at once, until the wrong one says what it is."""
+    slot_of, translations, quaternions = [], [], []
+    for collection in collections:
+        for key, entry in collection["transforms"].items():
+            parent, child = entry["parent"].text(), entry["child"].text()
+            if key != f"{parent}-{child}":
+                raise entry.fault(f"found parent '{parent}' and child '{child}', expected those of the key")
+            slot_of.append(slots.setdefault((parent, child), len(slots)))
+            translations.append(entry["trans"].numbers(3))
+            quaternions.append(entry["quat"].numbers(4))
+    return slot_of, np.array(translations).reshape(-1, 3), np.array(quaternions).reshape(-1, 4)
+
+
+def _refuse_quaternion(collections: Sequence[Node], row: int, lengths: Array) -> NoReturn:
+    length = float(lengths[row])
+    for collection in collections:
+        keys = list(collection["transforms"].mapping())
+        if row < len(keys):
+            raise _wrong_length(collection["transforms"][keys[row]]["quat"], length)
+        row -= len(keys)
+    raise AssertionError("the row is one of the transforms'")
+
+
+def _wrong_length(quaternion: Node, length: float) -> InputError:
+    expected = f"[x, y, z, w] of length 1 (within {QUATERNION_TOLERANCE:g})"
+    return quaternion.fault(f"found a quaternion of length {length:.6g}, expected {expected}")

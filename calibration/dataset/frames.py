@@ -1,0 +1,117 @@
+"""Whether a dataset's transforms form a tree that holds every chain a calibration needs."""
+
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+
+from calibration.dataset.document import Node
+from calibration.dataset.model import Dataset, Edge
+from calibration.errors import InputError
+from calibration.geometry.frames import FrameTree, Step
+
+
+def check_frames(dataset: Dataset, root: Node, collections: Sequence[Node]) -> None:
+    """Check the tree, the frames that sensors, patterns and additional transforms name, and the ways between them.
+
+    Raises:
+        InputError: the first thing that is wrong.
+    """
+    _check_tree(dataset, collections)
+    config = root["calibration_config"]
+    world = config["world_link"]
+    _known(dataset.tree, world)
+    needed = {
+        **_sensor_chains(dataset, root["sensors"], world),
+        **_pattern_chains(dataset, config, world),
+        **_additional(dataset, config),
+    }
+    for (parent, child), reason in needed.items():
+        missing = np.isnan(dataset.transforms[parent, child][:, 0, 0])
+        if missing.any():
+            transforms = collections[int(missing.argmax())]["transforms"]
+            raise transforms.fault(f"missing key '{parent}-{child}', which {reason} needs")
+
+
+def _check_tree(dataset: Dataset, collections: Sequence[Node]) -> None:
+    """Build the tree; where that fails, find the first transform that cannot be part of it."""
+    try:
+        _ = dataset.tree
+    except InputError:
+        edges = list(dataset.transforms)
+        low, high = 0, len(edges) - 1
+        while low < high:  # the first so many edges for which the tree fails
+            middle = (low + high) // 2
+            low, high = (low, middle) if _fault(edges[: middle + 1]) else (middle + 1, high)
+        parent, child = edges[high]
+        present = ~np.isnan(dataset.transforms[parent, child][:, 0, 0])
+        transforms = collections[int(present.argmax())]["transforms"]
+        raise transforms[f"{parent}-{child}"].fault(_fault(edges[: high + 1])) from None
+
+
+def _fault(edges: Iterable[Edge]) -> str:
+    """Why these edges are no tree; empty if they are one."""
+    try:
+        FrameTree(edges)
+    except InputError as error:
+        return str(error)
+    return ""
+
+
+def _sensor_chains(dataset: Dataset, sensors: Node, world: Node) -> dict[Edge, str]:
+    """The transforms from the world to every sensor, each with what needs it."""
+    needed = {}
+    for name, sensor in dataset.sensors.items():
+        for key in ("calibration_parent", "calibration_child"):
+            _known(dataset.tree, sensors[name][key])
+        steps = _path(dataset.tree, world, sensors[name]["parent"])
+        edges = [(step.parent, step.child) for step in steps]
+        if sensor.edge not in edges:
+            way = ", ".join("-".join(edge) for edge in edges)
+            raise sensors[name]["calibration_child"].fault(
+                f"the transform to calibrate, '{'-'.join(sensor.edge)}', "
+                f"is not on the way from the world to frame '{sensor.frame}' ({way})"
+            )
+        needed.update(dict.fromkeys(edges, f"sensor '{name}'"))
+    return needed
+
+
+def _pattern_chains(dataset: Dataset, config: Node, world: Node) -> dict[Edge, str]:
+    """The transforms from the world to every pattern's parent, each with what needs it."""
+    needed: dict[Edge, str] = {}
+    edges = list(dataset.transforms)
+    links: set[str] = set()
+    for name, pattern in dataset.patterns.items():
+        several = config.get("calibration_patterns")
+        node = several[name] if several else config["calibration_pattern"]
+        steps = _path(dataset.tree, world, node["parent_link"])
+        needed.update(dict.fromkeys(((step.parent, step.child) for step in steps), f"pattern '{name}'"))
+        if pattern.link in links:
+            raise node["link"].unexpected("a frame that no other pattern has")
+        if reason := _fault([*edges, (pattern.parent_link, pattern.link)]):
+            raise node["link"].fault(f"a pattern cannot be here: {reason}")
+        links.add(pattern.link)
+    return needed
+
+
+def _additional(dataset: Dataset, config: Node) -> dict[Edge, str]:
+    """The additional transforms to calibrate, each with what needs it."""
+    if not (node := config.get("additional_tfs")):
+        return {}
+    for name, edge in zip(node.mapping(), dataset.additional_transforms, strict=True):
+        if edge not in dataset.transforms:
+            raise node[name].fault(f"'{'-'.join(edge)}' is none of the collections' transforms")
+    return dict.fromkeys(dataset.additional_transforms, "additional_tfs")
+
+
+def _known(tree: FrameTree, node: Node) -> None:
+    if node.value not in tree:
+        frames = ", ".join(tree.frames[:30])
+        raise node.fault(f"frame '{node.value}' is not in the tree of the collections' transforms (frames: {frames})")
+
+
+def _path(tree: FrameTree, start: Node, end: Node) -> tuple[Step, ...]:
+    _known(tree, end)
+    try:
+        return tree.path(start.value, end.value)
+    except InputError as error:
+        raise end.fault(str(error)) from None

@@ -1,0 +1,196 @@
+"""The labels of all collections: what each sensor detected of each pattern, checked and converted at once."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import chain
+from typing import NamedTuple
+
+import numpy as np
+
+from calibration.dataset import pointcloud
+from calibration.dataset.corners import read_corners
+from calibration.dataset.document import Node, NotNumbersError, integers
+from calibration.dataset.model import Collection, CornerLabels, Labels, PointLabels, Sensor
+from calibration.dataset.pattern import Pattern
+from calibration.dataset.payload import locate
+from calibration.errors import InputError
+from calibration.geometry.types import Array, BoolArray, IntArray
+
+MAX_POINTS = 1 << 40
+"""More points than any cloud has."""
+
+
+class _Detection(NamedTuple):
+    """What one sensor detected of one pattern in one collection."""
+
+    collection: int
+    pattern: str
+    sensor: str
+    label: Node
+    idxs: Node
+
+
+def read_labels(
+    collections: Sequence[Node], sensors: Mapping[str, Sensor], patterns: Mapping[str, Pattern], version: str
+) -> tuple[Collection, ...]:
+    """The collections with their labels, in the same order.
+
+    Raises:
+        InputError: something in the labels or in a labelled point cloud is missing or wrong.
+    """
+    corners: list[_Detection] = []
+    points: list[_Detection] = []
+    for i, collection in enumerate(collections):
+        for pattern, by_sensor in _by_pattern(collection["labels"], patterns, version):
+            for sensor, label in by_sensor.items():
+                if sensor not in sensors:
+                    raise label.fault(f"no sensor '{sensor}' in the dataset (sensors: {', '.join(sensors)})")
+                if label["detected"].flag() and (idxs := label["idxs"]).sequence():
+                    kind = corners if sensors[sensor].modality == "rgb" else points
+                    kind.append(_Detection(i, pattern, sensor, label, idxs))
+    found: list[dict[tuple[str, str], Labels]] = [{} for _ in collections]
+    everything: list[tuple[_Detection, Labels]] = [
+        *zip(corners, _read_corners(corners, patterns), strict=True),
+        *zip(points, _read_points(points, collections), strict=True),
+    ]
+    for detection, labels in everything:
+        found[detection.collection][detection.pattern, detection.sensor] = labels
+    return tuple(Collection(node.keys[-1], labels) for node, labels in zip(collections, found, strict=True))
+
+
+def _by_pattern(labels: Node, patterns: Mapping[str, Pattern], version: str) -> Iterator[tuple[str, Node]]:
+    """Each pattern with its labels by sensor; version 2 has one pattern and does not name it."""
+    if version == "2.0":
+        yield next(iter(patterns)), labels
+        return
+    for pattern, by_sensor in labels.items():
+        if pattern not in patterns:
+            raise by_sensor.fault(f"no pattern '{pattern}' in the dataset (patterns: {', '.join(patterns)})")
+        yield pattern, by_sensor
+
+
+def _read_corners(detections: Sequence[_Detection], patterns: Mapping[str, Pattern]) -> Iterator[CornerLabels]:
+    if not detections:
+        return
+    numbers, pixels = read_corners(detection.idxs for detection in detections)
+    batch = _Batch([len(detection.idxs.value) for detection in detections])
+    known = [len(patterns[detection.pattern].corners) for detection in detections]
+    if (wrong := batch.outside(numbers, known)) is not None:
+        i, position = wrong
+        raise _element(detections[i].idxs, position)["id"].unexpected(
+            f"the id of a corner of pattern '{detections[i].pattern}', 0 to {known[i] - 1}"
+        )
+    ids = numbers.astype(np.int64)
+    if (again := batch.repeated(ids)) is not None:
+        i, position = again
+        raise _element(detections[i].idxs, position)["id"].unexpected("every id once")
+    ids.flags.writeable = pixels.flags.writeable = False
+    for part in batch.parts:
+        yield CornerLabels(ids[part], pixels[part])
+
+
+def _read_points(detections: Sequence[_Detection], collections: Sequence[Node]) -> Iterator[PointLabels]:
+    if not detections:
+        return
+    batch, index = _read_indices([detection.idxs for detection in detections])
+    limit_batch, limits = _read_indices([detection.label["idxs_limit_points"] for detection in detections])
+    positions, missing = batch.find(index, limit_batch, limits)
+    if missing is not None:
+        i, position = missing
+        raise _element(detections[i].label["idxs_limit_points"], position).unexpected("one of 'idxs'")
+    points = np.empty((len(index), 3))
+    clouds: dict[str, pointcloud.Cloud] = {}  # of one collection; more need not fit into memory
+    collection = None
+    for detection, part in zip(detections, batch.parts, strict=True):
+        if detection.collection != collection:
+            collection, clouds = detection.collection, {}
+        if detection.sensor not in clouds:
+            clouds[detection.sensor] = _read_cloud(collections[collection]["data"][detection.sensor])
+        cloud = clouds[detection.sensor]
+        try:
+            points[part] = cloud[index[part]]
+        except IndexError:
+            wrong = _element(detection.idxs, int((index[part] >= len(cloud)).argmax()))
+            raise wrong.unexpected(f"the index of one of the cloud's {len(cloud)} points") from None
+    if not np.isfinite(points).all():
+        i, position = batch.place(int(np.isfinite(points).all(-1).argmin()))
+        raise _element(detections[i].idxs, position).fault(
+            f"point {index[batch.parts[i]][position]} of the cloud is not finite; a labelled point must be"
+        )
+    points.flags.writeable = positions.flags.writeable = False
+    for part, limit_part in zip(batch.parts, limit_batch.parts, strict=True):
+        yield PointLabels(points[part], positions[limit_part])
+
+
+def _read_cloud(data: Node) -> pointcloud.Cloud:
+    """A collection's point cloud: inline ``data``, else the file."""
+    if data.get("data"):
+        return pointcloud.decode_message(data)
+    name = data["data_file"]
+    path = locate(name)
+    try:
+        return pointcloud.read_points(path)
+    except InputError as error:
+        raise name.fault(str(error)) from None
+
+
+def _read_indices(lists: Sequence[Node]) -> "tuple[_Batch, IntArray]":
+    """Indices, not yet checked against the size of a cloud."""
+    try:
+        index = integers(list(chain.from_iterable(node.sequence() for node in lists)))
+    except NotNumbersError:  # one by one, until the wrong one says what it is
+        elements = chain.from_iterable(node.elements() for node in lists)
+        index = np.array([element.whole(0, MAX_POINTS) for element in elements], np.int64)
+    batch = _Batch([len(node.value) for node in lists])
+    if len(index) and not (index.min() >= 0 and index.max() < MAX_POINTS):
+        i, position = batch.place(int(((index < 0) | (index >= MAX_POINTS)).argmax()))
+        raise _element(lists[i], position).unexpected("the index of a point of the cloud")
+    return batch, index
+
+
+def _element(indices: Node, position: int) -> Node:
+    return list(indices.elements())[position]
+
+
+class _Batch:
+    """Rows of several lists, one after the other."""
+
+    def __init__(self, counts: Sequence[int]) -> None:
+        self.ends = np.cumsum(counts)
+        self.owner = np.repeat(np.arange(len(counts)), counts)
+        """Which list each row belongs to."""
+        ends = self.ends.tolist()
+        self.parts = [slice(end - count, end) for end, count in zip(ends, counts, strict=True)]
+
+    def place(self, row: int) -> tuple[int, int]:
+        """The list and the position in it of a row."""
+        i = int(self.owner[row])
+        return i, row - self.parts[i].start
+
+    def first(self, wrong: BoolArray) -> tuple[int, int] | None:
+        """The place of the first row that is marked."""
+        return self.place(int(wrong.argmax())) if wrong.any() else None
+
+    def outside(self, values: Array, bounds: Sequence[int]) -> tuple[int, int] | None:
+        """The place of the first value that is no whole number from 0 to below its list's bound."""
+        return self.first(~((values >= 0) & (values < np.array(bounds)[self.owner]) & (values == np.floor(values))))
+
+    def keys(self, index: IntArray) -> IntArray:
+        """Numbers that are equal where list and index are equal."""
+        keys: IntArray = self.owner * MAX_POINTS + index
+        return keys
+
+    def repeated(self, index: IntArray) -> tuple[int, int] | None:
+        """The first row whose index stands in its list before."""
+        keys = self.keys(index)
+        order = np.argsort(keys, kind="stable")
+        wrong = np.zeros(len(keys), bool)
+        wrong[order[1:]] = np.diff(keys[order]) == 0
+        return self.first(wrong)
+
+    def find(self, index: IntArray, other: "_Batch", wanted: IntArray) -> tuple[IntArray, tuple[int, int] | None]:
+        """Where in its own list each index of another batch stands, and the first that does not."""
+        keys, wanted_keys = self.keys(index), other.keys(wanted)
+        order = np.argsort(keys, kind="stable")
+        rows = order[np.searchsorted(keys, wanted_keys, sorter=order).clip(max=len(keys) - 1)]
+        starts = np.array([part.start for part in self.parts])
+        return rows - starts[other.owner], other.first(keys[rows] != wanted_keys)

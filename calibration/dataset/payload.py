@@ -1,0 +1,26 @@
+"""The files beside a dataset that its collections name: images and point clouds."""
+
+import os
+from pathlib import Path
+
+from calibration.dataset.document import Node, shown
+
+
+def locate(name: Node) -> str:
+    """The path of a ``data_file``, which must lie in the dataset's folder, symbolic links resolved.
+
+    Raises:
+        InputError: the name is no relative path, or leaves the folder.
+    """
+    file, folder = name.name(), name.file.parent
+    try:
+        path = os.path.join(folder, file)  # noqa: PTH118 (called for every cloud)
+        if "/" not in file and file not in (".", "..") and not os.path.islink(path):  # noqa: PTH114
+            return path
+        if not os.path.isabs(file) and ".." not in Path(file).parts:  # noqa: PTH117
+            real = Path(path).resolve()
+            if real.is_relative_to(folder.resolve()):
+                return str(real)
+    except (ValueError, OSError, RuntimeError):  # a NUL or a lone surrogate; too long; a loop of links
+        pass
+    raise name.fault(f"found {shown(file)}, expected a file in the dataset's folder")

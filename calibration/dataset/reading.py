@@ -1,0 +1,110 @@
+"""Reading a dataset: ATOM's JSON, versions 2.0 and 3.0, checked whole before anyone calculates with it."""
+
+import gc
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from calibration.dataset.configuration import Configuration, parse_configuration
+from calibration.dataset.document import Node, read_json, shown
+from calibration.dataset.edges import read_transforms
+from calibration.dataset.frames import check_frames
+from calibration.dataset.labels import read_labels
+from calibration.dataset.model import Dataset
+from calibration.dataset.pattern import Pattern
+from calibration.dataset.pattern_document import with_explicit_geometry
+from calibration.dataset.sensors import read_sensors
+
+FILE_NAME = "dataset.json"
+
+
+def read_dataset(path: Path | str) -> Dataset:
+    """The dataset in a folder with ``dataset.json``, or in a file itself.
+
+    Every label of the result belongs to a known corner or point, every number is finite, every
+    sensor's calibrated transform lies on the way from the world to its frame, and no transform on
+    that way or on the way to a pattern's parent is missing in any collection. A missing pattern
+    transform is NaN. The arrays are read-only.
+
+    Raises:
+        InputError: there is no such file, or something in it is missing or wrong; the message
+            names the file, the keys that lead there, what was found and what was expected.
+    """
+    path = Path(path)
+    if os.path.isdir(path):  # noqa: PTH112 (Path.is_dir raises where a folder may not be looked into)
+        path = path / FILE_NAME
+    with _no_collector():
+        return _read(path)
+
+
+@contextmanager
+def _no_collector() -> Iterator[None]:
+    """Keep the garbage collector from looking again and again at a growing document: it is no garbage."""
+    enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if enabled:
+            gc.enable()
+
+
+def _read(path: Path) -> Dataset:
+    root = read_json(path)
+    version = _version(root["_metadata"]["version"])
+    configuration = parse_configuration(root["calibration_config"])
+    sensors = read_sensors(root["sensors"], configuration.sensors)
+    if described := root.get("transforms"):
+        described.mapping()
+    patterns = _patterns(root, configuration, version)
+    collections = _collections(root["collections"])
+    dataset = Dataset(
+        path=path,
+        version=version,
+        world=configuration.world_link,
+        sensors=sensors,
+        patterns=patterns,
+        anchored=configuration.anchored_sensor,
+        additional_transforms=tuple(configuration.additional_tfs.values()),
+        transforms=read_transforms(collections),
+        collections=read_labels(collections, sensors, patterns, version),
+        document=root.value,
+    )
+    if not any(collection.labels for collection in dataset.collections):
+        raise root["collections"].fault(f"none of the {len(collections)} collections has a detected pattern")
+    check_frames(dataset, root, collections)
+    return dataset
+
+
+def _version(node: Node) -> str:
+    major = str(node.value).partition(".")[0]
+    if type(node.value) not in (str, int, float) or major not in ("2", "3"):
+        raise node.unexpected("version 2.0 or 3.0")
+    return f"{major}.0"
+
+
+def _patterns(root: Node, configuration: Configuration, version: str) -> dict[str, Pattern]:
+    if version == "2.0" and len(configuration.patterns) != 1:
+        raise root["calibration_config"]["calibration_patterns"].unexpected("one pattern in a dataset of version 2.0")
+    explicit = root.get("patterns")
+    patterns = {}
+    for name, entry in configuration.patterns.items():
+        patterns[name] = entry.pattern(version)
+        if explicit and (node := explicit.get(name)):
+            patterns[name] = with_explicit_geometry(patterns[name], node)
+    return patterns
+
+
+def _collections(node: Node) -> list[Node]:
+    """The collections in the order of their numbers."""
+    numbered: dict[int, Node] = {}
+    for key, collection in node.items():
+        if not (key.isascii() and key.isdigit() and len(key) <= 18):
+            raise collection.fault(f"found the key {shown(key)}, expected a number such as '000'")
+        other = numbered.setdefault(int(key), collection)
+        if other is not collection:
+            raise collection.fault(f"found number {int(key)} twice, expected it once (other key: '{other.keys[-1]}')")
+    if not numbered:
+        raise node.unexpected("at least one collection")
+    return [numbered[number] for number in sorted(numbered)]

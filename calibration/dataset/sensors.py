@@ -1,0 +1,81 @@
+"""The sensors of a dataset: frames, calibrated transforms and intrinsics, checked against the configuration."""
+
+from collections.abc import Mapping
+from typing import get_args
+
+from calibration.dataset.configuration import SensorConfiguration
+from calibration.dataset.document import Node
+from calibration.dataset.model import Modality, Sensor
+from calibration.geometry.cameras import Camera, PlumbBob
+
+MAX_PIXELS = 1 << 20
+"""The largest width or height of an image."""
+_TWINS = {
+    "modality": "modality",
+    "parent": "link",
+    "calibration_parent": "parent_link",
+    "calibration_child": "child_link",
+}
+"""Keys of a sensor and of its configuration that say the same."""
+
+
+def read_sensors(node: Node, configuration: Mapping[str, SensorConfiguration]) -> dict[str, Sensor]:
+    """The sensors of a dataset's ``sensors``.
+
+    Raises:
+        InputError: something in it is missing or wrong, or it differs from the configuration.
+    """
+    for name in configuration:
+        if name not in node.mapping():
+            raise node.fault(f"missing sensor '{name}' of calibration_config/sensors")
+    sensors = {}
+    for name, entry in node.items():
+        if name not in configuration:
+            raise entry.fault(f"sensor '{name}' is missing in calibration_config/sensors")
+        modality = entry["modality"].text()
+        if modality not in get_args(Modality):
+            raise entry["modality"].unexpected(f"a known modality of sensor '{name}': {', '.join(get_args(Modality))}")
+        for key, twin in _TWINS.items():
+            if entry[key].name() != (expected := getattr(configuration[name], twin)):
+                raise entry[key].unexpected(f"'{expected}' as in calibration_config/sensors/{name}/{twin}")
+        sensors[name] = Sensor(
+            name=name,
+            modality=entry["modality"].value,
+            frame=entry["parent"].value,
+            calibration_parent=entry["calibration_parent"].value,
+            calibration_child=entry["calibration_child"].value,
+            camera=read_camera(entry["camera_info"]) if modality == "rgb" else None,
+        )
+    return sensors
+
+
+def read_camera(info: Node) -> Camera:
+    """The intrinsics of a sensor_msgs/CameraInfo: K, D and the size of the image.
+
+    Raises:
+        InputError: something in it is missing or wrong, or its distortion model is not known.
+    """
+    fx, skew, cx, zero, fy, cy, *bottom = info["K"].numbers(9)
+    if not (fx > 0 and fy > 0 and skew == zero == 0 and bottom == [0, 0, 1]):
+        raise info["K"].fault(f"found {info['K'].value}, expected [fx, 0, cx, 0, fy, cy, 0, 0, 1] with fx, fy > 0")
+    return Camera(
+        fx=fx,
+        fy=fy,
+        cx=cx,
+        cy=cy,
+        width=info["width"].whole(1, MAX_PIXELS),
+        height=info["height"].whole(1, MAX_PIXELS),
+        distortion=_read_distortion(info),
+    )
+
+
+def _read_distortion(info: Node) -> PlumbBob:
+    model, D = info["distortion_model"], info["D"]
+    coefficients = D.numbers(len(D.sequence()))
+    if model.text() == "" and not any(coefficients):
+        return PlumbBob()
+    if model.value != "plumb_bob":
+        raise model.unexpected("a known distortion model: plumb_bob")
+    if len(coefficients) > 5:
+        raise D.unexpected("5 coefficients of plumb_bob: k1, k2, p1, p2, k3")
+    return PlumbBob(*coefficients)

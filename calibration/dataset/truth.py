@@ -1,0 +1,134 @@
+"""The truth beside a dataset: what a calibration of it should find."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from calibration.dataset.document import Node, read_json
+from calibration.dataset.edges import read_transform, transform_documents
+from calibration.dataset.model import Dataset, Edge
+from calibration.dataset.writing import write_document
+from calibration.geometry.types import Array
+
+FILE_NAME = "ground_truth.json"
+
+
+@dataclass(frozen=True, eq=False)
+class Truth:
+    """True transforms, each ``T_parent_child`` (4, 4)."""
+
+    path: Path
+    """The file it was read from."""
+    sensors: Mapping[str, Edge]
+    """The calibrated transform of each sensor."""
+    transforms: Mapping[Edge, Array]
+    """Those that are the same in all collections: of sensors, fixed patterns, additional transforms."""
+    patterns: Mapping[str, Mapping[Edge, Array]]
+    """The poses of patterns in each collection, by its key."""
+    notes: Mapping[str, Any] = field(default_factory=dict)
+    """What else the file says, such as the noise of the labels."""
+
+
+def read_truth(path: Path | str) -> Truth:
+    """The truth in a file: ``sensors`` by name, ``patterns`` by collection, ``pattern`` if it is fixed.
+
+    A file may also have ``transforms``, a list of further transforms that are the same in all
+    collections, and in ``patterns`` a list for each collection if there are several.
+
+    Raises:
+        InputError: the file cannot be read, or something in it is missing or wrong.
+    """
+    path = Path(path)
+    root = read_json(path)
+    sensors = {name: read_transform(node) for name, node in root["sensors"].items()}
+    constant = dict(sensors.values())
+    if fixed := root.get("pattern"):
+        constant.update([read_transform(fixed)])
+    if others := root.get("transforms"):
+        constant.update(read_transform(node) for node in others.elements())
+    patterns = {}
+    if by_collection := root.get("patterns"):
+        for key, node in by_collection.items():
+            several = node.elements() if isinstance(node.value, list) else [node]
+            patterns[key] = dict(read_transform(each) for each in several)
+    return Truth(
+        path=path,
+        sensors={name: edge for name, (edge, _) in sensors.items()},
+        transforms=constant,
+        patterns=patterns,
+        notes={k: v for k, v in root.value.items() if k not in ("sensors", "pattern", "patterns", "transforms")},
+    )
+
+
+def find_truth(dataset: Dataset) -> Truth | None:
+    """The truth in ``ground_truth.json`` beside the dataset, if there is one.
+
+    Raises:
+        InputError: the file is wrong, or is about other transforms than those the dataset calibrates.
+    """
+    path = dataset.path.parent / FILE_NAME
+    if not path.exists():
+        return None
+    truth = read_truth(path)
+    for name, sensor in dataset.sensors.items():
+        if sensor.edge not in truth.transforms:
+            expected = f"that of '{'-'.join(sensor.edge)}', which sensor '{name}' calibrates"
+            raise Node(path, ("sensors",), None).fault(f"missing transform, expected {expected}")
+    return truth
+
+
+def truth_of(dataset: Dataset) -> Truth:
+    """The transforms in a dataset as the truth, as in ATOM's simulations.
+
+    Raises:
+        InputError: a calibrated transform differs between collections.
+    """
+    sensors = {name: sensor.edge for name, sensor in dataset.sensors.items()}
+    constant = {}
+    for edge in (*sensors.values(), *dataset.additional_transforms):
+        T = dataset.transforms[edge]
+        different = (abs(T - T[0]) > 1e-9).any((1, 2))
+        if different.any():
+            key = dataset.keys[int(different.argmax())]
+            node = Node(dataset.path, ("collections", key, "transforms", "-".join(edge)), None)
+            raise node.fault(f"differs from collection {dataset.keys[0]}; a transform to calibrate is the same in all")
+        constant[edge] = T[0]
+    patterns: dict[str, dict[Edge, Array]] = {key: {} for key in dataset.keys}
+    for pattern in dataset.patterns.values():
+        edge = (pattern.parent_link, pattern.link)
+        for key, T in zip(dataset.keys, dataset.transforms.get(edge, ()), strict=False):
+            if np.isfinite(T).all():
+                patterns[key][edge] = T
+                if pattern.fixed:
+                    constant.setdefault(edge, T)
+    return Truth(dataset.path, sensors, constant, patterns)
+
+
+def write_truth(truth: Truth, path: Path | str) -> None:
+    """Write the truth in the form that `read_truth` reads.
+
+    Raises:
+        WorldError: the file cannot be written.
+    """
+    of_sensors = set(truth.sensors.values())
+    write_document(
+        {
+            **truth.notes,
+            "sensors": {name: _pose_document(edge, truth.transforms[edge]) for name, edge in truth.sensors.items()},
+            "transforms": [_pose_document(edge, T) for edge, T in truth.transforms.items() if edge not in of_sensors],
+            "patterns": {key: _pose_documents(poses) for key, poses in truth.patterns.items()},
+        },
+        path,
+    )
+
+
+def _pose_document(edge: Edge, T: Array) -> dict[str, Any]:
+    return transform_documents(edge, T[None])[0]
+
+
+def _pose_documents(poses: Mapping[Edge, Array]) -> dict[str, Any] | list[dict[str, Any]]:
+    documents = [_pose_document(edge, T) for edge, T in poses.items()]
+    return documents[0] if len(documents) == 1 else documents

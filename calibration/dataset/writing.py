@@ -1,0 +1,191 @@
+"""Writing a dataset: ATOM's JSON, version 3.0, which reads back as the same dataset."""
+
+from collections.abc import Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from calibration.dataset.configuration import FIRST_PATTERN
+from calibration.dataset.document import Node, one_line
+from calibration.dataset.edges import read_transforms, transform_documents
+from calibration.dataset.json_text import json_text
+from calibration.dataset.model import Dataset, Edge
+from calibration.dataset.pattern import Pattern
+from calibration.dataset.pattern_document import pattern_document
+from calibration.dataset.payload import locate
+from calibration.dataset.reading import FILE_NAME
+from calibration.errors import InputError
+from calibration.files import place, write_atomically
+from calibration.geometry.types import Array
+
+
+def write_document(document: Mapping[str, Any], path: Path | str) -> None:
+    """Write a document as ATOM does: JSON, keys sorted, indented by 2; the file is replaced in one step.
+
+    Raises:
+        InputError: the document is nested too deeply.
+        WorldError: the file cannot be written.
+    """
+    try:
+        text = json_text(document)
+    except RecursionError:
+        raise InputError(one_line(f"{path}: cannot be written: the document is nested too deeply")) from None
+    write_atomically(path, f"{text}\n")
+
+
+def write_dataset(dataset: Dataset, path: Path | str, images: bool = True) -> Path:
+    """Write a dataset into a folder as ``dataset.json``, or into a file whose name ends in ``.json``.
+
+    What a `Dataset` can change is written as it is now: the transforms and the choice of collections.
+    Everything else is as it was read; version 2.0 becomes 3.0 with its own corner coordinates, so
+    that poses keep their meaning. If transforms have changed, each collection also gets those that
+    were read, as ``transforms_ini``. The point clouds that lie beside the input come along, and the
+    images if wanted: as hard links where the file system can, else as copies.
+
+    Returns:
+        The path of the JSON file.
+
+    Raises:
+        InputError: the path is the dataset's own file, or a transform is not finite.
+        WorldError: a file cannot be written.
+    """
+    path = Path(path)
+    if path.suffix != ".json":
+        path = path / FILE_NAME
+    if path.resolve() == dataset.path.resolve():
+        raise InputError(
+            one_line(f"{path}: is the dataset itself; write into another folder, an input is never changed")
+        )
+    document = dataset_document(dataset)
+    _bring_payload(dataset, path.parent, images)
+    write_document(document, path)
+    return path
+
+
+def dataset_document(dataset: Dataset) -> dict[str, Any]:
+    """The version 3.0 document of a dataset; parts that have not changed are shared with the one that was read.
+
+    Raises:
+        InputError: a transform is not finite.
+    """
+    source = dataset.document
+    changed = _changed(dataset)
+    return {
+        "additional_sensor_data": {},
+        **source,
+        "_metadata": {"package_name": "", **source["_metadata"], "version": "3.0"},
+        "calibration_config": _configuration(dataset),
+        "patterns": {name: _pattern(dataset, pattern) for name, pattern in dataset.patterns.items()},
+        "transforms": {
+            **{"-".join(edge): _kind(dataset, edge) for edge in dataset.transforms},
+            **(source.get("transforms") or {}),
+        },
+        "collections": {key: _collection(dataset, i, changed) for i, key in enumerate(dataset.keys)},
+    }
+
+
+def _changed(dataset: Dataset) -> dict[Edge, list[dict[str, Any] | None]]:
+    """The edges that are not as they were read: the entry of each collection, None where it has none."""
+    collections = dataset.document["collections"]
+    read = read_transforms([Node(dataset.path, ("collections", key), collections[key]) for key in dataset.keys])
+    missing = np.full((len(dataset.keys), 4, 4), np.nan)
+    changed = {}
+    for edge, T in dataset.transforms.items():
+        if np.array_equal(T, read.get(edge, missing), equal_nan=True):
+            continue
+        present = ~np.isnan(T[:, 0, 0])
+        if not np.isfinite(T[present]).all():
+            raise InputError(one_line(f"{dataset.path}: transform '{'-'.join(edge)}' is not finite; it is not written"))
+        entries = iter(transform_documents(edge, T[present]))
+        changed[edge] = [next(entries) if each else None for each in present]
+    return changed
+
+
+def _collection(dataset: Dataset, i: int, changed: Mapping[Edge, list[dict[str, Any] | None]]) -> dict[str, Any]:
+    read = dataset.document["collections"][dataset.keys[i]]
+    now = {"-".join(edge): entries[i] for edge, entries in changed.items()}
+    transforms = {key: entry for key, entry in {**read["transforms"], **now}.items() if entry is not None}
+    collection = {"additional_data": {}, "joints": {}, **read, "transforms": transforms}
+    if changed:
+        collection["transforms_ini"] = {
+            key: {**entry, "parent": f"{entry['parent']}_ini", "child": f"{entry['child']}_ini"}
+            for key, entry in read["transforms"].items()
+        }
+    if dataset.version == "2.0":
+        collection["labels"] = {next(iter(dataset.patterns)): read["labels"]}
+    return collection
+
+
+def _configuration(dataset: Dataset) -> dict[str, Any]:
+    source = dict(dataset.document["calibration_config"])
+    single = source.pop("calibration_pattern", None)
+    if not source.get("calibration_patterns"):
+        source["calibration_patterns"] = {FIRST_PATTERN: single}
+    defaults = {"package_name": "", "joints": None, "additional_tfs": None}
+    return {**defaults, **source, "anchored_sensor": dataset.anchored, "version": 3.0}
+
+
+def _pattern(dataset: Dataset, pattern: Pattern) -> dict[str, Any]:
+    """The pattern as it was read, with what was missing."""
+    read = (dataset.document.get("patterns") or {}).get(pattern.name) or {}
+    given = {key: value for key, value in read.items() if value}
+    initial = given.get("transforms_initial")
+    if isinstance(initial, dict):
+        initial = {key: initial[key] for key in dataset.keys if key in initial}
+    else:
+        initial = _initial_poses(dataset, pattern)
+    full = pattern_document(pattern, initial)
+    frame = {**full["frame"], **{key: value for key, value in given.get("frame", {}).items() if value}}
+    return {**full, **given, "frame": frame, "transforms_initial": initial}
+
+
+def _initial_poses(dataset: Dataset, pattern: Pattern) -> dict[str, Any]:
+    """The pattern's poses in the dataset as the initial ones, with the camera that saw it."""
+    edge = (pattern.parent_link, pattern.link)
+    poses = {}
+    for i, collection in enumerate(dataset.collections):
+        cameras = [s for p, s in collection.labels if p == pattern.name and dataset.sensors[s].camera is not None]
+        T = dataset.transforms[edge][i] if edge in dataset.transforms else None
+        if cameras and T is not None and np.isfinite(T).all():
+            poses[collection.key] = {"detected": True, "sensor": cameras[0], **transform_documents(edge, T[None])[0]}
+        else:
+            poses[collection.key] = {"detected": False}
+    return poses
+
+
+def _kind(dataset: Dataset, edge: Edge) -> dict[str, Any]:
+    """What ATOM says of a transform: whether it is calibrated, and the same in all collections."""
+    calibrated = {*(sensor.edge for sensor in dataset.sensors.values()), *dataset.additional_transforms}
+    return {
+        "parent": edge[0],
+        "child": edge[1],
+        "type": "fixed" if _is_constant(dataset.transforms[edge]) else "multiple",
+        "is_transformation_calibrated": edge in calibrated,
+        "from_bag": False,
+        "joint_name": "",
+        "joint_params_calibrated": [],
+        "weight": 1,
+    }
+
+
+def _is_constant(T: Array) -> bool:
+    present = T[~np.isnan(T[:, 0, 0])]
+    return bool((abs(present - present[:1]) <= 1e-9).all())
+
+
+def _bring_payload(dataset: Dataset, folder: Path, images: bool) -> None:
+    """Put the files that the dataset's collections name, as far as they exist, into the folder."""
+    for key in dataset.keys:
+        data = dataset.document["collections"][key].get("data")
+        for sensor, message in data.items() if isinstance(data, dict) else ():
+            if sensor in dataset.sensors and (images or dataset.sensors[sensor].modality != "rgb"):
+                with suppress(InputError):  # what is wrong here has no label: reading did not need it
+                    _bring(Node(dataset.path, ("collections", key, "data", sensor), message)["data_file"], folder)
+
+
+def _bring(name: Node, folder: Path) -> None:
+    source, target = Path(locate(name)).resolve(), folder / name.text()
+    if source.is_file() and source != target.resolve():
+        place(source, target)
