@@ -5,7 +5,7 @@
 The rooms of the engine, in the order of the work:
 
 - ``problem``: what is unknown (blocks), how the unknowns make up each view's pose (chains);
-- ``build``: a dataset as such a problem;
+- ``usable_labels``, ``build``: a dataset as such a problem;
 - ``planar_pose``, ``robot_world``, ``linear_start``: a start that needs no guess;
 - ``starting_noise``: the matrix's noisy guesses;
 - ``residuals``, ``normal_equations``, ``least_squares``: the optimum;

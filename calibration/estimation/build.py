@@ -1,6 +1,6 @@
-"""A dataset as a least-squares problem: which transforms are unknown, which labels count."""
+"""A dataset as a least-squares problem: which transforms are unknown, and how the labels depend on them."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -8,14 +8,11 @@ from calibration.dataset.model import CornerLabels, Dataset, Edge, Labels, Point
 from calibration.dataset.pattern import Pattern
 from calibration.errors import InputError, UndeterminedError
 from calibration.estimation.problem import Block, Chain, Link, Problem, Term, ViewGroup
-from calibration.estimation.residuals import BorderTerm, CornerTerm, RangeTerm
+from calibration.estimation.residuals import BorderTerm, RangeTerm
 from calibration.estimation.scan import border_rays
+from calibration.estimation.single_views import corner_term
+from calibration.estimation.usable_labels import usable_labels
 from calibration.geometry.types import Array, BoolArray, IntArray
-
-MINIMUM_CORNERS = 4
-"""Fewer corners do not determine a pattern's pose, and would add flipped ones."""
-MINIMUM_POINTS = 10
-"""Fewer points of a LiDAR hardly make a plane (ATOM's rule too)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,9 +44,10 @@ def build(dataset: Dataset) -> Setup:
 
     Raises:
         InputError: no labels count, or a sensor has none.
-        UndeterminedError: sensors are not linked to each other, or nothing is left to calibrate.
+        UndeterminedError: sensors are not linked to each other, nothing is left to calibrate, or no label
+            depends on a transform.
     """
-    dataset, ignored = _usable(dataset)
+    dataset, ignored = usable_labels(dataset)
     blocks, edges = _blocks(dataset)
     groups = tuple(_groups(dataset, edges))
     gauge = _free_gauge(dataset, groups)
@@ -63,43 +61,13 @@ def build(dataset: Dataset) -> Setup:
             f"({', '.join(b.name for b in blocks if b.held)}); "
             f"a single sensor needs a robot that moves it or the pattern"
         )
-    return Setup(dataset, problem, edges, gauge, ignored)
-
-
-def _usable(dataset: Dataset) -> tuple[Dataset, tuple[str, ...]]:
-    """The dataset without labels that determine nothing, and without collections that have none left."""
-    ignored: list[str] = []
-    collections = []
-    for collection in dataset.collections:
-        labels = {
-            key: label for key, label in collection.labels.items() if _enough(collection.key, key, label, ignored)
-        }
-        cameras = {pattern for (pattern, _), label in labels.items() if isinstance(label, CornerLabels)}
-        for pattern, sensor in list(labels):
-            if pattern not in cameras and not dataset.patterns[pattern].fixed:
-                del labels[pattern, sensor]
-                ignored.append(f"collection {collection.key}, {sensor}: no camera saw '{pattern}', which moves")
-        collections.append(replace(collection, labels=labels))
-    for sensor in dataset.sensors:
-        if not any(sensor == s for c in collections for _, s in c.labels):
-            raise InputError(f"{dataset.path}: sensor '{sensor}': no collection has enough labels of it")
-    keep = [i for i, c in enumerate(collections) if c.labels]
-    if len(keep) < 2:
+    used = {link.block for group in groups for link in group.chain.links}
+    if idle := [block.name for i, block in enumerate(blocks) if i not in used and not block.held]:
         raise UndeterminedError(
-            f"{dataset.path}: {len(keep)} collection has labels; at least 2 are needed, because one view of a flat "
-            f"pattern cannot be told from its mirror image"
+            f"{dataset.path}: '{idle[0]}' does not lie between any sensor and a pattern that it sees, so no label "
+            f"tells it; leave it out, or add the sensor that needs it"
         )
-    return replace(dataset, collections=tuple(collections)).with_collections(keep), tuple(ignored)
-
-
-def _enough(collection: str, key: tuple[str, str], label: Labels, ignored: list[str]) -> bool:
-    """Whether these labels determine a view; if not, says so in `ignored`."""
-    corners = isinstance(label, CornerLabels)
-    count = len(label.ids if isinstance(label, CornerLabels) else label.points)
-    minimum, what = (MINIMUM_CORNERS, "corners") if corners else (MINIMUM_POINTS, "points")
-    if count < minimum:
-        ignored.append(f"collection {collection}, {key[1]}: {count} {what}, at least {minimum} are needed")
-    return count >= minimum
+    return Setup(dataset, problem, edges, gauge, ignored)
 
 
 def _blocks(dataset: Dataset) -> tuple[tuple[Block, ...], tuple[Edge, ...]]:
@@ -165,47 +133,38 @@ def _simplified(T: Array | None) -> Array | None:
 def _terms(sensor: Sensor, pattern: Pattern, labels: list[Labels]) -> tuple[Term, ...]:
     corners = [label for label in labels if isinstance(label, CornerLabels)]
     points = [label for label in labels if isinstance(label, PointLabels)]
-    if corners:
-        return (_corner_term(sensor, pattern, corners),)
-    return _point_terms(pattern, points)
-
-
-def _corner_term(sensor: Sensor, pattern: Pattern, labels: list[CornerLabels]) -> CornerTerm:
+    if not corners:
+        return _point_terms(pattern, points)
     if sensor.camera is None:
         raise InputError(f"sensor '{sensor.name}' has corner labels but no camera intrinsics")
-    V, K = len(labels), len(pattern.corners)
-    pixels, seen = np.zeros((V, 2, K)), np.zeros((V, K), bool)
-    for v, label in enumerate(labels):
-        pixels[v][:, label.ids] = label.pixels.T
-        seen[v, label.ids] = True
-    return CornerTerm(sensor.camera, pattern.corners - pattern.centre, pixels, None if seen.all() else seen)
+    return (corner_term(sensor.camera, pattern, corners),)
 
 
 def _point_terms(pattern: Pattern, labels: list[PointLabels]) -> tuple[Term, ...]:
     ranges, present, rays = _padded([label.points for label in labels])
     terms: list[Term] = [RangeTerm(rays, ranges, present)]
-    _, present, rays = _padded([border_rays(label.points, label.limits) for label in labels])
+    ranges, present, rays = _padded([border_rays(label.points, label.limits) for label in labels])
     if present.any():
         corners = pattern.outline - pattern.centre[:2]
         along = np.roll(corners, -1, axis=0) - corners
         normals = np.stack([along[:, 1], -along[:, 0]], -1) / np.linalg.norm(along, axis=-1, keepdims=True)
         offsets = (normals * corners).sum(-1)
         outward = np.sign(offsets)  # the centre of the corners lies inside
-        terms.append(BorderTerm(rays, present, normals * outward[:, None], offsets * outward))
+        terms.append(BorderTerm(rays, ranges, present, normals * outward[:, None], offsets * outward))
     return tuple(terms)
 
 
 def _padded(points: list[Array]) -> tuple[Array, BoolArray, Array]:
-    """Points (n, 3) of each view as lengths (V, L), which exist (V, L), and unit directions (V, 3, L)."""
+    """Points (n, 3) of each view as lengths (V, L), which are there and finite (V, L), unit directions (V, 3, L)."""
     L = max([1, *(len(p) for p in points)])
     lengths, present = np.ones((len(points), L)), np.zeros((len(points), L), bool)
     rays = np.zeros((len(points), 3, L))
     rays[:, 2] = 1.0
     for v, p in enumerate(points):
-        n = len(p)
-        lengths[v, :n] = np.linalg.norm(p, axis=-1)
-        rays[v, :, :n] = (p / lengths[v, :n, None]).T
-        present[v, :n] = True
+        at = np.flatnonzero(np.isfinite(p).all(-1))
+        lengths[v, at] = np.linalg.norm(p[at], axis=-1)
+        rays[v][:, at] = (p[at] / lengths[v, at, None]).T
+        present[v, at] = True
     return lengths, present, rays
 
 

@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from calibration.dataset.model import Dataset, Edge
+from calibration.dataset.model import Dataset, Edge, PointLabels
 from calibration.errors import UndeterminedError
 from calibration.estimation.build import Setup, build
 from calibration.estimation.least_squares import minimise
@@ -47,7 +47,8 @@ class ViewResiduals:
     collections: tuple[str, ...]
     """(V,): the keys of the collections."""
     magnitudes: Array
-    """(V, L): px or m; NaN where there is no label. Corners stand at their ids."""
+    """(V, L): px or m; NaN where there is no label. Corners stand at their ids, borders at their limit point's place
+    among the limits."""
 
 
 @dataclass(frozen=True)
@@ -59,7 +60,7 @@ class RejectedLabel:
     pattern: str
     kind: NoiseKind
     label: int
-    """The corner's id, or the position of the point among the labels."""
+    """The corner's id, or the position of the point among the labelled points."""
     residual: float
     """px or m."""
 
@@ -132,7 +133,7 @@ def calibrate(dataset: Dataset, options: Options | None = None, noise: StartingN
         else:
             # as ATOM: the patterns stand where the cameras see them from the guess without noise
             seen_from_guess = pattern_poses(setup, exact)
-            patterns = {setup.block(setup.pattern_edge(p)) for p in dataset.patterns}
+            patterns = {setup.block(setup.pattern_edge(p)) for p in setup.dataset.patterns}
             values = tuple(seen_from_guess[i] if i in patterns else T for i, T in enumerate(guess))
             result = optimise(setup.problem, values, options.noise_levels, robust)
             reason = _false_minimum(setup, result, start.values)
@@ -233,7 +234,7 @@ def _result(
         converged=not reason,
         reason=reason,
         cost=optimum.cost,
-        degrees_of_freedom=_labels(setup) - round(sum(result.parameters.values())),
+        degrees_of_freedom=problem.residuals - round(sum(result.parameters.values())),
         iterations=optimum.iterations,
         noise_levels=NoiseLevels(**{str(kind): scale for kind, scale in weighting.scales.items()}),
         residuals=_residuals(setup, optimum.values),
@@ -243,10 +244,6 @@ def _result(
         gauge=setup.gauge,
         options=options,
     )
-
-
-def _labels(setup: Setup) -> int:
-    return sum(int(term.counts.sum()) * term.dimension for group in setup.problem.groups for term in group.terms)
 
 
 def _far_guesses(setup: Setup, values: Values, guess: Values) -> list[str]:
@@ -275,15 +272,20 @@ def _transforms(setup: Setup, values: Values) -> dict[Edge, Array]:
 
 
 def _calibrated(setup: Setup, values: Values, dataset: Dataset) -> Dataset:
-    """The whole dataset with the new transforms; moving patterns where they count, NaN elsewhere."""
+    """The whole dataset with the new transforms; moving patterns where a view of them counts, NaN elsewhere."""
     moving = {}
-    used = np.isin(dataset.keys, setup.dataset.keys)
+    kept = set(setup.dataset.keys)
+    used = np.array([i for i, key in enumerate(dataset.keys) if key in kept])
     for name, pattern in setup.dataset.patterns.items():
         edge = setup.pattern_edge(name)
         value = values[setup.block(edge)]
         if value.ndim == 3:
+            seen = np.zeros(len(used), bool)
+            for group in setup.problem.groups:
+                if group.pattern == name:
+                    seen[group.collections] = True
             poses = np.full((len(dataset.collections), 4, 4), np.nan)
-            poses[used] = value @ inverse(translation(pattern.centre))
+            poses[used[seen]] = value[seen] @ inverse(translation(pattern.centre))
             moving[edge] = poses
     return dataset.with_transforms({**_transforms(setup, values), **moving})
 
@@ -305,10 +307,12 @@ def _rejected(setup: Setup, result: WeightedOptimum) -> tuple[RejectedLabel, ...
     huber = result.weighting.huber
     if huber is None:
         return ()
+    labels = {collection.key: collection.labels for collection in setup.dataset.collections}
     rejected = []
     for r in _residuals(setup, result.optimum.values):
         limit = 2 * huber * result.weighting.scales[r.kind]
         for v, k in zip(*np.nonzero(np.nan_to_num(r.magnitudes) > limit), strict=True):
-            magnitude = float(r.magnitudes[v, k])
-            rejected.append(RejectedLabel(r.collections[v], r.sensor, r.pattern, r.kind, int(k), magnitude))
-    return tuple(sorted(rejected, key=lambda label: (label.collection, label.sensor, label.label)))
+            view, magnitude = labels[r.collections[v]][r.pattern, r.sensor], float(r.magnitudes[v, k])
+            label = int(view.limits[k] if isinstance(view, PointLabels) and r.kind == "border" else k)
+            rejected.append(RejectedLabel(r.collections[v], r.sensor, r.pattern, r.kind, label, magnitude))
+    return tuple(sorted(rejected, key=lambda label: (label.collection, label.sensor, label.label, label.kind)))

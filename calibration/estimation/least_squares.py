@@ -8,17 +8,14 @@ from calibration.estimation.normal_equations import NormalEquations, Weighting, 
 from calibration.estimation.problem import Problem, Values
 from calibration.geometry.types import Array, BoolArray
 
-SETTLING = 20
-"""Steps that a collection has to find its own minimum in."""
-
 
 @dataclass(frozen=True)
 class Termination:
     """When to stop."""
 
-    decrease: float = 1e-8
-    """The decrease of the cost that a step still promises, in squared standard deviations: the default
-    leaves every parameter within 1e-4 of its own standard deviation, or better."""
+    decrease: float = 1e-6
+    """The decrease of the cost that a step still promises, in squared standard deviations. With the default
+    the last step moves no parameter by more than 1e-3 of its own standard deviation."""
     relative_decrease: float = 1e-14
     """The same relative to the cost: below it rounding decides."""
     iterations: int = 200
@@ -30,7 +27,7 @@ class Optimum:
 
     values: Values
     equations: NormalEquations
-    """The normal equations there, undamped."""
+    """The normal equations, undamped, as they were before the last step, which is too small to matter for them."""
     iterations: int
     reached: bool
     """Whether it is a minimum; False when the iterations ran out or nothing finite was found."""
@@ -55,28 +52,37 @@ def minimise(problem: Problem, values: Values, weighting: Weighting, until: Term
         if not np.isfinite(cost):
             return Optimum(values, equations, iteration, reached=False)
         shared, local, predicted = equations.step(damping)
-        small = predicted <= max(until.decrease, until.relative_decrease * cost)
-        if np.isfinite(predicted):
+        tolerance = max(until.decrease, until.relative_decrease * cost)
+        if abs(predicted) <= tolerance:
+            if damping > 1:  # a short step promises little anywhere: ask for the whole one
+                shared, local, predicted = equations.step(0.0)
+            reached = abs(predicted) <= tolerance
+            return Optimum(
+                problem.moved(values, shared, local) if reached else values, equations, iteration + 1, reached
+            )
+        if predicted > 0:  # else rounding has made the system singular or indefinite
             trial = problem.moved(values, shared, local)
             with np.errstate(over="ignore", invalid="ignore"):
                 trial_equations = assemble(problem, trial, weighting)
             trial_cost = float(trial_equations.cost.sum())
-            gain = (cost - trial_cost) / max(predicted, 1e-300)
-            if trial_cost <= cost and (gain > 1e-4 or small):
+            gain = min((cost - trial_cost) / predicted, 1.0)
+            if gain > 1e-4:
                 values, equations, cost = trial, trial_equations, trial_cost
                 damping, growth = max(damping * max(1 / 3, 1 - (2 * gain - 1) ** 3), 1e-12), 2.0
-                if small:
-                    return Optimum(values, equations, iteration + 1, reached=True)
                 continue
-        if small:  # rounding decides: this is the minimum to the last digit
-            return Optimum(values, equations, iteration + 1, reached=True)
         damping, growth = damping * growth, growth * 2
         if damping > 1e16:
             return Optimum(values, equations, iteration + 1, reached=False)
     return Optimum(values, equations, until.iterations, reached=False)
 
 
-def settle(problem: Problem, values: Values, weighting: Weighting, which: BoolArray) -> tuple[Values, Array]:
+SETTLING = Termination(decrease=0.01, iterations=20)
+"""Near enough to its own minimum to compare a collection's cost with that of another one."""
+
+
+def settle(
+    problem: Problem, values: Values, weighting: Weighting, which: BoolArray, until: Termination = SETTLING
+) -> tuple[Values, Array]:
     """Minimise over the local blocks of some collections (N,), each on its own, the shared ones held.
 
     Returns:
@@ -85,16 +91,17 @@ def settle(problem: Problem, values: Values, weighting: Weighting, which: BoolAr
     equations = assemble(problem, values, weighting)
     damping = np.full(problem.collections, 1e-3)
     active = which.copy()
-    for _ in range(SETTLING):
+    for _ in range(until.iterations):
         trial = problem.moved(values, np.zeros((len(problem.shared), 6)), equations.local_step(damping))
         trial = choose(problem, active, trial, values)
         trial_equations = assemble(problem, trial, weighting)
         decrease = equations.cost - trial_equations.cost
         better = active & (decrease >= 0)
+        enough = np.maximum(until.decrease, until.relative_decrease * trial_equations.cost)
         values = choose(problem, better, trial, values)
         equations = trial_equations if better[active].all() else assemble(problem, values, weighting)
         damping = np.where(better, damping / 5, damping * 10)
-        active &= ~(better & (decrease < 0.01)) & (damping < 1e6)
+        active &= ~(better & (decrease <= enough)) & (damping < 1e6)
         if not active.any():
             break
     return values, equations.cost

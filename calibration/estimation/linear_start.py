@@ -14,16 +14,25 @@ import numpy as np
 
 from calibration.errors import InputError, UndeterminedError
 from calibration.estimation.build import Setup
-from calibration.estimation.planar_pose import mean_pose, planar_poses, refine_poses
+from calibration.estimation.least_squares import SETTLING
+from calibration.estimation.median import median
+from calibration.estimation.planar_pose import mean_pose
 from calibration.estimation.plane_alignment import align_planes, fit_planes
 from calibration.estimation.problem import Chain, Values, ViewGroup
 from calibration.estimation.residuals import CornerTerm, RangeTerm
 from calibration.estimation.robot_world import RobotWorld, solve_robot_world
-from calibration.geometry.transforms import inverse
+from calibration.estimation.single_views import linear_poses, refined_poses
+from calibration.geometry.transforms import distance, inverse
 from calibration.geometry.types import Array, BoolArray
 
 SINGLE_AXIS = 0.02
 """Rotations of a robot that tilt every direction by less than this (rad) about all but one axis are too poor."""
+REWEIGHTED = 10
+"""Times that a robot-world problem is solved again with less weight on views that do not fit,"""
+FITTING = 0.03
+"""as long as they miss by more than this on average (rad, and translations relative to the distance)."""
+POOR_FIT = 1.5
+"""A view whose linear pose leaves more than this (px, root mean square) may hold outliers."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,15 +159,19 @@ class _Search:
 
     def _robot_world(self) -> bool:
         """Two unknowns at once: of one chain, or of two chains that share the poses of a moving pattern."""
-        options = [*self._pairs_in_one_chain(), *self._pairs_over_a_moving_pattern()]
-        if not options:
+        pairs = [pair for pair in (*self._pairs_in_one_chain(), *self._pairs_over_a_moving_pattern()) if len(pair[2])]
+        if not pairs:
             return False
-        a, b, A, B = max(options, key=lambda option: len(option[2]))
-        solution = solve_robot_world(A, B)
-        self._require_rotations(a, b, solution, len(A))
-        for (block, inverted), T in ((a, solution.X), (b, solution.Y)):
-            self._set(block, inverse(T) if inverted else T)
-        return True
+        problems = []
+        for a, b, A, B in sorted(pairs, key=lambda pair: -len(pair[2])):
+            solution = _robust_robot_world(A, B)
+            problem = self._too_poor(a, b, solution, len(A))
+            if problem is None:
+                for (block, inverted), T in ((a, solution.X), (b, solution.Y)):
+                    self._set(block, inverse(T) if inverted else T)
+                return True
+            problems.append(problem)
+        raise UndeterminedError(problems[0])
 
     def _planes(self) -> bool:
         """A LiDAR's transform from the planes it sees and the poses of the pattern, known by now."""
@@ -274,21 +287,24 @@ class _Search:
                     pairs.append((x, (y[0], not y[1]), A[usable], (C1[at1] @ inverse(C2[at2]))[usable]))
         return pairs
 
-    def _require_rotations(self, a: "_Unknown", b: "_Unknown", solution: RobotWorld, views: int) -> None:
-        """Refuse a motion that cannot tell the two unknowns apart."""
+    def _too_poor(self, a: "_Unknown", b: "_Unknown", solution: RobotWorld, views: int) -> str | None:
+        """Why a motion cannot tell the two unknowns apart; None when it can."""
         names = [self.setup.problem.blocks[block].name for block, _ in (a, b)]
         what = f"{self.setup.dataset.path}: '{names[0]}' and '{names[1]}' cannot be told apart"
         axes = solution.spectrum.axes(SINGLE_AXIS)
         if views < 3:
-            raise UndeterminedError(f"{what}: {views} views, at least 3 with different rotations are needed")
+            return f"{what}: {views} views, at least 3 with different rotations are needed"
         if axes == 0:
-            raise UndeterminedError(f"{what}: the robot never rotates; add collections with rotations about two axes")
+            return f"{what}: the robot never rotates; add collections with rotations about two axes"
         if axes == 1:
-            x, y, z = solution.spectrum.axis
-            raise UndeterminedError(
-                f"{what}: the robot rotates about a single axis only, ({x:.2f}, {y:.2f}, {z:.2f}) in the frame of "
-                f"'{names[1]}'; add collections with rotations about another axis"
+            parent, child = self.setup.edges[b[0]]
+            axis = solution.spectrum.axis * np.sign(solution.spectrum.axis[np.abs(solution.spectrum.axis).argmax()])
+            x, y, z = np.round(axis, 2) + 0.0
+            return (
+                f"{what}: the robot rotates about a single axis only, ({x:g}, {y:g}, {z:g}) in frame "
+                f"'{child if b[1] else parent}'; add collections with rotations about another axis"
             )
+        return None
 
 
 _Unknown = tuple[int, bool]
@@ -302,22 +318,30 @@ def _unknown_of(group: ViewGroup, position: int) -> _Unknown:
     return link.block, link.inverted
 
 
+def _robust_robot_world(A: Array, B: Array) -> RobotWorld:
+    """`solve_robot_world`, reweighted a few times so that single wrong or flipped views do not count."""
+    solution = first = solve_robot_world(A, B)
+    size = median(np.linalg.norm(A[:, :3, 3], axis=-1))
+    for _ in range(REWEIGHTED):
+        translation, rotation = distance(A, solution.X @ B @ solution.Y)
+        miss = translation / size + rotation
+        if miss.mean() <= FITTING:
+            break
+        solution = solve_robot_world(A, B, 1 / np.maximum(miss, 0.5 * median(miss) + 1e-9) ** 2)
+    return solution._replace(spectrum=first.spectrum)
+
+
 def view_poses(term: CornerTerm) -> Array:
     """``T_sensor_pattern`` (V, 4, 4) of each view by itself; NaN where its corners give none.
 
     Views that the linear solution fits badly, because of outliers or few corners, are refined with
     a robust loss.
     """
-    camera = term.camera
-    u = (term.pixels[:, 0] - camera.cx) / camera.fx
-    v = (term.pixels[:, 1] - camera.cy) / camera.fy
-    rays = np.stack(camera.distortion.undistort(u, v), 1)
-    T = planar_poses(rays, term.corners, term.seen)
+    T = linear_poses(term)
     good = np.isfinite(T[:, 0, 0])
-    error = np.full(len(T), np.nan)
-    error[good] = np.sqrt(np.nanmean(term.magnitudes(np.where(good[:, None, None], T, np.eye(4)))[good] ** 2, -1))
-    bad = good & ~(error <= 2 * np.nanmedian(error)) if good.any() else good
-    if bad.any():
-        seen = None if term.seen is None else term.seen[bad]
-        T[bad], _ = refine_poses(T[bad], rays[bad], term.corners, seen, focal=camera.fx, huber=2.0)
+    with np.errstate(invalid="ignore"):
+        error = np.sqrt(np.nanmean(term.magnitudes(T)[good] ** 2, -1))
+    bad = np.flatnonzero(good)[~(error <= min(2 * median(error), POOR_FIT))]
+    if len(bad):
+        T[bad], _ = refined_poses(term.take(bad), T[bad], huber=2.0, until=SETTLING)
     return T

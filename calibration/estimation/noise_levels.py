@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calibration.estimation.median import median
 from calibration.estimation.problem import NoiseKind, Problem, Values
 from calibration.geometry.types import Array
 
@@ -71,7 +72,7 @@ def _scale(squared: Array, dimension: int, parameters: float, robust: bool) -> f
     freedom = max(1.0, len(squared) * dimension - parameters) / (len(squared) * dimension)
     if not robust:
         return float(np.sqrt(squared.mean() / dimension / freedom))
-    variance = float(np.median(squared)) / _MEDIAN[dimension] / freedom
+    variance = median(squared) / _MEDIAN[dimension] / freedom
     for _ in range(10):
         inside = squared[squared <= INLIERS**2 * variance * freedom]
         updated = float(inside.mean()) / _TRUNCATED_MEAN[dimension] / freedom if len(inside) else variance

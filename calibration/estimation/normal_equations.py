@@ -72,7 +72,7 @@ class NormalEquations:
         """The step of the local blocks alone, (N, P, 6), each collection with its own damping (N,)."""
         H = _damped(self.H_local, damping[:, None])
         step = -np.linalg.solve(H, self.g_local[..., None])[..., 0]
-        return np.asarray(step.reshape(len(step), -1, 6), float)
+        return np.asarray(step.reshape(len(step), H.shape[-1] // 6, 6), float)
 
     @cached_property
     def schur(self) -> Array:

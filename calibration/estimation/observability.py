@@ -111,7 +111,7 @@ def determined_parameters(
     """
     kinds = {term.kind for group in problem.groups for term in group.terms}
     if len(kinds) == 1:
-        observed = sum(int(np.unique(np.concatenate(_collections_of(problem, block))).size) for block in problem.local)
+        observed = sum(np.count_nonzero(np.bincount(_collections_of(problem, block))) for block in problem.local)
         return {kinds.pop(): 6.0 * (len(problem.shared) + observed)}
     shares = dict.fromkeys(kinds, 0.0)
     pose_covariance = _PoseCovariance(problem, equations)
@@ -149,6 +149,7 @@ class _PoseCovariance:
         return shared + local
 
 
-def _collections_of(problem: Problem, block: int) -> list[IntArray]:
-    """The collections of the views that depend on a block."""
-    return [g.collections for g in problem.groups if any(link.block == block for link in g.chain.links)]
+def _collections_of(problem: Problem, block: int) -> IntArray:
+    """The collections of the views that depend on a block, one after the other."""
+    groups = [g for g in problem.groups if any(link.block == block for link in g.chain.links)]
+    return np.concatenate([group.collections for group in groups])

@@ -6,7 +6,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calibration.estimation.least_squares import Optimum, Termination, choose, minimise, settle
-from calibration.estimation.noise_levels import NoiseLevels, estimate_scales
+from calibration.estimation.median import median
+from calibration.estimation.noise_levels import FLOORS, NoiseLevels, estimate_scales
 from calibration.estimation.normal_equations import NormalEquations, Weighting
 from calibration.estimation.observability import determined_parameters
 from calibration.estimation.planar_pose import mirrored_poses
@@ -72,9 +73,10 @@ def _plain(problem: Problem, values: Values, scales: dict[NoiseKind, float], est
     parameters = determined_parameters(problem, optimum.values, optimum.equations, weighting)
     if estimate and np.isfinite(optimum.cost):
         (kind,) = scales
-        estimated = estimate_scales(problem, optimum.values, parameters, robust=False)
-        optimum = replace(optimum, equations=_rescaled(optimum.equations, scales[kind] / estimated[kind]))
-        weighting = Weighting(estimated, None)
+        freedom = max(1.0, problem.residuals - parameters[kind])
+        estimated = max(FLOORS[kind], scales[kind] * float(np.sqrt(optimum.cost / freedom)))
+        optimum = replace(optimum, equations=_rescaled(optimum.equations, scales[kind] / estimated))
+        weighting = Weighting({kind: estimated}, None)
     return WeightedOptimum(optimum, weighting, parameters)
 
 
@@ -93,6 +95,8 @@ def _rescaled(equations: NormalEquations, factor: float) -> NormalEquations:
 
 SUSPICIOUS = 1.5
 """Collections whose cost per residual is greater than this times the median are tried with the pattern flipped."""
+BETTER = 0.1
+"""A flipped pose lowers its collection's cost by so much (and by 1 %): less is rounding, as with exact labels."""
 
 
 def unflipped(problem: Problem, values: Values, weighting: Weighting, cost: Array) -> tuple[Values, BoolArray]:
@@ -116,7 +120,7 @@ def unflipped(problem: Problem, values: Values, weighting: Weighting, cost: Arra
         for term in group.terms:
             np.add.at(expected, group.collections, term.counts * term.dimension)
     ratio = cost / np.maximum(expected, 1)
-    suspicious = ratio > SUSPICIOUS * np.median(ratio[expected > 0])
+    suspicious = ratio > SUSPICIOUS * median(ratio[expected > 0])
     flipped = np.zeros(problem.collections, bool)
     if not problem.local or not suspicious.any():
         return values, flipped
@@ -125,7 +129,7 @@ def unflipped(problem: Problem, values: Values, weighting: Weighting, cost: Arra
             mirrored = _mirrored(problem, group, values, suspicious)
             if mirrored is not None:
                 settled, settled_cost = settle(problem, mirrored, weighting, suspicious)
-                better = suspicious & (settled_cost < 0.99 * cost)
+                better = suspicious & (settled_cost < 0.99 * cost - BETTER)
                 values = choose(problem, better, settled, values)
                 cost = np.where(better, settled_cost, cost)
                 flipped |= better

@@ -4,15 +4,12 @@ Rays are undistorted normalised image coordinates in structure-of-arrays form, (
 and y, K corners (`calibration.geometry.cameras.Camera.normalise` gives them). What stands where a
 view has not seen a corner does not matter, NaN included. A view whose seen corners cannot give a
 pose gets NaN.
-
-`refine_poses` and `fit_poses` minimise the reprojection error in pixels of a given camera, or, where
-only a focal length is given, in pixels of an ideal camera: undistorted coordinates times that length.
 """
 
 import numpy as np
 
+from calibration.estimation.median import median
 from calibration.geometry import rotations
-from calibration.geometry.cameras import Camera, PlumbBob
 from calibration.geometry.transforms import apply, transform
 from calibration.geometry.types import Array, ArrayLike, BoolArray
 
@@ -127,144 +124,11 @@ def _regular(S: Array) -> BoolArray:
     return regular
 
 
-def refine_poses(
-    T: Array,
-    rays: Array,
-    corners: Array,
-    seen: BoolArray | None = None,
-    *,
-    focal: float | Array = 1.0,
-    camera: Camera | None = None,
-    huber: float | None = None,
-    iterations: int = 10,
-    tolerance: float = 1e-9,
-) -> tuple[Array, Array]:
-    """Least squares on each view alone (Levenberg-Marquardt), which never makes a view worse.
-
-    Args:
-        T: (V, 4, 4), ``T_camera_pattern`` to start from; NaN stays NaN.
-        rays: (V, 2, K), normalised coordinates.
-        corners: (K, 3), in the pattern's frame, m.
-        seen: (V, K), which corners each view has; None for all.
-        focal: the focal length in pixels of an ideal camera, one number or (V,).
-        camera: the camera of all views, with its distortion, instead of an ideal one.
-        huber: threshold in pixels on a corner's error, above which its cost grows linearly (P. J.
-            Huber, 1964); None for plain least squares.
-        iterations: at most so many passes over the corners.
-        tolerance: a view is done when its cost would fall by less than this fraction.
-
-    Returns:
-        The poses (V, 4, 4), and the root mean square error of each view (V,) in pixels: the norm of
-        the two-dimensional error over its seen corners, with `huber` the root of the mean robust cost.
-        NaN for views with fewer than three seen corners or a pattern behind the camera.
-    """
-    T, rms = T.copy(), np.empty(len(T))
-    distortion, scale = PlumbBob(), np.broadcast_to(np.asarray(focal, float), (2, len(T)))
-    if camera is not None:
-        distortion, scale = camera.distortion, np.tile([[camera.fx], [camera.fy]], len(T))
-    for start in range(0, len(T), _CHUNK):
-        views = slice(start, start + _CHUNK)
-        visible = np.ones((len(T[views]), len(corners)), bool) if seen is None else seen[views]
-        image = _Image(np.where(visible[:, None], rays[views], 0.0), visible, scale[:, views], distortion, huber)
-        T[views], rms[views] = _refine(T[views], corners, image, iterations, tolerance)
-    return T, rms
-
-
-class _Image:
-    """What a chunk of views is compared with: labels in distorted coordinates, and the error they make."""
-
-    def __init__(self, rays: Array, seen: BoolArray, scale: Array, distortion: PlumbBob, huber: float | None) -> None:
-        self.labels = np.stack(distortion.distort(rays[:, 0], rays[:, 1]), 1)
-        self.seen = seen
-        self.scale = np.where(seen, scale[..., None], 0.0)  # (2, V, K): no weight on what is not seen
-        self.distortion = distortion
-        self.huber = huber
-
-    def terms(self, R: Array, t: Array, X: Array) -> tuple[Array, Array, Array]:
-        """Cost (V,), ``J^T J`` (V, 6, 6) and ``J^T e`` (V, 6) of each view, for corners ``R X + t``, X (3, K).
-
-        The columns of J: a translation of the pattern, then its rotation vector, both in camera axes.
-        The cost is infinite where a seen corner lies behind the camera.
-        """
-        views, corners = self.seen.shape
-        arm = R @ X  # from the pattern's centre to the corner
-        z = np.where(self.seen, arm[:, 2] + t[:, 2, None], 1.0)
-        iz = 1 / z
-        x, y = (arm[:, 0] + t[:, 0, None]) * iz, (arm[:, 1] + t[:, 1, None]) * iz
-        (xd, yd), (xx, xy, yy) = self.distortion.distort_with_jacobian(x, y)
-        fx, fy = self.scale
-        ex, ey = (xd - self.labels[:, 0]) * fx, (yd - self.labels[:, 1]) * fy
-        squares = ex * ex + ey * ey
-        if self.huber is None:
-            cost = squares.sum(-1)
-        else:
-            error = np.sqrt(squares)
-            far = error > self.huber
-            cost = np.where(far, self.huber * (2 * error - self.huber), squares).sum(-1)
-            root = np.sqrt(np.where(far, self.huber / np.maximum(error, self.huber), 1.0))
-            ex, ey, fx, fy = ex * root, ey * root, fx * root, fy * root
-        cost[(z <= 0).any(-1)] = np.inf
-
-        J = np.empty((views, 7, 2, corners))  # the error is the seventh row
-        for i, (slope, jx, jy, e) in enumerate(((fx * iz, xx, xy, ex), (fy * iz, xy, yy, ey))):
-            jx, jy = slope * jx, slope * jy
-            jz = -(jx * x + jy * y)
-            J[:, 0, i], J[:, 1, i], J[:, 2, i], J[:, 6, i] = jx, jy, jz, e
-            J[:, 3, i] = arm[:, 1] * jz - arm[:, 2] * jy  # a turn w moves a corner by cross(w, arm)
-            J[:, 4, i] = arm[:, 2] * jx - arm[:, 0] * jz
-            J[:, 5, i] = arm[:, 0] * jy - arm[:, 1] * jx
-        flat = J.reshape(views, 7, -1)
-        G = flat @ flat.swapaxes(-1, -2)
-        return cost, G[:, :6, :6].copy(), G[:, :6, 6].copy()
-
-
-def _refine(T: Array, corners: Array, image: _Image, iterations: int, tolerance: float) -> tuple[Array, Array]:
-    """`refine_poses` for a chunk of views. A step turns the pattern about its centre, in the camera's axes."""
-    count = image.seen.sum(-1)
-    centre = corners.mean(0)
-    X = (corners - centre).T
-    R, t = T[:, :3, :3].copy(), apply(T, centre[None])[:, 0]
-    damping = np.full(len(T), 1e-6)
-    diagonal = np.arange(6)
-    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        cost, M, g = image.terms(R, t, X)
-        active = np.isfinite(cost) & (count >= 3)
-        for _ in range(iterations):
-            A, rhs = np.where(active[:, None, None], M, np.eye(6)), np.where(active[:, None], g, 0.0)
-            A[:, diagonal, diagonal] *= 1 + damping[:, None]
-            step = -np.linalg.solve(A, rhs[..., None])[..., 0]
-            expected = -(step * rhs).sum(-1)
-            active &= expected > tolerance * cost
-            if not active.any():
-                break
-            moved = rotations.exp(step[:, 3:]) @ R, t + step[:, :3]
-            trial = image.terms(*moved, X)
-            better = active & (trial[0] < cost)
-            damping = np.where(better, damping * 0.1, damping * 10.0)
-            for kept, new in zip((R, t, cost, M, g), (*moved, *trial), strict=True):
-                kept[better] = new[better]
-        rms = np.sqrt(cost / count)
-    usable = np.isfinite(rms) & (count >= 3)
-    pose = transform(R, t - (R @ centre[:, None])[..., 0])
-    return np.where(usable[:, None, None], pose, np.nan), np.where(usable, rms, np.nan)
-
-
-def fit_poses(rays: Array, corners: Array, seen: BoolArray | None = None, *, camera: Camera) -> tuple[Array, Array]:
-    """The best pose of each view: least squares from the linear pose and from its mirror image.
-
-    Args and returns as `refine_poses`, of which a view has the better of two minima.
-    """
-    T, rms = refine_poses(planar_poses(rays, corners, seen), rays, corners, seen, camera=camera)
-    mirrored, mirrored_rms = refine_poses(mirrored_poses(T, corners.mean(0)), rays, corners, seen, camera=camera)
-    flipped = mirrored_rms < rms
-    return np.where(flipped[:, None, None], mirrored, T), np.where(flipped, mirrored_rms, rms)
-
-
 def mirrored_poses(T: Array, centre: Array) -> Array:
     """The other pose in which each planar pattern looks nearly the same.
 
     Far away, a plane and its reflection in the image plane through its centre have one image: the
-    normal turns half a revolution about the line of sight to the centre. `refine_poses` from there
+    normal turns half a revolution about the line of sight to the centre. Least squares from there
     reaches the second local minimum (G. Schweighofer and A. Pinz, "Robust pose estimation from a
     planar target", 2006; T. Collins and A. Bartoli, "Infinitesimal plane-based pose estimation", 2014).
 
@@ -295,7 +159,7 @@ def mean_pose(T: Array, weights: ArrayLike | None = None) -> Array:
     R = rotations.nearest(np.einsum("n,nij->ij", w, T[:, :3, :3]))
     for _ in range(20):
         distance = np.linalg.norm(T[:, :3, :3] - R, axis=(1, 2))
-        nearness = w / np.maximum(distance, 0.05 * np.median(distance) + 1e-12)
+        nearness = w / np.maximum(distance, 0.05 * median(distance) + 1e-12)
         previous, R = R, rotations.nearest(np.einsum("n,nij->ij", nearness, T[:, :3, :3]))
         if np.linalg.norm(R - previous) < 1e-9:
             break

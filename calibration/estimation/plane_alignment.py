@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from calibration.estimation.median import median
 from calibration.geometry import rotations
 from calibration.geometry.transforms import inverse, transform
 from calibration.geometry.types import Array, BoolArray
@@ -60,6 +61,6 @@ def _aligned(n: Array, d: Array, m: Array, p: Array, guess: Array) -> tuple[Arra
         root = np.sqrt(weight)
         step = np.linalg.lstsq(n * root[:, None], open_distance * root, rcond=1e-3)[0]
         tilt = np.linalg.norm(n - m @ R.T, axis=-1)
-        miss = np.abs(open_distance - n @ step) + tilt * np.median(np.abs(d))
-        weight = 1.0 / np.maximum(miss, 0.5 * np.median(miss) + 1e-9)
-    return transform(R, guess[:3, 3] + step), float(np.median(miss))
+        miss = np.abs(open_distance - n @ step) + tilt * median(np.abs(d))
+        weight = 1.0 / np.maximum(miss, 0.5 * median(miss) + 1e-9)
+    return transform(R, guess[:3, 3] + step), median(miss)

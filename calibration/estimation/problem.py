@@ -152,6 +152,11 @@ class Problem:
         """The free blocks that each collection has its own of."""
         return [i for i, b in enumerate(self.blocks) if not b.held and b.per_collection]
 
+    @property
+    def residuals(self) -> int:
+        """How many residuals all labels make."""
+        return sum(int(term.counts.sum()) * term.dimension for group in self.groups for term in group.terms)
+
     def poses(self, group: ViewGroup, values: Values) -> Array:
         """``T_sensor_pattern`` (V, 4, 4) of all views of a group."""
         return group.chain.poses(values, slice(None), group.collections)

@@ -8,7 +8,7 @@ temporaries stay in the processor's cache.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -17,8 +17,8 @@ from calibration.estimation.problem import NoiseKind
 from calibration.geometry.cameras import Camera
 from calibration.geometry.types import Array, BoolArray, IntArray
 
-CHUNK = 128
-"""Views at a time: 128 views of 50 corners keep the 7 x 100 rows of each in a second-level cache."""
+CHUNK = 6400
+"""Labels at a time: the rows of 128 views of 50 corners stay in a second-level cache."""
 
 Linearised = tuple[Array, Array, Array]
 
@@ -44,12 +44,23 @@ class CornerTerm:
         V, _, K = self.pixels.shape
         return np.full(V, K) if self.seen is None else np.asarray(np.count_nonzero(self.seen, axis=-1))
 
+    @property
+    def rays(self) -> Array:
+        """(V, 2, K): the labels as undistorted normalised coordinates."""
+        camera = self.camera
+        x, y = (self.pixels[:, 0] - camera.cx) / camera.fx, (self.pixels[:, 1] - camera.cy) / camera.fy
+        return np.stack(camera.distortion.undistort(x, y), 1)
+
+    def take(self, views: IntArray | slice) -> "CornerTerm":
+        """Only some of the views."""
+        return replace(self, pixels=self.pixels[views], seen=None if self.seen is None else self.seen[views])
+
     def linearise(self, T: Array, views: slice, scale: float, huber: float | None) -> Linearised:
         """See `calibration.estimation.problem.Term`."""
         pixels = self.pixels[views]
         seen = None if self.seen is None else self.seen[views]
         cost, H, g = np.empty(len(T)), np.empty((len(T), 6, 6)), np.empty((len(T), 6))
-        for part in _chunks(len(T)):
+        for part in chunks(len(T), len(self.corners)):
             cost[part], H[part], g[part] = self._linearise(
                 T[part], pixels[part], None if seen is None else seen[part], scale, huber
             )
@@ -58,7 +69,7 @@ class CornerTerm:
     def magnitudes(self, T: Array) -> Array:
         """(V, K): distance from each label to the projected corner (px); NaN where not seen or behind."""
         out = np.empty((len(T), len(self.corners)))
-        for part in _chunks(len(T)):
+        for part in chunks(len(T), len(self.corners)):
             seen = None if self.seen is None else self.seen[part]
             x, y, _, front = self._normalised(T[part], seen)
             xd, yd = self.camera.distortion.distort(x, y)
@@ -143,7 +154,7 @@ class RangeTerm:
     """Points of a LiDAR on a pattern's plane: measured range minus the range at which the ray meets it.
 
     The difference is taken along the ray, where a LiDAR errs, so that one standard deviation holds at
-    every angle of incidence.
+    every angle of incidence; for a ray that hardly meets the plane it is bounded (see `_Meeting`).
     """
 
     rays: Array
@@ -163,17 +174,18 @@ class RangeTerm:
 
     def linearise(self, T: Array, views: slice, scale: float, huber: float | None) -> Linearised:
         """See `calibration.estimation.problem.Term`."""
-        rays, present = self.rays[views], self.present[views]
-        distance, cosine, hit = _meet(T, rays, present)
-        residual = np.where(present, (self.ranges[views] - distance) / scale, 0.0)
-        slope = 1.0 / (scale * cosine)
-        h = -T[:, :3, 2, None] * slope[:, None]  # d(residual) = h . (dt + dw x point)
-        return _plane_rows(h, distance[:, None] * rays, residual, present, hit, huber)
+        rays, ranges, present = self.rays[views], self.ranges[views], self.present[views]
+        cost, H, g = np.empty(len(T)), np.empty((len(T), 6, 6)), np.empty((len(T), 6))
+        for part in chunks(len(T), rays.shape[-1]):
+            cost[part], H[part], g[part] = _range_rows(
+                _Meeting(T[part], rays[part], ranges[part]), present[part], scale, huber
+            )
+        return cost, H, g
 
     def magnitudes(self, T: Array) -> Array:
         """(V, L): absolute range error in m; NaN where there is no point."""
-        distance, _, _ = _meet(T, self.rays, self.present)
-        return np.where(self.present, np.abs(self.ranges - distance), np.nan)
+        meeting = _Meeting(T, self.rays, self.ranges)
+        return np.where(self.present, np.abs(meeting.height * meeting.slope), np.nan)
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,11 +194,13 @@ class BorderTerm:
 
     Where the ray meets the plane follows from its direction alone, so the range noise stays out. The
     rays point to where the border is *expected*: half a step of the scan beyond the last point on
-    the pattern (see `calibration.estimation.build`).
+    the pattern (see `calibration.estimation.scan`).
     """
 
     rays: Array
     """(V, 3, L): unit directions in the sensor's frame; anything where there is no ray."""
+    ranges: Array
+    """(V, L): measured there, m; matters only for rays that hardly meet the plane."""
     present: BoolArray
     """(V, L)."""
     normals: Array
@@ -204,22 +218,25 @@ class BorderTerm:
 
     def linearise(self, T: Array, views: slice, scale: float, huber: float | None) -> Linearised:
         """See `calibration.estimation.problem.Term`."""
-        rays, present = self.rays[views], self.present[views]
-        distance, cosine, hit = _meet(T, rays, present)
-        point = distance[:, None] * rays
-        signed, side = self._distances(T, point)
-        residual = np.where(present, signed / scale, 0.0)
-        # the border's normal m in the sensor's frame; the hit slides along the ray to stay on the plane
-        m = np.einsum("vij,vlj->vil", T[:, :3, :2], self.normals[side])
-        n = T[:, :3, 2, None]
-        slide = (m * rays).sum(1) / cosine
-        h = (slide[:, None] * n - m) / scale
-        return _plane_rows(h, point, residual, present, hit, huber)
+        meeting = _Meeting(T, self.rays[views], self.ranges[views])
+        present = self.present[views]
+        signed, side = self._distances(T, meeting.hits)
+        m = np.einsum("vij,vlj->vil", T[:, :3, :2], self.normals[side])  # the line's normal in the sensor's frame
+        # the line moves by m . (dt + dw x hit), and the hit slides along the ray as the plane moves and turns
+        along = (m * meeting.rays).sum(1)
+        square = meeting.slope**2
+        falls = along * meeting.cosine * square
+        turns = along * meeting.height * square * (2 * meeting.cosine**2 * square - 1) - falls * meeting.ranges
+        J = np.empty((len(T), 7, m.shape[-1]))
+        J[:, :3] = falls[:, None] * meeting.n - m
+        J[:, 3:6] = turns[:, None] * meeting.d_cosine - _cross(meeting.hits, m)
+        J[:, 6] = signed
+        J /= scale
+        return _squeezed(J, present, huber)
 
     def magnitudes(self, T: Array) -> Array:
         """(V, L): distance to the nearest border line in m; NaN where there is no ray."""
-        distance, _, _ = _meet(T, self.rays, self.present)
-        signed, _ = self._distances(T, distance[:, None] * self.rays)
+        signed, _ = self._distances(T, _Meeting(T, self.rays, self.ranges).hits)
         return np.where(self.present, np.abs(signed), np.nan)
 
     def _distances(self, T: Array, points: Array) -> tuple[Array, IntArray]:
@@ -228,6 +245,43 @@ class BorderTerm:
         signed = np.einsum("si,vil->vls", self.normals, local) - self.offsets
         side = np.abs(signed).argmin(-1)
         return np.take_along_axis(signed, side[..., None], -1)[..., 0], side
+
+
+GRAZING = 0.05
+"""Cosine of incidence below which a ray no longer says where it meets a plane (3 degrees)."""
+
+
+class _Meeting:
+    """Where rays meet the patterns' planes.
+
+    Exactly, a ray at the height h over the plane, at its measured range, has ``h / cosine`` left to go.
+    That is unbounded for a ray along the plane, as a start far from the truth may have it; so 1 / cosine
+    is replaced by ``cosine / (cosine^2 + GRAZING^2)``, and where only its size matters by the root of
+    ``1 / (cosine^2 + GRAZING^2)``: the same for all other rays, and smooth and finite for every pose.
+    """
+
+    def __init__(self, T: Array, rays: Array, ranges: Array) -> None:
+        self.rays = rays
+        self.ranges = ranges
+        self.n = T[:, :3, 2, None]
+        """(v, 3, 1): the plane's normal in the sensor's frame."""
+        self.cosine = np.einsum("vi,vil->vl", T[:, :3, 2], rays)
+        """(v, L)."""
+        self.height = ranges * self.cosine - (T[:, :3, 2] * T[:, :3, 3]).sum(-1)[:, None]
+        """(v, L): of the measured point over the plane, m; of the cosine's sign where it lies behind."""
+        self.slope = 1.0 / np.sqrt(self.cosine * self.cosine + GRAZING**2)
+        """(v, L): hardly less than 1 / |cosine|."""
+
+    @cached_property
+    def hits(self) -> Array:
+        """(v, 3, L): where the rays meet the plane."""
+        hits: Array = (self.ranges - self.height * self.cosine * self.slope**2)[:, None] * self.rays
+        return hits
+
+    @cached_property
+    def d_cosine(self) -> Array:
+        """(v, 3, L): the derivative of the cosine to a rotation of the plane, ``n x ray``."""
+        return _cross(self.n, self.rays)
 
 
 def robust(squared: Array, huber: float | None) -> tuple[Array, Array | None]:
@@ -245,35 +299,37 @@ def robust(squared: Array, huber: float | None) -> tuple[Array, Array | None]:
     return cost, np.sqrt(np.where(outside, huber / np.maximum(e, huber), 1.0))
 
 
-def _meet(T: Array, rays: Array, present: BoolArray) -> tuple[Array, Array, BoolArray]:
-    """Where rays (v, 3, L) meet the pattern's plane: distance (v, L), cosine to its normal, whether they do."""
-    n = T[:, :3, 2]
-    cosine = np.einsum("vi,vil->vl", n, rays)
-    height = (n * T[:, :3, 3]).sum(-1)[:, None]
-    grazing = np.abs(cosine) < 1e-9
-    safe = np.where(grazing, 1.0, cosine)
-    distance = height / safe
-    hit = ~present | (~grazing & (distance > 0))
-    return np.where(present, distance, 1.0), safe, hit
+def _cross(a: Array, b: Array) -> Array:
+    """The cross product of vectors (v, 3, L)."""
+    (a0, a1, a2), (b0, b1, b2) = np.moveaxis(a, 1, 0), np.moveaxis(b, 1, 0)
+    return np.stack([a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0], 1)
 
 
-def _plane_rows(
-    h: Array, points: Array, residual: Array, present: BoolArray, hit: BoolArray, huber: float | None
-) -> Linearised:
-    """From d(residual) = h . (dt + dw x point), all (v, 3, L), to cost, Hessian and gradient."""
-    cost, weight = robust(residual * residual, huber)
-    cost = np.where(hit.all(-1), cost, np.inf)
-    J = np.empty((len(h), 7, h.shape[-1]))
-    J[:, :3] = h
-    J[:, 3] = points[:, 1] * h[:, 2] - points[:, 2] * h[:, 1]
-    J[:, 4] = points[:, 2] * h[:, 0] - points[:, 0] * h[:, 2]
-    J[:, 5] = points[:, 0] * h[:, 1] - points[:, 1] * h[:, 0]
-    J[:, 6] = residual
-    J *= (present if weight is None else present * weight)[:, None]
-    G = J @ J.transpose(0, 2, 1)
+def _range_rows(meeting: _Meeting, present: BoolArray, scale: float, huber: float | None) -> Linearised:
+    """Cost, Hessian and gradient of ranges.
+
+    The plane's height under a point p changes by ``-n . (dt + dw x p)``, the cosine by ``(n x ray) . dw``.
+    """
+    rows = np.empty((len(meeting.rays), 7, meeting.rays.shape[-1]))
+    slope = meeting.slope / scale
+    rows[:, :3] = -meeting.n * slope[:, None]
+    turns = slope * (meeting.ranges - meeting.height * meeting.cosine * meeting.slope * meeting.slope)
+    rows[:, 3:6] = turns[:, None] * meeting.d_cosine
+    rows[:, 6] = meeting.height * slope
+    return _squeezed(rows, present, huber)
+
+
+def _squeezed(rows: Array, present: BoolArray, huber: float | None) -> Linearised:
+    """Cost, Hessian and gradient of rows (v, 7, L): six of the Jacobian, and the residual; overwrites them."""
+    rows[:, 6] = np.where(present, rows[:, 6], 0.0)
+    cost, weight = robust(rows[:, 6] ** 2, huber)
+    rows *= (present if weight is None else present * weight)[:, None]
+    G = rows @ rows.transpose(0, 2, 1)
     return cost, G[:, :6, :6], G[:, :6, 6]
 
 
-def _chunks(views: int) -> Iterator[slice]:
-    for start in range(0, views, CHUNK):
-        yield slice(start, min(start + CHUNK, views))
+def chunks(views: int, labels: int) -> Iterator[slice]:
+    """Parts of the views with about `CHUNK` labels each, at least one view."""
+    step = max(1, CHUNK // max(1, labels))
+    for start in range(0, views, step):
+        yield slice(start, min(start + step, views))

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from calibration.estimation.median import median
 from calibration.geometry.types import Array, BoolArray, IntArray
 
 RING_GAP = 5e-4
@@ -9,7 +10,7 @@ RING_GAP = 5e-4
 
 
 def border_rays(points: Array, limits: IntArray) -> Array:
-    """Points (L', 3) on the rays that meet the border, as well as the scan can tell.
+    """Points on the rays that meet the border, one for each limit point, as well as the scan can tell.
 
     A limit point is the last one of its ring *on* the pattern: the border runs somewhere between it
     and the next ray, on average half a step of the scan farther out. So each limit point is turned by
@@ -21,23 +22,20 @@ def border_rays(points: Array, limits: IntArray) -> Array:
         limits: (L,), which of them lie on the border.
 
     Returns:
-        (L', 3); limit points alone on their ring are left out, because they do not tell which side
-        of the pattern they are on.
+        (L, 3); NaN for limit points alone on their ring, because they do not tell which side of the
+        pattern they are on.
     """
-    if not len(limits):
-        return np.zeros((0, 3))
     turns = np.full(len(points), np.nan)
     azimuth = _azimuth(points)
     for ring in _rings(points):
         if len(ring) > 1:
             order = ring[np.argsort(azimuth[ring])]
-            half_step = 0.5 * float(np.median(np.diff(azimuth[order])))
+            half_step = 0.5 * median(np.diff(azimuth[order]))
             turns[order[1:-1]] = 0.0
             turns[order[0]], turns[order[-1]] = -half_step, half_step
-    usable = limits[~np.isnan(turns[limits])]
-    cos, sin = np.cos(turns[usable]), np.sin(turns[usable])
-    x, y, z = points[usable].T
-    return np.stack([cos * x - sin * y, sin * x + cos * y, z], -1)
+    cos, sin = np.cos(turns[limits]), np.sin(turns[limits])
+    x, y, z = points[limits].T
+    return np.stack([cos * x - sin * y, sin * x + cos * y, np.where(np.isnan(cos), np.nan, z)], -1)
 
 
 def _azimuth(points: Array) -> Array:

@@ -31,6 +31,8 @@ class StartingNoise:
 
 def perturb(setup: Setup, values: Values, noise: StartingNoise) -> Values:
     """The values with noise on the transforms to calibrate; the same draws for every size of noise."""
+    if noise.translation == noise.rotation == 0.0:
+        return values
     rng = np.random.default_rng(noise.seed)
     out = list(values)
     dataset = setup.dataset
@@ -46,7 +48,7 @@ def _noisy_edges(dataset: Dataset) -> list[tuple[str, str]]:
     return [edge for edge in dict.fromkeys(edges) if edge != anchored]
 
 
-def _moved(T: Array, noise: StartingNoise, rng: np.random.Generator) -> Array:
+def _moved(T: Array, noise: StartingNoise, rng: "np.random.Generator") -> Array:
     direction = rng.uniform(-1.0, 1.0, 3)
     signs = rng.choice([-1.0, 1.0], 3)
     t = T[:3, 3] + noise.translation * direction / np.linalg.norm(direction)

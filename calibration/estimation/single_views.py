@@ -1,0 +1,80 @@
+"""The pose that each view of a camera gives by itself.
+
+Poses are ``T_camera_centre``: the pattern's frame moved to the centre of its corners, as in
+`calibration.estimation.problem`.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from calibration.dataset.model import CornerLabels
+from calibration.dataset.pattern import Pattern
+from calibration.estimation.least_squares import Termination, settle
+from calibration.estimation.normal_equations import Weighting
+from calibration.estimation.planar_pose import mirrored_poses, planar_poses
+from calibration.estimation.problem import Block, Chain, Link, Problem, ViewGroup
+from calibration.estimation.residuals import CornerTerm, chunks
+from calibration.geometry.cameras import Camera
+from calibration.geometry.types import Array, BoolArray
+
+THOROUGHLY = Termination(decrease=1e-12, iterations=100)
+"""To the last digits: what is written must not depend on where a solver stops."""
+
+
+def corner_term(camera: Camera, pattern: Pattern, views: Sequence[CornerLabels]) -> CornerTerm:
+    """The labels of a camera's views of a pattern."""
+    K = len(pattern.corners)
+    pixels, seen = np.zeros((len(views), 2, K)), np.zeros((len(views), K), bool)
+    for v, labels in enumerate(views):
+        pixels[v][:, labels.ids] = labels.pixels.T
+        seen[v, labels.ids] = True
+    return CornerTerm(camera, pattern.corners - pattern.centre, pixels, None if seen.all() else seen)
+
+
+def linear_poses(term: CornerTerm) -> Array:
+    """``T_camera_centre`` (V, 4, 4) of each view by its homography; NaN where its corners give none."""
+    T = np.empty((len(term.pixels), 4, 4))
+    for views in chunks(*term.pixels.shape[::2]):
+        part = term.take(views)
+        T[views] = planar_poses(part.rays, part.corners, part.seen)
+    return T
+
+
+def refined_poses(
+    term: CornerTerm, T: Array, huber: float | None = None, until: Termination = THOROUGHLY
+) -> tuple[Array, Array]:
+    """Least squares in pixels on each view alone, which never makes a view worse.
+
+    Args:
+        term: the labels.
+        T: (V, 4, 4), where to start; NaN stays NaN.
+        huber: threshold in pixels of the robust loss; None for plain least squares.
+        until: when to stop.
+
+    Returns:
+        The poses (V, 4, 4), and the root mean square error (V,) of each view in pixels, of the robust
+        loss where there is one; NaN for a pattern behind the camera.
+    """
+    V = len(T)
+    chain = Chain(None, (Link(0, inverted=False),))
+    group = ViewGroup("camera", "pattern", np.arange(V), chain, (term,))
+    problem = Problem((Block("view", per_collection=True),), (group,), V)
+    given: BoolArray = np.isfinite(T[:, 0, 0])
+    start = np.where(given[:, None, None], T, np.eye(4))
+    with np.errstate(invalid="ignore", over="ignore"):
+        (found,), cost = settle(problem, (start,), Weighting({"pixel": 1.0}, huber), given, until)
+        usable = given & np.isfinite(cost)
+        rms = np.sqrt(cost / np.maximum(term.counts, 1))
+    return np.where(usable[:, None, None], found, np.nan), np.where(usable, rms, np.nan)
+
+
+def fitted_poses(term: CornerTerm) -> tuple[Array, Array]:
+    """The best pose of each view: least squares from the linear pose and from its mirror image.
+
+    Returns as `refined_poses`, of each view the better of two minima.
+    """
+    T, rms = refined_poses(term, linear_poses(term))
+    mirrored, mirrored_rms = refined_poses(term, mirrored_poses(T, np.zeros(3)))
+    flipped = mirrored_rms < rms
+    return np.where(flipped[:, None, None], mirrored, T), np.where(flipped, mirrored_rms, rms)

@@ -1,0 +1,96 @@
+"""Which labels count: those that say where the pattern is."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from calibration.dataset.model import CornerLabels, Dataset, Labels
+from calibration.errors import InputError, UndeterminedError
+from calibration.estimation.planar_pose import planar_poses
+
+MINIMUM_CORNERS = 4
+"""Fewer corners do not determine a pattern's pose, and would add flipped ones."""
+MINIMUM_POINTS = 10
+"""Fewer points of a LiDAR hardly make a plane (ATOM's rule too)."""
+
+
+def usable_labels(dataset: Dataset) -> tuple[Dataset, tuple[str, ...]]:
+    """The dataset without labels that determine nothing, and without collections and patterns that have none left.
+
+    Views of a LiDAR need a camera that saw the pattern: at the same moment, or ever when it is fixed.
+
+    Returns:
+        The dataset, and what was left out, and why.
+
+    Raises:
+        InputError: a sensor has no labels left.
+        UndeterminedError: fewer than two collections are left.
+    """
+    ignored: list[str] = []
+    on_lines = _on_lines(dataset)
+    kept: list[dict[tuple[str, str], Labels]] = []
+    for i, collection in enumerate(dataset.collections):
+        faults = {key: _too_few(label) or on_lines.get((i, *key), "") for key, label in collection.labels.items()}
+        kept.append({key: label for key, label in collection.labels.items() if not faults[key]})
+        ignored += [f"collection {collection.key}, {key[1]}: {fault}" for key, fault in faults.items() if fault]
+    fixed = {p for labels in kept for p in _seen_by_cameras(labels) if dataset.patterns[p].fixed}
+    for collection, labels in zip(dataset.collections, kept, strict=True):
+        known = fixed | _seen_by_cameras(labels)
+        for pattern, sensor in [key for key in labels if key[0] not in known]:
+            del labels[pattern, sensor]
+            ignored.append(f"collection {collection.key}, {sensor}: no camera saw '{pattern}'")
+    for sensor in dataset.sensors:
+        if not any(sensor == s for labels in kept for _, s in labels):
+            raise InputError(f"{dataset.path}: sensor '{sensor}': no collection has enough labels of it")
+    seen = {pattern for labels in kept for pattern, _ in labels}
+    ignored += [
+        f"pattern '{name}': no collection has enough labels of it" for name in dataset.patterns if name not in seen
+    ]
+    keep = [i for i, labels in enumerate(kept) if labels]
+    if len(keep) < 2:
+        raise UndeterminedError(
+            f"{dataset.path}: {len(keep)} collection has labels; at least 2 are needed, because one view of a flat "
+            f"pattern cannot be told from its mirror image"
+        )
+    usable = replace(
+        dataset,
+        patterns={name: pattern for name, pattern in dataset.patterns.items() if name in seen},
+        collections=tuple(replace(c, labels=labels) for c, labels in zip(dataset.collections, kept, strict=True)),
+    )
+    return usable.with_collections(keep), tuple(ignored)
+
+
+def _seen_by_cameras(labels: Mapping[tuple[str, str], Labels]) -> set[str]:
+    """The patterns of which there are corners."""
+    return {pattern for (pattern, _), label in labels.items() if isinstance(label, CornerLabels)}
+
+
+def _too_few(label: Labels) -> str:
+    """Why labels are too few to determine a view, or nothing."""
+    corners = isinstance(label, CornerLabels)
+    count = len(label.ids if isinstance(label, CornerLabels) else label.points)
+    minimum, what = (MINIMUM_CORNERS, "corners") if corners else (MINIMUM_POINTS, "points")
+    return f"{count} {what}, at least {minimum} are needed" if count < minimum else ""
+
+
+def _on_lines(dataset: Dataset) -> dict[tuple[int, str, str], str]:
+    """Views (collection, pattern, sensor) whose corners leave the pose open: all but at most one on a line."""
+    found: dict[tuple[int, str, str], str] = {}
+    for name, pattern in dataset.patterns.items():
+        K = len(pattern.corners)
+        partial = {
+            (i, *key): label.ids
+            for i, collection in enumerate(dataset.collections)
+            for key, label in collection.labels.items()
+            if key[0] == name and isinstance(label, CornerLabels) and MINIMUM_CORNERS <= len(label.ids) < K
+        }
+        seen = np.zeros((len(partial), K), bool)
+        for row, ids in zip(seen, partial.values(), strict=True):
+            row[ids] = True
+        straight_ahead = np.broadcast_to(pattern.corners[:, :2].T, (len(partial), 2, K))
+        poses = planar_poses(straight_ahead, pattern.corners, seen)
+        found |= {
+            view: "its corners lie on a line" for view, T in zip(partial, poses, strict=True) if np.isnan(T[0, 0])
+        }
+    return found

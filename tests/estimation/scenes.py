@@ -1,0 +1,175 @@
+"""Small synthetic datasets of any structure: a tree of frames, sensors, patterns, and what the sensors would see."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from calibration.dataset.model import Collection, CornerLabels, Dataset, Edge, Labels, PointLabels, Sensor
+from calibration.dataset.pattern import Pattern, grid, outline
+from calibration.estimation.build import Setup
+from calibration.estimation.problem import Values
+from calibration.geometry import rotations
+from calibration.geometry.cameras import Camera, PlumbBob
+from calibration.geometry.transforms import apply, distance, from_xyz_rpy, inverse, retract, transform, translation
+from calibration.geometry.types import Array
+
+PINHOLE = Camera(800.0, 790.0, 640.0, 480.0, 1280, 960)
+WIDE = replace(PINHOLE, distortion=PlumbBob(-0.10, 0.05, 0.001, -0.0005, 0.01))
+# A LiDAR's frame (x ahead, z up) in a camera's axes (z ahead, y down).
+AHEAD = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
+
+
+@dataclass(frozen=True)
+class Scene:
+    """The truth, from which `dataset` makes labels."""
+
+    transforms: Mapping[Edge, Array]
+    """``T_parent_child``, (4, 4) or (N, 4, 4), those of the patterns among them."""
+    sensors: Sequence[Sensor]
+    patterns: Sequence[Pattern]
+    anchored: str | None = None
+    additional: tuple[Edge, ...] = ()
+    sees: Callable[[str, str, int], bool] = lambda sensor, pattern, collection: True
+    """Whether a sensor sees a pattern in a collection."""
+    pixel_noise: float = 0.0
+    range_noise: float = 0.0
+    partial: float = 0.0
+    """The share of camera views that see only a random half of the corners."""
+    border: bool = True
+    """Whether LiDAR labels have limit points."""
+
+    def dataset(self, seed: int = 0) -> Dataset:
+        """Labels of the true scene; the transforms of the dataset are the truth."""
+        rng = np.random.default_rng(seed)
+        N = max(len(T) for T in self.transforms.values() if T.ndim == 3)
+        edges = {edge: np.broadcast_to(T, (N, 4, 4)).copy() for edge, T in self.transforms.items()}
+        labels: list[dict[tuple[str, str], Labels]] = [{} for _ in range(N)]
+        dataset = Dataset(
+            path=Path("scene/dataset.json"),
+            version="3.0",
+            world="world",
+            sensors={sensor.name: sensor for sensor in self.sensors},
+            patterns={pattern.name: pattern for pattern in self.patterns},
+            anchored=self.anchored,
+            additional_transforms=self.additional,
+            collections=tuple(Collection(f"{i:03}", labels[i]) for i in range(N)),
+            transforms=edges,
+            document={},
+        )
+        for pattern in self.patterns:
+            for sensor in self.sensors:
+                T = dataset.transform(sensor.frame, pattern.link)
+                for i in range(N):
+                    if self.sees(sensor.name, pattern.name, i):
+                        labels[i][pattern.name, sensor.name] = self._label(sensor, pattern, T[i], rng)
+        return dataset
+
+    def _label(self, sensor: Sensor, pattern: Pattern, T: Array, rng: np.random.Generator) -> Labels:
+        if sensor.camera is None:
+            return scan(pattern, T, rng, self.range_noise, self.border)
+        pixels = sensor.camera.project(apply(T, pattern.corners))
+        pixels += rng.normal(size=pixels.shape) * self.pixel_noise
+        K = len(pattern.corners)
+        count = K // 2 if rng.random() < self.partial else K
+        ids = np.sort(rng.permutation(K)[:count])
+        return CornerLabels(ids, pixels[ids])
+
+
+def scan(
+    pattern: Pattern, T: Array, rng: np.random.Generator, noise: float = 0.0, border: bool = True, step: float = 0.4
+) -> PointLabels:
+    """The points of a LiDAR of 16 rings, 2 degrees apart, on a pattern at ``T_sensor_pattern``; the ends of rings."""
+    polar, azimuth = np.radians(90 - np.arange(-15, 16, 2)), np.radians(np.arange(-180, 180, step))
+    rays = np.stack(
+        [
+            np.sin(polar)[:, None] * np.cos(azimuth),
+            np.sin(polar)[:, None] * np.sin(azimuth),
+            np.cos(polar)[:, None] + 0 * azimuth,
+        ],
+        -1,
+    )
+    with np.errstate(divide="ignore"):
+        distance = (T[:3, 2] @ T[:3, 3]) / (rays @ T[:3, 2])
+    at = (rays * distance[..., None] - T[:3, 3]) @ T[:3, :2]
+    low, high = pattern.outline.min(0), pattern.outline.max(0)
+    hit = (distance > 0) & (at >= low).all(-1) & (at <= high).all(-1)
+    points = rays[hit] * (distance[hit] + rng.normal(size=hit.sum()) * noise)[:, None]
+    if not border:
+        return PointLabels(points, np.zeros(0, int))
+    ring, column = np.nonzero(hit)
+    # rings across the seam at 180 degrees are in one piece when counted from the pattern's own azimuth
+    middle = np.arctan2(T[1, 3], T[0, 3])
+    around = np.mod(azimuth[column] - middle + np.pi, 2 * np.pi)
+    limits = []
+    for r in np.unique(ring):
+        own = np.flatnonzero(ring == r)
+        limits += [own[around[own].argmin()], own[around[own].argmax()]]
+    return PointLabels(points, np.unique(limits).astype(int))
+
+
+def board(name: str = "board", parent: str = "world", fixed: bool = False, square: float = 0.06) -> Pattern:
+    """6 x 5 corners in a border of half a square."""
+    border = outline(6, 5, square, (square / 2, square / 2), (0.0, 0.0))
+    return Pattern(name, "chessboard", f"{name}_link", parent, fixed, grid(6, 5, square, (0.0, 0.0)), border)
+
+
+def camera(name: str, parent: str = "world", model: Camera = WIDE) -> Sensor:
+    return Sensor(name, "rgb", name, parent, name, model)
+
+
+def lidar(name: str, parent: str = "world") -> Sensor:
+    return Sensor(name, "lidar3d", name, parent, name)
+
+
+def pose(x: float, y: float, z: float, roll: float = 0.0, pitch: float = 0.0, yaw: float = 0.0) -> Array:
+    return from_xyz_rpy((x, y, z), (roll, pitch, yaw))
+
+
+def looks(n: int, seed: int = 0, tilt: float = 0.6, pattern: Pattern | None = None) -> Array:
+    """``T_camera_pattern`` (n, 4, 4): patterns 1 to 2 m away, tilted by about `tilt` rad."""
+    rng = np.random.default_rng(1000 + seed)
+    axis = rng.normal(size=(n, 3))
+    axis /= np.linalg.norm(axis, axis=-1, keepdims=True)
+    R = rotations.exp(axis * rng.uniform(0.3, 1.0, (n, 1)) * tilt)
+    centre = rng.uniform((-0.3, -0.2, 1.0), (0.3, 0.2, 2.0), (n, 3))
+    return transform(R, centre - R @ (pattern or board()).centre)
+
+
+def true_values(setup: Setup) -> Values:
+    """The truth of all blocks, the dataset's transforms being true; patterns about their centre."""
+    centres = {setup.pattern_edge(name): translation(p.centre) for name, p in setup.dataset.patterns.items()}
+    return tuple(
+        (setup.dataset.transforms[edge] if block.per_collection else setup.dataset.transforms[edge][0])
+        @ centres.get(edge, np.eye(4))
+        for edge, block in zip(setup.edges, setup.problem.blocks, strict=True)
+    )
+
+
+def shaken(setup: Setup, values: Values, size: float, seed: int = 0) -> Values:
+    """The values with random twists on all blocks that are not held, each coordinate up to `size` (m, rad)."""
+    rng = np.random.default_rng(seed)
+    return tuple(
+        value if block.held else retract(value, rng.uniform(-size, size, (*value.shape[:-2], 6)))
+        for value, block in zip(values, setup.problem.blocks, strict=True)
+    )
+
+
+def relabelled(dataset: Dataset, change: Callable[[int, str, Labels], Labels | None]) -> Dataset:
+    """The dataset with what `change(collection, sensor, labels)` makes of the labels of each view; None: not seen."""
+    collections = []
+    for i, collection in enumerate(dataset.collections):
+        changed = {key: change(i, key[1], label) for key, label in collection.labels.items()}
+        collections.append(
+            replace(collection, labels={key: label for key, label in changed.items() if label is not None})
+        )
+    return replace(dataset, collections=tuple(collections))
+
+
+def errors(dataset: Dataset, transforms: Mapping[Edge, Array], gauge: str | None = None) -> tuple[float, float]:
+    """The largest errors (m, rad) against the dataset's transforms, the sensor that was held being right."""
+    edge = dataset.sensors[gauge].edge if gauge else None
+    back = dataset.transforms[edge][0] @ inverse(transforms[edge]) if edge else np.eye(4)
+    apart = [distance(dataset.transforms[e][0], back @ T) for e, T in transforms.items()]
+    return max(float(t) for t, _ in apart), max(float(r) for _, r in apart)

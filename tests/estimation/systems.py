@@ -1,0 +1,149 @@
+"""Systems of every structure that the engine calibrates, as scenes."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from calibration.dataset.model import Sensor
+from calibration.geometry import rotations
+from calibration.geometry.transforms import inverse, retract, transform
+from calibration.geometry.types import Array
+from tests.estimation.scenes import AHEAD, PINHOLE, WIDE, Scene, board, camera, lidar, looks, pose
+
+STEREO = {("world", "left"): pose(0.1, 0.2, 0.3, -1.6, 0.1, -1.5), ("world", "right"): np.eye(4)}
+STEREO["world", "right"] = STEREO["world", "left"] @ pose(0.3, 0.02, 0.05, 0.02, -0.2, 0.05)
+
+
+def stereo(n: int = 12, seed: int = 0, **changes: object) -> Scene:
+    """Two static cameras, a moving pattern, nothing anchored."""
+    moving = STEREO["world", "left"] @ looks(n, seed)
+    transforms = {**STEREO, ("world", "board_link"): moving}
+    return replace(Scene(transforms, [camera("left"), camera("right", model=PINHOLE)], [board()]), **changes)
+
+
+def ring(n: int = 20, seed: int = 0, cameras: int = 5, **changes: object) -> Scene:
+    """Static cameras; collection i is seen by the cameras i and i + 1 only (modulo their number less one)."""
+    transforms = {("world", f"c{k}"): pose(0.2 * k, 0.1, 0.0, 0.1 * k, -0.1 * k, 0.02) for k in range(cameras)}
+    first = np.arange(n) % (cameras - 1)
+    at = np.stack([transforms["world", f"c{k}"] for k in first])
+    transforms["world", "board_link"] = at @ looks(n, seed)
+    scene = Scene(transforms, [camera(f"c{k}") for k in range(cameras)], [board()], anchored="c0")
+    return replace(scene, **{"sees": lambda sensor, _, i: int(sensor[1:]) - first[i] in (0, 1), **changes})
+
+
+def eye_to_hand(n: int = 12, seed: int = 0, **changes: object) -> Scene:
+    """A static camera looks at a pattern on the flange of an arm."""
+    T_world_camera, T_flange_board = pose(1.0, 0.2, 0.9, -1.8, 0.1, 0.7), pose(0.02, -0.1, 0.15, 0.5, -0.3, 1.0)
+    T_world_base = pose(0.1, 0.2, 0.5, 0.0, 0.0, 0.3)
+    T_base_flange = inverse(T_world_base) @ T_world_camera @ looks(n, seed) @ inverse(T_flange_board)
+    transforms = {
+        ("world", "cam"): T_world_camera,
+        ("world", "base"): T_world_base,
+        ("base", "flange"): T_base_flange,
+        ("flange", "board_link"): T_flange_board,
+    }
+    return replace(Scene(transforms, [camera("cam")], [board(parent="flange", fixed=True)]), **changes)
+
+
+def eye_in_hand(n: int = 12, seed: int = 0, **changes: object) -> Scene:
+    """A camera on the flange looks at a pattern that stands still; its mount is above its optical frame."""
+    T_flange_mount, T_mount_cam = (
+        pose(0.05, 0.02, 0.1, 0.1, 0.2, -0.4),
+        pose(0.0, 0.01, 0.02, -np.pi / 2, 0, -np.pi / 2),
+    )
+    T_world_board = pose(0.8, -0.3, 0.4, 2.9, 0.2, 1.0)
+    T_world_flange = T_world_board @ inverse(looks(n, seed)) @ inverse(T_flange_mount @ T_mount_cam)
+    transforms = {
+        ("world", "flange"): T_world_flange,
+        ("flange", "mount"): T_flange_mount,
+        ("mount", "cam"): T_mount_cam,
+        ("world", "board_link"): T_world_board,
+    }
+    sensor = Sensor("cam", "rgb", "cam", "flange", "mount", WIDE)
+    return replace(Scene(transforms, [sensor], [board(fixed=True)]), **changes)
+
+
+def two_bodies(n: int = 12, seed: int = 0, **changes: object) -> Scene:
+    """Two cameras, each on a moving body, and a pattern that somebody moves freely."""
+    rng = np.random.default_rng(2000 + seed)
+    T_world_a = transform(rotations.exp(rng.normal(size=(n, 3))), rng.normal(size=(n, 3)))
+    T_a, T_b = pose(0.1, 0.0, 0.2, 0.3, 0.1, -0.2), pose(-0.1, 0.05, 0.1, -0.2, 0.4, 0.8)
+    board_seen = looks(n, seed)
+    T_world_board = T_world_a @ T_a @ board_seen
+    around = retract(np.broadcast_to(np.eye(4), (n, 4, 4)), rng.uniform(-0.4, 0.4, (n, 6)))
+    T_world_b = T_world_board @ inverse(around @ looks(n, seed + 50)) @ inverse(T_b)
+    transforms = {
+        ("world", "body_a"): T_world_a,
+        ("body_a", "a"): T_a,
+        ("world", "body_b"): T_world_b,
+        ("body_b", "b"): T_b,
+        ("world", "board_link"): T_world_board,
+    }
+    return replace(Scene(transforms, [camera("a", "body_a"), camera("b", "body_b")], [board()]), **changes)
+
+
+def camera_and_lidar(n: int = 12, seed: int = 0, behind: bool = False, **changes: object) -> Scene:
+    """An anchored camera, a LiDAR beside it or (behind) on the other side of the pattern, a big moving pattern."""
+    pattern = board(square=0.12)
+    T_world_cam = pose(0.0, 0.0, 0.5, -np.pi / 2, 0.0, -np.pi / 2)
+    T_cam_lidar = transform(AHEAD, (0.15, -0.1, 0.02)) @ pose(0, 0, 0, 0.02, 0.05, -0.1)
+    if behind:
+        T_cam_lidar = pose(0.1, -0.1, 3.6, 0.0, np.pi) @ T_cam_lidar
+    T_cam_board = looks(n, seed, tilt=0.8, pattern=pattern)
+    T_cam_board[:, 2, 3] += 0.6
+    transforms = {
+        ("world", "cam"): T_world_cam,
+        ("world", "lidar"): T_world_cam @ T_cam_lidar,
+        ("world", "board_link"): T_world_cam @ T_cam_board,
+    }
+    return replace(Scene(transforms, [camera("cam"), lidar("lidar")], [pattern], anchored="cam"), **changes)
+
+
+def hand_and_world(n: int = 12, seed: int = 0, **changes: object) -> Scene:
+    """An anchored static camera and one in the hand of an arm whose base is to be found; one pattern stands still."""
+    base = eye_in_hand(n, seed)
+    T_world_base = pose(0.3, 0.1, 0.2, 0.05, -0.1, 0.6)
+    transforms = dict(base.transforms)
+    T_world_flange = transforms.pop(("world", "flange"))
+    T_world_board = transforms["world", "board_link"]
+    static = T_world_board @ inverse(looks(1, seed + 7)[0])
+    transforms |= {
+        ("world", "base"): T_world_base,
+        ("base", "flange"): inverse(T_world_base) @ T_world_flange,
+        ("world", "static"): static,
+    }
+    sensors = [*base.sensors, camera("static")]
+    scene = Scene(transforms, sensors, base.patterns, anchored="static", additional=(("world", "base"),))
+    return replace(scene, **changes)
+
+
+def two_patterns(n: int = 12, seed: int = 0, **changes: object) -> Scene:
+    """A stereo rig that sees a moving pattern in even collections and one that stands still in the others."""
+    scene = stereo(n, seed, anchored="left")
+    still = board("still", fixed=True)
+    transforms = {**scene.transforms, ("world", "still_link"): STEREO["world", "left"] @ looks(1, seed + 3)[0]}
+    alternating = replace(scene, sees=lambda _, pattern, i: (i % 2 == 0) == (pattern == "board"))
+    return replace(alternating, transforms=transforms, patterns=[*scene.patterns, still], **changes)
+
+
+ALL: dict[str, Callable[..., Scene]] = {
+    "stereo": stereo,
+    "anchored stereo": lambda *a, **k: stereo(*a, **{"anchored": "right", **k}),
+    "ring": ring,
+    "eye to hand": eye_to_hand,
+    "eye in hand": eye_in_hand,
+    "two bodies": two_bodies,
+    "camera and lidar": camera_and_lidar,
+    "lidar behind": lambda *a, **k: camera_and_lidar(*a, behind=True, **k),
+    "hand and world": hand_and_world,
+    "two patterns": two_patterns,
+}
+
+
+def rotating(scene: Scene, rotations_: Array, seed: int = 0) -> Scene:
+    """A scene whose arm makes these rotations (n, 3), in the frame of its flange, with translations of up to 0.1 m."""
+    edge = next(edge for edge, T in scene.transforms.items() if edge[1] == "flange")
+    shifts = np.random.default_rng(seed).uniform(-0.1, 0.1, (len(rotations_), 3))
+    motion = scene.transforms[edge][0] @ transform(rotations.exp(rotations_), shifts)
+    return replace(scene, transforms={**scene.transforms, edge: motion})

@@ -1,0 +1,135 @@
+"""Data that cannot determine what is asked: an error in one line that names what is missing, from either start."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calibration.errors import ExitCode, InputError, UndeterminedError
+from calibration.estimation.calibrate import Options, calibrate
+from calibration.geometry.transforms import transform
+from tests.estimation.scenes import Scene, board, pose
+from tests.estimation.systems import camera_and_lidar, eye_in_hand, eye_to_hand, rotating, stereo, two_bodies
+
+TURNS = np.linspace(-0.5, 0.5, 12)[:, None]
+ALTERNATING = {"sees": lambda sensor, _, i: (i % 2 == 0) == (sensor in ("left", "a"))}
+
+
+def refusal(scene: Scene, kind: type[InputError] = UndeterminedError) -> str:
+    """What it says; the same with and without noise on the labels, from both starts."""
+    messages = set()
+    for noise in (0.0, 0.3):
+        dataset = replace(scene, pixel_noise=noise, range_noise=noise / 30).dataset()
+        for start in ("linear", "given"):
+            with pytest.raises(kind) as error:
+                calibrate(dataset, Options(start=start))
+            assert error.value.exit_code == ExitCode.BAD_INPUT
+            messages.add(str(error.value))
+    assert len(messages) == 1
+    message = messages.pop()
+    assert "\n" not in message
+    assert message.startswith("scene/dataset.json: ")
+    return message
+
+
+@pytest.mark.parametrize(
+    ("scene", "mount", "frame"),
+    # the arm holds the pattern, or, seen from the camera in its hand, the world
+    [(eye_to_hand, "world-cam", "flange"), (eye_in_hand, "flange-mount", "world")],
+)
+def test_an_arm_that_turns_about_one_axis(scene: Callable[[int], Scene], mount, frame):
+    axis = np.array([0.0, 0.6, 0.8])  # of the flange
+    turning = rotating(scene(12), TURNS * axis)
+    message = refusal(turning)
+    if frame == "world":
+        axis = turning.transforms["world", "flange"][0][:3, :3] @ axis
+    x, y, z = np.round(axis * np.sign(axis[np.abs(axis).argmax()]), 2)
+    assert f"'{mount}' and 'board' cannot be told apart" in message
+    assert f"about a single axis only, ({x:g}, {y:g}, {z:g}) in frame '{frame}'" in message
+
+
+@pytest.mark.parametrize("scene", [eye_to_hand, eye_in_hand])
+def test_an_arm_that_never_turns(scene):
+    assert "the robot never rotates" in refusal(rotating(scene(12), 0 * TURNS * [1.0, 1.0, 1.0]))
+
+
+@pytest.mark.parametrize("scene", [eye_to_hand, eye_in_hand, two_bodies])
+def test_two_poses_of_an_arm(scene):
+    assert "2 views, at least 3 with different rotations are needed" in refusal(scene(2))
+
+
+@pytest.mark.parametrize("scene", [stereo, eye_to_hand, eye_in_hand, camera_and_lidar])
+def test_one_collection(scene):
+    assert "1 collection has labels; at least 2 are needed" in refusal(scene(1))
+
+
+@pytest.mark.parametrize("anchored", [None, "left", "right"])
+def test_static_cameras_that_share_no_collection(anchored):
+    message = refusal(stereo(8, anchored=anchored, **ALTERNATING))
+    assert "the sensors {left} and {right} share no collection of a pattern" in message
+
+
+def test_cameras_on_two_bodies_that_share_no_collection():
+    assert "{a} and {b} share no collection" in refusal(two_bodies(8, **ALTERNATING))
+
+
+@pytest.mark.parametrize("anchored", [None, "left"])
+def test_a_single_static_camera(anchored):
+    scene = stereo(8)
+    message = refusal(replace(scene, sensors=scene.sensors[:1], anchored=anchored))
+    assert "nothing to calibrate" in message
+    assert "world-left" in message
+
+
+@pytest.mark.parametrize("static", [True, False])
+def test_a_transform_that_no_label_depends_on(static):
+    scene = stereo(8) if static else eye_to_hand(8)
+    transforms = {**scene.transforms, ("world", "unused"): np.eye(4)}
+    message = refusal(replace(scene, transforms=transforms, additional=(("world", "unused"),)))
+    assert "'world-unused' does not lie between any sensor and a pattern that it sees" in message
+
+
+def test_two_transforms_in_a_row_with_nothing_that_moves_between():
+    """The base of the arm and the camera, both in the world: they can move together."""
+    message = refusal_named(replace(eye_to_hand(12), additional=(("world", "base"),)))
+    assert "'world-cam'" in message
+    assert "'world-base'" in message
+
+
+def refusal_named(scene: Scene) -> str:
+    """Where directions are named by numbers that noise changes."""
+    with pytest.raises(UndeterminedError) as error:
+        calibrate(replace(scene, pixel_noise=0.3).dataset())
+    message = str(error.value)
+    assert "\n" not in message
+    assert "the labels do not determine" in message
+    return message
+
+
+def test_a_lidar_that_sees_the_pattern_from_one_side_only_as_it_slides():
+    """Parallel planes leave a LiDAR free to slide along them and to turn about their normal."""
+    scene = camera_and_lidar(8, border=False)
+    edge = ("world", "board_link")
+    shifts = transform(np.eye(3), np.random.default_rng(0).uniform(-0.2, 0.2, (8, 3)))
+    message = refusal_named(replace(scene, transforms={**scene.transforms, edge: shifts @ scene.transforms[edge][0]}))
+    assert "'world-lidar' moving along" in message
+    assert "'world-lidar' turning about" in message
+
+
+@pytest.mark.parametrize("sensor", ["left", "right"])
+def test_a_sensor_without_labels(sensor):
+    message = refusal(stereo(6, sees=lambda s, _, __: s != sensor), InputError)
+    assert message.endswith(f"sensor '{sensor}': no collection has enough labels of it")
+
+
+@pytest.mark.parametrize("fixed", [True, False])
+def test_a_pattern_that_nobody_detected_is_left_out(fixed):
+    scene = stereo(6, pixel_noise=0.3, sees=lambda _, pattern, __: pattern == "board")
+    transforms = {**scene.transforms, ("world", "extra_link"): pose(1, 2, 3)}
+    dataset = replace(scene, patterns=[*scene.patterns, board("extra", fixed=fixed)], transforms=transforms).dataset()
+    result = calibrate(dataset)
+    assert result.converged
+    assert "pattern 'extra': no collection has enough labels of it" in result.warnings
+    edge = ("world", "extra_link")
+    np.testing.assert_array_equal(result.dataset.transforms[edge], dataset.transforms[edge])
