@@ -1,0 +1,5 @@
+"""Other calibration methods on the same dataset, for rows beside the built-in engine's.
+
+``methods`` names them; each takes a dataset and gives a new one with its own transforms:
+``opencv_stereo`` (two cameras) and ``robot_world_methods`` (a camera, an arm, a fixed pattern).
+"""

@@ -1,0 +1,138 @@
+"""OpenCV's stereo calibration: the relative pose of two cameras.
+
+As ATOM's comparison has it, OpenCV estimates the intrinsics again from the ones given, which is why
+it lies further from the truth than it needs to; the variant with fixed intrinsics shows that. Only the
+relative pose is taken over: evaluations keep the dataset's own intrinsics.
+"""
+
+from typing import Any
+
+import numpy as np
+
+from calibration.dataset.model import CornerLabels, Dataset, Sensor
+from calibration.errors import InputError, UndeterminedError, WorldError
+from calibration.geometry.cameras import Camera
+from calibration.geometry.transforms import distance, inverse, transform
+from calibration.geometry.types import Array
+
+MINIMUM_CORNERS = 6
+"""Of a view. OpenCV starts each from a homography, which four corners determine without a check."""
+MINIMUM_VIEWS = 3
+"""With fewer views of a plane the intrinsics cannot be estimated (Z. Zhang, 2000)."""
+
+
+def opencv_stereo(dataset: Dataset) -> Dataset:
+    """The dataset with the second camera's transform by `cv2.stereoCalibrate`, intrinsics estimated again.
+
+    Views in which both cameras see the whole pattern are used, as in ATOM; where there are fewer than
+    `MINIMUM_VIEWS` of them, all views count, with the corners that both cameras see.
+
+    Raises:
+        InputError: the method does not apply (`why_not_stereo`).
+        UndeterminedError: OpenCV finds no solution.
+        WorldError: OpenCV is not installed.
+    """
+    return _stereo(dataset, fixed=False)
+
+
+def opencv_stereo_fixed(dataset: Dataset) -> Dataset:
+    """`opencv_stereo` with the intrinsics held at those of the dataset."""
+    return _stereo(dataset, fixed=True)
+
+
+def why_not_stereo(dataset: Dataset) -> str | None:
+    """One line that says why the method does not apply to a dataset; None if it does."""
+    kinds = [f"'{s.name}' ({s.modality})" for s in dataset.sensors.values()]
+    if len(dataset.sensors) != 2 or any(s.camera is None for s in dataset.sensors.values()):
+        return f"it needs two cameras and no other sensor, and there are {', '.join(kinds)}"
+    if dataset.additional_transforms:
+        return f"it cannot calibrate additional transforms, such as '{'-'.join(dataset.additional_transforms[0])}'"
+    first, second = dataset.sensors.values()
+    T = dataset.transform(first.frame, second.frame)
+    if max(values.max() for values in distance(T[:1], T)) > 1e-6:
+        return f"it needs cameras that keep their places, and '{second.name}' moves against '{first.name}'"
+    views = len(_views(dataset, first, second))
+    if views < MINIMUM_VIEWS:
+        return (
+            f"it needs {MINIMUM_VIEWS} views of {MINIMUM_CORNERS} corners seen by both cameras, and there are {views}"
+        )
+    return None
+
+
+View = tuple[Array, Array, Array]
+"""Corners (K, 3) in the pattern's frame, their pixels (K, 2) in the first camera and in the second; float32."""
+
+
+def _views(dataset: Dataset, first: Sensor, second: Sensor) -> list[View]:
+    """What both cameras see: whole patterns if there are enough, else whatever they have in common."""
+    views: list[tuple[bool, View]] = []
+    for collection in dataset.collections:
+        for pattern in dataset.patterns.values():
+            a, b = (collection.labels.get((pattern.name, sensor.name)) for sensor in (first, second))
+            if not isinstance(a, CornerLabels) or not isinstance(b, CornerLabels):
+                continue
+            ids, in_a, in_b = np.intersect1d(a.ids, b.ids, assume_unique=True, return_indices=True)
+            if len(ids) >= MINIMUM_CORNERS:
+                view = (pattern.corners[ids], a.pixels[in_a], b.pixels[in_b])
+                views.append((len(ids) == len(pattern.corners), view))
+    complete = [view for whole, view in views if whole]
+    return complete if len(complete) >= MINIMUM_VIEWS else [view for _, view in views]
+
+
+def _stereo(dataset: Dataset, *, fixed: bool) -> Dataset:
+    reason = why_not_stereo(dataset)
+    if reason:
+        raise InputError(f"{dataset.path}: OpenCV's stereo calibration does not apply: {reason}")
+    first, second = dataset.sensors.values()
+    T_first_second = inverse(_relative_pose(dataset, first, second, fixed=fixed))
+    if dataset.anchored == second.name:
+        first, second, T_first_second = second, first, inverse(T_first_second)
+    return dataset.with_transforms({second.edge: _edge_transform(dataset, first, second, T_first_second)})
+
+
+def _relative_pose(dataset: Dataset, first: Sensor, second: Sensor, *, fixed: bool) -> Array:
+    """``T_second_first`` (4, 4) by OpenCV."""
+    cv2 = _opencv()
+    corners, *pixels = (
+        [np.float32(array) for array in arrays] for arrays in zip(*_views(dataset, first, second), strict=True)
+    )
+    intrinsics = [
+        part for s in (first, second) if s.camera is not None for part in (s.camera.K, _coefficients(s.camera))
+    ]
+    size = (first.camera.width, first.camera.height) if first.camera is not None else None
+    flags = cv2.CALIB_FIX_INTRINSIC if fixed else cv2.CALIB_USE_INTRINSIC_GUESS
+    criteria = (cv2.TERM_CRITERIA_MAX_ITER + cv2.TERM_CRITERIA_EPS, 100, 1e-5)
+    try:
+        answer = cv2.stereoCalibrate(corners, *pixels, *intrinsics, size, flags=flags, criteria=criteria)
+    except cv2.error as error:
+        raise UndeterminedError(
+            f"{dataset.path}: OpenCV's stereo calibration: {' '.join(str(error).split())}"
+        ) from None
+    R, t = answer[5], answer[6]
+    T: Array = transform(R, np.ravel(t))
+    if not np.isfinite(T).all():
+        raise UndeterminedError(f"{dataset.path}: OpenCV's stereo calibration finds no finite pose")
+    return T
+
+
+def _edge_transform(dataset: Dataset, reference: Sensor, sensor: Sensor, T_reference_sensor: Array) -> Array:
+    """The sensor's calibrated transform (4, 4) that puts its data frame there against the reference's."""
+    once = dataset.with_collections([0])
+    T_parent_reference = once.transform(sensor.calibration_parent, reference.frame)[0]
+    T_frame_child = once.transform(sensor.frame, sensor.calibration_child)[0]
+    T: Array = T_parent_reference @ T_reference_sensor @ T_frame_child
+    return T
+
+
+def _coefficients(camera: Camera) -> Array:
+    d = camera.distortion
+    return np.array([d.k1, d.k2, d.p1, d.p2, d.k3])
+
+
+def _opencv() -> Any:
+    """The module cv2, imported when it is needed."""
+    try:
+        import cv2
+    except ImportError:
+        raise WorldError("OpenCV's stereo calibration needs OpenCV: pip install 'calibration-ci[opencv]'") from None
+    return cv2

@@ -1,0 +1,121 @@
+"""Where the border of a pattern lies in a camera's images: what a LiDAR's border points are held against.
+
+ATOM has it drawn by hand. It can as well be made: from the true poses where they are known, or from
+the corners that the camera detected, whose view gives the pose of the whole pattern.
+"""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from calibration.dataset.document import Node, NotNumbersError, finite, read_json
+from calibration.dataset.model import Dataset
+from calibration.dataset.pattern import Pattern
+from calibration.dataset.truth import Truth
+from calibration.evaluation.selection import camera_of
+from calibration.evaluation.views import corner_views
+from calibration.geometry.cameras import Camera
+from calibration.geometry.transforms import apply
+from calibration.geometry.types import Array, BoolArray
+
+Annotation = Mapping[str, Array]
+"""By the key of a collection: line segments (S, 2, 2), each from pixel (x, y) to pixel (x, y)."""
+
+_SIDES = ("top", "right", "bottom", "left")
+_PIECES = 32  # of a side: distortion bends it
+
+
+def read_annotation(path: Path | str) -> Annotation:
+    """Read ATOM's annotation: ``{collection: {side: {"ixs": [...], "iys": [...]}}}``, a polyline for each side.
+
+    ``ixs, iys`` are the interpolated points; without them the ones drawn, ``xs, ys``, are taken.
+
+    Raises:
+        InputError: the file cannot be read or does not have this form.
+    """
+    root = read_json(Path(path))
+    return {key: np.concatenate([_polyline(node[side]) for side in _SIDES]) for key, node in root.items()}
+
+
+def _polyline(side: Node) -> Array:
+    """The segments of a polyline; none for fewer than two points."""
+    xs, ys = ("ixs", "iys") if side.get("ixs") is not None else ("xs", "ys")
+    count = len(side[xs].sequence())
+    try:
+        points = np.stack([finite(side[axis].sequence()) for axis in (xs, ys)], 1)
+    except (NotNumbersError, ValueError):  # one by one, until the wrong one says what it is
+        points = np.array([side[axis].numbers(count) for axis in (xs, ys)], float).T
+    return np.stack([points[:-1], points[1:]], 1)
+
+
+def annotate(dataset: Dataset, camera: str, pattern: Pattern, T_camera_pattern: Mapping[int, Array]) -> Annotation:
+    """The border of a pattern projected from known poses.
+
+    Args:
+        dataset: what to annotate.
+        camera: the camera.
+        pattern: the pattern.
+        T_camera_pattern: (4, 4) by the index of the collection.
+    """
+    _, intrinsics = camera_of(dataset, camera)
+    corners = np.column_stack([pattern.outline, np.zeros(4)])
+    share = np.linspace(0, 1, _PIECES + 1)[:, None]
+    sides = [(1 - share) * a + share * b for a, b in zip(corners, np.roll(corners, -1, 0), strict=True)]
+    starts, ends = (np.concatenate([side[part] for side in sides]) for part in (slice(None, -1), slice(1, None)))
+    annotation = {}
+    for i, T in T_camera_pattern.items():
+        (a, a_seen), (b, b_seen) = (project(intrinsics, apply(T, points)) for points in (starts, ends))
+        annotation[dataset.keys[i]] = np.stack([a, b], 1)[a_seen & b_seen]
+    return annotation
+
+
+def annotate_detections(dataset: Dataset, camera: str, pattern: Pattern) -> Annotation:
+    """The border of a pattern from the camera's own corners, where it detected them."""
+    views = corner_views(dataset, camera, pattern)
+    poses = zip(views.collections.tolist(), views.T_camera_pattern, strict=True)
+    return annotate(dataset, camera, pattern, dict(poses))
+
+
+def annotate_truth(dataset: Dataset, camera: str, pattern: Pattern, truth: Truth) -> Annotation:
+    """The border of a pattern from the true poses of camera and pattern, where the truth has the pattern's.
+
+    Raises:
+        InputError: a transform between camera and pattern is missing.
+    """
+    sensor, _ = camera_of(dataset, camera)
+    edge = (pattern.parent_link, pattern.link)
+    known = {i: truth.patterns.get(key, {}).get(edge, truth.transforms.get(edge)) for i, key in enumerate(dataset.keys)}
+    poses = {i: T for i, T in known.items() if T is not None}
+    true = dataset.with_transforms({e: T for e, T in truth.transforms.items() if e in dataset.transforms})
+    T_camera_parent = true.with_collections(list(poses)).transform(sensor.frame, pattern.parent_link)
+    chained = {i: T_camera_parent[n] @ T for n, (i, T) in enumerate(poses.items())}
+    return annotate(dataset, camera, pattern, chained)
+
+
+def annotation_for(dataset: Dataset, camera: str, pattern: Pattern, truth: Truth | None) -> Annotation:
+    """The annotation of a camera's images, the first of these that there is.
+
+    ATOM's file ``annotation_<camera>.json`` beside the dataset; the border from the true poses; the border
+    from the camera's own corners.
+
+    Raises:
+        InputError: the file has another form, or a transform is missing.
+    """
+    path = dataset.path.parent / f"annotation_{camera}.json"
+    if path.is_file():
+        return read_annotation(path)
+    made = annotate_truth(dataset, camera, pattern, truth) if truth is not None else {}
+    return made or annotate_detections(dataset, camera, pattern)
+
+
+def project(camera: Camera, points: Array) -> tuple[Array, BoolArray]:
+    """Pixels (N, 2) of points (N, 3), and which can be seen: in front, and where distortion does not fold over.
+
+    A pixel may lie beyond the image.
+    """
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        pixels = camera.project(points)
+        back = camera.normalise(pixels) - points[:, :2] / points[:, 2:]
+        seen: BoolArray = np.abs(back).max(-1) < 1e-6
+    return pixels, seen

@@ -1,0 +1,27 @@
+"""What a calibration leaves between the labelled corners and the model, collection by collection."""
+
+import numpy as np
+
+from calibration.errors import InputError
+from calibration.estimation.calibrate import Calibration
+from calibration.evaluation.table import Table
+
+COLUMNS = ("RMS (pix)",)
+KEY = "Collection #"
+
+
+def reprojection(calibration: Calibration) -> Table:
+    """The root mean square of the reprojection errors of all cameras in each collection (px).
+
+    Raises:
+        InputError: no camera has labels.
+    """
+    squares: dict[str, list[float]] = {}
+    for view in calibration.residuals:
+        if view.kind == "pixel":
+            for key, errors in zip(view.collections, view.magnitudes, strict=True):
+                squares.setdefault(key, []).extend((errors[np.isfinite(errors)] ** 2).tolist())
+    if not squares:
+        raise InputError(f"{calibration.dataset.path}: no camera has labels, so there are no reprojection errors")
+    keys = sorted(squares, key=int)
+    return Table(KEY, COLUMNS, tuple(keys), np.array([[np.sqrt(np.mean(squares[key]))] for key in keys]))

@@ -1,0 +1,132 @@
+"""How well two cameras agree: the corners that one saw, carried to the image of the other.
+
+ATOM's evaluations ``rgb_to_rgb`` and ``inter_collection_rgb_to_rgb``. The source camera's own view
+gives the pose of the pattern; the rays of its labels meet the pattern's plane; these points are
+moved to the target camera by the calibrated transforms, and their pixels compared with the target's
+labels of the same ids (in ATOM's words: the labels mapped by the homography that the plane induces).
+Two more columns compare the two cameras' own poses of the pattern, noise of both included.
+"""
+
+import numpy as np
+
+from calibration.dataset.model import Dataset
+from calibration.dataset.pattern import Pattern
+from calibration.errors import InputError
+from calibration.evaluation.selection import camera_of, pattern_of
+from calibration.evaluation.table import Table
+from calibration.evaluation.views import CornerViews, corner_views
+from calibration.geometry import rotations
+from calibration.geometry.cameras import Camera
+from calibration.geometry.transforms import apply, inverse
+from calibration.geometry.types import Array, IntArray
+
+COLUMNS = ("RMS (pix)", "X err (pix)", "Y err (pix)", "Trans (mm)", "Rot (deg)")
+KEY = "Collection #"
+_CHUNK = 1024  # pairs at a time, to bound the memory
+
+
+def rgb_to_rgb(dataset: Dataset, source: str, target: str, pattern: str | None = None) -> Table:
+    """Errors between two cameras in each collection that both saw.
+
+    Columns, over the corners seen by both: the root of the mean squared distance, the mean absolute
+    error along x and y (px); the distance (mm) and angle (deg) between the pattern's poses by each
+    camera's own view.
+
+    Args:
+        dataset: with the transforms to evaluate.
+        source: the camera whose labels are carried over.
+        target: the camera whose labels they are compared with.
+        pattern: which one; None where there is only one.
+
+    Raises:
+        InputError: no such camera or pattern, a transform is missing, no collection seen by both, or
+            source and target are the same (nothing would be tested).
+    """
+    if source == target:
+        raise InputError(f"'{source}' against itself says nothing in one collection: use inter-collection-rgb-to-rgb")
+    seen_pattern = pattern_of(dataset, pattern)
+    a, b = (corner_views(dataset, name, seen_pattern) for name in (source, target))
+    common, in_a, in_b = np.intersect1d(a.collections, b.collections, assume_unique=True, return_indices=True)
+    frames = camera_of(dataset, target)[0].frame, camera_of(dataset, source)[0].frame
+    T_target_source = dataset.with_collections(common.tolist()).transform(*frames)
+    labels = [dataset.keys[i] for i in common]
+    return _table(dataset, (source, target), (a, b), np.stack([in_a, in_b]), T_target_source, labels)
+
+
+def inter_collection_rgb_to_rgb(dataset: Dataset, source: str, target: str, pattern: str | None = None) -> Table:
+    """Errors between a view of one camera in one collection and a view of the other in another.
+
+    The pattern is fixed to its parent link, through which the two views are related. There is a row
+    for every ordered pair of different collections, labelled ``000-001``; a camera is compared with
+    itself once for each unordered pair. Columns, arguments and errors as `rgb_to_rgb`.
+
+    Raises:
+        InputError: also when the pattern is not fixed.
+    """
+    seen_pattern = pattern_of(dataset, pattern)
+    _require_fixed(dataset, seen_pattern)
+    a, b = (corner_views(dataset, name, seen_pattern) for name in (source, target))
+    i, j = np.meshgrid(a.collections, b.collections, indexing="ij")
+    pairs = np.stack(np.nonzero(i < j if source == target else i != j))
+    T_parent_source, T_parent_target = (
+        dataset.with_collections(views.collections.tolist()).transform(
+            seen_pattern.parent_link, camera_of(dataset, name)[0].frame
+        )
+        for name, views in ((source, a), (target, b))
+    )
+    T_target_source = inverse(T_parent_target)[pairs[1]] @ T_parent_source[pairs[0]]
+    keys = dataset.keys
+    labels = [f"{keys[a.collections[m]]}-{keys[b.collections[n]]}" for m, n in pairs.T]
+    return _table(dataset, (source, target), (a, b), pairs, T_target_source, labels)
+
+
+def _require_fixed(dataset: Dataset, pattern: Pattern) -> None:
+    if not pattern.fixed:
+        raise InputError(
+            f"{dataset.path}: pattern '{pattern.name}' is not fixed: its collections cannot be compared with each other"
+        )
+
+
+def _table(
+    dataset: Dataset,
+    names: tuple[str, str],
+    views: tuple[CornerViews, CornerViews],
+    pairs: IntArray,
+    T_target_source: Array,
+    labels: list[str],
+) -> Table:
+    """The table of pairs (2, P): views of the source, views of the target."""
+    left_out = list(dict.fromkeys((*views[0].left_out, *views[1].left_out)))
+    if not labels:
+        counts = ", ".join(f"'{n}' has {len(v.collections)} views" for n, v in zip(names, views, strict=True))
+        raise InputError(f"{dataset.path}: nothing seen by both: {counts}" + "".join(f"; {s}" for s in left_out[:3]))
+    common = views[0].seen.astype(float) @ views[1].seen.T  # how many corners, for any two views
+    shared = common[pairs[0], pairs[1]] > 0
+    left_out += [f"{label}: no corner seen by both" for label, both in zip(labels, shared, strict=True) if not both]
+    if not shared.any():
+        raise InputError(f"{dataset.path}: '{names[0]}' and '{names[1]}' see no corner in common")
+    camera = camera_of(dataset, names[1])[1]
+    rows = np.flatnonzero(shared)
+    chunks = (rows[start : start + _CHUNK] for start in range(0, len(rows), _CHUNK))
+    values = [_errors(views[0][pairs[0, r]], views[1][pairs[1, r]], T_target_source[r], camera) for r in chunks]
+    return Table(KEY, COLUMNS, tuple(labels[r] for r in rows), np.concatenate(values), tuple(left_out))
+
+
+def _errors(source: CornerViews, target: CornerViews, T_target_source: Array, camera: Camera) -> Array:
+    """The columns (P, 5) of pairs of views."""
+    T_sp, T_tp = source.T_camera_pattern, target.T_camera_pattern
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):  # rays that never meet the plane
+        rays = np.concatenate([source.rays.swapaxes(1, 2), np.ones((*source.seen.shape, 1))], -1)
+        normal = T_sp[:, :3, 2]
+        depth = (normal * T_sp[:, :3, 3]).sum(-1)[:, None] / np.einsum("pki,pi->pk", rays, normal)
+        x, y, z = np.moveaxis(apply(T_target_source, rays * depth[..., None]), -1, 0)
+        projected = camera.to_pixels(x / z, y / z)
+    both = source.seen & target.seen
+    error = np.where(both[..., None], projected - target.pixels.swapaxes(1, 2), 0.0)
+    count = both.sum(-1)
+    rms = np.sqrt((error * error).sum((1, 2)) / count)
+    absolute = np.abs(error).sum(1) / count[:, None]
+    apart = inverse(T_target_source @ T_sp) @ T_tp
+    distance = 1000 * np.linalg.norm(apart[:, :3, 3], axis=-1)
+    turn = np.degrees(rotations.angle(apart[:, :3, :3]))
+    return np.column_stack([rms, absolute, distance, turn])

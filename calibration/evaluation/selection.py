@@ -1,0 +1,66 @@
+"""Sensors and patterns of a dataset by name, or one line that says what there is."""
+
+from collections.abc import Iterable
+
+from calibration.dataset.model import Dataset, Sensor
+from calibration.dataset.pattern import Pattern
+from calibration.errors import InputError
+from calibration.geometry.cameras import Camera
+
+
+def sensor_of(dataset: Dataset, name: str) -> Sensor:
+    """The sensor of this name.
+
+    Raises:
+        InputError: the dataset has none.
+    """
+    if name not in dataset.sensors:
+        raise InputError(f"{dataset.path}: no sensor '{name}' (sensors: {_names(dataset.sensors)})")
+    return dataset.sensors[name]
+
+
+def camera_of(dataset: Dataset, name: str) -> tuple[Sensor, Camera]:
+    """The rgb sensor of this name, and its intrinsics.
+
+    Raises:
+        InputError: the dataset has no such sensor, or it is no camera.
+    """
+    sensor = sensor_of(dataset, name)
+    if sensor.camera is None:
+        cameras = (s.name for s in dataset.sensors.values() if s.camera is not None)
+        raise InputError(f"{dataset.path}: sensor '{name}' is {sensor.modality}, not rgb (rgb: {_names(cameras)})")
+    return sensor, sensor.camera
+
+
+def lidar_of(dataset: Dataset, name: str) -> Sensor:
+    """The lidar3d sensor of this name.
+
+    Raises:
+        InputError: the dataset has no such sensor, or it is no LiDAR.
+    """
+    sensor = sensor_of(dataset, name)
+    if sensor.modality != "lidar3d":
+        lidars = (s.name for s in dataset.sensors.values() if s.modality == "lidar3d")
+        raise InputError(
+            f"{dataset.path}: sensor '{name}' is {sensor.modality}, not lidar3d (lidar3d: {_names(lidars)})"
+        )
+    return sensor
+
+
+def pattern_of(dataset: Dataset, name: str | None) -> Pattern:
+    """The pattern of this name; without a name, the only one.
+
+    Raises:
+        InputError: the dataset has no such pattern, or several to choose from.
+    """
+    if name is None:
+        if len(dataset.patterns) != 1:
+            raise InputError(f"{dataset.path}: say which pattern (patterns: {_names(dataset.patterns)})")
+        return next(iter(dataset.patterns.values()))
+    if name not in dataset.patterns:
+        raise InputError(f"{dataset.path}: no pattern '{name}' (patterns: {_names(dataset.patterns)})")
+    return dataset.patterns[name]
+
+
+def _names(names: Iterable[str]) -> str:
+    return ", ".join(names) or "none"

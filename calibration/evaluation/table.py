@@ -1,0 +1,73 @@
+"""Tables of numbers with labelled rows, as CSV in the form that ATOM's users read."""
+
+import csv
+import io
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from calibration.files import write_atomically
+from calibration.geometry.types import Array
+
+AVERAGES = "Averages"
+"""The label of the last row."""
+
+
+@dataclass(frozen=True, eq=False)
+class Table:
+    """One row of numbers for each collection, or pair of collections.
+
+    Raises:
+        ValueError: there is no row, or the sizes do not fit.
+    """
+
+    key: str
+    """The header of the labels' column."""
+    columns: tuple[str, ...]
+    """The headers of the C columns of numbers."""
+    labels: tuple[str, ...]
+    """One for each of the R rows."""
+    values: Array
+    """(R, C)."""
+    left_out: tuple[str, ...] = field(default=())
+    """What has no row, and why; one line each."""
+
+    def __post_init__(self) -> None:
+        if not self.labels or self.values.shape != (len(self.labels), len(self.columns)):
+            raise ValueError(
+                f"a table of {len(self.labels)} rows, {len(self.columns)} columns, values {self.values.shape}"
+            )
+
+    @property
+    def averages(self) -> Array:
+        """(C,): the arithmetic mean of each column's *printed* values, as ATOM has it."""
+        mean: Array = np.array([[float(_printed(v)) for v in row] for row in self.values]).mean(0)
+        return mean
+
+    def average(self, column: str) -> float:
+        """The average of one column, by its header."""
+        return float(self.averages[self.columns.index(column)])
+
+    def to_csv(self) -> str:
+        r"""The table as CSV: a header, the rows, and the row `AVERAGES`; four decimals, lines end in ``\n``."""
+        text = io.StringIO()
+        writer = csv.writer(text, lineterminator="\n")
+        writer.writerow([self.key, *self.columns])
+        rows = zip((*self.labels, AVERAGES), [*self.values, self.averages], strict=True)
+        writer.writerows([label, *map(_printed, row)] for label, row in rows)
+        return text.getvalue()
+
+    def write(self, path: Path | str) -> None:
+        """Write the table as a CSV file, as a whole or not at all.
+
+        Raises:
+            WorldError: the file cannot be written.
+        """
+        write_atomically(path, self.to_csv())
+
+
+def _printed(value: float) -> str:
+    """A number with four decimals; never a negative zero."""
+    text = f"{value:.4f}"
+    return "0.0000" if text == "-0.0000" else text

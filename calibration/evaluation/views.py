@@ -1,0 +1,77 @@
+"""What a camera saw of a pattern, all collections at once, and the pose that each view gives by itself."""
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from calibration.dataset.model import Collection, CornerLabels, Dataset
+from calibration.dataset.pattern import Pattern
+from calibration.estimation.single_views import corner_term, fitted_poses
+from calibration.evaluation.selection import camera_of
+from calibration.geometry.cameras import Camera
+from calibration.geometry.transforms import inverse, translation
+from calibration.geometry.types import Array, BoolArray, IntArray
+
+
+@dataclass(frozen=True, eq=False)
+class CornerViews:
+    """A camera's views of a pattern with K corners, V of them. Zeros stand for corners that are not seen."""
+
+    collections: IntArray
+    """(V,): the index of each view's collection, ascending."""
+    pixels: Array
+    """(V, 2, K): the labels."""
+    rays: Array
+    """(V, 2, K): their undistorted normalised coordinates."""
+    seen: BoolArray
+    """(V, K)."""
+    T_camera_pattern: Array
+    """(V, 4, 4): least squares on the view alone."""
+    left_out: tuple[str, ...]
+    """Detections that give no pose."""
+
+    def __getitem__(self, views: IntArray) -> "CornerViews":
+        """Some of the views, in this order."""
+        return CornerViews(
+            self.collections[views],
+            self.pixels[views],
+            self.rays[views],
+            self.seen[views],
+            self.T_camera_pattern[views],
+            self.left_out,
+        )
+
+
+def corner_views(dataset: Dataset, sensor: str, pattern: Pattern) -> CornerViews:
+    """The views of a camera that give a pose of the pattern.
+
+    They do not depend on the dataset's transforms, so those of the last few datasets are remembered.
+
+    Raises:
+        InputError: there is no such camera.
+    """
+    _, camera = camera_of(dataset, sensor)
+    return _corner_views(dataset.collections, sensor, camera, pattern)
+
+
+@lru_cache(maxsize=8)
+def _corner_views(collections: tuple[Collection, ...], sensor: str, camera: Camera, pattern: Pattern) -> CornerViews:
+    """`corner_views` of what never changes: collections and patterns are equal only to themselves."""
+    labels = ((i, collection.labels.get((pattern.name, sensor))) for i, collection in enumerate(collections))
+    detections = [(i, label) for i, label in labels if isinstance(label, CornerLabels)]
+    term = corner_term(camera, pattern, [label for _, label in detections])
+    seen = np.ones((len(detections), len(pattern.corners)), bool) if term.seen is None else term.seen
+    rays = np.where(seen[:, None], term.rays, 0.0)
+    T_camera_centre, _ = fitted_poses(term)
+    T = T_camera_centre @ inverse(translation(pattern.centre))
+    good = np.isfinite(T[:, 0, 0])
+    left_out = tuple(
+        f"{collections[i].key}: the {len(label.ids)} corners that {sensor} sees do not give a pose"
+        for (i, label), usable in zip(detections, good, strict=True)
+        if not usable
+    )
+    arrays = np.array([i for i, _ in detections], int)[good], term.pixels[good], rays[good], seen[good], T[good]
+    for array in arrays:
+        array.flags.writeable = False
+    return CornerViews(*arrays, left_out)

@@ -1,0 +1,159 @@
+"""Calibrated transforms against the truth, gauge removed."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from calibration.dataset.model import Dataset
+from calibration.dataset.reading import read_dataset
+from calibration.dataset.truth import Truth, find_truth, truth_of
+from calibration.errors import InputError
+from calibration.evaluation.truth import PoseError, TruthError, truth_error
+from calibration.geometry.transforms import from_xyz_rpy, inverse, retract, translation
+from tests.evaluation.scene import T_LINK_OPTICAL, arm, dataset, lidar_and_camera, pattern, rgb, two_cameras
+
+RIGHT, LEFT = ("right_mount", "right_link"), ("left_mount", "left_link")
+
+
+def moved(base: Dataset, edge: tuple[str, str], twist: list[float]) -> Dataset:
+    T = base.transforms[edge]
+    return base.with_transforms({edge: retract(T, np.broadcast_to(twist, (len(T), 6)))})
+
+
+def test_a_dataset_has_no_error_against_itself():
+    for base in (two_cameras(n=2)[0], arm(n=2), lidar_and_camera(n=2)[0]):
+        error = truth_error(base, truth_of(base))
+        assert error.translation_mm == pytest.approx(0, abs=1e-9)
+        assert error.rotation_deg == pytest.approx(0, abs=1e-6)
+
+
+def test_two_cameras_that_move_together_are_not_wrong():
+    base, _ = two_cameras(n=2)
+    G = from_xyz_rpy([1, 2, 3], [0.1, 0.2, 0.3])
+    T = {
+        edge: inverse(base.transforms["world", edge[0]]) @ G @ base.transforms["world", edge[0]] @ base.transforms[edge]
+        for edge in (LEFT, RIGHT)
+    }
+    error = truth_error(base.with_transforms(T), truth_of(base))
+    assert [pose.name for pose in error.poses] == ["left/right"]
+    assert error.translation_mm < 1e-6
+    assert error.rotation_deg < 1e-6
+
+
+def test_a_camera_that_moved_alone_is():
+    base, _ = two_cameras(n=2)
+    error = truth_error(moved(base, RIGHT, [0.003, 0, 0.004, 0, 0, 0]), truth_of(base))
+    assert error.translation_mm == pytest.approx(5)
+    assert error.rotation_deg == pytest.approx(0, abs=1e-6)
+
+
+def test_the_worse_of_the_two_points_of_view_counts():
+    base, _ = two_cameras(n=2)
+    error = truth_error(moved(base, RIGHT, [0, 0, 0, 0, 0, 0.01]), truth_of(base))
+    # the right camera turns on the spot: seen from it, the left one 0.3 m away has moved
+    assert error.translation_mm == pytest.approx(3, abs=0.1)
+    assert error.rotation_deg == pytest.approx(np.degrees(0.01))
+    swapped = replace(base, sensors=dict(reversed(base.sensors.items())))
+    again = truth_error(moved(swapped, RIGHT, [0, 0, 0, 0, 0, 0.01]), truth_of(base))
+    assert again.poses[0].name == "right/left"
+    assert again.translation_mm == pytest.approx(error.translation_mm)
+
+
+def test_an_anchored_sensor_counts_with_the_others_own_transform():
+    base, _ = two_cameras(n=2)
+    error = truth_error(moved(replace(base, anchored="left"), RIGHT, [0, 0.002, 0, 0, 0, 0.01]), truth_of(base))
+    assert [pose.name for pose in error.poses] == ["right"]
+    assert error.translation_mm == pytest.approx(2)
+    assert error.rotation_deg == pytest.approx(np.degrees(0.01))
+
+
+def test_a_single_sensor_counts_with_its_own_transform():
+    base = arm(n=2)
+    error = truth_error(moved(base, ("eye_mount", "eye_link"), [0, 0.002, 0, 0, 0, 0]), truth_of(base))
+    assert error.poses == (PoseError("eye", pytest.approx(2), pytest.approx(0, abs=1e-6)),)
+
+
+def test_of_three_sensors_every_pair_counts():
+    names = ("a", "b", "c")
+    transforms = {
+        **{("world", f"{n}_mount"): translation([0, i, 0]) for i, n in enumerate(names)},
+        **{(f"{n}_mount", f"{n}_link"): np.eye(4) for n in names},
+        **{(f"{n}_link", f"{n}_optical"): T_LINK_OPTICAL for n in names},
+    }
+    base = dataset([rgb(n) for n in names], pattern(), transforms, [{}, {}])
+    base = replace(base, collections=two_cameras(n=2)[0].collections)
+    wrong = moved(
+        moved(base, ("b_mount", "b_link"), [0.001, 0, 0, 0, 0, 0]), ("c_mount", "c_link"), [-0.001, 0, 0, 0, 0, 0]
+    )
+    error = truth_error(wrong, truth_of(base))
+    assert [pose.name for pose in error.poses] == ["a/b", "a/c", "b/c"]
+    np.testing.assert_allclose([pose.translation_mm for pose in error.poses], [1, 1, 2])
+    assert error.translation_mm == pytest.approx(2)
+
+
+def test_the_worst_may_be_of_different_poses():
+    error = TruthError((PoseError("a", 1, 9), PoseError("b", 2, 3)))
+    assert (error.translation_mm, error.rotation_deg) == (2, 9)
+
+
+def test_the_worst_collection_counts():
+    base, _ = two_cameras(n=3)
+    sway = base.transforms["world", "right_mount"] @ from_xyz_rpy(
+        np.zeros((3, 3)), [[0, 0, 0], [0, 0, 0.2], [0, 0, 0.1]]
+    )
+    base = base.with_transforms({("world", "right_mount"): sway})
+    truth = truth_of(base)
+    wrong = moved(base, ("world", "left_mount"), [0, 0, 0, 0, 0, 0])
+    assert truth_error(wrong, truth).translation_mm < 1e-9
+    links = base.transforms[RIGHT].copy()
+    links[2] = links[2] @ translation([0, 0, 0.007])
+    assert truth_error(base.with_transforms({RIGHT: links}), truth).translation_mm == pytest.approx(7)
+
+
+def test_a_collection_without_labels_does_not_count():
+    base, _ = two_cameras(n=2)
+    broken = base.transforms["world", "right_mount"].copy()
+    broken[1] = np.nan
+    blind = replace(base, collections=(base.collections[0], replace(base.collections[1], labels={})))
+    error = truth_error(blind.with_transforms({("world", "right_mount"): broken}), truth_of(base))
+    assert error.translation_mm == pytest.approx(0, abs=1e-9)
+
+
+def test_a_sensor_that_the_truth_lacks_is_told():
+    base, _ = two_cameras(n=2)
+    whole = truth_of(base)
+    truth = Truth(Path("ground_truth.json"), {"left": LEFT}, {LEFT: whole.transforms[LEFT]}, {})
+    with pytest.raises(
+        InputError, match=r"ground_truth\.json: sensor 'right': no true transform 'right_mount-right_link'"
+    ):
+        truth_error(base, truth)
+
+
+def test_nothing_to_compare_is_an_error():
+    base = arm(n=2)
+    with pytest.raises(InputError, match="only sensor 'eye', and it is anchored"):
+        truth_error(replace(base, anchored="eye"), truth_of(base))
+    blind = replace(base, collections=tuple(replace(c, labels={}) for c in base.collections))
+    with pytest.raises(InputError, match="no collection has labels"):
+        truth_error(blind, truth_of(base))
+
+
+def test_a_transform_that_is_not_finite_is_an_error():
+    base = arm(n=2)
+    broken = base.transforms["eye_mount", "eye_link"].copy()
+    broken[1, 0, 3] = np.nan
+    with pytest.raises(InputError, match="a transform of eye is not finite"):
+        truth_error(base.with_transforms({("eye_mount", "eye_link"): broken}), truth_of(base))
+
+
+@pytest.mark.parametrize(("name", "poses"), [("t2rgb", 1), ("riwbot", 1), ("rlbot", 1)])
+def test_the_synthetic_datasets_hold_their_truth(shared_data, name, poses):
+    base = read_dataset(shared_data / "synthetic" / name)
+    truth = find_truth(base)
+    assert truth is not None
+    error = truth_error(base, truth)
+    assert len(error.poses) == poses
+    assert error.translation_mm < 1e-6
+    assert error.rotation_deg < 1e-5
