@@ -1,0 +1,82 @@
+"""``python -m benchmarks``: measure, print one table, say what misses its bar.
+
+Exit code 0 when no bar is missed, 1 when one is, 2 for wrong arguments.
+"""
+
+import argparse
+import importlib
+import json
+import os
+import platform
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.rows import HEADER, Bar, Row
+
+MODULES = {
+    "speed": "the least squares and the whole solve, in passes over the data",
+    "peers": "against mrcal and scipy from the same start",
+    "growth": "time and memory from 2000 to 20 000 collections",
+    "consistency": "errors against their stated covariance",
+    "outliers": "errors with wrong corners among the labels",
+    "paper": "the t2rgb dataset of the paper from 400 noisy starts",
+    "synthetic": "three synthetic systems from 100 noisy starts each",
+    "dataset_loading": "reading a dataset against json.load",
+    "process": "whole processes, from start to exit",
+}
+
+
+def main() -> int:
+    """Run what the command line asks for."""
+    parser = argparse.ArgumentParser(
+        "python -m benchmarks",
+        description="Measure what the suite claims.",
+        epilog="Measurements: " + "; ".join(f"{name}: {what}" for name, what in MODULES.items()),
+    )
+    parser.add_argument("--only", metavar="NAME,...", help="only these measurements")
+    parser.add_argument("--quick", action="store_true", help="fewer rounds and seeds; the same bars, less certain")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the rows to a file too")
+    arguments = parser.parse_args()
+    names = arguments.only.split(",") if arguments.only else list(MODULES)
+    if unknown := [name for name in names if name not in MODULES]:
+        parser.error(f"no measurement {', '.join(unknown)}; there are {', '.join(MODULES)}")
+    print(HEADER)
+    rows: list[Row] = []
+    for name in names:
+        for row in measured(name, arguments.quick):
+            rows.append(row)
+            print(row.line(), flush=True)
+    if arguments.json:
+        arguments.json.write_text(json.dumps(report(rows, arguments.quick), indent=1) + "\n")
+    missed = [row.name for row in rows if row.verdict == "missed"]
+    counts = {verdict: sum(row.verdict == verdict for row in rows) for verdict in ("met", "missed", "skipped")}
+    print(", ".join(f"{count} {verdict}" for verdict, count in counts.items()), *missed, sep="\n  missed: ")
+    return 1 if missed else 0
+
+
+def measured(name: str, quick: bool) -> Iterator[Row]:
+    """The rows of one module; what breaks it misses its bar and does not stop the others."""
+    try:
+        yield from importlib.import_module(f"benchmarks.{name}").measure(quick)
+    except Exception as error:
+        yield Row(f"{name}/failed", bar=Bar(high=0), note=f"{type(error).__name__}: {error}")
+
+
+def report(rows: list[Row], quick: bool) -> dict[str, object]:
+    """The rows, and what they were measured on."""
+    return {
+        "schema": 1,
+        "quick": quick,
+        "python": platform.python_version(),
+        "numpy": np.__version__,
+        "machine": platform.machine(),
+        "cores": os.cpu_count(),
+        "rows": [row.record() for row in rows],
+    }
+
+
+if __name__ == "__main__":
+    sys.exit(main())
