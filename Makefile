@@ -1,0 +1,72 @@
+# A machine with Python >= 3.11 and make needs no more. `make help` lists the targets.
+# PYTHON=... chooses the interpreter; by default that of .venv, else the first on PATH that is new enough.
+SHELL := bash
+.SHELLFLAGS := -euo pipefail -c
+.DEFAULT_GOAL := help
+
+venv := .venv
+python := $(venv)/bin/python
+PYTHON ?= $(wildcard $(python))
+# Brings .venv to a lock of requirements/; at once if it is there already, or has more (run after test).
+setup = INPUT_PYTHON='$(PYTHON)' bash actions/bootstrap.sh environment $(venv)
+
+uv = $(abspath $(or $(shell command -v uv),$(venv)/bin/uv))
+engine_tests = $(wildcard $(addprefix tests/,geometry dataset estimation evaluation comparison))
+
+.PHONY: help run test lint bench lock test-versions actions clean
+
+help: ## this list
+	@sed -nE 's/^([a-z-]+):.*## (.*)/\1\t\2/p' Makefile | expand -t 16
+
+run: ## calibrate the systems in datasets/ and check the tables, as calibration.yml says
+	@$(setup) calibrate.txt
+	@$(python) -m calibration run $(ARGS)
+
+lint: ## ruff, mypy, and the checks of workflows and actions
+	@$(setup) dev.txt .
+	$(python) -m ruff check
+	$(python) -m ruff format --check
+	$(python) -m mypy
+	$(python) -m mypy --strict actions/bootstrap.py
+	$(venv)/bin/zizmor --offline --quiet .github action.yml actions
+	$(venv)/bin/check-jsonschema --builtin-schema vendor.github-workflows .github/workflows/*.yml
+	$(venv)/bin/check-jsonschema --builtin-schema vendor.github-actions action.yml actions/*/action.yml
+
+test: lint ## lint, then the tests with their coverage
+	$(python) -m coverage erase
+	COVERAGE_PROCESS_START='$(CURDIR)/pyproject.toml' COVERAGE_FILE='$(CURDIR)/.coverage' $(python) -m pytest -n 2 $(ARGS)
+	$(python) -m coverage combine --quiet
+	$(python) -m coverage report
+
+# An older or newer library, laid over those of .venv. Not strict: OpenCV 5 lacks what some comparisons need.
+test-versions: ## the engine's tests with the oldest numpy and with OpenCV 5
+	@$(setup) dev.txt .
+	@for version in 'numpy==1.26.*' 'opencv-python-headless>=5'; do \
+		echo "$$version"; \
+		rm -rf build/versions; \
+		'$(uv)' pip install --quiet --no-deps --only-binary :all: --python $(python) --target build/versions "$$version" || exit 1; \
+		CALIBRATION_CI_STRICT= PYTHONPATH='$(CURDIR)/build/versions' \
+			$(python) -m pytest -n 2 -q -p no:cacheprovider $(engine_tests) || exit 1; \
+	done
+
+bench: ## what the measurements of benchmarks/ print
+	@$(setup) dev.txt .
+	$(python) -m benchmarks $(ARGS)
+
+# dev.txt is resolved first and binds the others, so that what is tested is what the actions install, and that an
+# environment for the tests serves `make run` too. `make lock UPGRADE=--upgrade` takes the newest versions.
+compile := pip compile pyproject.toml --quiet --no-config --universal --python-version 3.11 --only-binary :all: \
+	--generate-hashes --no-emit-index-url --no-emit-find-links --annotation-style line --custom-compile-command 'make lock'
+lock: ## resolve requirements/*.txt again after a change in pyproject.toml
+	@test -x '$(uv)' || { echo "make lock needs uv: pip install uv"; exit 2; }
+	'$(uv)' $(compile) $(UPGRADE) --all-extras --group dev --output-file requirements/dev.txt
+	'$(uv)' $(compile) --extra calibrate --extra opencv --constraint requirements/dev.txt --output-file requirements/calibrate.txt
+	'$(uv)' $(compile) --constraint requirements/dev.txt --output-file requirements/introspect.txt
+
+actions: ## write the inputs of the commands into every action.yml
+	@$(setup) dev.txt .
+	$(python) -m tests.actions.write_inputs
+
+clean: ## remove what running and testing leave behind (not .venv)
+	rm -rf output build dist .coverage .coverage.* coverage.xml .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	find . -name __pycache__ -not -path './$(venv)/*' -prune -exec rm -rf {} +

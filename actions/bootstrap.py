@@ -1,0 +1,306 @@
+"""Starts an action in a Python environment of its own, which the actions of one job share.
+
+    bootstrap.py ACTION                             what every action.yml runs (through bootstrap.sh)
+    bootstrap.py environment FOLDER LOCK [PROJECT]  what the Makefile runs: FOLDER gets the packages of
+                                                    requirements/LOCK, and PROJECT as an editable package
+
+The environment is a venv without pip in RUNNER_TEMP (outside GitHub: in the user's cache folder), so the job's own
+Python, PATH and packages stay as they are. It is filled from outside, by uv if there is one, else by pip, and only with
+wheels whose hashes stand in the lock. It gets its name when it is complete, so an interrupted or simultaneous
+installation leaves nothing half done.
+
+The job's settings for pip and uv are ignored (a PIP_TARGET or a no-binary would break the installation), except those
+that say where packages come from and how to get there: index, mirror, proxy, certificates, time-outs, cache. The hashes
+make it irrelevant who serves a package.
+
+Only the standard library is used, and a Python from 3.8 on reads this file far enough to say that it is too old.
+"""
+
+import ast
+import contextlib
+import hashlib
+import importlib.util
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import sysconfig
+import tempfile
+import venv
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import NoReturn
+
+# Which entry point and which lock each action uses: the one place that says so.
+ACTIONS = {
+    "introspect-csv": ("introspect-csv/main.py", "introspect.txt"),
+    "calibrate-matrix": ("calibrate-matrix/main.py", "calibrate.txt"),
+    "run": ("run.py", "calibrate.txt"),  # the root action.yml; no folder, because a folder here is a sub-action
+}
+# What an interpreter of the user's own must be able to import (OpenCV only adds rows of comparison).
+MODULES = {
+    "introspect.txt": ["click", "yaml"],
+    "calibrate.txt": ["click", "yaml", "numpy", "jsonschema", "defusedxml", "rich"],
+}
+
+PIP_SETTINGS = [
+    *("index-url", "extra-index-url", "find-links", "no-index", "trusted-host", "keyring-provider"),
+    *("proxy", "cert", "client-cert", "timeout", "default-timeout", "retries", "cache-dir"),
+]
+UV_SETTINGS = re.compile(
+    "UV_(DEFAULT_INDEX|INDEX|INDEX_URL|EXTRA_INDEX_URL|INDEX_.+_(USERNAME|PASSWORD)|FIND_LINKS|INSECURE_HOST|OFFLINE"
+    "|KEYRING_PROVIDER|NATIVE_TLS|SYSTEM_CERTS|HTTP_.+|CACHE_DIR)"
+)
+
+ROOT = Path(__file__).resolve().parents[1]
+BASE_PYTHON: str = getattr(sys, "_base_executable", sys.executable)  # not that of a venv
+MARKER = "calibration-ci.txt"  # in a complete environment: the interpreter it is for, then its packages, a line each
+BAD_INPUT, WORLD = 2, 3  # exit codes, as in calibration/errors.py
+TIMEOUT = 900  # seconds for an installation: steps of a composite action cannot have `timeout-minutes`
+
+
+def report(message: str, status: int) -> int:
+    """Tell the user in one line, an annotation where the runner reads the log, and return the exit code."""
+    for raw, escaped in (("%", "%25"), ("\r", "%0D"), ("\n", "%0A")):
+        message = message.replace(raw, escaped)
+    print(("::error::" if os.environ.get("GITHUB_ACTIONS") == "true" else "") + message, flush=True)
+    return status
+
+
+if sys.version_info < (3, 11):  # noqa: UP036  (said here, before what only a newer Python understands)
+    found = "{}.{}".format(*sys.version_info[:2])
+    sys.exit(report(f"Calibration CI needs Python 3.11 or newer; {sys.executable} is {found}", WORLD))
+
+
+class BootstrapError(Exception):
+    """What ends this program: a line for the user and an exit code."""
+
+    def __init__(self, message: str, status: int = WORLD) -> None:
+        super().__init__(message, status)
+
+
+def main(arguments: list[str]) -> None:
+    """Start the action named by the arguments, or make the environment that they describe."""
+    if os.name != "posix":
+        raise BootstrapError("Calibration CI runs on Linux and macOS")
+    if len(arguments) == 1 and arguments[0] in ACTIONS:
+        start(arguments[0])
+    if len(arguments) not in (3, 4) or arguments[0] != "environment":
+        raise BootstrapError("usage: bootstrap.py ACTION | environment FOLDER LOCK [PROJECT]", BAD_INPUT)
+    _, folder, lock, *project = arguments
+    environment(Path(folder).absolute(), ROOT / "requirements" / lock, [Path(path).absolute() for path in project])
+
+
+def start(action: str) -> NoReturn:
+    """Replace this process by the action's own, so that exit codes and signals pass straight through."""
+    entry, lock = ACTIONS[action]
+    python = sys.executable
+    if not os.environ.get("INPUT_PYTHON"):
+        python = str(shared_environment(ROOT / "requirements" / lock) / "bin" / "python")
+    elif missing := [name for name in MODULES[lock] if importlib.util.find_spec(name) is None]:
+        raise BootstrapError(
+            f"input 'python': {python} cannot import {', '.join(missing)}: install into it what requirements/{lock} "
+            "lists (not with --user), or leave the input empty",
+            BAD_INPUT,
+        )
+    os.execv(python, [python, "-I", "-u", "-X", "utf8", str(ROOT / "actions" / entry)])  # noqa: S606
+
+
+def shared_environment(lock: Path) -> Path:
+    """Return an environment with the packages of `lock`: one that this job has already, else a new one."""
+    home = environments_home()
+    digest = hashlib.sha256(f"{interpreter()}\n{lock.read_text()}".encode()).hexdigest()[:12]
+    target = home / f"{lock.stem}-{digest}"
+    for candidate in [target, *sorted(home.glob("[!.]*"))]:  # the larger one of another action does as well
+        if provides(candidate, pins(lock)):
+            print(f"Python environment: {candidate.name}", flush=True)
+            return candidate
+    with group(f"Python environment: installing {lock.stem}"), scratch_folder(home) as scratch:
+        built = scratch / target.name
+        create(built, lock)
+        try:
+            built.rename(target)
+        except OSError:  # there is one: either another process was first, or it is broken
+            if not provides(target, pins(lock)):
+                shutil.rmtree(target)
+                built.rename(target)
+    return target
+
+
+def environments_home() -> Path:
+    """Return the folder of the shared environments, made if need be."""
+    cache = os.environ.get("XDG_CACHE_HOME") or "~/.cache"
+    home = Path(os.environ.get("RUNNER_TEMP") or cache).expanduser().absolute() / "calibration-ci"
+    try:
+        home.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise BootstrapError(f"{home}: {error.strerror}; set RUNNER_TEMP to a folder that can be written") from error
+    return home
+
+
+def environment(folder: Path, lock: Path, project: list[Path]) -> None:
+    """Bring `folder` (such as .venv) to the packages of `lock`, and `project` into it as an editable package."""
+    python = folder / "bin" / "python"
+    marked = (folder / MARKER).exists()
+    if python.exists() and not marked and not folder.samefile(sys.prefix):
+        # Made by hand, perhaps with another Python than this one: let its own do the work.
+        os.execv(python, [str(python), "-I", __file__, *sys.argv[1:]])  # noqa: S606
+    if provides(folder, pins(lock) | editables(project)):
+        return
+    with group(f"{folder.name}: installing {lock.stem}"):
+        if not python.exists() or (marked and not provides(folder, set())):  # its Python has gone, or is another now
+            shutil.rmtree(folder, ignore_errors=True)
+        create(folder, lock, project)
+
+
+def create(folder: Path, lock: Path, project: list[Path] | None = None) -> None:
+    """Make `folder` a venv if it is none, install `lock` and `project` into it, and mark it as complete."""
+    python = folder / "bin" / "python"
+    if not python.exists():
+        venv.create(folder, symlinks=True)
+    (folder / MARKER).unlink(missing_ok=True)
+    install(python, ["--require-hashes", "--only-binary", ":all:", "-r", str(lock)])
+    for path in project or []:
+        install(python, ["--no-build-isolation", "--editable", str(path)])
+    (folder / MARKER).write_text("\n".join([interpreter(), *sorted(pins(lock) | editables(project or []))]))
+
+
+def interpreter() -> str:
+    """Return what an environment depends on besides its packages: version, platform and place of this Python."""
+    base = os.path.realpath(BASE_PYTHON)
+    return f"{sys.version} {sysconfig.get_config_var('SOABI')} {base}".replace("\n", " ")
+
+
+def pins(lock: Path) -> set[str]:
+    """Return the requirements of a lock as `name==version ; marker`, without their hashes."""
+    return {line.rstrip(" \\") for line in lock.read_text().splitlines() if re.match("[A-Za-z0-9]", line)}
+
+
+def editables(project: list[Path]) -> set[str]:
+    """Return the same for packages that are installed from a folder."""
+    return {f"--editable {path}" for path in project}
+
+
+def provides(folder: Path, packages: set[str]) -> bool:
+    """Whether an environment is complete, for this interpreter, and has these packages (and perhaps more)."""
+    try:
+        made_for, *present = (folder / MARKER).read_text().splitlines()
+    except (OSError, ValueError):
+        return False
+    return made_for == interpreter() and covers(present, packages) and (folder / "bin" / "python").exists()
+
+
+def covers(present: Iterable[str], wanted: Iterable[str]) -> bool:
+    """Whether the first requirements include the others; what is there under no condition is there under any."""
+    present = set(present)
+    return all(pin in present or pin.partition(" ;")[0] in present for pin in wanted)
+
+
+def install(python: Path, arguments: list[str]) -> None:
+    """Install into the environment of `python` with the first installer that succeeds."""
+    tried = []
+    for command, variables in installers(python):
+        tried.append(Path(command[0]).name)
+        if run([*command, "--no-deps", *arguments], variables):
+            return
+    if not tried:
+        raise BootstrapError(
+            "neither uv nor pip is here to install Python packages; on Debian, Ubuntu: apt-get install python3-venv"
+        )
+    raise BootstrapError(
+        f"the Python packages could not be installed with {' or '.join(tried)}, see the lines above; "
+        "on a machine without network, name a Python that has them (input 'python')"
+    )
+
+
+def installers(python: Path) -> Iterator[tuple[list[str], dict[str, str]]]:
+    """Yield the commands that install into the environment of `python`, and the variables to run each with."""
+    job = dict(os.environ)
+    clean = {name: job[name] for name in job if not re.match("PIP_|UV_|PYTHON|VIRTUAL_ENV$|CONDA_", name)}
+    if uv := shutil.which("uv"):
+        settings = {name: job[name] for name in job if UV_SETTINGS.fullmatch(name)}
+        plain = {"NO_COLOR": "1", "UV_NO_PROGRESS": "1"}  # act gives its steps a terminal
+        yield [uv, "pip", "install", "--python", str(python)], clean | settings | plain
+
+    with contextlib.ExitStack() as stack:
+        pip = [BASE_PYTHON, "-I", "-m", "pip"]
+        listing = subprocess.run([*pip, "config", "list"], capture_output=True, text=True, timeout=60, check=False)
+        if listing.returncode:  # this Python has no pip: borrow the one that it can put into a venv
+            if importlib.util.find_spec("ensurepip") is None:
+                return
+            tool = stack.enter_context(tempfile.TemporaryDirectory())
+            venv.create(tool, symlinks=True, with_pip=True)
+            pip = [f"{tool}/bin/python", "-I", "-m", "pip"]
+            listing = subprocess.run([*pip, "config", "list"], capture_output=True, text=True, timeout=60, check=False)
+        settings = pip_settings(listing.stdout) | {"PIP_CONFIG_FILE": os.devnull, "PIP_NO_INPUT": "1"}
+        options = ["--disable-pip-version-check", "--progress-bar", "off", "--no-warn-script-location"]
+        yield [*pip, "--python", str(python), "install", *options], clean | settings
+
+
+def pip_settings(listing: str) -> dict[str, str]:
+    """Return the settings to keep, as variables, from `pip config list` (lines such as `global.index-url='...'`)."""
+    kept = {}
+    for source in ("global.", "install.", ":env:."):  # the later wins, as it does for pip
+        for key in PIP_SETTINGS:
+            if found := re.search(rf"^{re.escape(source + key)}=(.*)$", listing, re.MULTILINE):
+                kept["PIP_" + key.upper().replace("-", "_")] = str(ast.literal_eval(found[1]))
+    return kept
+
+
+def run(command: list[str], variables: dict[str, str]) -> bool:
+    """Run an installer; whether it succeeded. It ends with this process, with all that it has started."""
+    ending = {signal.SIGINT, signal.SIGTERM}
+    # Held back until we can answer them: one that arrived while the installer starts would leave it behind.
+    signal.pthread_sigmask(signal.SIG_BLOCK, ending)
+    # Not in the workspace: a uv.toml there has no say. One stream: the order of the lines stays.
+    with subprocess.Popen(
+        command,
+        env=variables,
+        cwd="/",
+        stdin=subprocess.DEVNULL,
+        stderr=subprocess.STDOUT,
+        start_new_session=True,
+        preexec_fn=lambda: signal.pthread_sigmask(signal.SIG_UNBLOCK, ending),
+    ) as process:
+        try:
+            signal.pthread_sigmask(signal.SIG_UNBLOCK, ending)
+            return process.wait(TIMEOUT) == 0
+        except subprocess.TimeoutExpired:
+            print(f"stopped after {TIMEOUT} s", flush=True)
+            return False
+        finally:
+            if process.poll() is None:
+                os.killpg(process.pid, signal.SIGKILL)
+
+
+@contextlib.contextmanager
+def group(title: str) -> Iterator[None]:
+    """Fold what is printed meanwhile, where the runner reads the log."""
+    on_github = os.environ.get("GITHUB_ACTIONS") == "true"
+    print(f"::group::{title}" if on_github else title, flush=True)
+    try:
+        yield
+    finally:
+        if on_github:
+            print("::endgroup::", flush=True)
+
+
+@contextlib.contextmanager
+def scratch_folder(home: Path) -> Iterator[Path]:
+    """Give a folder in `home`, on the same disk and with a name that no environment has; gone afterwards."""
+    with tempfile.TemporaryDirectory(prefix=".", dir=home, ignore_cleanup_errors=True) as scratch:
+        yield Path(scratch)
+
+
+if __name__ == "__main__":
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # so that what was begun is removed
+    try:
+        main(sys.argv[1:])
+    except BootstrapError as problem:
+        sys.exit(report(*problem.args))
+    except (OSError, subprocess.SubprocessError) as error:  # a full disk, a Python that lacks parts
+        sys.exit(report(f"the Python environment could not be made: {error}", WORLD))
+    except KeyboardInterrupt:
+        sys.exit(130)

@@ -1,0 +1,383 @@
+"""The way from a step of an action to its Python: run as a job runs it, without network."""
+
+import contextlib
+import json
+import os
+import shutil
+import signal
+import subprocess
+import time
+import venv
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import psutil
+import pytest
+
+from .conftest import PYTHON, Suite
+
+
+def facts(result: subprocess.CompletedProcess[str]) -> dict[str, Any]:
+    """Return what the command said of itself."""
+    said: dict[str, Any] = json.loads(next(line for line in result.stdout.splitlines() if line.startswith("{")))
+    return said
+
+
+def test_the_command_runs_isolated_in_an_environment_of_its_own(suite: Suite) -> None:
+    result = suite.run("introspect-csv", STATUS="1")
+    assert result.returncode == 1
+    [environment] = suite.environments
+    assert environment.name.startswith("introspect-")
+    assert (
+        facts(result).items()
+        >= {
+            "action": "introspect-csv",
+            "prefix": str(environment),
+            "tiny": "1.0",
+            "isolated": 1,
+        }.items()
+    )
+    assert "::group::Python environment" in result.stdout
+    assert result.stdout.index("::endgroup::") < result.stdout.index("{")
+    assert not (environment / "bin" / "pip").exists()
+
+
+def test_uv_installs_where_there_is_one(suite: Suite, uv: str) -> None:
+    result = suite.run("introspect-csv", PATH=f"{uv}:{suite.variables['PATH']}")
+    assert result.returncode == 0, result.stdout
+    assert "+ tiny==1.0" in result.stdout
+    assert facts(result)["prefix"] == str(suite.environments[0])
+
+
+def test_pip_installs_where_uv_fails(suite: Suite, tmp_path: Path) -> None:
+    (tmp_path / "broken").mkdir()
+    (tmp_path / "broken" / "uv").symlink_to("/bin/false")
+    result = suite.run("introspect-csv", PATH=f"{tmp_path / 'broken'}:{suite.variables['PATH']}")
+    assert result.returncode == 0, result.stdout
+    assert facts(result)["tiny"] == "1.0"
+
+
+def test_the_second_action_starts_at_once(suite: Suite) -> None:
+    first = facts(suite.run("introspect-csv"))
+    shutil.rmtree(suite.wheels)  # nothing can be installed any more
+    second = suite.run("introspect-csv")
+    assert facts(second)["prefix"] == first["prefix"]
+    assert "installing" not in second.stdout
+
+
+def test_a_larger_environment_serves_the_smaller_action(suite: Suite) -> None:
+    first = facts(suite.run("calibrate-matrix"))
+    assert facts(suite.run("introspect-csv"))["prefix"] == first["prefix"]
+    assert len(suite.environments) == 1
+
+
+def test_another_lock_makes_another_environment(suite: Suite) -> None:
+    first = facts(suite.run("introspect-csv"))
+    suite.lock("introspect.txt", tiny="1.1")
+    second = facts(suite.run("introspect-csv"))
+    assert (first["tiny"], second["tiny"]) == ("1.0", "1.1")
+    assert len(suite.environments) == 2
+
+
+def test_a_broken_environment_is_replaced(suite: Suite) -> None:
+    environment = Path(facts(suite.run("introspect-csv"))["prefix"])
+    (environment / "bin" / "python").unlink()
+    assert facts(suite.run("introspect-csv"))["prefix"] == str(environment)
+    assert suite.environments == [environment]
+
+
+def test_an_interrupted_installation_leaves_nothing(suite: Suite, tmp_path: Path) -> None:
+    slow = tmp_path / "slow"
+    slow.mkdir()
+    (slow / "uv").write_text(f"#!/bin/bash\necho $$ >'{tmp_path}/started'\nsleep 60 & wait\n")
+    (slow / "uv").chmod(0o755)
+    with suite.start("introspect-csv", PATH=f"{slow}:{suite.variables['PATH']}") as process:
+        started = tmp_path / "started"
+        wait_until(lambda: started.exists() and started.read_text().endswith("\n"))
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(30) == 143
+    assert suite.environments == []
+    wait_until(lambda: not group_lives(int(started.read_text())))
+    assert suite.run("introspect-csv").returncode == 0
+
+
+def wait_until(condition: Any, seconds: float = 30) -> None:
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.01)
+
+
+def group_lives(leader: int) -> bool:
+    """Whether a process of the group runs; one that has ended may wait for its parent for long, in a container."""
+    for process in psutil.process_iter(["status"]):
+        with contextlib.suppress(ProcessLookupError):
+            if os.getpgid(process.pid) == leader and process.info["status"] != psutil.STATUS_ZOMBIE:
+                return True
+    return False
+
+
+def test_two_at_once_share_what_the_first_has_made(suite: Suite) -> None:
+    with suite.start("introspect-csv") as one, suite.start("introspect-csv") as two:
+        outputs = [process.communicate(timeout=60)[0] for process in (one, two)]
+    assert (one.returncode, two.returncode) == (0, 0), outputs
+    [environment] = suite.environments
+    assert all(str(environment) in output for output in outputs)
+
+
+def test_signals_reach_the_command(suite: Suite) -> None:
+    suite.run("introspect-csv")
+    with suite.start("introspect-csv", SLEEP="60") as process:
+        assert process.stdout is not None
+        for line in process.stdout:
+            if line.startswith("{"):
+                assert json.loads(line)["pid"] == process.pid  # one process from the step's shell to the command
+                break
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(30) == 42
+
+
+def test_a_wrong_hash_ends_in_one_line(suite: Suite) -> None:
+    lock = suite.folder / "requirements" / "introspect.txt"
+    lock.write_text(lock.read_text().replace("sha256:", "sha256:00")[:-3] + "\n")
+    result = suite.run("introspect-csv")
+    assert result.returncode == 3
+    assert result.stdout.splitlines()[-1].startswith("::error::the Python packages could not be installed with ")
+    assert "Traceback" not in result.stdout
+    assert suite.environments == []
+
+
+HOSTILE = {
+    "PIP_TARGET": "elsewhere",
+    "PIP_USER": "1",
+    "PIP_NO_BINARY": ":all:",
+    "PIP_REQUIRE_VIRTUALENV": "1",
+    "PIP_CONSTRAINT": "constraints.txt",
+    "PIP_DRY_RUN": "1",
+    "UV_NO_BINARY": "1",
+    "UV_CONSTRAINT": "constraints.txt",
+    "UV_SYSTEM_PYTHON": "1",
+    "UV_TARGET": "elsewhere",
+    "PYTHONPATH": ".",
+    "PYTHONHOME": "nowhere",
+    "PYTHONSAFEPATH": "",
+    "VIRTUAL_ENV": "nowhere",
+    "CONDA_PREFIX": "nowhere",
+}
+
+
+@pytest.mark.parametrize("installer", ["pip", "uv"])
+def test_settings_of_the_job_do_not_break_the_installation(
+    suite: Suite, installer: str, tmp_path: Path, request: pytest.FixtureRequest
+) -> None:
+    folder = tmp_path / "workspace"
+    folder.mkdir()
+    (folder / "constraints.txt").write_text("tiny==9.9\n")
+    (folder / "uv.toml").write_text("no-binary = true\n[pip]\ntarget = 'elsewhere'\n")
+    (tmp_path / ".config" / "pip").mkdir(parents=True)
+    (tmp_path / ".config" / "pip" / "pip.conf").write_text("[install]\ntarget = elsewhere\nno-deps = true\n")
+    path = suite.variables["PATH"]
+    if installer == "uv":
+        path = f"{request.getfixturevalue('uv')}:{path}"
+    result = suite.run("introspect-csv", cwd=folder, **HOSTILE, PATH=path)
+    assert result.returncode == 0, result.stdout
+    assert facts(result)["tiny"] == "1.0"
+    assert not (folder / "elsewhere").exists()
+    assert "did not succeed" not in result.stdout
+
+
+def test_a_mirror_in_pips_configuration_is_used(suite: Suite, tmp_path: Path) -> None:
+    (tmp_path / "pip.conf").write_text(
+        f"[global]\nno-index = true\nfind-links = {suite.variables.pop('PIP_FIND_LINKS')}\n"
+    )
+    suite.variables["PIP_CONFIG_FILE"] = str(tmp_path / "pip.conf")
+    del suite.variables["PIP_NO_INDEX"]
+    result = suite.run("introspect-csv")
+    assert result.returncode == 0, result.stdout
+
+
+def test_files_of_the_workspace_shadow_nothing(suite: Suite, tmp_path: Path) -> None:
+    for name in ("yaml.py", "tiny.py", "json.py", "pathlib.py", "calibration.py", "sitecustomize.py", "pip.py"):
+        (tmp_path / name).write_text("raise SystemExit('shadowed')\n")
+    result = suite.run("introspect-csv", cwd=tmp_path, PYTHONPATH=str(tmp_path))
+    assert result.returncode == 0, result.stdout
+    assert facts(result)["tiny"] == "1.0"
+
+
+def test_outside_github_the_environment_is_in_the_cache(suite: Suite, tmp_path: Path) -> None:
+    del suite.variables["RUNNER_TEMP"], suite.variables["GITHUB_ACTIONS"]
+    result = suite.run("introspect-csv")
+    assert Path(facts(result)["prefix"]).parent == tmp_path / ".cache" / "calibration-ci"
+    assert "::" not in result.stdout
+
+
+def test_a_folder_that_cannot_be_written_is_named(suite: Suite, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    result = suite.run("introspect-csv", RUNNER_TEMP=str(tmp_path / "file"))
+    assert result.returncode == 3
+    assert result.stdout.startswith(f"::error::{tmp_path / 'file'}")
+
+
+def test_what_the_system_refuses_is_told_in_one_line(suite: Suite) -> None:
+    (suite.folder / "requirements" / "introspect.txt").unlink()
+    result = suite.run("introspect-csv")
+    assert result.returncode == 3
+    [line] = result.stdout.splitlines()
+    assert line.startswith("::error::the Python environment could not be made: ")
+
+
+# A Python without pip
+
+
+@pytest.fixture
+def bare(suite: Suite, tmp_path: Path, bootstrap: ModuleType, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Make bootstrap.py find neither pip nor uv; return the Python of a venv to install into."""
+    venv.create(tmp_path / "bare", symlinks=True)
+    venv.create(tmp_path / "venv", symlinks=True)
+    monkeypatch.setattr(bootstrap, "BASE_PYTHON", str(tmp_path / "bare" / "bin" / "python"))
+    monkeypatch.setenv("PATH", "/usr/bin:/bin")
+    monkeypatch.setenv("PIP_NO_INDEX", "1")
+    monkeypatch.setenv("PIP_FIND_LINKS", str(suite.wheels))
+    return tmp_path / "venv" / "bin" / "python"
+
+
+def test_a_python_without_pip_borrows_the_one_of_ensurepip(suite: Suite, bare: Path, bootstrap: ModuleType) -> None:
+    bootstrap.install(bare, ["-r", str(suite.folder / "requirements" / "introspect.txt")])
+    assert packages(bare.parents[1]) == {"tiny"}
+
+
+def test_a_python_without_ensurepip_says_what_to_install(
+    bare: Path, bootstrap: ModuleType, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(bootstrap.importlib.util, "find_spec", lambda name: None)
+    with pytest.raises(bootstrap.BootstrapError, match="apt-get install python3-venv"):
+        bootstrap.install(bare, ["tiny"])
+
+
+# An interpreter of the user's own
+
+
+@pytest.fixture
+def own(suite: Suite, tmp_path: Path) -> Path:
+    """Return a folder with an interpreter that has all that introspect-csv asks for."""
+    folder = tmp_path / "own python"
+    venv.create(folder, symlinks=True)
+    [packages] = folder.glob("lib/python*/site-packages")
+    for module in ("click", "yaml"):
+        (packages / f"{module}.py").write_text("")
+    (packages / "tiny.py").write_text("VERSION = 'own'")
+    return folder
+
+
+def test_nothing_is_installed_beside_ones_own_interpreter(suite: Suite, own: Path) -> None:
+    result = suite.run("introspect-csv", INPUT_PYTHON=str(own / "bin" / "python"))
+    assert facts(result).items() >= {"tiny": "own", "prefix": str(own), "isolated": 1}.items()
+    assert suite.environments == []
+
+
+def test_ones_own_interpreter_must_have_the_packages(suite: Suite, own: Path) -> None:
+    result = suite.run("calibrate-matrix", INPUT_PYTHON=str(own / "bin" / "python"))
+    assert result.returncode == 2
+    [line] = result.stdout.splitlines()
+    assert "cannot import numpy, jsonschema, defusedxml, rich: " in line
+
+
+@pytest.mark.parametrize("value", ["3.12", "/nowhere/python", "--version", "$(touch pwned)", "x; touch pwned"])
+def test_ones_own_interpreter_must_be_one(suite: Suite, value: str, tmp_path: Path) -> None:
+    result = suite.run("introspect-csv", INPUT_PYTHON=value, cwd=tmp_path)
+    assert result.returncode == 2
+    [line] = result.stdout.splitlines()
+    assert line.startswith("::error::input 'python'")
+    assert not (tmp_path / "pwned").exists()
+
+
+# Finding an interpreter
+
+
+@pytest.fixture
+def tools(tmp_path: Path) -> Path:
+    """Return a folder for PATH with what bootstrap.sh itself needs, and a Python that is too old."""
+    folder = tmp_path / "tools"
+    folder.mkdir()
+    for name in ("bash", "dirname"):
+        found = shutil.which(name)
+        assert found is not None
+        (folder / name).symlink_to(found)
+    (folder / "python3").symlink_to("/bin/false")
+    return folder
+
+
+def test_a_machine_without_python_is_told_in_one_line(suite: Suite, tools: Path) -> None:
+    result = suite.run("introspect-csv", PATH=str(tools))
+    assert result.returncode == 3
+    [line] = result.stdout.splitlines()
+    assert line.startswith("::error::no Python >= 3.11 on this machine")
+
+
+@pytest.mark.parametrize("place", ["tools/python3.12", "cache/Python/3.12.7/x64/bin/python3"])
+def test_a_newer_python_is_found(suite: Suite, tools: Path, tmp_path: Path, place: str) -> None:
+    (tmp_path / place).parent.mkdir(parents=True, exist_ok=True)
+    (tmp_path / place).write_text(f"#!{tools}/bash\nexec '{PYTHON}' \"$@\"\n")
+    (tmp_path / place).chmod(0o755)
+    result = suite.run("introspect-csv", PATH=str(tools), RUNNER_TOOL_CACHE=str(tmp_path / "cache"))
+    assert result.returncode == 0, result.stdout
+
+
+# The environment of the Makefile
+
+
+def packages(folder: Path) -> set[str]:
+    return {path.name.removesuffix(".py") for path in folder.glob("lib/python*/site-packages/*.py")}
+
+
+def test_the_makefiles_environment_grows_and_is_never_downgraded(suite: Suite, tmp_path: Path) -> None:
+    folder = tmp_path / ".venv"
+    for lock, expected in (
+        ("introspect.txt", {"tiny"}),
+        ("calibrate.txt", {"tiny", "larger"}),
+        ("introspect.txt", {"tiny", "larger"}),
+    ):
+        assert suite.run("environment", str(folder), lock).returncode == 0
+        assert packages(folder) == expected
+    assert suite.run("environment", str(folder), "calibrate.txt").stdout == ""  # there already
+
+
+def test_the_makefiles_environment_follows_the_lock(suite: Suite, tmp_path: Path) -> None:
+    folder = tmp_path / ".venv"
+    suite.run("environment", str(folder), "introspect.txt")
+    suite.lock("introspect.txt", tiny="1.1")
+    suite.run("environment", str(folder), "introspect.txt")
+    [module] = folder.glob("lib/python*/site-packages/tiny.py")
+    assert "1.1" in module.read_text()
+
+
+def test_the_makefiles_environment_follows_the_interpreter(suite: Suite, tmp_path: Path) -> None:
+    folder = tmp_path / ".venv"
+    suite.run("environment", str(folder), "introspect.txt")
+    marker = folder / "calibration-ci.txt"
+    marker.write_text("another Python\ntiny==1.0")
+    (folder / "old").write_text("")
+    assert suite.run("environment", str(folder), "introspect.txt").returncode == 0
+    assert not (folder / "old").exists()
+    assert packages(folder) == {"tiny"}
+
+
+def test_a_venv_made_by_hand_is_filled_with_its_own_python(suite: Suite, own: Path) -> None:
+    assert suite.run("environment", str(own), "calibrate.txt").returncode == 0
+    assert packages(own) == {"click", "yaml", "tiny", "larger"}
+
+
+@pytest.mark.parametrize("arguments", [[], ["unknown"], ["environment", "x"]])
+def test_wrong_arguments_are_bad_input(suite: Suite, arguments: list[str]) -> None:
+    result = suite.run(*arguments)
+    assert result.returncode == 2
+    assert "usage" in result.stdout
+
+
+def test_too_old_a_python_is_told_in_one_line(suite: Suite) -> None:
+    path = suite.folder / "actions" / "bootstrap.py"
+    code = f"import runpy, sys; sys.version_info = (3, 8, 18); runpy.run_path({str(path)!r})"
+    result = subprocess.run([PYTHON, "-c", code], capture_output=True, text=True, timeout=30, check=False)
+    assert result.returncode == 3
+    assert "Calibration CI needs Python 3.11 or newer" in result.stdout

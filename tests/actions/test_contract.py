@@ -1,0 +1,136 @@
+"""Holds every action.yml to the command it runs, and the locks to pyproject.toml."""
+
+import ast
+import re
+import tomllib
+from importlib.metadata import packages_distributions
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import pytest
+import yaml
+
+from .write_inputs import FILES, options, with_inputs
+
+PROJECT = Path(__file__).resolve().parents[2]
+LOCKS = {path.name: path.read_text() for path in (PROJECT / "requirements").glob("*.txt")}
+
+
+@pytest.fixture(params=FILES)
+def name(request: pytest.FixtureRequest) -> str:
+    return str(request.param)
+
+
+@pytest.fixture
+def action(name: str) -> dict[str, Any]:
+    loaded: dict[str, Any] = yaml.safe_load(FILES[name].read_text())
+    return loaded
+
+
+@pytest.fixture
+def step(action: dict[str, Any]) -> dict[str, Any]:
+    steps: list[dict[str, Any]] = action["runs"]["steps"]
+    [step] = steps
+    return step
+
+
+def test_inputs_are_those_of_the_command(name: str, bootstrap: ModuleType) -> None:
+    text = FILES[name].read_text()
+    _, lock = bootstrap.ACTIONS[name]
+    assert text == with_inputs(text, name, lock), "run `make actions`"
+
+
+def test_every_input_reaches_its_option(name: str, action: dict[str, Any], step: dict[str, Any]) -> None:
+    variables = {name: f"INPUT_{name.upper().replace('-', '_')}" for name in action["inputs"]}
+    assert step["env"] == {variable: f"${{{{ inputs.{name} }}}}" for name, variable in variables.items()}
+    # click reads the variable that it makes of the parameter's name.
+    assert {option: f"INPUT_{(declared.name or '').upper()}" for option, declared in options(name).items()} | {
+        "python": "INPUT_PYTHON"
+    } == variables
+
+
+def test_inputs_are_documented_and_have_their_default_in_python(action: dict[str, Any]) -> None:
+    for entry in action["inputs"].values():
+        assert entry["description"].endswith(".")
+        assert entry.keys() <= {"description", "required"}  # a `default` here would be a second one
+
+
+def test_outputs_have_a_value(action: dict[str, Any], step: dict[str, Any]) -> None:
+    for name, entry in action["outputs"].items():
+        assert entry["description"].endswith(".")
+        assert entry["value"] == f"${{{{ steps.{step['id']}.outputs.{name} }}}}"
+
+
+def test_the_step_is_one_line_of_bash_without_templates(name: str, step: dict[str, Any], bootstrap: ModuleType) -> None:
+    folder = "actions" if name == "run" else ".."
+    assert step["run"] == f'exec bash "$GITHUB_ACTION_PATH/{folder}/bootstrap.sh" {name}'
+    assert step["shell"] == "bash"
+    assert step.keys() == {"id", "run", "shell", "env"}  # no `uses`: act would fetch it, even where it is skipped
+    entry, lock = bootstrap.ACTIONS[name]
+    assert f'run_action("{name}")' in (PROJECT / "actions" / entry).read_text()
+    assert lock in LOCKS
+
+
+def test_actions_present_themselves(action: dict[str, Any]) -> None:
+    assert action["branding"].keys() == {"icon", "color"}
+    assert action["description"].endswith(".")
+    assert len(action["description"]) <= 125  # what the Marketplace shows
+
+
+def test_every_action_of_bootstrap_has_its_file(bootstrap: ModuleType) -> None:
+    assert set(bootstrap.ACTIONS) == set(FILES)
+
+
+def test_old_pythons_read_bootstrap_far_enough_to_say_that_they_are_too_old() -> None:
+    source = (PROJECT / "actions" / "bootstrap.py").read_text()
+    ast.parse(source, feature_version=(3, 8))
+    guard = source.index("if sys.version_info < (3, 11)")
+    assert "|" not in "".join(re.findall(r"^def .*$", source[:guard], re.MULTILINE))
+
+
+def test_locks_have_hashes_and_no_addresses() -> None:
+    assert LOCKS.keys() == {"introspect.txt", "calibrate.txt", "dev.txt"}
+    for text in LOCKS.values():
+        assert not re.search(r"://|(?<!\w)/\w|^-", text, re.MULTILINE)
+        for requirement in re.split(r"\n(?=\w)", text)[1:]:
+            assert re.match(r"[\w.-]+==\S+( ; [^\\]+)? \\\n    --hash=sha256:[0-9a-f]{64}", requirement)
+
+
+def test_what_is_tested_is_what_the_actions_install(bootstrap: ModuleType) -> None:
+    introspect, calibrate, dev = (
+        bootstrap.pins(PROJECT / "requirements" / name) for name in ("introspect.txt", "calibrate.txt", "dev.txt")
+    )
+    assert bootstrap.covers(calibrate, introspect)
+    assert bootstrap.covers(dev, calibrate)
+
+
+@pytest.mark.parametrize(
+    ("lock", "extras", "groups"),
+    [("introspect.txt", [], []), ("calibrate.txt", ["calibrate", "opencv"], []), ("dev.txt", ["opencv"], ["dev"])],
+)
+def test_locks_satisfy_pyproject(lock: str, extras: list[str], groups: list[str]) -> None:
+    packaging = pytest.importorskip("packaging.requirements")
+    project = tomllib.loads((PROJECT / "pyproject.toml").read_text())
+    wanted = list(project["project"]["dependencies"])
+    wanted += [line for extra in extras for line in project["project"]["optional-dependencies"][extra]]
+    wanted += [line for group in groups for line in project["dependency-groups"][group]]
+    locked: dict[str, list[str]] = {}
+    for name, version in re.findall(r"^([\w.-]+)==([^\s;]+)", LOCKS[lock], re.MULTILINE):
+        locked.setdefault(name, []).append(version)
+    for line in wanted:
+        requirement = packaging.Requirement(line)
+        versions = locked.get(re.sub(r"[-_.]+", "-", requirement.name).lower(), [])
+        assert versions, f"{line}: not in requirements/{lock}, run `make lock`"
+        assert all(map(requirement.specifier.contains, versions)), f"{line}: {versions}, run `make lock`"
+
+
+@pytest.mark.parametrize(("lock", "extras"), [("introspect.txt", []), ("calibrate.txt", ["calibrate"])])
+def test_an_interpreter_of_ones_own_is_asked_for_all_modules(
+    bootstrap: ModuleType, lock: str, extras: list[str]
+) -> None:
+    project = tomllib.loads((PROJECT / "pyproject.toml").read_text())["project"]
+    wanted = project["dependencies"] + [line for extra in extras for line in project["optional-dependencies"][extra]]
+    names = {re.split(r"[<>=\[;]", line)[0].lower() for line in wanted}
+    modules = packages_distributions()
+    assert {modules[module][0].lower() for module in bootstrap.MODULES[lock]} == names

@@ -1,0 +1,58 @@
+"""Writes into every action.yml the inputs that its command declares: `make actions`.
+
+The options of the commands are the one place where inputs are declared; `test_contract.py` holds the files to them.
+"""
+
+import json
+import re
+from pathlib import Path
+
+import click
+import yaml
+
+from calibration.__main__ import load_command
+
+PROJECT = Path(__file__).resolve().parents[2]
+FILES = {"run": PROJECT / "action.yml"} | {path.parent.name: path for path in PROJECT.glob("actions/*/action.yml")}
+PYTHON = "A Python >= 3.11 that has the packages of requirements/{lock}; nothing is installed then."
+
+
+def options(name: str) -> dict[str, click.Option]:
+    """Return the options of a command by the name that an input has."""
+    params = load_command(name).params
+    return {option.opts[0].removeprefix("--"): option for option in params if isinstance(option, click.Option)}
+
+
+def with_inputs(text: str, name: str, lock: str) -> str:
+    """Return the text of an action.yml with the inputs of the command, and the one for the interpreter."""
+    inputs = env = ""
+    for option, declared in options(name).items():
+        inputs += f"  {option}:\n    description: {scalar(declared.help or '')}\n"
+        inputs += "    required: true\n" if declared.required else ""
+    inputs += f"  python:\n    description: {scalar(PYTHON.format(lock=lock))}\n"
+    for option in [*options(name), "python"]:
+        env += f"        INPUT_{option.upper().replace('-', '_')}: ${{{{ inputs.{option} }}}}\n"
+    text = re.sub(r"(?<=^inputs:\n).*?(?=^\n)", lambda _: inputs, text, flags=re.MULTILINE | re.DOTALL)
+    return re.sub(r"(?<=^      env:\n).*", lambda _: env, text, flags=re.MULTILINE | re.DOTALL)
+
+
+def scalar(text: str) -> str:
+    """Return a text as YAML writes it in a line, quoted where it must be."""
+    try:
+        plain = yaml.safe_load(f"key: {text}") == {"key": text}
+    except yaml.YAMLError:
+        plain = False
+    return text if plain else json.dumps(text, ensure_ascii=False)
+
+
+def lock_of(name: str) -> str:
+    """Return the lock of an action, as bootstrap.py states it."""
+    [lock] = re.findall(
+        rf'^    "{name}": \(".*", "(.*)"\)', (PROJECT / "actions/bootstrap.py").read_text(), re.MULTILINE
+    )
+    return str(lock)
+
+
+if __name__ == "__main__":
+    for name, path in FILES.items():
+        path.write_text(with_inputs(path.read_text(), name, lock_of(name)))

@@ -1,0 +1,164 @@
+"""A user's repository and real GitHub Actions, run on this machine by act, without a network between them.
+
+act runs the jobs on the host (`-P ubuntu-latest=-self-hosted`), takes the suite from a local checkout in place of
+GitHub, and answers `actions/checkout` with a copy of the user's repository.
+"""
+
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+PROJECT = Path(__file__).resolve().parents[2]
+TIMEOUT = 120
+
+
+@dataclass(frozen=True)
+class Run:
+    """What act answered."""
+
+    code: int
+    log: str
+
+    @property
+    def annotations(self) -> list[str]:
+        """The workflow commands that the runner obeyed as errors, from `::error` on."""
+        return re.findall(r"❗ +(::error.*)", self.log)
+
+    @property
+    def installations(self) -> list[str]:
+        """The names of the locks that were installed."""
+        return re.findall(r"::group::Python environment: installing (\w+)", self.log)
+
+    @property
+    def outputs(self) -> set[str]:
+        """The names of the outputs that were set, inside actions too."""
+        return set(re.findall(r"::set-output:: ([\w-]+)=", self.log))
+
+    @property
+    def printed(self) -> list[str]:
+        """The lines that steps printed."""
+        return re.findall(r"^\[[^\]]*\] +\| (.*)$", self.log, re.MULTILINE)
+
+
+@dataclass(frozen=True)
+class Repository:
+    """A git repository whose workflows act can run."""
+
+    folder: Path
+    suite: Path
+    cache: Path
+
+    def push(self, steps: str, files: Mapping[str, str | Path] | None = None) -> Run:
+        """Commit files and a workflow of one job with these steps, and run it."""
+        for name, content in (files or {}).items():
+            target = self.folder / name
+            if isinstance(content, Path):
+                shutil.copytree(content, target)
+            else:
+                target.write_text(content)
+        body = "".join(f"      {line}\n" for line in steps.strip("\n").splitlines())
+        workflow = self.folder / ".github" / "workflows" / "push.yml"
+        workflow.parent.mkdir(parents=True, exist_ok=True)
+        workflow.write_text(
+            "on: push\njobs:\n  robot:\n    runs-on: ubuntu-latest\n    steps:\n      - uses: actions/checkout@v7\n"
+            + body
+        )
+        commit(self.folder)
+        return self.act("push")
+
+    def act(self, *arguments: str) -> Run:
+        """Run act here; whatever it has started ends with it."""
+        command = [tool("act"), *arguments, "-P", "ubuntu-latest=-self-hosted"]
+        command += ["--local-repository", f"me/suite@v1={self.suite}"]
+        with subprocess.Popen(
+            command,
+            cwd=self.folder,
+            env=self._variables(),
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            start_new_session=True,
+        ) as process:
+            try:
+                log, _ = process.communicate(timeout=TIMEOUT)
+            finally:
+                if process.poll() is None:
+                    os.killpg(process.pid, signal.SIGKILL)
+        return Run(process.returncode, log)
+
+    def _variables(self) -> dict[str, str]:
+        """Return this process's environment without what only tests set; act's own files go to a folder of ours."""
+        mine = re.compile("GITHUB_|RUNNER_|INPUT_|COVERAGE_|PYTEST_|PYTHON|VIRTUAL_ENV|CALIBRATION_")
+        variables = {name: value for name, value in os.environ.items() if not mine.match(name)}
+        cache = Path(variables.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+        variables.setdefault("UV_CACHE_DIR", str(cache / "uv"))
+        variables.setdefault("PIP_CACHE_DIR", str(cache / "pip"))
+        # uv, and nothing else of the development environment: pip, the other way, takes several times as long.
+        programs = self.cache / "bin"
+        programs.mkdir(parents=True, exist_ok=True)
+        if not (programs / "uv").exists():
+            (programs / "uv").symlink_to(tool("uv"))
+        variables["PATH"] = f"{programs}{os.pathsep}{variables['PATH']}"
+        return variables | {"XDG_CACHE_HOME": str(self.cache), "XDG_CONFIG_HOME": str(self.cache)}
+
+
+def tool(name: str) -> str:
+    """Return the path of a program of the development environment; skip without it."""
+    found = shutil.which(name, path=f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}")
+    if found is None:
+        pytest.skip(f"needs {name}")
+    return found
+
+
+def git(folder: Path, *arguments: str) -> None:
+    identity = ["-c", "user.name=test", "-c", "user.email=test@example.org", "-c", "commit.gpgsign=false"]
+    subprocess.run([tool("git"), *identity, *arguments], cwd=folder, check=True, capture_output=True, timeout=30)
+
+
+def commit(folder: Path) -> None:
+    if not (folder / ".git").exists():
+        git(folder, "init", "--initial-branch=main")
+        git(folder, "remote", "add", "origin", f"https://github.com/me/{folder.name.replace(' ', '-')}.git")
+    git(folder, "add", "--all")
+    git(folder, "commit", "--quiet", "--allow-empty", "--message=push")
+
+
+@pytest.fixture(scope="session")
+def suite(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a checkout of this repository as it is now, tagged v1."""
+    folder = tmp_path_factory.mktemp("github") / "suite"
+    folder.mkdir()
+    for source in PROJECT.iterdir():
+        if source.is_dir() and not source.name.startswith(".") and source.name not in ("build", "dist", "output"):
+            shutil.copytree(source, folder / source.name, ignore=shutil.ignore_patterns("__pycache__"))
+        elif source.is_file():
+            shutil.copy(source, folder)
+    shutil.copytree(PROJECT / ".github", folder / ".github")
+    commit(folder)
+    git(folder, "tag", "v1")
+    return folder
+
+
+@pytest.fixture
+def cache(tmp_path: Path) -> Iterator[Path]:
+    """Return a folder for act's files; removed at once, because the environments in it are large."""
+    folder = tmp_path / "cache"
+    yield folder
+    shutil.rmtree(folder, ignore_errors=True)
+
+
+@pytest.fixture
+def repository(suite: Path, cache: Path, tmp_path: Path) -> Repository:
+    """Return a user's repository, with nothing in it yet."""
+    folder = tmp_path / "my robot"
+    folder.mkdir()
+    return Repository(folder, suite, cache)
