@@ -1,0 +1,51 @@
+"""``run``: the whole pipeline of ``calibration.yml``, with one verdict."""
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import click
+
+from calibration.commands.parameters import TEXT_LIST, count, path
+from calibration.errors import ExitCode
+from calibration.workflow import Runner
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What ``run`` is asked."""
+
+    config: Path = Path("calibration.yml")
+    output: Path = Path("output")
+    only: tuple[str, ...] = ()
+    """The stages; empty for all of them."""
+    jobs: int | None = None
+
+
+@click.command("run")
+@click.option("--config", type=path, help="The configuration (calibration.yml).")
+@click.option("--output", type=path, help="Folder for results, tables and datasets (output).")
+@click.option("--only", type=TEXT_LIST, help="Only these stages: calibrate, introspect.")
+@click.option("--jobs", type=count, help="Processes (one a core).")
+def command(**options: Any) -> ExitCode:
+    """Run the pipeline of calibration.yml, stage by stage; the verdict is fail when one of them is."""
+    settings = Settings(**{name: value for name, value in options.items() if value is not None})
+    return run(settings, Runner.from_environment(os.environ))
+
+
+def run(settings: Settings, runner: Runner) -> ExitCode:
+    """Run the stages and report them.
+
+    Raises:
+        InputError: the configuration or the data are wrong.
+        WorldError: a result cannot be written.
+    """
+    from calibration.pipeline.configuration import read_configuration
+    from calibration.pipeline.matrix import Matrix
+    from calibration.pipeline.stages import STAGES, run_stages
+
+    configuration = read_configuration(settings.config)
+    matrix = Matrix(configuration.systems, configuration.noise, configuration.start, configuration.loss)
+    stages = settings.only or STAGES
+    return run_stages(matrix, settings.output, runner, "calibration run", settings.jobs, stages=stages).exit_code

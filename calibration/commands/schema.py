@@ -1,0 +1,24 @@
+"""``schema``: the JSON Schemas that ship, for editors and other programs."""
+
+import sys
+from importlib.resources import files
+
+import click
+
+from calibration.errors import ExitCode
+
+SCHEMAS = {
+    "calibration.yml": ("calibration.pipeline", "calibration.schema.json"),
+    "results": ("calibration.pipeline", "results.schema.json"),
+    "introspection": ("calibration.introspection", "results.schema.json"),
+}
+"""What there is a schema of: package and file."""
+
+
+@click.command("schema")
+@click.argument("name", type=click.Choice(list(SCHEMAS)), default="calibration.yml")
+def command(name: str) -> ExitCode:
+    """Print a JSON Schema: of calibration.yml, of the results of calibrate-matrix and run, or of introspect-csv's."""
+    package, file = SCHEMAS[name]
+    sys.stdout.write(files(package).joinpath(file).read_text(encoding="utf-8"))
+    return ExitCode.PASS

@@ -1,0 +1,216 @@
+"""One cell of the matrix: one system calibrated from one noisy start, and what is left in files."""
+
+import time
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from calibration.comparison.methods import method_of
+from calibration.dataset.model import Dataset
+from calibration.dataset.truth import Truth
+from calibration.dataset.writing import write_dataset
+from calibration.errors import CalibrationError, ExitCode
+from calibration.estimation.calibrate import Calibration, Options, calibrate
+from calibration.estimation.starting_noise import StartingNoise
+from calibration.evaluation.reprojection import reprojection
+from calibration.evaluation.specification import Evaluation
+from calibration.evaluation.table import Table
+from calibration.evaluation.truth import truth_error
+from calibration.geometry.rotations import to_quaternion
+from calibration.pipeline.configuration import Loss, Start
+
+OUR_METHOD = "calibration-ci"
+Verdict = Literal["pass", "fail"]
+
+
+@dataclass(frozen=True, eq=False)
+class LoadedSystem:
+    """A system with its data in memory."""
+
+    name: str
+    dataset: Dataset
+    truth: Truth | None
+    evaluation: Evaluation | None
+
+
+@dataclass(frozen=True)
+class Cell:
+    """What to calibrate, from where."""
+
+    system: str
+    noise: StartingNoise
+    start: Start = "linear"
+    loss: Loss = "huber"
+
+    @property
+    def folder(self) -> str:
+        """Where its files go, relative to the output folder."""
+        n = self.noise
+        return f"{self.system}/translation-{n.translation:g}_rotation-{n.rotation:g}_seed-{n.seed}"
+
+    def __str__(self) -> str:
+        n = self.noise
+        return f"{self.system}, {n.translation:g} m, {n.rotation:g} rad, seed {n.seed}"
+
+
+@dataclass(frozen=True)
+class TruthDistance:
+    """How far a calibration is from the truth, gauge removed."""
+
+    translation_mm: float
+    rotation_deg: float
+
+
+@dataclass(frozen=True)
+class CellResult:
+    """What came of a cell, or of another method on a system's data."""
+
+    system: str
+    method: str
+    translation_noise: float | None
+    """m; None for a method that takes no start."""
+    rotation_noise: float | None
+    """rad."""
+    seed: int | None
+    start: str | None
+    loss: str | None
+    converged: bool
+    rms_px: float | None
+    table: str | None
+    """The CSV, relative to the output folder."""
+    dataset: str | None
+    """The calibrated dataset, relative to the output folder."""
+    truth: TruthDistance | None
+    seconds: float
+    reasons: tuple[str, ...] = ()
+    """Why the verdict is fail; empty when it is pass."""
+    error: ExitCode | None = None
+    """Set when there is no calibration because of bad input (2) or a failing world (3)."""
+    warnings: tuple[str, ...] = ()
+    details: dict[str, Any] = field(default_factory=dict)
+    """Transforms with their standard deviations, noise levels, rejected labels: for the cell's own results."""
+
+    @property
+    def verdict(self) -> Verdict:
+        """Pass, when nothing speaks against it."""
+        return "pass" if self.converged and not self.reasons else "fail"
+
+    @property
+    def name(self) -> str:
+        """What a message calls it."""
+        if self.method != OUR_METHOD:
+            return f"{self.system}, {self.method}"
+        return f"{self.system}, {self.translation_noise:g} m, {self.rotation_noise:g} rad, seed {self.seed}"
+
+    def failing(self, *reasons: str) -> "CellResult":
+        """The same result with more reasons to fail."""
+        return replace(self, reasons=(*self.reasons, *reasons))
+
+
+def run_cell(cell: Cell, system: LoadedSystem, output: Path) -> CellResult:
+    """Calibrate, evaluate, and write the calibrated dataset and the table into the cell's folder.
+
+    An error of the data is not raised: it is the cell's result, so that the other cells go on.
+    """
+    begin = time.perf_counter()
+    result = CellResult(
+        system=cell.system,
+        method=OUR_METHOD,
+        translation_noise=cell.noise.translation,
+        rotation_noise=cell.noise.rotation,
+        seed=cell.noise.seed,
+        start=cell.start,
+        loss=cell.loss,
+        converged=False,
+        rms_px=None,
+        table=None,
+        dataset=None,
+        truth=None,
+        seconds=0.0,
+    )
+    try:
+        calibration = calibrate(system.dataset, Options(cell.start, cell.loss), cell.noise)
+        result = _described(result, calibration)
+        if np.isfinite(calibration.cost):
+            result = _written(result, calibration.dataset, system, output, cell.folder, calibration)
+    except CalibrationError as error:
+        result = replace(result.failing(str(error)), converged=False, error=error.exit_code)
+    return replace(result, seconds=round(time.perf_counter() - begin, 4))
+
+
+def run_comparison(method: str, system: LoadedSystem, output: Path) -> CellResult:
+    """Calibrate with another method, and evaluate it as a cell."""
+    begin = time.perf_counter()
+    result = CellResult(system.name, method, None, None, None, None, None, False, None, None, None, None, 0.0)
+    try:
+        dataset = method_of(method).run(system.dataset)
+        result = replace(result, converged=True)
+        result = _written(result, dataset, system, output, f"{system.name}/{method}", None)
+    except CalibrationError as error:
+        result = replace(result.failing(str(error)), converged=False, error=error.exit_code)
+    return replace(result, seconds=round(time.perf_counter() - begin, 4))
+
+
+def _written(
+    result: CellResult,
+    dataset: Dataset,
+    system: LoadedSystem,
+    output: Path,
+    folder: str,
+    calibration: Calibration | None,
+) -> CellResult:
+    """The result with its table, truth error and dataset; both files written."""
+    table = _table(dataset, system, calibration)
+    if table is not None:
+        name = f"{system.evaluation.kind.replace('-', '_')}_results.csv" if system.evaluation else "reprojection.csv"
+        table.write(output / folder / name)
+        result = replace(result, table=f"{folder}/{name}", rms_px=round(table.average(table.columns[0]), 4))
+    if calibration is not None and (system.evaluation is None or table is None):
+        result = replace(result, rms_px=round(calibration.rms_px, 4))
+    if system.truth is not None:
+        error = truth_error(dataset, system.truth)
+        distance = TruthDistance(round(error.translation_mm, 6), round(error.rotation_deg, 8))
+        result = replace(result, truth=distance)
+    write_dataset(dataset, output / folder)
+    return replace(result, dataset=f"{folder}/dataset.json")
+
+
+def _table(dataset: Dataset, system: LoadedSystem, calibration: Calibration | None) -> Table | None:
+    if system.evaluation is not None:
+        return system.evaluation.run(dataset, system.truth)
+    return reprojection(calibration) if calibration is not None else None
+
+
+def _described(result: CellResult, calibration: Calibration) -> CellResult:
+    """The result with what the calibration says about itself."""
+    transforms = [
+        {
+            "parent": edge[0],
+            "child": edge[1],
+            "trans": T[:3, 3].tolist(),
+            "quat": to_quaternion(T[:3, :3]).tolist(),
+            "sigma_mm": calibration.sigma_mm(edge) if edge in calibration.covariances else None,
+            "sigma_mrad": calibration.sigma_mrad(edge) if edge in calibration.covariances else None,
+        }
+        for edge, T in calibration.transforms.items()
+    ]
+    levels = calibration.noise_levels
+    details = {
+        "transforms": transforms,
+        "iterations": calibration.iterations,
+        "cost": calibration.cost,
+        "degrees_of_freedom": calibration.degrees_of_freedom,
+        "noise_levels": {"pixel_px": levels.pixel, "range_m": levels.range, "border_m": levels.border},
+        "held": calibration.gauge,
+        "weak_directions": list(calibration.weak_directions),
+        "rejected_labels": [vars(label) for label in calibration.rejected],
+    }
+    return replace(
+        result,
+        converged=calibration.converged,
+        reasons=(calibration.reason,) if calibration.reason else (),
+        warnings=(*calibration.warnings, *(f"weakly determined: {weak}" for weak in calibration.weak_directions)),
+        details=details,
+    )

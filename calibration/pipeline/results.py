@@ -1,0 +1,198 @@
+"""``results.json`` and what else a matrix leaves: a table of cells, JUnit, a summary."""
+
+import csv
+import io
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from calibration.errors import ExitCode, InputError
+from calibration.files import write_atomically
+from calibration.pipeline.cell import OUR_METHOD, CellResult, TruthDistance, Verdict
+
+SCHEMA = Path(__file__).with_name("results.schema.json")
+FILE = "results.json"
+_PLAIN = (
+    *("system", "translation_noise", "rotation_noise", "seed", "method", "start", "loss"),
+    *("converged", "rms_px", "table", "dataset", "seconds"),
+)
+"""The fields of a cell that stand in the file as they are."""
+
+
+@dataclass(frozen=True)
+class Results:
+    """The cells of a matrix and the other methods on the same data."""
+
+    cells: tuple[CellResult, ...]
+    comparisons: tuple[CellResult, ...] = ()
+
+    @property
+    def verdict(self) -> Verdict:
+        """Pass when every cell passed, and there is one."""
+        return "pass" if self.cells and all(cell.verdict == "pass" for cell in self.cells) else "fail"
+
+    @property
+    def exit_code(self) -> ExitCode:
+        """2 or 3 where a cell could not be calibrated because of bad input or a failing world, else the verdict's."""
+        errors = [cell.error for cell in self.cells if cell.error is not None]
+        if errors:
+            return max(errors)
+        return ExitCode.PASS if self.verdict == "pass" else ExitCode.FAIL
+
+    @property
+    def systems(self) -> tuple[str, ...]:
+        """The systems, in order."""
+        return tuple(dict.fromkeys(cell.system for cell in (*self.cells, *self.comparisons)))
+
+
+def write_results(results: Results, output: Path) -> None:
+    """Write ``results.json``, ``cells.csv`` and ``junit.xml`` into the output folder, and each cell's own results.
+
+    Raises:
+        WorldError: a file cannot be written.
+    """
+    write_atomically(output / FILE, _json(_document(results)))
+    write_atomically(output / "cells.csv", cells_csv(results))
+    write_atomically(output / "junit.xml", _junit(results))
+    for cell in results.cells:
+        if cell.dataset is not None:
+            alone = _document(Results((cell,)))
+            alone["cells"][0].update(cell.details)
+            write_atomically((output / cell.dataset).with_name(FILE), _json(alone))
+
+
+def read_results(output: Path) -> Results:
+    """Read what `write_results` wrote, without the verdicts: they are to be made again.
+
+    Raises:
+        InputError: there are no results, or they are not of this form.
+    """
+    path = output / FILE
+    try:
+        document = json.loads(path.read_bytes())
+        return Results(
+            tuple(_cell(entry, output) for entry in document["cells"]),
+            tuple(_cell(entry, output) for entry in document["comparisons"]),
+        )
+    except OSError as error:
+        raise InputError(f"{path}: the results of the stage calibrate were expected here: {error.strerror}") from None
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise InputError(f"{path}: this is not a results file of calibrate-matrix: {error!r}") from None
+
+
+def summarise(results: Results) -> dict[str, Any]:
+    """The numbers over all cells, and system by system."""
+    return {
+        **_numbers(results.cells),
+        "systems": {s: _numbers([c for c in results.cells if c.system == s]) for s in results.systems},
+    }
+
+
+def cells_csv(results: Results) -> str:
+    """One row for each cell and comparison: for introspect-csv, a spreadsheet or a plot."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    header = (
+        "Cell",
+        "System",
+        "Method",
+        "Translation noise (m)",
+        "Rotation noise (rad)",
+        "Seed",
+        "Verdict",
+        "RMS (pix)",
+    )
+    writer.writerow([*header, "Trans error (mm)", "Rot error (deg)"])
+    for cell in (*results.cells, *results.comparisons):
+        truth = (f"{cell.truth.translation_mm:.4f}", f"{cell.truth.rotation_deg:.5f}") if cell.truth else ("", "")
+        rms = "" if cell.rms_px is None else f"{cell.rms_px:.4f}"
+        noise = ["" if v is None else f"{v:g}" for v in (cell.translation_noise, cell.rotation_noise, cell.seed)]
+        verdict = cell.verdict if cell.method == OUR_METHOD else ""
+        writer.writerow([cell.name, cell.system, cell.method, *noise, verdict, rms, *truth])
+    return text.getvalue()
+
+
+def _numbers(cells: Sequence[CellResult]) -> dict[str, Any]:
+    def worst(values: list[float | None]) -> float | None:
+        known = [v for v in values if v is not None]
+        return max(known) if known and all(math.isfinite(v) for v in known) else None
+
+    passed = sum(cell.verdict == "pass" for cell in cells)
+    return {
+        "cells": len(cells),
+        "passed": passed,
+        "converged": sum(cell.converged for cell in cells),
+        "success_rate": round(passed / len(cells), 6) if cells else 0.0,
+        "worst_rms_px": worst([cell.rms_px for cell in cells]),
+        "worst_translation_mm": worst([cell.truth.translation_mm if cell.truth else None for cell in cells]),
+        "worst_rotation_deg": worst([cell.truth.rotation_deg if cell.truth else None for cell in cells]),
+    }
+
+
+def _document(results: Results) -> dict[str, Any]:
+    return {
+        "schema": 1,
+        "verdict": results.verdict,
+        "cells": [_object(cell) for cell in results.cells],
+        "comparisons": [_object(cell) for cell in results.comparisons],
+        "summary": summarise(results),
+    }
+
+
+def _object(cell: CellResult) -> dict[str, Any]:
+    return {
+        **{name: getattr(cell, name) for name in _PLAIN},
+        "verdict": cell.verdict,
+        "truth": vars(cell.truth) if cell.truth else None,
+        "reasons": list(cell.reasons),
+        "error": cell.error,
+        "warnings": list(cell.warnings),
+    }
+
+
+def _cell(entry: Mapping[str, Any], output: Path) -> CellResult:
+    error = entry["error"]
+    return CellResult(
+        **{name: entry[name] for name in _PLAIN},
+        truth=TruthDistance(**entry["truth"]) if entry["truth"] else None,
+        reasons=() if entry["converged"] else tuple(entry["reasons"]),
+        error=None if error is None else ExitCode(error),
+        warnings=tuple(entry["warnings"]),
+        details=_details(entry, output),
+    )
+
+
+def _details(entry: Mapping[str, Any], output: Path) -> dict[str, Any]:
+    """What a cell's own results say beyond the common fields."""
+    if entry["method"] != OUR_METHOD or entry["dataset"] is None:
+        return {}
+    own = json.loads((output / entry["dataset"]).with_name(FILE).read_bytes())["cells"][0]
+    return {key: value for key, value in own.items() if key not in entry}
+
+
+def _json(document: Mapping[str, Any]) -> str:
+    return json.dumps(document, indent=1, allow_nan=False, default=_not_finite) + "\n"
+
+
+def _not_finite(value: object) -> object:
+    raise TypeError(f"{value!r} does not belong into results")
+
+
+def _junit(results: Results) -> str:
+    from calibration.workflow.junit import Case, Suite, junit_xml  # XML is slow to import
+
+    def case(cell: CellResult) -> Case:
+        why = "\n".join(cell.reasons) or None
+        return Case(
+            name=cell.name,
+            group=cell.system,
+            failure=None if cell.error is not None else why,
+            error=why if cell.error is not None else None,
+            seconds=cell.seconds,
+        )
+
+    suites = [Suite(s, tuple(case(c) for c in results.cells if c.system == s)) for s in results.systems]
+    return junit_xml(suites)

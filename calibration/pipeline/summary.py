@@ -1,0 +1,93 @@
+"""The one table: noise pairs and other methods down, systems across."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from calibration.pipeline.cell import CellResult
+from calibration.pipeline.results import Results
+from calibration.workflow.summary import escape_markdown, markdown_table
+
+FAILURES_SHOWN = 50
+REASONS_SHOWN = 4
+
+
+@dataclass(frozen=True)
+class Grid:
+    """A table of texts."""
+
+    header: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+
+
+def grid(results: Results) -> Grid:
+    """For each noise pair and each other method (rows) and system (columns): RMS, and the error against the truth."""
+    rows: dict[str, dict[str, list[CellResult]]] = {}
+    for cell in (*results.cells, *results.comparisons):
+        rows.setdefault(_row(cell), {}).setdefault(cell.system, []).append(cell)
+    return Grid(
+        ("Start", *results.systems),
+        tuple((row, *(_text(columns.get(system, ())) for system in results.systems)) for row, columns in rows.items()),
+    )
+
+
+def _row(cell: CellResult) -> str:
+    if cell.translation_noise is None:
+        return cell.method
+    return f"{cell.translation_noise:g} m, {cell.rotation_noise:g} rad"
+
+
+def _text(cells: Sequence[CellResult]) -> str:
+    """The worst of the seeds: "0.6004 px, 0.42 mm, 0.028 deg"; with how many passed, where not all did."""
+    if not cells:
+        return "-"
+    parts = []
+    rms = [cell.rms_px for cell in cells if cell.rms_px is not None]
+    if rms:
+        parts.append(f"{max(rms):.4f} px")
+    truths = [cell.truth for cell in cells if cell.truth is not None]
+    if truths:
+        parts.append(f"{max(t.translation_mm for t in truths):.3g} mm")
+        parts.append(f"{max(t.rotation_deg for t in truths):.2g} deg")
+    passed = sum(cell.verdict == "pass" for cell in cells)
+    if passed < len(cells):
+        parts.append("FAIL" if len(cells) == 1 else f"FAIL: {passed}/{len(cells)} pass")
+    elif len(cells) > 1:
+        parts.append(f"{passed}/{len(cells)} pass")
+    return ", ".join(parts) or "no result"
+
+
+def sentence(results: Results) -> str:
+    """The verdict in one line."""
+    failed = sum(cell.verdict == "fail" for cell in results.cells)
+    cells = "1 cell" if len(results.cells) == 1 else f"{len(results.cells)} cells"
+    return f"pass: {cells} calibrated" if results.verdict == "pass" else f"fail: {failed} of {cells} failed"
+
+
+def failures(results: Results) -> list[str]:
+    """A line for every cell that failed, with its first reasons; results.json has all of them."""
+    return [f"{cell.name}: {_first(cell.reasons)}" for cell in results.cells if cell.verdict == "fail"]
+
+
+def _first(reasons: Sequence[str]) -> str:
+    more = len(reasons) - REASONS_SHOWN
+    return "; ".join(reasons[:REASONS_SHOWN]) + (f"; and {more} more" if more > 0 else "")
+
+
+def markdown(results: Results) -> str:
+    """The verdict, the table, what failed and what to look at."""
+    table = grid(results)
+    lines = [f"## Calibration: {sentence(results)}", "", markdown_table(table.header, table.rows)]
+    lines += [
+        "RMS of the evaluation table, and the worst error of a calibrated sensor against the truth, where it is known.",
+        "",
+    ]
+    failed = failures(results)
+    if failed:
+        lines += ["### Failed", "", *(f"- {escape_markdown(line)}" for line in failed[:FAILURES_SHOWN])]
+        if len(failed) > FAILURES_SHOWN:
+            lines.append(f"- and {len(failed) - FAILURES_SHOWN} more, see results.json")
+        lines.append("")
+    left_out = [f"{c.name}: {'; '.join(c.reasons)}" for c in results.comparisons if c.reasons]
+    if left_out:
+        lines += ["### Methods without a result", "", *(f"- {escape_markdown(line)}" for line in left_out), ""]
+    return "\n".join(lines)

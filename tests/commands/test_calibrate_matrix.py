@@ -1,0 +1,142 @@
+"""``calibrate-matrix`` as a user calls it."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from calibration.__main__ import main
+
+ROOT = Path(__file__).parents[2]
+T2RGB = str(ROOT / "datasets" / "t2rgb")
+EVALUATE = "rgb-to-rgb:right_camera:left_camera"
+
+
+def results(output: Path) -> dict:  # type: ignore[type-arg]
+    found: dict = json.loads((output / "results.json").read_text())  # type: ignore[type-arg]
+    return found
+
+
+def test_a_dataset_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    code = main(["calibrate-matrix", "--dataset", T2RGB, "--output", str(tmp_path)])
+
+    assert code == 0
+    (cell,) = results(tmp_path)["cells"]
+    assert (cell["system"], cell["verdict"], cell["start"], cell["seed"]) == ("t2rgb", "pass", "linear", 1)
+    assert cell["truth"]["translation_mm"] < 1
+    assert "pass: 1 cell calibrated" in capsys.readouterr().out
+
+
+def test_the_file_itself_and_the_whole_matrix(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = ["--dataset", f"{T2RGB}/dataset.json", "--evaluate", EVALUATE, "--output", str(tmp_path)]
+    noise = ["--translation-noise", "0,0.5", "--rotation-noise", "0\n0.5", "--seed-list", "3,7", "--loss", "linear"]
+
+    assert main(["calibrate-matrix", *arguments, *noise]) == 0
+
+    found = results(tmp_path)
+    assert len(found["cells"]) == 8
+    assert {cell["seed"] for cell in found["cells"]} == {3, 7}
+    assert len({cell["rms_px"] for cell in found["cells"]}) == 1
+    assert found["summary"]["success_rate"] == 1
+    assert "2/2 pass" in capsys.readouterr().out
+
+
+def test_a_start_that_does_not_come_back_is_red(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    noise = ["--translation-noise", "2", "--rotation-noise", "3", "--seeds", "3", "--start", "given"]
+
+    code = main(["calibrate-matrix", "--dataset", T2RGB, *noise, "--output", str(tmp_path)])
+
+    assert code == 1
+    assert results(tmp_path)["verdict"] == "fail"
+    assert "error: t2rgb, 2 m, 3 rad, seed" in capsys.readouterr().err
+
+
+def test_rules_from_a_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rules = tmp_path / "rules.yml"
+    rules.write_text("rules: [{column: RMS (pix), row: Averages, max: 0.01}]")
+    arguments = ["--dataset", T2RGB, "--evaluate", EVALUATE, "--rules", str(rules), "--output", str(tmp_path / "o")]
+
+    assert main(["calibrate-matrix", *arguments]) == 1
+    assert "RMS (pix), Averages" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        ([], "exactly one of dataset and config"),
+        (["--dataset", T2RGB, "--config", "calibration.yml"], "exactly one of dataset and config"),
+        (["--dataset", "/no/such"], "/no/such"),
+        (["--dataset", T2RGB, "--translation-noise", "-1"], "translation-noise"),
+        (["--dataset", T2RGB, "--translation-noise", "nan"], "translation-noise"),
+        (["--dataset", T2RGB, "--seeds", "0"], "seeds"),
+        (["--dataset", T2RGB, "--seeds", "2", "--seed-list", "1"], "exclude each other"),
+        (["--dataset", T2RGB, "--start", "guess"], "start"),
+        (["--dataset", T2RGB, "--systems", "riwbot"], "riwbot"),
+        (["--dataset", T2RGB, "--evaluate", "rgb-to-rgb:a:b"], "no sensor 'a'"),
+        (["--dataset", T2RGB, "--sart", "linear"], "--start"),
+    ],
+)
+def test_bad_input_is_one_line_and_exit_code_2(
+    arguments: list[str], expected: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["calibrate-matrix", *arguments, "--output", str(tmp_path)]) == 2
+
+    error = capsys.readouterr().err
+    assert expected in error
+    assert error.count("\n") == 1
+    assert not list(tmp_path.iterdir())
+
+
+def test_an_output_folder_that_cannot_be_written_is_the_world_s_fault(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "file").write_text("")
+
+    assert main(["calibrate-matrix", "--dataset", T2RGB, "--output", str(tmp_path / "file" / "output")]) == 3
+    assert "cannot be written" in capsys.readouterr().err
+
+
+def test_the_outputs_of_a_step(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("GITHUB_OUTPUT", str(tmp_path / "outputs"))
+    monkeypatch.setenv("GITHUB_STEP_SUMMARY", str(tmp_path / "summary"))
+    output = tmp_path / "output"
+
+    main(["calibrate-matrix", "--dataset", T2RGB, "--evaluate", EVALUATE, "--output", str(output)])
+
+    outputs = dict(line.split("=", 1) for line in (tmp_path / "outputs").read_text().splitlines())
+    assert outputs["verdict"] == "pass"
+    assert outputs["results"] == str(output / "results.json")
+    assert float(outputs["success-rate"]) == 1
+    assert float(outputs["worst-rms-px"]) == results(output)["cells"][0]["rms_px"]
+    assert "| 0 m, 0 rad |" in (tmp_path / "summary").read_text()
+    assert (output / "summary.md").read_text().strip() == (tmp_path / "summary").read_text().strip()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_stops_everything_that_was_started(number: signal.Signals, tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "calibration", "calibrate-matrix", "--dataset", T2RGB]
+    arguments = ["--seeds", "100000", "--jobs", "2", "--output", str(tmp_path)]
+    process = subprocess.Popen(
+        [*command, *arguments],
+        cwd=ROOT,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    deadline = time.monotonic() + 30
+    while not list(tmp_path.glob("t2rgb/*/dataset.json")) and time.monotonic() < deadline:
+        time.sleep(0.05)
+
+    os.kill(process.pid, number)
+    _, error = process.communicate(timeout=20)
+
+    assert process.returncode == 128 + number
+    assert error.strip().endswith(f"stopped by {number.name}")
+    with pytest.raises(ProcessLookupError):  # no process of its session is left
+        os.killpg(process.pid, 0)

@@ -1,0 +1,84 @@
+"""``calibration run``: the repository's own pipeline, and what turns it red."""
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+
+from calibration.__main__ import main
+
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.fixture
+def repository(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A repository with a calibration.yml of its own, and nothing else."""
+    shutil.copy(ROOT / "calibration.yml", tmp_path)
+    (tmp_path / "datasets").symlink_to(ROOT / "datasets")
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def edit(repository: Path, old: str, new: str) -> None:
+    path = repository / "calibration.yml"
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new, 1))
+
+
+def test_the_shipped_pipeline_is_green(repository: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["run"]) == 0
+
+    found = json.loads((repository / "output" / "results.json").read_text())
+    assert len(found["cells"]) == 12
+    assert {cell["method"] for cell in found["comparisons"]} == {"opencv-stereo", "shah", "li"}
+    assert all(cell["truth"] for cell in found["cells"])
+    assert "pass: 12 cells calibrated" in capsys.readouterr().out
+
+
+def test_a_lowered_limit_is_red_and_names_the_cells(repository: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    edit(repository, "limits: {translation-mm: 1, rotation-deg: 0.05}", "limits: {translation-mm: 0.0001}")
+
+    assert main(["run"]) == 1
+
+    errors = capsys.readouterr().err
+    for noise in ("0 m, 0 rad", "0 m, 0.5 rad", "0.5 m, 0 rad", "0.5 m, 0.5 rad"):
+        assert f"t2rgb, {noise}, seed 1: translation error against the truth: found" in errors
+    assert "riwbot" not in errors
+
+
+def test_stages_run_alone_and_pass_files_on(repository: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    edit(repository, "row: Averages, min: 0, max: 1", "row: Averages, min: 0, max: 0.001")
+
+    assert main(["run", "--only", "calibrate"]) == 0
+    assert main(["run", "--only", "introspect"]) == 1
+    assert "RMS (pix), Averages" in capsys.readouterr().err
+    edit(repository, "max: 0.001", "max: 1")
+    assert main(["run", "--only", "introspect"]) == 0
+
+
+def test_introspection_without_results_is_bad_input(repository: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["run", "--only", "introspect"]) == 2
+    assert "results.json" in capsys.readouterr().err
+    assert not (repository / "output").exists()
+
+
+def test_an_unknown_stage_is_bad_input(repository: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["run", "--only", "calibrat"]) == 2
+    assert "did you mean 'calibrate'" in capsys.readouterr().err
+
+
+def test_without_a_configuration_it_says_what_is_missing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+
+    assert main(["run"]) == 2
+    assert "calibration.yml" in capsys.readouterr().err
+
+
+def test_the_schemas_are_printed(capsys: pytest.CaptureFixture[str]) -> None:
+    for name in ("calibration.yml", "results", "introspection"):
+        assert main(["schema", name]) == 0
+        assert "$schema" in json.loads(capsys.readouterr().out)

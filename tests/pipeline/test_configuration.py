@@ -1,0 +1,107 @@
+"""calibration.yml: what it may say, and what a user hears who errs."""
+
+from pathlib import Path
+
+import pytest
+
+from calibration.errors import InputError
+from calibration.pipeline.configuration import Limits, read_configuration
+
+ROOT = Path(__file__).parents[2]
+
+
+def write(folder: Path, text: str) -> Path:
+    path = folder / "calibration.yml"
+    path.write_text(text)
+    return path
+
+
+def test_the_repository_s_own_configuration_is_valid() -> None:
+    configuration = read_configuration(ROOT / "calibration.yml")
+
+    assert [system.name for system in configuration.systems] == ["t2rgb", "rlbot", "riwbot"]
+    assert configuration.noise.translations == (0.0, 0.5)
+    assert configuration.noise.rotations == (0.0, 0.5)
+    assert all(system.rules and system.limits.translation_mm for system in configuration.systems)
+
+
+def test_paths_are_relative_to_the_file_and_variables_come_from_the_environment(tmp_path: Path) -> None:
+    path = write(tmp_path, "systems: {a: {dataset: '${DATA}/a', truth: truth.json}}")
+
+    (system,) = read_configuration(path, {"DATA": "data"}).systems
+
+    assert system.dataset == tmp_path / "data" / "a"
+    assert system.truth == str(tmp_path / "truth.json")
+
+
+def test_defaults(tmp_path: Path) -> None:
+    configuration = read_configuration(write(tmp_path, "systems: {a: {dataset: a}}"))
+
+    assert configuration.noise.translations == (0.0,)
+    assert configuration.noise.seeds == (1,)
+    assert (configuration.start, configuration.loss) == ("linear", "huber")
+    assert configuration.systems[0].limits == Limits()
+
+
+def test_a_number_of_seeds_means_the_seeds_from_one(tmp_path: Path) -> None:
+    path = write(tmp_path, "noise: {seeds: 3}\nsystems: {a: {dataset: a}}")
+
+    assert read_configuration(path).noise.seeds == (1, 2, 3)
+
+
+def test_limits_for_all_systems_yield_to_a_system_s_own(tmp_path: Path) -> None:
+    text = "limits: {rms-px: 2}\nsystems: {a: {dataset: a}, b: {dataset: b, limits: {translation-mm: 1}}}"
+
+    first, second = read_configuration(write(tmp_path, text)).systems
+
+    assert first.limits == Limits(rms_px=2)
+    assert second.limits == Limits(translation_mm=1)
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("systems: {}", "systems"),
+        ("- 1", "object"),
+        ("system: {a: {dataset: a}}", "systems"),
+        ("systems: {a: {dataset: a, evalute: x}}", "systems.a: unknown key 'evalute': did you mean 'evaluate'?"),
+        ("systems: {a: {}}", "systems.a"),
+        ("systems: {a: {dataset: 3}}", "systems.a.dataset"),
+        ("systems: {'../a': {dataset: a}}", "../a"),
+        ("systems: {a: {dataset: a}}\nnoise: {translation: [-1]}", "noise.translation.0"),
+        ("systems: {a: {dataset: a}}\nnoise: {translation: [.nan]}", "noise.translation.0"),
+        ("systems: {a: {dataset: a}}\nnoise: {translation: []}", "noise.translation"),
+        ("systems: {a: {dataset: a}}\nnoise: {seeds: 2, seed-list: [1]}", "exclude each other"),
+        ("systems: {a: {dataset: a}}\nstart: guess", "start"),
+        ("systems: {a: {dataset: a, rules: [{column: RMS}]}}", "systems.a.rules: rule 1"),
+        ("systems: {a: {dataset: a, rules: [{column: RMS, min: 2, max: 1}]}}", "systems.a.rules"),
+        ("systems: {a: {dataset: a, limits: {}}}", "systems.a.limits"),
+        ("systems: {a: {dataset: '${NO_SUCH}'}}", "NO_SUCH is not set"),
+        ("systems: {a: {dataset: a}, a: {dataset: b}}", "stands twice"),
+        ("systems: [", "not valid YAML"),
+        ("!!python/object/apply:os.system [true]", "not valid YAML"),
+        ("a: &a [x, x]\nb: &b [*a, *a]\nsystems: *b", "systems"),
+    ],
+)
+def test_one_line_names_file_and_key(tmp_path: Path, text: str, expected: str) -> None:
+    path = write(tmp_path, text)
+
+    with pytest.raises(InputError) as raised:
+        read_configuration(path)
+
+    assert str(raised.value).startswith(str(path))
+    assert expected in str(raised.value)
+    assert "\n" not in str(raised.value)
+
+
+def test_a_file_that_is_not_there(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"calibration\.yml"):
+        read_configuration(tmp_path / "calibration.yml")
+
+
+def test_only_names_a_system_that_is_not_known() -> None:
+    configuration = read_configuration(ROOT / "calibration.yml")
+
+    assert [s.name for s in configuration.only(("riwbot",))] == ["riwbot"]
+    with pytest.raises(InputError, match="did you mean 'riwbot'"):
+        configuration.only(("riwbo",))

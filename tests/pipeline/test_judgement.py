@@ -1,0 +1,90 @@
+"""Rules and limits: red means red, and says which value was over which limit."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from calibration.errors import ExitCode, InputError
+from calibration.introspection.parsing import parse_rules
+from calibration.pipeline.cell import CellResult, TruthDistance
+from calibration.pipeline.configuration import Limits, System
+from calibration.pipeline.judgement import judge_cells
+
+TABLE = "Collection #,RMS (pix)\n000,0.5000\n001,0.7000\nAverages,0.6000\n"
+CELL = CellResult(
+    system="robot",
+    method="calibration-ci",
+    translation_noise=0.5,
+    rotation_noise=0.0,
+    seed=1,
+    start="linear",
+    loss="huber",
+    converged=True,
+    rms_px=0.6,
+    table="robot/table.csv",
+    dataset=None,
+    truth=TruthDistance(0.5, 0.02),
+    seconds=0.0,
+)
+
+
+@pytest.fixture
+def output(tmp_path: Path) -> Path:
+    (tmp_path / "robot").mkdir()
+    (tmp_path / "robot" / "table.csv").write_text(TABLE)
+    return tmp_path
+
+
+def judged(cell: CellResult, output: Path, rules: object = None, **limits: float) -> CellResult:
+    rule_set = parse_rules(rules, "calibration.yml") if rules else None
+    system = System("robot", Path("robot"), rules=rule_set, limits=Limits(**limits))
+    return judge_cells([cell], [system], output)[0]
+
+
+def test_within_rules_and_limits_it_passes(output: Path) -> None:
+    rules = [{"column": "RMS (pix)", "row": "Averages", "max": 0.6}]
+
+    assert judged(CELL, output, rules, rms_px=0.6, translation_mm=0.5, rotation_deg=0.02).verdict == "pass"
+    assert judged(CELL, output).verdict == "pass"
+
+
+def test_every_reason_is_listed(output: Path) -> None:
+    rules = [{"column": "RMS (pix)", "row": "Averages", "max": 0.5, "every-max": 0.65}]
+
+    cell = judged(CELL, output, rules, rms_px=0.5, translation_mm=0.4, rotation_deg=0.01)
+
+    assert cell.verdict == "fail"
+    assert len(cell.reasons) == 5
+    assert "found 0.5 mm, at most 0.4 mm was expected" in cell.reasons[1]
+
+
+@pytest.mark.parametrize("value", [None, float("nan"), float("inf")])
+def test_a_value_that_is_missing_or_not_finite_never_passes(output: Path, value: float | None) -> None:
+    assert judged(replace(CELL, rms_px=value), output, rms_px=1).verdict == "fail"
+    truth = None if value is None else TruthDistance(value, value)
+    assert len(judged(replace(CELL, truth=truth), output, translation_mm=1, rotation_deg=1).reasons) == 2
+
+
+def test_without_a_table_rules_fail(output: Path) -> None:
+    cell = judged(replace(CELL, table=None), output, [{"column": "RMS (pix)", "max": 1}])
+
+    assert cell.reasons == ("there is no table to judge",)
+
+
+def test_what_has_not_converged_stays_red_whatever_the_table_says(output: Path) -> None:
+    cell = replace(CELL, converged=False, reasons=("a false minimum",))
+
+    assert judged(cell, output, [{"column": "RMS (pix)", "max": 1}]).reasons == ("a false minimum",)
+    assert judged(cell, output, [{"column": "RMS (pix)", "max": 1}]).verdict == "fail"
+
+
+def test_an_error_keeps_its_exit_code(output: Path) -> None:
+    cell = replace(CELL, converged=False, reasons=("no labels",), error=ExitCode.BAD_INPUT, table=None)
+
+    assert judged(cell, output, [{"column": "RMS (pix)", "max": 1}]) == cell
+
+
+def test_a_rule_that_names_no_column_of_the_table_is_bad_input(output: Path) -> None:
+    with pytest.raises(InputError, match="RMS"):
+        judged(CELL, output, [{"column": "RMSE", "max": 1}])

@@ -1,0 +1,152 @@
+"""The matrix: every cell once, the same whatever the order and the number of processes."""
+
+import json
+import os
+import signal
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from calibration.dataset.reading import read_dataset
+from calibration.errors import ExitCode, InputError, WorldError
+from calibration.pipeline import cell as cell_module
+from calibration.pipeline.cell import CellResult
+from calibration.pipeline.configuration import NoiseGrid
+from calibration.pipeline.matrix import Matrix, run_matrix
+from calibration.pipeline.results import Results, write_results
+from tests.pipeline.conftest import DATASETS, RIWBOT, T2RGB
+
+
+def files(folder: Path) -> dict[str, bytes]:
+    """Every file below a folder; the times, which differ from run to run, taken out of the results."""
+    found = {}
+    for path in sorted(p for p in folder.rglob("*") if p.is_file()):
+        data = path.read_bytes()
+        if path.name == "results.json":
+            document = json.loads(data)
+            for entry in document["cells"] + document["comparisons"]:
+                entry["seconds"] = 0
+            data = json.dumps(document).encode()
+        if path.name != "junit.xml":
+            found[str(path.relative_to(folder))] = data
+    return found
+
+
+def test_every_combination_is_a_cell_in_the_order_of_the_matrix(matrix: Matrix) -> None:
+    cells = matrix.cells
+
+    assert len(cells) == len(set(map(str, cells))) == len({cell.folder for cell in cells}) == 8
+    assert [cell.system for cell in cells] == ["t2rgb"] * 4 + ["riwbot"] * 4
+
+
+def test_the_same_bytes_with_any_number_of_processes(matrix: Matrix, tmp_path: Path) -> None:
+    written = []
+    for jobs in (1, 3):
+        output = tmp_path / str(jobs)
+        found = run_matrix(matrix, output, jobs)
+        write_results(Results(found.cells, found.comparisons), output)
+        written.append(files(output))
+
+    assert len(written[0]) == 8 * 3 + 2
+    assert written[0] == written[1]
+
+
+def test_all_starts_lead_to_the_same_result(matrix: Matrix, tmp_path: Path) -> None:
+    found = run_matrix(matrix, tmp_path, 2)
+
+    assert all(cell.verdict == "pass" and cell.converged for cell in found.cells)
+    for system in ("t2rgb", "riwbot"):
+        cells = [cell for cell in found.cells if cell.system == system]
+        assert len({cell.rms_px for cell in cells}) == 1
+        truths = [cell.truth.translation_mm for cell in cells if cell.truth]
+        assert len(truths) == 4
+        assert max(truths) - min(truths) < 1e-3
+        assert max(truths) < 1
+
+
+def test_what_a_cell_leaves_reads_back(matrix: Matrix, tmp_path: Path) -> None:
+    cell = run_matrix(matrix, tmp_path, 1).cells[0]
+
+    assert cell.table is not None
+    assert cell.dataset is not None
+    assert (tmp_path / cell.table).read_text().splitlines()[-1].startswith(f"Averages,{cell.rms_px:.4f}")
+    calibrated = read_dataset(tmp_path / cell.dataset)
+    assert calibrated.version == "3.0"
+    assert calibrated.keys == read_dataset(DATASETS / "t2rgb").keys
+
+
+def test_other_methods_stand_beside_the_cells(tmp_path: Path) -> None:
+    found = run_matrix(Matrix((replace(RIWBOT, compare=("shah", "li")),), NoiseGrid()), tmp_path, 2)
+
+    assert [c.method for c in found.comparisons] == ["shah", "li"]
+    ours = found.cells[0].rms_px
+    assert ours is not None
+    assert all(c.rms_px is not None and ours < c.rms_px < 10 * ours for c in found.comparisons)
+
+
+def test_a_method_that_does_not_apply_says_why(tmp_path: Path) -> None:
+    found = run_matrix(Matrix((replace(T2RGB, compare=("shah",)),), NoiseGrid()), tmp_path, 1)
+
+    (comparison,) = found.comparisons
+    assert comparison.error == ExitCode.BAD_INPUT
+    assert "pattern" in comparison.reasons[0]
+    assert found.cells[0].verdict == "pass"
+
+
+def test_a_cell_that_fails_does_not_stop_the_others_unless_asked(
+    matrix: Matrix, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    calibrate = cell_module.calibrate
+
+    def failing_from_far(dataset, options, noise):  # type: ignore[no-untyped-def]
+        if noise.translation > 0:
+            raise InputError("planted")
+        return calibrate(dataset, options, noise)
+
+    monkeypatch.setattr(cell_module, "calibrate", failing_from_far)
+
+    everything = run_matrix(matrix, tmp_path, 1)
+    first_only = run_matrix(matrix, tmp_path, 1, fail_fast=True)
+
+    assert [cell.verdict for cell in everything.cells] == ["pass", "pass", "fail", "fail"] * 2
+    assert [cell.verdict for cell in first_only.cells] == ["pass", "pass", "fail"]
+    assert everything.cells[2].reasons == ("planted",)
+    assert Results(everything.cells).exit_code == ExitCode.BAD_INPUT
+
+
+def test_each_job_is_reported_once(matrix: Matrix, tmp_path: Path) -> None:
+    seen: list[tuple[int, int]] = []
+
+    def done(count: int, total: int, _: CellResult) -> None:
+        seen.append((count, total))
+
+    run_matrix(matrix, tmp_path, 2, done=done)
+
+    assert seen == [(i, 8) for i in range(1, 9)]
+
+
+def test_a_worker_that_dies_is_said(matrix: Matrix, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cell_module, "calibrate", lambda *_: os.kill(os.getpid(), signal.SIGKILL))
+
+    with pytest.raises(WorldError, match="worker process died"):
+        run_matrix(matrix, tmp_path, 2)
+
+
+@pytest.mark.parametrize(
+    ("changes", "expected"),
+    [
+        ({"dataset": DATASETS / "no_such"}, "no_such"),
+        ({"evaluate": "rgb-to-rgb:right_camera:left_cam"}, "did you mean 'left_camera'"),
+        ({"evaluate": "rgb-to-rgb"}, "rgb-to-rgb"),
+        ({"truth": "no_such.json"}, "no_such.json"),
+        ({"compare": ("sha",)}, "did you mean 'shah'"),
+    ],
+)
+def test_bad_input_stops_before_anything_is_calibrated(
+    tmp_path: Path, changes: dict[str, object], expected: str
+) -> None:
+    with pytest.raises(InputError, match=expected):
+        run_matrix(Matrix((replace(T2RGB, **changes),), NoiseGrid()), tmp_path / "output", 1)  # type: ignore[arg-type]
+
+    assert not (tmp_path / "output").exists()

@@ -1,0 +1,123 @@
+"""results.json and its company."""
+
+import csv
+import json
+from dataclasses import replace
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+import jsonschema
+import pytest
+
+from calibration.errors import ExitCode, InputError
+from calibration.pipeline.configuration import NoiseGrid
+from calibration.pipeline.matrix import Matrix, run_matrix
+from calibration.pipeline.results import SCHEMA, Results, read_results, summarise, write_results
+from calibration.pipeline.summary import grid, markdown, sentence
+from tests.pipeline.conftest import RIWBOT
+from tests.pipeline.test_judgement import CELL
+
+FAILED = replace(CELL, rotation_noise=0.5, converged=False, reasons=("a false minimum",), rms_px=None, truth=None)
+BROKEN = replace(FAILED, seed=2, reasons=("no labels | <b>",), error=ExitCode.BAD_INPUT)
+
+
+def test_real_results_follow_their_schema_and_read_back(tmp_path: Path) -> None:
+    found = run_matrix(Matrix((replace(RIWBOT, compare=("shah", "opencv-stereo")),), NoiseGrid()), tmp_path, 1)
+    results = Results(found.cells, found.comparisons)
+
+    write_results(results, tmp_path)
+
+    schema = json.loads(SCHEMA.read_text())
+    document = json.loads((tmp_path / "results.json").read_text())
+    jsonschema.validate(document, schema)
+    assert found.cells[0].dataset is not None
+    own = json.loads((tmp_path / found.cells[0].dataset).with_name("results.json").read_text())
+    jsonschema.validate(own, schema)
+    assert own["cells"][0]["transforms"][0]["sigma_mm"] > 0
+    assert read_results(tmp_path) == results
+
+
+def test_writing_what_was_read_changes_nothing(tmp_path: Path) -> None:
+    found = run_matrix(Matrix((RIWBOT,), NoiseGrid()), tmp_path, 1)
+    write_results(Results(found.cells), tmp_path)
+    before = {p: p.read_bytes() for p in tmp_path.rglob("results.json")}
+
+    write_results(read_results(tmp_path), tmp_path)
+
+    assert {p: p.read_bytes() for p in tmp_path.rglob("results.json")} == before
+    assert len(before) == 2
+
+
+@pytest.mark.parametrize(
+    ("cells", "verdict", "code"),
+    [
+        ((CELL,), "pass", ExitCode.PASS),
+        ((CELL, FAILED), "fail", ExitCode.FAIL),
+        ((CELL, FAILED, BROKEN), "fail", ExitCode.BAD_INPUT),
+        ((BROKEN, replace(BROKEN, error=ExitCode.WORLD)), "fail", ExitCode.WORLD),
+        ((), "fail", ExitCode.FAIL),
+    ],
+)
+def test_the_verdict_is_red_if_any_cell_is(cells: tuple, verdict: str, code: ExitCode) -> None:  # type: ignore[type-arg]
+    assert Results(cells).verdict == verdict
+    assert Results(cells).exit_code == code
+
+
+def test_a_comparison_has_no_part_in_the_verdict() -> None:
+    assert Results((CELL,), (replace(BROKEN, method="shah"),)).exit_code == ExitCode.PASS
+
+
+def test_numbers_over_all_cells() -> None:
+    numbers = summarise(Results((CELL, FAILED, replace(CELL, seed=2, rms_px=0.7))))
+
+    assert numbers["cells"] == 3
+    assert numbers["success_rate"] == pytest.approx(2 / 3, abs=1e-6)
+    assert numbers["worst_rms_px"] == 0.7
+    assert numbers["systems"]["robot"]["converged"] == 2
+
+
+def test_the_table_has_noise_down_and_systems_across() -> None:
+    other = replace(CELL, system="other", truth=None)
+    table = grid(Results((CELL, FAILED, BROKEN, other), (replace(CELL, method="shah", translation_noise=None),)))
+
+    assert table.header == ("Start", "robot", "other")
+    assert table.rows == (
+        ("0.5 m, 0 rad", "0.6000 px, 0.5 mm, 0.02 deg", "0.6000 px"),
+        ("0.5 m, 0.5 rad", "FAIL: 0/2 pass", "-"),
+        ("shah", "0.6000 px, 0.5 mm, 0.02 deg", "-"),
+    )
+
+
+def test_the_summary_names_what_failed_and_escapes_it() -> None:
+    text = markdown(Results((CELL, FAILED, BROKEN)))
+
+    assert sentence(Results((CELL, FAILED, BROKEN))) == "fail: 2 of 3 cells failed"
+    assert "robot, 0.5 m, 0.5 rad, seed 1: a false minimum" in text
+    assert "<b>" not in text
+
+
+def test_cells_as_a_table_and_as_junit(tmp_path: Path) -> None:
+    write_results(Results((CELL, FAILED, BROKEN)), tmp_path)
+
+    rows = list(csv.DictReader((tmp_path / "cells.csv").read_text().splitlines()))
+    assert [row["Verdict"] for row in rows] == ["pass", "fail", "fail"]
+    assert rows[0]["Trans error (mm)"] == "0.5000"
+    suite = ET.fromstring((tmp_path / "junit.xml").read_text())  # noqa: S314 (our own file)
+    assert len(suite.findall(".//testcase")) == 3
+    assert len(suite.findall(".//failure")) == 1
+    assert len(suite.findall(".//error")) == 1
+
+
+@pytest.mark.parametrize(
+    "text", ["", "{}", "[]", '{"cells": 1, "comparisons": []}', '{"cells": [1], "comparisons": []}']
+)
+def test_no_results_are_bad_input(tmp_path: Path, text: str) -> None:
+    (tmp_path / "results.json").write_text(text)
+
+    with pytest.raises(InputError, match=r"results\.json"):
+        read_results(tmp_path)
+
+
+def test_missing_results_are_bad_input(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="calibrate were expected here"):
+        read_results(tmp_path)

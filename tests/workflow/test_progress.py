@@ -1,0 +1,53 @@
+"""Progress: lines in a log, a bar on a terminal."""
+
+import io
+
+from calibration.workflow import Runner
+from calibration.workflow.progress import LINES, progress
+from tests.workflow.conftest import printed
+
+
+class Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+def test_a_log_gets_a_line_for_each_step(laptop: Runner) -> None:
+    with progress(laptop, "calibrating") as advance:
+        for done in (1, 2, 3):
+            advance(done, 3, f"step {done}")
+
+    assert printed(laptop).splitlines() == ["[1/3] step 1", "[2/3] step 2", "[3/3] step 3"]
+
+
+def test_a_long_run_gets_few_lines_and_what_is_important(laptop: Runner) -> None:
+    with progress(laptop, "calibrating") as advance:
+        for done in range(1, 1001):
+            advance(done, 1000, f"step {done}", important=done == 7)
+
+    lines = printed(laptop).splitlines()
+    assert len(lines) == LINES + 1
+    assert lines[0] == "[   7/1000] step 7"
+    assert lines[-1] == "[1000/1000] step 1000"
+
+
+def test_a_terminal_gets_a_bar_that_goes_away_and_what_is_important() -> None:
+    terminal = Terminal()
+
+    with progress(Runner(stdout=terminal), "calibrating") as advance:
+        advance(1, 2, "fine")
+        advance(2, 2, "[bold]failed[/bold]", important=True)
+
+    shown = terminal.getvalue()
+    assert "calibrating" in shown
+    assert "[bold]failed[/bold]" in shown
+    assert "fine" not in shown
+
+
+def test_no_bar_on_a_runner_s_terminal() -> None:
+    terminal = Terminal()
+
+    with progress(Runner(github=True, stdout=terminal), "calibrating") as advance:
+        advance(1, 1, "fine")
+
+    assert terminal.getvalue() == "[1/1] fine\n"
