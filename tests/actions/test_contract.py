@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 import yaml
 
-from .write_inputs import FILES, options, with_inputs
+from .write_inputs import FILES, README, options, with_inputs, with_tables
 
 PROJECT = Path(__file__).resolve().parents[2]
 LOCKS = {path.name: path.read_text() for path in (PROJECT / "requirements").glob("*.txt")}
@@ -39,6 +39,12 @@ def test_inputs_are_those_of_the_command(name: str, bootstrap: ModuleType) -> No
     text = FILES[name].read_text()
     _, lock = bootstrap.ACTIONS[name]
     assert text == with_inputs(text, name, lock), "run `make actions`"
+
+
+def test_the_readme_shows_every_input_and_output() -> None:
+    text = README.read_text()
+    assert {"calibrate-matrix", "introspect-csv"} <= set(re.findall(r"<!-- inputs: (\S+) -->", text))
+    assert text == with_tables(text), "run `make actions`"
 
 
 def test_every_input_reaches_its_option(name: str, action: dict[str, Any], step: dict[str, Any]) -> None:

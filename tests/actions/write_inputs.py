@@ -1,4 +1,4 @@
-"""Writes into every action.yml the inputs that its command declares: `make actions`.
+"""Writes into every action.yml, and the README, the inputs that the commands declare: `make actions`.
 
 The options of the commands are the one place where inputs are declared; `test_contract.py` holds the files to them.
 """
@@ -13,6 +13,7 @@ import yaml
 from calibration.__main__ import load_command
 
 PROJECT = Path(__file__).resolve().parents[2]
+README = PROJECT / "README.md"
 FILES = {"run": PROJECT / "action.yml"} | {path.parent.name: path for path in PROJECT.glob("actions/*/action.yml")}
 PYTHON = "A Python >= 3.11 that has the packages of requirements/{lock}; nothing is installed then."
 
@@ -36,6 +37,28 @@ def with_inputs(text: str, name: str, lock: str) -> str:
     return re.sub(r"(?<=^      env:\n).*", lambda _: env, text, flags=re.MULTILINE | re.DOTALL)
 
 
+def with_tables(readme: str) -> str:
+    """Return the README with a table of inputs and one of outputs for each action between its marks."""
+    return re.sub(
+        r"(?<=<!-- inputs: )(\S+)( -->\n).*?(?=<!-- end -->)",
+        lambda found: f"{found[1]}{found[2]}{tables(found[1])}",
+        readme,
+        flags=re.DOTALL,
+    )
+
+
+def tables(name: str) -> str:
+    """Return what an action takes and gives, as its action.yml says."""
+    action = yaml.safe_load(FILES[name].read_text())
+    text = ""
+    for kind in ("inputs", "outputs"):
+        text += f"| {kind[:-1]} | |\n| --- | --- |\n"
+        for key, entry in action[kind].items():
+            text += f"| `{key}` | {entry['description'].replace('*', '&#42;')} |\n"
+        text += "\n"
+    return text
+
+
 def scalar(text: str) -> str:
     """Return a text as YAML writes it in a line, quoted where it must be."""
     try:
@@ -56,3 +79,4 @@ def lock_of(name: str) -> str:
 if __name__ == "__main__":
     for name, path in FILES.items():
         path.write_text(with_inputs(path.read_text(), name, lock_of(name)))
+    README.write_text(with_tables(README.read_text()))

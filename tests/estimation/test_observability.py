@@ -96,8 +96,8 @@ def test_good_directions_are_not_mentioned():
 def test_an_arm_that_hardly_tilts_is_weak_along_its_axis():
     rng = np.random.default_rng(0)
     axis = np.array([0.0, 0.6, 0.8])  # of the flange
-    turns = np.linspace(-0.5, 0.5, 12)[:, None] * axis + 0.03 * rng.normal(size=(12, 3))
-    scene = replace(rotating(eye_to_hand(12), turns), pixel_noise=0.8)
+    turns = np.linspace(-0.5, 0.5, 12)[:, None] * axis + 0.021 * rng.normal(size=(12, 3))
+    scene = replace(rotating(eye_to_hand(12), turns), pixel_noise=1.2)
     result = calibrate(scene.dataset())
     assert result.converged
     (weak,) = result.weak_directions
@@ -106,7 +106,7 @@ def test_an_arm_that_hardly_tilts_is_weak_along_its_axis():
     assert "moving along" in weak
     named = np.array([float(x) for x in weak.split("(")[1].split(")")[0].split(",")])
     frame = "cam" if weak.startswith("'world-cam'") else "board_link"
-    assert abs(named @ scene.dataset().transform(frame, "flange")[0][:3, :3] @ axis) > 0.97
+    assert abs(named @ scene.dataset().transform(frame, "flange")[0][:3, :3] @ axis) > 0.98
     assert result.sigma_mm(("world", "cam")) > 1e3 * WEAK
 
 
