@@ -4,12 +4,12 @@ import csv
 import io
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from calibration.errors import ExitCode, InputError
+from calibration.errors import ExitCode, InputError, WorldError
 from calibration.files import write_atomically
 from calibration.pipeline.cell import OUR_METHOD, CellResult, TruthDistance, Verdict
 
@@ -62,6 +62,38 @@ def write_results(results: Results, output: Path) -> None:
             alone = _document(Results((cell,)))
             alone["cells"][0].update(cell.details)
             write_atomically((output / cell.dataset).with_name(FILE), _json(alone))
+
+
+def clear_results(output: Path, inputs: Collection[Path] = ()) -> None:
+    """Remove what an earlier matrix left in the output folder, so that none of it passes for this one's.
+
+    Only files that `write_results` and the cells make; images and point clouds stay.
+
+    Args:
+        output: the folder.
+        inputs: files that are still needed.
+
+    Raises:
+        InputError: one of the inputs is among the earlier results.
+        WorldError: a file cannot be removed.
+    """
+    try:
+        earlier = read_results(output)
+    except InputError:
+        earlier = Results(())
+    named = [path for cell in (*earlier.cells, *earlier.comparisons) for path in (cell.table, cell.dataset) if path]
+    own = [str(Path(cell.dataset).with_name(FILE)) for cell in earlier.cells if cell.dataset]
+    paths = [output / name for name in (FILE, "cells.csv", "junit.xml", "summary.md", *named, *own)]
+    inside = [path for path in paths if path.resolve().is_relative_to(output.resolve())]
+    needed = {path.resolve() for path in inputs}
+    for path in inside:
+        if path.resolve() in needed:
+            raise InputError(f"{path}: this input is an earlier result in the output folder; choose another output")
+    for path in inside:
+        try:
+            path.unlink(missing_ok=True)
+        except OSError as error:
+            raise WorldError(f"{path}: an earlier result cannot be removed: {error.strerror}") from error
 
 
 def read_results(output: Path) -> Results:

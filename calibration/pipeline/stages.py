@@ -9,7 +9,7 @@ from calibration.pipeline.configuration import System
 from calibration.pipeline.judgement import judge_cells
 from calibration.pipeline.matrix import Done, Matrix, run_matrix
 from calibration.pipeline.report import report
-from calibration.pipeline.results import Results, read_results, write_results
+from calibration.pipeline.results import Results, clear_results, read_results, write_results
 from calibration.workflow import Runner
 from calibration.workflow.progress import progress
 from calibration.workflow.text import did_you_mean
@@ -74,6 +74,8 @@ def calibrate_stage(
         InputError: a dataset, an evaluation or a truth is wrong.
         WorldError: a file cannot be written, or a process died.
     """
+    folders = [system.dataset for system in matrix.systems]
+    clear_results(output, [path / "dataset.json" if path.is_dir() else path for path in folders])
     found = run_matrix(matrix, output, jobs, fail_fast, done)
     results = Results(found.cells, found.comparisons)
     write_results(results, output)

@@ -12,7 +12,7 @@ import pytest
 from calibration.errors import ExitCode, InputError
 from calibration.pipeline.configuration import NoiseGrid
 from calibration.pipeline.matrix import Matrix, run_matrix
-from calibration.pipeline.results import SCHEMA, Results, read_results, summarise, write_results
+from calibration.pipeline.results import SCHEMA, Results, clear_results, read_results, summarise, write_results
 from calibration.pipeline.summary import grid, markdown, sentence
 from tests.pipeline.conftest import RIWBOT
 from tests.pipeline.test_judgement import CELL
@@ -121,3 +121,37 @@ def test_no_results_are_bad_input(tmp_path: Path, text: str) -> None:
 def test_missing_results_are_bad_input(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="calibrate were expected here"):
         read_results(tmp_path)
+
+
+def test_what_an_earlier_matrix_left_is_removed_and_nothing_else(tmp_path: Path) -> None:
+    found = run_matrix(Matrix((replace(RIWBOT, compare=("shah",)),), NoiseGrid()), tmp_path / "output", 1)
+    write_results(Results(found.cells, found.comparisons), tmp_path / "output")
+    (tmp_path / "output" / "notes.txt").write_text("mine")
+
+    clear_results(tmp_path / "output")
+
+    assert [path.name for path in tmp_path.rglob("*") if path.is_file()] == ["notes.txt"]
+
+
+def test_no_path_in_results_reaches_out_of_the_folder(tmp_path: Path) -> None:
+    precious = tmp_path / "precious.csv"
+    precious.write_text("1")
+    output = tmp_path / "output"
+    write_results(Results((replace(CELL, table="../precious.csv"), replace(CELL, seed=2, table=str(precious)))), output)
+
+    clear_results(output)
+
+    assert precious.exists()
+    assert not (output / "results.json").exists()
+
+
+def test_an_input_among_the_earlier_results_is_not_removed(tmp_path: Path) -> None:
+    found = run_matrix(Matrix((RIWBOT,), NoiseGrid()), tmp_path, 1)
+    write_results(Results(found.cells), tmp_path)
+    assert found.cells[0].dataset is not None
+    dataset = tmp_path / found.cells[0].dataset
+
+    with pytest.raises(InputError, match="choose another output"):
+        clear_results(tmp_path, [dataset])
+
+    assert dataset.exists()
