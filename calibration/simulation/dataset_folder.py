@@ -1,0 +1,136 @@
+"""A dataset's folder, which gets a whole dataset or stays as it was."""
+
+import filecmp
+import json
+import tempfile
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from calibration.dataset import truth
+from calibration.dataset.document import one_line
+from calibration.dataset.pointcloud import write_points
+from calibration.dataset.reading import FILE_NAME
+from calibration.dataset.writing import write_document
+from calibration.errors import InputError, WorldError
+from calibration.simulation.collection import SimulatedCollection
+from calibration.simulation.document import cloud_file, dataset_document, truth_document
+from calibration.simulation.motion import Motion, motion_document
+from calibration.simulation.system import MOTION_FILE, System
+
+
+def write_dataset_folder(
+    folder: Path,
+    system: System,
+    motion: Motion,
+    collections: Sequence[SimulatedCollection],
+    seed: int,
+    overwrite: bool = False,
+) -> None:
+    """Write a collected dataset: JSON, point clouds, truth, motion, and the files that describe the system.
+
+    So the folder is a system's folder too, from which the dataset can be collected again. What
+    else is in it stays there.
+
+    Raises:
+        InputError: nothing is detected, or the folder has a dataset, or other files of these names,
+            and may not be overwritten.
+        WorldError: something cannot be written; the folder is as it was.
+    """
+    dataset, true = dataset_document(system, collections), truth_document(system, collections, seed)
+    with replacing_dataset(folder, overwrite) as new:
+        for name, content in system.sources.items():
+            (new / name).write_bytes(content)
+        for collection in collections:
+            for sensor, points in collection.clouds.items():
+                write_points(new / cloud_file(sensor, collection.key), points)
+        write_document(motion_document(motion), new / MOTION_FILE)
+        write_document(true, new / truth.FILE_NAME)
+        write_document(dataset, new / FILE_NAME)
+
+
+def refuse_existing(folder: Path, overwrite: bool) -> None:
+    """Check that a dataset may be written into a folder, which need not exist.
+
+    Raises:
+        InputError: it has a dataset and may not be overwritten, or is no folder.
+    """
+    if folder.exists() and not folder.is_dir():
+        raise InputError(f"{folder}: is a file, expected a folder for the dataset")
+    if not overwrite and (folder / FILE_NAME).exists():
+        raise InputError(f"{folder / FILE_NAME}: exists already; --overwrite replaces the dataset")
+
+
+@contextmanager
+def replacing_dataset(folder: Path, overwrite: bool) -> Iterator[Path]:
+    """A temporary folder for a new dataset, whose files move to ``folder`` when all are written.
+
+    The dataset's JSON comes last, and an old one goes first, with the files that it names: so
+    whoever looks in between finds the old dataset, none, or the new one. After any failure, an
+    interruption too, the folder is as it was. It lies inside the folder, which may be a volume of
+    its own.
+    """
+    refuse_existing(folder, overwrite)
+    created = _make(folder)
+    try:
+        with tempfile.TemporaryDirectory(prefix=".collecting-", dir=folder) as temporary:
+            new, old = Path(temporary, "new"), Path(temporary, "old")
+            new.mkdir()
+            old.mkdir()
+            yield new
+            if not overwrite:
+                _refuse_other_files(folder, new)
+            _swap(folder, new, old)
+    except OSError as error:
+        raise WorldError(one_line(f"{folder}: cannot be written: {error.strerror or error}")) from error
+    finally:
+        for path in created:
+            with suppress(OSError):  # it is not empty: something was written
+                path.rmdir()
+
+
+def _make(folder: Path) -> list[Path]:
+    """Make a folder and those above it; the ones that were made, the innermost first."""
+    missing = [path for path in (folder, *folder.parents) if not path.exists()]
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise WorldError(one_line(f"{folder}: cannot be made: {error.strerror or error}")) from error
+    return missing
+
+
+def _refuse_other_files(folder: Path, new: Path) -> None:
+    """Refuse to replace what is not part of a dataset, such as a motion that somebody recorded."""
+    for path in sorted(new.iterdir()):
+        old = folder / path.name
+        if old.exists() and not (old.is_file() and filecmp.cmp(path, old, shallow=False)):
+            raise InputError(one_line(f"{old}: exists already and differs; --overwrite replaces it"))
+
+
+def _swap(folder: Path, new: Path, old: Path) -> None:
+    """Move the old dataset out and the new one in; all or nothing."""
+    arriving = sorted((path.name for path in new.iterdir()), key=lambda name: name == FILE_NAME)
+    leaving = [FILE_NAME, *sorted({*arriving, *_payload(folder / FILE_NAME)} - {FILE_NAME})]
+    try:
+        for name in leaving:
+            if (folder / name).exists():
+                (folder / name).rename(old / name)
+        for name in arriving:
+            (new / name).rename(folder / name)
+    except BaseException:
+        for name in arriving:
+            if not (new / name).exists():
+                (folder / name).unlink(missing_ok=True)
+        for path in old.iterdir():
+            path.rename(folder / path.name)
+        raise
+
+
+def _payload(dataset: Path) -> set[str]:
+    """The files beside a dataset that its collections name; none where it cannot be read."""
+    try:
+        collections = json.loads(dataset.read_bytes())["collections"].values()
+        named = {data["data_file"] for c in collections for data in c["data"].values() if "data_file" in data}
+    except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError):
+        return set()
+    return {name for name in named if isinstance(name, str) and Path(name).name == name}

@@ -1,0 +1,68 @@
+"""Where the sensors and the patterns stand while a motion is played."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from calibration.dataset.model import Edge
+from calibration.errors import InputError
+from calibration.geometry.transforms import inverse
+from calibration.geometry.types import Array, BoolArray
+from calibration.simulation.motion import Motion
+from calibration.simulation.robot import compose
+from calibration.simulation.scene import Scene
+from calibration.simulation.system import System
+
+
+@dataclass(frozen=True, eq=False)
+class Placement:
+    """The true poses at each of N poses of a motion; every array is (N, 4, 4)."""
+
+    transforms: Mapping[Edge, Array]
+    """The robot's, by (parent, child)."""
+    sensors: Mapping[str, Array]
+    """``T_world_sensor``, to the frame of the sensor's data."""
+    patterns: Mapping[str, Array]
+    """``T_world_pattern``."""
+
+    def pattern_in(self, sensor: str, pattern: str) -> Array:
+        """``T_sensor_pattern``."""
+        return inverse(self.sensors[sensor]) @ self.patterns[pattern]
+
+    def sensors_are_free(self, scene: Scene) -> BoolArray:
+        """At which poses (N,) no sensor is in a box or under the ground."""
+        origins = np.stack([T_world_sensor[:, :3, 3] for T_world_sensor in self.sensors.values()], 1)
+        free: BoolArray = ~np.any(scene.contains(origins), axis=-1)
+        return free
+
+
+def place(system: System, motion: Motion) -> Placement:
+    """Play a motion.
+
+    Raises:
+        InputError: the motion lacks what the system moves or moves what the system has not, a joint
+            is outside its limits.
+    """
+    moved = system.moved_pattern
+    if moved is None and motion.positions is not None:
+        raise InputError(
+            f"{motion.source}: found positions and orientations, "
+            f"but every pattern of {system.name} is fixed; expected joints"
+        )
+    if moved is not None and motion.positions is None:
+        raise InputError(
+            f"{motion.source}: found no position and orientation; pattern '{moved.name}' of {system.name} moves by them"
+        )
+    transforms = system.robot.transforms(motion.joints, count=len(motion))
+    tree, world = system.robot.tree, system.configuration.world_link
+
+    def pose(frame: str) -> Array:
+        return compose(tree, transforms, world, frame)
+
+    patterns = {name: pose(p.link) for name, p in system.patterns.items() if p.fixed}
+    model_poses = motion.model_poses
+    if moved is not None and model_poses is not None:
+        patterns[moved.name] = pose(moved.parent_link) @ model_poses @ system.T_model_pattern
+    sensors = {name: pose(sensor.link) for name, sensor in system.configuration.sensors.items()}
+    return Placement(transforms, sensors, patterns)

@@ -1,0 +1,273 @@
+"""Robots from URDF descriptions, and where their frames stand for given joint positions.
+
+URDF: a tree of links, each joined to its parent by a fixed, revolute, continuous or prismatic
+joint. A description is data from elsewhere: entities are refused, the size is bounded.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Literal, get_args
+from xml.etree.ElementTree import Element, ParseError
+
+import defusedxml.ElementTree
+import numpy as np
+from defusedxml.common import DefusedXmlException
+
+from calibration.dataset.document import one_line, read_bytes
+from calibration.dataset.model import Edge
+from calibration.errors import InputError
+from calibration.geometry import rotations
+from calibration.geometry.frames import FrameTree
+from calibration.geometry.transforms import from_xyz_rpy, inverse, transform, translation
+from calibration.geometry.types import Array
+from calibration.simulation.description import MAX_BYTES
+
+JointKind = Literal["fixed", "revolute", "continuous", "prismatic"]
+JOINT_KINDS: tuple[JointKind, ...] = get_args(JointKind)
+
+
+@dataclass(frozen=True, eq=False)
+class Joint:
+    """What joins a link to its parent. Its frame is the child link's at position 0."""
+
+    name: str
+    kind: JointKind
+    parent: str
+    child: str
+    T_parent_joint: Array
+    """(4, 4): the origin."""
+    axis: Array
+    """(3,): of unit length, in the joint's frame; what a fixed joint has does not matter."""
+    lower: float = -math.inf
+    """The least position, rad or m."""
+    upper: float = math.inf
+
+    @property
+    def edge(self) -> Edge:
+        """(parent link, child link)."""
+        return (self.parent, self.child)
+
+    @property
+    def is_movable(self) -> bool:
+        """Whether the joint has a position."""
+        return self.kind != "fixed"
+
+    @property
+    def twist(self) -> Array:
+        """(6,): how the child moves in its own frame when the position grows by one."""
+        zero = np.zeros(3)
+        return np.concatenate([self.axis, zero] if self.kind == "prismatic" else [zero, self.axis])
+
+    @property
+    def rest(self) -> float:
+        """The position where nothing else is said: 0, or the limit nearest to it."""
+        return min(max(0.0, self.lower), self.upper)
+
+    def transform(self, positions: Array) -> Array:
+        """``T_parent_child`` (N, 4, 4) at each of the positions (N,)."""
+        steps = np.asarray(positions, float)[..., None] * self.axis
+        if self.kind == "prismatic":
+            return self.T_parent_joint @ translation(steps)
+        if self.is_movable:
+            return self.T_parent_joint @ transform(rotations.exp(steps), np.zeros(3))
+        return np.broadcast_to(self.T_parent_joint, (*steps.shape[:-1], 4, 4))
+
+
+@dataclass(frozen=True, eq=False)
+class Robot:
+    """A tree of links and joints."""
+
+    path: Path
+    """The file it was read from."""
+    name: str
+    joints: tuple[Joint, ...]
+    """In the order of the file."""
+
+    @cached_property
+    def tree(self) -> FrameTree:
+        """The frames of the links."""
+        return FrameTree(joint.edge for joint in self.joints)
+
+    @cached_property
+    def movable(self) -> Mapping[str, Joint]:
+        """The joints that have a position, by name."""
+        return {joint.name: joint for joint in self.joints if joint.is_movable}
+
+    def transforms(self, joint_positions: Mapping[str, Array], count: int = 1) -> dict[Edge, Array]:
+        """Forward kinematics: ``T_parent_child`` of every joint, (N, 4, 4), by (parent, child).
+
+        Args:
+            joint_positions: by joint name, (N,) each, rad or m. A joint that is not named rests.
+            count: N where no joint is named.
+
+        Raises:
+            InputError: a joint is unknown or cannot move, or a position is outside its limits.
+        """
+        for name, positions in joint_positions.items():
+            self._check(name, np.asarray(positions, float))
+        shape = np.broadcast_shapes(*(np.shape(p) for p in joint_positions.values())) if joint_positions else (count,)
+        return {
+            joint.edge: joint.transform(np.broadcast_to(joint_positions.get(joint.name, np.array(joint.rest)), shape))
+            for joint in self.joints
+        }
+
+    def _check(self, name: str, positions: Array) -> None:
+        joint = self.movable.get(name)
+        if joint is None:
+            fixed = any(joint.name == name for joint in self.joints)
+            problem = "is fixed and has no position" if fixed else "is not in the robot"
+            known = ", ".join(self.movable) or "none"
+            raise _fault(f"{self.path}: joint '{name}' {problem} (joints that move: {known})")
+        outside = ~((positions >= joint.lower) & (positions <= joint.upper))  # so NaN is outside
+        if outside.any():
+            pose = int(outside.argmax())
+            raise _fault(
+                f"{self.path}: joint '{name}' at {positions.flat[pose]:g} in pose {pose + 1} "
+                f"is outside its limits {joint.lower:g} to {joint.upper:g}"
+            )
+
+
+def compose(tree: FrameTree, transforms: Mapping[Edge, Array], start: str, end: str) -> Array:
+    """``T_start_end`` (N, 4, 4) along the tree, from the transforms of its edges.
+
+    Raises:
+        InputError: a frame is not in the tree.
+    """
+    count = len(next(iter(transforms.values())))
+    T = np.broadcast_to(np.eye(4), (count, 4, 4))
+    for step in tree.path(start, end):
+        edge = transforms[step.parent, step.child]
+        T = T @ (inverse(edge) if step.inverted else edge)
+    return T
+
+
+def read_robot(path: Path) -> Robot:
+    """Read a robot from a URDF file.
+
+    Raises:
+        InputError: in one line with file and joint, what is wrong: not XML, not URDF, a type that
+            is not supported, a missing or unknown link, two parents, a loop, a bad number.
+    """
+    return parse_robot(read_bytes(path, MAX_BYTES), path)
+
+
+def parse_robot(urdf: bytes, path: Path) -> Robot:
+    """`read_robot` for the content of the file."""
+    try:
+        root: Element = defusedxml.ElementTree.fromstring(urdf, forbid_dtd=True)
+    except ParseError as error:
+        raise _fault(f"{path}: is not XML: {error}") from None
+    except DefusedXmlException:
+        raise _fault(f"{path}: has a DTD or entities; a robot description needs none") from None
+    except (ValueError, LookupError) as error:  # an encoding that does not exist or does not fit
+        raise _fault(f"{path}: is not XML: {error}") from None
+    if root.tag != "robot":
+        raise _fault(f"{path}: the root element is <{root.tag}>, not <robot>")
+    if any("xacro" in str(element.tag) for element in root.iter()):
+        raise _fault(f"{path}: is a xacro file; expand it first: xacro {path.name} > robot.urdf")
+    return Robot(path, root.get("name", ""), _read_joints(root, path))
+
+
+def _fault(message: str) -> InputError:
+    """An error on one line, whatever the names in the file are."""
+    return InputError(one_line(message))
+
+
+def _read_joints(root: Element, path: Path) -> tuple[Joint, ...]:
+    links = {link.get("name") for link in root.findall("link")}
+    joints: dict[str, Joint] = {}
+    parents: dict[str, Joint] = {}
+    for element in root.findall("joint"):
+        name = element.get("name")
+        if not name:
+            raise _fault(f"{path}: a joint has no name")
+        where = f"{path}: joint '{name}'"
+        joint = _read_joint(element, name, where)
+        for role, link in (("parent", joint.parent), ("child", joint.child)):
+            if link not in links:
+                raise _fault(f"{where}: the {role} link '{link}' is not in the robot")
+        if name in joints:
+            raise _fault(f"{where}: two joints have this name")
+        other = parents.setdefault(joint.child, joint)
+        if other is not joint:
+            raise _fault(
+                f"{where}: link '{joint.child}' has two parents, '{other.parent}' by joint '{other.name}' "
+                f"and '{joint.parent}'"
+            )
+        joints[name] = joint
+    if not joints:
+        raise _fault(f"{path}: there is no joint")
+    try:
+        FrameTree(joint.edge for joint in joints.values())
+    except InputError as error:
+        raise _fault(f"{path}: {error}") from None
+    roots = sorted({joint.parent for joint in joints.values()} - parents.keys())
+    if len(roots) > 1:
+        raise _fault(f"{path}: the links are not one tree: {', '.join(map(repr, roots))} have no parent")
+    return tuple(joints.values())
+
+
+def _read_joint(element: Element, name: str, where: str) -> Joint:
+    kind = element.get("type", "")
+    if kind not in JOINT_KINDS:
+        raise _fault(f"{where}: type '{kind}' is not supported (supported: {', '.join(JOINT_KINDS)})")
+    if element.find("mimic") is not None:
+        raise _fault(f"{where}: mimic joints are not supported")
+    links: dict[str, str] = {}
+    for role in ("parent", "child"):
+        child = element.find(role)
+        link = "" if child is None else child.get("link", "")
+        if not link:
+            raise _fault(f"{where}: has no {role} link")
+        links[role] = link
+    origin = element.find("origin")
+    T_parent_joint = from_xyz_rpy(
+        _numbers(origin, "xyz", (0.0, 0.0, 0.0), f"{where}: origin"),
+        _numbers(origin, "rpy", (0.0, 0.0, 0.0), f"{where}: origin"),
+    )
+    axis = np.array(_numbers(element.find("axis"), "xyz", (1.0, 0.0, 0.0), f"{where}: axis"))
+    length = float(np.linalg.norm(axis))
+    if kind != "fixed" and length < 1e-9:
+        raise _fault(f"{where}: axis xyz has length 0")
+    lower, upper = _limits(element, kind, where)
+    return Joint(
+        name=name,
+        kind=kind,
+        parent=links["parent"],
+        child=links["child"],
+        T_parent_joint=T_parent_joint,
+        axis=axis / max(length, 1e-9),
+        lower=lower,
+        upper=upper,
+    )
+
+
+def _limits(element: Element, kind: str, where: str) -> tuple[float, float]:
+    if kind not in ("revolute", "prismatic"):
+        return -math.inf, math.inf
+    limit = element.find("limit")
+    if limit is None:
+        raise _fault(f"{where}: a {kind} joint needs a <limit> with lower and upper")
+    (lower,) = _numbers(limit, "lower", (0.0,), f"{where}: limit")
+    (upper,) = _numbers(limit, "upper", (0.0,), f"{where}: limit")
+    if lower > upper:
+        raise _fault(f"{where}: limit lower {lower:g} is above upper {upper:g}")
+    return lower, upper
+
+
+def _numbers(element: Element | None, key: str, default: tuple[float, ...], where: str) -> tuple[float, ...]:
+    """As many finite numbers as the default has, from an attribute; the default where it is absent."""
+    text = None if element is None else element.get(key)
+    if text is None:
+        return default
+    try:
+        values = tuple(float(word) for word in text.split())
+    except ValueError:
+        values = ()
+    if len(values) != len(default) or not all(map(math.isfinite, values)):
+        expected = "a finite number" if len(default) == 1 else f"{len(default)} finite numbers"
+        raise _fault(f"{where}: {key} is '{text[:80]}', expected {expected}")
+    return values

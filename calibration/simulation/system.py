@@ -1,0 +1,216 @@
+"""A simulated system: the robot, what is calibrated, its sensors, and the world around it.
+
+A system is a folder with
+
+- ``robot.urdf``: the robot, and the patterns that are fixed to it or to the world;
+- ``config.yml``: ATOM's calibration configuration;
+- ``simulation.yml``: what the two do not say. Under ``sensors``, one entry for each of the
+  configuration's (`calibration.simulation.sensors`); under ``scene``, ``ground_m`` and ``boxes`` of
+  ``centre``, ``size``, ``rpy``; under ``motion``, ``pattern_in_model`` (``xyz`` and ``rpy`` of the
+  moved pattern on the model that a motion sequence moves) and what a generated motion keeps to
+  (`MotionRanges`). Lengths are metres, angles radians unless the key says degrees.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from calibration.dataset.configuration import Configuration, SensorConfiguration, read_configuration
+from calibration.dataset.document import Node, one_line, read_bytes
+from calibration.dataset.pattern import Pattern
+from calibration.errors import InputError
+from calibration.geometry.transforms import from_xyz_rpy
+from calibration.geometry.types import Array
+from calibration.simulation.description import MAX_BYTES, interval, number, numbers, only
+from calibration.simulation.robot import Robot, read_robot
+from calibration.simulation.scene import Box, Scene
+from calibration.simulation.sensors import SimulatedCamera, SimulatedLidar, SimulatedSensor, read_camera, read_lidar
+from calibration.yaml_file import read_yaml
+
+ROBOT_FILE = "robot.urdf"
+CONFIGURATION_FILE = "config.yml"
+SIMULATION_FILE = "simulation.yml"
+MOTION_FILE = "motion.json"
+
+
+@dataclass(frozen=True)
+class MotionRanges:
+    """What a generated motion keeps to."""
+
+    distance: tuple[float, float] | None = None
+    """Between the camera and the pattern's centre, m; None for what fills the image well."""
+    tilt: float = math.radians(45)
+    """The largest angle between the pattern's normal and the line of sight, rad."""
+    roll: float = math.radians(30)
+    """The largest turn about the line of sight from upright, rad."""
+    partial: float = 1 / 3
+    """The share of camera views that see only a part of the pattern."""
+
+
+@dataclass(frozen=True, eq=False)
+class System:
+    """Everything that a collection needs but the motion."""
+
+    name: str
+    """The name of the system's folder."""
+    configuration: Configuration
+    robot: Robot
+    patterns: Mapping[str, Pattern]
+    sensors: Mapping[str, SimulatedSensor]
+    """In the order of the configuration."""
+    scene: Scene
+    T_model_pattern: Array
+    """(4, 4): the moved pattern on the model that a motion sequence moves."""
+    motion: MotionRanges
+    sources: Mapping[str, bytes]
+    """The files that describe it, by the names that they have in a system's folder."""
+
+    @property
+    def cameras(self) -> dict[str, SimulatedCamera]:
+        """The cameras among the sensors."""
+        return {name: sensor for name, sensor in self.sensors.items() if isinstance(sensor, SimulatedCamera)}
+
+    @property
+    def lidars(self) -> dict[str, SimulatedLidar]:
+        """The LiDARs among the sensors."""
+        return {name: sensor for name, sensor in self.sensors.items() if isinstance(sensor, SimulatedLidar)}
+
+    @property
+    def moved_pattern(self) -> Pattern | None:
+        """The pattern that a motion sequence moves; None where all are fixed."""
+        return next((pattern for pattern in self.patterns.values() if not pattern.fixed), None)
+
+
+def read_system(folder: Path, robot: Path | None = None, configuration: Path | None = None) -> System:
+    """Read a system from its folder, with another robot or another configuration if they are given.
+
+    Raises:
+        InputError: a file is missing or wrong, or the three do not fit together.
+    """
+    robot_path, configuration_path = robot or folder / ROBOT_FILE, configuration or folder / CONFIGURATION_FILE
+    simulation_path = folder / SIMULATION_FILE
+    sources = {
+        name: read_bytes(path, MAX_BYTES)
+        for name, path in (
+            (ROBOT_FILE, robot_path),
+            (CONFIGURATION_FILE, configuration_path),
+            (SIMULATION_FILE, simulation_path),
+        )
+    }
+    config = read_configuration(configuration_path)
+    simulation = Node(simulation_path, (), read_yaml(simulation_path, "the description of a simulation"))
+    only(simulation, "sensors", "scene", "motion")
+    only(simulation["sensors"], *config.sensors)
+    system = System(
+        name=folder.resolve().name,
+        configuration=config,
+        robot=read_robot(robot_path),
+        patterns={name: pattern.pattern() for name, pattern in config.patterns.items()},
+        sensors={
+            name: _sensor(simulation["sensors"][name], sensor, configuration_path)
+            for name, sensor in config.sensors.items()
+        },
+        scene=_scene(simulation.get("scene") or _empty(simulation)),
+        T_model_pattern=_model_to_pattern(simulation.get("motion") or _empty(simulation)),
+        motion=_motion(simulation.get("motion") or _empty(simulation)),
+        sources=sources,
+    )
+    _check(system, configuration_path)
+    return system
+
+
+def _empty(node: Node) -> Node:
+    return Node(node.file, (), {})
+
+
+def _sensor(node: Node, sensor: SensorConfiguration, configuration: Path) -> SimulatedSensor:
+    match sensor.modality:
+        case "rgb":
+            return read_camera(node)
+        case "lidar3d":
+            return read_lidar(node)
+    where = f"{configuration}: sensors/{sensor.name}/modality"
+    raise InputError(one_line(f"{where}: found '{sensor.modality}', expected 'rgb' or 'lidar3d'"))
+
+
+def _scene(node: Node) -> Scene:
+    only(node, "ground_m", "boxes")
+    boxes = node.get("boxes")
+    return Scene(
+        ground=number(node, "ground_m") if node.get("ground_m") else None,
+        boxes=tuple(_box(entry) for entry in boxes.elements()) if boxes else (),
+    )
+
+
+def _box(node: Node) -> Box:
+    only(node, "centre", "size", "rpy")
+    size = np.array(numbers(node, "size", 3))
+    if (size <= 0).any():
+        raise node["size"].fault("found a length that is not above 0")
+    return Box(from_xyz_rpy(numbers(node, "centre", 3), numbers(node, "rpy", 3, (0.0, 0.0, 0.0))), size)
+
+
+def _model_to_pattern(node: Node) -> Array:
+    pose = node.get("pattern_in_model")
+    if pose is None:
+        return np.eye(4)
+    only(pose, "xyz", "rpy")
+    return from_xyz_rpy(numbers(pose, "xyz", 3, (0.0, 0.0, 0.0)), numbers(pose, "rpy", 3, (0.0, 0.0, 0.0)))
+
+
+def _motion(node: Node) -> MotionRanges:
+    only(node, "pattern_in_model", "distance_m", "tilt_deg", "roll_deg", "partial")
+    ranges = MotionRanges()
+    return MotionRanges(
+        distance=interval(node, "distance_m", least=0.01, most=1000) if node.get("distance_m") else None,
+        tilt=math.radians(number(node, "tilt_deg", math.degrees(ranges.tilt), least=0, most=70)),
+        roll=math.radians(number(node, "roll_deg", math.degrees(ranges.roll), least=0, most=180)),
+        partial=number(node, "partial", ranges.partial, least=0, most=1),
+    )
+
+
+def _check(system: System, path: Path) -> None:
+    """Check what the configuration says against the robot."""
+    config, tree = system.configuration, system.robot.tree
+
+    def fault(key: str, message: str) -> InputError:
+        return InputError(one_line(f"{path}: {key}: {message}"))
+
+    def check_frame(key: str, frame: str) -> None:
+        if frame not in tree:
+            raise fault(key, f"frame '{frame}' is not in {system.robot.path}")
+
+    check_frame("world_link", config.world_link)
+    edges = {joint.edge for joint in system.robot.joints}
+    for name, sensor in config.sensors.items():
+        key = f"sensors/{name}"
+        if not name or len(name) > 100 or name.startswith(".") or not all(c.isalnum() or c in "_.-" for c in name):
+            raise fault(key, "a sensor's name is part of file names: expected letters, digits and _ . - only")
+        check_frame(f"{key}/link", sensor.link)
+        chain = {(step.parent, step.child) for step in tree.path(config.world_link, sensor.link)}
+        if (sensor.parent_link, sensor.child_link) not in chain:
+            raise fault(
+                key,
+                f"no joint from '{sensor.parent_link}' to '{sensor.child_link}' lies between "
+                f"'{config.world_link}' and '{sensor.link}' in {system.robot.path}",
+            )
+    for name, edge in config.additional_tfs.items():
+        if edge not in edges:
+            raise fault(f"additional_tfs/{name}", f"no joint from '{edge[0]}' to '{edge[1]}' in {system.robot.path}")
+    if config.joints:
+        raise fault("joints", "joint parameters cannot be calibrated in simulation yet; expected none")
+    for name, pattern in system.patterns.items():
+        key = f"calibration_patterns/{name}"
+        check_frame(f"{key}/parent_link", pattern.parent_link)
+        if pattern.fixed:
+            check_frame(f"{key}/link", pattern.link)
+            if (pattern.parent_link, pattern.link) not in edges:
+                raise fault(key, f"no joint from '{pattern.parent_link}' to '{pattern.link}' in {system.robot.path}")
+        elif pattern.link in tree:
+            raise fault(f"{key}/fixed", f"found false, but {system.robot.path} fixes '{pattern.link}' with a joint")
+    moved = [name for name, pattern in system.patterns.items() if not pattern.fixed]
+    if len(moved) > 1:
+        raise fault("calibration_patterns", f"{' and '.join(moved)} all move; a motion sequence moves one pattern")

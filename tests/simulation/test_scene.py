@@ -1,0 +1,77 @@
+import numpy as np
+import pytest
+
+from calibration.geometry.transforms import apply, from_xyz_rpy
+from calibration.simulation.scene import Box, Scene
+
+BOX = Box(from_xyz_rpy([3.0, 0.0, 1.0], [0.2, -0.3, 0.5]), np.array([1.0, 2.0, 0.6]))
+
+
+def test_the_ground() -> None:
+    scene = Scene(ground=-1.0)
+    directions = np.array([[0.0, 0.0, -2.0], [1.0, 0.0, -0.5], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
+    np.testing.assert_array_equal(scene.cast(np.array([5.0, 5.0, 1.0]), directions), [1, 4, np.inf, np.inf])
+
+
+def test_no_scene_hides_nothing() -> None:
+    scene = Scene()
+    assert not scene.hides(np.zeros(3), np.ones((4, 3))).any()
+    assert not scene.contains(np.ones((4, 3))).any()
+
+
+def test_a_hit_lies_on_the_box_and_nothing_of_the_box_before_it() -> None:
+    random = np.random.default_rng(1)
+    origin, directions = np.zeros(3), random.normal([2, 0, 0.7], size=(4000, 3))
+    t = Scene(boxes=(BOX,)).cast(origin, directions)
+    hit = np.isfinite(t)
+    assert 200 < hit.sum() < 2000
+
+    def inside(points: np.ndarray) -> np.ndarray:
+        local = apply(np.linalg.inv(BOX.T_world_box), points)
+        return (np.abs(local) / (BOX.size / 2)).max(-1)
+
+    np.testing.assert_allclose(inside(t[hit, None] * directions[hit]), 1, atol=1e-9)
+    for share in np.linspace(0.01, 0.99, 30):
+        assert (inside(share * t[hit, None] * directions[hit]) > 1).all()
+    for far in np.linspace(0, 5, 300):  # rays that miss are never inside
+        assert (inside(far * directions[~hit]) > 1 - 1e-9).all()
+
+
+def test_what_stands_behind_the_origin_is_not_hit() -> None:
+    scene = Scene(boxes=(Box(from_xyz_rpy([-2, 0, 0], [0, 0, 0]), np.ones(3)),))
+    assert scene.cast(np.zeros(3), np.array([[1.0, 0, 0], [-1.0, 0, 0]])).tolist() == [np.inf, 1.5]
+
+
+def test_from_inside_a_box_its_far_side_is_seen() -> None:
+    scene = Scene(boxes=(Box(np.eye(4), np.array([2.0, 2.0, 2.0])),))
+    assert scene.cast(np.zeros(3), np.array([[1.0, 0, 0]])).tolist() == [1]
+
+
+def test_the_nearest_counts() -> None:
+    near = Box(from_xyz_rpy([2, 0, 0], [0, 0, 0]), np.ones(3))
+    far = Box(from_xyz_rpy([5, 0, 0], [0, 0, 0]), np.ones(3))
+    ray = np.array([[1.0, 0, 0]])
+    for boxes in ((near, far), (far, near)):
+        assert Scene(ground=-9.0, boxes=boxes).cast(np.zeros(3), ray).tolist() == [1.5]
+
+
+@pytest.mark.parametrize(("x", "hidden"), [(1.0, False), (1.49, False), (1.5, False), (1.6, True), (4.0, True)])
+def test_what_stands_behind_is_hidden(x: float, hidden: bool) -> None:
+    scene = Scene(boxes=(Box(from_xyz_rpy([2, 0, 0], [0, 0, 0]), np.ones(3)),))
+    assert scene.hides(np.zeros(3), np.array([[x, 0.1, 0.1]])).tolist() == [hidden]
+
+
+def test_batches_of_origins() -> None:
+    scene = Scene(ground=0.0, boxes=(BOX,))
+    random = np.random.default_rng(2)
+    origins, points = random.uniform(0.1, 2, (7, 3)), random.uniform(0.1, 5, (7, 5, 3))
+    together = scene.hides(origins, points)
+    for i in range(7):
+        np.testing.assert_array_equal(together[i], scene.hides(origins[i], points[i]))
+
+
+def test_containing() -> None:
+    scene = Scene(ground=0.0, boxes=(BOX,))
+    points = np.array([[3.0, 0, 1], [0, 0, -0.1], [0, 0, 0.1], [9, 9, 9]])
+    assert scene.contains(points).tolist() == [True, True, False, False]
+    assert scene.contains(points, clearance=0.2).tolist() == [True, True, True, False]
