@@ -107,7 +107,7 @@ def _read_points(detections: Sequence[_Detection], collections: Sequence[Node]) 
             clouds[detection.sensor] = _read_cloud(collections[collection]["data"][detection.sensor])
         cloud = clouds[detection.sensor]
         try:
-            points[part] = cloud[index[part]]
+            points[part] = cloud.take(index[part], axis=0)
         except IndexError:
             wrong = _element(detection.idxs, int((index[part] >= len(cloud)).argmax()))
             raise wrong.unexpected(f"the index of one of the cloud's {len(cloud)} points") from None

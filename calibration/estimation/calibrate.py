@@ -47,8 +47,8 @@ class ViewResiduals:
     collections: tuple[str, ...]
     """(V,): the keys of the collections."""
     magnitudes: Array
-    """(V, L): px or m; NaN where there is no label. Corners stand at their ids, borders at their limit point's place
-    among the limits."""
+    """(V, L): px, m or rad; NaN where there is no label. Corners stand at their ids, borders at their limit
+    point's place among the limits."""
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ class RejectedLabel:
     label: int
     """The corner's id, or the position of the point among the labelled points."""
     residual: float
-    """px or m."""
+    """px, m or rad."""
 
 
 @dataclass(frozen=True, eq=False)

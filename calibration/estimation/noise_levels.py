@@ -10,7 +10,7 @@ from calibration.estimation.problem import NoiseKind, Problem, Values
 from calibration.geometry.types import Array
 
 FLOORS: dict[NoiseKind, float] = {"pixel": 1e-6, "range": 1e-8, "border": 1e-8}
-"""Nothing is labelled better than this (px, m); keeps exact data from weighing infinitely much."""
+"""Nothing is labelled better than this (px, m, rad); keeps exact data from weighing infinitely much."""
 INLIERS = 3.0
 """Labels within so many standard deviations make the estimate."""
 # For a squared Gaussian residual of 1 or 2 dimensions: its median, and its mean below INLIERS^2
@@ -28,7 +28,8 @@ class NoiseLevels:
     range: float | None = None
     """Of a LiDAR's range, m."""
     border: float | None = None
-    """Of where a LiDAR finds a pattern's border, across it, m."""
+    """Of the direction in which a LiDAR finds a pattern's border, across it, rad: its step over the root of 12,
+    where nothing else errs."""
 
     def given(self) -> dict[NoiseKind, float]:
         """Those that are set."""

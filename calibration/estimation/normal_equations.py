@@ -25,7 +25,7 @@ class Weighting:
     """What residuals weigh."""
 
     scales: Mapping[NoiseKind, float]
-    """The standard deviation of each kind, px or m."""
+    """The standard deviation of each kind, px, m or rad."""
     huber: float | None
     """The threshold in standard deviations of the robust loss; None for plain least squares."""
 

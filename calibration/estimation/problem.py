@@ -19,7 +19,7 @@ from calibration.geometry.transforms import adjoint, inverse, retract
 from calibration.geometry.types import Array, IntArray
 
 NoiseKind = Literal["pixel", "range", "border"]
-"""What a residual is measured in: corners in px, LiDAR ranges in m, the pattern's border in m."""
+"""What a residual is measured in: corners in px, LiDAR ranges in m, the pattern's border in rad."""
 
 
 @dataclass(frozen=True)
@@ -114,7 +114,7 @@ class Term(Protocol):
         """
 
     def magnitudes(self, T: Array) -> Array:
-        """(V, L): the norm of each label's residual in px or m; NaN where there is no label."""
+        """(V, L): the norm of each label's residual in px, m or rad; NaN where there is no label."""
 
 
 @dataclass(frozen=True, eq=False)

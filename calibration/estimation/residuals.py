@@ -190,17 +190,18 @@ class RangeTerm:
 
 @dataclass(frozen=True, eq=False)
 class BorderTerm:
-    """Rays of a LiDAR that graze a pattern's border: in-plane distance to the nearest border line.
+    """Rays of a LiDAR that graze a pattern's border: how far off the nearest border line they meet its plane.
 
     Where the ray meets the plane follows from its direction alone, so the range noise stays out. The
     rays point to where the border is *expected*: half a step of the scan beyond the last point on
-    the pattern (see `calibration.estimation.scan`).
+    the pattern (see `calibration.estimation.scan`). What is uncertain is the step, an angle: so the
+    in-plane distance is divided by the range, and one standard deviation holds for near and far.
     """
 
     rays: Array
     """(V, 3, L): unit directions in the sensor's frame; anything where there is no ray."""
     ranges: Array
-    """(V, L): measured there, m; matters only for rays that hardly meet the plane."""
+    """(V, L): measured there, m."""
     present: BoolArray
     """(V, L)."""
     normals: Array
@@ -218,8 +219,8 @@ class BorderTerm:
 
     def linearise(self, T: Array, views: slice, scale: float, huber: float | None) -> Linearised:
         """See `calibration.estimation.problem.Term`."""
-        meeting = _Meeting(T, self.rays[views], self.ranges[views])
-        present = self.present[views]
+        ranges, present = self.ranges[views], self.present[views]
+        meeting = _Meeting(T, self.rays[views], ranges)
         signed, side = self._distances(T, meeting.hits)
         m = np.einsum("vij,vlj->vil", T[:, :3, :2], self.normals[side])  # the line's normal in the sensor's frame
         # the line moves by m . (dt + dw x hit), and the hit slides along the ray as the plane moves and turns
@@ -231,13 +232,13 @@ class BorderTerm:
         J[:, :3] = falls[:, None] * meeting.n - m
         J[:, 3:6] = turns[:, None] * meeting.d_cosine - _cross(meeting.hits, m)
         J[:, 6] = signed
-        J /= scale
+        J /= (scale * ranges)[:, None]
         return _squeezed(J, present, huber)
 
     def magnitudes(self, T: Array) -> Array:
-        """(V, L): distance to the nearest border line in m; NaN where there is no ray."""
+        """(V, L): distance to the nearest border line over the range, rad; NaN where there is no ray."""
         signed, _ = self._distances(T, _Meeting(T, self.rays, self.ranges).hits)
-        return np.where(self.present, np.abs(signed), np.nan)
+        return np.where(self.present, np.abs(signed) / self.ranges, np.nan)
 
     def _distances(self, T: Array, points: Array) -> tuple[Array, IntArray]:
         """Signed distance (V, L) of points (V, 3, L) to the nearest border line, positive outside; which."""
