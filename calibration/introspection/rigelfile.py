@@ -5,7 +5,7 @@ a limit that is broken turns the verdict red. ``validation_min`` and ``validatio
 every row, ``acceptable_min`` and ``acceptable_max`` for the chosen one.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 from calibration.errors import InputError
@@ -26,23 +26,30 @@ _ROW_KEYS = ("use_latest_row", "value_row")
 
 
 def find_columns(document: object, where: str) -> Mapping[str, Any] | None:
-    """Find the plugin's settings: the document itself, its ``with``, or the ``with`` of one of its ``jobs``.
+    """Find the plugin's settings, wherever in a Rigelfile they stand: its form has changed over the years.
 
     Returns None when the document has none, so that it is no Rigelfile. Raises :class:`InputError`
-    when more than one job has them.
+    when it has more than one.
     """
-    if not isinstance(document, Mapping):
-        return None
-    for candidate in (document, document.get("with")):
-        if isinstance(candidate, Mapping) and COLUMNS_KEY in candidate:
-            return candidate
-    jobs = document.get("jobs")
-    settings = {name: job.get("with") for name, job in _mapping_items(jobs) if isinstance(job, Mapping)}
-    found = {name: value for name, value in settings.items() if isinstance(value, Mapping) and COLUMNS_KEY in value}
+    found = dict(_settings(document, (), set()))
     if len(found) > 1:
-        names = ", ".join(map(str, found))
-        raise InputError(f"{where}: the jobs {names} all have {COLUMNS_KEY}: put the one to use in a file of its own")
+        names = ", ".join(found)
+        raise InputError(f"{where}: {names} all have {COLUMNS_KEY}: put the one to use in a file of its own")
     return next(iter(found.values()), None)
+
+
+def _settings(node: object, path: tuple[str, ...], seen: set[int]) -> Iterator[tuple[str, Mapping[str, Any]]]:
+    """Every mapping below a node that has the plugin's key, by its path.
+
+    What YAML's aliases make appear again, or in itself, is visited once.
+    """
+    if not isinstance(node, Mapping | list) or id(node) in seen:
+        return
+    seen.add(id(node))
+    if isinstance(node, Mapping) and COLUMNS_KEY in node:
+        yield ".".join(path), node
+    for key, value in node.items() if isinstance(node, Mapping) else enumerate(node):
+        yield from _settings(value, (*path, str(key)), seen)
 
 
 def translate(settings: Mapping[str, Any], where: str) -> dict[str, Any]:
@@ -87,7 +94,3 @@ def _rule(column: str, limits: Mapping[str, Any], where: str) -> dict[str, Any]:
             raise InputError(f"{where}: the limits are for one row: choose it with value_row or use_latest_row")
         rule["row"] = "last" if latest else f"label:{label}"
     return rule
-
-
-def _mapping_items(value: object) -> list[tuple[Any, Any]]:
-    return list(value.items()) if isinstance(value, Mapping) else []

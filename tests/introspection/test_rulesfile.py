@@ -58,6 +58,7 @@ def test_a_list_of_rules(path: Path) -> None:
         "plugin: file_introspection.plugin.FileIntrospection\nwith:\n" + indented(COLUMNS, 2),
         "application: {distro: noetic}\njobs:\n  compose: {plugin: a, with: {timeout: 300.0}}\n  introspection:\n"
         "    plugin: b\n    with:\n" + indented(COLUMNS, 6),
+        "applications:\n  robot:\n    distro: noetic\n    jobs:\n      check:\n        with:\n" + indented(COLUMNS, 10),
         COLUMNS.replace("introspection_target_columns:", "introspection_target_columns: !!python/tuple"),
     ],
 )
@@ -107,7 +108,7 @@ def test_wrong_rules_in_a_rigelfile(path: Path, limits: str, message: str) -> No
         ("files: x\n" + COLUMNS, "there is no key 'files': did you mean 'file'?"),
         (
             "jobs:\n  a: {with: {introspection_target_columns: []}}\n  b: {with: {introspection_target_columns: []}}\n",
-            "the jobs a, b all have introspection_target_columns",
+            "jobs.a.with, jobs.b.with all have introspection_target_columns",
         ),
         ("jobs: {a: {plugin: x}}", "there is no key 'jobs'"),
         ("", "a list of rules, or a mapping with the key rules, was expected"),
