@@ -15,9 +15,8 @@ from calibration.dataset.pattern import Pattern
 from calibration.dataset.truth import Truth
 from calibration.evaluation.selection import camera_of
 from calibration.evaluation.views import corner_views
-from calibration.geometry.cameras import Camera
 from calibration.geometry.transforms import apply
-from calibration.geometry.types import Array, BoolArray
+from calibration.geometry.types import Array
 
 Annotation = Mapping[str, Array]
 """By the key of a collection: line segments (S, 2, 2), each from pixel (x, y) to pixel (x, y)."""
@@ -65,7 +64,7 @@ def annotate(dataset: Dataset, camera: str, pattern: Pattern, T_camera_pattern: 
     starts, ends = (np.concatenate([side[part] for side in sides]) for part in (slice(None, -1), slice(1, None)))
     annotation = {}
     for i, T in T_camera_pattern.items():
-        (a, a_seen), (b, b_seen) = (project(intrinsics, apply(T, points)) for points in (starts, ends))
+        (a, a_seen), (b, b_seen) = (intrinsics.project_visible(apply(T, points)) for points in (starts, ends))
         annotation[dataset.keys[i]] = np.stack([a, b], 1)[a_seen & b_seen]
     return annotation
 
@@ -107,15 +106,3 @@ def annotation_for(dataset: Dataset, camera: str, pattern: Pattern, truth: Truth
         return read_annotation(path)
     made = annotate_truth(dataset, camera, pattern, truth) if truth is not None else {}
     return made or annotate_detections(dataset, camera, pattern)
-
-
-def project(camera: Camera, points: Array) -> tuple[Array, BoolArray]:
-    """Pixels (N, 2) of points (N, 3), and which can be seen: in front, and where distortion does not fold over.
-
-    A pixel may lie beyond the image.
-    """
-    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        pixels = camera.project(points)
-        back = camera.normalise(pixels) - points[:, :2] / points[:, 2:]
-        seen: BoolArray = np.abs(back).max(-1) < 1e-6
-    return pixels, seen

@@ -9,7 +9,7 @@ import numpy as np
 
 from calibration.dataset.model import Dataset, PointLabels
 from calibration.errors import InputError
-from calibration.evaluation.annotation import Annotation, project
+from calibration.evaluation.annotation import Annotation
 from calibration.evaluation.selection import camera_of, lidar_of, pattern_of
 from calibration.evaluation.table import Table
 from calibration.geometry.transforms import apply
@@ -50,7 +50,7 @@ def lidar_to_rgb(
     for (i, label), T in zip(detections, T_camera_lidar, strict=True):
         key = dataset.keys[i]
         segments = annotation.get(key, np.empty((0, 2, 2)))
-        pixels, visible = project(intrinsics, apply(T, label.points[label.limits]))
+        pixels, visible = intrinsics.project_visible(apply(T, label.points[label.limits]))
         with np.errstate(invalid="ignore"):
             pixels = pixels[visible & intrinsics.contains(pixels)]
         if not len(segments):

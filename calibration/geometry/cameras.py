@@ -102,6 +102,17 @@ class Camera:
         z = np.where(points[..., 2] > 0, points[..., 2], np.nan)
         return self.to_pixels(points[..., 0] / z, points[..., 1] / z)
 
+    def project_visible(self, points: Array) -> tuple[Array, BoolArray]:
+        """`project`, and which points (...) can be seen: in front, and not where distortion folds over.
+
+        Far outside the image a strong distortion folds back into it. A pixel may lie beyond the image.
+        """
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            pixels = self.project(points)
+            back = self.normalise(pixels) - points[..., :2] / points[..., 2:]
+            visible: BoolArray = np.abs(back).max(-1) < 1e-6
+        return pixels, visible
+
     def to_pixels(self, x: Array, y: Array) -> Array:
         """Normalised coordinates (...) to pixels (..., 2)."""
         xd, yd = self.distortion.distort(x, y)

@@ -28,17 +28,9 @@ def facing(T_camera_pattern: Array, centre: Array) -> BoolArray:
 
 
 def corners_in_image(camera: Camera, points: Array) -> tuple[Array, BoolArray]:
-    """Pixels (..., K, 2) of points (..., K, 3) in the camera frame, and which of them (..., K) are on the image.
-
-    Far outside the image a strong distortion folds back into it; such points are not on it.
-    """
-    pixels = camera.project(points)
-    with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
-        on_image = camera.contains(pixels)
-        rays = points[..., :2] / points[..., 2:]
-        unfolded = np.abs(camera.normalise(np.where(on_image[..., None], pixels, 0.0)) - rays).max(-1) < 1e-6
-    visible: BoolArray = on_image & unfolded
-    return pixels, visible
+    """Pixels (..., K, 2) of points (..., K, 3) in the camera frame, and which of them (..., K) are on the image."""
+    pixels, visible = camera.project_visible(points)
+    return pixels, visible & camera.contains(pixels)
 
 
 def label_corners(

@@ -8,7 +8,7 @@ import pytest
 from calibration.dataset.model import Dataset, PointLabels
 from calibration.dataset.reading import read_dataset
 from calibration.errors import InputError
-from calibration.evaluation.annotation import Annotation, annotate, annotate_detections, project, read_annotation
+from calibration.evaluation.annotation import Annotation, annotate, annotate_detections, read_annotation
 from calibration.evaluation.lidar_to_rgb import lidar_to_rgb
 from calibration.geometry.transforms import apply, retract
 from tests.evaluation.scene import CAMERA, WIDE, lidar_and_camera, two_cameras, with_labels
@@ -134,7 +134,7 @@ def test_a_pattern_partly_behind_the_camera_is_annotated_as_far_as_it_is_seen():
 def test_what_distortion_folds_over_is_not_seen():
     z = np.ones(3)
     points = np.column_stack([[0.0, 0.5, 3.0], 0 * z, z])  # this model turns back at about 1.2
-    pixels, seen = project(WIDE, points)
+    pixels, seen = WIDE.project_visible(points)
     assert seen.tolist() == [True, True, False]
     assert np.isfinite(pixels[:2]).all()
 
