@@ -108,9 +108,15 @@ def _chain(dataset: Dataset, sensor: Sensor, pattern: Pattern, edges: tuple[Edge
         else:
             links[-1] = Link(links[-1].block, links[-1].inverted, constant)
 
+    others = {(p.parent_link, p.link): p.name for p in dataset.patterns.values()}
     constant: Array | None = None
     for step in dataset.tree.path(sensor.frame, pattern.parent_link):
         edge = (step.parent, step.child)
+        if edge in others:
+            raise InputError(
+                f"{dataset.path}: pattern '{pattern.name}': its parent '{pattern.parent_link}' hangs on pattern "
+                f"'{others[edge]}', expected a frame of the robot or the world"
+            )
         if edge in edges:
             follow_with(_simplified(constant))
             links.append(Link(edges.index(edge), step.inverted))
@@ -155,14 +161,18 @@ def _point_terms(pattern: Pattern, labels: list[PointLabels]) -> tuple[Term, ...
 
 
 def _padded(points: list[Array]) -> tuple[Array, BoolArray, Array]:
-    """Points (n, 3) of each view as lengths (V, L), which are there and finite (V, L), unit directions (V, 3, L)."""
+    """Points (n, 3) of each view as lengths (V, L), which of them exist (V, L), and unit directions (V, 3, L).
+
+    Points that are NaN do not exist, nor do those at the origin, where LiDARs put rays without a return.
+    """
     L = max([1, *(len(p) for p in points)])
     lengths, present = np.ones((len(points), L)), np.zeros((len(points), L), bool)
     rays = np.zeros((len(points), 3, L))
     rays[:, 2] = 1.0
     for v, p in enumerate(points):
-        at = np.flatnonzero(np.isfinite(p).all(-1))
-        lengths[v, at] = np.linalg.norm(p[at], axis=-1)
+        norms = np.linalg.norm(p, axis=-1)
+        at = np.flatnonzero(norms > 0)
+        lengths[v, at] = norms[at]
         rays[v][:, at] = (p[at] / lengths[v, at, None]).T
         present[v, at] = True
     return lengths, present, rays

@@ -67,16 +67,17 @@ class FrameTree:
         return chain
 
     def _refuse_loops(self) -> None:
-        """Follow every frame to the root, each edge once."""
+        """Follow every frame to the root, each edge once.
+
+        A parent appears before its children do, so a loop is entered at one of its own frames.
+        """
         safe: set[str] = set()
         for start in self._frames:
             chain: dict[str, None] = {}
             frame: str | None = start
             while frame is not None and frame not in safe:
                 if frame in chain:
-                    below = list(chain)
-                    loop = [frame, *reversed(below[below.index(frame) :])]
-                    raise InputError(f"frames form a loop: {' -> '.join(loop)}")
+                    raise InputError(f"frames form a loop: {' -> '.join([frame, *reversed(chain)])}")
                 chain[frame] = None
                 frame = self._parent.get(frame)
             safe.update(chain)

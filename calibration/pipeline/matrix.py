@@ -155,13 +155,15 @@ def _in_parallel(
             finished, _ = wait(pending, return_when=FIRST_COMPLETED)
             for future in sorted(finished, key=pending.__getitem__):
                 yield pending.pop(future), future.result()
-    except BrokenProcessPool as error:
-        raise WorldError("a worker process died (killed, or out of memory); try fewer with jobs") from error
-    finally:
-        pool.shutdown(wait=False, cancel_futures=True)
+    except BaseException as error:  # also a signal, or nobody who wants the rest
         for process in multiprocessing.active_children():
             process.terminate()
-            process.join()
+        if isinstance(error, BrokenProcessPool):
+            message = "a worker process died (killed, or out of memory); try fewer with jobs"
+            raise WorldError(message) from error
+        raise
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)
 
 
 def _begin(loaded: Mapping[str, LoadedSystem]) -> None:

@@ -43,11 +43,12 @@ def _bar(runner: Runner, title: str) -> Iterator[Advance]:
 
     console = Console(file=runner.stdout)
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=console, transient=True, refresh_per_second=5) as bar:
+    # without a thread of its own, so that the steps may fork
+    with Progress(*columns, console=console, transient=True, auto_refresh=False) as bar:
         task = bar.add_task(title, total=None)
 
         def advance(done: int, total: int, line: str, *, important: bool = False) -> None:
-            bar.update(task, completed=done, total=total)
+            bar.update(task, completed=done, total=total, refresh=True)
             if important:
                 console.print(line, markup=False, highlight=False)
 
