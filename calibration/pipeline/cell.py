@@ -211,6 +211,17 @@ def _described(result: CellResult, calibration: Calibration) -> CellResult:
         result,
         converged=calibration.converged,
         reasons=(calibration.reason,) if calibration.reason else (),
-        warnings=(*calibration.warnings, *(f"weakly determined: {weak}" for weak in calibration.weak_directions)),
+        warnings=(*calibration.warnings, *_notes(calibration)),
         details=details,
     )
+
+
+def _notes(calibration: Calibration) -> list[str]:
+    """What a user should look at, although it is calibrated."""
+    notes = [f"weakly determined: {weak}" for weak in calibration.weak_directions]
+    if rejected := calibration.rejected:
+        total = sum(int(np.isfinite(view.magnitudes).sum()) for view in calibration.residuals)
+        where = list(dict.fromkeys(label.collection for label in rejected))
+        listed = ", ".join(where[:8]) + (", ..." if len(where) > 8 else "")
+        notes.append(f"{len(rejected)} of {total} labels rejected as outliers, in collections {listed}")
+    return notes

@@ -9,6 +9,7 @@ from calibration.workflow.summary import escape_markdown, markdown_table
 
 FAILURES_SHOWN = 50
 REASONS_SHOWN = 4
+NOTES_SHOWN = 30
 
 
 @dataclass(frozen=True)
@@ -73,6 +74,17 @@ def _first(reasons: Sequence[str]) -> str:
     return "; ".join(reasons[:REASONS_SHOWN]) + (f"; and {more} more" if more > 0 else "")
 
 
+def _notes(results: Results) -> list[str]:
+    """What the cells warn of, once for each system; that a noisy guess is far away goes without saying."""
+    notes = dict.fromkeys(
+        f"{cell.system}: {warning}"
+        for cell in results.cells
+        for warning in cell.warnings
+        if not warning.startswith("the initial guess")
+    )
+    return list(notes)[:NOTES_SHOWN]
+
+
 def markdown(results: Results) -> str:
     """The verdict, the table, what failed and what to look at."""
     table = grid(results)
@@ -87,6 +99,8 @@ def markdown(results: Results) -> str:
         if len(failed) > FAILURES_SHOWN:
             lines.append(f"- and {len(failed) - FAILURES_SHOWN} more, see results.json")
         lines.append("")
+    if notes := _notes(results):
+        lines += ["### To look at", "", *(f"- {escape_markdown(line)}" for line in notes), ""]
     left_out = [f"{c.name}: {'; '.join(c.reasons)}" for c in results.comparisons if c.reasons]
     if left_out:
         lines += ["### Methods without a result", "", *(f"- {escape_markdown(line)}" for line in left_out), ""]

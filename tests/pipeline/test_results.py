@@ -96,6 +96,15 @@ def test_the_summary_names_what_failed_and_escapes_it() -> None:
     assert "<b>" not in text
 
 
+def test_the_summary_says_once_what_to_look_at() -> None:
+    warned = replace(CELL, warnings=("3 of 90 labels rejected as outliers", "the initial guess of 'a' is far"))
+
+    text = markdown(Results((warned, replace(warned, seed=2))))
+
+    assert text.count("3 of 90 labels rejected") == 1
+    assert "initial guess" not in text
+
+
 def test_cells_as_a_table_and_as_junit(tmp_path: Path) -> None:
     write_results(Results((CELL, FAILED, BROKEN)), tmp_path)
 
