@@ -17,9 +17,17 @@ class ExitCode(enum.IntEnum):
 
 
 class CalibrationError(Exception):
-    """An error whose message is meant for the user: one line that says where, what was found, what to do."""
+    """An error whose message is meant for the user: one line that says where, what was found, what to do.
+
+    Messages quote what others wrote; what does not print, line ends among it, is escaped.
+    """
 
     exit_code: ExitCode = ExitCode.WORLD
+
+    def __init__(self, message: str) -> None:
+        if not message.isprintable():
+            message = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in message)
+        super().__init__(message)
 
 
 class InputError(CalibrationError):

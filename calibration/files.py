@@ -2,6 +2,7 @@
 
 import os
 import shutil
+import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -17,22 +18,23 @@ def read_bytes(path: Path | str, limit: int, what: str) -> bytes:
             ``limit`` bytes.
         WorldError: reading fails.
     """
-    path = Path(path)
     try:
-        if path.exists() and not path.is_file():
-            raise InputError(f"{path}: this is no regular file, {what} was expected")
-        file = path.open("rb")
+        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK)  # a named pipe must not make it wait
     except (OSError, ValueError) as error:  # ValueError: a NUL or a lone surrogate in the name
         reason = error.strerror if isinstance(error, OSError) and error.strerror else error
-        raise InputError(f"{path}: {what} was expected, but it cannot be opened: {reason}") from None
-    with file:
-        try:
-            data = file.read(limit + 1)
-        except OSError as error:
-            raise WorldError(f"{path}: the file cannot be read: {error.strerror}") from error
-    if len(data) > limit:
-        raise InputError(f"{path}: the file is larger than {limit // 1024**2} MiB, too large for {what}")
-    return data
+        raise InputError(f"{path}: {what} was expected, but it cannot be read: {reason}") from None
+    try:
+        status = os.fstat(descriptor)
+        if not stat.S_ISREG(status.st_mode):
+            raise InputError(f"{path}: this is no regular file, {what} was expected")
+        if status.st_size > limit:
+            raise InputError(f"{path}: found {status.st_size} bytes, {what} of at most {limit} was expected")
+        return os.read(descriptor, status.st_size)
+    except (OSError, MemoryError) as error:
+        reason = error.strerror if isinstance(error, OSError) and error.strerror else "not enough memory"
+        raise WorldError(f"{path}: {what} cannot be read: {reason}") from error
+    finally:
+        os.close(descriptor)
 
 
 def write_atomically(path: Path | str, content: bytes | str) -> None:

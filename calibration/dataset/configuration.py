@@ -8,10 +8,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, get_args
 
-from calibration.dataset.document import Node, one_line
+from calibration.dataset.document import Node
 from calibration.dataset.model import Edge
 from calibration.dataset.pattern import Pattern, PatternKind, corner_origin, grid, outline
-from calibration.errors import InputError
 
 MAX_CORNERS = 1000
 """The largest number of corners along one side of a pattern."""
@@ -141,11 +140,7 @@ def read_configuration(path: Path | str) -> Configuration:
     from calibration.yaml_file import read_yaml  # here, so that reading a dataset does not pay for it
 
     path = Path(path)
-    try:
-        content = read_yaml(path, "a calibration configuration")
-    except InputError as error:
-        raise InputError(one_line(str(error))) from None
-    return parse_configuration(Node(path, (), content))
+    return parse_configuration(Node(path, (), read_yaml(path, "a calibration configuration")))
 
 
 def parse_configuration(node: Node) -> Configuration:

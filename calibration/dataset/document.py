@@ -2,8 +2,6 @@
 
 import json
 import math
-import os
-import stat
 import struct
 from collections.abc import Iterator
 from itertools import chain
@@ -13,6 +11,7 @@ from typing import Any, NoReturn, TypeVar
 import numpy as np
 
 from calibration.errors import InputError
+from calibration.files import read_bytes
 from calibration.geometry.types import Array, IntArray
 
 MAX_BYTES = 1 << 30
@@ -121,7 +120,7 @@ class Node:
     def fault(self, message: str) -> InputError:
         """The error with this message about this place, on one line."""
         where = "/".join(_shortened(key) for key in self.keys)
-        return InputError(one_line(f"{self.file}: {where}: {message}" if where else f"{self.file}: {message}"))
+        return InputError(f"{self.file}: {where}: {message}" if where else f"{self.file}: {message}")
 
 
 class NotNumbersError(Exception):
@@ -185,7 +184,7 @@ def read_json(path: Path) -> Node:
     Raises:
         InputError: the file cannot be read, is not JSON, or its top level is not an object.
     """
-    data = read_bytes(path)
+    data = read_bytes(path, MAX_BYTES, "a JSON document")
     root = Node(path, (), None)
     try:
         root.value = json.loads(data)
@@ -215,31 +214,6 @@ def _refuse_json(root: Node, error: json.JSONDecodeError) -> NoReturn:
     raise root.fault(f"{place}: not JSON: {error.msg}") from None
 
 
-def read_bytes(path: Path | str, limit: int = MAX_BYTES) -> bytes:
-    """The content of a regular file of at most ``limit`` bytes.
-
-    Raises:
-        InputError: there is no such file, it is something else than a file, too large, or not readable.
-    """
-    try:
-        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK)  # a named pipe must not make it wait
-        try:
-            status = os.fstat(descriptor)
-            if not stat.S_ISREG(status.st_mode):
-                raise InputError(one_line(f"{path}: expected a file, found something else"))
-            if status.st_size > limit:
-                raise InputError(one_line(f"{path}: found {status.st_size} bytes, expected {limit} at most"))
-            return os.read(descriptor, status.st_size)
-        finally:
-            os.close(descriptor)
-    except (OSError, ValueError, MemoryError) as error:  # ValueError: a NUL or a lone surrogate in the name
-        raise InputError(one_line(f"{path}: cannot be read: {_reason(error)}")) from None
-
-
-def _reason(error: Exception) -> str:
-    return (isinstance(error, OSError) and error.strerror) or str(error) or type(error).__name__
-
-
 def shown(value: Any) -> str:
     """A value of a document in the words of an error message."""
     match value:
@@ -254,13 +228,6 @@ def shown(value: Any) -> str:
         case str():
             return f"'{_shortened(value)}'"
     return _shortened(str(value))
-
-
-def one_line(text: str) -> str:
-    """The text with line ends and everything else that does not print escaped."""
-    if text.isprintable():
-        return text
-    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
 
 
 def _shortened(text: str) -> str:

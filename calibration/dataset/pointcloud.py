@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.dataset.document import Node, one_line, read_bytes, shown
+from calibration.dataset.document import MAX_BYTES, Node, shown
 from calibration.errors import InputError
-from calibration.files import write_atomically
+from calibration.files import read_bytes, write_atomically
 from calibration.geometry.types import Array
 
 Cloud = NDArray[np.floating[Any]]
@@ -28,11 +28,11 @@ def read_points(path: Path | str) -> Cloud:
     Raises:
         InputError: the file cannot be read, or is no PCD file with floating-point x, y and z.
     """
-    data = read_bytes(path)
+    data = read_bytes(path, MAX_BYTES, "a point cloud")
     try:
         return decode_pcd(data)
     except InputError as error:
-        raise InputError(one_line(f"{path}: {error}")) from None
+        raise InputError(f"{path}: {error}") from None
 
 
 def write_points(path: Path | str, points: Array) -> None:

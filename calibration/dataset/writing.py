@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from calibration.dataset.configuration import FIRST_PATTERN
-from calibration.dataset.document import Node, one_line
+from calibration.dataset.document import Node
 from calibration.dataset.edges import read_transforms, transform_documents
 from calibration.dataset.json_text import json_text
 from calibration.dataset.model import Dataset, Edge
@@ -31,7 +31,7 @@ def write_document(document: Mapping[str, Any], path: Path | str) -> None:
     try:
         text = json_text(document)
     except RecursionError:
-        raise InputError(one_line(f"{path}: cannot be written: the document is nested too deeply")) from None
+        raise InputError(f"{path}: cannot be written: the document is nested too deeply") from None
     write_atomically(path, f"{text}\n")
 
 
@@ -55,9 +55,7 @@ def write_dataset(dataset: Dataset, path: Path | str, images: bool = True) -> Pa
     if path.suffix != ".json":
         path = path / FILE_NAME
     if path.resolve() == dataset.path.resolve():
-        raise InputError(
-            one_line(f"{path}: is the dataset itself; write into another folder, an input is never changed")
-        )
+        raise InputError(f"{path}: is the dataset itself; write into another folder, an input is never changed")
     document = dataset_document(dataset)
     _bring_payload(dataset, path.parent, images)
     write_document(document, path)
@@ -97,7 +95,7 @@ def _changed(dataset: Dataset) -> dict[Edge, list[dict[str, Any] | None]]:
             continue
         present = ~np.isnan(T[:, 0, 0])
         if not np.isfinite(T[present]).all():
-            raise InputError(one_line(f"{dataset.path}: transform '{'-'.join(edge)}' is not finite; it is not written"))
+            raise InputError(f"{dataset.path}: transform '{'-'.join(edge)}' is not finite; it is not written")
         entries = iter(transform_documents(edge, T[present]))
         changed[edge] = [next(entries) if each else None for each in present]
     return changed

@@ -173,7 +173,7 @@ def _written(
         error = truth_error(dataset, system.truth)
         distance = TruthDistance(round(error.translation_mm, 6), round(error.rotation_deg, 8))
         result = replace(result, truth=distance)
-    write_dataset(dataset, output / folder)
+    write_dataset(dataset, output / folder, images=False)  # they would weigh more than all the rest
     return replace(result, dataset=f"{folder}/dataset.json")
 
 

@@ -8,7 +8,6 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from calibration.dataset import truth
-from calibration.dataset.document import one_line
 from calibration.dataset.pointcloud import write_points
 from calibration.dataset.reading import FILE_NAME
 from calibration.dataset.writing import write_document
@@ -82,7 +81,7 @@ def replacing_dataset(folder: Path, overwrite: bool) -> Iterator[Path]:
                 _refuse_other_files(folder, new)
             _swap(folder, new, old)
     except OSError as error:
-        raise WorldError(one_line(f"{folder}: cannot be written: {error.strerror or error}")) from error
+        raise WorldError(f"{folder}: cannot be written: {error.strerror or error}") from error
     finally:
         for path in created:
             with suppress(OSError):  # it is not empty: something was written
@@ -95,7 +94,7 @@ def _make(folder: Path) -> list[Path]:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise WorldError(one_line(f"{folder}: cannot be made: {error.strerror or error}")) from error
+        raise WorldError(f"{folder}: cannot be made: {error.strerror or error}") from error
     return missing
 
 
@@ -104,7 +103,7 @@ def _refuse_other_files(folder: Path, new: Path) -> None:
     for path in sorted(new.iterdir()):
         old = folder / path.name
         if old.exists() and not (old.is_file() and filecmp.cmp(path, old, shallow=False)):
-            raise InputError(one_line(f"{old}: exists already and differs; --overwrite replaces it"))
+            raise InputError(f"{old}: exists already and differs; --overwrite replaces it")
 
 
 def _swap(folder: Path, new: Path, old: Path) -> None:

@@ -16,9 +16,9 @@ import defusedxml.ElementTree
 import numpy as np
 from defusedxml.common import DefusedXmlException
 
-from calibration.dataset.document import one_line, read_bytes
 from calibration.dataset.model import Edge
 from calibration.errors import InputError
+from calibration.files import read_bytes
 from calibration.geometry import rotations
 from calibration.geometry.frames import FrameTree
 from calibration.geometry.transforms import from_xyz_rpy, inverse, transform, translation
@@ -151,7 +151,7 @@ def read_robot(path: Path) -> Robot:
         InputError: in one line with file and joint, what is wrong: not XML, not URDF, a type that
             is not supported, a missing or unknown link, two parents, a loop, a bad number.
     """
-    return parse_robot(read_bytes(path, MAX_BYTES), path)
+    return parse_robot(read_bytes(path, MAX_BYTES, "a robot description"), path)
 
 
 def parse_robot(urdf: bytes, path: Path) -> Robot:
@@ -173,7 +173,7 @@ def parse_robot(urdf: bytes, path: Path) -> Robot:
 
 def _fault(message: str) -> InputError:
     """An error on one line, whatever the names in the file are."""
-    return InputError(one_line(message))
+    return InputError(message)
 
 
 def _read_joints(root: Element, path: Path) -> tuple[Joint, ...]:

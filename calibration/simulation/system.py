@@ -19,9 +19,10 @@ from pathlib import Path
 import numpy as np
 
 from calibration.dataset.configuration import Configuration, SensorConfiguration, read_configuration
-from calibration.dataset.document import Node, one_line, read_bytes
+from calibration.dataset.document import Node
 from calibration.dataset.pattern import Pattern
 from calibration.errors import InputError
+from calibration.files import read_bytes
 from calibration.geometry.transforms import from_xyz_rpy
 from calibration.geometry.types import Array
 from calibration.simulation.description import MAX_BYTES, interval, number, numbers, only
@@ -93,7 +94,7 @@ def read_system(folder: Path, robot: Path | None = None, configuration: Path | N
     robot_path, configuration_path = robot or folder / ROBOT_FILE, configuration or folder / CONFIGURATION_FILE
     simulation_path = folder / SIMULATION_FILE
     sources = {
-        name: read_bytes(path, MAX_BYTES)
+        name: read_bytes(path, MAX_BYTES, "a file of the system")
         for name, path in (
             (ROBOT_FILE, robot_path),
             (CONFIGURATION_FILE, configuration_path),
@@ -133,7 +134,7 @@ def _sensor(node: Node, sensor: SensorConfiguration, configuration: Path) -> Sim
         case "lidar3d":
             return read_lidar(node)
     where = f"{configuration}: sensors/{sensor.name}/modality"
-    raise InputError(one_line(f"{where}: found '{sensor.modality}', expected 'rgb' or 'lidar3d'"))
+    raise InputError(f"{where}: found '{sensor.modality}', expected 'rgb' or 'lidar3d'")
 
 
 def _scene(node: Node) -> Scene:
@@ -177,7 +178,7 @@ def _check(system: System, path: Path) -> None:
     config, tree = system.configuration, system.robot.tree
 
     def fault(key: str, message: str) -> InputError:
-        return InputError(one_line(f"{path}: {key}: {message}"))
+        return InputError(f"{path}: {key}: {message}")
 
     def check_frame(key: str, frame: str) -> None:
         if frame not in tree:

@@ -139,7 +139,7 @@ def test_the_exit_code_is_what_the_command_returns(ends_with: list[object], end:
 @pytest.mark.parametrize(
     ("error", "code", "line"),
     [
-        (InputError("a.csv: is\nwrong"), 2, "error: a.csv: is wrong\n"),
+        (InputError("a.csv: is\nwrong"), 2, "error: a.csv: is\\nwrong\n"),
         (UndeterminedError("one axis"), 2, "error: one axis\n"),
         (WorldError("disk full"), 3, "error: disk full\n"),
         (OSError(28, "No space left", "/x"), 3, "error: [Errno 28] No space left: '/x'\n"),

@@ -10,6 +10,7 @@ import pytest
 from calibration.dataset.model import CornerLabels, PointLabels
 from calibration.dataset.pointcloud import read_points
 from calibration.dataset.reading import read_dataset
+from calibration.errors import InputError
 from calibration.geometry.transforms import from_quaternion
 from tests.dataset import documents
 from tests.dataset.documents import CLOUD, MISSING, changed
@@ -209,6 +210,9 @@ def test_a_transform_that_some_collections_lack_is_nan_there(tmp_path):
     T = dataset.transforms["world", "board_link"]
     assert np.isnan(T[0]).all()
     np.testing.assert_array_equal(T[1, :3, 3], [2, 0, 1])
+    with pytest.raises(InputError, match="collections/000/transforms: no 'world-board_link'"):
+        dataset.transform("cam_optical", "board_link")
+    np.testing.assert_array_equal(dataset.with_collections([1]).transform("world", "board_link"), T[1:])
 
 
 def test_patterns_are_generated(dataset):

@@ -84,3 +84,13 @@ def test_the_image_ends_at_the_edges_of_its_outer_pixels():
     outside = [[-0.51, 0], [0, -0.51], [639.51, 0], [0, 479.51], [np.nan, 0]]
     assert camera.contains(np.array(inside)).all()
     assert not camera.contains(np.array(outside)).any()
+
+
+def test_what_can_be_seen():
+    """Strong barrel distortion folds what lies far outside back into the image."""
+    camera = Camera(300.0, 300.0, 320.0, 240.0, 640, 480, PlumbBob(k1=-0.3))
+    points = np.array([[0.1, 0.2, 1.0], [0.1, 0.2, -1.0], [0.1, 0.2, 0.0], [1.7, 0.0, 1.0], [0.0, 0.0, np.nan]])
+    pixels, visible = camera.project_visible(points)
+    assert visible.tolist() == [True, False, False, False, False]
+    np.testing.assert_array_equal(pixels, camera.project(points))
+    assert camera.contains(pixels[3])  # folded back

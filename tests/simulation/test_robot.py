@@ -175,11 +175,11 @@ def test_what_is_wrong_is_said_in_one_line(urdf: str, message: str) -> None:
 
 
 def test_a_missing_or_huge_file(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"nothing.urdf: cannot be read: No such file"):
+    with pytest.raises(InputError, match=r"nothing.urdf: .* cannot be read: No such file"):
         read_robot(tmp_path / "nothing.urdf")
     huge = tmp_path / "huge.urdf"
     huge.write_bytes(b" " * 10_000_001)
-    with pytest.raises(InputError, match=r"huge.urdf: found 10000001 bytes, expected 10000000 at most"):
+    with pytest.raises(InputError, match=r"huge.urdf: found 10000001 bytes"):
         read_robot(huge)
 
 
