@@ -127,6 +127,24 @@ def two_patterns(n: int = 12, seed: int = 0, **changes: object) -> Scene:
     return replace(alternating, transforms=transforms, patterns=[*scene.patterns, still], **changes)
 
 
+def two_arms(n: int = 14, seed: int = 0, **changes: object) -> Scene:
+    """A camera in the hand of one arm, a pattern in that of another, whose base is to be found: three in a row."""
+    rng = np.random.default_rng(3000 + seed)
+    T_world_hand = transform(rotations.exp(0.7 * rng.normal(size=(n, 3))), 0.4 * rng.normal(size=(n, 3)))
+    T_hand_cam, T_flange_board = pose(0.05, 0.02, 0.1, 0.1, 0.2, -0.4), pose(0.02, -0.1, 0.15, 0.5, -0.3, 1.0)
+    T_world_base = pose(1.5, 0.3, 0.1, 0.0, 0.1, 2.8)
+    T_base_flange = inverse(T_world_base) @ T_world_hand @ T_hand_cam @ looks(n, seed) @ inverse(T_flange_board)
+    transforms = {
+        ("world", "hand"): T_world_hand,
+        ("hand", "cam"): T_hand_cam,
+        ("world", "base"): T_world_base,
+        ("base", "flange"): T_base_flange,
+        ("flange", "board_link"): T_flange_board,
+    }
+    pattern = board(parent="flange", fixed=True)
+    return replace(Scene(transforms, [camera("cam", "hand")], [pattern], additional=(("world", "base"),)), **changes)
+
+
 ALL: dict[str, Callable[..., Scene]] = {
     "stereo": stereo,
     "anchored stereo": lambda *a, **k: stereo(*a, **{"anchored": "right", **k}),

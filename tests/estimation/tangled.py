@@ -36,7 +36,7 @@ def tangled(noise: float = 0.0, seed: int = 0) -> tuple[Problem, Values]:
         ("right", "moving", [0, 2, 3, 4], (Link(HELD, True), Link(C, True, one), Link(P, False))),
         ("left", "fixed", [1, 2, 4], (Link(C, True), Link(A, False, one), Link(F, False))),
         ("right", "other", [0, 3, 4], (Link(HELD, False, many[:3]), Link(C, False), Link(Q, False))),
-        ("lidar", "moving", [1, 3], (Link(A, False), Link(F, True, many[2:4]), Link(P, True, one))),
+        ("lidar", "moving", [1, 3], (Link(A, False), Link(P, True, one), Link(F, True, many[2:4]))),
         ("left", "other", [3, 4], (Link(P, False, one), Link(Q, False))),
     ]
     groups = []

@@ -130,7 +130,8 @@ def test_the_cost_is_the_sum_of_squared_magnitudes(name):
     magnitudes = term.magnitudes(poses())
     np.testing.assert_array_equal(np.isfinite(magnitudes).sum(-1), term.counts)
     np.testing.assert_allclose(cost(term, poses(), sigma, None), np.nansum((magnitudes / sigma) ** 2, -1))
-    assert np.nanmean(magnitudes**2) == pytest.approx(term.dimension * sigma**2, rel=0.35)
+    errors = magnitudes * term.ranges if name == "border" else magnitudes  # an angle is a distance over the range
+    assert np.nanmean(errors**2) == pytest.approx(term.dimension * sigma**2, rel=0.35)
 
 
 @pytest.mark.parametrize("name", ["partial views", "ranges", "border"])
@@ -189,13 +190,14 @@ def test_the_range_residual_is_taken_along_the_ray():
     assert cost(term, T, 0.1, None)[0] == pytest.approx(9, rel=0.01)
 
 
-def test_the_border_residual_is_the_distance_to_the_nearest_line():
+def test_the_border_residual_is_the_distance_to_the_nearest_line_over_the_range():
     T = transform(np.eye(3), [[0.0, 0.0, 1.0]])
     at = np.array([[0.2, 0.0, 1.0], [-0.17, 0.02, 1.0], [0.03, 0.11, 1.0], [0.0, -0.151, 1.0]])[None]
     lengths, rays = rays_to(at)
     for error in (0.0, 0.02):  # the range hardly matters
         term = BorderTerm(rays, lengths + error, np.ones((1, 4), bool), NORMALS, OFFSETS)
-        np.testing.assert_allclose(term.magnitudes(T)[0], [0.02, 0.01, 0.04, 0.001], atol=1e-12 + 6e-4 * error)
+        distances = term.magnitudes(T) * (lengths + error)
+        np.testing.assert_allclose(distances[0], [0.02, 0.01, 0.04, 0.001], atol=1e-12 + 6e-4 * error)
 
 
 @settings(deadline=None)

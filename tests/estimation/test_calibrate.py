@@ -1,0 +1,196 @@
+"""The whole calibration: one result whatever the guess and the order, inputs untouched, outliers named."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calibration.dataset.model import CornerLabels, Dataset, Edge, Labels, PointLabels
+from calibration.estimation.calibrate import Calibration, Options, calibrate
+from calibration.estimation.starting_noise import StartingNoise
+from calibration.geometry.transforms import inverse, local
+from calibration.geometry.types import Array
+from tests.estimation.scenes import errors, relabelled
+from tests.estimation.systems import ALL, camera_and_lidar, eye_in_hand, stereo, two_bodies, two_patterns
+
+NOISY = {"pixel_noise": 0.3, "range_noise": 0.01, "partial": 0.3}
+EVERY_SCENE = pytest.mark.parametrize("scene", ALL)
+
+
+def relative(result: Calibration) -> dict[Edge, Array]:
+    """The transforms, seen from the sensor that was held."""
+    back = inverse(result.transforms[result.dataset.sensors[result.gauge].edge]) if result.gauge else np.eye(4)
+    return {edge: back @ T for edge, T in result.transforms.items()}
+
+
+def sigmas_apart(a: Calibration, b: Calibration) -> float:
+    """The largest distance between two results in the first one's standard deviations."""
+    apart = []
+    for edge, covariance in a.covariances.items():
+        d = local(relative(a)[edge], relative(b)[edge])
+        apart.append(float(np.sqrt(d @ np.linalg.solve(covariance, d))))
+    return max(apart)
+
+
+@EVERY_SCENE
+@pytest.mark.parametrize("loss", ["linear", "huber"])
+def test_every_start_gives_the_same_result(scene, loss):
+    dataset = ALL[scene](**NOISY).dataset(1)
+    first = calibrate(dataset, Options(loss=loss))
+    assert first.converged
+    for noise in (StartingNoise(0.1, 0.1, 3), StartingNoise(0.5, 0.5, 4), StartingNoise(2, 3, 5)):
+        result = calibrate(dataset, Options(loss=loss), noise)
+        assert result.converged
+        assert sigmas_apart(first, result) < 1e-5
+        assert result.cost == pytest.approx(first.cost, abs=1e-6)
+
+
+@EVERY_SCENE
+@pytest.mark.parametrize("loss", ["linear", "huber"])
+def test_exact_labels_give_the_truth(scene, loss):
+    dataset = ALL[scene](border=False, partial=0.3).dataset()
+    result = calibrate(dataset, Options(loss=loss), StartingNoise(0.5, 0.5, 2))
+    assert result.converged, result.reason
+    assert result.rejected == ()
+    assert max(errors(dataset, result.transforms, result.gauge)) < 1e-9
+    # the whole dataset, moving patterns among them: what each sensor sees is where it is
+    for pattern, sensor in {key for c in dataset.collections for key in c.labels}:
+        ends = (dataset.sensors[sensor].frame, dataset.patterns[pattern].link)
+        seen = [i for i, _ in dataset.detections(pattern, sensor)]
+        np.testing.assert_allclose(pose_of(result.dataset, *ends)[seen], pose_of(dataset, *ends)[seen], atol=1e-9)
+
+
+def pose_of(dataset: Dataset, start: str, end: str) -> Array:
+    """As `Dataset.transform`, with NaN where the pattern was not seen."""
+    T = np.broadcast_to(np.eye(4), (len(dataset.collections), 4, 4))
+    for step in dataset.tree.path(start, end):
+        edge = dataset.transforms[step.parent, step.child]
+        T = T @ (inverse(edge) if step.inverted else edge)
+    return T
+
+
+def arrays(dataset: Dataset) -> list[np.ndarray]:
+    out = [*dataset.transforms.values(), *(p.corners for p in dataset.patterns.values())]
+    for collection in dataset.collections:
+        for label in collection.labels.values():
+            out += [label.ids, label.pixels] if isinstance(label, CornerLabels) else [label.points, label.limits]
+    return out
+
+
+@pytest.mark.parametrize("scene", ["stereo", "camera and lidar", "hand and world", "two patterns"])
+@pytest.mark.parametrize("start", ["linear", "given"])
+def test_a_dataset_is_not_changed_and_may_be_read_only(scene, start):
+    dataset = ALL[scene](**NOISY).dataset()
+    before = [array.copy() for array in arrays(dataset)]
+    for array in arrays(dataset):
+        array.flags.writeable = False
+    result = calibrate(dataset, Options(start=start), StartingNoise(0.1, 0.1))
+    for array, old in zip(arrays(dataset), before, strict=True):
+        np.testing.assert_array_equal(array, old)
+    for edge in result.transforms:
+        assert not np.shares_memory(result.transforms[edge], dataset.transforms[edge])
+
+
+@EVERY_SCENE
+@pytest.mark.parametrize("order", ["collections", "sensors", "labels"])
+def test_the_order_does_not_matter(scene, order):
+    dataset = ALL[scene](**NOISY).dataset(2)
+    if order == "collections":
+        other = dataset.with_collections(np.random.default_rng(0).permutation(len(dataset.collections)).tolist())
+    elif order == "sensors":
+        other = replace(dataset, sensors=dict(reversed(dataset.sensors.items())))
+    else:
+        other = relabelled(dataset, reverse)
+    first, second = calibrate(dataset), calibrate(other)
+    held = {s.edge for s in dataset.sensors.values() if s.name in (first.gauge, second.gauge)}
+    ends = {edge: second.transforms[edge] for edge in first.transforms}
+    back = np.eye(4)
+    for edge in held:
+        back = first.transforms[edge] @ inverse(second.transforms[edge])
+    for edge, T in ends.items():
+        np.testing.assert_allclose(back @ T, first.transforms[edge], atol=1e-6)
+    assert second.cost == pytest.approx(first.cost, rel=1e-6)
+    assert second.noise_levels.pixel == pytest.approx(first.noise_levels.pixel, rel=1e-6)
+
+
+def reverse(_: int, __: str, label: Labels) -> Labels:
+    if isinstance(label, PointLabels):
+        return PointLabels(label.points[::-1], len(label.points) - 1 - label.limits)
+    return CornerLabels(label.ids[::-1], label.pixels[::-1])
+
+
+def test_the_same_input_gives_the_same_bytes():
+    dataset = camera_and_lidar(**NOISY).dataset()
+    first, second = (calibrate(dataset, noise=StartingNoise(0.5, 0.5, 7)) for _ in range(2))
+    for edge in first.transforms:
+        assert first.transforms[edge].tobytes() == second.transforms[edge].tobytes()
+    assert first.rejected == second.rejected
+    assert first.cost == second.cost
+
+
+@pytest.mark.parametrize("scene", [stereo, eye_in_hand, two_bodies], ids=lambda s: s.__name__)
+def test_planted_outliers_are_exactly_the_rejected_labels(scene):
+    rng = np.random.default_rng(0)
+    planted = set()
+
+    def plant(i: int, sensor: str, label: Labels) -> Labels:
+        pixels = label.pixels.copy()
+        for k in rng.permutation(len(label.ids))[: rng.integers(0, 3)]:
+            angle = rng.uniform(0, 2 * np.pi)
+            pixels[k] += rng.uniform(5, 80) * np.array([np.cos(angle), np.sin(angle)])
+            planted.add((f"{i:03}", sensor, int(label.ids[k])))
+        return CornerLabels(label.ids, pixels)
+
+    clean = scene(14, **NOISY).dataset()
+    spoiled = relabelled(clean, plant)
+    result, plain = (calibrate(spoiled, Options(loss=loss)) for loss in ("huber", "linear"))
+    assert result.converged
+    assert {(r.collection, r.sensor, r.label) for r in result.rejected} == planted
+    assert all(r.kind == "pixel" and r.pattern == "board" and 3 < r.residual < 90 for r in result.rejected)
+    assert sigmas_apart(calibrate(clean), result) < 3
+    assert sigmas_apart(calibrate(clean), plain) > 6
+    assert plain.rejected == ()
+
+
+def test_rejected_points_are_named_by_their_place_among_the_labelled_points():
+    def plant(i: int, _: str, label: Labels) -> Labels:
+        if i != 3 or isinstance(label, CornerLabels):
+            return label
+        points = label.points.copy()
+        points[20] *= 1.3  # 0.5 m too far
+        points[label.limits[-3]] = points[label.limits[-3]] @ np.array([[0.99, 0.14, 0], [-0.14, 0.99, 0], [0, 0, 1.0]])
+        return PointLabels(points, label.limits)
+
+    dataset = relabelled(camera_and_lidar(**NOISY).dataset(), plant)
+    limit = dataset.collections[3].labels["board", "lidar"].limits[-3]
+    rejected = {(r.collection, r.sensor, r.kind, r.label) for r in calibrate(dataset).rejected if r.sensor == "lidar"}
+    assert ("003", "lidar", "range", 20) in rejected
+    assert ("003", "lidar", "border", int(limit)) in rejected
+    assert {r[0] for r in rejected} == {"003"}
+
+
+def test_patterns_that_start_mirrored_are_put_right():
+    """From afar the two poses of a pattern look alike in one camera; the other one tells."""
+    scene = stereo(30, pixel_noise=0.5)
+    left, boards = scene.transforms["world", "left"], scene.transforms["world", "board_link"]
+    far = {**scene.transforms, ("world", "board_link"): translation(4 * left[:3, 2]) @ boards}
+    setup = build(replace(scene, transforms=far).dataset())
+    truth = true_values(setup)
+    start = linear_start(setup, tuple(np.eye(4) + 0 * T if e[1] == "board_link" else T for e, T in zip(setup.edges, truth, strict=True)))
+    for robust in (True, False):
+        trapped = optimise(setup.problem, start.values, NoiseLevels(), robust)
+        _, flipped = unflipped(setup.problem, trapped.optimum.values, trapped.weighting, trapped.optimum.equations.cost)
+        assert flipped.any()
+        result = calibrate(setup.dataset, Options(loss="huber" if robust else "linear"))
+        assert result.converged
+        assert result.noise_levels.pixel == pytest.approx(0.5, rel=0.06)
+        assert errors(setup.dataset, result.transforms, result.gauge)[1] < 0.01
+
+
+def test_moving_patterns_stand_where_they_were_seen_and_nowhere_else():
+    dataset = two_patterns(8, **NOISY).dataset()
+    result = calibrate(dataset)
+    missing = np.isnan(result.dataset.transforms["world", "board_link"]).all((1, 2))
+    assert missing.tolist() == [False, True] * 4
+    assert np.isfinite(result.dataset.transforms["world", "still_link"]).all()
+    assert np.isfinite(result.transforms["world", "still_link"]).all()

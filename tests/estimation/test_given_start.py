@@ -1,0 +1,104 @@
+"""From the given guess, as the software under test must: the optimum, or an honest no."""
+
+import numpy as np
+import pytest
+
+from calibration.estimation.calibrate import Calibration, Options, calibrate
+from calibration.estimation.starting_noise import StartingNoise
+from tests.estimation.scenes import Scene
+from tests.estimation.systems import ALL, camera_and_lidar, eye_in_hand, stereo, two_bodies
+
+GIVEN = Options(start="given")
+NOISY = {"pixel_noise": 0.3, "range_noise": 0.01, "partial": 0.3}
+
+
+@pytest.mark.parametrize("scene", ALL)
+@pytest.mark.parametrize("loss", ["linear", "huber"])
+@pytest.mark.parametrize("size", [0.0, 0.03])
+def test_a_near_guess_leads_to_the_optimum(scene, loss, size):
+    dataset = ALL[scene](**NOISY).dataset(1)
+    best = calibrate(dataset, Options(loss=loss))
+    result = calibrate(dataset, Options("given", loss), StartingNoise(size, size, 2))
+    assert result.converged, result.reason
+    assert result.reason == ""
+    # where outliers begin depends on the way there, a little
+    assert result.cost == pytest.approx(best.cost, rel=1e-6 if loss == "linear" else 1e-3)
+    for edge, covariance in best.covariances.items():
+        np.testing.assert_allclose(
+            result.covariances[edge], covariance, rtol=0.02, atol=0.02 * np.abs(covariance).max()
+        )
+
+
+@pytest.mark.parametrize("scene", ["stereo", "two bodies", "hand and world", "lidar behind", "ring"])
+def test_from_afar_it_is_the_optimum_or_it_says_why_not(scene):
+    dataset = ALL[scene](10, **NOISY).dataset(1)
+    best = calibrate(dataset, Options(loss="linear"))
+    for seed in range(6):
+        result = calibrate(dataset, Options("given", "linear"), StartingNoise(1.0, 1.0, seed))
+        if result.converged:
+            assert result.cost == pytest.approx(best.cost, rel=1e-6)
+            assert result.reason == ""
+        else:
+            assert len(result.reason) > 10
+            assert "\n" not in result.reason
+            assert result.covariances == {}
+            assert result.weak_directions == ()
+        for T in result.transforms.values():
+            assert np.isfinite(T).all()
+            np.testing.assert_allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-9)
+            assert np.linalg.det(T[:3, :3]) > 0
+
+
+def first_with(reason: str, scene: Scene, size: float) -> Calibration:
+    """What the first of some noisy guesses leads to that ends for this reason."""
+    dataset = scene.dataset()
+    for seed in range(40):
+        result = calibrate(dataset, GIVEN, StartingNoise(size, size, seed))
+        if reason in result.reason:
+            assert not result.converged
+            return result
+    raise AssertionError(f"no guess ended with '{reason}'")
+
+
+def test_patterns_left_in_their_mirrored_pose_are_named():
+    scene = stereo(20, anchored="left", **NOISY)
+    result = first_with("mirrored", scene, 1.0)
+    count = int(result.reason.split(" collections")[0].split()[-1])
+    keys = result.reason.split("(")[1].rstrip(")").split(", ")
+    assert len(keys) == min(count, 5)
+    assert set(keys) <= set(result.dataset.keys)
+    # the named patterns are turned far from where they truly are
+    normals, truth = result.dataset.transforms["world", "board_link"][:, :3, 2], scene.transforms["world", "board_link"]
+    turned = np.arccos(np.clip((normals * truth[:, :3, 2]).sum(-1), -1, 1)) > 0.2
+    assert {result.dataset.keys[i] for i in np.flatnonzero(turned)} >= set(keys)
+
+
+def test_a_minimum_that_is_not_the_lowest_is_said_with_both_costs():
+    result = first_with("a false minimum", camera_and_lidar(behind=True, **NOISY), 1.0)
+    cost, lower = (float(part.split()[0].rstrip(",")) for part in result.reason.split("cost ")[1].split("while "))
+    assert cost == pytest.approx(result.cost, rel=1e-5)
+    assert lower < 0.99 * cost
+
+
+def test_a_pattern_behind_the_camera_is_no_start():
+    result = first_with("behind a camera", two_bodies(8, **NOISY), 2.0)
+    assert result.cost == np.inf
+    assert result.iterations == 0
+
+
+def test_the_noise_of_the_guess_does_not_reach_the_patterns():
+    """As in ATOM: without noise on the sensors, patterns start where the first guess sees them."""
+    dataset = eye_in_hand(**NOISY).dataset()
+    result = calibrate(dataset, GIVEN)
+    assert result.converged
+    assert result.iterations < 25
+
+
+@pytest.mark.parametrize("start", ["linear", "given"])
+def test_a_guess_that_is_far_away_is_said(start):
+    dataset = camera_and_lidar(**NOISY).dataset()
+    near, far = (calibrate(dataset, Options(start), StartingNoise(t, 0.0, 3)) for t in (0.2, 0.4))
+    assert near.warnings == ()
+    assert far.warnings == ("the initial guess of 'lidar' is 0.40 m and 0.0 degrees from the result",)
+    turned = calibrate(stereo(**NOISY).dataset(), Options(start), StartingNoise(0.0, 0.2, 1))
+    assert all("'left' being held" in warning for warning in turned.warnings if "'right'" in warning)

@@ -1,0 +1,115 @@
+"""Weights that fit the residuals, and patterns that are not left in their mirrored pose."""
+
+import numpy as np
+import pytest
+
+from calibration.estimation.build import Setup, build
+from calibration.estimation.least_squares import minimise
+from calibration.estimation.noise_levels import NoiseLevels, estimate_scales
+from calibration.estimation.normal_equations import Weighting, assemble
+from calibration.estimation.optimisation import HUBER, WeightedOptimum, optimise, unflipped
+from calibration.estimation.planar_pose import mirrored_poses
+from calibration.estimation.problem import Values
+from calibration.geometry.transforms import distance, inverse
+from tests.estimation.scenes import true_values
+from tests.estimation.systems import ALL, ring, stereo, two_bodies
+
+NOISY = {"pixel_noise": 0.3, "range_noise": 0.01, "partial": 0.3}
+FLIPPED = [1, 4, 5]
+
+
+def optimum(setup: Setup, robust: bool, values: Values | None = None) -> WeightedOptimum:
+    return optimise(setup.problem, values or true_values(setup), NoiseLevels(), robust)
+
+
+def mirrored(setup: Setup, values: Values, which: list[int]) -> Values:
+    """The moving pattern as its mirror image in the first camera that sees it in each of these collections."""
+    out = list(values)
+    pattern = setup.block(setup.pattern_edge("board"))
+    out[pattern] = values[pattern].copy()
+    for i in which:
+        group = next(g for g in setup.problem.groups if i in g.collections and g.terms[0].kind == "pixel")
+        v = np.flatnonzero(group.collections == i)
+        T = setup.problem.poses(group, values)[v]
+        before = T @ inverse(values[pattern][[i]])
+        out[pattern][i] = (inverse(before) @ mirrored_poses(T, np.zeros(3)))[0]
+    return tuple(out)
+
+
+@pytest.mark.parametrize("scene", [stereo, ring, two_bodies], ids=lambda s: s.__name__)
+@pytest.mark.parametrize("robust", [False, True])
+def test_mirrored_patterns_are_found_and_put_right(scene, robust):
+    setup = build(scene(12, **NOISY).dataset(1))
+    best = optimum(setup, robust)
+    trapped = minimise(setup.problem, mirrored(setup, best.optimum.values, FLIPPED), best.weighting)
+    pattern = setup.block(setup.pattern_edge("board"))
+    stuck = distance(trapped.values[pattern], best.optimum.values[pattern])[1] > 0.3
+    assert set(np.flatnonzero(stuck)) <= set(FLIPPED)
+    assert stuck.any()
+    values, flipped = unflipped(setup.problem, trapped.values, best.weighting, trapped.equations.cost)
+    assert flipped.tolist() == stuck.tolist()
+    again = minimise(setup.problem, values, best.weighting)
+    assert again.cost == pytest.approx(best.optimum.cost, abs=1e-4)
+    for i, value in enumerate(trapped.values):
+        if i != pattern:
+            np.testing.assert_array_equal(values[i], value)
+
+
+@pytest.mark.parametrize("scene", ALL)
+@pytest.mark.parametrize("robust", [False, True])
+@pytest.mark.parametrize("exact", [False, True])
+def test_at_the_optimum_nothing_is_flipped(scene, robust, exact):
+    """Nor is rounding taken for a flip where labels are exact."""
+    setup = build(ALL[scene](**({"border": False} if exact else NOISY)).dataset(2))
+    best = optimum(setup, robust)
+    values, flipped = unflipped(setup.problem, best.optimum.values, best.weighting, best.optimum.equations.cost)
+    assert not flipped.any()
+    for before, after in zip(best.optimum.values, values, strict=True):
+        np.testing.assert_array_equal(before, after)
+
+
+@pytest.mark.parametrize("scene", ["stereo", "eye in hand", "camera and lidar"])
+@pytest.mark.parametrize("robust", [False, True])
+def test_the_weights_are_those_of_the_residuals(scene, robust):
+    setup = build(ALL[scene](20, **NOISY).dataset(3))
+    best = optimum(setup, robust)
+    estimated = estimate_scales(setup.problem, best.optimum.values, best.parameters, robust)
+    assert estimated == pytest.approx(dict(best.weighting.scales), rel=1e-4)
+    assert best.weighting.huber == (HUBER if robust else None)
+    observed = len(setup.problem.shared) + sum(len(setup.dataset.keys) for _ in setup.problem.local)
+    assert sum(best.parameters.values()) == pytest.approx(6 * observed, rel=1e-6)
+
+
+@pytest.mark.parametrize("scene", ["stereo", "camera and lidar"])
+@pytest.mark.parametrize("robust", [False, True])
+def test_the_equations_are_those_of_the_weights(scene, robust):
+    setup = build(ALL[scene](**NOISY).dataset(4))
+    best = optimum(setup, robust)
+    again = assemble(setup.problem, best.optimum.values, best.weighting)
+    for name in ("cost", "H_shared", "H_mixed", "H_local"):
+        expected = getattr(again, name)
+        atol = 1e-5 * np.abs(expected).max()  # those of the last but one step, which differs by next to nothing
+        np.testing.assert_allclose(getattr(best.optimum.equations, name), expected, atol=atol)
+    gradient = best.optimum.equations.g_shared / np.sqrt(np.diagonal(best.optimum.equations.H_shared))
+    assert np.abs(gradient).max() < 1e-3
+
+
+def test_plain_least_squares_costs_its_degrees_of_freedom():
+    setup = build(stereo(**NOISY).dataset())
+    best = optimum(setup, robust=False)
+    labels = sum(int(t.counts.sum()) * t.dimension for g in setup.problem.groups for t in g.terms)
+    assert best.optimum.cost == pytest.approx(labels - 6 - 12 * 6)
+
+
+def test_outliers_pull_no_harder_than_the_threshold():
+    setup = build(stereo(20, **NOISY).dataset(5))
+    best = optimum(setup, robust=True)
+    plain = minimise(setup.problem, best.optimum.values, Weighting(best.weighting.scales, None))
+    edge = setup.block(("world", "right"))
+    assert distance(plain.values[edge], best.optimum.values[edge])[0] < 1e-3
+    setup.problem.groups[0].terms[0].pixels[3, 0, :3] += 200.0
+    spoiled = minimise(setup.problem, best.optimum.values, best.weighting)
+    spoiled_plain = minimise(setup.problem, best.optimum.values, Weighting(best.weighting.scales, None))
+    moved, moved_plain = (distance(s.values[edge], best.optimum.values[edge])[0] for s in (spoiled, spoiled_plain))
+    assert moved < 2e-4
+    assert moved_plain > 20 * moved
