@@ -1,16 +1,20 @@
 """Weights that fit the residuals, and patterns that are not left in their mirrored pose."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from calibration.estimation.build import Setup, build
+from calibration.estimation.calibrate import Options, calibrate
 from calibration.estimation.least_squares import minimise
+from calibration.estimation.linear_start import linear_start
 from calibration.estimation.noise_levels import NoiseLevels, estimate_scales
 from calibration.estimation.normal_equations import Weighting, assemble
 from calibration.estimation.optimisation import HUBER, WeightedOptimum, optimise, unflipped
 from calibration.estimation.planar_pose import mirrored_poses
 from calibration.estimation.problem import Values
-from calibration.geometry.transforms import distance, inverse
+from calibration.geometry.transforms import distance, inverse, translation
 from tests.estimation.scenes import true_values
 from tests.estimation.systems import ALL, ring, stereo, two_bodies
 
@@ -113,3 +117,20 @@ def test_outliers_pull_no_harder_than_the_threshold():
     moved, moved_plain = (distance(s.values[edge], best.optimum.values[edge])[0] for s in (spoiled, spoiled_plain))
     assert moved < 2e-4
     assert moved_plain > 20 * moved
+
+
+def test_patterns_that_start_mirrored_are_put_right():
+    """From afar the two poses of a pattern look alike in one camera; the other one tells."""
+    scene = stereo(40, pixel_noise=0.5, partial=0.3)
+    left, boards = scene.transforms["world", "left"], scene.transforms["world", "board_link"]
+    far = {**scene.transforms, ("world", "board_link"): translation(2 * left[:3, 2]) @ boards}
+    setup = build(replace(scene, transforms=far).dataset())
+    start = linear_start(setup, true_values(setup)).values
+    for robust in (False, True):
+        trapped = optimise(setup.problem, start, NoiseLevels(), robust)
+        optimum = trapped.optimum
+        assert unflipped(setup.problem, optimum.values, trapped.weighting, optimum.equations.cost)[1].any()
+        result = calibrate(setup.dataset, Options(loss="huber" if robust else "linear"))
+        assert result.converged
+        assert result.noise_levels.pixel < trapped.weighting.scales["pixel"]
+        assert result.noise_levels.pixel == pytest.approx(0.5, rel=0.05)
