@@ -1,10 +1,51 @@
 """Calibration CI: does the robot still calibrate?
 
+>>> import calibration
+>>> result = calibration.calibrate(calibration.read_dataset("datasets/t2rgb"))
+>>> result.converged
+True
+
 The rooms, from the bottom up (imports only point downwards): ``geometry``, ``dataset``,
 ``estimation``, ``evaluation``, ``comparison``, ``simulation``; beside them, knowing nothing of
 calibration, ``introspection`` and ``workflow``; on top ``pipeline`` and ``commands``.
-
-Nothing is imported here, so that a command pays only for what it uses.
 """
 
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
 __version__ = "0.1.0"
+
+if TYPE_CHECKING:
+    from calibration.dataset.model import Dataset as Dataset
+    from calibration.dataset.reading import read_dataset as read_dataset
+    from calibration.dataset.writing import write_dataset as write_dataset
+    from calibration.errors import CalibrationError as CalibrationError
+    from calibration.errors import InputError as InputError
+    from calibration.errors import UndeterminedError as UndeterminedError
+    from calibration.estimation.calibrate import Calibration as Calibration
+    from calibration.estimation.calibrate import Options as Options
+    from calibration.estimation.calibrate import calibrate as calibrate
+    from calibration.estimation.noise_levels import NoiseLevels as NoiseLevels
+    from calibration.estimation.starting_noise import StartingNoise as StartingNoise
+
+# Imported when they are first used, so that a command pays only for what it needs.
+_HOMES = {
+    "Calibration": "calibration.estimation.calibrate",
+    "CalibrationError": "calibration.errors",
+    "Dataset": "calibration.dataset.model",
+    "InputError": "calibration.errors",
+    "NoiseLevels": "calibration.estimation.noise_levels",
+    "Options": "calibration.estimation.calibrate",
+    "StartingNoise": "calibration.estimation.starting_noise",
+    "UndeterminedError": "calibration.errors",
+    "calibrate": "calibration.estimation.calibrate",
+    "read_dataset": "calibration.dataset.reading",
+    "write_dataset": "calibration.dataset.writing",
+}
+__all__ = ["__version__", *_HOMES]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module 'calibration' has no attribute '{name}'")
+    return getattr(import_module(_HOMES[name]), name)

@@ -101,12 +101,19 @@ class Calibration:
         return float(np.sqrt(np.mean(np.concatenate(errors) ** 2))) if errors else float("nan")
 
     def sigma_mm(self, edge: Edge) -> float:
-        """The standard deviation of a transform's translation, as the norm of the three axes, mm."""
-        return 1e3 * float(np.sqrt(np.trace(self.covariances[edge][:3, :3])))
+        """The standard deviation of a transform's translation, as the norm of the three axes, mm; 0 when it is held."""
+        return 1e3 * self._sigma(edge, slice(0, 3))
 
     def sigma_mrad(self, edge: Edge) -> float:
-        """The standard deviation of a transform's rotation, as the norm of the three axes, mrad."""
-        return 1e3 * float(np.sqrt(np.trace(self.covariances[edge][3:, 3:])))
+        """The standard deviation of a transform's rotation, as the norm of the three axes, mrad; 0 when it is held."""
+        return 1e3 * self._sigma(edge, slice(3, 6))
+
+    def _sigma(self, edge: Edge, part: slice) -> float:
+        if not self.converged:
+            return float("nan")
+        if edge not in self.covariances and edge in self.transforms:
+            return 0.0
+        return float(np.sqrt(np.trace(self.covariances[edge][part, part])))
 
 
 def calibrate(dataset: Dataset, options: Options | None = None, noise: StartingNoise | None = None) -> Calibration:

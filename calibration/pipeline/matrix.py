@@ -79,7 +79,7 @@ def run_matrix(
     """
     loaded = {system.name: load(system) for system in matrix.systems}
     work: list[Job] = [*matrix.cells, *matrix.comparisons]
-    workers = min(jobs or len(os.sched_getaffinity(0)), len(work))
+    workers = min(jobs or _cores(), len(work))
     results: dict[int, CellResult] = {}
     for index, result in (
         _in_parallel(work, loaded, output, workers) if workers > 1 else _one_by_one(work, loaded, output)
@@ -92,6 +92,11 @@ def run_matrix(
     cells = tuple(results[i] for i, job in enumerate(work) if isinstance(job, Cell) and i in results)
     comparisons = tuple(results[i] for i, job in enumerate(work) if not isinstance(job, Cell) and i in results)
     return MatrixResults(cells, comparisons)
+
+
+def _cores() -> int:
+    """The cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def load(system: System) -> LoadedSystem:

@@ -9,10 +9,20 @@ import numpy as np
 from calibration.dataset.model import Collection, CornerLabels, Dataset, Edge, Labels, PointLabels, Sensor
 from calibration.dataset.pattern import Pattern, grid, outline
 from calibration.estimation.build import Setup
+from calibration.estimation.calibrate import Calibration
 from calibration.estimation.problem import Values
 from calibration.geometry import rotations
 from calibration.geometry.cameras import Camera, PlumbBob
-from calibration.geometry.transforms import apply, distance, from_xyz_rpy, inverse, retract, transform, translation
+from calibration.geometry.transforms import (
+    apply,
+    distance,
+    from_xyz_rpy,
+    inverse,
+    local,
+    retract,
+    transform,
+    translation,
+)
 from calibration.geometry.types import Array
 
 PINHOLE = Camera(800.0, 790.0, 640.0, 480.0, 1280, 960)
@@ -173,3 +183,18 @@ def errors(dataset: Dataset, transforms: Mapping[Edge, Array], gauge: str | None
     back = dataset.transforms[edge][0] @ inverse(transforms[edge]) if edge else np.eye(4)
     apart = [distance(dataset.transforms[e][0], back @ T) for e, T in transforms.items()]
     return max(float(t) for t, _ in apart), max(float(r) for _, r in apart)
+
+
+def relative(result: Calibration) -> dict[Edge, Array]:
+    """The transforms, seen from the sensor that was held."""
+    back = inverse(result.transforms[result.dataset.sensors[result.gauge].edge]) if result.gauge else np.eye(4)
+    return {edge: back @ T for edge, T in result.transforms.items()}
+
+
+def sigmas_apart(a: Calibration, b: Calibration) -> float:
+    """The largest distance between two results in the first one's standard deviations."""
+    apart = []
+    for edge, covariance in a.covariances.items():
+        d = local(relative(a)[edge], relative(b)[edge])
+        apart.append(float(np.sqrt(d @ np.linalg.solve(covariance, d))))
+    return max(apart)

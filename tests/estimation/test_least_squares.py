@@ -3,11 +3,13 @@
 import numpy as np
 import pytest
 
+from calibration.estimation import least_squares
 from calibration.estimation.build import build
 from calibration.estimation.least_squares import Termination, choose, minimise, settle
-from calibration.estimation.normal_equations import Weighting, assemble
+from calibration.estimation.normal_equations import NormalEquations, Weighting, assemble
 from calibration.estimation.problem import Values
 from calibration.geometry.transforms import retract
+from calibration.geometry.types import Array
 from tests.estimation.scenes import shaken, true_values
 from tests.estimation.systems import ALL, camera_and_lidar, ring, stereo
 
@@ -92,6 +94,27 @@ def test_a_start_without_a_finite_cost_is_no_optimum(bad):
     assert not result.reached
     assert not np.isfinite(result.cost)
     assert result.iterations == 0
+
+
+class Indefinite(NormalEquations):
+    """What rounding makes of a nearly singular system: steps that lead uphill, and say so, until they are damped."""
+
+    def step(self, damping: float) -> tuple[Array, Array, float]:
+        shared, local, predicted = super().step(damping)
+        return (shared, local, predicted) if damping > 1e-2 else (-shared, -local, -predicted)
+
+
+def test_a_system_that_rounding_has_made_indefinite_is_damped_and_no_minimum(monkeypatch):
+    def indefinite(*arguments) -> NormalEquations:
+        return Indefinite(**vars(assemble(*arguments)))
+
+    setup = build(stereo(pixel_noise=0.3).dataset())
+    start = shaken(setup, true_values(setup), 0.05)
+    best = minimise(setup.problem, start, PLAIN)
+    monkeypatch.setattr(least_squares, "assemble", indefinite)
+    costs = [minimise(setup.problem, start, PLAIN, Termination(iterations=n)).cost for n in range(1, 60, 3)]
+    assert (np.diff(costs) <= 0).all()
+    assert costs[-1] == pytest.approx(best.cost, rel=0.01)
 
 
 def test_from_the_optimum_it_goes_nowhere():

@@ -73,11 +73,15 @@ def test_noise_on_the_planes_moves_the_result_as_much():
     assert rotation < 0.01
 
 
-def test_translations_that_parallel_planes_leave_open_are_those_of_the_guess():
-    X = np.eye(4)
+@pytest.mark.parametrize("tilt", [0.0, 1e-4])
+def test_translations_that_parallel_planes_leave_open_are_those_of_the_guess(tilt):
+    """Planes that are parallel but for their noise say nothing about the other two directions."""
+    rng = np.random.default_rng(0)
     turned = transform(rotations.exp(np.linspace(-1, 1, 6)[:, None] * [0.0, 0.0, 1.0]), np.array([0.0, 0.0, 1.0]))
+    normals = turned[:, :3, 2] + tilt * rng.normal(size=(6, 3))
+    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
     guess = transform(np.eye(3), [0.4, -0.2, 0.3])
-    found = align_planes(turned[:, :3, 2], np.ones(6), np.broadcast_to(np.eye(4), (6, 4, 4)), turned, guess)
-    np.testing.assert_allclose(found[:3, 3], [0.4, -0.2, 0.0], atol=1e-9)
-    assert np.isfinite(found).all()
-    np.testing.assert_allclose(found[:3, 2], X[:3, 2], atol=1e-9)
+    offsets = 1.0 + 10 * tilt * rng.normal(size=6)
+    found = align_planes(normals, offsets, np.broadcast_to(np.eye(4), (6, 4, 4)), turned, guess)
+    np.testing.assert_allclose(found[:3, 3], [0.4, -0.2, 0.0], atol=1e-9 + 20 * tilt)
+    np.testing.assert_allclose(found[:3, 2], [0.0, 0.0, 1.0], atol=1e-9 + 2 * tilt)
