@@ -9,7 +9,8 @@ from benchmarks.shared_data import load
 from calibration.dataset.model import Dataset
 from calibration.dataset.truth import truth_of
 from calibration.errors import CalibrationError
-from calibration.estimation.calibrate import Calibration, Options, calibrate
+from calibration.estimation.calibrate import Options, calibrate
+from calibration.estimation.result import Calibration
 from calibration.estimation.starting_noise import StartingNoise
 from calibration.evaluation.rgb_to_rgb import rgb_to_rgb
 from calibration.evaluation.truth import truth_error

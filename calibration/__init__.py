@@ -22,15 +22,15 @@ if TYPE_CHECKING:
     from calibration.errors import CalibrationError as CalibrationError
     from calibration.errors import InputError as InputError
     from calibration.errors import UndeterminedError as UndeterminedError
-    from calibration.estimation.calibrate import Calibration as Calibration
     from calibration.estimation.calibrate import Options as Options
     from calibration.estimation.calibrate import calibrate as calibrate
     from calibration.estimation.noise_levels import NoiseLevels as NoiseLevels
+    from calibration.estimation.result import Calibration as Calibration
     from calibration.estimation.starting_noise import StartingNoise as StartingNoise
 
 # Imported when they are first used, so that a command pays only for what it needs.
 _HOMES = {
-    "Calibration": "calibration.estimation.calibrate",
+    "Calibration": "calibration.estimation.result",
     "CalibrationError": "calibration.errors",
     "Dataset": "calibration.dataset.model",
     "InputError": "calibration.errors",

@@ -5,11 +5,12 @@
 The rooms of the engine, in the order of the work:
 
 - ``problem``: what is unknown (blocks), how the unknowns make up each view's pose (chains);
-- ``usable_labels``, ``build``: a dataset as such a problem;
-- ``planar_pose``, ``robot_world``, ``linear_start``: a start that needs no guess;
+- ``usable_labels``, ``scan``, ``build``: a dataset as such a problem;
+- ``planar_pose``, ``single_views``, ``plane_alignment``, ``robot_world``, ``linear_start``: a start
+  that needs no guess;
 - ``starting_noise``: the matrix's noisy guesses;
-- ``residuals``, ``normal_equations``, ``least_squares``: the optimum;
-- ``noise_levels``: what a pixel and a metre weigh;
+- ``residuals``, ``normal_equations``, ``least_squares``: a minimum;
+- ``noise_levels``, ``optimisation``: what a pixel and a metre weigh, and so the optimum;
 - ``observability``: covariance, weak directions, what the data cannot determine;
-- ``calibrate``: all of it, and the result.
+- ``calibrate``, ``result``: all of it.
 """

@@ -153,10 +153,10 @@ def _point_terms(pattern: Pattern, labels: list[PointLabels]) -> tuple[Term, ...
     if present.any():
         corners = pattern.outline - pattern.centre[:2]
         along = np.roll(corners, -1, axis=0) - corners
+        # outward, because the outline runs from the top left to the top right
         normals = np.stack([along[:, 1], -along[:, 0]], -1) / np.linalg.norm(along, axis=-1, keepdims=True)
         offsets = (normals * corners).sum(-1)
-        outward = np.sign(offsets)  # the centre of the corners lies inside
-        terms.append(BorderTerm(rays, ranges, present, normals * outward[:, None], offsets * outward))
+        terms.append(BorderTerm(rays, ranges, present, normals, offsets))
     return tuple(terms)
 
 

@@ -1,8 +1,6 @@
 """Calibrate a dataset: from its labels to transforms, their error bars, and what to think of them."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -15,7 +13,8 @@ from calibration.estimation.linear_start import linear_start, pattern_poses
 from calibration.estimation.noise_levels import NoiseLevels
 from calibration.estimation.observability import covariances, open_directions
 from calibration.estimation.optimisation import WeightedOptimum, optimise, unflipped
-from calibration.estimation.problem import NoiseKind, Values
+from calibration.estimation.problem import Values
+from calibration.estimation.result import Calibration, RejectedLabel, ViewResiduals
 from calibration.estimation.starting_noise import StartingNoise, perturb
 from calibration.geometry.transforms import distance, inverse, translation
 from calibration.geometry.types import Array, IntArray
@@ -35,85 +34,6 @@ class Options:
     """Robust, or plain least squares."""
     noise_levels: NoiseLevels = field(default_factory=NoiseLevels)
     """Standard deviations of the labels; those not given are estimated."""
-
-
-@dataclass(frozen=True, eq=False)
-class ViewResiduals:
-    """What is left between labels and model, for one sensor and one pattern."""
-
-    sensor: str
-    pattern: str
-    kind: NoiseKind
-    collections: tuple[str, ...]
-    """(V,): the keys of the collections."""
-    magnitudes: Array
-    """(V, L): px, m or rad; NaN where there is no label. Corners stand at their ids, borders at their limit
-    point's place among the limits."""
-
-
-@dataclass(frozen=True)
-class RejectedLabel:
-    """A label that the robust loss gave less than half its weight."""
-
-    collection: str
-    sensor: str
-    pattern: str
-    kind: NoiseKind
-    label: int
-    """The corner's id, or the position of the point among the labelled points."""
-    residual: float
-    """px, m or rad."""
-
-
-@dataclass(frozen=True, eq=False)
-class Calibration:
-    """The result."""
-
-    dataset: Dataset
-    """The dataset with the calibrated transforms, the patterns' among them."""
-    transforms: Mapping[Edge, Array]
-    """The calibrated ``T_parent_child`` (4, 4) of sensors, additional transforms and fixed patterns."""
-    covariances: Mapping[Edge, Array]
-    """(6, 6) of each transform that was free: of a twist (translation, rotation) in its child frame, m and rad."""
-    converged: bool
-    """Whether this is the optimum: reached, finite, no pattern left flipped."""
-    reason: str
-    """Why it has not converged; empty when it has."""
-    cost: float
-    """The sum of squared residuals in standard deviations, with Huber's loss where it is robust."""
-    degrees_of_freedom: int
-    iterations: int
-    noise_levels: NoiseLevels
-    """The standard deviations of the labels, given or estimated."""
-    residuals: tuple[ViewResiduals, ...]
-    rejected: tuple[RejectedLabel, ...]
-    weak_directions: tuple[str, ...]
-    """What the data hardly determine, named by transform and axis."""
-    warnings: tuple[str, ...]
-    gauge: str | None
-    """The sensor that was held because the data determine only relative poses; None where nothing had to be."""
-    options: Options = field(default_factory=Options)
-
-    @cached_property
-    def rms_px(self) -> float:
-        """The root mean square of the corners' reprojection errors, px; NaN without a camera."""
-        errors = [r.magnitudes[np.isfinite(r.magnitudes)] for r in self.residuals if r.kind == "pixel"]
-        return float(np.sqrt(np.mean(np.concatenate(errors) ** 2))) if errors else float("nan")
-
-    def sigma_mm(self, edge: Edge) -> float:
-        """The standard deviation of a transform's translation, as the norm of the three axes, mm; 0 when it is held."""
-        return 1e3 * self._sigma(edge, slice(0, 3))
-
-    def sigma_mrad(self, edge: Edge) -> float:
-        """The standard deviation of a transform's rotation, as the norm of the three axes, mrad; 0 when it is held."""
-        return 1e3 * self._sigma(edge, slice(3, 6))
-
-    def _sigma(self, edge: Edge, part: slice) -> float:
-        if not self.converged:
-            return float("nan")
-        if edge not in self.covariances and edge in self.transforms:
-            return 0.0
-        return float(np.sqrt(np.trace(self.covariances[edge][part, part])))
 
 
 def calibrate(dataset: Dataset, options: Options | None = None, noise: StartingNoise | None = None) -> Calibration:
@@ -144,7 +64,7 @@ def calibrate(dataset: Dataset, options: Options | None = None, noise: StartingN
             values = tuple(seen_from_guess[i] if i in patterns else T for i, T in enumerate(guess))
             result = optimise(setup.problem, values, options.noise_levels, robust)
             reason = _false_minimum(setup, result, start.values)
-    return _result(dataset, setup, result, reason, guess, start.guessed, options)
+    return _result(dataset, setup, result, reason, guess, start.guessed)
 
 
 def _initial_values(setup: Setup) -> Values:
@@ -163,7 +83,7 @@ def _from_linear_start(setup: Setup, start: Values, options: Options) -> tuple[W
     """The optimum from the linear start, or why there is none; with flipped patterns put right it is solved again."""
     result = optimise(setup.problem, start, options.noise_levels, options.loss == "huber")
     for _ in range(FLIP_ROUNDS):
-        if trouble := _not_reached(result):
+        if trouble := _not_reached(setup, result):
             return result, trouble
         values, flipped = _unflipped(setup, result)
         if not len(flipped):
@@ -178,9 +98,11 @@ def _unflipped(setup: Setup, result: WeightedOptimum) -> tuple[Values, IntArray]
     return values, np.flatnonzero(flipped)
 
 
-def _not_reached(result: WeightedOptimum) -> str:
-    if not np.isfinite(result.optimum.cost):
-        return "the cost is not finite: a pattern lies behind a camera"
+def _not_reached(setup: Setup, result: WeightedOptimum) -> str:
+    behind = np.flatnonzero(~np.isfinite(result.optimum.equations.cost))
+    if len(behind):
+        keys = ", ".join(setup.dataset.keys[i] for i in behind[:5])
+        return f"the start is not possible: the pattern lies behind a camera in {len(behind)} collections ({keys})"
     if not result.optimum.reached:
         return f"no minimum was reached in {result.optimum.iterations} iterations"
     return ""
@@ -188,7 +110,7 @@ def _not_reached(result: WeightedOptimum) -> str:
 
 def _trouble(setup: Setup, result: WeightedOptimum) -> str:
     """Why an optimum is none, or nothing."""
-    if trouble := _not_reached(result):
+    if trouble := _not_reached(setup, result):
         return trouble
     _, flipped = _unflipped(setup, result)
     if len(flipped):
@@ -215,7 +137,6 @@ def _result(
     reason: str,
     guess: Values,
     guessed: tuple[str, ...],
-    options: Options,
 ) -> Calibration:
     problem, optimum, weighting = setup.problem, result.optimum, result.weighting
     names = [block.name for block in problem.blocks]
@@ -249,7 +170,6 @@ def _result(
         weak_directions=weak,
         warnings=(*setup.ignored, *warnings),
         gauge=setup.gauge,
-        options=options,
     )
 
 

@@ -8,6 +8,9 @@ from calibration.estimation.normal_equations import NormalEquations, Weighting, 
 from calibration.estimation.problem import Problem, Values
 from calibration.geometry.types import Array, BoolArray
 
+STALLED = 20
+"""Steps without a noticeable decrease after which a minimisation has stalled."""
+
 
 @dataclass(frozen=True)
 class Termination:
@@ -18,7 +21,10 @@ class Termination:
     the last step moves no parameter by more than 1e-3 of its own standard deviation."""
     relative_decrease: float = 1e-14
     """The same relative to the cost: below it rounding decides."""
-    iterations: int = 200
+    stall: float = 0.01
+    """So small a decrease over `STALLED` steps ends it too: a far pattern that faces its camera hardly says
+    how it is tilted, and could crawl on for thousands of steps that change nothing else."""
+    iterations: int = 500
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,18 +54,17 @@ def minimise(problem: Problem, values: Values, weighting: Weighting, until: Term
     equations = assemble(problem, values, weighting)
     cost = float(equations.cost.sum())
     damping, growth = 1e-4, 2.0
+    costs = [cost]
     for iteration in range(until.iterations):
         if not np.isfinite(cost):
             return Optimum(values, equations, iteration, reached=False)
         shared, local, predicted = equations.step(damping)
         tolerance = max(until.decrease, until.relative_decrease * cost)
         if abs(predicted) <= tolerance:
-            if damping > 1:  # a short step promises little anywhere: ask for the whole one
-                shared, local, predicted = equations.step(0.0)
-            reached = abs(predicted) <= tolerance
-            return Optimum(
-                problem.moved(values, shared, local) if reached else values, equations, iteration + 1, reached
-            )
+            if damping > 1:  # a short step promises little anywhere: ask for a longer one
+                reached = abs(equations.step(1.0)[-1]) <= until.stall
+                return Optimum(values, equations, iteration + 1, reached)
+            return Optimum(problem.moved(values, shared, local), equations, iteration + 1, reached=True)
         if predicted > 0:  # else rounding has made the system singular or indefinite
             trial = problem.moved(values, shared, local)
             with np.errstate(over="ignore", invalid="ignore"):
@@ -68,6 +73,9 @@ def minimise(problem: Problem, values: Values, weighting: Weighting, until: Term
             gain = min((cost - trial_cost) / predicted, 1.0)
             if gain > 1e-4:
                 values, equations, cost = trial, trial_equations, trial_cost
+                costs.append(cost)
+                if len(costs) > STALLED and costs[-STALLED - 1] - cost < until.stall:
+                    return Optimum(values, equations, iteration + 1, reached=True)
                 damping, growth = max(damping * max(1 / 3, 1 - (2 * gain - 1) ** 3), 1e-12), 2.0
                 continue
         damping, growth = damping * growth, growth * 2

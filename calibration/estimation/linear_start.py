@@ -14,25 +14,17 @@ import numpy as np
 
 from calibration.errors import InputError, UndeterminedError
 from calibration.estimation.build import Setup
-from calibration.estimation.least_squares import SETTLING
-from calibration.estimation.median import median
 from calibration.estimation.planar_pose import mean_pose
 from calibration.estimation.plane_alignment import align_planes, fit_planes
 from calibration.estimation.problem import Chain, Values, ViewGroup
 from calibration.estimation.residuals import CornerTerm, RangeTerm
-from calibration.estimation.robot_world import RobotWorld, solve_robot_world
-from calibration.estimation.single_views import linear_poses, refined_poses
-from calibration.geometry.transforms import distance, inverse
+from calibration.estimation.robot_world import RobotWorld, solve_robot_world_robustly
+from calibration.estimation.single_views import robust_poses
+from calibration.geometry.transforms import inverse
 from calibration.geometry.types import Array, BoolArray
 
-SINGLE_AXIS = 0.02
+SINGLE_AXIS = 0.002
 """Rotations of a robot that tilt every direction by less than this (rad) about all but one axis are too poor."""
-REWEIGHTED = 10
-"""Times that a robot-world problem is solved again with less weight on views that do not fit,"""
-FITTING = 0.03
-"""as long as they miss by more than this on average (rad, and translations relative to the distance)."""
-POOR_FIT = 1.5
-"""A view whose linear pose leaves more than this (px, root mean square) may hold outliers."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,7 +89,7 @@ class _Search:
             self.known[i] = np.full(problem.collections, i in blocks)
         for i, group in enumerate(problem.groups):
             if isinstance(group.terms[0], CornerTerm):
-                self.poses[i] = view_poses(group.terms[0])
+                self.poses[i] = robust_poses(group.terms[0])
 
     def find(self) -> bool:
         """Find one more unknown by linear algebra; False when nothing follows any more."""
@@ -164,7 +156,7 @@ class _Search:
             return False
         problems = []
         for a, b, A, B in sorted(pairs, key=lambda pair: -len(pair[2])):
-            solution = _robust_robot_world(A, B)
+            solution = solve_robot_world_robustly(A, B)
             problem = self._too_poor(a, b, solution, len(A))
             if problem is None:
                 for (block, inverted), T in ((a, solution.X), (b, solution.Y)):
@@ -316,32 +308,3 @@ _Pair = tuple[_Unknown, _Unknown, Array, Array]
 def _unknown_of(group: ViewGroup, position: int) -> _Unknown:
     link = group.chain.links[position]
     return link.block, link.inverted
-
-
-def _robust_robot_world(A: Array, B: Array) -> RobotWorld:
-    """`solve_robot_world`, reweighted a few times so that single wrong or flipped views do not count."""
-    solution = first = solve_robot_world(A, B)
-    size = median(np.linalg.norm(A[:, :3, 3], axis=-1))
-    for _ in range(REWEIGHTED):
-        translation, rotation = distance(A, solution.X @ B @ solution.Y)
-        miss = translation / size + rotation
-        if miss.mean() <= FITTING:
-            break
-        solution = solve_robot_world(A, B, 1 / np.maximum(miss, 0.5 * median(miss) + 1e-9) ** 2)
-    return solution._replace(spectrum=first.spectrum)
-
-
-def view_poses(term: CornerTerm) -> Array:
-    """``T_sensor_pattern`` (V, 4, 4) of each view by itself; NaN where its corners give none.
-
-    Views that the linear solution fits badly, because of outliers or few corners, are refined with
-    a robust loss.
-    """
-    T = linear_poses(term)
-    good = np.isfinite(T[:, 0, 0])
-    with np.errstate(invalid="ignore"):
-        error = np.sqrt(np.nanmean(term.magnitudes(T)[good] ** 2, -1))
-    bad = np.flatnonzero(good)[~(error <= min(2 * median(error), POOR_FIT))]
-    if len(bad):
-        T[bad], _ = refined_poses(term.take(bad), T[bad], huber=2.0, until=SETTLING)
-    return T

@@ -11,9 +11,15 @@ from typing import NamedTuple
 
 import numpy as np
 
+from calibration.estimation.median import median
 from calibration.geometry import rotations
-from calibration.geometry.transforms import inverse, transform
+from calibration.geometry.transforms import distance, inverse, transform
 from calibration.geometry.types import Array, ArrayLike
+
+REWEIGHTED = 10
+"""Times that a robot-world problem is solved again with less weight on views that do not fit,"""
+FITTING = 0.03
+"""as long as they miss by more than this on average (rad, and translations relative to the distance)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,6 +80,19 @@ def solve_robot_world(A: Array, B: Array, weights: ArrayLike | None = None) -> R
     # t_A = R_X t_B + t_X + R_A R_Y^T t_Y
     t_X, t_Y = _translations(A, B, w, R_X, RA @ R_Yt)
     return RobotWorld(transform(R_X, t_X), transform(R_Yt.T, t_Y), _spectrum(singular, RB, w))
+
+
+def solve_robot_world_robustly(A: Array, B: Array) -> RobotWorld:
+    """`solve_robot_world`, reweighted a few times so that single wrong or flipped views do not count."""
+    solution = first = solve_robot_world(A, B)
+    size = median(np.linalg.norm(A[:, :3, 3], axis=-1))
+    for _ in range(REWEIGHTED):
+        translation, rotation = distance(A, solution.X @ B @ solution.Y)
+        miss = translation / size + rotation
+        if miss.mean() <= FITTING:
+            break
+        solution = solve_robot_world(A, B, 1 / np.maximum(miss, 0.5 * median(miss) + 1e-9) ** 2)
+    return solution._replace(spectrum=first.spectrum)
 
 
 def solve_li(A: Array, B: Array, weights: ArrayLike | None = None) -> RobotWorld:

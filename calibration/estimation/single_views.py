@@ -10,7 +10,8 @@ import numpy as np
 
 from calibration.dataset.model import CornerLabels
 from calibration.dataset.pattern import Pattern
-from calibration.estimation.least_squares import Termination, settle
+from calibration.estimation.least_squares import SETTLING, Termination, settle
+from calibration.estimation.median import median
 from calibration.estimation.normal_equations import Weighting
 from calibration.estimation.planar_pose import mirrored_poses, planar_poses
 from calibration.estimation.problem import Block, Chain, Link, Problem, ViewGroup
@@ -20,6 +21,10 @@ from calibration.geometry.types import Array, BoolArray
 
 THOROUGHLY = Termination(decrease=1e-12, iterations=100)
 """To the last digits: what is written must not depend on where a solver stops."""
+
+
+POOR_FIT = 1.5
+"""A view whose linear pose leaves more than this (px, root mean square) may hold outliers."""
 
 
 def corner_term(camera: Camera, pattern: Pattern, views: Sequence[CornerLabels]) -> CornerTerm:
@@ -37,7 +42,12 @@ def linear_poses(term: CornerTerm) -> Array:
     T = np.empty((len(term.pixels), 4, 4))
     for views in chunks(*term.pixels.shape[::2]):
         part = term.take(views)
-        T[views] = planar_poses(part.rays, part.corners, part.seen)
+        rays = part.rays
+        seen = part.seen
+        if np.isnan(rays).any():  # a label where the distortion has no inverse must not cost its whole view
+            usable: BoolArray = np.asarray(np.isfinite(rays).all(1))
+            seen = usable if seen is None else seen & usable
+        T[views] = planar_poses(rays, part.corners, seen)
     return T
 
 
@@ -78,3 +88,19 @@ def fitted_poses(term: CornerTerm) -> tuple[Array, Array]:
     mirrored, mirrored_rms = refined_poses(term, mirrored_poses(T, np.zeros(3)))
     flipped = mirrored_rms < rms
     return np.where(flipped[:, None, None], mirrored, T), np.where(flipped, mirrored_rms, rms)
+
+
+def robust_poses(term: CornerTerm) -> Array:
+    """``T_camera_centre`` (V, 4, 4) of each view by itself; NaN where its corners give none.
+
+    Views that the linear solution fits badly, because of outliers or few corners, are refined with
+    a robust loss.
+    """
+    T = linear_poses(term)
+    good = np.isfinite(T[:, 0, 0])
+    with np.errstate(invalid="ignore"):
+        error = np.sqrt(np.nanmean(term.magnitudes(T)[good] ** 2, -1))
+    bad = np.flatnonzero(good)[~(error <= min(2 * median(error), POOR_FIT))]
+    if len(bad):
+        T[bad], _ = refined_poses(term.take(bad), T[bad], huber=2.0, until=SETTLING)
+    return T

@@ -3,7 +3,7 @@
 import numpy as np
 
 from calibration.errors import InputError
-from calibration.estimation.calibrate import Calibration
+from calibration.estimation.result import Calibration
 from calibration.evaluation.table import Table
 
 COLUMNS = ("RMS (pix)",)

@@ -66,18 +66,24 @@ class PlumbBob:
         return distorted, jacobian
 
     def undistort(self, x: Array, y: Array) -> Distorted:
-        """The inverse of `distort`, by Newton's method from the distorted point, to the last digits."""
+        """The inverse of `distort`, by Newton's method from the distorted point, to the last digits.
+
+        NaN where that does not find one: far outside the image a strong distortion may have none.
+        """
         if self.is_identity:
             return x, y
         u, v = x, y
-        for _ in range(20):
-            (du, dv), (a, b, c) = self.distort_with_jacobian(u, v)
-            ex, ey = x - du, y - dv
-            det = a * c - b * b
-            u, v = u + (c * ex - b * ey) / det, v + (a * ey - b * ex) / det
-            if not (np.maximum(np.abs(ex), np.abs(ey)) > 1e-8).any():  # the step just made leaves about its square
-                break
-        return u, v
+        with np.errstate(all="ignore"):  # where there is no inverse, Newton's method may go anywhere
+            for _ in range(20):
+                (du, dv), (a, b, c) = self.distort_with_jacobian(u, v)
+                ex, ey = x - du, y - dv
+                det = a * c - b * b
+                u, v = u + (c * ex - b * ey) / det, v + (a * ey - b * ex) / det
+                left = np.maximum(np.abs(ex), np.abs(ey))
+                if not (left > 1e-8).any():  # the step just made leaves about its square
+                    break
+            found = (left < 1e-6) & (a > 0) & (det > 0)  # beyond, the image is folded over
+        return (u, v) if found.all() else (np.where(found, u, np.nan), np.where(found, v, np.nan))
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,8 @@ from calibration.dataset.model import Dataset
 from calibration.dataset.truth import Truth
 from calibration.dataset.writing import write_dataset
 from calibration.errors import CalibrationError, ExitCode
-from calibration.estimation.calibrate import Calibration, Options, calibrate
+from calibration.estimation.calibrate import Options, calibrate
+from calibration.estimation.result import Calibration
 from calibration.estimation.starting_noise import StartingNoise
 from calibration.evaluation.reprojection import reprojection
 from calibration.evaluation.specification import Evaluation

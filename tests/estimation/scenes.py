@@ -9,8 +9,8 @@ import numpy as np
 from calibration.dataset.model import Collection, CornerLabels, Dataset, Edge, Labels, PointLabels, Sensor
 from calibration.dataset.pattern import Pattern, grid, outline
 from calibration.estimation.build import Setup
-from calibration.estimation.calibrate import Calibration
 from calibration.estimation.problem import Values
+from calibration.estimation.result import Calibration
 from calibration.geometry import rotations
 from calibration.geometry.cameras import Camera, PlumbBob
 from calibration.geometry.transforms import (

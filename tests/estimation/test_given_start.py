@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from calibration.estimation.calibrate import Calibration, Options, calibrate
+from calibration.estimation.calibrate import Options, calibrate
+from calibration.estimation.result import Calibration
 from calibration.estimation.starting_noise import StartingNoise
 from tests.estimation.scenes import Scene
 from tests.estimation.systems import ALL, camera_and_lidar, eye_in_hand, stereo, two_bodies

@@ -1,5 +1,7 @@
 """Levenberg-Marquardt: exact labels give the truth, the cost never rises, nothing that is not finite is an optimum."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -10,8 +12,8 @@ from calibration.estimation.normal_equations import NormalEquations, Weighting, 
 from calibration.estimation.problem import Values
 from calibration.geometry.transforms import retract
 from calibration.geometry.types import Array
-from tests.estimation.scenes import shaken, true_values
-from tests.estimation.systems import ALL, camera_and_lidar, ring, stereo
+from tests.estimation.scenes import looks, pose, shaken, true_values
+from tests.estimation.systems import ALL, STEREO, camera_and_lidar, ring, stereo
 
 PLAIN = Weighting({"pixel": 0.3, "range": 0.01, "border": 0.01}, None)
 ROBUST = Weighting(PLAIN.scales, 2.5)
@@ -162,3 +164,13 @@ def test_choosing_takes_local_blocks_collection_by_collection_and_shared_ones_fr
     np.testing.assert_array_equal(chosen[pattern][first], a[pattern][first])
     np.testing.assert_array_equal(chosen[pattern][~first], b[pattern][~first])
     assert all(chosen[i] is a[i] for i in range(len(a)) if i != pattern)
+
+
+@pytest.mark.parametrize("weighting", [PLAIN, ROBUST], ids=["plain", "robust"])
+def test_far_boards_that_face_the_cameras_do_not_keep_it_from_the_minimum(weighting):
+    scene = stereo(40, 6, pixel_noise=0.5, partial=0.3)
+    far = STEREO["world", "left"] @ pose(0.0, 0.0, 4.0) @ looks(40, 6)
+    setup = build(replace(scene, transforms={**STEREO, ("world", "board_link"): far}).dataset(6))
+    result = minimise(setup.problem, true_values(setup), weighting)
+    assert result.reached
+    assert result.iterations < 200

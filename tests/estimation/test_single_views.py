@@ -159,3 +159,15 @@ def test_the_better_of_both_minima_is_fitted() -> None:
     assert wrong.any()  # the linear start led some views to the worse minimum
     assert (distance(fitted, one)[1][wrong] > 0.02).all()
     assert (back_rms >= rms - 1e-3).mean() > 0.99
+
+
+def test_a_label_that_the_distortion_cannot_have_made_does_not_cost_the_view() -> None:
+    T = poses(11, 5)
+    labels = term(T)
+    labels.pixels[2, :, 7] = -5e4
+
+    linear = linear_poses(labels)
+    robust, _ = refined_poses(labels, linear, huber=1.0)
+
+    np.testing.assert_allclose(linear, T, atol=1e-9)
+    assert distance(T, robust)[0].max() < 1e-3

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from calibration.dataset.model import Edge
-from calibration.estimation.calibrate import Calibration, Options, calibrate
+from calibration.estimation.calibrate import Options, calibrate
+from calibration.estimation.result import Calibration
 from calibration.geometry.transforms import inverse, local
 from calibration.geometry.types import Array
 from tests.estimation.scenes import Scene

@@ -9,7 +9,7 @@ import pytest
 from calibration.errors import ExitCode, InputError, UndeterminedError
 from calibration.estimation.calibrate import Options, calibrate
 from calibration.geometry.transforms import transform
-from tests.estimation.scenes import Scene, board, pose
+from tests.estimation.scenes import Scene, board, errors, pose
 from tests.estimation.systems import camera_and_lidar, eye_in_hand, eye_to_hand, rotating, stereo, two_bodies
 
 TURNS = np.linspace(-0.5, 0.5, 12)[:, None]
@@ -47,6 +47,19 @@ def test_an_arm_that_turns_about_one_axis(scene: Callable[[int], Scene], mount, 
     x, y, z = np.round(axis * np.sign(axis[np.abs(axis).argmax()]), 2)
     assert f"'{mount}' and 'board' cannot be told apart" in message
     assert f"about a single axis only, ({x:g}, {y:g}, {z:g}) in frame '{frame}'" in message
+
+
+@pytest.mark.parametrize("wobble", [0.005, 0.015])
+def test_a_wobble_about_the_other_axes_is_enough_and_the_error_bars_say_how_little(wobble):
+    rng = np.random.default_rng(0)
+    turns = np.concatenate([rng.normal(size=(12, 2)) * wobble, TURNS], 1)
+    scene = replace(rotating(eye_to_hand(12), turns), pixel_noise=0.3)
+    result = calibrate(scene.dataset(1))
+    well = calibrate(eye_to_hand(12, pixel_noise=0.3).dataset(1))
+    assert result.converged
+    for edge in result.covariances:
+        assert result.sigma_mm(edge) > 2 * well.sigma_mm(edge)
+        assert 1e3 * errors(scene.dataset(1), {edge: result.transforms[edge]})[0] < 3 * result.sigma_mm(edge)
 
 
 @pytest.mark.parametrize("scene", [eye_to_hand, eye_in_hand])

@@ -94,3 +94,11 @@ def test_what_can_be_seen():
     assert visible.tolist() == [True, False, False, False, False]
     np.testing.assert_array_equal(pixels, camera.project(points))
     assert camera.contains(pixels[3])  # folded back
+
+
+def test_undistorting_what_no_point_distorts_to_is_nan_and_nothing_else() -> None:
+    model = PlumbBob(k1=-0.3)  # r (1 - 0.3 r^2) has its maximum, 0.703, at r = 1.054
+    x, y = np.array([0.1, 0.69, 0.75, 3.0]), np.zeros(4)
+    u, v = model.undistort(x, y)
+    assert np.isnan(u).tolist() == np.isnan(v).tolist() == [False, False, True, True]
+    np.testing.assert_allclose(model.distort(u[:2], v[:2])[0], x[:2], atol=1e-12)

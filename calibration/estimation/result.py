@@ -1,0 +1,90 @@
+"""What a calibration says: transforms, how sure they are, what is left of the residuals."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from calibration.dataset.model import Dataset, Edge
+from calibration.estimation.noise_levels import NoiseLevels
+from calibration.estimation.problem import NoiseKind
+from calibration.geometry.types import Array
+
+
+@dataclass(frozen=True, eq=False)
+class ViewResiduals:
+    """What is left between labels and model, for one sensor and one pattern."""
+
+    sensor: str
+    pattern: str
+    kind: NoiseKind
+    collections: tuple[str, ...]
+    """(V,): the keys of the collections."""
+    magnitudes: Array
+    """(V, L): px, m or rad; NaN where there is no label. Corners stand at their ids, borders at their limit
+    point's place among the limits."""
+
+
+@dataclass(frozen=True)
+class RejectedLabel:
+    """A label that the robust loss gave less than half its weight."""
+
+    collection: str
+    sensor: str
+    pattern: str
+    kind: NoiseKind
+    label: int
+    """The corner's id, or the position of the point among the labelled points."""
+    residual: float
+    """px, m or rad."""
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration:
+    """The result."""
+
+    dataset: Dataset
+    """The dataset with the calibrated transforms, the patterns' among them."""
+    transforms: Mapping[Edge, Array]
+    """The calibrated ``T_parent_child`` (4, 4) of sensors, additional transforms and fixed patterns."""
+    covariances: Mapping[Edge, Array]
+    """(6, 6) of each transform that was free: of a twist (translation, rotation) in its child frame, m and rad."""
+    converged: bool
+    """Whether this is the optimum: reached, finite, no pattern left flipped."""
+    reason: str
+    """Why it has not converged; empty when it has."""
+    cost: float
+    """The sum of squared residuals in standard deviations, with Huber's loss where it is robust."""
+    degrees_of_freedom: int
+    iterations: int
+    noise_levels: NoiseLevels
+    """The standard deviations of the labels, given or estimated."""
+    residuals: tuple[ViewResiduals, ...]
+    rejected: tuple[RejectedLabel, ...]
+    weak_directions: tuple[str, ...]
+    """What the data hardly determine, named by transform and axis."""
+    warnings: tuple[str, ...]
+    gauge: str | None
+    """The sensor that was held because the data determine only relative poses; None where nothing had to be."""
+
+    @cached_property
+    def rms_px(self) -> float:
+        """The root mean square of the corners' reprojection errors, px; NaN without a camera."""
+        errors = [r.magnitudes[np.isfinite(r.magnitudes)] for r in self.residuals if r.kind == "pixel"]
+        return float(np.sqrt(np.mean(np.concatenate(errors) ** 2))) if errors else float("nan")
+
+    def sigma_mm(self, edge: Edge) -> float:
+        """The standard deviation of a transform's translation, as the norm of the three axes, mm; 0 when it is held."""
+        return 1e3 * self._sigma(edge, slice(0, 3))
+
+    def sigma_mrad(self, edge: Edge) -> float:
+        """The standard deviation of a transform's rotation, as the norm of the three axes, mrad; 0 when it is held."""
+        return 1e3 * self._sigma(edge, slice(3, 6))
+
+    def _sigma(self, edge: Edge, part: slice) -> float:
+        if not self.converged:
+            return float("nan")
+        if edge not in self.covariances and edge in self.transforms:
+            return 0.0
+        return float(np.sqrt(np.trace(self.covariances[edge][part, part])))
