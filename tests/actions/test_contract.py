@@ -1,6 +1,7 @@
 """Holds every action.yml to the command it runs, and the locks to pyproject.toml."""
 
 import ast
+import json
 import re
 import tomllib
 from importlib.metadata import packages_distributions
@@ -8,6 +9,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+import jsonschema
 import pytest
 import yaml
 
@@ -140,3 +142,15 @@ def test_an_interpreter_of_ones_own_is_asked_for_all_modules(
     names = {re.split(r"[<>=\[;]", line)[0].lower() for line in wanted}
     modules = packages_distributions()
     assert {modules[module][0].lower() for module in bootstrap.MODULES[lock]} == names
+
+
+def test_the_examples_of_the_readme_are_right() -> None:
+    blocks = [yaml.safe_load(block) for block in re.findall(r"```yaml\n(.*?)```", README.read_text(), re.DOTALL)]
+    workflow, configuration = blocks
+    steps = [step for step in workflow["jobs"]["calibrate"]["steps"] if step["uses"].startswith("OWNER/")]
+    used = {step["uses"].partition("@")[0].rpartition("/")[2]: step["with"] for step in steps}
+    assert set(used) == {"calibrate-matrix", "introspect-csv"}
+    for name, given in used.items():
+        assert set(given) <= set(options(name))
+    schema = json.loads((PROJECT / "calibration/pipeline/calibration.schema.json").read_text())
+    jsonschema.validate(configuration, schema)
