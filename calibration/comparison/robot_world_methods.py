@@ -61,7 +61,7 @@ def why_not_robot_world(dataset: Dataset) -> str | None:
 
 
 def _moves(T: Array) -> bool:
-    return len(T) < 2 or max(values.max() for values in distance(T[:1], T)) > 1e-6
+    return len(T) < 2 or any(float(values.max()) > 1e-6 for values in distance(T[:1], T))
 
 
 def _solve(dataset: Dataset, solve: Solver) -> Dataset:

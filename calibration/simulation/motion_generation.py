@@ -197,7 +197,7 @@ def _spread(usable: BoolArray, partial: Array, features: Array, count: int, shar
     """
     chosen: list[int] = []
     distance = np.where(usable, np.inf, -np.inf)
-    while len(chosen) < min(count, usable.sum()):
+    while len(chosen) < min(count, int(usable.sum())):
         wanted = partial[chosen].sum() < share * len(chosen)
         pool = np.where((partial > 0) == wanted, distance, -np.inf)
         if not np.isfinite(distance[usable]).any():  # the first one: the nearest to the middle

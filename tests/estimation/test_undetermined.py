@@ -121,13 +121,13 @@ def refusal_named(scene: Scene) -> str:
 
 
 def test_a_lidar_that_sees_the_pattern_from_one_side_only_as_it_slides():
-    """Parallel planes leave a LiDAR free to slide along them and to turn about their normal."""
+    """Parallel planes leave a LiDAR free to slide along them and to turn about their normal, in any mixture."""
     scene = camera_and_lidar(8, border=False)
     edge = ("world", "board_link")
     shifts = transform(np.eye(3), np.random.default_rng(0).uniform(-0.2, 0.2, (8, 3)))
     message = refusal_named(replace(scene, transforms={**scene.transforms, edge: shifts @ scene.transforms[edge][0]}))
     assert "'world-lidar' moving along" in message
-    assert "'world-lidar' turning about" in message
+    assert message.count("'world-lidar'") >= 2
 
 
 @pytest.mark.parametrize("sensor", ["left", "right"])
