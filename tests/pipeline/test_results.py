@@ -88,6 +88,13 @@ def test_the_table_has_noise_down_and_systems_across() -> None:
     )
 
 
+def test_a_method_without_a_result_does_not_look_like_a_failure() -> None:
+    missing = replace(BROKEN, method="opencv-stereo", translation_noise=None, reasons=("OpenCV is not installed",))
+
+    assert grid(Results((CELL,), (missing,))).rows[1] == ("opencv-stereo", "no result")
+    assert "OpenCV is not installed" in markdown(Results((CELL,), (missing,)))
+
+
 def test_the_summary_names_what_failed_and_escapes_it() -> None:
     text = markdown(Results((CELL, FAILED, BROKEN)))
 
