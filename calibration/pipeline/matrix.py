@@ -4,10 +4,12 @@ import multiprocessing
 import os
 import signal
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
+from queue import SimpleQueue
 
 from calibration.comparison.methods import METHODS
 from calibration.dataset.reading import read_dataset
@@ -153,13 +155,23 @@ def _in_parallel(
     context = multiprocessing.get_context("fork")
     pool = ProcessPoolExecutor(workers, context, initializer=_begin, initargs=(loaded,))
     try:
-        pending: dict[Future[CellResult], int] = {}
-        for index, job in sorted(enumerate(work), key=lambda item: isinstance(item[1], Cell)):  # slow ones first
-            pending[pool.submit(_run_in_worker, job, output)] = index
-        while pending:
-            finished, _ = wait(pending, return_when=FIRST_COMPLETED)
-            for future in sorted(finished, key=pending.__getitem__):
-                yield pending.pop(future), future.result()
+        # A queue, because a signal may strike while one waits on it: waiting on futures holds locks that the
+        # pool's own thread needs to end.
+        finished: SimpleQueue[Future[CellResult]] = SimpleQueue()
+        running: dict[Future[CellResult], int] = {}
+        waiting = iter(sorted(enumerate(work), key=lambda item: isinstance(item[1], Cell)))  # slow ones first
+
+        def submit(count: int) -> None:
+            for index, job in islice(waiting, count):
+                future = pool.submit(_run_in_worker, job, output)
+                running[future] = index
+                future.add_done_callback(finished.put)
+
+        submit(4 * workers)
+        while running:
+            future = finished.get()
+            submit(1)
+            yield running.pop(future), future.result()
     except BaseException as error:  # also a signal, or nobody who wants the rest
         for process in multiprocessing.active_children():
             process.terminate()
