@@ -1,8 +1,10 @@
 """The matrix: every system from every noisy start, in parallel over the cores."""
 
+import ctypes
 import multiprocessing
 import os
 import signal
+import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
@@ -144,6 +146,8 @@ def _one_by_one(
         yield index, _run(job, loaded, output)
 
 
+PR_SET_PDEATHSIG = 1
+"""Linux's request for a signal when the parent dies."""
 _loaded: Mapping[str, LoadedSystem] = {}
 """In a worker: the systems, inherited from the parent."""
 
@@ -172,22 +176,22 @@ def _in_parallel(
             future = finished.get()
             submit(1)
             yield running.pop(future), future.result()
-    except BaseException as error:  # also a signal, or nobody who wants the rest
-        for process in multiprocessing.active_children():
-            process.terminate()
-        if isinstance(error, BrokenProcessPool):
-            message = "a worker process died (killed, or out of memory); try fewer with jobs"
-            raise WorldError(message) from error
-        raise
+    except BrokenProcessPool as error:
+        message = "a worker process died (killed, or out of memory); try fewer with jobs"
+        raise WorldError(message) from error
     finally:
+        # Workers end with the cell they are at, also after a signal: one that is killed while it answers
+        # leaves half an answer in the pipe, for which the pool would wait for ever.
         pool.shutdown(wait=True, cancel_futures=True)
 
 
 def _begin(loaded: Mapping[str, LoadedSystem]) -> None:
-    """In a worker: SIGINT is the parent's to handle, SIGTERM ends at once."""
+    """In a worker: signals are the parent's to handle; if it is killed, the worker is too."""
     global _loaded
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
     _loaded = loaded
 
 
