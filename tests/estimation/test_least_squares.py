@@ -174,3 +174,18 @@ def test_far_boards_that_face_the_cameras_do_not_keep_it_from_the_minimum(weight
     result = minimise(setup.problem, true_values(setup), weighting)
     assert result.reached
     assert result.iterations < 200
+
+
+def test_a_step_damped_to_nothing_is_no_minimum(monkeypatch):
+    """Every trial is made worse, so the steps shrink until they promise nothing; the start is no minimum for that."""
+    setup = build(stereo(8, pixel_noise=0.3).dataset(1))
+    start = shaken(setup, true_values(setup), 0.05)
+    calls = []
+
+    def worse_and_worse(*arguments):
+        calls.append(arguments)
+        equations = assemble(*arguments)
+        return replace(equations, cost=equations.cost + 1e9 * len(calls))
+
+    monkeypatch.setattr(least_squares, "assemble", worse_and_worse)
+    assert not minimise(setup.problem, start, PLAIN).reached

@@ -65,6 +65,14 @@ def test_all_starts_lead_to_the_same_result(matrix: Matrix, tmp_path: Path) -> N
         assert max(truths) < 1
 
 
+def test_no_cell_is_lost_however_many_there_are(tmp_path: Path) -> None:
+    matrix = Matrix((RIWBOT,), NoiseGrid((0.0,), (0.0,), tuple(range(30))))
+
+    found = run_matrix(matrix, tmp_path, 2)
+
+    assert [cell.seed for cell in found.cells] == list(range(30))
+
+
 def test_what_a_cell_leaves_reads_back(matrix: Matrix, tmp_path: Path) -> None:
     cell = run_matrix(matrix, tmp_path, 1).cells[0]
 
