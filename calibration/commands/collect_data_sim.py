@@ -13,8 +13,8 @@ from calibration.errors import ExitCode, InputError
 from calibration.workflow import Runner, set_outputs, stop_commands
 
 if TYPE_CHECKING:
-    from calibration.simulation.collection import SimulatedCollection
-    from calibration.simulation.motion import Motion
+    from calibration.simulation.collection.capture import SimulatedCollection
+    from calibration.simulation.motion.sequence import Motion
     from calibration.simulation.system import System
 
 SYSTEMS = Path("datasets")
@@ -75,8 +75,8 @@ def collect_data_sim(settings: Settings, runner: Runner) -> ExitCode:
     Raises :class:`InputError` when an input is missing or wrong, or the folder has a dataset already,
     and :class:`calibration.errors.WorldError` when the folder cannot be written; it is then as before.
     """
-    from calibration.simulation.collection import collect
-    from calibration.simulation.dataset_folder import refuse_existing, write_dataset_folder
+    from calibration.simulation.collection.capture import collect
+    from calibration.simulation.collection.dataset_folder import refuse_existing, write_dataset_folder
     from calibration.simulation.system import read_system
 
     if settings.backend not in BACKENDS:
@@ -120,8 +120,8 @@ def system_folder(system: str) -> Path:
 
 
 def _motion(settings: Settings, folder: Path, system: "System") -> "Motion":
-    from calibration.simulation.motion import read_motion
-    from calibration.simulation.motion_generation import generate_motion
+    from calibration.simulation.motion.generation import generate_motion
+    from calibration.simulation.motion.sequence import read_motion
     from calibration.simulation.system import MOTION_FILE
 
     if settings.motion is None:

@@ -1,24 +1,17 @@
 """The matrix: every system from every noisy start, in parallel over the cores."""
 
-import ctypes
-import multiprocessing
-import os
-import signal
-import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
+from collections.abc import Callable
 from dataclasses import dataclass
-from itertools import islice
+from functools import partial
 from pathlib import Path
-from queue import SimpleQueue
 
 from calibration.comparison.methods import METHODS
 from calibration.dataset.reading import read_dataset
 from calibration.dataset.truth import find_truth, read_truth, truth_of
-from calibration.errors import InputError, WorldError
+from calibration.errors import InputError
 from calibration.estimation.starting_noise import StartingNoise
 from calibration.evaluation.specification import parse_evaluation
+from calibration.execution.parallel import in_parallel
 from calibration.pipeline.cell import Cell, CellResult, LoadedSystem, run_cell, run_comparison
 from calibration.pipeline.configuration import Loss, NoiseGrid, Start, System
 from calibration.workflow.text import did_you_mean
@@ -83,11 +76,10 @@ def run_matrix(
     """
     loaded = {system.name: load(system) for system in matrix.systems}
     work: list[Job] = [*matrix.cells, *matrix.comparisons]
-    workers = min(jobs or _cores(), len(work))
+    order = sorted(range(len(work)), key=lambda i: isinstance(work[i], Cell))  # slow ones first
     results: dict[int, CellResult] = {}
-    for index, result in (
-        _in_parallel(work, loaded, output, workers) if workers > 1 else _one_by_one(work, loaded, output)
-    ):
+    for place, result in in_parallel(partial(_run, loaded=loaded, output=output), [work[i] for i in order], jobs):
+        index = order[place]
         results[index] = result
         if done:
             done(len(results), len(work), result)
@@ -96,11 +88,6 @@ def run_matrix(
     cells = tuple(results[i] for i, job in enumerate(work) if isinstance(job, Cell) and i in results)
     comparisons = tuple(results[i] for i, job in enumerate(work) if not isinstance(job, Cell) and i in results)
     return MatrixResults(cells, comparisons)
-
-
-def _cores() -> int:
-    """The cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def load(system: System) -> LoadedSystem:
@@ -132,68 +119,8 @@ def load(system: System) -> LoadedSystem:
     return LoadedSystem(system.name, dataset, truth, evaluation)
 
 
-def _run(job: Job, loaded: Mapping[str, LoadedSystem], output: Path) -> CellResult:
+def _run(job: Job, loaded: dict[str, LoadedSystem], output: Path) -> CellResult:
     if isinstance(job, Cell):
         return run_cell(job, loaded[job.system], output)
     system, method = job
     return run_comparison(method, loaded[system], output)
-
-
-def _one_by_one(
-    work: Sequence[Job], loaded: Mapping[str, LoadedSystem], output: Path
-) -> Iterator[tuple[int, CellResult]]:
-    for index, job in enumerate(work):
-        yield index, _run(job, loaded, output)
-
-
-PR_SET_PDEATHSIG = 1
-"""Linux's request for a signal when the parent dies."""
-_loaded: Mapping[str, LoadedSystem] = {}
-"""In a worker: the systems, inherited from the parent."""
-
-
-def _in_parallel(
-    work: Sequence[Job], loaded: Mapping[str, LoadedSystem], output: Path, workers: int
-) -> Iterator[tuple[int, CellResult]]:
-    """Run jobs in processes that inherit the loaded systems; on any end, none of them is left."""
-    context = multiprocessing.get_context("fork")
-    pool = ProcessPoolExecutor(workers, context, initializer=_begin, initargs=(loaded,))
-    try:
-        # A queue, because a signal may strike while one waits on it: waiting on futures holds locks that the
-        # pool's own thread needs to end.
-        finished: SimpleQueue[Future[CellResult]] = SimpleQueue()
-        running: dict[Future[CellResult], int] = {}
-        waiting = iter(sorted(enumerate(work), key=lambda item: isinstance(item[1], Cell)))  # slow ones first
-
-        def submit(count: int) -> None:
-            for index, job in islice(waiting, count):
-                future = pool.submit(_run_in_worker, job, output)
-                running[future] = index
-                future.add_done_callback(finished.put)
-
-        submit(4 * workers)
-        while running:
-            future = finished.get()
-            submit(1)
-            yield running.pop(future), future.result()
-    except BrokenProcessPool as error:
-        message = "a worker process died (killed, or out of memory); try fewer with jobs"
-        raise WorldError(message) from error
-    finally:
-        # Workers end with the cell they are at, also after a signal: one that is killed while it answers
-        # leaves half an answer in the pipe, for which the pool would wait for ever.
-        pool.shutdown(wait=True, cancel_futures=True)
-
-
-def _begin(loaded: Mapping[str, LoadedSystem]) -> None:
-    """In a worker: signals are the parent's to handle; if it is killed, the worker is too."""
-    global _loaded
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, signal.SIG_DFL)
-    if sys.platform == "linux":
-        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
-    _loaded = loaded
-
-
-def _run_in_worker(job: Job, output: Path) -> CellResult:
-    return _run(job, _loaded, output)

@@ -9,7 +9,7 @@ from calibration.dataset.model import Edge
 from calibration.errors import InputError
 from calibration.geometry.transforms import inverse
 from calibration.geometry.types import Array, BoolArray
-from calibration.simulation.motion import Motion
+from calibration.simulation.motion.sequence import Motion
 from calibration.simulation.robot import compose
 from calibration.simulation.scene import Scene
 from calibration.simulation.system import System

@@ -10,10 +10,10 @@ from calibration.dataset.reading import read_dataset
 from calibration.dataset.truth import find_truth
 from calibration.geometry import transforms
 from calibration.geometry.transforms import apply, inverse
-from calibration.simulation.collection import collect
-from calibration.simulation.dataset_folder import write_dataset_folder
-from calibration.simulation.motion import read_motion
-from calibration.simulation.motion_generation import generate_motion
+from calibration.simulation.collection.capture import collect
+from calibration.simulation.collection.dataset_folder import write_dataset_folder
+from calibration.simulation.motion.generation import generate_motion
+from calibration.simulation.motion.sequence import read_motion
 from calibration.simulation.system import System
 
 from .conftest import DATASETS, SYSTEMS

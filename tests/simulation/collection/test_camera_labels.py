@@ -6,7 +6,7 @@ import pytest
 from calibration.dataset.pattern import Pattern, grid, outline
 from calibration.geometry.cameras import Camera, PlumbBob
 from calibration.geometry.transforms import from_xyz_rpy
-from calibration.simulation.camera_labels import corners_in_image, facing, label_corners
+from calibration.simulation.collection.camera_labels import corners_in_image, facing, label_corners
 from calibration.simulation.random_streams import stream
 from calibration.simulation.sensors import SimulatedCamera
 

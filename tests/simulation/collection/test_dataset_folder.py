@@ -7,13 +7,12 @@ import pytest
 from calibration.dataset.reading import read_dataset
 from calibration.dataset.truth import find_truth
 from calibration.errors import InputError, WorldError
-from calibration.simulation import dataset_folder
-from calibration.simulation.collection import SimulatedCollection, collect
-from calibration.simulation.dataset_folder import replacing_dataset, write_dataset_folder
-from calibration.simulation.motion import Motion, moving_model, read_motion
+from calibration.simulation.collection import dataset_folder
+from calibration.simulation.collection.capture import SimulatedCollection, collect
+from calibration.simulation.collection.dataset_folder import replacing_dataset, write_dataset_folder
+from calibration.simulation.motion.sequence import Motion, moving_model, read_motion
 from calibration.simulation.system import System, read_system
-
-from .conftest import DATASETS
+from tests.simulation.conftest import DATASETS
 
 
 @pytest.fixture(scope="module")

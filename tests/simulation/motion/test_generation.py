@@ -7,15 +7,14 @@ import pytest
 from calibration.errors import InputError
 from calibration.geometry import rotations
 from calibration.geometry.transforms import apply
-from calibration.simulation.collection import collect
-from calibration.simulation.motion import Motion, motion_document, read_motion
-from calibration.simulation.motion_generation import draw_poses, filling_distances, generate_motion
+from calibration.simulation.collection.capture import collect
+from calibration.simulation.motion.generation import draw_poses, filling_distances, generate_motion
+from calibration.simulation.motion.sequence import Motion, motion_document, read_motion
 from calibration.simulation.placement import place
 from calibration.simulation.random_streams import stream
 from calibration.simulation.scene import Box, Scene
 from calibration.simulation.system import MotionRanges, System, read_system
-
-from .conftest import DATASETS, SYSTEMS
+from tests.simulation.conftest import DATASETS, SYSTEMS
 
 
 @pytest.fixture(scope="module")

@@ -12,9 +12,9 @@ from calibration.dataset.pointcloud import write_points
 from calibration.dataset.reading import FILE_NAME
 from calibration.dataset.writing import write_document
 from calibration.errors import InputError, WorldError
-from calibration.simulation.collection import SimulatedCollection
-from calibration.simulation.document import cloud_file, dataset_document, truth_document
-from calibration.simulation.motion import Motion, motion_document
+from calibration.simulation.collection.capture import SimulatedCollection
+from calibration.simulation.collection.document import cloud_file, dataset_document, truth_document
+from calibration.simulation.motion.sequence import Motion, motion_document
 from calibration.simulation.system import MOTION_FILE, System
 
 

@@ -5,13 +5,12 @@ import pytest
 
 from calibration.dataset.model import CornerLabels
 from calibration.errors import InputError
-from calibration.simulation.collection import SimulatedCollection, collect
-from calibration.simulation.motion import Motion, moving_joints, moving_model, read_motion
+from calibration.simulation.collection.capture import SimulatedCollection, collect
+from calibration.simulation.motion.sequence import Motion, moving_joints, moving_model, read_motion
 from calibration.simulation.placement import place
 from calibration.simulation.scene import Box, Scene
 from calibration.simulation.system import System
-
-from .conftest import DATASETS, SYSTEMS
+from tests.simulation.conftest import DATASETS, SYSTEMS
 
 
 def own_motion(system: System) -> Motion:

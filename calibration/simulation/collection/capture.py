@@ -7,12 +7,12 @@ from calibration.dataset.model import CornerLabels, Edge
 from calibration.errors import InputError
 from calibration.geometry.transforms import apply, inverse
 from calibration.geometry.types import Array
-from calibration.simulation.camera_labels import label_corners
-from calibration.simulation.lidar import Board, scan
-from calibration.simulation.lidar_labels import PatternPoints, label_cloud
-from calibration.simulation.motion import Motion
+from calibration.simulation.collection.camera_labels import label_corners
+from calibration.simulation.collection.lidar_labels import PatternPoints, label_cloud
+from calibration.simulation.motion.sequence import Motion
 from calibration.simulation.placement import Placement, place
 from calibration.simulation.random_streams import stream
+from calibration.simulation.rendering.lidar import Board, scan
 from calibration.simulation.system import System
 
 

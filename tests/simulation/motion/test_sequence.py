@@ -8,7 +8,7 @@ import pytest
 from calibration.errors import InputError
 from calibration.geometry import rotations
 from calibration.geometry.transforms import from_xyz_rpy
-from calibration.simulation.motion import Motion, motion_document, moving_joints, moving_model, read_motion
+from calibration.simulation.motion.sequence import Motion, motion_document, moving_joints, moving_model, read_motion
 
 POSE = {"position": {"x": 1, "y": 2, "z": 3}, "orientation": {"x": 0, "y": 0, "z": 0.6, "w": 0.8}}
 JOINTS = {"joints": {"a": 1.5, "b": -2}}

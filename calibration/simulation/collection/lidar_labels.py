@@ -6,7 +6,7 @@ import numpy as np
 
 from calibration.geometry.transforms import apply, inverse
 from calibration.geometry.types import Array, BoolArray, IntArray
-from calibration.simulation.lidar import Board, Scan
+from calibration.simulation.rendering.lidar import Board, Scan
 from calibration.simulation.sensors import SimulatedLidar
 
 MIN_POINTS = 10

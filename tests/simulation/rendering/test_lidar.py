@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from calibration.geometry.transforms import apply, from_xyz_rpy, inverse
-from calibration.simulation.lidar import Board, Scan, scan
-from calibration.simulation.lidar_labels import LabelledCloud, label_cloud
+from calibration.simulation.collection.lidar_labels import LabelledCloud, label_cloud
 from calibration.simulation.random_streams import stream
+from calibration.simulation.rendering.lidar import Board, Scan, scan
 from calibration.simulation.scene import Box, Scene
 from calibration.simulation.sensors import SimulatedLidar
 

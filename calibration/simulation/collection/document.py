@@ -21,8 +21,8 @@ from calibration.geometry import rotations
 from calibration.geometry.cameras import Camera
 from calibration.geometry.transforms import inverse, translation
 from calibration.geometry.types import Array
-from calibration.simulation.collection import SimulatedCollection
-from calibration.simulation.lidar_labels import PatternPoints
+from calibration.simulation.collection.capture import SimulatedCollection
+from calibration.simulation.collection.lidar_labels import PatternPoints
 from calibration.simulation.robot import compose
 from calibration.simulation.sensors import SimulatedCamera
 from calibration.simulation.system import System

@@ -14,9 +14,9 @@ from calibration.geometry import rotations
 from calibration.geometry.cameras import Camera
 from calibration.geometry.transforms import apply, inverse, transform
 from calibration.geometry.types import Array, BoolArray
-from calibration.simulation.camera_labels import MAX_VIEW_ANGLE, corners_in_image, facing
+from calibration.simulation.collection.camera_labels import MAX_VIEW_ANGLE, corners_in_image, facing
 from calibration.simulation.inverse_kinematics import joints_between, reach
-from calibration.simulation.motion import Motion, moving_joints, moving_model
+from calibration.simulation.motion.sequence import Motion, moving_joints, moving_model
 from calibration.simulation.placement import Placement, place
 from calibration.simulation.random_streams import stream
 from calibration.simulation.robot import compose

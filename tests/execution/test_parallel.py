@@ -1,0 +1,54 @@
+"""Work in processes: every item once, errors and deaths said, nothing left."""
+
+import os
+import signal
+import time
+
+import pytest
+
+from calibration.errors import InputError, WorldError
+from calibration.execution.parallel import in_parallel
+
+
+@pytest.mark.parametrize("workers", [1, 2, 5])
+def test_every_item_once_whatever_the_number_of_processes(workers: int) -> None:
+    offset = 10  # a closure reaches the workers
+    found = dict(in_parallel(lambda item: item + offset, range(57), workers))
+    assert found == {i: i + 10 for i in range(57)}
+
+
+def test_nothing_to_do() -> None:
+    assert list(in_parallel(str, [])) == []
+
+
+def test_one_worker_is_this_process() -> None:
+    assert {pid for _, pid in in_parallel(lambda _: os.getpid(), range(3), 1)} == {os.getpid()}
+    assert os.getpid() not in {pid for _, pid in in_parallel(lambda _: os.getpid(), range(3), 2)}
+
+
+def test_an_error_reaches_the_caller() -> None:
+    def refuse(item: int) -> int:
+        if item == 3:
+            raise InputError("planted")
+        return item
+
+    with pytest.raises(InputError, match="planted"):
+        list(in_parallel(refuse, range(8), 2))
+
+
+def test_a_process_that_dies_is_said() -> None:
+    with pytest.raises(WorldError, match="worker process died"):
+        list(in_parallel(lambda _: os.kill(os.getpid(), signal.SIGKILL), range(2), 2))
+
+
+def test_who_stops_early_leaves_no_process() -> None:
+    results = in_parallel(lambda _: os.getpid(), range(100), 2)
+    _, pid = next(results)
+    results.close()  # type: ignore[attr-defined]
+    for _ in range(100):
+        try:
+            os.kill(pid, 0)
+        except ProcessLookupError:
+            return
+        time.sleep(0.05)
+    pytest.fail("a worker is left")
