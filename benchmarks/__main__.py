@@ -26,6 +26,11 @@ MODULES = {
     "synthetic": "three synthetic systems from 100 noisy starts each",
     "dataset_loading": "reading a dataset against json.load",
     "process": "whole processes, from start to exit",
+    "rendering": "simulated images, depth images and scans: how many, and where a detector finds their corners",
+    "labelling": "detectors on real and simulated images and clouds",
+    "motion": "what a generated motion costs, and how well its poses determine a calibration",
+    "collection": "whole collections in simulation, and how near the truth they calibrate",
+    "scenarios": "many worlds",
 }
 
 

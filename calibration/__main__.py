@@ -38,6 +38,9 @@ COMMANDS: Mapping[str, LazyCommand] = {
     "collect-data-sim": LazyCommand(
         "calibration.commands.collect_data_sim:command", "Collect a dataset in simulation."
     ),
+    "record-motion": LazyCommand(
+        "calibration.commands.record_motion:command", "Record a motion sequence on a page in the browser."
+    ),
     "schema": LazyCommand("calibration.commands.schema:command", "Print the JSON Schema of a file."),
     "version": LazyCommand("calibration.commands.version:command", "Print the versions in use."),
 }

@@ -6,6 +6,10 @@ from pathlib import Path
 
 import pytest
 
+# As the commands do, before anything imports numpy: the tests' processes are the parallelism.
+for _variable in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
+    os.environ.setdefault(_variable, "1")
+
 PROJECT = Path(__file__).resolve().parents[1]
 NO_SHARED_DATA = "needs ../shared/data beside the project"
 

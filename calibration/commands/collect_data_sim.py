@@ -1,27 +1,26 @@
-"""``collect-data-sim``: a system and a motion to a dataset, in simulation."""
+"""``collect-data-sim``: a system and a motion to a dataset, in simulation, proven by calibrating it."""
 
 import os
-import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from calibration.commands.parameters import boolean_option, path, text
+from calibration.commands.parameters import boolean_option, count, non_negative, path, share, text
 from calibration.errors import ExitCode, InputError
-from calibration.workflow import Runner, set_outputs, stop_commands
+from calibration.workflow import Runner, stop_commands
 
 if TYPE_CHECKING:
-    from calibration.simulation.collection.capture import SimulatedCollection
+    from calibration.pipeline.collection import CollectionRequest
+    from calibration.simulation.collection.record import Record
     from calibration.simulation.motion.sequence import Motion
+    from calibration.simulation.scenarios.result import ScenarioResult
     from calibration.simulation.system import System
 
 SYSTEMS = Path("datasets")
 """Where the name of a system is looked up, from the working directory."""
-BACKENDS = ("embedded",)
-MAX_POSES = 1000
-"""No longer motion is generated."""
+TITLE = "collect-data-sim"
 
 
 def seed_number(value: str | int) -> int:
@@ -37,7 +36,7 @@ def seed_number(value: str | int) -> int:
 
 @dataclass(frozen=True)
 class Settings:
-    """What ``collect-data-sim`` is asked."""
+    """What ``collect-data-sim`` is asked; what is None is as `CollectionChecks` and `Requirements` say."""
 
     system: str
     """The name of a system in `SYSTEMS`, or a folder."""
@@ -46,8 +45,21 @@ class Settings:
     config: Path | None = None
     motion: str | None = None
     """A file, or ``generate:N``; the system's own motion where None."""
+    scenarios: int | None = None
+    """How many worlds of the scenario set; None for the one that the system's files describe."""
+    scenario_set: Path | None = None
+    scenario: str | None = None
+    """The id of one world of the scenario set, to collect it alone."""
+    minimum_success_rate: float = 1.0
     seed: int = 1
+    minimum_collections: int | None = None
+    minimum_detection_rate: float | None = None
+    minimum_coverage: float | None = None
+    max_translation_mm: float | None = None
+    max_rotation_deg: float | None = None
+    stillness_mm: float | None = None
     backend: str = "embedded"
+    jobs: int | None = None
     overwrite: bool = False
 
 
@@ -58,58 +70,140 @@ class Settings:
 @click.option(
     "--motion", type=text, help="Motion sequence (JSON), or generate:N; the system's motion.json unless given."
 )
+@click.option("--scenarios", type=count, help="How many worlds of the scenario set are collected and calibrated.")
+@click.option("--scenario-set", type=path, help="YAML file of what varies between worlds.")
+@click.option("--scenario", type=text, help="Only this world of the scenario set, with its images: s1-00017.")
+@click.option("--minimum-success-rate", type=share, help="Share of the worlds that has to pass, 0 to 1 (1).")
+@click.option("--seed", type=seed_number, help="Seed of the noise, of a generated motion, of the worlds (1).")
+@click.option("--minimum-collections", type=count, help="Fewer collections that are kept make it fail (3).")
+@click.option("--minimum-detection-rate", type=share, help="Share of the poses that every sensor detects, 0 to 1.")
+@click.option("--minimum-coverage", type=share, help="Share of every image that the corners cover, 0 to 1.")
+@click.option("--max-translation-mm", type=non_negative, help="Largest error against the truth, mm (5).")
+@click.option("--max-rotation-deg", type=non_negative, help="Largest error against the truth, degrees (0.3).")
+@click.option("--stillness-mm", type=non_negative, help="How far the pattern may move while the sensors look (2).")
+@click.option("--backend", type=text, help="What simulates: embedded (embedded).")
+@click.option("--jobs", type=count, help="Processes (one a core).")
 @click.option(
-    "--seed", type=seed_number, default=1, show_default=True, help="Seed of the noise and of a generated motion."
+    "--output",
+    type=path,
+    required=True,
+    help="Folder for the dataset, or for the report on the worlds.",
 )
-@click.option("--backend", type=text, default="embedded", show_default=True, help="What simulates: embedded.")
-@click.option("--output", type=path, required=True, help="Folder for the dataset.")
 @boolean_option("--overwrite", help="Replace a dataset that the folder has.")
 def command(**options: Any) -> ExitCode:
-    """Collect a dataset in simulation, with labels and point clouds, and the truth beside it."""
-    return collect_data_sim(Settings(**options), Runner.from_environment(os.environ))
+    """Collect a dataset in simulation: images, point clouds, labels and the truth; and calibrate it."""
+    settings = Settings(**{name: value for name, value in options.items() if value is not None})
+    return collect_data_sim(settings, Runner.from_environment(os.environ))
 
 
 def collect_data_sim(settings: Settings, runner: Runner) -> ExitCode:
-    """Collect the dataset, say what each sensor detected, and write the folder.
+    """Collect a dataset, calibrate it, and report both; or do so in many worlds.
 
-    Raises :class:`InputError` when an input is missing or wrong, or the folder has a dataset already,
-    and :class:`calibration.errors.WorldError` when the folder cannot be written; it is then as before.
+    Raises:
+        InputError: an input is missing or wrong, or the folder has a dataset already.
+        WorldError: the folder cannot be written, or a process died; its dataset is as before.
     """
-    from calibration.simulation.collection.capture import collect
-    from calibration.simulation.collection.dataset_folder import refuse_existing, write_dataset_folder
-    from calibration.simulation.system import read_system
+    from calibration.execution.backends import check_backend
 
-    if settings.backend not in BACKENDS:
-        raise InputError(f"backend: found '{settings.backend}', expected {' or '.join(BACKENDS)}")
-    folder = system_folder(settings.system)
-    refuse_existing(settings.output, settings.overwrite)
-    system = read_system(folder, settings.robot, settings.config)
-    motion = _motion(settings, folder, system)
-    collections: list[SimulatedCollection] = []
-    with stop_commands(runner):  # names in files that others wrote
-        runner.log(f"{system.name}: {len(motion)} poses of {motion.source}, seed {settings.seed}")
-        for collection in collect(system, motion, settings.seed):
-            collections.append(collection)
-            runner.log(f"{len(collections):4d}/{len(motion)}  {_seen(system, collection)}")
-        for line in _totals(system, collections):
-            runner.log(line)
-    write_dataset_folder(settings.output, system, motion, collections, settings.seed, settings.overwrite)
-    runner.log(f"{len(collections)} collections in {settings.output}")
-    set_outputs(
-        runner,
-        {
-            "dataset": settings.output,
-            "collections": len(collections),
-            "detections": {name: sum(c.detected(name) for c in collections) for name in system.sensors},
-        },
+    check_backend(settings.backend)
+    worlds = [asked for asked in (settings.scenarios, settings.scenario) if asked is not None]
+    if settings.scenario_set is None and worlds:
+        raise InputError("scenarios and scenario need a scenario-set: a YAML file of what varies between worlds")
+    if settings.scenario_set is not None and len(worlds) != 1:
+        raise InputError("scenario-set: give either scenarios (how many worlds) or scenario (the id of one) with it")
+    if settings.scenarios is not None:
+        return _many_worlds(settings, runner)
+    return _one_world(settings, runner)
+
+
+def _one_world(settings: Settings, runner: Runner) -> ExitCode:
+    from calibration.pipeline.collection import collect_dataset
+    from calibration.pipeline.collection_report import pose_line, report_collection
+    from calibration.pipeline.scenarios import collect_world
+    from calibration.workflow.progress import progress
+
+    request = _request(settings)
+
+    def begin(system: "System", motion: "Motion") -> None:
+        world = "" if settings.scenario is None else f" in world {settings.scenario}"
+        runner.log(f"{system.name}{world}: {len(motion)} poses of {motion.source}, seed {request.seed}")
+
+    with stop_commands(runner), progress(runner, TITLE) as advance:  # names in files that others wrote
+
+        def done(count: int, total: int, record: "Record") -> None:
+            advance(count, total, pose_line(record), important=not record.kept)
+
+        to = (settings.output, settings.overwrite, settings.jobs, begin, done)
+        if settings.scenario is not None and settings.scenario_set is not None:
+            results = collect_world(request, settings.scenario_set, settings.scenario, *to)
+        else:
+            results = collect_dataset(request, *to)
+    report_collection(results, settings.output, runner, TITLE)
+    return results.exit_code
+
+
+def _many_worlds(settings: Settings, runner: Runner) -> ExitCode:
+    from calibration.pipeline.scenario_report import report_scenarios, world_line
+    from calibration.pipeline.scenarios import MAX_SCENARIOS, ScenarioRequest, run_worlds
+    from calibration.workflow.progress import progress
+
+    if settings.scenarios is None or settings.scenario_set is None:
+        raise AssertionError("collect_data_sim has checked both")
+    if settings.scenarios > MAX_SCENARIOS:
+        raise InputError(f"scenarios: found {settings.scenarios}, expected {MAX_SCENARIOS} at most")
+    request = ScenarioRequest(
+        _request(settings), settings.scenario_set, settings.scenarios, settings.minimum_success_rate
     )
-    return ExitCode.PASS
+
+    def begin(system: str, worlds: int) -> None:
+        runner.log(f"{system}: {worlds} worlds of {settings.scenario_set}, seed {settings.seed}")
+
+    with stop_commands(runner), progress(runner, TITLE) as advance:
+        finished = 0
+
+        def done(result: "ScenarioResult") -> None:
+            nonlocal finished
+            finished += 1
+            advance(finished, request.count, world_line(result), important=not result.converged)
+
+        results = run_worlds(request, settings.output, settings.jobs, begin, done)
+    report_scenarios(results, settings.output, runner, TITLE)
+    return results.exit_code
+
+
+def _request(settings: Settings) -> "CollectionRequest":
+    from calibration.pipeline.collection import CollectionRequest
+    from calibration.pipeline.collection_results import CollectionChecks
+    from calibration.simulation.collection.checks import Requirements
+
+    def given(**values: Any) -> dict[str, Any]:
+        return {name: value for name, value in values.items() if value is not None}
+
+    stillness = None if settings.stillness_mm is None else settings.stillness_mm / 1000
+    return CollectionRequest(
+        system=system_folder(settings.system),
+        robot=settings.robot,
+        configuration=settings.config,
+        motion=settings.motion,
+        seed=settings.seed,
+        requirements=Requirements(**given(stillness=stillness)),
+        checks=CollectionChecks(
+            **given(
+                minimum_collections=settings.minimum_collections,
+                minimum_detection_rate=settings.minimum_detection_rate,
+                minimum_coverage=settings.minimum_coverage,
+                max_translation_mm=settings.max_translation_mm,
+                max_rotation_deg=settings.max_rotation_deg,
+            )
+        ),
+    )
 
 
 def system_folder(system: str) -> Path:
     """The folder of a system, by its name in `SYSTEMS` or by its path.
 
-    Raises :class:`InputError` when there is none.
+    Raises:
+        InputError: there is none.
     """
     for folder in (SYSTEMS / system, Path(system)):
         if system and folder.is_dir():
@@ -117,46 +211,3 @@ def system_folder(system: str) -> Path:
     known = sorted(folder.parent.name for folder in SYSTEMS.glob("*/simulation.yml"))
     names = f"one of {', '.join(known)} or a folder" if known else "a folder"
     raise InputError(f"system: found '{system}', expected {names}")
-
-
-def _motion(settings: Settings, folder: Path, system: "System") -> "Motion":
-    from calibration.simulation.motion.generation import generate_motion
-    from calibration.simulation.motion.sequence import read_motion
-    from calibration.simulation.system import MOTION_FILE
-
-    if settings.motion is None:
-        if not (folder / MOTION_FILE).exists():
-            raise InputError(f"{folder / MOTION_FILE}: does not exist; give a motion: a file or generate:N")
-        return read_motion(folder / MOTION_FILE)
-    if not settings.motion.startswith("generate:"):
-        return read_motion(Path(settings.motion))
-    count = settings.motion.removeprefix("generate:")
-    if not re.fullmatch(r"[0-9]{1,9}", count) or not 1 <= int(count) <= MAX_POSES:
-        raise InputError(f"motion: found '{settings.motion}', expected generate:N with N from 1 to {MAX_POSES}")
-    return generate_motion(system, int(count), settings.seed)
-
-
-def _seen(system: "System", collection: "SimulatedCollection") -> str:
-    """What each sensor detected in one collection."""
-    words = []
-    for (pattern, sensor), corners in collection.corners.items():
-        count, total = len(corners.ids) if corners else 0, len(system.patterns[pattern].corners)
-        words.append(f"{sensor} {count}/{total} corners" if corners else f"{sensor} not detected")
-    for (_, sensor), points in collection.points.items():
-        words.append(f"{sensor} {len(points.on_pattern)} points" if points else f"{sensor} not detected")
-    return ", ".join(words)
-
-
-def _totals(system: "System", collections: "list[SimulatedCollection]") -> list[str]:
-    """What each sensor detected in all collections."""
-    lines = []
-    for sensor in system.sensors:
-        partial = sum(
-            labels is not None and name == sensor and len(labels.ids) < len(system.patterns[pattern].corners)
-            for collection in collections
-            for (pattern, name), labels in collection.corners.items()
-        )
-        detected = sum(collection.detected(sensor) for collection in collections)
-        some = f", {partial} of them in part" if partial else ""
-        lines.append(f"{sensor}: detected in {detected} of {len(collections)} collections{some}")
-    return lines

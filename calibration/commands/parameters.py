@@ -45,6 +45,14 @@ def non_negative(value: str | float) -> float:
     return result
 
 
+def share(value: str | float) -> float:
+    """Read a number from 0 to 1; a usage error for anything else."""
+    result = non_negative(value)
+    if result > 1:
+        raise click.BadParameter(f"{value!r} is above 1")
+    return result
+
+
 def integer(value: str | int) -> int:
     """Read a whole number; a usage error for anything else."""
     try:

@@ -26,7 +26,7 @@ class Settings:
 @click.command("run")
 @click.option("--config", type=path, help="The configuration (calibration.yml).")
 @click.option("--output", type=path, help="Folder for results, tables and datasets (output).")
-@click.option("--only", type=TEXT_LIST, help="Only these stages: calibrate, introspect.")
+@click.option("--only", type=TEXT_LIST, help="Only these stages: calibrate, introspect, collect.")
 @click.option("--jobs", type=count, help="Processes (one a core).")
 def command(**options: Any) -> ExitCode:
     """Run the pipeline of calibration.yml, stage by stage; the verdict is fail when one of them is."""
@@ -48,4 +48,8 @@ def run(settings: Settings, runner: Runner) -> ExitCode:
     configuration = read_configuration(settings.config)
     matrix = Matrix(configuration.systems, configuration.noise, configuration.start, configuration.loss)
     stages = settings.only or STAGES
-    return run_stages(matrix, settings.output, runner, "calibration run", settings.jobs, stages=stages).exit_code
+    simulations = configuration.simulations
+    results = run_stages(
+        matrix, settings.output, runner, "calibration run", settings.jobs, stages=stages, simulations=simulations
+    )
+    return results.exit_code

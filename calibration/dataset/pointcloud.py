@@ -41,11 +41,16 @@ def write_points(path: Path | str, points: Array) -> None:
     Raises:
         WorldError: the file cannot be written.
     """
+    write_atomically(path, encode_pcd(points))
+
+
+def encode_pcd(points: Array) -> bytes:
+    """The content of a binary PCD file of float32 x, y, z, from points (N, 3)."""
     header = (
         "# .PCD v0.7 - Point Cloud Data file format\nVERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\n"
         f"WIDTH {len(points)}\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS {len(points)}\nDATA binary\n"
     )
-    write_atomically(path, header.encode() + np.asarray(points, "<f4").reshape(-1, 3).tobytes())
+    return header.encode() + np.asarray(points, "<f4").reshape(-1, 3).tobytes()
 
 
 def decode_pcd(data: bytes) -> Cloud:

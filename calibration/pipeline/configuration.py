@@ -12,6 +12,8 @@ from typing import Any, Literal
 from calibration.errors import InputError
 from calibration.introspection.parsing import parse_rules
 from calibration.introspection.rules import RuleSet
+from calibration.pipeline.collection import GENERATE, CollectionRequest
+from calibration.pipeline.collection_results import CollectionChecks
 from calibration.workflow.text import did_you_mean, shorten
 from calibration.yaml_file import read_yaml
 
@@ -46,6 +48,14 @@ class System:
 
 
 @dataclass(frozen=True)
+class Simulation:
+    """A dataset to collect in simulation, and to calibrate."""
+
+    name: str
+    request: CollectionRequest
+
+
+@dataclass(frozen=True)
 class NoiseGrid:
     """How far the starting guesses are off."""
 
@@ -64,6 +74,7 @@ class Configuration:
     noise: NoiseGrid = field(default_factory=NoiseGrid)
     start: Start = "linear"
     loss: Loss = "huber"
+    simulations: tuple[Simulation, ...] = ()
 
     def only(self, names: tuple[str, ...]) -> tuple[System, ...]:
         """The systems of these names, or all where there are none.
@@ -100,6 +111,7 @@ def read_configuration(path: Path, environment: Mapping[str, str] | None = None)
         noise=_noise(document.get("noise", {})),
         start=document.get("start", "linear"),
         loss=document.get("loss", "huber"),
+        simulations=tuple(_simulation(name, entry, path) for name, entry in document.get("simulation", {}).items()),
     )
 
 
@@ -119,6 +131,23 @@ def _system(name: str, entry: Mapping[str, Any], common_limits: Mapping[str, flo
         rules=parse_rules(entry["rules"], f"{path}: systems.{name}.rules") if "rules" in entry else None,
         limits=Limits(**{key.replace("-", "_"): v for key, v in (entry.get("limits") or common_limits or {}).items()}),
     )
+
+
+def _simulation(name: str, entry: Mapping[str, Any], path: Path) -> Simulation:
+    motion = entry.get("motion")
+    if motion is not None and not motion.startswith(GENERATE):
+        motion = str(path.parent / motion)
+    limits = {f"max_{key.replace('-', '_')}": value for key, value in entry.get("limits", {}).items()}
+    least = {key.replace("-", "_"): value for key, value in entry.items() if key.startswith("minimum-")}
+    request = CollectionRequest(
+        system=path.parent / entry["system"],
+        robot=path.parent / entry["robot"] if "robot" in entry else None,
+        configuration=path.parent / entry["config"] if "config" in entry else None,
+        motion=motion,
+        seed=entry.get("seed", 1),
+        checks=CollectionChecks(**limits, **least),
+    )
+    return Simulation(name, request)
 
 
 def _noise(entry: Mapping[str, Any]) -> NoiseGrid:

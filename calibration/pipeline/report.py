@@ -4,7 +4,7 @@ from pathlib import Path
 
 from calibration.files import write_atomically
 from calibration.pipeline.results import FILE, Results, summarise
-from calibration.pipeline.summary import failures, grid, markdown, sentence
+from calibration.pipeline.summary import collections_grid, failures, grid, markdown, sentence
 from calibration.workflow import Annotation, Level, Runner, add_summary, annotate, set_outputs, stop_commands
 from calibration.workflow.text import aligned
 
@@ -15,12 +15,14 @@ def report(results: Results, output: Path, runner: Runner, title: str) -> None:
     Raises:
         WorldError: a file cannot be written.
     """
-    table = grid(results)
+    tables = [grid(results)] if results.cells or results.comparisons else []
+    tables += [collections_grid(results)] if results.collections else []
     text = markdown(results)
     write_atomically(output / "summary.md", text)
     with stop_commands(runner):  # names of systems, columns and rows are the user's
-        runner.log("")
-        runner.log(aligned(table.header, table.rows))
+        for table in tables:
+            runner.log("")
+            runner.log(aligned(table.header, table.rows))
         runner.log("")
     failed = [Annotation(line, title=title) for line in failures(results)]
     notes = [Annotation(f"{c.name}: {'; '.join(c.reasons)}", Level.WARNING) for c in results.comparisons if c.reasons]

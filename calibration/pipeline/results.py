@@ -1,4 +1,4 @@
-"""``results.json`` and what else a matrix leaves: a table of cells, JUnit, a summary."""
+"""``results.json`` and what else a pipeline leaves: a table of cells, JUnit, a summary."""
 
 import csv
 import io
@@ -7,11 +7,15 @@ import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from calibration.errors import ExitCode, InputError, WorldError
 from calibration.files import write_atomically
 from calibration.pipeline.cell import OUR_METHOD, CellResult, TruthDistance, Verdict
+from calibration.pipeline.collected import Collected
+
+if TYPE_CHECKING:
+    from calibration.workflow.junit import Case
 
 SCHEMA = Path(__file__).with_name("results.schema.json")
 FILE = "results.json"
@@ -24,20 +28,26 @@ _PLAIN = (
 
 @dataclass(frozen=True)
 class Results:
-    """The cells of a matrix and the other methods on the same data."""
+    """The cells of a matrix, the other methods on the same data, and what was collected in simulation."""
 
     cells: tuple[CellResult, ...]
     comparisons: tuple[CellResult, ...] = ()
+    collections: tuple[Collected, ...] = ()
+
+    @property
+    def judged(self) -> tuple[CellResult | Collected, ...]:
+        """What has a part in the verdict."""
+        return (*self.cells, *self.collections)
 
     @property
     def verdict(self) -> Verdict:
-        """Pass when every cell passed, and there is one."""
-        return "pass" if self.cells and all(cell.verdict == "pass" for cell in self.cells) else "fail"
+        """Pass when every cell and every collection passed, and there is one."""
+        return "pass" if self.judged and all(each.verdict == "pass" for each in self.judged) else "fail"
 
     @property
     def exit_code(self) -> ExitCode:
-        """2 or 3 where a cell could not be calibrated because of bad input or a failing world, else the verdict's."""
-        errors = [cell.error for cell in self.cells if cell.error is not None]
+        """2 or 3 where something could not be done because of bad input or a failing world, else the verdict's."""
+        errors = [each.error for each in self.judged if each.error is not None]
         if errors:
             return max(errors)
         return ExitCode.PASS if self.verdict == "pass" else ExitCode.FAIL
@@ -97,7 +107,7 @@ def clear_results(output: Path, inputs: Collection[Path] = ()) -> None:
 
 
 def read_results(output: Path) -> Results:
-    """Read what `write_results` wrote, without the verdicts: they are to be made again.
+    """Read what `write_results` wrote, without the verdicts of cells: they are to be made again.
 
     Raises:
         InputError: there are no results, or they are not of this form.
@@ -108,6 +118,7 @@ def read_results(output: Path) -> Results:
         return Results(
             tuple(_cell(entry, output) for entry in document["cells"]),
             tuple(_cell(entry, output) for entry in document["comparisons"]),
+            tuple(Collected.of_document(entry) for entry in document["collections"]),
         )
     except OSError as error:
         raise InputError(f"{path}: the results of the stage calibrate were expected here: {error.strerror}") from None
@@ -170,6 +181,7 @@ def _document(results: Results) -> dict[str, Any]:
         "verdict": results.verdict,
         "cells": [_object(cell) for cell in results.cells],
         "comparisons": [_object(cell) for cell in results.comparisons],
+        "collections": [collected.document for collected in results.collections],
         "summary": summarise(results),
     }
 
@@ -213,6 +225,19 @@ def _not_finite(value: object) -> object:
     raise TypeError(f"{value!r} does not belong into results")
 
 
+def _collected_case(collected: Collected) -> "Case":
+    from calibration.workflow.junit import Case
+
+    why = "\n".join(collected.reasons) or None
+    return Case(
+        name=collected.name,
+        group="collected",
+        failure=None if collected.error is not None else why,
+        error=why if collected.error is not None else None,
+        seconds=collected.seconds,
+    )
+
+
 def _junit(results: Results) -> str:
     from calibration.workflow.junit import Case, Suite, junit_xml  # XML is slow to import
 
@@ -227,4 +252,6 @@ def _junit(results: Results) -> str:
         )
 
     suites = [Suite(s, tuple(case(c) for c in results.cells if c.system == s)) for s in results.systems]
+    if results.collections:
+        suites.append(Suite("collected", tuple(_collected_case(collected) for collected in results.collections)))
     return junit_xml(suites)

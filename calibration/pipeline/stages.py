@@ -1,11 +1,16 @@
 """The stages of a pipeline, one after the other; files go between them, so each can run alone."""
 
+import time
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from calibration.errors import InputError
+from calibration.errors import CalibrationError, InputError
 from calibration.pipeline.cell import CellResult
-from calibration.pipeline.configuration import System
+from calibration.pipeline.collected import Collected
+from calibration.pipeline.collection import collect_dataset
+from calibration.pipeline.collection_report import pose_line
+from calibration.pipeline.configuration import Simulation, System
 from calibration.pipeline.judgement import judge_cells
 from calibration.pipeline.matrix import Done, Matrix, run_matrix
 from calibration.pipeline.report import report
@@ -14,7 +19,12 @@ from calibration.workflow import Runner
 from calibration.workflow.progress import progress
 from calibration.workflow.text import did_you_mean
 
-STAGES = ("calibrate", "introspect")
+if TYPE_CHECKING:
+    from calibration.simulation.collection.record import Record
+
+COLLECTED = "collected"
+"""The folder of what was collected, in the output folder."""
+STAGES = ("calibrate", "introspect", "collect")
 """In their order."""
 
 
@@ -26,6 +36,7 @@ def run_stages(
     jobs: int | None = None,
     fail_fast: bool = False,
     stages: Sequence[str] = STAGES,
+    simulations: Sequence[Simulation] = (),
 ) -> Results:
     """Run stages, and report what the last one found.
 
@@ -37,6 +48,7 @@ def run_stages(
         jobs: processes; None for one a core.
         fail_fast: whether the first cell that fails stops the others.
         stages: which ones.
+        simulations: what the stage collect collects.
 
     Raises:
         InputError: there is no such stage, or an input is wrong.
@@ -55,6 +67,8 @@ def run_stages(
             results = calibrate_stage(matrix, output, jobs, fail_fast, done)
     if "introspect" in stages:
         results = introspect_stage(matrix.systems, output)
+    if "collect" in stages and simulations:
+        results = collect_stage(simulations, results, output, runner, jobs)
     report(results, output, runner, title)
     return results
 
@@ -95,3 +109,52 @@ def introspect_stage(systems: tuple[System, ...], output: Path) -> Results:
     results = Results(judge_cells(chosen, systems, output), tuple(c for c in found.comparisons if c.system in names))
     write_results(results, output)
     return results
+
+
+def collect_stage(
+    simulations: Sequence[Simulation], results: Results, output: Path, runner: Runner, jobs: int | None = None
+) -> Results:
+    """Collect datasets in simulation, each in its folder below ``output``, and calibrate them.
+
+    One that cannot be collected is among the results, and does not stop the others.
+
+    Args:
+        simulations: what to collect.
+        results: of the stages before, to which these are added.
+        output: the folder between the stages.
+        runner: where to show the progress.
+        jobs: processes; None for one a core.
+
+    Raises:
+        WorldError: a result cannot be written.
+    """
+    collections = tuple(_collected(simulation, output, runner, jobs) for simulation in simulations)
+    results = Results(results.cells, results.comparisons, collections)
+    write_results(results, output)
+    return results
+
+
+def _collected(simulation: Simulation, output: Path, runner: Runner, jobs: int | None) -> Collected:
+    folder, begin = f"{COLLECTED}/{simulation.name}", time.perf_counter()
+    try:
+        with progress(runner, f"collect {simulation.name}") as advance:
+
+            def done(count: int, total: int, record: "Record") -> None:
+                advance(count, total, f"{simulation.name}: {pose_line(record)}", important=not record.kept)
+
+            found = collect_dataset(simulation.request, output / folder, overwrite=True, jobs=jobs, done=done)
+    except CalibrationError as error:
+        return Collected(simulation.name, reasons=(str(error),), error=error.exit_code)
+    proof = found.proof
+    return Collected(
+        name=simulation.name,
+        poses=len(found.records),
+        kept=len(found.kept),
+        corner_rms_px=found.corner_rms,
+        rms_px=proof.rms_px if proof else None,
+        translation_mm=proof.translation_mm if proof else None,
+        rotation_deg=proof.rotation_deg if proof else None,
+        dataset=folder if found.kept else None,
+        reasons=tuple(found.reasons),
+        seconds=round(time.perf_counter() - begin, 4),
+    )

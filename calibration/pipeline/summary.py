@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from calibration.pipeline.cell import OUR_METHOD, CellResult
+from calibration.pipeline.collected import Collected
 from calibration.pipeline.results import Results
 from calibration.workflow.summary import escape_markdown, markdown_table
 
@@ -59,16 +60,50 @@ def _text(cells: Sequence[CellResult]) -> str:
     return ", ".join(parts) or "no result"
 
 
+def collections_grid(results: Results) -> Grid:
+    """A row for each dataset that was collected: what was kept, how well corners and sensors were found."""
+
+    def row(c: Collected) -> tuple[str, ...]:
+        def shown(value: float | None, digits: str, unit: str) -> str:
+            return "-" if value is None else f"{value:{digits}} {unit}"
+
+        truth = [
+            shown(value, digits, unit)
+            for value, digits, unit in ((c.translation_mm, ".3g", "mm"), (c.rotation_deg, ".2g", "deg"))
+            if value is not None
+        ]
+        verdict = [] if c.verdict == "pass" else ["FAIL"]
+        return (
+            c.name,
+            f"{c.kept} of {c.poses} poses",
+            shown(c.corner_rms_px, ".3f", "px"),
+            shown(c.rms_px, ".4f", "px"),
+            ", ".join((*truth, *verdict)) or "-",
+        )
+
+    return Grid(
+        ("Collected", "Kept", "Corner error", "Calibrates with", "Against the truth"),
+        tuple(row(collected) for collected in results.collections),
+    )
+
+
 def sentence(results: Results) -> str:
     """The verdict in one line."""
-    failed = sum(cell.verdict == "fail" for cell in results.cells)
-    cells = "1 cell" if len(results.cells) == 1 else f"{len(results.cells)} cells"
-    return f"pass: {cells} calibrated" if results.verdict == "pass" else f"fail: {failed} of {cells} failed"
+    done, failed = [], []
+    for things, what, verb in ((results.cells, "cell", "calibrated"), (results.collections, "dataset", "collected")):
+        wrong = sum(thing.verdict == "fail" for thing in things)
+        count = f"1 {what}" if len(things) == 1 else f"{len(things)} {what}s"
+        if wrong or (what == "cell" and not results.judged):
+            failed.append(f"{wrong} of {count} failed")
+        elif things:
+            done.append(f"{count} {verb}")
+    return f"{results.verdict}: {', '.join((*failed, *done))}"
 
 
 def failures(results: Results) -> list[str]:
-    """A line for every cell that failed, with its first reasons; results.json has all of them."""
-    return [f"{cell.name}: {_first(cell.reasons)}" for cell in results.cells if cell.verdict == "fail"]
+    """A line for everything that failed, with its first reasons; results.json has all of them."""
+    cells = [f"{cell.name}: {_first(cell.reasons)}" for cell in results.cells if cell.verdict == "fail"]
+    return cells + [f"collected {c.name}: {_first(c.reasons)}" for c in results.collections if c.verdict == "fail"]
 
 
 def _first(reasons: Sequence[str]) -> str:
@@ -89,12 +124,21 @@ def _notes(results: Results) -> list[str]:
 
 def markdown(results: Results) -> str:
     """The verdict, the table, what failed and what to look at."""
-    table = grid(results)
-    lines = [f"## Calibration: {sentence(results)}", "", markdown_table(table.header, table.rows)]
-    lines += [
-        "RMS of the evaluation table, and the worst error of a calibrated sensor against the truth, where it is known.",
-        "",
-    ]
+    lines = [f"## Calibration: {sentence(results)}", ""]
+    if results.cells or results.comparisons:
+        table = grid(results)
+        lines += [
+            markdown_table(table.header, table.rows),
+            "RMS of the evaluation table, and, where it is known, the worst error of a calibrated sensor.",
+            "",
+        ]
+    if results.collections:
+        table = collections_grid(results)
+        lines += [
+            "### Collected in simulation",
+            "",
+            markdown_table(table.header, table.rows),
+        ]
     failed = failures(results)
     if failed:
         lines += ["### Failed", "", *(f"- {escape_markdown(line)}" for line in failed[:FAILURES_SHOWN])]

@@ -1,21 +1,22 @@
 """Joint positions that bring one frame of a robot to a pose in another."""
 
+from dataclasses import dataclass
+
 import numpy as np
 
-from calibration.geometry.transforms import adjoint, local
+from calibration.geometry.transforms import adjoint, inverse, local
 from calibration.geometry.types import Array, BoolArray
-from calibration.simulation.robot import Joint, Robot, compose
+from calibration.simulation.robot import Joint, Robot
 
-_ITERATIONS = 60
+_ITERATIONS = 20
 _LONGEST_STEP = 0.5  # rad or m: a linearisation says nothing about more
 _REACHED = 1e-8  # m and rad
+_SETTLED = 1e-11  # m and rad: the step just made leaves about its square
 
 
 def joints_between(robot: Robot, start: str, end: str) -> list[Joint]:
     """The joints with a position on the way between two frames, in the order of the way."""
-    by_edge = {joint.edge: joint for joint in robot.movable.values()}
-    steps = ((step.parent, step.child) for step in robot.tree.path(start, end))
-    return [by_edge[edge] for edge in steps if edge in by_edge]
+    return [step.joint for step in _way(robot, start, end) if step.joint is not None]
 
 
 def reach(
@@ -32,35 +33,77 @@ def reach(
         are reached within the joints' limits. A target that is not may be out of reach, or only
         out of reach from its start.
     """
+    way = _way(robot, start, end)
     joints = joints_between(robot, start, end)
     low = np.array([max(joint.lower, -np.pi) for joint in joints])
     high = np.array([min(joint.upper, np.pi) for joint in joints])
     q = low + (high - low) * random.random((len(targets), len(joints)))
+    moving = np.arange(len(targets))
     for _ in range(_ITERATIONS):
-        error, J = _linearise(robot, joints, start, end, targets, q)
-        damping = 0.1 * (error * error).sum(-1) + 1e-12
-        normal = J.swapaxes(-1, -2) @ J + damping[:, None, None] * np.eye(len(joints))
-        step = np.linalg.solve(normal, J.swapaxes(-1, -2) @ error[..., None])[..., 0]
-        length = np.abs(step).max(-1, keepdims=True)
-        q = q + step * np.minimum(1.0, _LONGEST_STEP / np.maximum(length, 1e-300))
+        error, J = _linearise(way, targets[moving], q[moving])
+        open_ = np.abs(error).max(-1) > _SETTLED
+        moving, error, J = moving[open_], error[open_], J[open_]
+        q[moving] += _step(error, J)
     turning = np.array([joint.kind != "prismatic" for joint in joints])
     q = np.where(turning, (q + np.pi) % (2 * np.pi) - np.pi, q)
-    error, _ = _linearise(robot, joints, start, end, targets, q)
+    error, _ = _linearise(way, targets, q)
     reached = (np.abs(error).max(-1) < _REACHED) & ((q >= low) & (q <= high)).all(-1)
     return {joint.name: q[:, i] for i, joint in enumerate(joints)}, reached
 
 
-def _linearise(
-    robot: Robot, joints: list[Joint], start: str, end: str, targets: Array, q: Array
-) -> tuple[Array, Array]:
-    """The twist (N, 6) from the pose to the target, and how joints (J,) move the pose: (N, 6, J)."""
-    position = {joint.edge: q[:, i] for i, joint in enumerate(joints)}
-    transforms = {
-        joint.edge: joint.transform(position.get(joint.edge, np.full(len(q), joint.rest))) for joint in robot.joints
-    }
-    upwards = {(step.parent, step.child) for step in robot.tree.path(start, end) if step.inverted}
-    columns = []
-    for joint in joints:
-        T_end_joint = compose(robot.tree, transforms, end, joint.child)
-        columns.append(adjoint(T_end_joint) @ (-joint.twist if joint.edge in upwards else joint.twist))
-    return local(compose(robot.tree, transforms, start, end), targets), np.stack(columns, -1)
+def _step(error: Array, J: Array) -> Array:
+    """The damped step (N, J), none of its parts longer than a linearisation holds."""
+    transposed = J.swapaxes(-1, -2)
+    damping = 0.1 * (error * error).sum(-1) + 1e-12
+    normal = transposed @ J + damping[:, None, None] * np.eye(J.shape[-1])
+    step = np.linalg.solve(normal, transposed @ error[..., None])[..., 0]
+    longest = np.abs(step).max(-1, keepdims=True)
+    shortened: Array = step * np.minimum(1.0, _LONGEST_STEP / np.maximum(longest, 1e-300))
+    return shortened
+
+
+@dataclass(frozen=True, eq=False)
+class _Step:
+    """A part of the way between two frames: a joint that moves, or a constant."""
+
+    constant: Array
+    """(4, 4); what does not move, multiplied out. Not used where a joint moves."""
+    joint: Joint | None = None
+    inverted: bool = False
+
+
+def _way(robot: Robot, start: str, end: str) -> list[_Step]:
+    """The parts of the way, neighbouring constants multiplied out."""
+    by_edge = {joint.edge: joint for joint in robot.joints}
+    way: list[_Step] = []
+    for step in robot.tree.path(start, end):
+        joint = by_edge[step.parent, step.child]
+        if joint.is_movable:
+            way.append(_Step(np.eye(4), joint, step.inverted))
+            continue
+        constant = inverse(joint.T_parent_joint) if step.inverted else joint.T_parent_joint
+        if way and way[-1].joint is None:
+            way[-1] = _Step(way[-1].constant @ constant)
+        else:
+            way.append(_Step(constant))
+    return way
+
+
+def _linearise(way: list[_Step], targets: Array, q: Array) -> tuple[Array, Array]:
+    """The twist (N, 6) from the pose to the target, and how the joints (J,) move the pose: (N, 6, J)."""
+    T = np.broadcast_to(np.eye(4), targets.shape)
+    moved: list[tuple[Array, Array]] = []  # each joint's frame from the start, and its twist there
+    for step in way:
+        if step.joint is None:
+            T = T @ step.constant
+            continue
+        T_parent_child = step.joint.transform(q[:, len(moved)])
+        if step.inverted:
+            moved.append((T, -step.joint.twist))
+            T = T @ inverse(T_parent_child)
+        else:
+            T = T @ T_parent_child
+            moved.append((T, step.joint.twist))
+    T_end_start = inverse(T)
+    columns = [adjoint(T_end_start @ T_start_joint) @ twist for T_start_joint, twist in moved]
+    return local(T, targets), np.stack(columns, -1)

@@ -1,15 +1,23 @@
-"""What stands around the robot: the ground and boxes, which rays hit.
+"""What stands around the robot: the ground and boxes, which rays hit, and the light on them.
 
 A wall is a thin box. The distance to what a ray hits is counted in lengths of the ray's direction,
 which need not be 1: with ``direction = target - origin`` a hit below 1 hides the target.
 """
 
-from dataclasses import dataclass
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from calibration.geometry.transforms import apply, inverse
-from calibration.geometry.types import Array, BoolArray
+from calibration.dataset.document import Node
+from calibration.geometry.transforms import apply, from_xyz_rpy, inverse
+from calibration.geometry.types import Array, BoolArray, IntArray
+from calibration.simulation.description import number, numbers, only
+
+NOTHING, GROUND = -2, -1
+"""What a ray hits that is no box; boxes count from 0."""
+MAX_LIGHT = 10.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -20,6 +28,30 @@ class Box:
     """(4, 4)."""
     size: Array
     """(3,): the lengths of its edges, m."""
+    colour: tuple[float, float, float] = (168.0, 164.0, 156.0)
+    """Red, green and blue, 0 to 255, under a light of 1."""
+
+
+def _from_above() -> Array:
+    return np.array([-0.5, 0.4, 1.0])
+
+
+@dataclass(frozen=True, eq=False)
+class Light:
+    """Light from everywhere, and light from far away in one direction; without shadows."""
+
+    ambient: float = 0.75
+    intensity: float = 0.35
+    """Of the light from one direction, on a surface square to it."""
+    direction: Array = field(default_factory=_from_above)
+    """(3,): towards the light, in the world frame, of any length but 0."""
+
+    def on(self, normals: Array) -> Array:
+        """The light (...) on surfaces of unit normals (..., 3) towards the viewer, by Lambert's law."""
+        x, y, z = self.direction / math.hypot(*self.direction)
+        towards = normals[..., 0] * x + normals[..., 1] * y + normals[..., 2] * z
+        light: Array = self.ambient + self.intensity * np.maximum(towards, 0.0)
+        return light
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,6 +61,7 @@ class Scene:
     ground: float | None = None
     """The height of the ground, m."""
     boxes: tuple[Box, ...] = ()
+    light: Light = field(default_factory=Light)
 
     def cast(self, origin: Array, directions: Array) -> Array:
         """The distances (...) along rays to the nearest surface in front; infinite where there is none.
@@ -41,12 +74,32 @@ class Scene:
         rays = np.ascontiguousarray(np.moveaxis(directions, -1, 0))
         nearest = np.full(directions.shape[:-1], np.inf)
         with np.errstate(divide="ignore", invalid="ignore"):
-            if self.ground is not None:
-                t = (self.ground - origins[2]) / rays[2]
-                nearest = np.where(t > 0, t, nearest)
-            for box in self.boxes:
-                nearest = np.fmin(nearest, _cast_at_box(box, origins, rays))
+            for distance in self._distances(origins, rays):
+                nearest = np.fmin(nearest, distance)
         return nearest
+
+    def hit(self, origin: Array, rays: Array) -> tuple[Array, IntArray]:
+        """What rays (3, ...) from one point (3,) hit first, in the world frame.
+
+        Returns:
+            The distances (...) as `cast`, and the surface (...): the index of a box, `GROUND` or `NOTHING`.
+        """
+        nearest = np.full(rays.shape[1:], np.inf)
+        surface = np.full(rays.shape[1:], NOTHING)
+        first = 0 if self.ground is None else GROUND
+        with np.errstate(divide="ignore", invalid="ignore"):
+            for index, distance in enumerate(self._distances(origin, rays), first):
+                nearer = distance < nearest
+                nearest[nearer], surface[nearer] = distance[nearer], index
+        return nearest, surface
+
+    def _distances(self, origins: Array, rays: Array) -> Iterator[Array]:
+        """The distances to the ground, if there is one, and to every box; coordinates stand on the first axis."""
+        if self.ground is not None:
+            t = (self.ground - origins[2]) / rays[2]
+            yield np.where(t > 0, t, np.inf)
+        for box in self.boxes:
+            yield _cast_at_box(box, origins, rays)
 
     def hides(self, origin: Array, points: Array) -> BoolArray:
         """Which points (..., K, 3) cannot be seen from the origins (..., 3)."""
@@ -82,3 +135,51 @@ def _cast_at_box(box: Box, origins: Array, rays: Array) -> Array:
         enter, leave = np.maximum(enter, np.minimum(a, b)), np.minimum(leave, np.maximum(a, b))
     hit: Array = np.where((enter <= leave) & (leave > 0), np.where(enter > 0, enter, leave), np.inf)
     return hit
+
+
+def read_scene(node: Node) -> Scene:
+    """Read what stands around: ``ground_m``, ``boxes`` and ``light``, each of which may be absent.
+
+    Raises:
+        InputError: a key is missing, unknown, or its value out of range.
+    """
+    only(node, "ground_m", "boxes", "light")
+    boxes, light = node.get("boxes"), node.get("light")
+    return Scene(
+        ground=number(node, "ground_m") if node.get("ground_m") else None,
+        boxes=tuple(_read_box(entry) for entry in boxes.elements()) if boxes else (),
+        light=read_light(light) if light else Light(),
+    )
+
+
+def read_light(node: Node) -> Light:
+    """Read ``ambient``, ``intensity`` and the ``direction`` [x, y, z] towards the light; each may be absent.
+
+    Raises:
+        InputError: a key is unknown, or its value out of range.
+    """
+    only(node, "ambient", "direction", "intensity")
+    usual = Light()
+    direction = numbers(node, "direction", 3, tuple(usual.direction.tolist()))
+    if not any(direction):
+        raise node["direction"].fault("found [0, 0, 0], expected a direction towards the light")
+    return Light(
+        ambient=number(node, "ambient", usual.ambient, least=0, most=MAX_LIGHT),
+        intensity=number(node, "intensity", usual.intensity, least=0, most=MAX_LIGHT),
+        direction=np.array(direction),
+    )
+
+
+def _read_box(node: Node) -> Box:
+    only(node, "centre", "size", "rpy", "colour")
+    size = np.array(numbers(node, "size", 3))
+    if (size <= 0).any():
+        raise node["size"].fault("found a length that is not above 0")
+    T_world_box = from_xyz_rpy(numbers(node, "centre", 3), numbers(node, "rpy", 3, (0.0, 0.0, 0.0)))
+    colour = node.get("colour")
+    if colour is None:
+        return Box(T_world_box, size)
+    red, green, blue = colour.numbers(3)
+    if not all(0 <= value <= 255 for value in (red, green, blue)):
+        raise colour.unexpected("three numbers from 0 to 255: red, green, blue")
+    return Box(T_world_box, size, (red, green, blue))

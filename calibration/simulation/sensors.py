@@ -1,7 +1,10 @@
 """The sensors of a simulated system, as ``simulation.yml`` describes them beside the robot.
 
 A camera: ``width`` and ``height``; ``hfov_deg`` with ``principal_point`` if it is not Gazebo's, or
-``K``; ``distortion``, the five coefficients of plumb_bob; ``noise_px`` of its labels.
+``K``; ``distortion``, the five coefficients of plumb_bob; ``blur_px``, ``noise_levels``,
+``vignetting`` and ``exposure`` of its images.
+
+A depth camera: its size and lens as a camera's; ``range_m``, ``noise_m``, ``noise_per_m2``.
 
 A LiDAR: ``rings`` and ``vertical_deg``, or the ``elevations_deg`` of every ring; ``azimuths`` in one
 revolution; ``range_m``, ``noise_m``, ``resolution_m``; ``margin_deg`` that is stored around the pattern.
@@ -17,6 +20,8 @@ from calibration.geometry.cameras import Camera, PlumbBob
 from calibration.geometry.types import Array
 from calibration.simulation.description import interval, number, numbers, only, whole
 
+MAX_PIXELS = 25_000_000
+"""Of one image: beyond it memory runs out."""
 MAX_RINGS = 1000
 MAX_RAYS = 4_000_000
 """Of one scan: beyond it memory runs out before anything useful comes of it."""
@@ -24,11 +29,31 @@ MAX_RAYS = 4_000_000
 
 @dataclass(frozen=True)
 class SimulatedCamera:
-    """A camera and the noise of its labels."""
+    """A camera, and what its lens and its chip make of the light."""
 
     camera: Camera
-    noise: float = 0.3
-    """The standard deviation of a detected corner, each of x and y, px."""
+    blur: float = 0.65
+    """The standard deviation of the lens's Gaussian blur, px."""
+    noise: float = 2.0
+    """The standard deviation of a pixel's brightness, grey levels; the same on its three colours."""
+    vignetting: float = 0.1
+    """How much darker the corners of the image are than its middle, 0 to 1."""
+    exposure: float = 1.0
+    """A factor on the light."""
+
+
+@dataclass(frozen=True)
+class SimulatedDepthCamera:
+    """A camera that measures how far along its optical axis things are."""
+
+    camera: Camera
+    noise: float = 0.001
+    """The standard deviation of a depth near the camera, m."""
+    noise_growth: float = 0.0015
+    """What the square of the depth adds to it, m per m^2, as triangulation does."""
+    least_range: float = 0.3
+    """m along the axis; a surface nearer than that gives no depth."""
+    most_range: float = 6.5
 
 
 @dataclass(frozen=True)
@@ -63,7 +88,10 @@ class SimulatedLidar:
         return np.stack([x, y, np.broadcast_to(np.sin(elevation), shape)], -1)
 
 
-SimulatedSensor = SimulatedCamera | SimulatedLidar
+SimulatedSensor = SimulatedCamera | SimulatedDepthCamera | SimulatedLidar
+
+
+_LENS = ("width", "height", "hfov_deg", "principal_point", "K", "distortion")
 
 
 def read_camera(node: Node) -> SimulatedCamera:
@@ -72,8 +100,39 @@ def read_camera(node: Node) -> SimulatedCamera:
     Raises:
         InputError: a key is missing, unknown, or its value out of range.
     """
-    only(node, "width", "height", "hfov_deg", "principal_point", "K", "distortion", "noise_px")
+    only(node, *_LENS, "blur_px", "noise_levels", "vignetting", "exposure")
+    usual = SimulatedCamera(_read_lens(node))
+    return SimulatedCamera(
+        usual.camera,
+        blur=number(node, "blur_px", usual.blur, least=0, most=20),
+        noise=number(node, "noise_levels", usual.noise, least=0, most=255),
+        vignetting=number(node, "vignetting", usual.vignetting, least=0, most=1),
+        exposure=number(node, "exposure", usual.exposure, least=0, most=100),
+    )
+
+
+def read_depth_camera(node: Node) -> SimulatedDepthCamera:
+    """Read a depth camera's description.
+
+    Raises:
+        InputError: a key is missing, unknown, or its value out of range.
+    """
+    only(node, *_LENS, "range_m", "noise_m", "noise_per_m2")
+    usual = SimulatedDepthCamera(_read_lens(node))
+    least_range, most_range = interval(node, "range_m", (usual.least_range, usual.most_range), least=0)
+    return SimulatedDepthCamera(
+        usual.camera,
+        noise=number(node, "noise_m", usual.noise, least=0, most=10),
+        noise_growth=number(node, "noise_per_m2", usual.noise_growth, least=0, most=10),
+        least_range=least_range,
+        most_range=most_range,
+    )
+
+
+def _read_lens(node: Node) -> Camera:
     width, height = whole(node, "width", 2, 100_000), whole(node, "height", 2, 100_000)
+    if width * height > MAX_PIXELS:
+        raise node["width"].fault(f"found {width} x {height} pixels, expected {MAX_PIXELS} at most")
     if node.get("K"):
         fx, fy, cx, cy = _intrinsics(node)
     else:
@@ -81,10 +140,7 @@ def read_camera(node: Node) -> SimulatedCamera:
         fx = fy = width / 2 / math.tan(math.radians(hfov) / 2)
         # Gazebo's principal point, and so that of ATOM's systems
         cx, cy = numbers(node, "principal_point", 2, (width / 2 + 0.5, height / 2 + 0.5))
-    distortion = PlumbBob(*numbers(node, "distortion", 5, (0.0, 0.0, 0.0, 0.0, 0.0)))
-    return SimulatedCamera(
-        Camera(fx, fy, cx, cy, width, height, distortion), number(node, "noise_px", 0.3, least=0, most=100)
-    )
+    return Camera(fx, fy, cx, cy, width, height, PlumbBob(*numbers(node, "distortion", 5, (0.0, 0.0, 0.0, 0.0, 0.0))))
 
 
 def _intrinsics(node: Node) -> tuple[float, float, float, float]:

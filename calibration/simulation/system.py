@@ -5,15 +5,17 @@ A system is a folder with
 - ``robot.urdf``: the robot, and the patterns that are fixed to it or to the world;
 - ``config.yml``: ATOM's calibration configuration;
 - ``simulation.yml``: what the two do not say. Under ``sensors``, one entry for each of the
-  configuration's (`calibration.simulation.sensors`); under ``scene``, ``ground_m`` and ``boxes`` of
-  ``centre``, ``size``, ``rpy``; under ``motion``, ``pattern_in_model`` (``xyz`` and ``rpy`` of the
-  moved pattern on the model that a motion sequence moves) and what a generated motion keeps to
-  (`MotionRanges`). Lengths are metres, angles radians unless the key says degrees.
+  configuration's (`calibration.simulation.sensors`); under ``patterns``, how a pattern differs from a
+  flat one of the usual layout (``bow_mm``, ``legacy_layout``); under ``scene``, ``ground_m`` and
+  ``boxes`` of ``centre``, ``size``, ``rpy``; under ``motion``, ``pattern_in_model`` (``xyz`` and
+  ``rpy`` of the moved pattern on the model that a motion sequence moves), ``sway_mm`` and what a
+  generated motion keeps to (`MotionRanges`). Lengths are metres, angles radians unless the key says
+  otherwise.
 """
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -25,16 +27,27 @@ from calibration.errors import InputError
 from calibration.files import read_bytes
 from calibration.geometry.transforms import from_xyz_rpy
 from calibration.geometry.types import Array
+from calibration.simulation.board import Board
 from calibration.simulation.description import MAX_BYTES, interval, number, numbers, only
 from calibration.simulation.robot import Robot, read_robot
-from calibration.simulation.scene import Box, Scene
-from calibration.simulation.sensors import SimulatedCamera, SimulatedLidar, SimulatedSensor, read_camera, read_lidar
+from calibration.simulation.scene import Scene, read_scene
+from calibration.simulation.sensors import (
+    SimulatedCamera,
+    SimulatedDepthCamera,
+    SimulatedLidar,
+    SimulatedSensor,
+    read_camera,
+    read_depth_camera,
+    read_lidar,
+)
 from calibration.yaml_file import read_yaml
 
 ROBOT_FILE = "robot.urdf"
 CONFIGURATION_FILE = "config.yml"
 SIMULATION_FILE = "simulation.yml"
 MOTION_FILE = "motion.json"
+MAX_BOW_MM = 100
+"""A pattern that is bent more is none."""
 
 
 @dataclass(frozen=True)
@@ -59,6 +72,9 @@ class System:
     """The name of the system's folder."""
     configuration: Configuration
     robot: Robot
+    """As it is."""
+    nominal: Robot
+    """As it was designed: what a dataset says of it before it is calibrated."""
     patterns: Mapping[str, Pattern]
     sensors: Mapping[str, SimulatedSensor]
     """In the order of the configuration."""
@@ -68,6 +84,12 @@ class System:
     motion: MotionRanges
     sources: Mapping[str, bytes]
     """The files that describe it, by the names that they have in a system's folder."""
+    bows: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    """How far the middle of a pattern stands out, along x and along y, m (`Board.bow`); others are flat."""
+    legacy_layouts: frozenset[str] = frozenset()
+    """The charuco patterns that are laid out as OpenCV did before 4.6."""
+    sway: float = 0.0
+    """The standard deviation of a moved pattern's place, each axis, between what two sensors see of it, m."""
 
     @property
     def cameras(self) -> dict[str, SimulatedCamera]:
@@ -75,9 +97,27 @@ class System:
         return {name: sensor for name, sensor in self.sensors.items() if isinstance(sensor, SimulatedCamera)}
 
     @property
+    def depth_cameras(self) -> dict[str, SimulatedDepthCamera]:
+        """The depth cameras among the sensors."""
+        return {name: sensor for name, sensor in self.sensors.items() if isinstance(sensor, SimulatedDepthCamera)}
+
+    @property
     def lidars(self) -> dict[str, SimulatedLidar]:
         """The LiDARs among the sensors."""
         return {name: sensor for name, sensor in self.sensors.items() if isinstance(sensor, SimulatedLidar)}
+
+    def boards(self, T_world_pattern: Mapping[str, Array]) -> list[Board]:
+        """The patterns at poses (4, 4) in the world, in the order of the configuration."""
+        return [
+            Board(
+                self.configuration.patterns[name],
+                pattern,
+                T_world_pattern[name],
+                self.bows.get(name, (0.0, 0.0)),
+                name in self.legacy_layouts,
+            )
+            for name, pattern in self.patterns.items()
+        ]
 
     @property
     def moved_pattern(self) -> Pattern | None:
@@ -103,21 +143,31 @@ def read_system(folder: Path, robot: Path | None = None, configuration: Path | N
     }
     config = read_configuration(configuration_path)
     simulation = Node(simulation_path, (), read_yaml(simulation_path, "the description of a simulation"))
-    only(simulation, "sensors", "scene", "motion")
+    only(simulation, "sensors", "patterns", "scene", "motion")
     only(simulation["sensors"], *config.sensors)
+    urdf, empty = read_robot(robot_path), _empty(simulation)
+    scene, motion, printed = (simulation.get(key) or empty for key in ("scene", "motion", "patterns"))
+    only(printed, *config.patterns)
+    only(motion, "pattern_in_model", "sway_mm", "distance_m", "tilt_deg", "roll_deg", "partial")
+    for pattern in printed.mapping():
+        only(printed[pattern], "bow_mm", "legacy_layout")
     system = System(
         name=folder.resolve().name,
         configuration=config,
-        robot=read_robot(robot_path),
+        robot=urdf,
+        nominal=urdf,
         patterns={name: pattern.pattern() for name, pattern in config.patterns.items()},
         sensors={
             name: _sensor(simulation["sensors"][name], sensor, configuration_path)
             for name, sensor in config.sensors.items()
         },
-        scene=_scene(simulation.get("scene") or _empty(simulation)),
-        T_model_pattern=_model_to_pattern(simulation.get("motion") or _empty(simulation)),
-        motion=_motion(simulation.get("motion") or _empty(simulation)),
+        scene=read_scene(scene),
+        T_model_pattern=_model_to_pattern(motion),
+        motion=_motion(motion),
         sources=sources,
+        bows={name: _bow(entry) for name, entry in printed.items()},
+        legacy_layouts=frozenset(name for name, entry in printed.items() if _has_legacy_layout(entry)),
+        sway=number(motion, "sway_mm", 0.0, least=0, most=1000) / 1000,
     )
     _check(system, configuration_path)
     return system
@@ -131,27 +181,24 @@ def _sensor(node: Node, sensor: SensorConfiguration, configuration: Path) -> Sim
     match sensor.modality:
         case "rgb":
             return read_camera(node)
+        case "depth":
+            return read_depth_camera(node)
         case "lidar3d":
             return read_lidar(node)
     where = f"{configuration}: sensors/{sensor.name}/modality"
-    raise InputError(f"{where}: found '{sensor.modality}', expected 'rgb' or 'lidar3d'")
+    raise InputError(f"{where}: found '{sensor.modality}', expected 'rgb', 'depth' or 'lidar3d'")
 
 
-def _scene(node: Node) -> Scene:
-    only(node, "ground_m", "boxes")
-    boxes = node.get("boxes")
-    return Scene(
-        ground=number(node, "ground_m") if node.get("ground_m") else None,
-        boxes=tuple(_box(entry) for entry in boxes.elements()) if boxes else (),
-    )
+def _bow(node: Node) -> tuple[float, float]:
+    along_x, along_y = numbers(node, "bow_mm", 2, (0.0, 0.0))
+    if max(abs(along_x), abs(along_y)) > MAX_BOW_MM:
+        raise node["bow_mm"].unexpected(f"two numbers from -{MAX_BOW_MM} to {MAX_BOW_MM}")
+    return along_x / 1000, along_y / 1000
 
 
-def _box(node: Node) -> Box:
-    only(node, "centre", "size", "rpy")
-    size = np.array(numbers(node, "size", 3))
-    if (size <= 0).any():
-        raise node["size"].fault("found a length that is not above 0")
-    return Box(from_xyz_rpy(numbers(node, "centre", 3), numbers(node, "rpy", 3, (0.0, 0.0, 0.0))), size)
+def _has_legacy_layout(node: Node) -> bool:
+    value = node.get("legacy_layout")
+    return value is not None and value.flag()
 
 
 def _model_to_pattern(node: Node) -> Array:
@@ -163,7 +210,6 @@ def _model_to_pattern(node: Node) -> Array:
 
 
 def _motion(node: Node) -> MotionRanges:
-    only(node, "pattern_in_model", "distance_m", "tilt_deg", "roll_deg", "partial")
     ranges = MotionRanges()
     return MotionRanges(
         distance=interval(node, "distance_m", least=0.01, most=1000) if node.get("distance_m") else None,

@@ -13,6 +13,10 @@ import jsonschema
 import pytest
 import yaml
 
+from calibration.dataset.document import Node
+from calibration.simulation.scene import read_scene
+from calibration.simulation.sensors import read_camera, read_depth_camera, read_lidar
+
 from .write_inputs import FILES, README, options, with_inputs, with_tables
 
 PROJECT = Path(__file__).resolve().parents[2]
@@ -45,7 +49,9 @@ def test_inputs_are_those_of_the_command(name: str, bootstrap: ModuleType) -> No
 
 def test_the_readme_shows_every_input_and_output() -> None:
     text = README.read_text()
-    assert {"calibrate-matrix", "introspect-csv"} <= set(re.findall(r"<!-- inputs: (\S+) -->", text))
+    assert {"calibrate-matrix", "collect-data-sim", "introspect-csv"} <= set(
+        re.findall(r"<!-- inputs: (\S+) -->", text)
+    )
     assert text == with_tables(text), "run `make actions`"
 
 
@@ -98,7 +104,7 @@ def test_old_pythons_read_bootstrap_far_enough_to_say_that_they_are_too_old() ->
 
 
 def test_locks_have_hashes_and_no_addresses() -> None:
-    assert LOCKS.keys() == {"introspect.txt", "calibrate.txt", "dev.txt"}
+    assert LOCKS.keys() == {"introspect.txt", "calibrate.txt", "collect.txt", "dev.txt"}
     for text in LOCKS.values():
         assert not re.search(r"://|(?<!\w)/\w|^-", text, re.MULTILINE)
         for requirement in re.split(r"\n(?=\w)", text)[1:]:
@@ -106,16 +112,23 @@ def test_locks_have_hashes_and_no_addresses() -> None:
 
 
 def test_what_is_tested_is_what_the_actions_install(bootstrap: ModuleType) -> None:
-    introspect, calibrate, dev = (
-        bootstrap.pins(PROJECT / "requirements" / name) for name in ("introspect.txt", "calibrate.txt", "dev.txt")
+    introspect, calibrate, collect, dev = (
+        bootstrap.pins(PROJECT / "requirements" / f"{name}.txt")
+        for name in ("introspect", "calibrate", "collect", "dev")
     )
     assert bootstrap.covers(calibrate, introspect)
-    assert bootstrap.covers(dev, calibrate)
+    assert bootstrap.covers(collect, calibrate)
+    assert bootstrap.covers(dev, collect)
 
 
 @pytest.mark.parametrize(
     ("lock", "extras", "groups"),
-    [("introspect.txt", [], []), ("calibrate.txt", ["calibrate", "opencv"], []), ("dev.txt", ["opencv"], ["dev"])],
+    [
+        ("introspect.txt", [], []),
+        ("calibrate.txt", ["calibrate", "opencv"], []),
+        ("collect.txt", ["calibrate", "opencv", "figures"], []),
+        ("dev.txt", ["opencv", "figures", "record"], ["dev"]),
+    ],
 )
 def test_locks_satisfy_pyproject(lock: str, extras: list[str], groups: list[str]) -> None:
     packaging = pytest.importorskip("packaging.requirements")
@@ -133,7 +146,10 @@ def test_locks_satisfy_pyproject(lock: str, extras: list[str], groups: list[str]
         assert all(map(requirement.specifier.contains, versions)), f"{line}: {versions}, run `make lock`"
 
 
-@pytest.mark.parametrize(("lock", "extras"), [("introspect.txt", []), ("calibrate.txt", ["calibrate"])])
+@pytest.mark.parametrize(
+    ("lock", "extras"),
+    [("introspect.txt", []), ("calibrate.txt", ["calibrate"]), ("collect.txt", ["calibrate", "opencv"])],
+)
 def test_an_interpreter_of_ones_own_is_asked_for_all_modules(
     bootstrap: ModuleType, lock: str, extras: list[str]
 ) -> None:
@@ -146,7 +162,7 @@ def test_an_interpreter_of_ones_own_is_asked_for_all_modules(
 
 def test_the_examples_of_the_readme_are_right() -> None:
     blocks = [yaml.safe_load(block) for block in re.findall(r"```yaml\n(.*?)```", README.read_text(), re.DOTALL)]
-    workflow, configuration = blocks
+    workflow, configuration, simulation = blocks
     steps = [step for step in workflow["jobs"]["calibrate"]["steps"] if step["uses"].startswith("OWNER/")]
     used = {step["uses"].partition("@")[0].rpartition("/")[2]: step["with"] for step in steps}
     assert set(used) == {"calibrate-matrix", "introspect-csv"}
@@ -154,3 +170,8 @@ def test_the_examples_of_the_readme_are_right() -> None:
         assert set(given) <= set(options(name))
     schema = json.loads((PROJECT / "calibration/pipeline/calibration.schema.json").read_text())
     jsonschema.validate(configuration, schema)
+    node = Node(README, (), simulation)
+    assert read_camera(node["sensors"]["left_camera"]).camera.distortion.k1 == -0.1
+    assert read_depth_camera(node["sensors"]["depth"]).most_range == 6.5
+    assert len(read_lidar(node["sensors"]["lidar"]).elevations) == 16
+    assert read_scene(node["scene"]).boxes[0].colour == (170, 160, 150)

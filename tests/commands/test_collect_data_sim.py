@@ -1,4 +1,11 @@
+import json
+import os
+import re
 import shutil
+import signal
+import subprocess
+import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -7,6 +14,7 @@ from calibration.__main__ import main
 from calibration.dataset.reading import read_dataset
 
 PROJECT = Path(__file__).resolve().parents[2]
+T2RGB = PROJECT / "datasets" / "t2rgb"
 
 
 @pytest.fixture(autouse=True)
@@ -16,47 +24,53 @@ def in_project(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.delenv(variable, raising=False)
 
 
+@pytest.fixture
+def motion(tmp_path: Path) -> Path:
+    """The first four poses of t2rgb's motion."""
+    poses = json.loads((T2RGB / "motion.json").read_text())
+    path = tmp_path / "four.json"
+    path.write_text(json.dumps({str(i): poses[str(i)] for i in range(1, 5)}))
+    return path
+
+
 def run(*arguments: str | Path) -> int:
     return main(["collect-data-sim", *map(str, arguments)])
 
 
-def same_files(a: Path, b: Path) -> bool:
-    files = [{path.name: path.read_bytes() for path in folder.iterdir()} for folder in (a, b)]
-    return files[0] == files[1]
+def snapshot(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
 
 
-@pytest.mark.parametrize("name", ["t2rgb", "rlbot", "riwbot"])
-def test_a_system_that_ships_by_its_name(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run("--system", name, "--output", tmp_path / name) == 0
-    assert same_files(tmp_path / name, PROJECT / "datasets" / name)
+def test_a_system_by_its_name(motion: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    output = tmp_path / "output"
+    assert run("--system", "t2rgb", "--motion", motion, "--output", output) == 0
     out, err = capsys.readouterr()
     assert err == ""
-    count = len(read_dataset(tmp_path / name).collections)
     lines = out.splitlines()
-    assert lines[0] == f"{name}: {count} poses of datasets/{name}/motion.json, seed 1"
-    assert lines[1].startswith(f"   1/{count}  ")
-    assert lines[-1] == f"{count} collections in {tmp_path / name}"
+    assert lines[0] == f"t2rgb: 4 poses of {motion}, seed 1"
+    assert re.fullmatch(r"\[1/4\] pose [1-4]: left_camera \d+, right_camera \d+", lines[1])
+    assert lines[6].split()[:2] == ["Sensor", "Detected"]
+    assert lines[-1].startswith("pass: t2rgb: 4 of 4 collections kept, calibrates with 0.")
+    assert lines[-1].endswith(f"({output}/results.json)")
+    assert len(read_dataset(output).collections) == 4
 
 
-def test_what_was_detected_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_generated_motion(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     output = tmp_path / "dataset"
-    assert run("--system", "rlbot", "--motion", "generate:3", "--seed", "9", "--output", output) == 0
-    lines = capsys.readouterr().out.splitlines()
-    assert lines[0] == "rlbot: 3 poses of a generated motion, seed 9"
-    assert lines[1].startswith("   1/3  rgb_left ")
-    assert " corners, lidar_right " in lines[1]
-    assert lines[-3] == "lidar_right: detected in 3 of 3 collections"
-    assert lines[-2].startswith("rgb_left: detected in 3 of 3 collections, ")
+    assert run("--system", "rlbot", "--motion", "generate:5", "--seed", "9", "--output", output) == 0
+    assert capsys.readouterr().out.startswith("rlbot: 5 poses of a generated motion, seed 9\n")
+    assert json.loads((output / "ground_truth.json").read_text())["seed"] == 9
 
 
-def test_a_users_own_folder_robot_and_configuration(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_users_own_folder_robot_and_configuration(
+    motion: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     source = tmp_path / "mine"
-    shutil.copytree(PROJECT / "datasets" / "t2rgb", source, ignore=shutil.ignore_patterns("*.json"))
+    shutil.copytree(T2RGB, source, ignore=shutil.ignore_patterns("*.json", "*.jpg"))
     robot, config = tmp_path / "r.urdf", tmp_path / "c.yml"
     (source / "robot.urdf").rename(robot)
     (source / "config.yml").rename(config)
     monkeypatch.chdir(tmp_path)
-    motion = PROJECT / "datasets" / "t2rgb" / "motion.json"
     arguments = ("--robot", robot, "--config", config, "--motion", motion, "--output", "out/put")
     assert run("--system", "mine", *arguments) == 0
     dataset = read_dataset(tmp_path / "out" / "put")
@@ -64,19 +78,31 @@ def test_a_users_own_folder_robot_and_configuration(tmp_path: Path, monkeypatch:
     assert dataset.collections[0].labels.keys() == {("pattern_1", "left_camera"), ("pattern_1", "right_camera")}
 
 
-def test_an_old_dataset_needs_the_flag(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    arguments = ("--system", "riwbot", "--output", tmp_path)
+def test_an_old_dataset_needs_the_flag(motion: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    output = tmp_path / "output"
+    arguments = ("--system", "t2rgb", "--motion", motion, "--output", output)
     assert run(*arguments) == 0
+    first = snapshot(output)
     capsys.readouterr()
     assert run(*arguments) == 2
     out, err = capsys.readouterr()
-    assert f"{tmp_path}/dataset.json: exists already; --overwrite replaces the dataset" in err
+    assert f"{output}/dataset.json: exists already; --overwrite replaces the dataset" in err
     assert len(err.splitlines()) == 1
     assert out == ""
     assert run(*arguments, "--seed", "2", "--overwrite") == 0
-    assert not same_files(tmp_path, PROJECT / "datasets" / "riwbot")
+    assert snapshot(output) != first
     assert run(*arguments, "--overwrite", "true") == 0
-    assert same_files(tmp_path, PROJECT / "datasets" / "riwbot")
+    assert snapshot(output) == first
+
+
+def test_red_is_red(motion: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = ("--system", "t2rgb", "--motion", motion, "--output", tmp_path / "output")
+    assert run(*arguments, "--minimum-collections", "5") == 1
+    out, err = capsys.readouterr()
+    assert "collections: found 4, at least 5 was expected" in out + err
+    assert out.splitlines()[-1].startswith("fail: t2rgb: 4 of 4 collections kept")
+    assert run(*arguments, "--overwrite", "--max-translation-mm", "0.000001") == 1
+    assert run(*arguments, "--overwrite", "--minimum-coverage", "1") == 1
 
 
 @pytest.mark.parametrize(
@@ -93,14 +119,31 @@ def test_an_old_dataset_needs_the_flag(tmp_path: Path, capsys: pytest.CaptureFix
             ("--system", "t2rgb", "--motion", "generate:x"),
             "motion: found 'generate:x', expected generate:N with N from 1",
         ),
+        (("--system", "t2rgb", "--motion", "generate:1001"), "expected generate:N with N from 1 to 1000"),
         (("--system", "t2rgb", "--motion", "no.json"), "it cannot be read: No such file or directory"),
         (("--system", "t2rgb", "--seed", "-1"), "'-1' is not a whole number of at least 0"),
         (("--system", "t2rgb", "--seed", "x"), "'x' is not a whole number of at least 0"),
+        (("--system", "t2rgb", "--minimum-detection-rate", "1.5"), "'1.5' is above 1"),
         (("--system", "t2rgb", "--robot", "no.urdf"), "no.urdf: a file of the system was expected"),
         (("--system", "t2rgb", "--robot", "datasets/rlbot/robot.urdf"), "config.yml: sensors/left_camera/link: frame"),
         (("--system", "tests"), "robot.urdf: a file of the system was expected"),
         (("--system", "t2rgb", "--motion", "datasets/riwbot/motion.json"), "riwbot/motion.json: found no position"),
         ((), "Missing option '--system'"),
+        (("--system", "t2rgb", "--scenarios", "3"), "scenarios and scenario need a scenario-set"),
+        (("--system", "t2rgb", "--scenario", "s1-00001"), "scenarios and scenario need a scenario-set"),
+        (("--system", "t2rgb", "--scenario-set", "datasets/scenarios.yml"), "scenario-set: give either scenarios"),
+        (
+            ("--system", "t2rgb", "--scenario-set", "datasets/scenarios.yml", "--scenario", "17"),
+            "scenario: found '17', expected an id such as s1-00017",
+        ),
+        (
+            ("--system", "t2rgb", "--scenario-set", "no.yml", "--scenarios", "3"),
+            "no.yml: a scenario set was expected",
+        ),
+        (
+            ("--system", "t2rgb", "--scenario-set", "no.yml", "--scenarios", "1000000"),
+            "scenarios: found 1000000, expected 100000 at most",
+        ),
     ],
 )
 def test_bad_input_is_one_line_and_leaves_nothing(
@@ -115,17 +158,79 @@ def test_bad_input_is_one_line_and_leaves_nothing(
 
 
 def test_a_system_without_a_motion(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    shutil.copytree(PROJECT / "datasets" / "t2rgb", tmp_path / "mine", ignore=shutil.ignore_patterns("*.json"))
+    shutil.copytree(T2RGB, tmp_path / "mine", ignore=shutil.ignore_patterns("*.json", "*.jpg"))
     assert run("--system", tmp_path / "mine", "--output", tmp_path / "output") == 2
     assert "mine/motion.json: does not exist; give a motion: a file or generate:N" in capsys.readouterr().err
 
 
-def test_outputs_of_the_step(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_outputs_of_the_step(motion: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("GITHUB_ACTIONS", "true")
     monkeypatch.setenv("GITHUB_OUTPUT", str(tmp_path / "outputs"))
-    assert run("--system", "riwbot", "--output", tmp_path / "d") == 0
-    assert (tmp_path / "outputs").read_text().splitlines() == [
-        f"dataset={tmp_path / 'd'}",
-        "collections=24",
-        'detections={"rgb_world": 24}',
-    ]
+    monkeypatch.setenv("GITHUB_STEP_SUMMARY", str(tmp_path / "summary"))
+    output = tmp_path / "d"
+    assert run("--system", "t2rgb", "--motion", motion, "--output", output) == 0
+    found = dict(line.split("=", 1) for line in (tmp_path / "outputs").read_text().splitlines())
+    assert found["verdict"] == "pass"
+    assert found["dataset"] == str(output)
+    assert found["collections"] == "4"
+    assert json.loads(found["lost"]) == []
+    assert json.loads(found["detection-rate"]) == {"left_camera": 1.0, "right_camera": 1.0}
+    assert 0.01 < float(found["corner-error-px"]) < 0.2
+    assert 0 < float(found["translation-mm"]) < 1
+    assert 0 < float(found["rotation-deg"]) < 0.1
+    assert Path(found["contact-sheet"]).exists()
+    assert Path(found["results"]).exists()
+    assert "Collection in simulation: pass" in (tmp_path / "summary").read_text()
+
+
+def test_many_worlds_and_one_of_them_again(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    worlds = tmp_path / "worlds.yml"
+    worlds.write_text("assembly: {translation_mm: {normal: [0, 3]}}\nmotion: {poses: 4}\n")
+    common = ("--system", "t2rgb", "--scenario-set", worlds)
+    assert run(*common, "--scenarios", "3", "--seed", "4", "--output", tmp_path / "all") == 0
+    out = capsys.readouterr().out
+    assert out.startswith(f"t2rgb: 3 worlds of {worlds}, seed 4\n")
+    assert "pass: 3 of 3 worlds of t2rgb pass" in out.splitlines()[-1]
+    files = snapshot(tmp_path / "all")
+    assert set(files) == {"results.json", "worlds.csv", "worlds.png", "summary.md", "junit.xml"}
+    document = json.loads(files["results.json"])
+    assert [each["id"] for each in document["scenarios"]] == ["s4-00000", "s4-00001", "s4-00002"]
+    assert run(*common, "--scenario", "s4-00002", "--output", tmp_path / "one") == 0
+    again = json.loads((tmp_path / "one" / "results.json").read_text())["calibration"]
+    assert again["translation_mm"] == document["scenarios"][2]["translation_mm"]
+    assert again["rms_px"] == document["scenarios"][2]["rms_px"]
+    assert run(*common, "--scenarios", "2", "--max-translation-mm", "0.00001", "--output", tmp_path / "red") == 1
+    assert json.loads((tmp_path / "red" / "results.json").read_text())["success_rate"] == 0
+    rate = ("--minimum-success-rate", "0")
+    assert run(*common, "--scenarios", "2", "--max-translation-mm", "0.00001", *rate, "--output", tmp_path / "red") == 0
+
+
+@pytest.mark.parametrize("struck", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+def test_a_killed_run_leaves_no_half_dataset_and_goes_on(struck: signal.Signals, tmp_path: Path) -> None:
+    output = tmp_path / "output"
+    command = [sys.executable, "-m", "calibration", "collect-data-sim", "--system", "t2rgb", "--output", str(output)]
+    environment = {k: v for k, v in os.environ.items() if not k.startswith("COVERAGE")}
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env=environment
+    ) as process:
+        assert process.stdout is not None
+        for line in process.stdout:
+            if line.startswith("[ 3/"):
+                process.send_signal(struck)
+                break
+        rest = process.stdout.read()
+        code = process.wait(30)
+    assert code == (-struck if struck == signal.SIGKILL else 128 + struck), rest
+    assert "Traceback" not in rest
+    assert not (output / "dataset.json").exists()
+    done = len(list((output / ".collecting").glob("*.record.json")))
+    assert done >= 3
+    deadline = time.monotonic() + 10
+    while time.monotonic() < deadline:  # workers of a killed parent die too, and free the lock
+        again = subprocess.run([*command, "--jobs", "2"], capture_output=True, text=True, check=False, env=environment)
+        if "another collection into this folder is running" not in again.stderr:
+            break
+        time.sleep(0.2)
+    assert again.returncode == 0, again.stdout + again.stderr
+    assert (output / "dataset.json").exists()
+    assert not (output / ".collecting").exists()

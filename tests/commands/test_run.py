@@ -34,7 +34,7 @@ def test_the_shipped_pipeline_is_green(repository: Path, capsys: pytest.CaptureF
     assert len(found["cells"]) == 12
     assert {cell["method"] for cell in found["comparisons"]} == {"opencv-stereo", "shah", "li"}
     assert all(cell["truth"] for cell in found["cells"])
-    assert "pass: 12 cells calibrated" in capsys.readouterr().out
+    assert "pass: 12 cells calibrated, 1 dataset collected" in capsys.readouterr().out
 
 
 def test_a_lowered_limit_is_red_and_names_the_cells(repository: Path, capsys: pytest.CaptureFixture[str]) -> None:

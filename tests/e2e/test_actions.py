@@ -191,14 +191,53 @@ def test_a_cell_beyond_its_limit_is_red_and_named(repository: Repository) -> Non
 """,
         {
             "my dataset": PROJECT / "datasets" / "t2rgb",
-            "limits.yml": "rules:\n- {column: RMS (pix), row: Averages, max: 0.1}\n",
+            "limits.yml": "rules:\n- {column: RMS (pix), row: Averages, max: 0.01}\n",
         },
     )
     assert run.code == 1, run.log
     assert "exit status 1" in run.log
     assert any(line.startswith("verdict=fail success=") for line in run.printed)
     assert run.outputs == outputs("actions/calibrate-matrix/action.yml")
-    assert any("my dataset" in annotation and "0.1" in annotation for annotation in run.annotations)
+    assert any("my dataset" in annotation and "0.01" in annotation for annotation in run.annotations)
+
+
+ROBOT = PROJECT / "datasets" / "t2rgb"
+COLLECT = """
+- id: collect
+  uses: me/suite/actions/collect-data-sim@v1
+  with:
+    system: my robot
+    motion: generate:4
+    output: collected data
+{more}
+- if: always()
+  run: echo "verdict=$VERDICT kept=$KEPT"; test -s "$SHEET"; test -s "$DATASET/dataset.json"; test -s "$RESULTS"
+  shell: bash
+  env:
+    VERDICT: ${{{{ steps.collect.outputs.verdict }}}}
+    KEPT: ${{{{ steps.collect.outputs.collections }}}}
+    SHEET: ${{{{ steps.collect.outputs.contact-sheet }}}}
+    DATASET: ${{{{ steps.collect.outputs.dataset }}}}
+    RESULTS: ${{{{ steps.collect.outputs.results }}}}
+"""
+
+
+def test_collect_in_simulation(repository: Repository) -> None:
+    run = repository.push(COLLECT.format(more="    seed: 3"), {"my robot": ROBOT})
+    assert run.code == 0, run.log
+    assert run.installations == ["collect"]
+    assert "verdict=pass kept=4" in run.printed
+    assert run.outputs == outputs("actions/collect-data-sim/action.yml")
+    assert run.annotations == []
+
+
+def test_a_dataset_that_does_not_calibrate_well_enough_is_red(repository: Repository) -> None:
+    run = repository.push(COLLECT.format(more='    max-translation-mm: "0.000001"'), {"my robot": ROBOT})
+    assert run.code == 1
+    assert "exit status 1" in run.log
+    assert "verdict=fail kept=4" in run.printed
+    [annotation] = run.annotations
+    assert "translation error against the truth: found" in annotation
 
 
 def test_a_dataset_that_is_not_there_is_bad_input(repository: Repository) -> None:

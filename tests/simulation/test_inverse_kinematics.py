@@ -1,9 +1,12 @@
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 
 from calibration.geometry.transforms import distance, from_xyz_rpy, inverse
 from calibration.simulation.inverse_kinematics import joints_between, reach
 from calibration.simulation.random_streams import stream
-from calibration.simulation.robot import compose
+from calibration.simulation.robot import compose, parse_robot
 from calibration.simulation.system import System
 
 
@@ -39,3 +42,48 @@ def test_what_is_out_of_reach_is_said(systems: dict[str, System]) -> None:
 
 def test_no_joint_between_frames_of_a_tripod(systems: dict[str, System]) -> None:
     assert joints_between(systems["t2rgb"].robot, "tripod", "camera_left_link") == []
+
+
+def test_what_is_reached_is_within_the_limits(systems: dict[str, System]) -> None:
+    robot = systems["riwbot"].robot
+    narrow = replace(
+        robot,
+        joints=tuple(replace(j, lower=-1.0, upper=1.5) if j.name == "elbow_joint" else j for j in robot.joints),
+    )
+    names = [joint.name for joint in joints_between(robot, "base_link", "flange")]
+    q = dict(zip(names, np.random.default_rng(1).uniform(-2, 2, (6, 300)), strict=True))
+    targets = compose(robot.tree, robot.transforms(q), "base_link", "flange")
+    positions, reached = reach(narrow, "base_link", "flange", targets, stream(0))
+    assert 0 < reached.mean() < 0.7
+    narrow.transforms({name: values[reached] for name, values in positions.items()})  # raises outside the limits
+    outside = (positions["elbow_joint"] < -1) | (positions["elbow_joint"] > 1.5)
+    assert outside.any()
+    assert not (outside & reached).any()
+
+
+def test_one_target_does_not_change_what_another_one_gets(systems: dict[str, System]) -> None:
+    robot = systems["riwbot"].robot
+    targets = compose(robot.tree, robot.transforms({"elbow_joint": np.linspace(1, 2, 8)}), "base_link", "flange")
+    far = targets.copy()
+    far[4:, :3, 3] += 9.0
+    alone, mixed = (reach(robot, "base_link", "flange", T, stream(3))[0] for T in (targets, far))
+    for name in alone:
+        np.testing.assert_array_equal(alone[name][:4], mixed[name][:4])
+
+
+def test_a_slide_and_a_hinge(tmp_path: Path) -> None:
+    links = "".join(f'<link name="{name}"/>' for name in "abc")
+    robot = parse_robot(
+        f"""<robot name="r">{links}
+        <joint name="slide" type="prismatic"><parent link="a"/><child link="b"/><origin rpy="0 0 0.4"/>
+          <axis xyz="1 0 0"/><limit lower="0" upper="2"/></joint>
+        <joint name="hinge" type="continuous"><parent link="b"/><child link="c"/><origin xyz="0 0 0.3"/>
+          <axis xyz="0 1 0"/></joint></robot>""".encode(),
+        tmp_path / "robot.urdf",
+    )
+    slide, hinge = np.linspace(0.1, 1.9, 20), np.linspace(-3, 3, 20)
+    targets = compose(robot.tree, robot.transforms({"slide": slide, "hinge": hinge}), "a", "c")
+    positions, reached = reach(robot, "a", "c", targets, stream(5))
+    assert reached.mean() > 0.8
+    np.testing.assert_allclose(positions["slide"][reached], slide[reached], atol=1e-8)
+    np.testing.assert_allclose(positions["hinge"][reached], hinge[reached], atol=1e-8)

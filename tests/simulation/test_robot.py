@@ -3,6 +3,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yourdfpy
 from scipy.spatial.transform import Rotation
 
 from calibration.errors import InputError
@@ -31,6 +32,43 @@ def pose(xyz: tuple[float, ...], rotation: Rotation) -> np.ndarray:
     T = np.eye(4)
     T[:3, :3], T[:3, 3] = rotation.as_matrix(), xyz
     return T
+
+
+def random_chain(random: np.random.Generator) -> str:
+    """A robot with joints of every kind in a row, at random origins about random axes."""
+    kinds = ["revolute", "prismatic", "continuous", "fixed", "revolute", "prismatic"]
+    text = '<robot name="chain"><link name="l0"/>'
+    for i, kind in enumerate(kinds):
+        xyz, rpy, axis = (" ".join(f"{value:.6f}" for value in random.normal(size=3)) for _ in range(3))
+        unit = np.array(axis.split(), float)
+        axis = " ".join(repr(float(value)) for value in unit / np.linalg.norm(unit))
+        text += (
+            f'<link name="l{i + 1}"/><joint name="j{i}" type="{kind}"><parent link="l{i}"/><child link="l{i + 1}"/>'
+            f'<origin xyz="{xyz}" rpy="{rpy}"/><axis xyz="{axis}"/>'
+            '<limit lower="-1" upper="2" effort="1" velocity="1"/></joint>'
+        )
+    return text + "</robot>"
+
+
+@pytest.mark.parametrize("source", ["riwbot", "rlbot", "t2rgb", "chain 1", "chain 2", "chain 3"])
+def test_another_library_finds_every_frame_at_the_same_place(source: str, tmp_path: Path) -> None:
+    random = np.random.default_rng(len(source) + ord(source[-1]))
+    path = DATASETS / source / "robot.urdf"
+    if not path.exists():
+        path = tmp_path / "robot.urdf"
+        path.write_text(random_chain(random))
+    robot = read_robot(path)
+    other = yourdfpy.URDF.load(path, load_meshes=False, build_scene_graph=True)
+    assert set(other.actuated_joint_names) == set(robot.movable)
+    for _ in range(5):
+        positions = {
+            name: random.uniform(max(joint.lower, -3), min(joint.upper, 3)) for name, joint in robot.movable.items()
+        }
+        other.update_cfg(positions)
+        found = robot.transforms({name: np.array([value]) for name, value in positions.items()})
+        for frame in robot.tree.frames:
+            T = compose(robot.tree, found, other.base_link, frame)[0]
+            np.testing.assert_allclose(T, other.get_transform(frame, other.base_link), atol=1e-12)
 
 
 def test_each_kind_of_joint_moves_as_urdf_says() -> None:

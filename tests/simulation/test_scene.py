@@ -1,8 +1,14 @@
+import math
+from pathlib import Path
+from typing import Any
+
 import numpy as np
 import pytest
 
+from calibration.dataset.document import Node
+from calibration.errors import InputError
 from calibration.geometry.transforms import apply, from_xyz_rpy
-from calibration.simulation.scene import Box, Scene
+from calibration.simulation.scene import GROUND, NOTHING, Box, Light, Scene, read_scene
 
 BOX = Box(from_xyz_rpy([3.0, 0.0, 1.0], [0.2, -0.3, 0.5]), np.array([1.0, 2.0, 0.6]))
 
@@ -75,3 +81,68 @@ def test_containing() -> None:
     points = np.array([[3.0, 0, 1], [0, 0, -0.1], [0, 0, 0.1], [9, 9, 9]])
     assert scene.contains(points).tolist() == [True, True, False, False]
     assert scene.contains(points, clearance=0.2).tolist() == [True, True, True, False]
+
+
+def test_a_hit_says_what_is_hit() -> None:
+    scene = Scene(ground=0.0, boxes=(BOX, Box(from_xyz_rpy([-2, 0, 1], [0, 0, 0]), np.ones(3))))
+    origin = np.array([0.0, 0.0, 1.0])
+    directions = np.random.default_rng(3).normal(size=(2, 200, 3))
+    distance, surface = scene.hit(origin, np.moveaxis(directions, -1, 0))
+    np.testing.assert_array_equal(distance, scene.cast(origin, directions))
+    assert set(surface.ravel()) == {NOTHING, GROUND, 0, 1}
+    np.testing.assert_array_equal(surface == NOTHING, np.isinf(distance))
+    first = Scene(boxes=scene.boxes[:1]).cast(origin, directions)
+    np.testing.assert_array_equal(first[surface == 0], distance[surface == 0])
+    points = origin + distance[surface == GROUND][:, None] * directions[surface == GROUND]
+    np.testing.assert_allclose(points[:, 2], 0, atol=1e-12)
+
+
+def test_light_falls_by_the_cosine_and_never_below_the_ambient() -> None:
+    light = Light(ambient=0.3, intensity=0.5, direction=np.array([0.0, 0.0, 7.0]))
+    angles = np.linspace(0, math.pi, 9)
+    normals = np.column_stack([np.sin(angles), np.zeros(9), np.cos(angles)])
+    np.testing.assert_allclose(light.on(normals), 0.3 + 0.5 * np.maximum(np.cos(angles), 0))
+
+
+def node(**entries: Any) -> Node:
+    return Node(Path("simulation.yml"), ("scene",), entries)
+
+
+def test_reading_a_scene() -> None:
+    empty = read_scene(node())
+    assert (empty.ground, empty.boxes, empty.light.ambient) == (None, (), Light().ambient)
+    box = {"centre": [1, 2, 3], "size": [1, 1, 2], "rpy": [0, 0, math.pi / 2], "colour": [255, 0, 10.5]}
+    scene = read_scene(node(ground_m=-0.5, boxes=[box, {"centre": [0, 0, 0], "size": [1, 1, 1]}], light={"ambient": 0}))
+    assert (scene.ground, len(scene.boxes), scene.light.ambient) == (-0.5, 2, 0)
+    assert scene.boxes[0].colour == (255, 0, 10.5)
+    assert scene.boxes[1].colour == Box(np.eye(4), np.ones(3)).colour
+    np.testing.assert_allclose(scene.boxes[0].T_world_box, from_xyz_rpy([1, 2, 3], [0, 0, math.pi / 2]))
+    lit = read_scene(node(light={"direction": [0, -2, 0], "intensity": 2}))
+    np.testing.assert_array_equal(lit.light.direction, [0, -2, 0])
+    assert lit.light.intensity == 2
+
+
+@pytest.mark.parametrize(
+    ("entries", "message"),
+    [
+        ({"light": {"direction": [0, 0, 0]}}, "scene/light/direction: found [0, 0, 0], expected a direction towards"),
+        ({"light": {"ambient": -1}}, "scene/light/ambient: found -1, expected a number from 0 to 10"),
+        (
+            {"light": {"colour": 1}},
+            "scene/light: found the key 'colour', expected one of ambient, direction, intensity",
+        ),
+        (
+            {"boxes": [{"centre": [0, 0, 0], "size": [1, 0, 1]}]},
+            "scene/boxes/0/size: found a length that is not above 0",
+        ),
+        (
+            {"boxes": [{"centre": [0, 0, 0], "size": [1, 1, 1], "colour": [0, 256, 0]}]},
+            "scene/boxes/0/colour: found a list of 3, expected three numbers from 0 to 255: red, green, blue",
+        ),
+        ({"walls": []}, "scene: found the key 'walls', expected one of ground_m, boxes, light"),
+    ],
+)
+def test_what_is_wrong_with_a_scene_is_named(entries: dict[str, Any], message: str) -> None:
+    with pytest.raises(InputError) as error:
+        read_scene(node(**entries))
+    assert message in str(error.value)

@@ -6,6 +6,7 @@ import pytest
 from calibration.errors import InputError
 from calibration.simulation.sensors import SimulatedCamera, SimulatedLidar
 from calibration.simulation.system import System, read_system
+from tests.simulation.conftest import DATASETS
 
 
 def test_the_systems_that_ship_have_the_sensors_of_the_paper(systems: dict[str, System]) -> None:
@@ -44,17 +45,55 @@ sensors:
     camera, lidar = system.sensors["rgb_left"], system.sensors["lidar_right"]
     assert isinstance(camera, SimulatedCamera)
     assert isinstance(lidar, SimulatedLidar)
-    assert (camera.camera.fy, camera.camera.cx, camera.camera.distortion.k1, camera.noise) == (6, 3.5, -0.1, 0.3)
+    assert (camera.camera.fy, camera.camera.cx, camera.camera.distortion.k1, camera.noise) == (6, 3.5, -0.1, 2)
     np.testing.assert_allclose(np.degrees(lidar.elevations), [-1, 0, 3])
     assert system.scene.ground is None
     np.testing.assert_array_equal(system.T_model_pattern, np.eye(4))
+
+
+def test_patterns_may_be_bent_and_sway(system_copy: Path) -> None:
+    path = system_copy / "simulation.yml"
+    text = path.read_text().replace("tilt_deg: 50", "tilt_deg: 50\n  sway_mm: 1.5")
+    path.write_text(text + "patterns: {pattern_1: {bow_mm: [2, -1], legacy_layout: true}}\n")
+    system = read_system(system_copy)
+    (board,) = system.boards({"pattern_1": np.eye(4)})
+    assert board.bow == (0.002, -0.001)
+    assert board.legacy_layout
+    assert system.sway == 0.0015
+    (flat,) = read_system(DATASETS / "rlbot").boards({"pattern_1": np.eye(4)})
+    assert flat.bow == (0, 0)
+    assert not flat.legacy_layout
+
+
+def test_a_depth_camera(system_copy: Path) -> None:
+    for name, old, new in (
+        ("config.yml", "modality: lidar3d", "modality: depth"),
+        (
+            "simulation.yml",
+            "    rings: 16\n    vertical_deg: [-15, 15]\n    azimuths: 1875\n",
+            "    width: 64\n    height: 48\n    hfov_deg: 60\n",
+        ),
+        ("simulation.yml", "    resolution_m: 0.001\n    margin_deg: 5\n", ""),
+    ):
+        path = system_copy / name
+        assert old in path.read_text()
+        path.write_text(path.read_text().replace(old, new))
+    system = read_system(system_copy)
+    assert list(system.depth_cameras) == ["lidar_right"]
+    assert system.lidars == {}
+    assert system.depth_cameras["lidar_right"].noise == 0.008
 
 
 @pytest.mark.parametrize(
     ("file", "old", "new", "message"),
     [
         ("simulation.yml", "sensors:", "sensors: [", "simulation.yml:5: this is not valid YAML: "),
-        ("simulation.yml", "scene:", "szene:", "found the key 'szene', expected one of sensors, scene, motion"),
+        (
+            "simulation.yml",
+            "scene:",
+            "szene:",
+            "found the key 'szene', expected one of sensors, patterns, scene, motion",
+        ),
         ("simulation.yml", "rgb_left:", "rgb:", "sensors: found the key 'rgb', expected one of lidar_right, rgb_left"),
         ("simulation.yml", "  rgb_left: {", "  # {", "sensors: missing key 'rgb_left'"),
         (
@@ -122,7 +161,32 @@ sensors:
         ),
         ("simulation.yml", "distance_m: [1.2, 3.0]", "distance_m: [1.2]", "motion/distance_m: found a list of 1"),
         ("simulation.yml", "tilt_deg: 50", "partial: 2", "motion/partial: found 2, expected a number from 0 to 1"),
-        ("config.yml", "modality: lidar3d", "modality: depth", "sensors/lidar_right/modality: found 'depth', expected"),
+        ("config.yml", "modality: lidar3d", "modality: lidar2d", "sensors/lidar_right/modality: found 'lidar2d', exp"),
+        (
+            "simulation.yml",
+            "scene:",
+            "patterns: {p: {}}\nscene:",
+            "patterns: found the key 'p', expected one of pattern",
+        ),
+        (
+            "simulation.yml",
+            "scene:",
+            "patterns: {pattern_1: {bow: 1}}\nscene:",
+            "patterns/pattern_1: found the key 'bow', expected one of bow_mm, legacy_layout",
+        ),
+        (
+            "simulation.yml",
+            "scene:",
+            "patterns: {pattern_1: {bow_mm: [0, 101]}}\nscene:",
+            "patterns/pattern_1/bow_mm: found a list of 2, expected two numbers from -100 to 100",
+        ),
+        (
+            "simulation.yml",
+            "scene:",
+            "patterns: {pattern_1: {legacy_layout: 1}}\nscene:",
+            "patterns/pattern_1/legacy_layout: found 1, expected true or false",
+        ),
+        ("simulation.yml", "tilt_deg: 50", "sway_mm: -1", "motion/sway_mm: found -1, expected a number from 0 to 1000"),
         (
             "config.yml",
             "    link: rgb_left_optical_frame",

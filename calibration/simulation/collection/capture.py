@@ -1,85 +1,151 @@
-"""Collections in simulation: a motion is played, and at each pose every sensor labels what it sees."""
+"""What the sensors see at one pose of a motion, and what is detected in it."""
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from itertools import combinations
 
-from calibration.dataset.model import CornerLabels, Edge
-from calibration.errors import InputError
-from calibration.geometry.transforms import apply, inverse
+import numpy as np
+
+from calibration.dataset.configuration import PatternConfiguration
+from calibration.dataset.model import CornerLabels
+from calibration.dataset.pattern import Pattern
+from calibration.estimation.single_views import corner_term, fitted_poses
+from calibration.geometry.cameras import Camera
+from calibration.geometry.transforms import inverse, translation
 from calibration.geometry.types import Array
-from calibration.simulation.collection.camera_labels import label_corners
-from calibration.simulation.collection.lidar_labels import PatternPoints, label_cloud
-from calibration.simulation.motion.sequence import Motion
-from calibration.simulation.placement import Placement, place
+from calibration.labelling.corners import CornerDetector, corner_detector
+from calibration.labelling.depth import label_depth
+from calibration.labelling.detection import DepthImage, Image, NotDetected
+from calibration.labelling.points import PatternPoints, label_points
+from calibration.simulation.board import Board
+from calibration.simulation.collection.play import Play
+from calibration.simulation.collection.stored_cloud import stored_cloud
 from calibration.simulation.random_streams import stream
-from calibration.simulation.rendering.lidar import Board, scan
-from calibration.simulation.system import System
+from calibration.simulation.rendering.depth import render_depth
+from calibration.simulation.rendering.image import render_image
+from calibration.simulation.rendering.lidar import scan
+
+Key = tuple[str, str]
+"""(pattern, sensor)."""
 
 
 @dataclass(frozen=True, eq=False)
-class SimulatedCollection:
-    """The truth at one pose, and what the sensors made of it."""
+class Capture:
+    """The data of every sensor at one pose, and the labels of every pattern in it."""
 
-    key: str
-    """Such as "000"."""
-    transforms: Mapping[Edge, Array]
-    """``T_parent_child`` (4, 4) of the robot."""
-    patterns: Mapping[str, Array]
-    """``T_world_pattern`` (4, 4)."""
-    corners: Mapping[tuple[str, str], CornerLabels | None]
-    """By (pattern, camera); None where it is not detected."""
-    points: Mapping[tuple[str, str], PatternPoints | None]
-    """By (pattern, LiDAR); None where it is not detected."""
+    number: int
+    """Of the pose, from 0."""
+    boards: Mapping[str, Sequence[Board]]
+    """The patterns as each sensor saw them, in the order of the configuration; a swaying one is elsewhere for each."""
+    images: Mapping[str, Image]
+    depths: Mapping[str, DepthImage]
     clouds: Mapping[str, Array]
     """(N, 3) in the frame of each LiDAR, m."""
+    corners: Mapping[Key, CornerLabels | NotDetected]
+    points: Mapping[Key, PatternPoints | NotDetected]
+    """Of LiDARs and depth cameras."""
+    estimates: Mapping[Key, Array]
+    """``T_camera_pattern`` (4, 4) of the detected patterns, each from the labels of that one view."""
 
-    def detected(self, sensor: str) -> bool:
-        """Whether the sensor detected any pattern."""
-        return any(
-            labels is not None and name == sensor
-            for found in (self.corners, self.points)
-            for (_, name), labels in found.items()
+    @property
+    def movement(self) -> float:
+        """How far a pattern was from where another sensor saw it, at most, m."""
+        pairs = combinations(self.boards.values(), 2)
+        places = (
+            (a.T_world_pattern, b.T_world_pattern) for one, other in pairs for a, b in zip(one, other, strict=True)
         )
+        return max((float(np.linalg.norm((a - b)[:3, 3])) for a, b in places), default=0.0)
 
 
-def collect(system: System, motion: Motion, seed: int) -> Iterator[SimulatedCollection]:
-    """Play a motion, one collection for each pose.
+def capture(play: Play, number: int) -> Capture:
+    """Let every sensor see one pose, and label what it saw.
 
-    What a sensor sees in a collection depends on the seed, the number of the collection and the
-    sensor's name alone, so any part of a motion's collections is a part of the whole.
-
-    Raises:
-        InputError: the motion does not fit the system (see `place`), or brings a sensor into a box
-            or under the ground. Before the first collection.
+    It depends on the play's seed, the number of the pose and the names of the sensors alone, so
+    any part of a motion's collections is a part of the whole.
     """
-    placement = place(system, motion)
-    free = placement.sensors_are_free(system.scene)
-    if not free.all():
-        raise InputError(f"{motion.source}: a sensor is in a box or under the ground in pose {free.argmin() + 1}")
-    return (_collect_one(system, placement, i, seed) for i in range(len(motion)))
-
-
-def _collect_one(system: System, placement: Placement, number: int, seed: int) -> SimulatedCollection:
-    T_world_pattern = {name: poses[number] for name, poses in placement.patterns.items()}
-    corners: dict[tuple[str, str], CornerLabels | None] = {}
-    for camera, simulated in system.cameras.items():
-        T_world_camera = placement.sensors[camera][number]
-        for name, pattern in system.patterns.items():
-            corners[name, camera] = label_corners(
-                simulated,
-                pattern,
-                inverse(T_world_camera) @ T_world_pattern[name],
-                system.scene.hides(T_world_camera[:3, 3], apply(T_world_pattern[name], pattern.corners)),
-                stream(seed, number, camera, name),
-            )
-    points: dict[tuple[str, str], PatternPoints | None] = {}
-    clouds: dict[str, Array] = {}
-    boards = [Board(T_world_pattern[name], pattern.outline) for name, pattern in system.patterns.items()]
+    system, scene = play.system, play.system.scene
+    patterns = system.configuration.patterns
+    boards = {name: _boards(play, number, name) for name in system.sensors}
+    images, depths, clouds = {}, {}, {}
+    corners: dict[Key, CornerLabels | NotDetected] = {}
+    estimates: dict[Key, Array] = {}
+    for name, camera in system.cameras.items():
+        random = stream(play.seed, number, name)
+        images[name] = render_image(camera, play.true.sensors[name][number], scene, boards[name], random)
+        for pattern, configuration in patterns.items():
+            found = corners[pattern, name] = _detector(configuration).detect(images[name])
+            if isinstance(found, CornerLabels):
+                estimates[pattern, name] = estimate_pose(camera.camera, system.patterns[pattern], found)
+    points: dict[Key, PatternPoints | NotDetected] = {}
+    guesses = {pattern: _guess(play, number, pattern, corners, estimates) for pattern in patterns}
     for name, lidar in system.lidars.items():
-        T_world_lidar = placement.sensors[name][number]
-        measured = scan(lidar, T_world_lidar, system.scene, boards, stream(seed, number, name))
-        cloud = label_cloud(lidar, measured, boards, T_world_lidar)
-        clouds[name] = cloud.points
-        points.update({(pattern, name): found for pattern, found in zip(system.patterns, cloud.patterns, strict=True)})
-    transforms = {edge: T[number] for edge, T in placement.transforms.items()}
-    return SimulatedCollection(f"{number:03d}", transforms, T_world_pattern, corners, points, clouds)
+        T_world_lidar = play.true.sensors[name][number]
+        measured = scan(lidar, T_world_lidar, scene, boards[name], stream(play.seed, number, name))
+        clouds[name] = stored_cloud(lidar, measured, boards[name], T_world_lidar)
+        T_lidar_world = inverse(play.nominal.sensors[name][number])
+        for pattern, T_world_pattern in guesses.items():
+            points[pattern, name] = label_points(
+                clouds[name], system.patterns[pattern], T_lidar_world @ T_world_pattern
+            )
+    for name, depth_camera in system.depth_cameras.items():
+        random = stream(play.seed, number, name)
+        depths[name] = render_depth(depth_camera, play.true.sensors[name][number], scene, boards[name], random)
+        T_camera_world = inverse(play.nominal.sensors[name][number])
+        for pattern, T_world_pattern in guesses.items():
+            points[pattern, name] = label_depth(
+                depths[name], depth_camera.camera, system.patterns[pattern], T_camera_world @ T_world_pattern
+            )
+    return Capture(number, boards, images, depths, clouds, corners, points, estimates)
+
+
+@lru_cache
+def _detector(configuration: PatternConfiguration) -> CornerDetector:
+    return corner_detector(configuration)
+
+
+def _boards(play: Play, number: int, sensor: str) -> list[Board]:
+    """The patterns where one sensor sees them: the one that is moved may sway."""
+    system = play.system
+    boards = system.boards({name: T[number] for name, T in play.true.patterns.items()})
+    if system.sway and system.moved_pattern:
+        offset = system.sway * stream(play.seed, number, sensor, "sway").standard_normal(3)
+        moved = system.moved_pattern.name
+        return [
+            replace(board, T_world_pattern=translation(offset) @ board.T_world_pattern)
+            if board.pattern.name == moved
+            else board
+            for board in boards
+        ]
+    return boards
+
+
+def _guess(
+    play: Play,
+    number: int,
+    pattern: str,
+    corners: Mapping[Key, CornerLabels | NotDetected],
+    estimates: Mapping[Key, Array],
+) -> Array:
+    """``T_world_pattern`` by the camera that sees most of it; where it was to be if none does.
+
+    As a collector knows it: through the robot as it was designed.
+    """
+    counts = {
+        camera: len(found.ids)
+        for (name, camera), found in corners.items()
+        if name == pattern and isinstance(found, CornerLabels) and np.isfinite(estimates[name, camera]).all()
+    }
+    if not counts:
+        T_world_pattern: Array = play.nominal.patterns[pattern][number]
+        return T_world_pattern
+    best = max(counts, key=lambda camera: counts[camera])
+    T_world_camera: Array = play.nominal.sensors[best][number]
+    return T_world_camera @ estimates[pattern, best]
+
+
+def estimate_pose(camera: Camera, pattern: Pattern, labels: CornerLabels) -> Array:
+    """``T_camera_pattern`` (4, 4) by the labels of one view; NaN where they give none."""
+    T_camera_centre, _ = fitted_poses(corner_term(camera, pattern, [labels]))
+    T_camera_pattern: Array = T_camera_centre[0] @ inverse(translation(pattern.centre))
+    return T_camera_pattern

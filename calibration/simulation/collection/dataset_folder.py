@@ -8,44 +8,40 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from calibration.dataset import truth
-from calibration.dataset.pointcloud import write_points
 from calibration.dataset.reading import FILE_NAME
 from calibration.dataset.writing import write_document
 from calibration.errors import InputError, WorldError
-from calibration.simulation.collection.capture import SimulatedCollection
-from calibration.simulation.collection.document import cloud_file, dataset_document, truth_document
-from calibration.simulation.motion.sequence import Motion, motion_document
-from calibration.simulation.system import MOTION_FILE, System
+from calibration.files import place, write_atomically
+from calibration.simulation.collection.document import dataset_document, truth_document
+from calibration.simulation.collection.play import Play
+from calibration.simulation.collection.record import Record
+from calibration.simulation.motion.sequence import motion_document
+from calibration.simulation.system import MOTION_FILE
 
 
-def write_dataset_folder(
-    folder: Path,
-    system: System,
-    motion: Motion,
-    collections: Sequence[SimulatedCollection],
-    seed: int,
-    overwrite: bool = False,
-) -> None:
-    """Write a collected dataset: JSON, point clouds, truth, motion, and the files that describe the system.
+def write_dataset(new: Path, play: Play, kept: Sequence[Record], files: Path) -> None:
+    """Write a collected dataset into a new folder: JSON, truth, motion, and the files that describe the system.
 
-    So the folder is a system's folder too, from which the dataset can be collected again. What
-    else is in it stays there.
+    So the folder is a system's folder too, from which the dataset can be collected again.
+
+    Args:
+        new: the folder, which exists.
+        play: what was collected.
+        kept: the collections, at least one.
+        files: the folder with the images and clouds that their records name; they are linked or copied.
 
     Raises:
-        InputError: nothing is detected, or the folder has a dataset, or other files of these names,
-            and may not be overwritten.
-        WorldError: something cannot be written; the folder is as it was.
+        WorldError: something cannot be written.
     """
-    dataset, true = dataset_document(system, collections), truth_document(system, collections, seed)
-    with replacing_dataset(folder, overwrite) as new:
-        for name, content in system.sources.items():
-            (new / name).write_bytes(content)
-        for collection in collections:
-            for sensor, points in collection.clouds.items():
-                write_points(new / cloud_file(sensor, collection.key), points)
-        write_document(motion_document(motion), new / MOTION_FILE)
-        write_document(true, new / truth.FILE_NAME)
-        write_document(dataset, new / FILE_NAME)
+    for name, content in play.system.sources.items():
+        write_atomically(new / name, content)
+    for record in kept:
+        for message in record.collection["data"].values():
+            if (files / message["data_file"]).exists():
+                place(files / message["data_file"], new / message["data_file"])
+    write_document(motion_document(play.motion), new / MOTION_FILE)
+    write_document(truth_document(play, kept), new / truth.FILE_NAME)
+    write_document(dataset_document(play.system, kept), new / FILE_NAME)
 
 
 def refuse_existing(folder: Path, overwrite: bool) -> None:

@@ -1,54 +1,33 @@
 """The documents of a simulated dataset: ATOM's ``dataset.json``, version 3.0, and the truth beside it.
 
-Numbers are rounded (true poses to a nanometre and a nanoradian, estimated ones to 10 micrometres and
+Numbers are rounded (poses to a nanometre and a nanoradian, estimated ones to 10 micrometres and
 microradians, labels to a ten-thousandth of a pixel), so that the last bits of a machine's arithmetic
 do not show.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import PurePosixPath
 from typing import Any
 
-import numpy as np
-
 from calibration.dataset.configuration import SensorConfiguration
-from calibration.dataset.model import CornerLabels, Edge
-from calibration.dataset.pattern import Pattern
+from calibration.dataset.model import Edge
 from calibration.dataset.pattern_document import pattern_document
-from calibration.errors import InputError
-from calibration.estimation.single_views import corner_term, fitted_poses
-from calibration.geometry import rotations
 from calibration.geometry.cameras import Camera
-from calibration.geometry.transforms import inverse, translation
-from calibration.geometry.types import Array
-from calibration.simulation.collection.capture import SimulatedCollection
-from calibration.simulation.collection.lidar_labels import PatternPoints
-from calibration.simulation.robot import compose
-from calibration.simulation.sensors import SimulatedCamera
+from calibration.simulation.collection.play import Play
+from calibration.simulation.collection.pose_document import pose_document
+from calibration.simulation.collection.record import Record, message_header
+from calibration.simulation.sensors import SimulatedCamera, SimulatedDepthCamera
 from calibration.simulation.system import System
 
 USER = "calibration-ci"
 DATE = "Thu Jan  1 00:00:00 1970"
 TIMESTAMP = "0.0"
 """A simulated dataset is of no day: the same input gives the same bytes."""
-_POSE_DECIMALS = 9
-_ESTIMATE_DECIMALS = 5
-_MESSAGES = {"rgb": "Image", "lidar3d": "PointCloud2"}
+_MESSAGES = {"rgb": "Image", "depth": "Image", "lidar3d": "PointCloud2"}
 
 
-def cloud_file(sensor: str, collection: str) -> str:
-    """The name of a point cloud's file."""
-    return f"{sensor}_{collection}.pcd"
-
-
-def dataset_document(system: System, collections: Sequence[SimulatedCollection]) -> dict[str, Any]:
-    """The content of ``dataset.json``. The calibrated transforms in it are the truth, as in ATOM's simulations.
-
-    Raises:
-        InputError: no camera has detected a pattern in any collection.
-    """
-    if not any(labels for collection in collections for labels in collection.corners.values()):
-        raise InputError(f"no camera of {system.name} detects a pattern in any of the {len(collections)} poses")
+def dataset_document(system: System, kept: Sequence[Record]) -> dict[str, Any]:
+    """The content of ``dataset.json``. The transforms in it are those of the robot as it was designed."""
     configuration = system.configuration
     return {
         "_metadata": {
@@ -64,48 +43,33 @@ def dataset_document(system: System, collections: Sequence[SimulatedCollection])
         "calibration_config": configuration.to_document(),
         "sensors": {name: _sensor(system, sensor) for name, sensor in configuration.sensors.items()},
         "patterns": {
-            name: pattern_document(pattern, _transforms_initial(system, pattern, collections))
+            name: pattern_document(pattern, {record.key: dict(record.initial[name]) for record in kept})
             for name, pattern in system.patterns.items()
         },
         "transforms": _transforms(system),
-        "collections": {
-            collection.key: _collection(system, collection, number) for number, collection in enumerate(collections)
-        },
+        "collections": {record.key: record.collection for record in kept},
     }
 
 
-def truth_document(system: System, collections: Sequence[SimulatedCollection], seed: int) -> dict[str, Any]:
+def truth_document(play: Play, kept: Sequence[Record]) -> dict[str, Any]:
     """The content of ``ground_truth.json``: what a calibration of the dataset should find."""
-    config, first = system.configuration, collections[0].transforms
+    system = play.system
+    config = system.configuration
 
     def constant(edge: Edge) -> dict[str, Any]:
-        return _pose(edge, first[edge])
-
-    def of_patterns(collection: SimulatedCollection) -> Any:
-        poses = [_pose((config.world_link, system.patterns[name].link), T) for name, T in collection.patterns.items()]
-        return poses if len(poses) > 1 else poses[0]
+        return pose_document(edge, play.true.transforms[edge][0])
 
     fixed = [(pattern.parent_link, pattern.link) for pattern in system.patterns.values() if pattern.fixed]
+    errors = [error for record in kept for error in record.errors.values()]
+    corners = sum(error.count for error in errors)
     return {
         "sensors": {name: constant((s.parent_link, s.child_link)) for name, s in config.sensors.items()},
-        "patterns": {collection.key: of_patterns(collection) for collection in collections},
+        "patterns": {r.key: list(r.truth) if len(r.truth) > 1 else r.truth[0] for r in kept},
         **({"pattern": constant(fixed[0])} if len(fixed) == 1 else {}),
         "transforms": [constant(edge) for edge in (*config.additional_tfs.values(), *fixed)],
-        "seed": seed,
-        "px_sigma": max((camera.noise for camera in system.cameras.values()), default=0.0),
+        "seed": play.seed,
+        "corner_rms_px": round((sum(e.count * e.rms**2 for e in errors) / corners) ** 0.5, 4) if corners else None,
         "lidar_sigma": max((lidar.noise for lidar in system.lidars.values()), default=0.0),
-    }
-
-
-def _pose(edge: Edge, T: Array, decimals: int = _POSE_DECIMALS) -> dict[str, Any]:
-    """A transform as ATOM writes it; of the two quaternions of a rotation the one whose last component is positive."""
-    quaternion = np.round(rotations.to_quaternion(T[:3, :3]), decimals)
-    last = quaternion[np.flatnonzero(quaternion)[-1]]
-    return {
-        "parent": edge[0],
-        "child": edge[1],
-        "trans": (np.round(T[:3, 3], decimals) + 0.0).tolist(),
-        "quat": (quaternion * np.sign(last) + 0.0).tolist(),
     }
 
 
@@ -122,7 +86,7 @@ def _sensor(system: System, sensor: SensorConfiguration) -> dict[str, Any]:
         "topic": sensor.topic_name,
     }
     simulated = system.sensors[sensor.name]
-    if isinstance(simulated, SimulatedCamera):
+    if isinstance(simulated, SimulatedCamera | SimulatedDepthCamera):
         document["camera_info_topic"] = str(PurePosixPath(sensor.topic_name).parent / "camera_info")
         document["camera_info"] = _camera_info(simulated.camera, sensor.link)
     return document
@@ -132,7 +96,7 @@ def _camera_info(camera: Camera, frame: str) -> dict[str, Any]:
     d = camera.distortion
     fx, fy, cx, cy = (round(value, 9) for value in (camera.fx, camera.fy, camera.cx, camera.cy))
     return {
-        "header": _header(frame, 0),
+        "header": message_header(frame, 0),
         "height": camera.height,
         "width": camera.width,
         "distortion_model": "plumb_bob",
@@ -144,10 +108,6 @@ def _camera_info(camera: Camera, frame: str) -> dict[str, Any]:
         "binning_y": 0,
         "roi": {"x_offset": 0, "y_offset": 0, "height": 0, "width": 0, "do_rectify": False},
     }
-
-
-def _header(frame: str, number: int) -> dict[str, Any]:
-    return {"frame_id": frame, "seq": number, "stamp": {"secs": 10 * number, "nsecs": 0}}
 
 
 def _transforms(system: System) -> dict[str, Any]:
@@ -167,101 +127,3 @@ def _transforms(system: System) -> dict[str, Any]:
         }
         for joint in system.robot.joints
     }
-
-
-def _collection(system: System, collection: SimulatedCollection, number: int) -> dict[str, Any]:
-    return {
-        "additional_data": {},
-        "data": {
-            name: _message(system, collection, sensor, number) for name, sensor in system.configuration.sensors.items()
-        },
-        "joints": {},
-        "labels": {
-            pattern: {
-                **{name: _corner_labels(collection.corners[pattern, name]) for name in system.cameras},
-                **{name: _point_labels(collection.points[pattern, name]) for name in system.lidars},
-            }
-            for pattern in system.patterns
-        },
-        "transforms": {f"{p}-{c}": _pose((p, c), T) for (p, c), T in collection.transforms.items()},
-    }
-
-
-def _message(
-    system: System, collection: SimulatedCollection, sensor: SensorConfiguration, number: int
-) -> dict[str, Any]:
-    """The ROS message of a sensor without its data; a camera has no image yet, so no file is named."""
-    simulated = system.sensors[sensor.name]
-    header = _header(sensor.link, number)
-    if isinstance(simulated, SimulatedCamera):
-        width, height = simulated.camera.width, simulated.camera.height
-        return {
-            "encoding": "bgr8",
-            "header": header,
-            "height": height,
-            "is_bigendian": 0,
-            "step": 3 * width,
-            "width": width,
-        }
-    points = len(collection.clouds[sensor.name])
-    return {
-        "data_file": cloud_file(sensor.name, collection.key),
-        "fields": [{"name": axis, "offset": 4 * i, "datatype": 7, "count": 1} for i, axis in enumerate("xyz")],
-        "header": header,
-        "height": 1,
-        "is_bigendian": False,
-        "is_dense": True,
-        "point_step": 12,
-        "row_step": 12 * points,
-        "width": points,
-    }
-
-
-def _corner_labels(labels: CornerLabels | None) -> dict[str, Any]:
-    if labels is None:
-        return {"detected": False, "idxs": []}
-    rows = zip(labels.ids.tolist(), labels.pixels.tolist(), strict=True)
-    return {"detected": True, "idxs": [{"id": i, "x": x, "y": y} for i, (x, y) in rows]}
-
-
-def _point_labels(labels: PatternPoints | None) -> dict[str, Any]:
-    if labels is None:
-        return {"detected": False, "idxs": [], "idxs_limit_points": []}
-    return {
-        "detected": True,
-        "idxs": labels.on_pattern.tolist(),
-        "idxs_limit_points": labels.on_border.tolist(),
-    }
-
-
-def _transforms_initial(
-    system: System, pattern: Pattern, collections: Sequence[SimulatedCollection]
-) -> dict[str, dict[str, Any]]:
-    """Where the pattern stands in each collection by the labels of the first camera that detected it.
-
-    It is estimated through the transforms in the file, as ATOM does when it collects.
-    """
-    estimates: dict[str, dict[str, Any]] = {c.key: {"detected": False} for c in collections}
-    for name, simulated in reversed(system.cameras.items()):  # so that the first camera has the last word
-        seen = [c for c in collections if c.corners[pattern.name, name] is not None]
-        if not seen:
-            continue
-        link = system.configuration.sensors[name].link
-        chains = _by_edge(seen)
-        T_parent_camera = compose(system.robot.tree, chains, pattern.parent_link, link)
-        views = [labels for c in seen if (labels := c.corners[pattern.name, name]) is not None]
-        T_parent_pattern = T_parent_camera @ estimate_poses(simulated.camera, pattern, views)
-        for collection, T in zip(seen, T_parent_pattern, strict=True):
-            pose = _pose((pattern.parent_link, pattern.link), T, _ESTIMATE_DECIMALS)
-            estimates[collection.key] = {"detected": True, "sensor": name, **pose}
-    return estimates
-
-
-def _by_edge(collections: Sequence[SimulatedCollection]) -> Mapping[Edge, Array]:
-    return {edge: np.array([c.transforms[edge] for c in collections]) for edge in collections[0].transforms}
-
-
-def estimate_poses(camera: Camera, pattern: Pattern, views: Sequence[CornerLabels]) -> Array:
-    """``T_camera_pattern`` (V, 4, 4) of each view alone, from its labels."""
-    T_camera_centre, _ = fitted_poses(corner_term(camera, pattern, views))
-    return T_camera_centre @ inverse(translation(pattern.centre))

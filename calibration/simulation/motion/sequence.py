@@ -6,7 +6,7 @@ with joints each has ``joints`` {name: position}, in place of the two or beside 
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,7 @@ from calibration.dataset.document import Node, read_json
 from calibration.dataset.edges import QUATERNION_TOLERANCE
 from calibration.geometry import rotations
 from calibration.geometry.transforms import from_quaternion
-from calibration.geometry.types import Array
+from calibration.geometry.types import Array, IntArray
 from calibration.simulation.description import only
 
 MAX_POSES = 10_000
@@ -50,8 +50,9 @@ class Motion:
             return None
         return from_quaternion(self.positions, self.orientations)
 
-    def take(self, index: list[int]) -> "Motion":
+    def take(self, index: Sequence[int] | IntArray) -> "Motion":
         """The motion through only the poses of these indices, in this order."""
+        index = np.asarray(index, int)
         return replace(
             self,
             positions=None if self.positions is None else self.positions[index],
@@ -68,6 +69,18 @@ def moving_model(model_poses: Array) -> Motion:
 def moving_joints(joints: Mapping[str, Array]) -> Motion:
     """The motion of joints through positions (N,), as finely as a file holds it."""
     return Motion(None, None, {name: _rounded(positions) for name, positions in joints.items()})
+
+
+def joined(motions: Sequence[Motion]) -> Motion:
+    """One motion through the poses of several, which all move the same."""
+    first = motions[0]
+    if first.positions is None or first.orientations is None:
+        positions = orientations = None
+    else:
+        positions = np.concatenate([motion.positions for motion in motions if motion.positions is not None])
+        orientations = np.concatenate([motion.orientations for motion in motions if motion.orientations is not None])
+    joints = {name: np.concatenate([motion.joints[name] for motion in motions]) for name in first.joints}
+    return replace(first, positions=positions, orientations=orientations, joints=joints)
 
 
 def read_motion(path: Path) -> Motion:

@@ -1,39 +1,14 @@
 """Scans of a simulated LiDAR: rays against the pattern, the ground and the boxes around."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from calibration.geometry.transforms import apply, inverse
 from calibration.geometry.types import Array, BoolArray, IntArray
+from calibration.simulation.board import Board
 from calibration.simulation.scene import Scene
 from calibration.simulation.sensors import SimulatedLidar
-
-
-@dataclass(frozen=True, eq=False)
-class Board:
-    """A pattern as an obstacle: its rectangular border in its plane z = 0, without thickness."""
-
-    T_world_pattern: Array
-    """(4, 4)."""
-    outline: Array
-    """(4, 2): `calibration.dataset.pattern.Pattern.outline`."""
-
-    def cast(self, origin: Array, directions: Array) -> Array:
-        """The distances (...) along rays from one point (3,); infinite where they miss. See `Scene.cast`."""
-        T_pattern_world = inverse(self.T_world_pattern)
-        start = apply(T_pattern_world, origin[None])[0]
-        x, y, z = T_pattern_world[:3, :3] @ np.moveaxis(directions, -1, 0).reshape(3, -1)
-        (left, top), (right, bottom) = self.outline.min(axis=0), self.outline.max(axis=0)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            t = -start[2] / z
-            u, v = start[0] + t * x, start[1] + t * y
-            hit = (t > 0) & (u >= left) & (u <= right) & (v >= top) & (v <= bottom)
-        return np.where(hit, t, np.inf).reshape(directions.shape[:-1])
-
-    def corners(self) -> Array:
-        """(4, 3): the corners of the border in the world frame."""
-        return apply(self.T_world_pattern, np.column_stack([self.outline, np.zeros(4)]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +32,7 @@ def scan(
     lidar: SimulatedLidar,
     T_world_lidar: Array,
     scene: Scene,
-    boards: list[Board],
+    boards: Sequence[Board],
     random: np.random.Generator,
 ) -> Scan:
     """Cast every ray; the nearest surface comes back, with Gaussian noise along the ray.

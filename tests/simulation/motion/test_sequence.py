@@ -8,7 +8,14 @@ import pytest
 from calibration.errors import InputError
 from calibration.geometry import rotations
 from calibration.geometry.transforms import from_xyz_rpy
-from calibration.simulation.motion.sequence import Motion, motion_document, moving_joints, moving_model, read_motion
+from calibration.simulation.motion.sequence import (
+    Motion,
+    joined,
+    motion_document,
+    moving_joints,
+    moving_model,
+    read_motion,
+)
 
 POSE = {"position": {"x": 1, "y": 2, "z": 3}, "orientation": {"x": 0, "y": 0, "z": 0.6, "w": 0.8}}
 JOINTS = {"joints": {"a": 1.5, "b": -2}}
@@ -115,3 +122,12 @@ def test_what_is_wrong_is_said_in_one_line(tmp_path: Path, document: Any, messag
     with pytest.raises(InputError) as error:
         read_motion(path)
     assert str(error.value) == f"{path}: {message}"
+
+
+def test_motions_joined() -> None:
+    model = Motion(np.arange(12.0).reshape(4, 3), np.tile([0.0, 0, 0, 1], (4, 1)), {"a": np.arange(4.0)})
+    arm = Motion(None, None, {"a": np.arange(4.0), "b": -np.arange(4.0)})
+    for motion in (model, arm):
+        parts = [motion.take(range(1)), motion.take([]), motion.take([1, 2]), motion.take(np.array([3]))]
+        assert [len(part) for part in parts] == [1, 0, 2, 1]
+        assert motion_document(joined(parts)) == motion_document(motion)

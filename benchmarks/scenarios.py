@@ -1,0 +1,29 @@
+"""Many worlds of t2rgb: collected, calibrated, held against their truth."""
+
+from collections.abc import Iterator
+
+from benchmarks.rows import Bar, Row
+from benchmarks.shared_data import ROOT
+from benchmarks.timing import seconds
+from calibration.simulation.scenarios.report import Report
+from calibration.simulation.scenarios.result import ScenarioResult
+from calibration.simulation.scenarios.run import run_scenarios
+from calibration.simulation.scenarios.scenario_set import read_scenario_set
+from calibration.simulation.system import read_system
+
+
+def measure(quick: bool) -> Iterator[Row]:
+    """Worlds a second on all cores, and how far their calibrations are from the truth."""
+    count = 10 if quick else 40
+    worlds = read_scenario_set(ROOT / "datasets" / "scenarios.yml", read_system(ROOT / "datasets" / "t2rgb"))
+    results: list[ScenarioResult] = []
+    took = seconds(lambda: results.extend(run_scenarios(worlds, 1, range(count))))
+    report = Report(results)
+    errors = report.percentiles("translation_mm")
+    note = f"{count} worlds of t2rgb with 12 poses each"
+    yield Row("scenarios/worlds per second", count / took, "1/s", Bar(low=100 / 120), note)
+    yield Row("scenarios/calibrate", 100 * len(report.calibrated) / count, "%", Bar(low=100))
+    if errors:
+        yield Row(
+            "scenarios/median error", errors[50], "mm", None, f"95 %: {errors[95]:.3g} mm, worst: {errors[100]:.3g} mm"
+        )

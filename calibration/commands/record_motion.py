@@ -1,0 +1,107 @@
+"""``record-motion``: a page in the browser where a motion sequence is made by hand."""
+
+import os
+import threading
+from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import click
+
+from calibration.commands.collect_data_sim import system_folder
+from calibration.commands.parameters import boolean_option, integer, path, text
+from calibration.errors import ExitCode, InputError, WorldError
+from calibration.workflow import Runner, stop_commands
+
+MAX_PORT = 65535
+
+
+def port_number(value: str | int) -> int:
+    """Read a port, 0 for any that is free; a usage error for anything else."""
+    port = integer(value)
+    if not 0 <= port <= MAX_PORT:
+        raise click.BadParameter(f"{value!r} is not a port from 0 to {MAX_PORT}")
+    return port
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What ``record-motion`` is asked."""
+
+    system: str
+    """The name of a system in ``datasets/``, or a folder."""
+    robot: Path | None = None
+    config: Path | None = None
+    motion: Path | None = None
+    """A sequence to begin with."""
+    output: Path = Path("motion.json")
+    host: str = "127.0.0.1"
+    port: int = 8080
+    open: bool = False
+
+
+@click.command("record-motion")
+@click.option("--system", type=text, required=True, help="Name of a system in datasets/, or the folder of one.")
+@click.option("--robot", type=path, help="URDF file, in place of the system's robot.urdf.")
+@click.option("--config", type=path, help="ATOM's calibration configuration, in place of the system's config.yml.")
+@click.option("--motion", type=path, help="Motion sequence (JSON) to begin with; none unless given.")
+@click.option(
+    "--output", type=path, default="motion.json", show_default=True, help="File that the sequence is exported to."
+)
+@click.option(
+    "--host", type=text, default="127.0.0.1", show_default=True, help="Address to serve the page on; this machine only."
+)
+@click.option("--port", type=port_number, default=8080, show_default=True, help="Port of the page; 0 for a free one.")
+@boolean_option("--open", help="Open the page in the browser.")
+def command(**options: Any) -> ExitCode:
+    """Record a motion sequence on a page in the browser: drag the pattern, see what the cameras see, save."""
+    settings = Settings(**{name: value for name, value in options.items() if value is not None})
+    return record_motion(settings, Runner.from_environment(os.environ))
+
+
+def record_motion(settings: Settings, runner: Runner) -> ExitCode:
+    """Serve the page until the command is stopped; poses that are in no file then go into one beside the output.
+
+    Raises:
+        InputError: an input is missing or wrong.
+        WorldError: viser is not installed, the port is taken, or a file cannot be written.
+    """
+    if find_spec("viser") is None:
+        raise WorldError("record-motion needs viser: pip install 'calibration-ci[record]'")
+    if settings.output.is_dir():
+        raise InputError(f"{settings.output}: is a folder, expected a file for the sequence")
+    from calibration.recorder.markup import poses
+    from calibration.recorder.page import Page
+    from calibration.recorder.preview import preview
+    from calibration.recorder.server import address, is_loopback, serving
+    from calibration.recorder.session import Session
+    from calibration.simulation.motion.prediction import predicted_sigmas
+    from calibration.simulation.motion.sequence import read_motion
+    from calibration.simulation.system import read_system
+
+    system = read_system(system_folder(settings.system), settings.robot, settings.config)
+    session = Session(system, read_motion(settings.motion) if settings.motion else None)
+    with serving(settings.host, settings.port) as server:
+        page = Page(
+            server,
+            session,
+            settings.output,
+            look=lambda pose: preview(system, pose),
+            rate=lambda motion: predicted_sigmas(system, motion),
+        )
+        try:
+            with stop_commands(runner):  # names in files that others wrote
+                runner.log(f"{system.name}: the motion recorder is at {address(server)} (Ctrl-C ends it)")
+                if not is_loopback(settings.host):
+                    runner.log(f"whoever reaches {settings.host} can use it and write files beside {settings.output}")
+            if settings.open:
+                click.launch(address(server))
+            threading.Event().wait()
+        finally:
+            page.close()
+            saved = session.autosave(settings.output)
+            if saved is not None:
+                with stop_commands(runner):
+                    runner.log(f"{poses(len(session.poses))} not exported, now in {saved}")
+    return ExitCode.PASS

@@ -1,0 +1,10 @@
+"""Patterns found in the data of cameras, LiDARs and depth cameras, real or simulated.
+
+- ``detection``: images, and what every detector answers where it sees no pattern;
+- ``corners``: the detector of corners for a pattern, of which there are two, ``charuco`` and ``chessboard``;
+- ``markers``, ``layouts``: the markers of a charuco board, and which of OpenCV's two layouts they speak for;
+- ``board_image``: where corners are, by the corners around them, and which of them do not fit;
+- ``printed_corners``: where corners are exactly, and whether they look as printed;
+- ``points``, ``depth``: the points of a LiDAR, and the pixels of a depth image, on a pattern and its border;
+- ``board_plane``: the plane and the place of a board among measured points.
+"""

@@ -1,0 +1,140 @@
+"""The pixels of a depth image that lie on a pattern, and those on its border."""
+
+import numpy as np
+
+from calibration.dataset.pattern import Pattern
+from calibration.geometry.cameras import Camera
+from calibration.geometry.transforms import apply
+from calibration.geometry.types import Array, BoolArray
+from calibration.labelling.board_plane import END, LEAST_POINTS, SLACK, find_board
+from calibration.labelling.detection import DEPTH_UNIT, NO_RETURN, DepthImage, NotDetected
+from calibration.labelling.points import TOLERANCE, PatternPoints
+
+SEARCHED = 5000
+"""Pixels among which the plane is searched, about."""
+EDGE = 0.025
+"""So near to the image's edge, as a share of its width and height, nothing is on a border (ATOM's rule)."""
+AROUND = 0.1
+"""So far around the place where the pattern may be, pixels are looked at, m."""
+
+
+def label_depth(
+    depth: DepthImage,
+    camera: Camera,
+    pattern: Pattern,
+    T_sensor_pattern: Array,
+    tolerance: float = TOLERANCE,
+    most: int | None = 5000,
+) -> PatternPoints | NotDetected:
+    """The pixels of a depth image that lie on a pattern: the largest connected region on its plane and place.
+
+    A pixel of the region is on the border when the pixel beside it goes past the board or sees
+    nothing, it does not lie well inside of where the other points put the border, and it is not
+    near the edge of the image. Where something nearer hides the rest there is no border.
+
+    Args:
+        depth: (H, W), tenths of a millimetre along the optical axis; 65535 (and 0) where nothing came back.
+        camera: its intrinsics.
+        pattern: its geometry.
+        T_sensor_pattern: (4, 4), where the pattern is expected, as from another camera and a first guess.
+        tolerance: how far, at most, any place of the board is from where it is expected, m.
+        most: how many pixels of the region, and of the border, are given; evenly thinned. None for all.
+
+    Returns:
+        Linear indices ``y * width + x``.
+    """
+    part = _window(depth.shape, camera, pattern, T_sensor_pattern, tolerance)
+    rays = _rays(camera, part)
+    points = rays * _metres(depth[part])[..., None]
+    flat = points.reshape(-1, 3)
+    step = int(np.ceil(np.sqrt(max(1, len(flat) / SEARCHED))))
+    board = find_board(points[::step, ::step].reshape(-1, 3), pattern.outline, T_sensor_pattern, tolerance)
+    if isinstance(board, NotDetected):
+        return board
+    crossing = board.crossing(rays.reshape(-1, 3))
+    inside, behind = board.inside(crossing), board.behind(flat)
+    if reason := board.absent(behind, inside, sure=tolerance / 4):
+        return NotDetected(reason)
+    region = _largest((board.on_plane(flat) & (inside > -SLACK)).reshape(points.shape[:2]))
+    if region.sum() < LEAST_POINTS:
+        return NotDetected(f"{region.sum()} points on the pattern, at least {LEAST_POINTS} are needed")
+    beyond = (board.passed(behind) | np.isnan(behind)).reshape(region.shape)
+    at_end = (inside < END + 2 * _spacing(crossing, region.shape)).reshape(region.shape)
+    border = region & _beside(beyond & ~region) & at_end & _within(depth.shape, part)
+    numbers = np.arange(depth.size).reshape(depth.shape)[part]
+    border = _thinned(border, most)
+    return PatternPoints(numbers[_thinned(region, most) | border], numbers[border])
+
+
+def _window(
+    shape: tuple[int, ...], camera: Camera, pattern: Pattern, T_sensor_pattern: Array, tolerance: float
+) -> tuple[slice, slice]:
+    """The part of the image in which the pattern can be; all of it when that reaches behind the camera."""
+    reach = tolerance + AROUND
+    low, high = pattern.outline.min(axis=0) - reach, pattern.outline.max(axis=0) + reach
+    corners = np.stack(np.meshgrid([low[0], high[0]], [low[1], high[1]], [-tolerance, tolerance]), -1).reshape(-1, 3)
+    pixels, visible = camera.project_visible(apply(T_sensor_pattern, corners))
+    if not visible.all():
+        return slice(0, shape[0]), slice(0, shape[1])
+    (left, top), (right, bottom) = np.floor(pixels.min(axis=0)), np.ceil(pixels.max(axis=0))
+    rows = np.clip([top, bottom + 1], 0, shape[0]).astype(int)
+    columns = np.clip([left, right + 1], 0, shape[1]).astype(int)
+    return slice(*rows.tolist()), slice(*columns.tolist())
+
+
+def _rays(camera: Camera, part: tuple[slice, slice]) -> Array:
+    """(h, w, 3): the directions (x, y, 1) of the pixels of a part of the image."""
+    v, u = np.mgrid[part].astype(float)
+    return np.concatenate([camera.normalise(np.stack([u, v], -1)), np.ones((*u.shape, 1))], -1)
+
+
+def _metres(depth: DepthImage) -> Array:
+    """Depths in metres; NaN where nothing came back."""
+    return np.where((depth == NO_RETURN) | (depth == 0), np.nan, depth * DEPTH_UNIT)
+
+
+def _largest(region: BoolArray) -> BoolArray:
+    """The largest part of a region (h, w) whose pixels are connected by their sides."""
+    import cv2
+
+    count, parts, stats, _ = cv2.connectedComponentsWithStats(region.astype(np.uint8), connectivity=4)
+    if count < 2:
+        return region
+    largest: BoolArray = parts == 1 + int(np.array(stats)[1:, cv2.CC_STAT_AREA].argmax())
+    return largest
+
+
+def _beside(region: BoolArray) -> BoolArray:
+    """The pixels (h, w) that have one of a region above, below, left or right of them."""
+    beside = np.zeros_like(region)
+    beside[1:] |= region[:-1]
+    beside[:-1] |= region[1:]
+    beside[:, 1:] |= region[:, :-1]
+    beside[:, :-1] |= region[:, 1:]
+    return beside
+
+
+def _spacing(crossing: Array, shape: tuple[int, int]) -> Array:
+    """How far apart (h * w,) the rays of neighbouring pixels cross the plane, m."""
+    grid = crossing.reshape(*shape, 2)
+    down = np.linalg.norm(np.diff(grid, axis=0, append=grid[-1:]), axis=-1)
+    right = np.linalg.norm(np.diff(grid, axis=1, append=grid[:, -1:]), axis=-1)
+    spacing: Array = np.maximum(down, right).ravel()
+    return spacing
+
+
+def _within(shape: tuple[int, ...], part: tuple[slice, slice]) -> BoolArray:
+    """Which pixels of a part of an image are not near its edge."""
+    v, u = np.mgrid[part]
+    near = (np.minimum(v, shape[0] - 1 - v) < EDGE * shape[0]) | (np.minimum(u, shape[1] - 1 - u) < EDGE * shape[1])
+    away: BoolArray = ~near
+    return away
+
+
+def _thinned(region: BoolArray, most: int | None) -> BoolArray:
+    """At most so many pixels of a region (h, w), evenly spread over them."""
+    chosen = np.flatnonzero(region)
+    step = 1 if most is None else max(1, -(-len(chosen) // most))
+    thinned = np.zeros(region.size, bool)
+    thinned[chosen[::step]] = True
+    return thinned.reshape(region.shape)

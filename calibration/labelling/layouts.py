@@ -1,0 +1,102 @@
+"""How a charuco board is laid out, and which layout the markers of an image speak for.
+
+OpenCV 4.6 changed the layout of boards with an even number of rows of squares: the square at the top
+left was white and is black since ("legacy pattern"). The corners and their ids are the same, the
+markers lie elsewhere. With an odd number of rows both layouts are one.
+
+In the wrong layout every second row of markers is one square too far to the left and the others too
+far to the right, so no homography of the board agrees with both.
+
+Places on the board are in squares, from its top left corner; x to the right, y down.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from calibration.geometry.types import Array
+from calibration.labelling.board_image import project
+from calibration.labelling.markers import Markers
+from calibration.labelling.printed_corners import PrintedPatches
+
+TEXELS = 32
+"""Of the drawn board along the side of a square."""
+AGREEMENT = 0.3
+"""A marker agrees with a homography of the board when its corners are nearer than that (squares)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Layout:
+    """One layout of a board."""
+
+    markers: Array
+    """(M, 4, 2): the corners of each marker, by id, clockwise from its top left."""
+    patches: PrintedPatches
+    """What is printed around each corner."""
+
+
+@dataclass(frozen=True, eq=False)
+class Reading:
+    """The markers of an image that agree with one layout."""
+
+    layout: Layout
+    markers: Markers
+    H: Array
+    """(3, 3): roughly, places on the board to pixels."""
+
+    def share(self, height: int, width: int) -> float:
+        """How many of the markers that should be in the image are read, 0 to 1."""
+        centres, _ = project(self.H, self.layout.markers.mean(axis=1))
+        expected = ((centres > 0) & (centres < np.array([width, height]) - 1)).all(-1).sum()
+        return len(self.markers) / max(int(expected), len(self.markers), 1)
+
+
+def board_layouts(
+    columns: int, rows: int, marker: float, dictionary: "cv2.aruco.Dictionary", corners: Array
+) -> list[Layout]:
+    """The layouts that a board may have: one, or the modern and the legacy one.
+
+    Args:
+        columns: of squares.
+        rows: of squares.
+        marker: the side of a marker, in squares.
+        dictionary: of the markers.
+        corners: (K, 2), the inner corners by id.
+    """
+    layouts = []
+    for legacy in (False, True) if rows % 2 == 0 else (False,):
+        board = cv2.aruco.CharucoBoard((columns, rows), 1.0, marker, dictionary)
+        board.setLegacyPattern(legacy)
+        drawing = np.asarray(
+            board.generateImage((columns * TEXELS, rows * TEXELS), marginSize=0, borderBits=1), np.uint8
+        )
+        markers = np.array(board.getObjPoints(), float)[..., :2]
+        layouts.append(Layout(markers, PrintedPatches(drawing, TEXELS, corners)))
+    return layouts
+
+
+def readings(layouts: Sequence[Layout], markers: Markers) -> list[Reading]:
+    """The layouts with which most markers agree, and those markers; more than one where the markers do not tell."""
+    found = [reading for layout in layouts if (reading := _read(layout, markers)) is not None]
+    most = max((len(reading.markers) for reading in found), default=0)
+    return [reading for reading in found if len(reading.markers) == most]
+
+
+def _read(layout: Layout, markers: Markers) -> Reading | None:
+    """The largest group of markers that one homography explains; None where there is none."""
+    if not len(markers):
+        return None
+    places = layout.markers[markers.ids]
+    # Measured on the board, so that what counts as near does not depend on how large it is in the image.
+    # OpenCV draws its samples from a generator that it seeds itself, the same each time.
+    found, _ = cv2.findHomography(markers.corners.reshape(-1, 2), places.reshape(-1, 2), cv2.RANSAC, AGREEMENT)
+    if found is None or abs(np.linalg.det(np.asarray(found))) < 1e-12:
+        return None
+    H = np.array(found, float)
+    distance = np.linalg.norm(project(H, markers.corners)[0] - places, axis=-1)
+    agrees = (distance < AGREEMENT).all(-1)
+    if not agrees.any():
+        return None
+    return Reading(layout, Markers(markers.ids[agrees], markers.corners[agrees]), np.asarray(np.linalg.inv(H), float))

@@ -1,0 +1,71 @@
+"""ArUco markers in an image."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+
+from calibration.geometry.types import Array, IntArray
+from calibration.labelling.detection import Image
+
+ENLARGED = 2
+"""How often an image is enlarged for small markers."""
+
+
+@dataclass(frozen=True, eq=False)
+class Markers:
+    """The markers found, sorted by id, each id once."""
+
+    ids: IntArray
+    """(M,)."""
+    corners: Array
+    """(M, 4, 2): px; clockwise from the marker's own top left."""
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+
+class MarkerFinder:
+    """Finds the first `count` markers of a dictionary."""
+
+    LEAST_SIDE = 8
+    """No smaller marker is found (px)."""
+
+    def __init__(self, dictionary: "cv2.aruco.Dictionary", count: int) -> None:
+        self._plain = cv2.aruco.ArucoDetector(dictionary, _parameters(windows=(9, 9)))
+        self._fine = cv2.aruco.ArucoDetector(dictionary, _parameters(windows=(7, 17)))
+        self._count = count
+
+    def find(self, image: Image) -> Markers:
+        """The markers in a grey image; small ones are missed."""
+        return self._markers(self._plain.detectMarkers(image), 1)
+
+    def find_small(self, image: Image) -> Markers:
+        """The same, but slower and down to some 9 pixels: looked for in the image enlarged."""
+        larger = cv2.resize(image, None, fx=ENLARGED, fy=ENLARGED, interpolation=cv2.INTER_CUBIC)
+        return self._markers(self._fine.detectMarkers(larger), ENLARGED)
+
+    def _markers(self, detected: Any, scale: int) -> Markers:
+        corners, ids, _ = detected
+        if ids is None or not len(ids):
+            return Markers(np.zeros(0, np.int64), np.zeros((0, 4, 2)))
+        found = np.array(ids, np.int64).ravel()
+        pixels = (np.array(corners, float).reshape(-1, 4, 2) + 0.5) / scale - 0.5
+        known = found < self._count
+        found, first = np.unique(found[known], return_index=True)
+        return Markers(found, pixels[known][first])
+
+
+def _parameters(windows: tuple[int, int]) -> "cv2.aruco.DetectorParameters":
+    """What finds most markers in a given time, by measurement.
+
+    A low threshold constant finds dark boards; much lower ones trace the noise of the image.
+    """
+    parameters = cv2.aruco.DetectorParameters()
+    parameters.adaptiveThreshConstant = 4
+    parameters.adaptiveThreshWinSizeMin, parameters.adaptiveThreshWinSizeMax = windows
+    parameters.adaptiveThreshWinSizeStep = 10
+    parameters.errorCorrectionRate = 0.9
+    parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_NONE
+    return parameters

@@ -1,0 +1,152 @@
+"""Corners of black and white squares in an image: exactly where, and whether what is printed there is seen."""
+
+import cv2
+import numpy as np
+
+from calibration.geometry.types import Array, BoolArray
+from calibration.labelling.detection import Image
+
+WINDOWS = (2, 6)
+"""The least and greatest half-width of the window in which a corner is refined (px)."""
+QUICK_STOP = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 40, 1e-4)
+"""Where OpenCV's refinement ends: steps, and a step in pixels."""
+STEPS, STOP = 40, 1e-7
+"""Ours has failed after so many steps more; it has ended at a step so small (px)."""
+FLAT = 1e-4
+"""Where gradients all point one way there is no corner: determinant of their moments over the squared trace."""
+PATCH = 0.35
+"""Half the side of what is compared around a corner (squares)."""
+SAMPLES = 8
+"""Of a patch, along each side."""
+
+
+def refine(image: Image, pixels: Array, jacobians: Array, clearance: float) -> tuple[Array, BoolArray]:
+    """Move corners to where all gradients around them point past them.
+
+    The corner c solves ``sum w g g' (p - c) = 0`` over the pixels p of a window about c, with g the
+    gradient there and w a Gaussian weight (W. Foerstner and E. Guelch, "A fast operator for detection
+    and precise location of distinct points", 1987; OpenCV's ``cornerSubPix``, whose weights these are).
+    It is computed here in double precision to the last digits of what is stored, because OpenCV's
+    result depends on the machine in the fourth decimal.
+
+    The window is as wide as the squares allow: smaller ones see more noise, larger ones other
+    corners. By measurement the best half-width is the free distance, seen at its shortest.
+
+    Args:
+        image: (H, W), grey.
+        pixels: (K, 2), roughly where the corners are.
+        jacobians: (K, 2, 2), pixels per square there.
+        clearance: how far nothing else is printed around a corner, along x and y (squares).
+
+    Returns:
+        The corners (K, 2), and which of them (K,) are found: within their window, and that in the image.
+    """
+    known: BoolArray = np.logical_and(np.isfinite(jacobians).all(axis=(1, 2)), np.isfinite(pixels).all(axis=-1))
+    shortest = np.linalg.svd(np.where(known[:, None, None], jacobians, 0.0), compute_uv=False)[:, 1]
+    half = np.clip(np.floor(clearance * shortest), *WINDOWS).astype(int)
+    refined, found = np.where(known[:, None], pixels, 0.0), np.zeros(len(pixels), bool)
+    for each in np.unique(half[known]).tolist():
+        chosen = known & (half == each)
+        refined[chosen], found[chosen] = _refined(image, refined[chosen], each)
+    return refined, found
+
+
+def _refined(image: Image, start: Array, half: int) -> tuple[Array, BoolArray]:
+    """`refine` for corners (K, 2) with windows of one size; those that are not found stay anywhere."""
+    height, width = image.shape
+    ticks = np.arange(-half, half + 1)
+    weights = np.exp(-((ticks / half) ** 2))
+    weights = weights[:, None] * weights
+    patch = np.arange(-half - 1, half + 3)  # one more on each side for the gradients, and one to interpolate
+    corners, found = _nearly(image, start, half), np.zeros(len(start), bool)
+    active = np.arange(len(start))
+    for _ in range(STEPS):
+        at = corners[active]
+        near = np.abs(at - start[active]).max(axis=-1) <= half
+        inside = ((at >= half + 1) & (at < np.array([width, height]) - half - 3)).all(axis=-1)
+        active, at = active[near & inside], at[near & inside]
+        whole = np.floor(at).astype(int)
+        x, y = (at - whole).T[:, :, None, None]
+        seen = image[(whole[:, 1, None] + patch)[:, :, None], (whole[:, 0, None] + patch)[:, None]].astype(float)
+        rows = seen[:, :-1] + y * (seen[:, 1:] - seen[:, :-1])
+        smooth = rows[:, :, :-1] + x * (rows[:, :, 1:] - rows[:, :, :-1])  # (A, 2 half + 3, 2 half + 3)
+        gx, gy = smooth[:, 1:-1, 2:] - smooth[:, 1:-1, :-2], smooth[:, 2:, 1:-1] - smooth[:, :-2, 1:-1]
+        xx, xy, yy = weights * gx * gx, weights * gx * gy, weights * gy * gy
+        a, b, c = (products.sum(axis=(1, 2)) for products in (xx, xy, yy))
+        u = xx.sum(axis=1) @ ticks + xy.sum(axis=2) @ ticks
+        v = xy.sum(axis=1) @ ticks + yy.sum(axis=2) @ ticks
+        det = a * c - b * b
+        regular = det > FLAT * (a + c) ** 2
+        safe = np.where(regular, det, 1.0)
+        step = np.stack([c * u - b * v, a * v - b * u], -1) / safe[:, None]
+        active, step = active[regular], step[regular]
+        corners[active] += step
+        ended = np.abs(step).max(axis=-1) < STOP
+        found[active[ended]] = True
+        active = active[~ended]
+        if not len(active):
+            break
+    return corners, found
+
+
+def _nearly(image: Image, start: Array, half: int) -> Array:
+    """What OpenCV's quick refinement makes of corners (K, 2), for a start."""
+    inside = ((start >= 0) & (start <= np.array(image.shape[::-1]) - 1)).all(axis=-1)
+    corners = start.copy()
+    if inside.any():
+        quick = start[inside].astype(np.float32).reshape(-1, 1, 2)
+        corners[inside] = cv2.cornerSubPix(image, quick, (half, half), (-1, -1), QUICK_STOP).reshape(-1, 2)
+    return corners
+
+
+class PrintedPatches:
+    """What is printed around the corners of a board, to be recognised in images."""
+
+    def __init__(self, drawing: Image, texels: int, corners: Array) -> None:
+        """From the board's drawing, its texels along a square, and its corners (K, 2) in squares."""
+        step = 2 * PATCH / SAMPLES
+        ticks = step * (np.arange(SAMPLES) - (SAMPLES - 1) / 2)
+        self._offsets = np.stack(np.meshgrid(ticks, ticks), -1).reshape(-1, 2)
+        side = max(1, round(texels * step))
+        at = (corners[:, None] + self._offsets) * texels - 0.5
+        self._printed = _sampled(np.asarray(cv2.blur(drawing, (side, side)), np.uint8), at)
+
+    def likeness(self, image: Image, pixels: Array, jacobians: Array) -> Array:
+        """How much what is seen around each corner is like what is printed there, (K,).
+
+        The normalised correlation, 1 for the same up to brightness and contrast; of a patch that the
+        image's edge cuts, what is in the image.
+
+        Args:
+            image: (H, W), grey.
+            pixels: (K, 2), every corner of the board.
+            jacobians: (K, 2, 2), pixels per square there.
+        """
+        height, width = image.shape
+        at = pixels[:, None] + self._offsets @ np.swapaxes(jacobians, 1, 2)
+        inside = _inside(at, width, height)
+        at = np.where(inside[..., None], at, 0.0)
+        a, b = (_normalised(patch, inside) for patch in (_sampled(image, at), self._printed))
+        likeness: Array = (a * b).sum(-1)
+        return likeness
+
+
+def _sampled(image: Image, at: Array) -> Array:
+    x, y = np.moveaxis(at, -1, 0).astype(np.float32)
+    sampled: Array = cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE).astype(float)
+    return sampled
+
+
+def _normalised(patches: Array, inside: BoolArray) -> Array:
+    """Patches (K, P) of mean 0 and norm 1 over what is inside; 0 where there is no contrast."""
+    mean = (patches * inside).sum(-1, keepdims=True) / np.maximum(inside.sum(-1, keepdims=True), 1)
+    contrast = (patches - mean) * inside
+    normalised: Array = contrast / np.maximum(np.linalg.norm(contrast, axis=-1, keepdims=True), 1e-9)
+    return normalised
+
+
+def _inside(at: Array, width: int, height: int) -> BoolArray:
+    """Which pixels (..., 2) lie on the image."""
+    x, y = at[..., 0], at[..., 1]
+    inside: BoolArray = (x > -0.5) & (x < width - 0.5) & (y > -0.5) & (y < height - 0.5)
+    return inside

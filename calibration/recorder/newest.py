@@ -1,0 +1,61 @@
+"""Work in the background that is always on the newest request: what was overtaken is never begun."""
+
+import threading
+from collections.abc import Callable
+from typing import Generic, TypeVar
+
+Item = TypeVar("Item")
+
+
+class Newest(Generic[Item]):
+    """A thread that works on one request at a time, and on the last one that came meanwhile next."""
+
+    def __init__(self, work: Callable[[Item], None], spare: Callable[[], bool] = lambda: False) -> None:
+        """Start the thread.
+
+        Args:
+            work: what is done with a request. It must not raise: an error ends the thread.
+            spare: called again and again while no request waits, until it answers that there is
+                nothing left to do; then it is called after the next request or `wake`.
+        """
+        self._work, self._spare = work, spare
+        self._condition = threading.Condition()
+        self._waiting: list[Item] = []  # one at most
+        self._awake = True
+        self._closed = False
+        self._thread = threading.Thread(target=self._run, name=f"newest {work.__name__}", daemon=True)
+        self._thread.start()
+
+    def ask(self, item: Item) -> None:
+        """Ask for work on an item, in place of one that still waits."""
+        with self._condition:
+            self._waiting = [item]
+            self._condition.notify()
+
+    def wake(self) -> None:
+        """Say that there is spare work again."""
+        with self._condition:
+            self._awake = True
+            self._condition.notify()
+
+    def close(self) -> None:
+        """End the thread after what it is doing now, and wait for it."""
+        with self._condition:
+            self._closed = True
+            self._condition.notify()
+        if threading.current_thread() is not self._thread:
+            self._thread.join()
+
+    def _run(self) -> None:
+        while True:
+            with self._condition:
+                self._condition.wait_for(lambda: self._waiting or self._awake or self._closed)
+                if self._closed:
+                    return
+                items, self._waiting = self._waiting, []
+                if not items:
+                    self._awake = False
+            for item in items:
+                self._work(item)
+            if self._spare():
+                self.wake()

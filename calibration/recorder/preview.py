@@ -1,0 +1,143 @@
+"""What each sensor sees at a pose, drawn for the eye, and whether a collection there would be kept."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration.dataset.model import CornerLabels
+from calibration.errors import InputError
+from calibration.geometry.types import Array, BoolArray, IntArray
+from calibration.labelling.detection import Image, NotDetected
+from calibration.labelling.points import PatternPoints
+from calibration.simulation.collection.capture import Capture, capture
+from calibration.simulation.collection.checks import Requirements, reasons_to_lose
+from calibration.simulation.collection.play import play
+from calibration.simulation.motion.sequence import Motion
+from calibration.simulation.rendering.depth import NO_RETURN
+from calibration.simulation.system import System
+
+SEED = 1
+"""Of the noise in previews: the one that ``collect-data-sim`` takes unless told otherwise."""
+WIDTH = 640
+"""Pictures are made no wider, px."""
+_FOUND, _FIRST = (0, 230, 60), (255, 40, 40)  # red first: the corners, and the one with id 0
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """What one sensor sees."""
+
+    finding: str
+    """In a few words, such as "88 of 88 corners", or why nothing is detected."""
+    detected: bool
+    picture: Image | None = None
+    """(H, W, 3) red first, with what is detected drawn in it; None of a LiDAR."""
+    points: Array | None = None
+    """(N, 3) of a LiDAR, in its frame, m."""
+    on_pattern: BoolArray | None = None
+    """(N,): which of the points are labelled."""
+
+
+@dataclass(frozen=True, eq=False)
+class Preview:
+    """What all sensors see, and the verdict."""
+
+    views: Mapping[str, View]
+    """By sensor, in the order of the configuration; none where the pose cannot be played."""
+    reasons: tuple[str, ...]
+    """Why a collection would be lost; none where it would be kept."""
+
+    @property
+    def kept(self) -> bool:
+        """Whether a collection here would be kept."""
+        return not self.reasons
+
+
+def preview(system: System, pose: Motion) -> Preview:
+    """What is seen and detected at a pose (a motion of one), by the code that collects datasets."""
+    try:
+        captured = capture(play(system, pose, SEED), 0)
+    except InputError as error:
+        return Preview({}, (str(error).removeprefix(f"{pose.source}: "),))
+    views = {name: _view(system, captured, name) for name in system.sensors}
+    return Preview(views, reasons_to_lose(system, captured, Requirements()))
+
+
+def _view(system: System, captured: Capture, sensor: str) -> View:
+    corners = {pattern: found for (pattern, name), found in captured.corners.items() if name == sensor}
+    points = {pattern: found for (pattern, name), found in captured.points.items() if name == sensor}
+    seen: Mapping[str, CornerLabels | PatternPoints | NotDetected] = {**corners, **points}
+    finding = "; ".join(
+        (f"{pattern}: " if len(seen) > 1 else "") + _words(found, len(system.patterns[pattern].corners))
+        for pattern, found in seen.items()
+    )
+    detected = not all(isinstance(found, NotDetected) for found in seen.values())
+    labelled = [found.on_pattern for found in points.values() if isinstance(found, PatternPoints)]
+    if sensor in captured.clouds:
+        cloud = captured.clouds[sensor]
+        on_pattern = np.zeros(len(cloud), bool)
+        for indices in labelled:
+            on_pattern[indices] = True
+        return View(finding, detected, points=cloud, on_pattern=on_pattern)
+    if sensor in captured.depths:
+        return View(finding, detected, draw_depth(captured.depths[sensor], labelled))
+    labels = [found for found in corners.values() if isinstance(found, CornerLabels)]
+    return View(finding, detected, draw_corners(captured.images[sensor], labels))
+
+
+def _words(found: CornerLabels | PatternPoints | NotDetected, corners: int) -> str:
+    match found:
+        case NotDetected():
+            return found.reason
+        case CornerLabels():
+            return f"{len(found.ids)} of {corners} corners"
+        case PatternPoints():
+            return f"{len(found.on_pattern)} points"
+
+
+def draw_corners(image: Image, labels: list[CornerLabels]) -> Image:
+    """A picture (h, w, 3), red first, of an image (H, W, 3), blue first, with a ring about every corner.
+
+    The ring of the corner with id 0 is red, so that one sees which way up the pattern is taken.
+    """
+    scale = min(1.0, WIDTH / image.shape[1])
+    picture = _at_most_wide(np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), np.uint8))
+    for label in labels:
+        pixels = (label.pixels + 0.5) * scale - 0.5
+        width, height = np.ptp(pixels, axis=0)
+        radius = min(max(0.2 * math.sqrt(width * height / len(pixels)), 1.5), 5.0)  # so that rings do not touch
+        for identifier, (x, y) in zip(label.ids.tolist(), pixels.tolist(), strict=True):
+            centre = (round(16 * x), round(16 * y))  # in sixteenths of a pixel
+            colour = _FOUND if identifier else _FIRST
+            cv2.circle(picture, centre, round(16 * radius), colour, 2 if radius > 3 else 1, cv2.LINE_AA, shift=4)
+    return picture
+
+
+def draw_depth(depth: NDArray[np.uint16], labelled: list[IntArray]) -> Image:
+    """A picture (h, w, 3), red first, of a depth image (H, W): near is yellow, far is blue, the pattern green.
+
+    Args:
+        depth: in tenths of a millimetre; `NO_RETURN`, which is black, where nothing returns.
+        labelled: linear indices of the pixels on each pattern.
+    """
+    returns = depth < NO_RETURN
+    near, far = np.percentile(depth[returns], (1, 99)) if returns.any() else (0.0, 1.0)
+    grey = np.clip((far - depth) / max(far - near, 1.0), 0, 1)
+    warm = cv2.applyColorMap((255 * grey).astype(np.uint8), cv2.COLORMAP_PLASMA)
+    picture = np.array(cv2.cvtColor(warm, cv2.COLOR_BGR2RGB), np.uint8)
+    picture[~returns] = 0
+    for indices in labelled:
+        picture.reshape(-1, 3)[indices] = _FOUND
+    return _at_most_wide(picture)
+
+
+def _at_most_wide(picture: Image) -> Image:
+    height, width = picture.shape[:2]
+    if width <= WIDTH:
+        return picture
+    size = (WIDTH, max(1, round(height * WIDTH / width)))
+    return np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), np.uint8)

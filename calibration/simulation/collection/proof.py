@@ -1,0 +1,79 @@
+"""The proof of a dataset: does it calibrate, and to the truth?"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from calibration.dataset.model import Dataset
+from calibration.dataset.reading import read_dataset
+from calibration.dataset.truth import find_truth
+from calibration.errors import CalibrationError
+from calibration.estimation.calibrate import calibrate
+from calibration.evaluation.truth import truth_error
+
+
+@dataclass(frozen=True)
+class SensorSigma:
+    """How sure a calibration is of one transform, by its own covariance."""
+
+    translation_mm: float
+    rotation_deg: float
+
+
+@dataclass(frozen=True)
+class Proof:
+    """What a calibration of a dataset found. Numbers are None where there is none."""
+
+    converged: bool
+    reason: str
+    """Why it did not converge; empty where it did."""
+    rms_px: float | None = None
+    """Of the reprojected corners."""
+    translation_mm: float | None = None
+    """The worst error of a calibrated sensor against the truth."""
+    rotation_deg: float | None = None
+    sigmas: dict[str, SensorSigma] | None = None
+    """By sensor, of the transforms that were free."""
+    weak_directions: tuple[str, ...] = ()
+
+
+def prove(folder: Path) -> Proof:
+    """Calibrate the dataset in a folder from its linear start, and compare with the truth beside it.
+
+    A dataset that cannot be calibrated is an answer, not an error.
+    """
+    try:
+        return prove_dataset(read_dataset(folder))
+    except CalibrationError as error:
+        return Proof(False, str(error).replace(f"{folder}/", ""))  # it will be elsewhere when this is read
+
+
+def prove_dataset(dataset: Dataset) -> Proof:
+    """`prove` for a dataset that was read.
+
+    Raises:
+        CalibrationError: it cannot be calibrated.
+    """
+    found = calibrate(dataset)
+    truth = find_truth(dataset)
+    error = truth_error(found.dataset, truth) if truth is not None and found.converged else None
+    sensors = {s.name: s.edge for s in dataset.sensors.values() if s.edge in found.covariances}
+    return Proof(
+        converged=found.converged,
+        reason=found.reason,
+        rms_px=_rounded(found.rms_px, 4),
+        translation_mm=_rounded(error.translation_mm, 4) if error else None,
+        rotation_deg=_rounded(error.rotation_deg, 6) if error else None,
+        sigmas={
+            name: SensorSigma(round(found.sigma_mm(edge), 4), round(float(np.degrees(found.sigma_mrad(edge) / 1e3)), 6))
+            for name, edge in sensors.items()
+        }
+        if found.converged
+        else None,
+        weak_directions=found.weak_directions,
+    )
+
+
+def _rounded(value: float, decimals: int) -> float | None:
+    return round(float(value), decimals) if np.isfinite(value) else None

@@ -1,0 +1,282 @@
+"""What a pose leaves: its part of the dataset, or why it was lost, and how well it was labelled.
+
+A record is plain JSON, so that an interrupted collection can go on from the records on disk.
+"""
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from calibration.dataset.configuration import SensorConfiguration
+from calibration.dataset.model import CornerLabels, Edge
+from calibration.geometry.transforms import apply, inverse
+from calibration.geometry.types import Array
+from calibration.labelling.detection import NotDetected
+from calibration.labelling.points import PatternPoints
+from calibration.simulation.collection.capture import Capture
+from calibration.simulation.collection.payload import data_file
+from calibration.simulation.collection.play import Play
+from calibration.simulation.collection.pose_document import pose_document
+from calibration.simulation.robot import compose
+from calibration.simulation.sensors import SimulatedCamera, SimulatedDepthCamera, SimulatedLidar
+
+ESTIMATE_DECIMALS = 5
+"""Of estimated poses: 10 micrometres and microradians."""
+
+
+@dataclass(frozen=True)
+class CornerErrors:
+    """Detected corners against the projected true ones, of one camera at one pose, px."""
+
+    count: int
+    mean: tuple[float, float]
+    rms: float
+    """Of the distances."""
+    largest: float
+
+
+@dataclass(frozen=True)
+class Record:
+    """What came of one pose. Kept when there is no reason to lose it."""
+
+    number: int
+    """Of the pose, from 0."""
+    lost: tuple[str, ...]
+    """Why it is not part of the dataset; empty where it is."""
+    labels: Mapping[str, int]
+    """How many corners or points each sensor labelled, on all patterns together; 0 where it detects none."""
+    complete: Mapping[str, bool]
+    """Of each camera, whether it sees every corner of a pattern that it detects."""
+    errors: Mapping[str, CornerErrors]
+    """Of each camera that detects a pattern."""
+    cells: Mapping[str, tuple[int, ...]]
+    """Which cells of a grid over each camera's image have a corner (`COLUMNS` x `ROWS`, row by row)."""
+    collection: Mapping[str, Any]
+    """The entry of ``collections`` in the dataset."""
+    initial: Mapping[str, Mapping[str, Any]]
+    """By pattern: the entry of its ``transforms_initial``."""
+    truth: tuple[Mapping[str, Any], ...]
+    """The true poses of the patterns in the world."""
+
+    @property
+    def key(self) -> str:
+        """The collection's key: the number of its pose, so a lost one leaves a gap."""
+        return collection_key(self.number)
+
+    @property
+    def kept(self) -> bool:
+        """Whether it is part of the dataset."""
+        return not self.lost
+
+    def to_json(self) -> str:
+        """The record as text."""
+        return json.dumps(asdict(self))
+
+    @classmethod
+    def from_json(cls, text: str | bytes) -> "Record":
+        """The record of `to_json`.
+
+        Raises:
+            ValueError, TypeError, KeyError: it is none.
+        """
+        fields = json.loads(text)
+        return cls(
+            **{
+                **fields,
+                "lost": tuple(fields["lost"]),
+                "truth": tuple(fields["truth"]),
+                "cells": {name: tuple(cells) for name, cells in fields["cells"].items()},
+                "errors": {
+                    name: CornerErrors(**{**error, "mean": tuple(error["mean"])})
+                    for name, error in fields["errors"].items()
+                },
+            }
+        )
+
+
+COLUMNS, ROWS = 4, 3
+"""The grid over an image that tells how much of it has been covered."""
+
+
+def collection_key(number: int) -> str:
+    """Such as "000"."""
+    return f"{number:03d}"
+
+
+def record(play: Play, capture: Capture, lost: tuple[str, ...]) -> Record:
+    """The record of a capture."""
+    system, number = play.system, capture.number
+    answers = {**capture.corners, **capture.points}
+    labels = {
+        name: sum(_count(answer) for (_, sensor), answer in answers.items() if sensor == name)
+        for name in system.sensors
+    }
+    return Record(
+        number=number,
+        lost=lost,
+        labels=labels,
+        complete={name: _sees_all(play, capture, name) for name in system.cameras},
+        errors={name: error for name in system.cameras if (error := _corner_errors(play, capture, name))},
+        cells={name: _cells(play, capture, name) for name in system.cameras},
+        collection=_collection(play, capture),
+        initial={name: _initial(play, capture, name) for name in system.patterns},
+        truth=tuple(
+            pose_document((system.configuration.world_link, pattern.link), play.true.patterns[name][number])
+            for name, pattern in system.patterns.items()
+        ),
+    )
+
+
+def _count(answer: CornerLabels | PatternPoints | NotDetected) -> int:
+    match answer:
+        case CornerLabels():
+            return len(answer.ids)
+        case PatternPoints():
+            return len(answer.on_pattern)
+    return 0
+
+
+def _detected(capture: Capture, camera: str) -> list[tuple[str, CornerLabels]]:
+    return [
+        (pattern, found)
+        for (pattern, name), found in capture.corners.items()
+        if name == camera and isinstance(found, CornerLabels)
+    ]
+
+
+def _sees_all(play: Play, capture: Capture, camera: str) -> bool:
+    return any(
+        len(found.ids) == len(play.system.patterns[pattern].corners) for pattern, found in _detected(capture, camera)
+    )
+
+
+def _corner_errors(play: Play, capture: Capture, camera: str) -> CornerErrors | None:
+    """Labels against the true corners as this camera saw them: of a pattern that may sway and be bent."""
+    T_camera_world = inverse(play.true.sensors[camera][capture.number])
+    boards = {board.pattern.name: board for board in capture.boards[camera]}
+    differences = []
+    for pattern, found in _detected(capture, camera):
+        board = boards[pattern]
+        corners = board.surface(board.pattern.corners[found.ids, :2])
+        true = play.system.cameras[camera].camera.project(apply(T_camera_world @ board.T_world_pattern, corners))
+        differences.append(found.pixels - true)
+    if not differences:
+        return None
+    error = np.concatenate(differences)
+    distance = np.linalg.norm(error, axis=-1)
+    x, y = error.mean(axis=0)
+    return CornerErrors(
+        count=len(error),
+        mean=(round(float(x), 6), round(float(y), 6)),
+        rms=round(float(np.sqrt((distance**2).mean())), 6),
+        largest=round(float(distance.max()), 6),
+    )
+
+
+def _cells(play: Play, capture: Capture, name: str) -> tuple[int, ...]:
+    camera = play.system.cameras[name].camera
+    size = np.array([camera.width / COLUMNS, camera.height / ROWS])
+    found = set()
+    for _, labels in _detected(capture, name):
+        column, row = np.clip((labels.pixels + 0.5) // size, 0, [COLUMNS - 1, ROWS - 1]).astype(int).T
+        found.update((row * COLUMNS + column).tolist())
+    return tuple(sorted(found))
+
+
+def _collection(play: Play, capture: Capture) -> dict[str, Any]:
+    system, number = play.system, capture.number
+    return {
+        "additional_data": {},
+        "data": {name: _message(play, capture, sensor) for name, sensor in system.configuration.sensors.items()},
+        "joints": {},
+        "labels": {
+            pattern: {
+                **{name: _corner_labels(capture.corners[pattern, name]) for name in system.cameras},
+                **{
+                    name: _point_labels(capture.points[pattern, name])
+                    for name in (*system.lidars, *system.depth_cameras)
+                },
+            }
+            for pattern in system.patterns
+        },
+        "transforms": {
+            f"{parent}-{child}": pose_document((parent, child), T[number])
+            for (parent, child), T in play.nominal.transforms.items()
+        },
+    }
+
+
+def _message(play: Play, capture: Capture, sensor: SensorConfiguration) -> dict[str, Any]:
+    """The ROS message of a sensor without its data, which are in a file."""
+    common = {
+        "data_file": data_file(sensor, collection_key(capture.number)),
+        "header": message_header(sensor.link, capture.number),
+    }
+    match play.system.sensors[sensor.name]:
+        case SimulatedCamera(camera):
+            image = {"height": camera.height, "width": camera.width, "is_bigendian": 0}
+            return {**common, **image, "encoding": "bgr8", "step": 3 * camera.width}
+        case SimulatedDepthCamera(camera):
+            image = {"height": camera.height, "width": camera.width, "is_bigendian": 0}
+            return {**common, **image, "encoding": "16UC1", "step": 2 * camera.width}
+        case SimulatedLidar():
+            points = len(capture.clouds[sensor.name])
+            return {
+                **common,
+                "fields": [{"name": axis, "offset": 4 * i, "datatype": 7, "count": 1} for i, axis in enumerate("xyz")],
+                "height": 1,
+                "is_bigendian": False,
+                "is_dense": True,
+                "point_step": 12,
+                "row_step": 12 * points,
+                "width": points,
+            }
+
+
+def message_header(frame: str, number: int) -> dict[str, Any]:
+    """The header of a ROS message: ten seconds from pose to pose."""
+    return {"frame_id": frame, "seq": number, "stamp": {"secs": 10 * number, "nsecs": 0}}
+
+
+def _corner_labels(found: CornerLabels | NotDetected) -> dict[str, Any]:
+    if isinstance(found, NotDetected):
+        return {"detected": False, "idxs": []}
+    rows = zip(found.ids.tolist(), found.pixels.tolist(), strict=True)
+    return {"detected": True, "idxs": [{"id": i, "x": x, "y": y} for i, (x, y) in rows]}
+
+
+def _point_labels(found: PatternPoints | NotDetected) -> dict[str, Any]:
+    if isinstance(found, NotDetected):
+        return {"detected": False, "idxs": [], "idxs_limit_points": []}
+    return {
+        "detected": True,
+        "idxs": found.on_pattern.tolist(),
+        "idxs_limit_points": found.on_border.tolist(),
+    }
+
+
+def _initial(play: Play, capture: Capture, pattern: str) -> dict[str, Any]:
+    """Where the pattern stands by the labels of the first camera that detects it.
+
+    Estimated through the robot as it was designed, as ATOM does when it collects.
+    """
+    geometry = play.system.patterns[pattern]
+    for camera in play.system.cameras:
+        T_camera_pattern = capture.estimates.get((pattern, camera))
+        if T_camera_pattern is not None and np.isfinite(T_camera_pattern).all():
+            edge: Edge = (geometry.parent_link, geometry.link)
+            T_parent_camera = _nominal(play, geometry.parent_link, camera, capture.number)
+            pose = pose_document(edge, T_parent_camera @ T_camera_pattern, ESTIMATE_DECIMALS)
+            return {"detected": True, "sensor": camera, **pose}
+    return {"detected": False}
+
+
+def _nominal(play: Play, frame: str, camera: str, number: int) -> Array:
+    """``T_frame_camera`` (4, 4) as it was designed."""
+    transforms = {edge: T[number : number + 1] for edge, T in play.nominal.transforms.items()}
+    link = play.system.configuration.sensors[camera].link
+    T: Array = compose(play.system.nominal.tree, transforms, frame, link)[0]
+    return T

@@ -1,0 +1,108 @@
+"""What each pose of a motion tells about the calibrated transforms, as the engine would find it.
+
+The engine's own terms are linearised at the truth on the labels that are expected there
+(`calibration.simulation.motion.expected`): so what is predicted here is what
+`calibration.estimation.observability` reports once the dataset is collected.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from calibration.estimation.build import Setup, build
+from calibration.estimation.normal_equations import Weighting, linearise
+from calibration.estimation.problem import NoiseKind, Problem, Values
+from calibration.geometry.transforms import inverse, translation
+from calibration.geometry.types import Array, IntArray
+from calibration.simulation.motion.expected import expected_dataset
+from calibration.simulation.placement import Placement
+from calibration.simulation.robot import compose
+from calibration.simulation.system import System
+
+CORNER_NOISE = 0.05
+"""The standard deviation of a corner that is detected in a simulated image, each of x and y, px: 0.035 to 0.05 in
+the systems that ship."""
+_LEAST_RANGE_NOISE = 1e-4  # m: a LiDAR without noise would weigh infinitely much
+
+
+@dataclass(frozen=True, eq=False)
+class Information:
+    """What each of N poses tells about S transforms that all poses share."""
+
+    setup: Setup
+    """What is calibrated."""
+    poses: IntArray
+    """(N,): the poses of the motion that tell anything."""
+    each: Array
+    """(N, 6S, 6S): the information matrices on the twists of `Problem.shared` (translation in m, rotation in
+    rad, each in its child frame), the pattern's own pose at each moment eliminated. They add up."""
+
+    @property
+    def calibrated(self) -> int:
+        """How many of the 6S parameters belong to what is calibrated; a fixed pattern's own come after them."""
+        setup = self.setup
+        return 6 * sum(setup.problem.blocks[i].name not in setup.dataset.patterns for i in setup.problem.shared)
+
+
+def information(system: System, placement: Placement) -> Information:
+    """What the poses of a placement tell.
+
+    Raises:
+        UndeterminedError: no poses can calibrate the system, or these show too little (see
+            `calibration.estimation.build.build`).
+        InputError: a sensor detects no pattern at any of the poses.
+    """
+    setup = build(expected_dataset(system, placement))
+    poses = np.array([int(key) for key in setup.dataset.keys])
+    each = informations(setup.problem, _truth(system, setup, placement, poses), expected_noise(system))
+    return Information(setup, poses, each)
+
+
+def informations(problem: Problem, values: Values, weighting: Weighting) -> Array:
+    """(N, 6S, 6S): the information of each collection on the shared blocks, its local ones being free.
+
+    Their sum is `calibration.estimation.normal_equations.NormalEquations.schur`.
+    """
+    shared, free = 6 * len(problem.shared), [*problem.shared, *problem.local]
+    H = np.zeros((problem.collections, 6 * len(free), 6 * len(free)))
+    for group in problem.groups:
+        T, jacobians = group.chain.jacobians(values, slice(None), group.collections, problem.held)
+        _, M, _ = linearise(group, T, slice(None), weighting)
+        J = np.zeros((len(T), 6, 6 * len(free)))
+        for block, J_block in jacobians:
+            at = 6 * free.index(block)
+            J[:, :, at : at + 6] = J_block
+        H[group.collections] += np.swapaxes(J, 1, 2) @ M @ J
+    H_local, H_mixed = H[:, shared:, shared:], H[:, :shared, shared:]
+    index = np.arange(H_local.shape[-1])
+    H_local[:, index, index] += H_local[:, index, index] == 0  # nothing sees it: it takes no part
+    reduced: Array = H[:, :shared, :shared] - H_mixed @ np.linalg.solve(H_local, np.swapaxes(H_mixed, 1, 2))
+    return 0.5 * (reduced + np.swapaxes(reduced, 1, 2))
+
+
+def expected_noise(system: System) -> Weighting:
+    """The standard deviations that the labels of a system's sensors will have."""
+    lidars = system.lidars.values()
+    steps = [np.hypot(lidar.noise, lidar.resolution / np.sqrt(12)) for lidar in lidars]
+    scales: dict[NoiseKind, float] = {
+        "pixel": CORNER_NOISE,
+        "range": max([*map(float, steps), _LEAST_RANGE_NOISE]),
+        "border": max([lidar.step for lidar in lidars], default=1.0) / np.sqrt(12),
+    }
+    return Weighting(scales, None)
+
+
+def _truth(system: System, setup: Setup, placement: Placement, poses: IntArray) -> Values:
+    """The true value of every block; patterns at the centre of their corners, as the engine has them."""
+    patterns = {setup.pattern_edge(name): pattern for name, pattern in setup.dataset.patterns.items()}
+    world, tree = system.configuration.world_link, system.robot.tree
+    values = []
+    for block, edge in zip(setup.problem.blocks, setup.edges, strict=True):
+        if edge in patterns:
+            pattern = patterns[edge]
+            T_world_parent = compose(tree, placement.transforms, world, pattern.parent_link)
+            T = inverse(T_world_parent) @ placement.patterns[pattern.name] @ translation(pattern.centre)
+            values.append(T[poses] if block.per_collection else T[0])
+        else:
+            values.append(placement.transforms[edge][0])
+    return tuple(values)

@@ -1,0 +1,120 @@
+"""What is printed on a pattern, as grey images of halving resolution.
+
+Both charuco layouts and their history: OpenCV 4.6 put a black square into the first corner of every
+board; before, a board with an even number of rows of squares began with a white one
+(``cv2.aruco.CharucoBoard.setLegacyPattern``).
+"""
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration.dataset.configuration import PatternConfiguration
+from calibration.dataset.pattern import Pattern
+from calibration.errors import InputError
+from calibration.geometry.types import Array
+
+Grey = NDArray[np.uint8]
+
+TEXELS = 256
+"""Along the side of a square; a power of two, so that halves of it stay whole."""
+MAX_TEXELS = 8192
+"""Along the side of a board: one with more squares has fewer texels for each."""
+BLACK, WHITE = 27, 230
+"""What ink and paper reflect, in grey levels under a light of 1."""
+
+
+@dataclass(frozen=True, eq=False)
+class Texture:
+    """The print of a pattern. Level k has ``texels / 2^k`` texels a square; beyond an image its last texels go on."""
+
+    levels: tuple[Grey, ...]
+    texels: int
+    """Along the side of a square at level 0."""
+    margin: tuple[int, int]
+    """The texels of border, along x and along y, that every level has on each side of the squares."""
+
+    def place(self, pattern: Pattern, size: float, level: int) -> tuple[Array, float]:
+        """From the pattern frame to the texels' centres: ``texel = offset + scale * (x, y)``.
+
+        Returns:
+            The offset (2,) and the scale, texels a metre.
+        """
+        scale = self.texels / 2**level / size
+        first = pattern.corners[0, :2] - size  # the outer corner of the first square
+        return np.array(self.margin) - 0.5 - scale * first, scale
+
+    def level(self, density: float) -> int:
+        """The level of about one texel a sample, for samples of this many level 0 texels."""
+        if not density > 1:
+            return 0
+        return min(math.floor(math.log2(density) + 0.5), len(self.levels) - 1)
+
+
+@lru_cache(maxsize=16)
+def texture(pattern: PatternConfiguration, legacy_layout: bool = False) -> Texture:
+    """The print of a pattern, as white and black squares with or without markers.
+
+    Raises:
+        InputError: a charuco board without a marker size, with an unknown dictionary, or one that
+            has fewer markers than the board needs.
+    """
+    columns, rows = pattern.dimension[0] + 1, pattern.dimension[1] + 1
+    texels = TEXELS
+    while texels > 1 and texels * max(columns, rows) > MAX_TEXELS:
+        texels //= 2
+    row, column = np.mgrid[:rows, :columns]
+    black = (row + column) % 2 == int(pattern.kind == "charuco" and legacy_layout and rows % 2 == 0)
+    share = np.repeat(np.repeat(np.where(black, 0.0, 1.0), texels, 0), texels, 1)  # of white
+    if pattern.kind == "charuco":
+        for (y, x), bits in zip(np.argwhere(~black) * texels, _markers(pattern, int((~black).sum())), strict=True):
+            share[y : y + texels, x : x + texels] = _square_with_marker(pattern, bits, texels)
+    image = np.round(BLACK + (WHITE - BLACK) * share).astype(np.uint8)
+    levels = [image]
+    while levels[-1].shape[1] > columns:  # until a square is one texel
+        height, width = levels[-1].shape
+        levels.append(np.asarray(cv2.resize(levels[-1], (width // 2, height // 2), interpolation=cv2.INTER_AREA)))
+    margin = (int(pattern.border_size[0] > 0), int(pattern.border_size[1] > 0))
+    return Texture(tuple(_with_border(level, margin) for level in levels), texels, margin)
+
+
+def _with_border(image: Grey, margin: tuple[int, int]) -> Grey:
+    x, y = margin
+    return np.pad(image, ((y, y), (x, x)), constant_values=WHITE)
+
+
+def _square_with_marker(pattern: PatternConfiguration, bits: Array, texels: int) -> Array:
+    """The share of white (texels, texels) of a white square with a marker in its middle, exact to the texel."""
+    assert pattern.inner_size is not None  # noqa: S101 (checked with the markers)
+    side = texels * pattern.inner_size / pattern.size
+    ends = (texels - side) / 2 + side * np.linspace(0, 1, len(bits) + 1)
+    texel = np.arange(texels)[:, None]
+    # (texels, modules): how much of a texel a row of modules covers
+    cover = np.clip(np.minimum(texel + 1, ends[1:]) - np.maximum(texel, ends[:-1]), 0, None)
+    black: Array = cover @ (1 - bits) @ cover.T
+    return 1 - black
+
+
+def _markers(pattern: PatternConfiguration, count: int) -> list[Array]:
+    """The modules of the markers 0 to count - 1, their black border included: 1 for white."""
+    if pattern.inner_size is None:
+        raise InputError(
+            f"pattern '{pattern.name}': found no inner_size; a charuco board needs the side of its markers"
+        )
+    number = getattr(cv2.aruco, pattern.dictionary or "", None)
+    if not (pattern.dictionary or "").startswith("DICT_") or number is None:
+        expected = "expected one of OpenCV's, such as DICT_5X5_100"
+        raise InputError(f"pattern '{pattern.name}': dictionary: found '{pattern.dictionary or ''}', {expected}")
+    dictionary = cv2.aruco.getPredefinedDictionary(number)
+    if count > len(dictionary.bytesList):
+        raise InputError(
+            f"pattern '{pattern.name}': {count} markers are needed for {pattern.dimension[0] + 1} x "
+            f"{pattern.dimension[1] + 1} squares, but {pattern.dictionary} has {len(dictionary.bytesList)}; "
+            "take a larger dictionary or fewer squares"
+        )
+    modules = dictionary.markerSize + 2
+    return [np.array(cv2.aruco.generateImageMarker(dictionary, i, modules), float) / 255 for i in range(count)]

@@ -1,0 +1,114 @@
+"""Which parameter drives the error: rank correlations over the worlds, and how sure they are.
+
+Spearman's rank correlation of each parameter with the error (ties share their mean rank). Its
+p-value is that of a permutation test: how often does a shuffled error correlate as strongly with
+*any* of the parameters (P. Westfall and S. Young, "Resampling-Based Multiple Testing", 1993, the
+single-step maxT)? So it is right however many parameters there are, and however they hang together.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from calibration.geometry.types import Array, IntArray
+from calibration.simulation.random_streams import stream
+
+PERMUTATIONS = 4000
+SIGNIFICANT = 0.01
+"""A driver's p-value is below it."""
+LEAST_WORLDS = 10
+"""Of fewer worlds nothing is said."""
+_CHUNK = 2_000_000  # numbers that are shuffled at once
+
+
+@dataclass(frozen=True)
+class Driver:
+    """A parameter and how the error goes with it."""
+
+    parameter: str
+    """Between bars, ``|left_camera.k1|``, where it is the parameter's magnitude."""
+    correlation: float
+    """Spearman's, -1 to 1: above 0 where the error grows with it."""
+    p: float
+    """The probability that chance alone gives any parameter so strong a correlation."""
+
+    @property
+    def name(self) -> str:
+        """The name of the parameter, also where it is the magnitude."""
+        return self.parameter.strip("|")
+
+    def of(self, values: Mapping[str, float]) -> float:
+        """The value of the parameter in a world, or its magnitude."""
+        value = values[self.name]
+        return value if self.name == self.parameter else abs(value)
+
+    @property
+    def stands_out(self) -> bool:
+        """Whether chance hardly explains it."""
+        return self.p < SIGNIFICANT
+
+
+def find_drivers(values: Sequence[Mapping[str, float]], errors: Sequence[float]) -> list[Driver]:
+    """How strongly each parameter goes with the error, the strongest first.
+
+    A parameter that takes both signs is looked at twice, as it is and by its magnitude (a pattern
+    bent to either side spoils a calibration alike), and stands in the list as what is stronger. One
+    that never varies is left out.
+
+    Args:
+        values: of each world, by parameter; the same parameters in all.
+        errors: of each world; infinite where a world gave no calibration: such a world is worse
+            than any other.
+
+    Returns:
+        The list; empty where there are fewer than `LEAST_WORLDS` worlds, or the error never varies.
+    """
+    if len(values) < LEAST_WORLDS:
+        return []
+    error_ranks = centred_ranks(np.array(errors, float))
+    columns = {name: centred_ranks(column) for name, column in _columns(values).items()}
+    columns = {name: ranks for name, ranks in columns.items() if ranks.any()}
+    if not columns or not error_ranks.any():
+        return []
+    ranks = np.stack(list(columns.values()), -1)
+    unit = ranks / np.linalg.norm(ranks, axis=0) / np.linalg.norm(error_ranks)
+    correlations = error_ranks @ unit
+    strongest = _strongest_by_chance(error_ranks, unit)
+    reached = (strongest[:, None] >= np.abs(correlations) - 1e-9).sum(0)
+    p = (1 + reached) / (1 + PERMUTATIONS)
+    found = [
+        Driver(name, round(float(rho), 4), round(float(chance), 6))
+        for name, rho, chance in zip(columns, correlations, p, strict=True)
+    ]
+    found.sort(key=lambda driver: (-abs(driver.correlation), driver.parameter))
+    stronger = {driver.name: driver for driver in reversed(found)}
+    return [driver for driver in found if stronger[driver.name] is driver]
+
+
+def centred_ranks(values: Array) -> IntArray:
+    """Twice the ranks (N,) of values (N,), less their mean; equal values share their mean rank.
+
+    Whole numbers, so that sums of them are exact.
+    """
+    _, inverse, counts = np.unique(values, return_inverse=True, return_counts=True)
+    below = np.cumsum(counts) - counts
+    ranks: IntArray = (2 * below + counts - len(values))[inverse]
+    return ranks
+
+
+def _columns(values: Sequence[Mapping[str, float]]) -> dict[str, Array]:
+    columns = {name: np.array([world[name] for world in values]) for name in values[0]}
+    signed = [name for name, column in columns.items() if column.min() < 0 < column.max()]
+    return {**columns, **{f"|{name}|": np.abs(columns[name]) for name in signed}}
+
+
+def _strongest_by_chance(error_ranks: IntArray, unit: Array) -> Array:
+    """The largest magnitude of a correlation with any parameter, for each of `PERMUTATIONS` shuffled errors."""
+    random = stream(0, "drivers")
+    step = max(1, _CHUNK // len(error_ranks))
+    strongest = []
+    for first in range(0, PERMUTATIONS, step):
+        rows = np.tile(error_ranks, (min(step, PERMUTATIONS - first), 1))
+        strongest.append(np.abs(random.permuted(rows, axis=1) @ unit).max(-1))
+    return np.concatenate(strongest)

@@ -1,0 +1,156 @@
+"""Scenarios run: each world is collected, calibrated, and held against its truth; in parallel over the cores."""
+
+import tempfile
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+from calibration.dataset import truth
+from calibration.dataset.reading import FILE_NAME
+from calibration.dataset.writing import write_document
+from calibration.errors import InputError
+from calibration.execution.parallel import in_parallel
+from calibration.simulation.collection.checks import Requirements
+from calibration.simulation.collection.collecting import collect_pose, kept
+from calibration.simulation.collection.document import dataset_document, truth_document
+from calibration.simulation.collection.play import Play, play
+from calibration.simulation.collection.proof import Proof, prove
+from calibration.simulation.collection.record import Record
+from calibration.simulation.motion.sequence import Motion
+from calibration.simulation.scenarios.result import ScenarioResult
+from calibration.simulation.scenarios.scenario import Scenario, content_hash
+from calibration.simulation.scenarios.scenario_set import ScenarioSet
+from calibration.simulation.scenarios.world import build_world, scenario_motion
+
+
+def prepare(worlds: ScenarioSet, scenario: Scenario, motion: Motion | None = None) -> Play:
+    """The play of one scenario: what `calibration.simulation.collection` collects.
+
+    Args:
+        worlds: the set that the scenario is of.
+        scenario: from `ScenarioSet.scenario`.
+        motion: the same for all worlds; None to generate one for this world.
+
+    Raises:
+        InputError: no motion is found, or it does not fit the world.
+    """
+    world = build_world(worlds.system, scenario)
+    return play(world, motion or scenario_motion(world, scenario), scenario.collection_seed)
+
+
+def run_scenario(
+    worlds: ScenarioSet, scenario: Scenario, motion: Motion | None = None, requirements: Requirements | None = None
+) -> ScenarioResult:
+    """Collect, calibrate and judge one world. A world that gives no calibration is a result, with its reasons.
+
+    Raises:
+        WorldError: no temporary file can be written.
+    """
+    result = ScenarioResult(scenario.id, content_hash(worlds.system, scenario, motion), dict(scenario.values))
+    try:
+        played = prepare(worlds, scenario, motion)
+    except InputError as error:
+        return replace(result, reasons=(str(error),))
+    with tempfile.TemporaryDirectory(prefix="calibration-") as folder:
+        records = _collect(played, requirements or Requirements(), Path(folder))
+        result = _described(result, records)
+        if not kept(records):
+            return replace(result, reasons=("no pose gave a collection",))
+        return _proven(result, prove(Path(folder)))
+
+
+def run_scenarios(
+    worlds: ScenarioSet,
+    seed: int,
+    indices: Sequence[int],
+    motion: Motion | None = None,
+    requirements: Requirements | None = None,
+    jobs: int | None = None,
+    done: Callable[[ScenarioResult], None] | None = None,
+) -> list[ScenarioResult]:
+    """Run scenarios of one seed. What comes of each does not depend on the others.
+
+    Args:
+        worlds: the scenario set.
+        seed: of the scenarios.
+        indices: of the scenarios, each from 0.
+        motion: the same for all worlds; None to generate one for each.
+        requirements: what each collection has to keep to.
+        jobs: processes; None for one a core.
+        done: called after each world, in the order in which they come.
+
+    Returns:
+        The results, in the order of the indices.
+
+    Raises:
+        InputError: no draw of a scenario keeps to the constraints. Before the first world.
+        WorldError: a process died, or no temporary file can be written.
+    """
+    import cv2
+
+    scenarios = [worlds.scenario(seed, index) for index in indices]
+    results: dict[int, ScenarioResult] = {}
+    threads = cv2.getNumThreads()
+    cv2.setNumThreads(1)  # the processes are the parallel ones; and OpenCV's threads do not survive a fork
+    try:
+        work = partial(_run, worlds, motion, requirements)
+        for number, result in in_parallel(work, scenarios, jobs):
+            results[number] = result
+            if done:
+                done(result)
+    finally:
+        cv2.setNumThreads(threads)
+    return [results[number] for number in range(len(scenarios))]
+
+
+def _run(
+    worlds: ScenarioSet, motion: Motion | None, requirements: Requirements | None, scenario: Scenario
+) -> ScenarioResult:
+    return run_scenario(worlds, scenario, motion, requirements)
+
+
+def _collect(played: Play, requirements: Requirements, folder: Path) -> list[Record]:
+    """Collect at every pose; what a calibration needs goes into the folder: no images."""
+    records = []
+    for number in range(len(played)):
+        record, files = collect_pose(played, number, requirements, images=False)
+        records.append(record)
+        for name, content in files.items():
+            (folder / name).write_bytes(content)
+    if kept(records):
+        write_document(truth_document(played, kept(records)), folder / truth.FILE_NAME)
+        write_document(dataset_document(played.system, kept(records)), folder / FILE_NAME)
+    return records
+
+
+def _described(result: ScenarioResult, records: Sequence[Record]) -> ScenarioResult:
+    """The result with what was collected."""
+    errors = [error for record in records for error in record.errors.values()]
+    corners = sum(error.count for error in errors)
+    squares = sum(error.count * error.rms**2 for error in errors)
+    sensors = records[0].labels
+    return replace(
+        result,
+        poses=len(records),
+        lost={record.key: tuple(record.lost) for record in records if not record.kept},
+        detection={
+            name: round(sum(record.labels[name] > 0 for record in records) / len(records), 4) for name in sensors
+        },
+        corner_rms_px=round((squares / corners) ** 0.5, 4) if corners else None,
+    )
+
+
+def _proven(result: ScenarioResult, proof: Proof) -> ScenarioResult:
+    """The result with what a calibration says."""
+    sigmas = list((proof.sigmas or {}).values())
+    return replace(
+        result,
+        converged=proof.converged,
+        rms_px=proof.rms_px,
+        translation_mm=proof.translation_mm,
+        rotation_deg=proof.rotation_deg,
+        sigma_mm=max((sigma.translation_mm for sigma in sigmas), default=None),
+        sigma_deg=max((sigma.rotation_deg for sigma in sigmas), default=None),
+        reasons=() if proof.converged else (proof.reason or "the calibration did not converge",),
+    )

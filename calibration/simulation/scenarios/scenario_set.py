@@ -1,0 +1,95 @@
+"""Scenario sets: the distributions of everything that varies between worlds, and what the worlds keep to.
+
+A scenario set is YAML, such as::
+
+    light: {elevation_deg: {uniform: [20, 80]}, azimuth_deg: {uniform: [-180, 180]}}
+    cameras: {noise_levels: {log_uniform: [0.5, 4]}, k1: {normal: [0, 0.05]}}
+    sensors: {left_camera: {exposure: 1.5}}
+    assembly: {translation_mm: {normal: [0, 3]}, rotation_deg: {normal: [0, 0.5]}}
+    occluders: {count: {integer: [0, 3]}, size_m: {uniform: [0.05, 0.2]}}
+    constraints:
+      - {parameter: scene.clearance_m, min: 0.1}
+
+What may vary is in `calibration.simulation.scenarios.parameters`, the distributions are in
+`calibration.simulation.scenarios.distributions`, the constraints in
+`calibration.simulation.scenarios.constraints`.
+
+Scenario i of seed s is addressed directly: each of its values depends on s, i and the parameter's
+name alone, so any part of the scenarios is a part of the whole, in any order and on any machine, and
+a parameter that is added to the set leaves the values of the others as they are.
+"""
+
+from collections import Counter
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+from calibration.dataset.document import Node
+from calibration.errors import InputError
+from calibration.simulation.description import only
+from calibration.simulation.scenarios.constraints import Constraint, broken, read_constraints
+from calibration.simulation.scenarios.parameters import GROUPS, Parameters, read_parameters
+from calibration.simulation.scenarios.scenario import Scenario
+from calibration.simulation.scenarios.world import build_world, clearance
+from calibration.simulation.system import System
+from calibration.yaml_file import read_yaml
+
+MAX_ATTEMPTS = 100
+"""Draws of one scenario, until it keeps to all constraints."""
+
+
+@dataclass(frozen=True, eq=False)
+class ScenarioSet:
+    """The worlds of one system."""
+
+    path: Path
+    """The file it was read from."""
+    system: System
+    """As it is described: the middle of all worlds."""
+    parameters: Parameters
+    constraints: tuple[Constraint, ...]
+
+    def scenario(self, seed: int, index: int) -> Scenario:
+        """Scenario ``index`` of a seed.
+
+        Raises:
+            InputError: `MAX_ATTEMPTS` draws in a row broke a constraint; names the one that was broken most.
+        """
+        failures: Counter[int] = Counter()
+        for attempt in range(MAX_ATTEMPTS):
+            scenario = self._draw(seed, index, attempt)
+            fault = broken(self.constraints, scenario.values, partial(self._clearance, scenario))
+            if fault < 0:
+                return scenario
+            failures[fault] += 1
+        worst, count = failures.most_common(1)[0]
+        raise InputError(
+            f"{self.path}: constraints/{worst}: '{self.constraints[worst].text}' is broken by {count} of "
+            f"{MAX_ATTEMPTS} draws of scenario {scenario.id}, and another by the rest; "
+            "loosen it, or narrow the distributions"
+        )
+
+    def _clearance(self, scenario: Scenario) -> float:
+        return clearance(build_world(self.system, scenario))
+
+    def _draw(self, seed: int, index: int, attempt: int) -> Scenario:
+        empty = Scenario(seed, index, {}, attempt)
+        values = {
+            name: distribution.value(empty.random("value", name).random())
+            for name, distribution in self.parameters.distributions.items()
+        }
+        return Scenario(seed, index, values, attempt)
+
+
+def read_scenario_set(path: Path, system: System) -> ScenarioSet:
+    """Read a scenario set for a system.
+
+    Raises:
+        InputError: in one line with file and key, what is wrong: not YAML, an unknown key, a
+            distribution that makes no sense, a constraint on what does not vary.
+    """
+    root = Node(path, (), read_yaml(path, "a scenario set"))
+    only(root, *GROUPS, "constraints")
+    parameters = read_parameters(root, system)
+    constraints = root.get("constraints")
+    return ScenarioSet(path, system, parameters, read_constraints(constraints, parameters) if constraints else ())

@@ -1,0 +1,179 @@
+"""The world of a scenario: a system changed by the values of the parameters."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from calibration.errors import InputError
+from calibration.geometry import rotations
+from calibration.geometry.transforms import apply, from_xyz_rpy, inverse, transform
+from calibration.geometry.types import Array
+from calibration.simulation.motion.drawing import filling_distances
+from calibration.simulation.motion.generation import generate_motion
+from calibration.simulation.motion.sequence import Motion
+from calibration.simulation.robot import Joint, Robot, compose
+from calibration.simulation.scenarios.parameters import CAMERA
+from calibration.simulation.scenarios.scenario import Scenario
+from calibration.simulation.scene import Box, Scene
+from calibration.simulation.sensors import SimulatedCamera, SimulatedSensor
+from calibration.simulation.system import MotionRanges, System
+
+POSES = 12
+"""Of a generated motion, where the scenario set says nothing of ``motion/poses``."""
+_OCCLUDER_REACH = (0.35, 0.75)
+"""Where occluders stand between a camera and the nearest place of the pattern: shares of the way."""
+_PLACE_DECIMALS = 6  # of an occluder's place: micrometres and microradians
+_OPTICS = {"exposure": "exposure", "noise_levels": "noise", "blur_px": "blur", "vignetting": "vignetting"}
+_DISTORTION = tuple(key for key in CAMERA if key not in _OPTICS)
+
+Values = Mapping[str, float]
+
+
+def build_world(system: System, scenario: Scenario) -> System:
+    """The system in the world of a scenario. What the scenario does not speak of stays as it is described.
+
+    Its ``robot`` is the one that was put together with errors; ``nominal`` stays the designed one.
+
+    Raises:
+        InputError: there are occluders, but no camera that they could stand before.
+    """
+    values = scenario.values
+    motion = _motion(system.motion, values)
+    return replace(
+        system,
+        robot=_assembled(system, values),
+        sensors={name: _sensor(sensor, _of(values, name)) for name, sensor in system.sensors.items()},
+        scene=_scene(system, motion, scenario),
+        motion=motion,
+        bows={**system.bows, **_bows(system, values)},
+        sway=values["motion.sway_mm"] / 1000 if "motion.sway_mm" in values else system.sway,
+    )
+
+
+def scenario_motion(world: System, scenario: Scenario) -> Motion:
+    """The motion that is generated for a scenario, in its world.
+
+    Raises:
+        InputError: too few poses are seen by every sensor (see `generate_motion`).
+    """
+    return generate_motion(world, int(scenario.values.get("motion.poses", POSES)), scenario.collection_seed)
+
+
+def clearance(system: System) -> float:
+    """The least distance from the origin of a sensor to a box, where the robot rests, m.
+
+    0 inside a box, infinite where there is no box.
+    """
+    origins = np.stack([_rest_pose(system, name)[:3, 3] for name in system.sensors])
+    distances = [
+        np.linalg.norm(np.maximum(np.abs(apply(inverse(box.T_world_box), origins)) - box.size / 2, 0), axis=-1)
+        for box in system.scene.boxes
+    ]
+    return float(np.min(distances, initial=math.inf))
+
+
+def _of(values: Values, thing: str) -> dict[str, float]:
+    """The values of a sensor, of a pattern, or of a part of the world, by key."""
+    prefix = f"{thing}."
+    return {name.removeprefix(prefix): value for name, value in values.items() if name.startswith(prefix)}
+
+
+def _rest_pose(system: System, sensor: str) -> Array:
+    """``T_world_sensor`` (4, 4) where the robot rests."""
+    configuration = system.configuration
+    transforms = system.robot.transforms({})
+    link = configuration.sensors[sensor].link
+    T_world_sensor: Array = compose(system.robot.tree, transforms, configuration.world_link, link)[0]
+    return T_world_sensor
+
+
+def _assembled(system: System, values: Values) -> Robot:
+    """The robot with the errors of its assembly: the calibrated transforms moved by twists in their child frames."""
+    errors = {}
+    for name, sensor in system.configuration.sensors.items():
+        own = _of(values, name)
+        shift = np.array([own.get(f"translation_{axis}_mm", 0.0) for axis in "xyz"]) / 1000
+        turn = np.radians([own.get(f"rotation_{axis}_deg", 0.0) for axis in "xyz"])
+        if shift.any() or turn.any():
+            errors[sensor.parent_link, sensor.child_link] = transform(rotations.exp(turn), shift)
+
+    def moved(joint: Joint) -> Joint:
+        error = errors.get(joint.edge)
+        return joint if error is None else replace(joint, T_parent_joint=joint.T_parent_joint @ error)
+
+    return (
+        replace(system.robot, joints=tuple(moved(joint) for joint in system.robot.joints)) if errors else system.robot
+    )
+
+
+def _sensor(sensor: SimulatedSensor, own: Values) -> SimulatedSensor:
+    """A sensor with its own values."""
+    if not isinstance(sensor, SimulatedCamera):
+        return replace(sensor, noise=own["noise_m"]) if "noise_m" in own else sensor
+    distortion = replace(sensor.camera.distortion, **{key: own[key] for key in _DISTORTION if key in own})
+    optics = {field: own[key] for key, field in _OPTICS.items() if key in own}
+    return replace(sensor, camera=replace(sensor.camera, distortion=distortion), **optics)
+
+
+def _motion(ranges: MotionRanges, values: Values) -> MotionRanges:
+    own = _of(values, "motion")
+    if "nearest_m" in own:
+        near, far = sorted((own["nearest_m"], own["farthest_m"]))
+        ranges = replace(ranges, distance=(near, far))
+    return replace(
+        ranges,
+        tilt=math.radians(own["tilt_deg"]) if "tilt_deg" in own else ranges.tilt,
+        roll=math.radians(own["roll_deg"]) if "roll_deg" in own else ranges.roll,
+        partial=own.get("partial", ranges.partial),
+    )
+
+
+def _bows(system: System, values: Values) -> dict[str, tuple[float, float]]:
+    """How far the patterns that the values speak of are bent, m."""
+    bows = {}
+    for name in system.patterns:
+        own = _of(values, name)
+        if "bow_x_mm" in own:
+            bows[name] = (own["bow_x_mm"] / 1000, own["bow_y_mm"] / 1000)
+    return bows
+
+
+def _scene(system: System, motion: MotionRanges, scenario: Scenario) -> Scene:
+    """The scene under another light and with occluders."""
+    scene, own = system.scene, _of(scenario.values, "light")
+    light = replace(
+        scene.light,
+        ambient=own.get("ambient", scene.light.ambient),
+        intensity=own.get("intensity", scene.light.intensity),
+    )
+    if "elevation_deg" in own:
+        elevation, azimuth = math.radians(own["elevation_deg"]), math.radians(own["azimuth_deg"])
+        level = math.cos(elevation)
+        towards = np.array([level * math.cos(azimuth), level * math.sin(azimuth), math.sin(elevation)])
+        light = replace(light, direction=towards)
+    count = int(scenario.values.get("occluders.count", 0))
+    occluders = tuple(_occluder(system, motion, scenario, number) for number in range(count))
+    return replace(scene, light=light, boxes=(*scene.boxes, *occluders))
+
+
+def _occluder(system: System, motion: MotionRanges, scenario: Scenario, number: int) -> Box:
+    """A cube on the line of sight of some pixel of some camera, nearer than the pattern comes."""
+    if not system.cameras:
+        raise InputError(f"occluders stand between a camera and the pattern, but {system.name} has no camera")
+    random = scenario.random("occluder", number)
+    name = list(system.cameras)[random.integers(len(system.cameras))]
+    camera = system.cameras[name].camera
+    pattern = system.moved_pattern or next(iter(system.patterns.values()))
+    nearest, _ = motion.distance or filling_distances(camera, pattern)
+    pixel = random.random(2) * [camera.width, camera.height] - 0.5
+    sight = np.append(camera.normalise(pixel), 1.0)
+    least, most = _OCCLUDER_REACH
+    way = nearest * (least + (most - least) * random.random())
+    centre = apply(_rest_pose(system, name), way / np.linalg.norm(sight) * sight[None])[0]
+    yaw = np.pi / 2 * random.random()
+    edge = scenario.values["occluders.size_m"]
+    return Box(
+        from_xyz_rpy(np.round(centre, _PLACE_DECIMALS), (0.0, 0.0, round(yaw, _PLACE_DECIMALS))), np.full(3, edge)
+    )

@@ -1,0 +1,110 @@
+"""Pictures of boards, drawn by their definition: a ray for each part of a pixel meets the board's plane."""
+
+from dataclasses import dataclass, field
+from functools import cache
+
+import cv2
+import numpy as np
+
+from calibration.dataset.configuration import PatternConfiguration
+from calibration.geometry import rotations
+from calibration.geometry.cameras import Camera, PlumbBob
+from calibration.geometry.transforms import apply, transform
+from calibration.geometry.types import Array
+from calibration.labelling.detection import Image
+
+TEXELS = 64
+LENS = PlumbBob(-0.25, 0.08, 0.0008, -0.0005, 0.0)
+VGA = Camera(554.25, 554.25, 319.5, 239.5, 640, 480)
+HD = Camera(900.0, 900.0, 639.5, 359.5, 1280, 720)
+HD_DISTORTED = Camera(900.0, 900.0, 639.5, 359.5, 1280, 720, LENS)
+
+
+def charuco(columns: int = 11, rows: int = 8, size: float = 0.06, dictionary: str = "DICT_5X5_100"):
+    return PatternConfiguration(
+        "board", "charuco", "board", "world", False, (columns, rows), size, 0.75 * size, (0.04, 0.03), dictionary
+    )
+
+
+def chessboard(columns: int = 10, rows: int = 7, size: float = 0.06) -> PatternConfiguration:
+    return PatternConfiguration(
+        "board", "chessboard", "board", "world", False, (columns, rows), size, None, (0.06, 0.06)
+    )
+
+
+def printed(pattern: PatternConfiguration, legacy: bool = False) -> Image:
+    """The printed squares, `TEXELS` each, with half a square of white around; black at the top left."""
+    columns, rows = (n + 1 for n in pattern.dimension)
+    if pattern.kind == "charuco":
+        dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, pattern.dictionary))
+        board = cv2.aruco.CharucoBoard((columns, rows), 1.0, pattern.inner_size / pattern.size, dictionary)
+        board.setLegacyPattern(legacy)
+        squares = board.generateImage((columns * TEXELS, rows * TEXELS), marginSize=0, borderBits=1)
+    else:
+        squares = np.kron(np.indices((rows, columns)).sum(0) % 2 * 255, np.ones((TEXELS, TEXELS))).astype(np.uint8)
+    half = TEXELS // 2
+    return cv2.copyMakeBorder(squares, half, half, half, half, cv2.BORDER_CONSTANT, value=255)
+
+
+def facing(
+    pattern: PatternConfiguration,
+    distance: float,
+    tilt: float = 0.0,
+    towards: float = 0.0,
+    roll: float = 0.0,
+    at=(0, 0),
+) -> Array:
+    """``T_camera_pattern``: the board's middle at (x, y, 1) * distance, tilted about an axis in the image."""
+    R = rotations.exp(tilt * np.array([np.cos(towards), np.sin(towards), 0.0])) @ rotations.exp([0.0, 0.0, roll])
+    middle = pattern.pattern().corners.mean(axis=0)
+    return transform(R, distance * np.array([*at, 1.0]) - R @ middle)
+
+
+@cache
+def _rays(camera: Camera, supersampling: int) -> Array:
+    """(rows, columns, 2): normalised coordinates of the parts of all pixels."""
+    s = supersampling
+    u, v = ((np.arange(s * n) - (s - 1) / 2) / s for n in (camera.width, camera.height))
+    return camera.normalise(np.stack(np.meshgrid(u, v), -1))
+
+
+@dataclass(frozen=True)
+class Photograph:
+    camera: Camera = VGA
+    blur: float = 0.6
+    noise: float = 2.0
+    white: float = 230.0
+    black: float = 15.0
+    background: float = 120.0
+    supersampling: int = 3
+    random: np.random.Generator = field(default_factory=lambda: np.random.default_rng(0))
+
+    def of(self, pattern: PatternConfiguration, T_camera_pattern: Array, legacy: bool = False, hidden=None) -> Image:
+        """The image; `hidden` is a box (left, top, right, bottom) in pixels that stands in front, and its grey."""
+        width, height = self.camera.width, self.camera.height
+        rays = _rays(self.camera, self.supersampling)
+        H = np.linalg.inv(T_camera_pattern[:3, [0, 1, 3]])
+        x, y, z = np.moveaxis(rays @ H[:, :2].T + H[:, 2], -1, 0)
+        origin = pattern.pattern().corners[0, :2] / pattern.size - 1.0
+        place = np.stack([x / z, y / z], -1) / pattern.size - origin
+        texel = ((place + 0.5) * TEXELS - 0.5).astype(np.float32)
+        paper = printed(pattern, legacy) / 255.0 * (self.white - self.black) + self.black
+        seen = cv2.remap(
+            paper.astype(np.float32), texel[..., 0], texel[..., 1], cv2.INTER_LINEAR, borderValue=self.background
+        )
+        image = cv2.resize(seen, (width, height), interpolation=cv2.INTER_AREA)
+        if hidden is not None:
+            (left, top, right, bottom), grey = hidden
+            image[top:bottom, left:right] = grey
+        image = cv2.GaussianBlur(image, (0, 0), self.blur) if self.blur else image
+        image = image + self.noise * self.random.standard_normal(image.shape)
+        return np.clip(np.round(image), 0, 255).astype(np.uint8)
+
+
+def true_corners(camera: Camera, pattern: PatternConfiguration, T_camera_pattern: Array) -> Array:
+    return camera.project(apply(T_camera_pattern, pattern.pattern().corners))
+
+
+def in_view(camera: Camera, pixels: Array, margin: float = 8.0) -> Array:
+    low, high = np.full(2, margin), np.array([camera.width, camera.height]) - 1 - margin
+    return ((pixels > low) & (pixels < high)).all(-1)

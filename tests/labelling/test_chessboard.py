@@ -1,0 +1,95 @@
+"""Chessboards: all corners, where the truth projects them, numbered by a rule that holds when the board is turned."""
+
+import numpy as np
+import pytest
+
+from calibration.dataset.model import CornerLabels
+from calibration.errors import InputError
+from calibration.labelling.chessboard import ChessboardDetector
+from calibration.labelling.corners import corner_detector
+from calibration.labelling.detection import NotDetected
+from tests.labelling.pictures import HD, VGA, Photograph, chessboard, facing, true_corners
+
+UNIQUE, TWOFOLD, SQUARE, SQUARE_FOURFOLD = chessboard(10, 7), chessboard(9, 7), chessboard(7, 7), chessboard(6, 6)
+
+
+def detected(pattern, T, camera=VGA, **how) -> CornerLabels:
+    found = corner_detector(pattern).detect(Photograph(camera, **how).of(pattern, T))
+    assert isinstance(found, CornerLabels), found
+    np.testing.assert_array_equal(found.ids, np.arange(len(found.ids)))
+    return found
+
+
+def test_corners_are_where_the_truth_projects_them():
+    off = []
+    for i in range(5):
+        T = facing(UNIQUE, 1.0 + 0.2 * i, 0.15 * i, i, 0.3 * i, (0.05 * i - 0.1, 0.03))
+        off.append(detected(UNIQUE, T, HD, supersampling=2).pixels - true_corners(HD, UNIQUE, T))
+    off = np.concatenate(off)
+    assert np.sqrt((off**2).sum(-1).mean()) < 0.05
+    assert np.linalg.norm(off, axis=-1).max() < 0.2
+    assert np.abs(off.mean(axis=0)).max() < 0.01
+
+
+@pytest.mark.parametrize("roll", np.linspace(-np.pi, np.pi, 9))
+def test_a_board_that_colours_tell_which_way_up_keeps_its_ids_at_any_angle(roll):
+    """Ten by seven corners: eleven by eight squares, and only one of its ends begins with black."""
+    T = facing(UNIQUE, 1.2, 0.3, 0.5, roll)
+    assert np.linalg.norm(detected(UNIQUE, T).pixels - true_corners(VGA, UNIQUE, T), axis=-1).max() < 0.5
+
+
+@pytest.mark.parametrize("pattern", [TWOFOLD, SQUARE, SQUARE_FOURFOLD])
+@pytest.mark.parametrize("roll", [-0.5, 0.0, 0.4])
+def test_other_boards_are_numbered_as_they_stand_upright(pattern, roll):
+    T = facing(pattern, 1.2, 0.3, 0.5, roll)
+    assert np.linalg.norm(detected(pattern, T).pixels - true_corners(VGA, pattern, T), axis=-1).max() < 0.5
+
+
+def test_upside_down_they_are_numbered_from_the_other_end():
+    T = facing(TWOFOLD, 1.2, 0.3, 0.5, np.pi - 0.1)
+    assert np.linalg.norm(detected(TWOFOLD, T).pixels - true_corners(VGA, TWOFOLD, T)[::-1], axis=-1).max() < 0.5
+
+
+@pytest.mark.parametrize("pattern", [UNIQUE, TWOFOLD, SQUARE, SQUARE_FOURFOLD])
+@pytest.mark.parametrize("roll", [0.2, 1.5, 3.0, -2.0])
+def test_never_mirrored(pattern, roll):
+    grid = detected(pattern, facing(pattern, 1.3, 0.4, 1.0, roll)).pixels
+    grid = grid.reshape(pattern.dimension[1], pattern.dimension[0], 2)
+    x, y = np.diff(grid, axis=1).mean((0, 1)), np.diff(grid, axis=0).mean((0, 1))
+    assert x[0] * y[1] - x[1] * y[0] > 0
+
+
+def test_light_that_varies_over_the_board_is_no_colour():
+    T = facing(UNIQUE, 1.2, 0.2, 0.0, 0.1)
+    image = Photograph(VGA).of(UNIQUE, T) * np.linspace(0.15, 1.0, 640)
+    found = ChessboardDetector(UNIQUE).detect(image.astype(np.uint8))
+    assert isinstance(found, CornerLabels)
+    assert np.linalg.norm(found.pixels - true_corners(VGA, UNIQUE, T), axis=-1).max() < 1
+
+
+def test_all_corners_or_nothing():
+    assert isinstance(
+        ChessboardDetector(UNIQUE).detect(Photograph(VGA).of(UNIQUE, facing(UNIQUE, 0.6, at=(0.4, 0)))), NotDetected
+    )
+    hidden = Photograph(VGA).of(UNIQUE, facing(UNIQUE, 1.0), hidden=((300, 200, 380, 280), 128))
+    assert isinstance(ChessboardDetector(UNIQUE).detect(hidden), NotDetected)
+
+
+@pytest.mark.parametrize("shape", [(0, 0), (1, 1), (1, 1000), (30, 30), (480, 5), (0, 4, 3)])
+def test_images_too_small_for_anything(shape):
+    assert isinstance(ChessboardDetector(UNIQUE).detect(np.zeros(shape, np.uint8)), NotDetected)
+
+
+def test_noise_and_nothing_are_no_boards():
+    noise = np.random.default_rng(0).integers(0, 256, (240, 320), dtype=np.uint8)
+    for image in (noise, np.zeros_like(noise), np.full((240, 320, 3), 255, np.uint8)):
+        found = ChessboardDetector(UNIQUE).detect(image)
+        assert isinstance(found, NotDetected)
+        assert found.reason == "not all corners of the chessboard are found"
+
+
+def test_what_is_no_image_and_no_board():
+    with pytest.raises(InputError, match="8 bits a channel"):
+        ChessboardDetector(UNIQUE).detect(np.zeros((480, 640)))
+    with pytest.raises(InputError, match="2 x 7 corners, expected at least 3 each way"):
+        corner_detector(chessboard(2, 7))

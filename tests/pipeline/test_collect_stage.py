@@ -1,0 +1,122 @@
+"""The stage collect of calibration.yml: datasets collected and calibrated beside the matrix, one verdict over both."""
+
+import io
+import json
+from pathlib import Path
+
+import jsonschema
+import pytest
+
+from calibration.errors import ExitCode, InputError
+from calibration.pipeline.collected import Collected
+from calibration.pipeline.configuration import read_configuration
+from calibration.pipeline.matrix import Matrix
+from calibration.pipeline.results import SCHEMA, Results, read_results
+from calibration.pipeline.stages import run_stages
+from calibration.pipeline.summary import collections_grid, markdown, sentence
+from calibration.workflow import Runner
+from tests.pipeline.conftest import DATASETS
+from tests.pipeline.test_judgement import CELL
+
+CONFIGURATION = """
+systems: {{riwbot: {{dataset: {datasets}/riwbot}}}}
+simulation:
+  small: {{system: {datasets}/t2rgb, motion: {motion}, limits: {{translation-mm: {limit}}}, minimum-collections: 3}}
+"""
+
+
+@pytest.fixture
+def motion(tmp_path: Path) -> Path:
+    poses = json.loads((DATASETS / "t2rgb" / "motion.json").read_text())
+    path = tmp_path / "three.json"
+    path.write_text(json.dumps({str(i): poses[str(i)] for i in range(1, 4)}))
+    return path
+
+
+def configured(tmp_path: Path, motion: Path, limit: str = "5") -> Path:
+    path = tmp_path / "calibration.yml"
+    path.write_text(CONFIGURATION.format(datasets=DATASETS, motion=motion, limit=limit))
+    return path
+
+
+def run(path: Path, output: Path, *stages: str) -> tuple[Results, str]:
+    configuration = read_configuration(path)
+    log = io.StringIO()
+    runner = Runner(stdout=log, stderr=log)
+    results = run_stages(
+        Matrix(configuration.systems, configuration.noise),
+        output,
+        runner,
+        "run",
+        1,
+        stages=stages or ("calibrate", "introspect", "collect"),
+        simulations=configuration.simulations,
+    )
+    return results, log.getvalue()
+
+
+def test_what_is_collected_stands_beside_the_matrix(tmp_path: Path, motion: Path) -> None:
+    output = tmp_path / "output"
+    results, log = run(configured(tmp_path, motion), output)
+    assert results.verdict == "pass"
+    assert sentence(results) == "pass: 1 cell calibrated, 1 dataset collected"
+    (collected,) = results.collections
+    assert collected.kept == collected.poses == 3
+    assert collected.dataset == "collected/small"
+    assert (output / "collected" / "small" / "dataset.json").exists()
+    assert "small      3 of 3 poses" in log
+    document = json.loads((output / "results.json").read_text())
+    jsonschema.validate(document, json.loads(SCHEMA.read_text()))
+    assert read_results(output).collections == results.collections
+    assert '<testsuite name="collected" tests="1" failures="0"' in (output / "junit.xml").read_text()
+    results, _ = run(configured(tmp_path, motion), output)  # over what is there
+    assert results.verdict == "pass"
+
+
+def test_red_in_simulation_is_red(tmp_path: Path, motion: Path) -> None:
+    results, log = run(configured(tmp_path, motion, limit="0.000001"), tmp_path / "output")
+    assert results.exit_code == ExitCode.FAIL
+    assert "collected small: translation error against the truth: found" in log
+    assert sentence(results) == "fail: 1 of 1 dataset failed, 1 cell calibrated"
+    assert "FAIL" in collections_grid(results).rows[0][-1]
+
+
+def test_what_cannot_be_collected_does_not_hide_the_rest(tmp_path: Path) -> None:
+    results, log = run(configured(tmp_path, tmp_path / "no.json"), tmp_path / "output")
+    assert results.exit_code == ExitCode.BAD_INPUT
+    assert results.cells[0].verdict == "pass"
+    assert "no.json" in log
+    assert collections_grid(results).rows == (("small", "0 of 0 poses", "-", "-", "FAIL"),)
+
+
+def test_alone(tmp_path: Path, motion: Path) -> None:
+    results, log = run(configured(tmp_path, motion), tmp_path / "output", "collect")
+    assert sentence(results) == "pass: 1 dataset collected"
+    assert "Start" not in log
+    assert "Collected in simulation" in markdown(results)
+
+
+def test_nothing_at_all_is_no_pass() -> None:
+    assert Results(()).verdict == "fail"
+    assert sentence(Results(())) == "fail: 0 of 0 cells failed"
+    failed = Collected("a", reasons=("x",))
+    assert Results((CELL,), collections=(failed,)).verdict == "fail"
+    assert Results((CELL,), collections=(Collected("a"),)).verdict == "pass"
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("simulation: {}", "simulation: {} should be non-empty"),
+        ("simulation: {a: {}}", "simulation.a: 'system' is a required property"),
+        ("simulation: {a: {system: x, motoin: y}}", "simulation.a: unknown key 'motoin': did you mean 'motion'"),
+        ("simulation: {a: {system: x, minimum-coverage: 2}}", "simulation.a.minimum-coverage: 2 is greater than"),
+        ("simulation: {../a: {system: x}}", "does not match"),
+    ],
+)
+def test_a_wrong_simulation(text: str, message: str, tmp_path: Path) -> None:
+    path = tmp_path / "calibration.yml"
+    path.write_text(f"systems: {{a: {{dataset: b}}}}\n{text}\n")
+    with pytest.raises(InputError) as error:
+        read_configuration(path)
+    assert message in str(error.value)

@@ -1,0 +1,230 @@
+"""A dataset collected, proven and judged: what stands in its folder, and what turns it red."""
+
+import csv
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import jsonschema
+import pytest
+
+from calibration.errors import ExitCode, InputError, WorldError
+from calibration.files import write_atomically
+from calibration.pipeline import collection
+from calibration.pipeline.collection import CollectionRequest, collect_dataset
+from calibration.pipeline.collection_report import outputs
+from calibration.pipeline.collection_results import (
+    SCHEMA,
+    Check,
+    CollectionChecks,
+    CollectionResults,
+    collection_document,
+)
+from calibration.pipeline.collection_summary import markdown, sentence
+from calibration.simulation.collection import collecting
+from calibration.simulation.collection.proof import Proof
+from calibration.workflow.summary import escape_markdown
+from tests.pipeline.conftest import DATASETS
+
+POSES = 5
+
+
+@pytest.fixture(scope="module")
+def motion(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The first poses of t2rgb's motion; the second is far above the cameras."""
+    poses = json.loads((DATASETS / "t2rgb" / "motion.json").read_text())
+    some = {str(i + 1): poses[str(i + 1)] for i in range(POSES)}
+    some["2"]["position"]["z"] += 5
+    path = tmp_path_factory.mktemp("motion") / "some.json"
+    path.write_text(json.dumps(some))
+    return path
+
+
+@pytest.fixture(scope="module")
+def request_(motion: Path) -> CollectionRequest:
+    return CollectionRequest(DATASETS / "t2rgb", motion=str(motion))
+
+
+@pytest.fixture(scope="module")
+def output(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("collected")
+
+
+@pytest.fixture(scope="module")
+def results(request_: CollectionRequest, output: Path) -> CollectionResults:
+    return collect_dataset(request_, output)
+
+
+def snapshot(folder: Path) -> dict[str, bytes]:
+    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def test_a_good_one_passes(results: CollectionResults) -> None:
+    assert results.verdict == "pass"
+    assert results.exit_code == ExitCode.PASS
+    assert len(results.kept) == POSES - 1
+    assert results.proof is not None
+    assert results.proof.translation_mm is not None
+    assert results.proof.translation_mm < 1
+    assert sentence(results).startswith(f"pass: t2rgb: {POSES - 1} of {POSES} collections kept, calibrates with 0.")
+
+
+def test_everything_stands_in_the_folder(results: CollectionResults, output: Path) -> None:
+    files = snapshot(output)
+    assert {"dataset.json", "ground_truth.json", "motion.json", "results.json", "poses.csv", "summary.md"} <= set(files)
+    assert {"contact_sheet.png", "junit.xml", "left_camera_000.jpg", "right_camera_004.jpg"} <= set(files)
+    assert "left_camera_001.jpg" not in files  # lost
+    assert not any(name.startswith(".") for name in files)
+    document = json.loads(files["results.json"])
+    jsonschema.validate(document, json.loads(SCHEMA.read_text()))
+    assert document["lost"] == [{"pose": 2, "reasons": list(results.records[1].lost)}]
+    rows = list(csv.DictReader(files["poses.csv"].decode().splitlines()))
+    assert [row["Kept"] for row in rows] == ["yes", "no", "yes", "yes", "yes"]
+    assert rows[1]["Reasons"].startswith("left_camera: ")
+    assert f"pose 2 lost: {escape_markdown(results.records[1].lost[0])}" in files["summary.md"].decode()
+    assert b'failures="0"' in files["junit.xml"]
+
+
+def test_the_contact_sheet_shows_every_pose(results: CollectionResults, output: Path) -> None:
+    sheet = cv2.imread(str(output / "contact_sheet.png"))
+    assert sheet is not None
+    red = (sheet[..., 2].astype(int) - sheet[..., 1] > 100) & (sheet[..., 2].astype(int) - sheet[..., 0] > 100)
+    height, width = red.shape
+    assert 1000 < width < 2400
+    columns = red.any(axis=0)
+    assert columns.any()  # the frame of the lost pose
+    assert len({tuple(colour) for colour in sheet[::4, ::4].reshape(-1, 3).tolist()}) > 200  # images, not blanks
+    assert height > 300
+
+
+def test_the_same_bytes_again_and_with_other_processes(
+    results: CollectionResults, request_: CollectionRequest, output: Path, tmp_path: Path
+) -> None:
+    collect_dataset(request_, tmp_path / "one", jobs=1)
+    collect_dataset(request_, tmp_path / "three", jobs=3)
+    assert snapshot(tmp_path / "one") == snapshot(tmp_path / "three") == snapshot(output)
+
+
+def test_an_interrupted_one_leaves_no_dataset_and_goes_on(
+    results: CollectionResults,
+    request_: CollectionRequest,
+    output: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    done: list[int] = []
+
+    def interrupt(count: int, *_: object) -> None:
+        done.append(count)
+        if count == 3:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        collect_dataset(request_, tmp_path, jobs=1, done=interrupt)
+    assert all(name.startswith(".collecting/") for name in snapshot(tmp_path))
+    made = []
+    pose = collecting.collect_pose
+    monkeypatch.setattr(collecting, "collect_pose", lambda *a, **k: made.append(a[1]) or pose(*a, **k))  # type: ignore[func-returns-value]
+    assert collect_dataset(request_, tmp_path, jobs=1) == results
+    assert made == [3, 4]
+    assert snapshot(tmp_path) == snapshot(output)
+
+
+def test_another_seed_does_not_go_on_with_what_is_there(request_: CollectionRequest, tmp_path: Path) -> None:
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        collect_dataset(request_, tmp_path, jobs=1, done=interrupt)
+    assert list((tmp_path / ".collecting").glob("*.record.json"))
+    made: list[int] = []
+    collect_dataset(replace(request_, seed=7), tmp_path, jobs=1, done=lambda count, *_: made.append(count))
+    assert made == [1, 2, 3, 4, 5]
+    assert json.loads((tmp_path / "ground_truth.json").read_text())["seed"] == 7
+
+
+def test_a_full_disk_loses_nothing(
+    request_: CollectionRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "notes.txt").write_text("mine")
+    writes = 0
+
+    def full(path: Path | str, content: bytes | str) -> None:
+        nonlocal writes
+        writes += 1
+        if writes > 5:
+            raise WorldError(f"{path}: cannot be written: No space left on device")
+        write_atomically(path, content)
+
+    monkeypatch.setattr("calibration.simulation.collection.workspace.write_atomically", full)
+    with pytest.raises(WorldError, match="No space left on device"):
+        collect_dataset(request_, tmp_path, jobs=1)
+    assert (tmp_path / "notes.txt").read_text() == "mine"
+    assert not (tmp_path / "dataset.json").exists()
+    monkeypatch.undo()
+    assert collect_dataset(request_, tmp_path, jobs=1).verdict == "pass"
+
+
+def test_where_nothing_is_seen_it_fails_and_says_why(request_: CollectionRequest, tmp_path: Path) -> None:
+    poses = json.loads(Path(str(request_.motion)).read_text())
+    away = tmp_path / "away.json"
+    away.write_text(json.dumps({"1": poses["2"]}))
+    results = collect_dataset(replace(request_, motion=str(away)), tmp_path / "output")
+    assert results.verdict == "fail"
+    assert results.reasons[0] == "collections: found 0, at least 3 was expected"
+    assert "translation error against the truth: no value, at most 5 mm was expected" in results.reasons
+    files = set(snapshot(tmp_path / "output"))
+    assert "dataset.json" not in files
+    assert {"results.json", "summary.md", "contact_sheet.png"} <= files
+    jsonschema.validate(collection_document(results), json.loads(SCHEMA.read_text()))
+    assert outputs(results, tmp_path)["dataset"] == ""
+
+
+@pytest.mark.parametrize(
+    ("limits", "reason"),
+    [
+        (CollectionChecks(minimum_collections=5), "collections: found 4, at least 5 was expected"),
+        (CollectionChecks(minimum_detection_rate=0.9), "detection rate of left_camera: found 0.8, at least 0.9"),
+        (CollectionChecks(minimum_coverage=1), "coverage of "),
+        (CollectionChecks(max_translation_mm=1e-6), "translation error against the truth: found "),
+        (CollectionChecks(max_rotation_deg=1e-9), "rotation error against the truth: found "),
+    ],
+)
+def test_each_limit_turns_it_red(results: CollectionResults, limits: CollectionChecks, reason: str) -> None:
+    judged = replace(results, limits=limits)
+    assert judged.exit_code == ExitCode.FAIL
+    assert any(each.startswith(reason) for each in judged.reasons)
+    assert escape_markdown(reason.split(":")[0]) in markdown(judged)
+
+
+def test_without_limits_it_still_has_to_calibrate(results: CollectionResults) -> None:
+    free = CollectionChecks(minimum_collections=1, max_translation_mm=None, max_rotation_deg=None)
+    assert replace(results, limits=free).verdict == "pass"
+    lost = replace(results, limits=free, proof=Proof(False, "no minimum"))
+    assert lost.reasons == ["the dataset does not calibrate: no minimum"]
+
+
+@pytest.mark.parametrize("value", [None, float("nan"), float("inf")])
+def test_a_number_that_is_missing_or_not_finite_never_passes(value: float | None) -> None:
+    for at_least in (True, False):
+        assert not Check("x", value, 0.0, at_least).passed
+    assert Check("x", 0.0, 0.0, True).passed
+    assert Check("x", 0.0, 0.0, False).passed
+
+
+def test_a_dataset_is_not_overwritten_unless_asked(
+    results: CollectionResults, request_: CollectionRequest, output: Path
+) -> None:
+    before = snapshot(output)
+    with pytest.raises(InputError, match="exists already; --overwrite replaces the dataset"):
+        collect_dataset(request_, output)
+    assert snapshot(output) == before
+
+
+def test_without_opencv_it_says_what_to_install(
+    request_: CollectionRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(__import__("sys").modules, "cv2", None)
+    with pytest.raises(WorldError, match=r"needs OpenCV: pip install 'calibration-ci\[calibrate,opencv\]'"):
+        collection.require_opencv()

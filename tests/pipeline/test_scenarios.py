@@ -1,0 +1,119 @@
+"""The verdict over many worlds, and what it leaves in files."""
+
+import csv
+import json
+import shlex
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from calibration.commands.collect_data_sim import command
+from calibration.errors import ExitCode
+from calibration.pipeline import scenarios
+from calibration.pipeline.collection import CollectionRequest
+from calibration.pipeline.collection_results import CollectionChecks
+from calibration.pipeline.scenario_report import world_line
+from calibration.pipeline.scenarios import (
+    ScenarioRequest,
+    ScenarioResults,
+    replay,
+    scenario_document,
+    scenario_markdown,
+    world_reasons,
+    write_scenario_results,
+)
+from calibration.simulation.scenarios.report import Report
+from calibration.simulation.scenarios.result import ScenarioResult
+
+GOOD = ScenarioResult(
+    "s1-00000",
+    "0123456789ab",
+    {"motion.sway_mm": 0.1},
+    poses=12,
+    lost={"003": ("left: moved",)},
+    detection={"left": 0.9},
+    converged=True,
+    rms_px=0.1,
+    translation_mm=1.0,
+    rotation_deg=0.1,
+)
+FAR = replace(GOOD, id="s1-00001", translation_mm=7.0)
+BROKEN = replace(
+    GOOD, id="s1-00002", converged=False, translation_mm=None, rotation_deg=None, reasons=("nothing seen",)
+)
+
+
+def results(*found: ScenarioResult, rate: float = 1.0, **checks: float) -> ScenarioResults:
+    request = ScenarioRequest(
+        CollectionRequest(Path("my robot"), seed=1, checks=CollectionChecks(**checks)),  # type: ignore[arg-type]
+        Path("worlds.yml"),
+        len(found),
+        rate,
+    )
+    return ScenarioResults("robot", request, Report(found))
+
+
+def test_a_world_passes_within_its_limits() -> None:
+    assert world_reasons(GOOD, CollectionChecks()) == []
+    assert world_reasons(BROKEN, CollectionChecks()) == ["nothing seen"]
+    assert world_reasons(replace(BROKEN, reasons=()), CollectionChecks()) == ["it does not calibrate"]
+    assert world_reasons(FAR, CollectionChecks()) == [
+        "translation error against the truth: found 7 mm, at most 5 mm was expected"
+    ]
+    strict = CollectionChecks(minimum_collections=12, minimum_detection_rate=0.95, max_rotation_deg=0.05)
+    assert [reason.partition(":")[0] for reason in world_reasons(GOOD, strict)] == [
+        "collections",
+        "detection rate of left",
+        "rotation error against the truth",
+    ]
+    assert world_reasons(replace(GOOD, translation_mm=None), CollectionChecks()) != []
+
+
+def test_every_world_has_to_pass_unless_a_rate_is_given() -> None:
+    assert results(GOOD).exit_code == ExitCode.PASS
+    assert results(GOOD, FAR).exit_code == ExitCode.FAIL
+    assert results(GOOD, FAR).reasons == ["success rate: found 0.5, at least 1 was expected"]
+    assert results(GOOD, FAR, rate=0.5).exit_code == ExitCode.PASS
+    assert results(GOOD, FAR, BROKEN, rate=0.5).exit_code == ExitCode.FAIL
+    assert results(FAR, max_translation_mm=10).exit_code == ExitCode.PASS
+
+
+def test_what_it_leaves(tmp_path: Path) -> None:
+    found = write_scenario_results(results(GOOD, FAR, BROKEN), tmp_path)
+    assert found.notes == ()
+    assert {path.name for path in tmp_path.iterdir()} == {
+        *("results.json", "worlds.csv", "worlds.png", "summary.md", "junit.xml")
+    }
+    document = json.loads((tmp_path / "results.json").read_text())
+    assert document == json.loads(json.dumps(scenario_document(found)))
+    assert document["failed"].keys() == {"s1-00001", "s1-00002"}
+    assert document["worst"][0] == "s1-00002"
+    rows = list(csv.DictReader((tmp_path / "worlds.csv").read_text().splitlines()))
+    assert [row["id"] for row in rows] == ["s1-00000", "s1-00001", "s1-00002"]
+    assert 'tests="3" failures="2"' in (tmp_path / "junit.xml").read_text()
+    assert "success rate: found 0.3333, at least 1 was expected" in scenario_markdown(found)
+
+
+def test_without_what_draws_the_figure_there_is_a_note(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(__import__("sys").modules, "matplotlib", None)
+    monkeypatch.setitem(__import__("sys").modules, "matplotlib.figure", None)
+    found = write_scenario_results(results(GOOD), tmp_path)
+    assert found.notes == ("the figure needs matplotlib: pip install 'calibration-ci[figures]'",)
+    assert not (tmp_path / "worlds.png").exists()
+    assert (tmp_path / "results.json").exists()
+
+
+def test_the_command_that_replays_is_one_that_the_command_line_takes() -> None:
+    words = shlex.split(replay(results(GOOD), "s1-00017"))
+    assert words[:2] == ["calibration", "collect-data-sim"]
+    context = command.make_context("collect-data-sim", words[2:])
+    assert context.params["scenario"] == "s1-00017"
+    assert context.params["system"] == "my robot"
+    assert context.params["scenario_set"] == Path("worlds.yml")
+
+
+def test_lines_of_the_progress() -> None:
+    assert world_line(GOOD) == "s1-00000: 11/12 collections, 1 mm, 0.1 deg"
+    assert world_line(BROKEN) == "s1-00002: nothing seen"
+    assert scenarios.MAX_SCENARIOS >= 10_000

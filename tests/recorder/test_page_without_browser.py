@@ -1,0 +1,94 @@
+"""What the page does where no browser is needed to see it."""
+
+import threading
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from calibration.errors import InputError
+from calibration.recorder.page import Page, beside, parsed
+from calibration.recorder.preview import Preview
+from calibration.recorder.server import serving
+from calibration.recorder.session import Session
+from calibration.simulation.motion.sequence import Motion, read_motion
+from calibration.simulation.system import System
+from tests.recorder.conftest import DATASETS
+
+LONG = 20.0  # s
+
+
+@pytest.mark.parametrize(("name", "expected"), [("", "motion.json"), (" two.json ", "two.json"), ("a b", "a b")])
+def test_a_name_is_that_of_a_file_beside_the_output(name: str, expected: str) -> None:
+    assert beside(Path("folder/motion.json"), name) == Path("folder", expected)
+
+
+@pytest.mark.parametrize(
+    "name", ["../motion.json", "/etc/motion.json", "a/b", "..", ".", "a/", "a\0b", "a\nb", 61 * "a"]
+)
+def test_a_name_with_a_folder_is_refused(name: str) -> None:
+    with pytest.raises(InputError, match=r"^File name: found '"):
+        beside(Path("folder/motion.json"), name)
+
+
+def test_an_uploaded_sequence_is_read_and_called_by_its_name() -> None:
+    content = (DATASETS / "t2rgb" / "motion.json").read_bytes()
+    motion = parsed("mine.json", content)
+    assert motion.source == "mine.json"
+    expected = read_motion(DATASETS / "t2rgb" / "motion.json")
+    np.testing.assert_array_equal(motion.positions, expected.positions)
+
+
+@pytest.mark.parametrize(
+    "content", [b"", b"{}", b"[1]", b"\xff\xfe", b'{"2": {}}', b'{"1": {"position": {"x": NaN}}}', b"[" * 100_000]
+)
+def test_an_upload_that_is_no_sequence_is_said_in_one_line_with_its_name(content: bytes) -> None:
+    with pytest.raises(InputError, match=r"^mine\.json: ") as error:
+        parsed("mine.json", content)
+    assert "\n" not in str(error.value)
+    assert "/tmp" not in str(error.value)  # noqa: S108 (compared with, not written to)
+
+
+def test_every_pose_of_a_sequence_is_looked_at_once_and_then_rated(systems: dict[str, System], tmp_path: Path) -> None:
+    session = Session(systems["t2rgb"], read_motion(DATASETS / "t2rgb" / "motion.json").take([0, 1, 2, 3]))
+    looked: list[Motion] = []
+    rated = threading.Event()
+    lengths: list[int] = []
+
+    def look(pose: Motion) -> Preview:
+        looked.append(pose)
+        return Preview({}, ("no sensor",))
+
+    def rate(motion: Motion) -> dict[str, tuple[float, float]]:
+        lengths.append(len(motion))
+        rated.set()
+        raise InputError("nothing is determined")
+
+    with serving("127.0.0.1", 0) as server:
+        page = Page(server, session, tmp_path / "motion.json", look, rate)
+        assert rated.wait(LONG)
+        page.close()
+    assert {id(pose) for pose in looked} == {id(pose) for pose in session.poses}
+    assert len(looked) == 4
+    assert lengths == [4]
+
+
+def test_a_bug_where_one_looks_is_told_and_ends_nothing(
+    systems: dict[str, System], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    session = Session(systems["t2rgb"])
+    session.save()
+    rated = threading.Event()
+
+    def look(_: Motion) -> Preview:
+        raise RuntimeError("out of light")
+
+    def rate(_: Motion) -> dict[str, tuple[float, float]]:
+        rated.set()
+        return {}
+
+    with serving("127.0.0.1", 0) as server:
+        page = Page(server, session, tmp_path / "motion.json", look, rate)
+        assert rated.wait(LONG)  # so the thread went on
+        page.close()
+    assert "RuntimeError: out of light" in capsys.readouterr().err

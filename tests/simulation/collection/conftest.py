@@ -1,0 +1,43 @@
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from calibration.simulation.collection.checks import Requirements
+from calibration.simulation.collection.collecting import collect
+from calibration.simulation.collection.play import Play, play
+from calibration.simulation.collection.record import Record
+from calibration.simulation.collection.workspace import Workspace
+from calibration.simulation.motion.sequence import Motion, moving_model, read_motion
+from calibration.simulation.system import System
+from tests.simulation.conftest import DATASETS
+
+
+def own_motion(system: System) -> Motion:
+    return read_motion(DATASETS / system.name / "motion.json")
+
+
+def with_a_lost_pose(motion: Motion) -> Motion:
+    """The first three poses, the second one high above the sensors."""
+    poses = motion.take([0, 1, 2]).model_poses
+    assert poses is not None
+    poses[1, 2, 3] += 5.0
+    return replace(moving_model(poses), source="a motion")
+
+
+@pytest.fixture(scope="session")
+def rlbot_play(systems: dict[str, System]) -> Play:
+    """rlbot at three poses, of which one is lost."""
+    system = systems["rlbot"]
+    return play(system, with_a_lost_pose(own_motion(system)), seed=1)
+
+
+@pytest.fixture(scope="session")
+def rlbot_files(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Where the files of `rlbot_records` lie."""
+    return tmp_path_factory.mktemp("files")
+
+
+@pytest.fixture(scope="session")
+def rlbot_records(rlbot_play: Play, rlbot_files: Path) -> list[Record]:
+    return collect(rlbot_play, Requirements(), Workspace(rlbot_files), jobs=1)

@@ -1,0 +1,47 @@
+"""The proof of a dataset: an answer for every dataset, also for those that do not calibrate."""
+
+import json
+import shutil
+from pathlib import Path
+
+from calibration.dataset.reading import read_dataset
+from calibration.estimation.calibrate import calibrate
+from calibration.simulation.collection.proof import prove
+from tests.simulation.conftest import DATASETS
+
+
+def test_what_the_engine_says(tmp_path: Path) -> None:
+    proof = prove(DATASETS / "rlbot")
+    found = calibrate(read_dataset(DATASETS / "rlbot"))
+    assert proof.converged
+    assert proof.reason == ""
+    assert proof.rms_px == round(found.rms_px, 4)
+    assert proof.sigmas is not None
+    assert list(proof.sigmas) == ["lidar_right"]  # the camera is anchored
+    assert (
+        abs(
+            proof.sigmas["lidar_right"].translation_mm
+            - found.sigma_mm(("tripod_right_support", "lidar_right_base_link"))
+        )
+        < 1e-4
+    )
+    assert proof.translation_mm is not None
+    assert 0 < proof.translation_mm < 5
+
+
+def test_without_a_truth_there_is_no_error(tmp_path: Path) -> None:
+    shutil.copy(DATASETS / "t2rgb" / "dataset.json", tmp_path)
+    proof = prove(tmp_path)
+    assert proof.converged
+    assert proof.translation_mm is None
+    assert proof.rotation_deg is None
+
+
+def test_what_cannot_be_calibrated_is_an_answer(tmp_path: Path) -> None:
+    document = json.loads((DATASETS / "t2rgb" / "dataset.json").read_text())
+    document["collections"] = {}
+    (tmp_path / "dataset.json").write_text(json.dumps(document))
+    proof = prove(tmp_path)
+    assert not proof.converged
+    assert proof.reason.startswith("dataset.json: ")
+    assert str(tmp_path) not in proof.reason

@@ -1,0 +1,58 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calibration.geometry.types import Array
+from calibration.simulation.motion.clearance import is_clear
+from calibration.simulation.motion.sequence import Motion
+from calibration.simulation.placement import place
+from calibration.simulation.robot import compose
+from calibration.simulation.scene import Box, Scene
+from calibration.simulation.system import System
+from tests.simulation.conftest import SYSTEMS
+
+PATTERN = "pattern_1"
+
+
+def clear(system: System, motion: Motion, scene: Scene) -> list[bool]:
+    cleared = replace(system, scene=scene)
+    result: list[bool] = is_clear(cleared, system.patterns[PATTERN], place(cleared, motion)).tolist()
+    return result
+
+
+def cube(centre: Array, size: float) -> Scene:
+    T = np.eye(4)
+    T[:3, 3] = centre
+    return Scene(boxes=(Box(T, np.full(3, size)),))
+
+
+@pytest.mark.parametrize("name", SYSTEMS)
+def test_the_pattern_runs_into_a_box(systems: dict[str, System], motions: dict[str, Motion], name: str) -> None:
+    system, motion = systems[name], motions[name]
+    assert all(clear(system, motion, Scene()))
+    outline = system.patterns[PATTERN].outline
+    corner = (place(system, motion).patterns[PATTERN][4] @ [*outline[0], 0.0, 1.0])[:3]
+    assert not clear(system, motion, cube(corner, 1e-3))[4]
+
+
+@pytest.mark.parametrize("name", SYSTEMS)
+def test_a_sensor_stands_in_a_box(systems: dict[str, System], motions: dict[str, Motion], name: str) -> None:
+    system, motion = systems[name], motions[name]
+    for T_world_sensor in place(system, motion).sensors.values():
+        assert not any(clear(system, motion, cube(T_world_sensor[0, :3, 3], 0.05)))
+
+
+def test_a_link_of_the_arm_runs_into_a_box(systems: dict[str, System], motions: dict[str, Motion]) -> None:
+    system, motion = systems["riwbot"], motions["riwbot"]
+    elbow = compose(system.robot.tree, place(system, motion).transforms, "world", "forearm_link")[:, :3, 3]
+    assert not clear(system, motion, cube(elbow[7], 1e-3))[7]
+
+
+def test_the_ground_is_kept_away_from(systems: dict[str, System], motions: dict[str, Motion]) -> None:
+    system, motion = systems["t2rgb"], motions["t2rgb"]
+    board = place(system, motion).patterns[PATTERN]
+    outline = np.column_stack([system.patterns[PATTERN].outline, np.zeros(4), np.ones(4)])
+    lowest = (board @ outline.T)[:, 2].min(-1)
+    ground = float(np.median(lowest)) - 0.05
+    assert clear(system, motion, Scene(ground=ground)) == (lowest >= ground + 0.05).tolist()

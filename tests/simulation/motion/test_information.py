@@ -1,0 +1,77 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calibration.errors import UndeterminedError
+from calibration.estimation.normal_equations import assemble
+from calibration.simulation.motion.information import (
+    CORNER_NOISE,
+    _truth,
+    expected_noise,
+    information,
+    informations,
+)
+from calibration.simulation.motion.sequence import Motion
+from calibration.simulation.placement import place
+from calibration.simulation.system import System
+from tests.simulation.conftest import SYSTEMS
+
+
+@pytest.mark.parametrize("name", SYSTEMS)
+def test_the_poses_add_up_to_what_the_engine_knows(
+    systems: dict[str, System], motions: dict[str, Motion], name: str
+) -> None:
+    system, motion = systems[name], motions[name]
+    placement = place(system, motion)
+    found = information(system, placement)
+    problem, noise = found.setup.problem, expected_noise(system)
+    equations = assemble(problem, _truth(system, found.setup, placement, found.poses), noise)
+    np.testing.assert_allclose(
+        found.each.sum(0), equations.schur, rtol=1e-9, atol=1e-12 * np.abs(equations.schur).max()
+    )
+    assert found.poses.tolist() == list(range(24))
+    assert found.calibrated == 6
+    assert found.each.shape == (24, *2 * (6 * len(problem.shared),))
+    assert (np.linalg.eigvalsh(found.each) > -1e-9 * np.abs(found.each).max((1, 2))[:, None]).all()
+    if not system.lidars:  # rays do not meet the border exactly
+        assert equations.cost.max() < 1e-12
+
+
+def test_half_the_noise_tells_four_times_as_much(systems: dict[str, System], motions: dict[str, Motion]) -> None:
+    system = systems["riwbot"]
+    placement = place(system, motions["riwbot"])
+    found = information(system, placement)
+    values, noise = _truth(system, found.setup, placement, found.poses), expected_noise(system)
+    assert noise.scales["pixel"] == CORNER_NOISE
+    sharper = replace(noise, scales={**noise.scales, "pixel": CORNER_NOISE / 2})
+    np.testing.assert_allclose(informations(found.setup.problem, values, sharper), 4 * found.each, rtol=1e-9)
+
+
+def test_a_pose_tells_the_same_in_any_motion(systems: dict[str, System], motions: dict[str, Motion]) -> None:
+    for name, system in systems.items():
+        whole = information(system, place(system, motions[name]))
+        some = information(system, place(system, motions[name].take([20, 3, 7])))
+        np.testing.assert_allclose(some.each, whole.each[[20, 3, 7]], rtol=1e-9, atol=1e-9 * np.abs(whole.each).max())
+
+
+def test_noise_of_the_sensors(systems: dict[str, System]) -> None:
+    lidar = systems["rlbot"].lidars["lidar_right"]
+    scales = expected_noise(systems["rlbot"]).scales
+    assert scales["range"] == pytest.approx(np.hypot(lidar.noise, lidar.resolution / 12**0.5))
+    assert scales["border"] == pytest.approx(lidar.step / 12**0.5)
+    exact = replace(lidar, noise=0.0, resolution=0.0)
+    system = replace(systems["rlbot"], sensors={**systems["rlbot"].sensors, "lidar_right": exact})
+    assert expected_noise(system).scales["range"] > 0
+
+
+def test_nothing_to_calibrate(systems: dict[str, System], motions: dict[str, Motion]) -> None:
+    system = systems["t2rgb"]
+    config = system.configuration
+    alone = replace(
+        system,
+        sensors={"left_camera": system.sensors["left_camera"]},
+        configuration=replace(config, sensors={"left_camera": config.sensors["left_camera"]}),
+    )
+    with pytest.raises(UndeterminedError, match="t2rgb: nothing to calibrate"):
+        information(alone, place(alone, motions["t2rgb"]))

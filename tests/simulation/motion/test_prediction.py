@@ -1,0 +1,134 @@
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from calibration.dataset.model import CornerLabels, Dataset, Labels
+from calibration.errors import InputError
+from calibration.estimation.calibrate import Options, calibrate
+from calibration.geometry.transforms import distance
+from calibration.simulation.motion.expected import expected_dataset
+from calibration.simulation.motion.information import CORNER_NOISE, information
+from calibration.simulation.motion.prediction import predicted_sigmas
+from calibration.simulation.motion.sequence import Motion
+from calibration.simulation.placement import place
+from calibration.simulation.sensors import SimulatedDepthCamera
+from calibration.simulation.system import System
+from tests.simulation.conftest import SYSTEMS
+
+NOTHING = (np.inf, np.inf)
+
+
+def noisy(dataset: Dataset, system: System, seed: int) -> Dataset:
+    """The dataset with noise in corners and ranges."""
+    rng = np.random.default_rng(seed)
+
+    def moved(sensor: str, labels: Labels) -> Labels:
+        if isinstance(labels, CornerLabels):
+            return replace(labels, pixels=labels.pixels + CORNER_NOISE * rng.normal(size=labels.pixels.shape))
+        ranges = np.linalg.norm(labels.points, axis=-1)
+        error = system.lidars[sensor].noise * rng.normal(size=len(ranges))
+        return replace(labels, points=labels.points * (1 + error / ranges)[:, None])
+
+    collections = tuple(
+        replace(c, labels={(pattern, sensor): moved(sensor, label) for (pattern, sensor), label in c.labels.items()})
+        for c in dataset.collections
+    )
+    return replace(dataset, collections=collections)
+
+
+@pytest.mark.parametrize("name", SYSTEMS)
+def test_what_is_predicted_is_what_a_calibration_states(
+    systems: dict[str, System], motions: dict[str, Motion], name: str
+) -> None:
+    system = systems[name]
+    exact = expected_dataset(system, place(system, motions[name]))
+    predicted = predicted_sigmas(system, motions[name])
+    assert list(predicted) == list(system.sensors)
+    for seed in range(2):
+        result = calibrate(noisy(exact, system, seed), Options(loss="linear"))
+        assert result.converged
+        for sensor, (translation, rotation) in predicted.items():
+            edge = exact.sensors[sensor].edge
+            factor = 1.5 if sensor in system.lidars else 1.15  # the border's noise is less than its step's
+            for stated, expected in (
+                (result.sigma_mm(edge), 1e3 * translation),
+                (result.sigma_mrad(edge), 1e3 * rotation),
+            ):
+                assert expected / factor <= stated <= expected * factor
+            off, turned = distance(result.transforms[edge], exact.transforms[edge][0])
+            assert off <= 4 * translation + 1e-12
+            assert turned <= 4 * rotation + 1e-12
+
+
+def test_a_held_sensor_is_known(systems: dict[str, System], motions: dict[str, Motion]) -> None:
+    assert predicted_sigmas(systems["t2rgb"], motions["t2rgb"])["left_camera"] == (0, 0)  # it fixes the gauge
+    assert predicted_sigmas(systems["rlbot"], motions["rlbot"])["rgb_left"] == (0, 0)  # it is anchored
+    assert min(predicted_sigmas(systems["riwbot"], motions["riwbot"])["rgb_world"]) > 0
+
+
+@pytest.mark.parametrize("name", SYSTEMS)
+def test_more_poses_never_know_less(systems: dict[str, System], motions: dict[str, Motion], name: str) -> None:
+    system = systems[name]
+    sigmas = [predicted_sigmas(system, motions[name].take(range(n))) for n in (3, 5, 8, 14, 24)]
+    for fewer, more in pairwise(sigmas):
+        for sensor in system.sensors:
+            assert more[sensor][0] <= fewer[sensor][0] * (1 + 1e-9)
+            assert more[sensor][1] <= fewer[sensor][1] * (1 + 1e-9)
+
+
+@pytest.mark.parametrize("count", [0, 1])
+def test_too_few_poses_determine_nothing(systems: dict[str, System], motions: dict[str, Motion], count: int) -> None:
+    for name, system in systems.items():
+        few = motions[name].take(range(count))
+        assert predicted_sigmas(system, few) == dict.fromkeys(system.sensors, NOTHING)
+
+
+def test_where_nothing_is_seen_nothing_is_known(systems: dict[str, System], motions: dict[str, Motion]) -> None:
+    away = motions["t2rgb"]
+    assert away.positions is not None
+    away = replace(away, positions=away.positions + 50.0)
+    assert predicted_sigmas(systems["t2rgb"], away) == dict.fromkeys(systems["t2rgb"].sensors, NOTHING)
+
+
+def test_an_arm_that_turns_its_pattern_about_one_axis_leaves_it_open(
+    systems: dict[str, System], motions: dict[str, Motion]
+) -> None:
+    """The wrist's last joint alone does not tell how far along its axis, and turned how, the pattern is mounted."""
+    system = systems["riwbot"]
+    first = motions["riwbot"].take([0])
+    joints = {name: np.repeat(position, 12) for name, position in first.joints.items()}
+    joints["wrist_3_joint"] = joints["wrist_3_joint"] + np.linspace(-0.6, 0.6, 12)
+    turning = replace(first, joints=joints)
+    assert len(information(system, place(system, turning)).poses) > 4
+    assert predicted_sigmas(system, turning) == {"rgb_world": NOTHING}
+
+
+def test_two_unknowns_in_a_row_are_open(systems: dict[str, System], motions: dict[str, Motion]) -> None:
+    """A mount that is calibrated too, and never moves against the camera on it."""
+    system = systems["t2rgb"]
+    config = system.configuration
+    mount = {"mount": ("right_support", "camera_right_link")}
+    doubled = replace(system, configuration=replace(config, additional_tfs=mount))
+    found = predicted_sigmas(doubled, motions["t2rgb"])
+    assert found["right_camera"] == NOTHING
+    assert found["left_camera"] == (0, 0)
+
+
+def test_depth_cameras_are_left_out(systems: dict[str, System], motions: dict[str, Motion]) -> None:
+    system = systems["rlbot"]
+    config, rgb = system.configuration, system.configuration.sensors["rgb_left"]
+    mixed = replace(
+        system,
+        sensors={**system.sensors, "depth": SimulatedDepthCamera(system.cameras["rgb_left"].camera)},
+        configuration=replace(
+            config, sensors={**config.sensors, "depth": replace(rgb, name="depth", modality="depth")}
+        ),
+    )
+    assert predicted_sigmas(mixed, motions["rlbot"]) == predicted_sigmas(system, motions["rlbot"])
+
+
+def test_a_motion_that_does_not_fit(systems: dict[str, System], motions: dict[str, Motion]) -> None:
+    with pytest.raises(InputError, match="every pattern of riwbot is fixed"):
+        predicted_sigmas(systems["riwbot"], motions["t2rgb"])

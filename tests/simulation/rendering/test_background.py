@@ -1,0 +1,87 @@
+import numpy as np
+import pytest
+
+from calibration.geometry.cameras import PlumbBob
+from calibration.geometry.transforms import from_xyz_rpy
+from calibration.simulation.rendering.background import STEPS, background
+from calibration.simulation.scene import Box, Light, Scene
+from tests.simulation.rendering.views import EVEN, T_WORLD_CAMERA, camera
+
+CAMERA = camera()
+RED_BOX = Box(T_WORLD_CAMERA @ from_xyz_rpy([0, 0, 2.5], [0, 0, 0]), np.array([1.0, 1.0, 1.0]), (200.0, 100.0, 50.0))
+
+
+def levels(scene: Scene) -> np.ndarray:
+    return background(CAMERA, T_WORLD_CAMERA, scene).radiance / STEPS
+
+
+def test_a_box_has_its_colour_and_its_depth() -> None:
+    seen = background(CAMERA, T_WORLD_CAMERA, Scene(boxes=(RED_BOX,), light=EVEN))
+    np.testing.assert_array_equal(seen.radiance[120, 160] / STEPS, [50, 100, 200])  # blue first
+    assert seen.depth[120, 160] == pytest.approx(2.0)
+    assert np.isinf(seen.depth[0, 0])
+    np.testing.assert_array_equal(
+        seen.radiance[45:195, 86:234].reshape(-1, 3), np.tile(seen.radiance[120, 160], (150 * 148, 1))
+    )
+
+
+def test_the_edge_of_a_box_is_as_fine_as_samples() -> None:
+    left = levels(Scene(boxes=(RED_BOX,), light=EVEN))[120, 80:90]
+    shares = (left[:, 2] - left[0, 2]) / (left[-1, 2] - left[0, 2])
+    edge = 159.5 - 300 * 0.5 / 2.0
+    assert 80 + (1 - shares).sum() - 0.5 == pytest.approx(edge, abs=1 / 32)
+    assert ((shares > 0) & (shares < 1)).sum() <= 1
+
+
+def test_every_face_is_lit_by_its_own_normal() -> None:
+    box = Box(from_xyz_rpy([2.5, 0.4, 0.4], [0, 0, 0.6]), np.array([1.0, 1.0, 1.0]), (200.0, 200.0, 200.0))
+    normals = {
+        "side": [-np.sin(0.6), np.cos(0.6), 0.0],
+        "other side": [-np.cos(0.6), -np.sin(0.6), 0.0],
+        "top": [0, 0, 1.0],
+    }
+    for direction in normals.values():
+        light = Light(0.1, 0.8, np.array(direction))
+        seen = set(np.round(levels(Scene(boxes=(box,), light=light))[..., 0].ravel(), 2).tolist())
+        for normal in normals.values():
+            expected = 200 * (0.1 + 0.8 * max(0.0, float(np.dot(direction, normal))))
+            assert min(abs(value - expected) for value in seen) < 0.02
+
+
+def test_from_inside_a_box_its_faces_are_lit_from_inside() -> None:
+    room = Box(T_WORLD_CAMERA, np.array([4.0, 4.0, 4.0]), (100.0, 100.0, 100.0))
+    towards_camera = -T_WORLD_CAMERA[:3, 2]
+    assert levels(Scene(boxes=(room,), light=Light(0.2, 0.5, towards_camera)))[120, 160, 0] == pytest.approx(
+        70, abs=0.02
+    )
+    assert levels(Scene(boxes=(room,), light=Light(0.2, 0.5, -towards_camera)))[120, 160, 0] == pytest.approx(
+        20, abs=0.02
+    )
+
+
+def test_the_ground_is_not_of_one_shade_and_of_low_contrast() -> None:
+    ground = levels(Scene(ground=0.0, light=EVEN))[130:]
+    assert 1 < ground[..., 1].std() < 10
+    assert np.ptp(ground[..., 1]) < 20
+
+
+def test_darkness_is_dark() -> None:
+    assert not levels(Scene(ground=0.0, boxes=(RED_BOX,), light=Light(0.0, 0.0))).any()
+
+
+def test_where_the_lens_shows_nothing_it_is_black() -> None:
+    folding = camera(320, 240, 100, PlumbBob(-0.45, 0.0, 0.0, 0.0, 0.0))
+    seen = background(folding, T_WORLD_CAMERA, Scene(ground=0.0))
+    assert not seen.radiance[0, 0].any()
+    assert np.isinf(seen.depth[0, 0])
+    assert seen.radiance[120, 160].all()
+
+
+def test_a_still_camera_has_one_background_and_nobody_may_draw_on_it() -> None:
+    scene = Scene(ground=0.0)
+    seen = background(CAMERA, T_WORLD_CAMERA, scene)
+    assert background(CAMERA, T_WORLD_CAMERA.copy(), scene) is seen
+    assert background(CAMERA, from_xyz_rpy([1, 0, 0], [0, 0, 0]) @ T_WORLD_CAMERA, scene) is not seen
+    assert background(CAMERA, T_WORLD_CAMERA, Scene(ground=0.0)) is not seen
+    with pytest.raises(ValueError, match="read-only"):
+        seen.radiance[0, 0] = 0

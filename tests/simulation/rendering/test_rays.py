@@ -1,0 +1,40 @@
+import numpy as np
+
+from calibration.geometry.cameras import PlumbBob
+from calibration.simulation.rendering.rays import SAMPLES, rays, rounded, sample_rays
+from tests.simulation.rendering.views import DISTORTION, T_WORLD_CAMERA, camera
+
+
+def test_rays_of_pixels_and_of_one_more_on_each_side() -> None:
+    for distortion in (PlumbBob(), DISTORTION):
+        of = camera(20, 10, 15, distortion)
+        found = rays(of)
+        assert found.shape == (3, 12, 22)
+        pixels = of.project(np.moveaxis(found, 0, -1))
+        v, u = np.mgrid[-1:11, -1:21]
+        np.testing.assert_allclose(pixels, np.stack([u, v], -1), atol=1e-9)
+
+
+def test_no_ray_where_the_lens_shows_nothing() -> None:
+    found = rays(camera(320, 240, 100, PlumbBob(-0.45, 0.0, 0.0, 0.0, 0.0)))
+    assert np.isnan(found[:, 0, 0]).all()
+    np.testing.assert_array_equal(found[2, 100:140, 140:180], 1)
+
+
+def test_samples_lie_evenly_in_their_pixel() -> None:
+    of = camera(20, 10, 15)
+    rows, columns = np.array([3, 7]), np.array([0, 19])
+    pixels = of.project(np.moveaxis(sample_rays(of, rows, columns), 0, -1))
+    offset = pixels - np.stack([columns, rows], -1)[:, None]
+    assert offset.shape == (2, SAMPLES, 2)
+    for axis in range(2):
+        np.testing.assert_allclose(np.sort(offset[0, :, axis]), (np.arange(16) - 7.5) / 16, atol=1e-9)
+    fields = np.floor((offset[0] + 0.5) * 4) @ [4, 1]
+    assert sorted(fields) == list(range(16))
+    np.testing.assert_allclose(np.sort(-offset[0], axis=0), np.sort(offset[0], axis=0), atol=1e-9)
+
+
+def test_a_pose_is_rounded_to_a_picometre() -> None:
+    pose = np.round(T_WORLD_CAMERA, 9)
+    np.testing.assert_array_equal(rounded(pose + 4e-13), rounded(pose))
+    np.testing.assert_allclose(rounded(T_WORLD_CAMERA), T_WORLD_CAMERA, rtol=0, atol=1e-12)

@@ -1,0 +1,53 @@
+"""The same bytes on processors of other kinds, whose vectors are wider or narrower."""
+
+import hashlib
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from calibration.simulation.random_streams import stream
+from calibration.simulation.rendering.depth import render_depth
+from calibration.simulation.rendering.image import render_image
+from calibration.simulation.rendering.lidar import scan
+from calibration.simulation.scene import Box, Scene
+from calibration.simulation.sensors import SimulatedCamera, SimulatedDepthCamera, SimulatedLidar
+from tests.simulation.rendering.views import CHARUCO, DISTORTION, T_WORLD_CAMERA, board, camera, random_pose
+
+
+def digest() -> str:
+    """Of an image, a depth image and a scan."""
+    random, seen = np.random.default_rng(9), hashlib.sha256()
+    box = Box(T_WORLD_CAMERA @ np.diag([1.0, 1, 1, 1]), np.array([0.1, 0.2, 0.3]))
+    box.T_world_box[:3, 3] += [0.8, 0.1, 0.1]
+    scene = Scene(ground=0.0, boxes=(box,))
+    for distortion, bow in ((None, (0.0, 0.0)), (DISTORTION, (0.01, 0.02))):
+        of = camera(distortion=distortion)
+        boards = [board(random_pose(random, CHARUCO, 0.9, 1.2), bow=bow)]
+        seen.update(render_image(SimulatedCamera(of), T_WORLD_CAMERA, scene, boards, stream(1)).tobytes())
+        seen.update(render_depth(SimulatedDepthCamera(of), T_WORLD_CAMERA, scene, boards, stream(1)).tobytes())
+        lidar = SimulatedLidar((-0.1, 0.0, 0.1), 500)
+        seen.update(scan(lidar, T_WORLD_CAMERA, scene, boards, stream(1)).ranges.tobytes())
+    return seen.hexdigest()
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the switches of OpenBLAS are those of Linux on x86")
+def test_a_lesser_processor_makes_the_same_bytes() -> None:
+    try:
+        from numpy._core._multiarray_umath import __cpu_dispatch__ as optional
+    except ImportError:  # numpy 1
+        from numpy.core._multiarray_umath import __cpu_dispatch__ as optional
+    lesser = {
+        "OPENBLAS_CORETYPE": "Prescott",
+        "OPENCV_IPP": "disabled",
+        "OPENCV_CPU_DISABLE": "AVX512-SKX,AVX2,FMA3,AVX,FP16,SSE4.2,SSE4.1",
+        "NPY_DISABLE_CPU_FEATURES": " ".join(optional),
+        "OPENCV_LOG_LEVEL": "SILENT",
+    }
+    command = [sys.executable, "-W", "ignore", "-c", f"from {__name__} import digest; print(digest())"]
+    answer = subprocess.run(
+        command, env={**os.environ, **lesser, "PYTHONPATH": os.pathsep.join(sys.path)}, capture_output=True, check=True
+    )
+    assert answer.stdout.decode().strip() == digest()

@@ -1,0 +1,56 @@
+import builtins
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from calibration.errors import InputError
+from calibration.simulation.scenarios.figure import figure
+from calibration.simulation.scenarios.report import Report
+from calibration.simulation.scenarios.result import ScenarioResult
+
+
+def report(count: int, lost: int = 0) -> Report:
+    random = np.random.default_rng(0)
+    return Report(
+        [
+            ScenarioResult(
+                f"s1-{i:05d}",
+                "0" * 12,
+                {"motion.sway_mm": float(sway), r"$\frac$.bow_x_mm": float(bow)},
+                converged=i >= lost,
+                translation_mm=float(0.1 + sway + bow**2) if i >= lost else None,
+                rotation_deg=float(0.01 + sway / 30) if i >= lost else None,
+            )
+            for i, (sway, bow) in enumerate(zip(random.random(count), random.standard_normal(count), strict=True))
+        ]
+    )
+
+
+@pytest.mark.parametrize(("count", "lost"), [(40, 3), (40, 40), (1, 0), (3, 1)])
+def test_any_report_is_drawn(count: int, lost: int) -> None:
+    png = figure(report(count, lost), r"Worlds of $\frac$", translation_limit=1, rotation_limit=0.1)
+    image = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR)
+    assert image.shape == (770, 1100, 3)
+    assert np.ptp(image) > 100
+
+
+def test_the_same_report_gives_the_same_picture() -> None:
+    png = figure(report(30), "30 worlds")
+    assert png == figure(report(30), "30 worlds")
+    assert b"matplotlib" not in png
+    assert figure(report(30), "30 worlds") != figure(report(30, 1), "30 worlds")
+
+
+def test_without_matplotlib_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    real = builtins.__import__
+
+    def refuse(name: str, *arguments: Any, **named: Any) -> Any:
+        if name.startswith("matplotlib"):
+            raise ImportError(name)
+        return real(name, *arguments, **named)
+
+    monkeypatch.setattr(builtins, "__import__", refuse)
+    with pytest.raises(InputError, match=r"pip install 'calibration-ci\[figures\]'"):
+        figure(report(3), "3 worlds")

@@ -1,0 +1,123 @@
+"""Worlds that are run for real: two cameras, few poses."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from calibration.errors import InputError
+from calibration.simulation.collection.checks import Requirements
+from calibration.simulation.motion.sequence import read_motion
+from calibration.simulation.scenarios.report import Report, table
+from calibration.simulation.scenarios.result import ScenarioResult
+from calibration.simulation.scenarios.run import run_scenario, run_scenarios
+from calibration.simulation.scenarios.scenario import content_hash, parse_id
+from calibration.simulation.scenarios.scenario_set import ScenarioSet, read_scenario_set
+from calibration.simulation.system import System
+from tests.simulation.conftest import DATASETS
+from tests.simulation.scenarios.conftest import ReadSet
+
+SWAYING = """
+light: {ambient: {uniform: [0.7, 0.8]}}
+assembly: {translation_mm: {normal: [0, 2]}}
+motion: {poses: 5, sway_mm: {log_uniform: [0.01, 10]}}
+"""
+LENIENT = Requirements(stillness=1)
+WORLDS = 12
+
+
+@pytest.fixture(scope="module")
+def swaying(systems: dict[str, System], tmp_path_factory: pytest.TempPathFactory) -> ScenarioSet:
+    path: Path = tmp_path_factory.mktemp("set") / "scenarios.yml"
+    path.write_text(SWAYING)
+    return read_scenario_set(path, systems["t2rgb"])
+
+
+@pytest.fixture(scope="module")
+def results(swaying: ScenarioSet) -> list[ScenarioResult]:
+    return run_scenarios(swaying, 1, range(WORLDS), requirements=LENIENT, jobs=2)
+
+
+def test_every_world_is_collected_and_calibrated(results: list[ScenarioResult]) -> None:
+    assert [result.id for result in results] == [f"s1-{i:05d}" for i in range(WORLDS)]
+    for result in results:
+        assert result.reasons == ()
+        assert result.converged
+        assert (result.poses, result.kept) == (5, 5 - len(result.lost or {}))
+        assert result.detection is not None
+        assert list(result.detection) == ["left_camera", "right_camera"]
+        assert result.corner_rms_px is not None
+        assert 0 < result.corner_rms_px < 0.2
+        assert result.translation_mm is not None
+        assert result.sigma_mm is not None
+        assert 0 < result.sigma_mm < 20
+
+
+def test_neither_order_nor_workers_nor_company_matter(swaying: ScenarioSet, results: list[ScenarioResult]) -> None:
+    some = [7, 2]
+    again = run_scenarios(swaying, 1, some, requirements=LENIENT, jobs=1)
+    assert again == [results[i] for i in some]
+    assert table(again).splitlines()[1:] == [table(results).splitlines()[1 + i] for i in some]
+
+
+def test_an_id_replays_its_row_of_the_whole(swaying: ScenarioSet, results: list[ScenarioResult]) -> None:
+    scenario = swaying.scenario(*parse_id("s1-00004"))
+    assert run_scenario(swaying, scenario, requirements=LENIENT) == results[4]
+    assert results[4].hash == content_hash(swaying.system, scenario)
+
+
+def test_what_was_planted_drives_the_error(results: list[ScenarioResult]) -> None:
+    first, *others = Report(results).drivers
+    assert first.parameter == "motion.sway_mm"
+    assert first.correlation > 0.7
+    assert first.stands_out
+    assert not any(driver.stands_out for driver in others)
+
+
+def test_a_still_world_calibrates_although_it_was_put_together_badly(read_set: ReadSet) -> None:
+    worlds = read_set(
+        "assembly: {translation_mm: {uniform: [5, 20]}, rotation_deg: {uniform: [1, 3]}}\nmotion: {poses: 6}"
+    )
+    (result,) = run_scenarios(worlds, 1, [0], jobs=1)
+    assert result.translation_mm is not None
+    assert result.translation_mm < 0.5
+
+
+def test_a_world_without_a_motion_does_not_lose_the_others(read_set: ReadSet) -> None:
+    worlds = read_set("occluders: {count: {choice: [0, 40]}, size_m: 1.5}\nmotion: {poses: 4}")
+    counts = [worlds.scenario(1, i).values["occluders.count"] for i in range(10)]
+    indices = [counts.index(0), counts.index(40)]
+    seen: list[str] = []
+    open_world, walled = run_scenarios(worlds, 1, indices, jobs=2, done=lambda result: seen.append(result.id))
+    assert open_world.converged
+    assert not walled.converged
+    assert (walled.poses, walled.kept, walled.translation_mm) == (0, 0, None)
+    assert len(walled.reasons) == 1
+    assert sorted(seen) == sorted([open_world.id, walled.id])
+
+
+def test_a_world_in_the_dark_says_that_no_pose_gave_a_collection(read_set: ReadSet) -> None:
+    worlds = read_set("light: {ambient: 0, intensity: 0}\nmotion: {poses: 2}")
+    (result,) = run_scenarios(worlds, 1, [3], jobs=1)
+    assert (result.poses, result.kept, result.converged) == (2, 0, False)
+    assert result.detection == {"left_camera": 0, "right_camera": 0}
+    assert result.lost is not None
+    assert list(result.lost) == ["000", "001"]
+    assert result.reasons == ("no pose gave a collection",)
+
+
+def test_a_given_motion_is_played_in_every_world(swaying: ScenarioSet, systems: dict[str, System]) -> None:
+    motion = read_motion(DATASETS / "t2rgb" / "motion.json").take([0, 3, 5])
+    first, second = run_scenarios(swaying, 1, [0, 1], motion, LENIENT, jobs=1)
+    assert (first.poses, second.poses) == (3, 3)
+    assert first.hash == content_hash(systems["t2rgb"], swaying.scenario(1, 0), motion)
+    wrong = replace(motion, positions=None, orientations=None, joints={"elbow": motion.positions[:, 0]})  # type: ignore[index]
+    (refused,) = run_scenarios(swaying, 1, [0], wrong, jobs=1)
+    assert not refused.converged
+    assert "found no position and orientation" in refused.reasons[0]
+
+
+def test_constraints_that_cannot_be_kept_end_it_before_the_first_world(read_set: ReadSet) -> None:
+    worlds = read_set("motion: {sway_mm: {uniform: [0, 1]}}\nconstraints: [{parameter: motion.sway_mm, min: 2}]")
+    with pytest.raises(InputError, match="constraints/0"):
+        run_scenarios(worlds, 1, [0, 1], done=lambda _: pytest.fail("a world was run"))

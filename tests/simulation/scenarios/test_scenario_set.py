@@ -1,0 +1,193 @@
+import random
+
+import pytest
+
+from calibration.errors import InputError
+from calibration.simulation.scenarios.constraints import CLEARANCE
+from calibration.simulation.scenarios.scenario_set import read_scenario_set
+from calibration.simulation.scenarios.world import build_world, clearance
+from calibration.simulation.system import System
+from tests.simulation.conftest import DATASETS
+from tests.simulation.scenarios.conftest import ReadSet
+
+LIGHT = "light: {ambient: {uniform: [0.2, 0.9]}, intensity: {uniform: [0, 1]}}\n"
+CAMERAS = "cameras: {noise_levels: {log_uniform: [0.5, 8]}, k1: {normal: [0, 0.1]}}\n"
+OCCLUDERS = "occluders: {count: {integer: [1, 4]}, size_m: {uniform: [0.1, 0.4]}}\n"
+
+
+def test_a_group_has_a_parameter_for_each_of_its_things(read_set: ReadSet) -> None:
+    worlds = read_set("""
+cameras: {exposure: 1.5}
+lidars: {noise_m: {uniform: [0.01, 0.02]}}
+assembly: {translation_mm: 1, rotation_deg: 2}
+pattern: {bow_mm: 3}
+motion: {sway_mm: 4}
+""")
+    assert dict(worlds.scenario(1, 0).values) == {
+        "motion.sway_mm": 4,
+        "pattern_1.bow_x_mm": 3,
+        "pattern_1.bow_y_mm": 3,
+        "left_camera.exposure": 1.5,
+        "right_camera.exposure": 1.5,
+        **{f"{side}_camera.translation_{axis}_mm": 1 for side in ("left", "right") for axis in "xyz"},
+        **{f"{side}_camera.rotation_{axis}_deg": 2 for side in ("left", "right") for axis in "xyz"},
+    }
+
+
+def test_an_anchored_sensor_is_where_it_was_designed_to_be(read_set: ReadSet) -> None:
+    worlds = read_set("assembly: {translation_mm: 1}\nlidars: {noise_m: 0.01}", "rlbot")
+    assert set(worlds.parameters.distributions) == {
+        "lidar_right.noise_m",
+        *(f"lidar_right.translation_{axis}_mm" for axis in "xyz"),
+    }
+
+
+def test_what_is_said_of_one_sensor_stands_before_what_is_said_of_all(read_set: ReadSet) -> None:
+    worlds = read_set("cameras: {exposure: 1.5, k1: 0.1}\nsensors: {right_camera: {exposure: 2, translation_mm: 1}}")
+    values = worlds.scenario(1, 0).values
+    assert (values["left_camera.exposure"], values["right_camera.exposure"]) == (1.5, 2)
+    assert values["right_camera.k1"] == 0.1
+    assert values["right_camera.translation_x_mm"] == 1
+    assert "left_camera.translation_x_mm" not in values
+
+
+def test_any_part_of_the_scenarios_in_any_order_is_a_part_of_the_whole(read_set: ReadSet) -> None:
+    worlds = read_set(LIGHT + CAMERAS + "constraints: [{less: [light.intensity, light.ambient]}]")
+    whole = [worlds.scenario(3, index) for index in range(40)]
+    some = random.Random(0).sample(range(40), 15)
+    assert [worlds.scenario(3, index) for index in some] == [whole[index] for index in some]
+    assert len({tuple(scenario.values.values()) for scenario in whole}) == 40
+    assert worlds.scenario(4, 0).values != whole[0].values
+
+
+def test_these_are_the_values_on_every_machine(read_set: ReadSet) -> None:
+    values = read_set(LIGHT + CAMERAS).scenario(1, 17).values
+    assert dict(values) == {
+        "light.ambient": 0.350687,
+        "light.intensity": 0.448032,
+        "left_camera.noise_levels": 2.62974,
+        "right_camera.noise_levels": 6.37355,
+        "left_camera.k1": -0.0131829,
+        "right_camera.k1": -0.0925513,
+    }
+
+
+def test_a_parameter_more_leaves_the_values_of_the_others(read_set: ReadSet) -> None:
+    few, more = read_set(LIGHT).scenario(1, 5).values, read_set(CAMERAS + LIGHT).scenario(1, 5).values
+    assert {name: more[name] for name in few} == few
+    assert len(more) == len(few) + 4
+
+
+def test_how_the_file_is_laid_out_does_not_matter(read_set: ReadSet) -> None:
+    one = read_set(LIGHT).scenario(1, 5)
+    other = read_set("# dark\nlight:\n  intensity:\n    uniform: [0.0, 1.0]\n  ambient: {uniform: [0.20, 0.90]}\n")
+    assert other.scenario(1, 5) == one
+
+
+def test_every_world_keeps_to_the_constraints(read_set: ReadSet) -> None:
+    worlds = read_set(
+        LIGHT
+        + CAMERAS
+        + """
+constraints:
+  - {less: [light.intensity, light.ambient]}
+  - {parameter: cameras.noise_levels, min: 1, max: 6}
+  - {less: [left_camera.k1, right_camera.k1]}
+"""
+    )
+    scenarios = [worlds.scenario(1, index) for index in range(60)]
+    for scenario in scenarios:
+        values = scenario.values
+        assert values["light.intensity"] < values["light.ambient"]
+        assert values["left_camera.k1"] < values["right_camera.k1"]
+        assert all(1 <= values[f"{side}_camera.noise_levels"] <= 6 for side in ("left", "right"))
+    assert {scenario.attempt for scenario in scenarios} > {0, 1, 2}  # about one draw in seven keeps to them
+
+
+def test_a_world_that_keeps_to_the_constraints_is_drawn_as_without_them(read_set: ReadSet) -> None:
+    free, bound = read_set(LIGHT), read_set(LIGHT + "constraints: [{less: [light.intensity, light.ambient]}]")
+    for index in range(30):
+        values = free.scenario(1, index).values
+        kept = values["light.intensity"] < values["light.ambient"]
+        assert (bound.scenario(1, index) == free.scenario(1, index)) == kept
+
+
+def test_sensors_keep_a_distance_from_boxes(read_set: ReadSet) -> None:
+    near = read_set(OCCLUDERS)
+    worlds = read_set(OCCLUDERS + f"constraints: [{{parameter: {CLEARANCE}, min: 0.35}}]")
+    before = [clearance(build_world(near.system, near.scenario(1, i))) for i in range(30)]
+    after = [clearance(build_world(worlds.system, worlds.scenario(1, i))) for i in range(30)]
+    assert min(before) < 0.35 <= min(after)
+
+
+def test_a_constraint_that_nothing_keeps_to_is_named(read_set: ReadSet) -> None:
+    worlds = read_set(
+        LIGHT + "constraints: [{parameter: light.ambient, min: 0.3}, {parameter: light.intensity, min: 2}]"
+    )
+    with pytest.raises(
+        InputError, match=r"scenarios.yml: constraints/1: 'light.intensity at least 2' is broken by [89]"
+    ):
+        worlds.scenario(1, 17)
+
+
+def test_the_set_that_ships_fits_every_system(systems: dict[str, System]) -> None:
+    for system in systems.values():
+        worlds = read_scenario_set(DATASETS / "scenarios.yml", system)
+        assert all(worlds.scenario(1, index).values for index in range(20))
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "scenarios.yml: found null, expected an object"),
+        ("[]", "scenarios.yml: found an empty list, expected an object"),
+        ("light: [", "this is not valid YAML"),
+        ("light: 1", "light: found 1, expected an object"),
+        ("lihgt: {}", "found the key 'lihgt', expected one of light, occluders, motion, pattern, cameras, lidars"),
+        ("1: {}", "found the key 1, expected text"),
+        ("light: {brightness: 1}", "light: found the key 'brightness', expected one of ambient, intensity"),
+        ("light: {ambient: 1, ambient: 2}", "the key 'ambient' stands twice"),
+        ("light: {ambient: {uniform: [0, .inf]}}", "light/ambient/uniform/1: found inf, expected a finite number"),
+        ("light: {ambient: -1}", "light/ambient: found values from -1 to -1, expected them from 0 to 10"),
+        ("light: {elevation_deg: 10}", "light: missing key 'azimuth_deg', expected elevation_deg and azimuth_deg"),
+        ("occluders: {count: 1}", "occluders: missing key 'size_m', expected count and size_m together"),
+        ("occluders: {count: 1.5, size_m: 1}", "occluders/count: found values between whole numbers"),
+        ("motion: {nearest_m: 1}", "motion: missing key 'farthest_m'"),
+        ("motion: {poses: {uniform: [1, 9]}}", "motion/poses: found values between whole numbers"),
+        ("pattern: {bow_mm: {normal: [0, -1]}}", "pattern/bow_mm/normal: found a standard deviation of -1"),
+        (
+            "sensors: {front: {exposure: 1}}",
+            "sensors: found the key 'front', expected one of left_camera, right_camera",
+        ),
+        (
+            "sensors: {left_camera: {noise_m: 1}}",
+            "sensors/left_camera: found the key 'noise_m', expected one of exposure",
+        ),
+        ("constraints: {}", "constraints: found an empty object, expected a list"),
+        ("constraints: [1]", "constraints/0: found 1, expected an object"),
+        (
+            "constraints: [{parameter: light.ambient, min: 1}]",
+            "constraints/0/parameter: found 'light.ambient', which this",
+        ),
+        ("constraints: [{parameter: scene.clearance_m}]", "constraints/0: found neither 'min' nor 'max'"),
+        ("constraints: [{parameter: scene.clearance_m, min: 2, max: 1}]", "constraints/0: found min 2 above max 1"),
+        (
+            "constraints: [{parameter: scene.clearance_m, least: 2}]",
+            "constraints/0: found the key 'least', expected one",
+        ),
+        ("constraints: [{less: [scene.clearance_m]}]", "constraints/0/less: found a list of 1, expected a list of two"),
+        ("constraints: [{less: [scene.clearance_m, 1]}]", "constraints/0/less/1: found 1, expected text"),
+        (
+            "constraints: [{less: [scene.clearance_m, a], min: 1}]",
+            "constraints/0: found the key 'min', expected one of",
+        ),
+        ("constraints: [{parameter: '__import__(\"os\")', min: 1}]", "which this scenario set does not draw"),
+        ("a: &a [*a, *a]", "found the key 'a'"),
+        ("light: !!python/object/apply:os.system [echo]", "this is not valid YAML"),
+    ],
+)
+def test_what_is_wrong_in_a_set_is_said_in_one_line(read_set: ReadSet, text: str, message: str) -> None:
+    with pytest.raises(InputError) as error:
+        read_set(text)
+    assert message in str(error.value)
+    assert "\n" not in str(error.value)

@@ -1,0 +1,85 @@
+"""The JSON Schema of scenario sets, for editors, against what reads them."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import jsonschema
+import pytest
+import yaml
+
+from calibration.errors import InputError
+from calibration.simulation.scenarios import parameters, scenario_set
+from tests.simulation.conftest import DATASETS
+from tests.simulation.scenarios.conftest import ReadSet
+
+SCHEMA: dict[str, Any] = json.loads(Path(scenario_set.__file__).with_name("scenario_set.schema.json").read_text())
+VALIDATOR = jsonschema.Draft202012Validator(SCHEMA)
+
+
+def test_it_is_a_schema_of_the_set_that_ships() -> None:
+    jsonschema.Draft202012Validator.check_schema(SCHEMA)
+    VALIDATOR.validate(yaml.safe_load((DATASETS / "scenarios.yml").read_text()))
+
+
+def test_it_has_the_keys_that_are_read() -> None:
+    properties = SCHEMA["properties"]
+    assert set(properties) == {*parameters.GROUPS, "constraints"}
+    groups = {
+        "light": parameters.LIGHT,
+        "occluders": parameters.OCCLUDERS,
+        "motion": parameters.MOTION,
+        "pattern": parameters.PATTERN,
+        "cameras": parameters.CAMERA,
+        "lidars": parameters.LIDAR,
+        "depth_cameras": parameters.DEPTH_CAMERA,
+        "assembly": parameters.ASSEMBLY,
+    }
+    for name, kinds in groups.items():
+        assert list(properties[name]["properties"]) == list(kinds)
+        assert properties[name]["additionalProperties"] is False
+    sensor = properties["sensors"]["additionalProperties"]["properties"]
+    assert set(sensor) == {*parameters.CAMERA, *parameters.LIDAR, *parameters.DEPTH_CAMERA, *parameters.ASSEMBLY}
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "light: {ambient: {uniform: [0, 1]}, intensity: 0.5}",
+        "light: {elevation_deg: {normal: [45, 10], within: [20, 80]}, azimuth_deg: {choice: [0, 90]}}",
+        "occluders: {count: {choice: [0, 3]}, size_m: {log_uniform: [0.1, 1]}}",
+        "sensors: {left_camera: {exposure: 2, translation_mm: 1}}",
+        "constraints: [{parameter: scene.clearance_m, min: 1}, {less: [scene.clearance_m, scene.clearance_m]}]",
+    ],
+)
+def test_both_take_what_is_right(read_set: ReadSet, text: str) -> None:
+    read_set(text)
+    VALIDATOR.validate(yaml.safe_load(text))
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "lihgt: {}",
+        "light: 1",
+        "light: {ambient: much}",
+        "light: {ambient: {uniform: [0]}}",
+        "light: {ambient: {uniform: [0, 1], within: [0, 1]}}",
+        "light: {ambient: {uniform: [0, 1], normal: [0, 1]}}",
+        "light: {ambient: {normal: [0, 0]}}",
+        "light: {ambient: {log_uniform: [0, 1]}}",
+        "light: {ambient: {choice: []}}",
+        "light: {azimuth_deg: 3}",
+        "occluders: {count: 1.5, size_m: 1}",
+        "occluders: {count: 1}",
+        "motion: {poses: {uniform: [1, 9]}}",
+        "constraints: {}",
+        "constraints: [{parameter: scene.clearance_m}]",
+        "constraints: [{less: [scene.clearance_m]}]",
+        "constraints: [{less: [scene.clearance_m, scene.clearance_m], min: 1}]",
+    ],
+)
+def test_both_refuse_what_is_wrong(read_set: ReadSet, text: str) -> None:
+    with pytest.raises(InputError):
+        read_set(text)
+    assert not VALIDATOR.is_valid(yaml.safe_load(text))

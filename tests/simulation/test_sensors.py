@@ -1,0 +1,70 @@
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from calibration.dataset.document import Node
+from calibration.errors import InputError
+from calibration.simulation.sensors import SimulatedCamera, SimulatedDepthCamera, read_camera, read_depth_camera
+
+
+def node(**entries: Any) -> Node:
+    return Node(Path("simulation.yml"), ("sensors", "eye"), {"width": 640, "height": 480, "hfov_deg": 60, **entries})
+
+
+def test_a_camera_has_defaults_for_its_images() -> None:
+    camera = read_camera(node())
+    assert camera == SimulatedCamera(camera.camera)
+    assert (camera.blur, camera.noise, camera.vignetting, camera.exposure) == (0.65, 2.0, 0.1, 1.0)
+    assert camera.camera.fx == pytest.approx(320 / math.tan(math.radians(30)))
+    assert (camera.camera.cx, camera.camera.cy) == (320.5, 240.5)  # Gazebo's
+
+
+def test_a_camera_in_full() -> None:
+    keys = {"blur_px": 0, "noise_levels": 0.5, "vignetting": 1, "exposure": 2.5, "distortion": [-0.1, 0, 0, 0, 0]}
+    camera = read_camera(node(**keys))
+    assert (camera.blur, camera.noise, camera.vignetting, camera.exposure) == (0, 0.5, 1, 2.5)
+    assert camera.camera.distortion.k1 == -0.1
+
+
+def test_a_depth_camera() -> None:
+    usual = read_depth_camera(node())
+    assert usual == SimulatedDepthCamera(usual.camera)
+    depth = read_depth_camera(node(range_m=[0.1, 4], noise_m=0.002, noise_per_m2=0))
+    assert (depth.least_range, depth.most_range, depth.noise, depth.noise_growth) == (0.1, 4, 0.002, 0)
+    np.testing.assert_array_equal(depth.camera.K, usual.camera.K)
+
+
+@pytest.mark.parametrize(
+    ("entries", "message"),
+    [
+        ({"blur_px": -1}, "blur_px: found -1, expected a number from 0 to 20"),
+        ({"noise_levels": math.nan}, "noise_levels: found nan, expected a finite number"),
+        ({"vignetting": 1.5}, "vignetting: found 1.5, expected a number from 0 to 1"),
+        ({"exposure": "bright"}, "exposure: found 'bright', expected a finite number"),
+        ({"noise_px": 0.3}, "found the key 'noise_px', expected one of width, height,"),
+        ({"range_m": [0, 1]}, "found the key 'range_m'"),
+        ({"width": 60_000, "height": 60_000}, "width: found 60000 x 60000 pixels, expected 25000000 at most"),
+    ],
+)
+def test_what_is_wrong_with_a_camera_is_named(entries: dict[str, Any], message: str) -> None:
+    with pytest.raises(InputError) as error:
+        read_camera(node(**entries))
+    assert str(error.value).startswith("simulation.yml: sensors/eye")
+    assert message in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("entries", "message"),
+    [
+        ({"range_m": [2, 1]}, "range_m: found [2, 1], expected two rising numbers of at least 0"),
+        ({"noise_per_m2": -1}, "noise_per_m2: found -1"),
+        ({"vignetting": 0.1}, "found the key 'vignetting', expected one of"),
+    ],
+)
+def test_what_is_wrong_with_a_depth_camera_is_named(entries: dict[str, Any], message: str) -> None:
+    with pytest.raises(InputError) as error:
+        read_depth_camera(node(**entries))
+    assert message in str(error.value)
