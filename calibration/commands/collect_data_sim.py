@@ -128,16 +128,24 @@ def _one_world(settings: Settings, runner: Runner) -> ExitCode:
         world = "" if settings.scenario is None else f" in world {settings.scenario}"
         runner.log(f"{system.name}{world}: {len(motion)} poses of {motion.source}, seed {request.seed}")
 
-    with stop_commands(runner), progress(runner, TITLE) as advance:  # names in files that others wrote
+    finished = 0
+    try:
+        with stop_commands(runner), progress(runner, TITLE) as advance:  # names in files that others wrote
 
-        def done(count: int, total: int, record: "Record") -> None:
-            advance(count, total, pose_line(record), important=not record.kept)
+            def done(count: int, total: int, record: "Record") -> None:
+                nonlocal finished
+                finished = count
+                advance(count, total, pose_line(record), important=not record.kept)
 
-        to = (settings.output, settings.overwrite, settings.jobs, begin, done)
-        if settings.scenario is not None and settings.scenario_set is not None:
-            results = collect_world(request, settings.scenario_set, settings.scenario, *to)
-        else:
-            results = collect_dataset(request, *to)
+            to = (settings.output, settings.overwrite, settings.jobs, begin, done)
+            if settings.scenario is not None and settings.scenario_set is not None:
+                results = collect_world(request, settings.scenario_set, settings.scenario, *to)
+            else:
+                results = collect_dataset(request, *to)
+    except BaseException:
+        if finished:
+            runner.log(f"{finished} poses are done: the same command goes on from there")
+        raise
     report_collection(results, settings.output, runner, TITLE)
     return results.exit_code
 

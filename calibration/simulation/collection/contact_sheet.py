@@ -132,7 +132,7 @@ def _spread(values: Array, length: int) -> Array:
 
 def _fine(at: Array) -> tuple[int, int]:
     """A place in sixteenths of a pixel."""
-    x, y = np.round(at * (1 << _SHIFT)).astype(int)
+    x, y = np.floor(at * (1 << _SHIFT) + 0.5 + 1e-6).astype(int)  # so that a tie falls one way on every machine
     return int(x), int(y)
 
 
