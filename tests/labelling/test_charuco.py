@@ -1,6 +1,5 @@
 """Charuco corners against the projected truth, in every way a board can be seen, and not seen."""
 
-import multiprocessing
 from dataclasses import replace
 
 import cv2
@@ -9,6 +8,7 @@ import pytest
 
 from calibration.dataset.model import CornerLabels
 from calibration.errors import InputError
+from calibration.execution.parallel import in_parallel
 from calibration.labelling.charuco import CharucoDetector
 from calibration.labelling.corners import corner_detector
 from calibration.labelling.detection import NotDetected
@@ -259,8 +259,7 @@ def _in_a_worker(image) -> tuple[list[int], list[list[float]]]:
 def test_a_forked_process_finds_the_same():
     images = [Photograph(VGA).of(BOARD, facing(BOARD, 1.0 + 0.2 * i, 0.3)) for i in range(3)]
     here = [_in_a_worker(image) for image in images]  # OpenCV's threads run before the fork
-    with multiprocessing.get_context("fork").Pool(2) as pool:
-        assert pool.map_async(_in_a_worker, images).get(timeout=60) == here
+    assert dict(in_parallel(_in_a_worker, images, 2)) == dict(enumerate(here))
 
 
 def test_pixels_are_rounded():
