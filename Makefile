@@ -11,7 +11,7 @@ PYTHON ?= $(wildcard $(python))
 setup = INPUT_PYTHON='$(PYTHON)' bash actions/bootstrap.sh environment $(venv)
 
 uv = $(abspath $(or $(shell command -v uv),$(venv)/bin/uv))
-engine_tests = $(wildcard $(addprefix tests/,geometry dataset estimation evaluation comparison))
+engine_tests = $(wildcard $(addprefix tests/,geometry dataset estimation evaluation comparison labelling simulation/rendering))
 
 .PHONY: help run test lint bench lock test-versions actions clean
 
@@ -39,7 +39,7 @@ test: lint ## lint, then the tests with their coverage
 	$(python) -m coverage report
 
 # An older or newer library, laid over those of .venv. Not strict: OpenCV 5 lacks what some comparisons need.
-test-versions: ## the engine's tests with the oldest numpy and with OpenCV 5
+test-versions: ## the tests of engine, detectors and rendering with the oldest numpy and with OpenCV 5
 	@$(setup) dev.txt .
 	@for version in 'numpy==1.26.*' 'opencv-python-headless>=5'; do \
 		echo "$$version"; \
