@@ -148,9 +148,12 @@ class Page:
     def _choose(self, event: viser.GuiEvent[Any]) -> None:
         if event.client_id is None:  # the page itself has changed the list
             return
-        with self._changing():
-            if self._session.poses:
-                self._session.select(self._sequence.chosen())
+        with self._lock:
+            poses, chosen = self._session.poses, self._sequence.chosen()
+            if not poses or (chosen == self._session.selected and self._session.pose is poses[chosen]):
+                return  # the browser answers to what the page has set
+            with self._changing():
+                self._session.select(chosen)
 
     def _play(self) -> None:
         """Step through the poses; a second call stops it."""

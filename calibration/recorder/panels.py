@@ -20,6 +20,7 @@ from calibration.simulation.system import System
 
 _PANEL_WIDTH = 340  # px
 _SAME = 1e-6  # m, rad: what an input shows already is not written again, so that nobody's typing is disturbed
+_SHOWN_M, _SHOWN_RAD = 1e-4, 3e-4  # the last digit of what the inputs of a pose show, and of three angles together
 
 
 class ViewsPanel:
@@ -74,6 +75,7 @@ class PosePanel:
         """Add the inputs; an edit is answered by calling back with ``T_parent_model``, or a joint (rad or m)."""
         self._joints: dict[str, tuple[Joint, viser.GuiSliderHandle[float]]] = {}
         self._model: tuple[viser.GuiVector3Handle, viser.GuiVector3Handle] | None = None
+        self._T_parent_model = np.eye(4)  # as it was shown last
         moved = system.moved_pattern
         if moved is not None:
             hint = f"The model of {moved.name} in {moved.parent_link}"
@@ -84,7 +86,7 @@ class PosePanel:
             self._model = (position, turn)
 
             def edited(event: viser.GuiEvent[viser.GuiVector3Handle]) -> None:
-                if event.client_id is not None:
+                if event.client_id is not None and not self._is_shown(self._T_parent_model):
                     edit_model(self._shown_model())
 
             position.on_update(edited)
@@ -97,7 +99,7 @@ class PosePanel:
         model_poses = session.pose.model_poses
         if self._model is not None and model_poses is not None:
             position, turn = self._model
-            T = model_poses[0]
+            T = self._T_parent_model = model_poses[0]
             if np.abs(T[:3, 3] - position.value).max() > _SAME:
                 _set(position, tuple(np.round(T[:3, 3], 6).tolist()))
             if rotations.angle(self._shown_model()[:3, :3].T @ T[:3, :3]) > 10 * _SAME:
@@ -106,6 +108,12 @@ class PosePanel:
             value = float(session.pose.joints[name][0]) * _unit(joint)[1]
             if abs(value - slider.value) > _SAME:
                 _set(slider, round(min(max(value, slider.min), slider.max), 4))
+
+    def _is_shown(self, T_parent_model: Array) -> bool:
+        """Whether the inputs show this pose, as finely as they do: a browser answers with what it shows."""
+        shown = self._shown_model()
+        apart = np.abs(T_parent_model[:3, 3] - shown[:3, 3]).max()
+        return bool(apart < _SHOWN_M and rotations.angle(T_parent_model[:3, :3].T @ shown[:3, :3]) < _SHOWN_RAD)
 
     def _shown_model(self) -> Array:
         """``T_parent_model`` as the inputs say."""
