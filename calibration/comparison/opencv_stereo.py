@@ -43,7 +43,7 @@ def opencv_stereo_fixed(dataset: Dataset) -> Dataset:
 def why_not_stereo(dataset: Dataset) -> str | None:
     """One line that says why the method does not apply to a dataset; None if it does."""
     kinds = [f"'{s.name}' ({s.modality})" for s in dataset.sensors.values()]
-    if len(dataset.sensors) != 2 or any(s.camera is None for s in dataset.sensors.values()):
+    if len(dataset.sensors) != 2 or any(s.modality != "rgb" for s in dataset.sensors.values()):
         return f"it needs two cameras and no other sensor, and there are {', '.join(kinds)}"
     if dataset.additional_transforms:
         return f"it cannot calibrate additional transforms, such as '{'-'.join(dataset.additional_transforms[0])}'"

@@ -39,7 +39,7 @@ def li(dataset: Dataset) -> Dataset:
 
 def why_not_robot_world(dataset: Dataset) -> str | None:
     """One line that says why the method does not apply to a dataset; None if it does."""
-    others = [s for s in dataset.sensors.values() if s.camera is None]
+    others = [s for s in dataset.sensors.values() if s.modality != "rgb"]
     if others:
         return f"it needs cameras only, and '{others[0].name}' is {others[0].modality}"
     if dataset.additional_transforms:

@@ -8,6 +8,7 @@ import numpy as np
 
 from calibration.dataset import pointcloud
 from calibration.dataset.corners import read_corners
+from calibration.dataset.depth_image import DepthImage, read_depth_image
 from calibration.dataset.document import Node, NotNumbersError, integers
 from calibration.dataset.model import Collection, CornerLabels, Labels, PointLabels, Sensor
 from calibration.dataset.pattern import Pattern
@@ -16,7 +17,7 @@ from calibration.errors import InputError
 from calibration.geometry.types import Array, BoolArray, IntArray
 
 MAX_POINTS = 1 << 40
-"""More points than any cloud has."""
+"""More points than any cloud or depth image has."""
 
 
 class _Detection(NamedTuple):
@@ -35,7 +36,8 @@ def read_labels(
     """The collections with their labels, in the same order.
 
     Raises:
-        InputError: something in the labels or in a labelled point cloud is missing or wrong.
+        InputError: something in the labels or in a labelled point cloud or depth image is missing or wrong.
+        WorldError: OpenCV, which decodes depth images, is missing.
     """
     corners: list[_Detection] = []
     points: list[_Detection] = []
@@ -50,7 +52,7 @@ def read_labels(
     found: list[dict[tuple[str, str], Labels]] = [{} for _ in collections]
     everything: list[tuple[_Detection, Labels]] = [
         *zip(corners, _read_corners(corners, patterns), strict=True),
-        *zip(points, _read_points(points, collections), strict=True),
+        *zip(points, _read_points(points, collections, sensors), strict=True),
     ]
     for detection, labels in everything:
         found[detection.collection][detection.pattern, detection.sensor] = labels
@@ -88,7 +90,9 @@ def _read_corners(detections: Sequence[_Detection], patterns: Mapping[str, Patte
         yield CornerLabels(ids[part], pixels[part])
 
 
-def _read_points(detections: Sequence[_Detection], collections: Sequence[Node]) -> Iterator[PointLabels]:
+def _read_points(
+    detections: Sequence[_Detection], collections: Sequence[Node], sensors: Mapping[str, Sensor]
+) -> Iterator[PointLabels]:
     if not detections:
         return
     batch, index = _read_indices([detection.idxs for detection in detections])
@@ -98,37 +102,42 @@ def _read_points(detections: Sequence[_Detection], collections: Sequence[Node]) 
         i, position = missing
         raise _element(detections[i].label["idxs_limit_points"], position).unexpected("one of 'idxs'")
     points = np.empty((len(index), 3))
-    clouds: dict[str, pointcloud.Cloud] = {}  # of one collection; more need not fit into memory
+    clouds: dict[str, pointcloud.Cloud | DepthImage] = {}  # of one collection; more need not fit into memory
     collection = None
     for detection, part in zip(detections, batch.parts, strict=True):
         if detection.collection != collection:
             collection, clouds = detection.collection, {}
         if detection.sensor not in clouds:
-            clouds[detection.sensor] = _read_cloud(collections[collection]["data"][detection.sensor])
+            data = collections[collection]["data"][detection.sensor]
+            clouds[detection.sensor] = _read_cloud(data, sensors[detection.sensor])
         cloud = clouds[detection.sensor]
         try:
-            points[part] = cloud.take(index[part], axis=0)
+            points[part] = cloud.take(index[part]) if isinstance(cloud, DepthImage) else cloud.take(index[part], axis=0)
         except IndexError:
             wrong = _element(detection.idxs, int((index[part] >= len(cloud)).argmax()))
-            raise wrong.unexpected(f"the index of one of the cloud's {len(cloud)} points") from None
+            what = f"image's {len(cloud)} pixels" if isinstance(cloud, DepthImage) else f"cloud's {len(cloud)} points"
+            raise wrong.unexpected(f"the index of one of the {what}") from None
     if not np.isfinite(points).all():
         i, position = batch.place(int(np.isfinite(points).all(-1).argmin()))
+        number, depth = index[batch.parts[i]][position], sensors[detections[i].sensor].modality == "depth"
         raise _element(detections[i].idxs, position).fault(
-            f"point {index[batch.parts[i]][position]} of the cloud is not finite; a labelled point must be"
+            f"pixel {number} of the image has no depth (or no ray); a labelled pixel must"
+            if depth
+            else f"point {number} of the cloud is not finite; a labelled point must be"
         )
     points.flags.writeable = positions.flags.writeable = False
     for part, limit_part in zip(batch.parts, limit_batch.parts, strict=True):
         yield PointLabels(points[part], positions[limit_part])
 
 
-def _read_cloud(data: Node) -> pointcloud.Cloud:
-    """A collection's point cloud: inline ``data``, else the file."""
-    if data.get("data"):
+def _read_cloud(data: Node, sensor: Sensor) -> pointcloud.Cloud | DepthImage:
+    """What a sensor measured in a collection: a cloud's inline ``data``, else the file."""
+    if sensor.camera is None and data.get("data"):
         return pointcloud.decode_message(data)
     name = data["data_file"]
     path = locate(name)
     try:
-        return pointcloud.read_points(path)
+        return pointcloud.read_points(path) if sensor.camera is None else read_depth_image(path, sensor.camera)
     except InputError as error:
         raise name.fault(str(error)) from None
 
@@ -143,7 +152,7 @@ def _read_indices(lists: Sequence[Node]) -> "tuple[_Batch, IntArray]":
     batch = _Batch([len(node.value) for node in lists])
     if len(index) and not (index.min() >= 0 and index.max() < MAX_POINTS):
         i, position = batch.place(int(((index < 0) | (index >= MAX_POINTS)).argmax()))
-        raise _element(lists[i], position).unexpected("the index of a point of the cloud")
+        raise _element(lists[i], position).unexpected("the index of a point of the cloud, or a pixel of the image")
     return batch, index
 
 

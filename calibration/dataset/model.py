@@ -18,7 +18,7 @@ from calibration.geometry.frames import FrameTree
 from calibration.geometry.transforms import inverse
 from calibration.geometry.types import Array, IntArray
 
-Modality = Literal["rgb", "lidar3d"]
+Modality = Literal["rgb", "lidar3d", "depth"]
 Edge = tuple[str, str]
 """(parent, child); in a file it is the key ``parent-child``."""
 
@@ -34,7 +34,7 @@ class Sensor:
     calibration_parent: str
     calibration_child: str
     camera: Camera | None = None
-    """The intrinsics, of an rgb sensor."""
+    """The intrinsics, of an rgb or depth sensor."""
 
     @property
     def edge(self) -> Edge:
@@ -54,7 +54,7 @@ class CornerLabels:
 
 @dataclass(frozen=True, eq=False)
 class PointLabels:
-    """The points of a LiDAR's cloud that lie on the pattern in one collection."""
+    """The points of a LiDAR or a depth camera that lie on the pattern in one collection."""
 
     points: Array
     """(N, 3): in the sensor's frame, m."""

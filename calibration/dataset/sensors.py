@@ -44,7 +44,7 @@ def read_sensors(node: Node, configuration: Mapping[str, SensorConfiguration]) -
             frame=entry["parent"].value,
             calibration_parent=entry["calibration_parent"].value,
             calibration_child=entry["calibration_child"].value,
-            camera=read_camera(entry["camera_info"]) if modality == "rgb" else None,
+            camera=read_camera(entry["camera_info"]) if modality in ("rgb", "depth") else None,
         )
     return sensors
 

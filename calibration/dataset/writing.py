@@ -41,8 +41,8 @@ def write_dataset(dataset: Dataset, path: Path | str, images: bool = True) -> Pa
     What a `Dataset` can change is written as it is now: the transforms and the choice of collections.
     Everything else is as it was read; version 2.0 becomes 3.0 with its own corner coordinates, so
     that poses keep their meaning. If transforms have changed, each collection also gets those that
-    were read, as ``transforms_ini``. The point clouds that lie beside the input come along, and the
-    images if wanted: as hard links where the file system can, else as copies.
+    were read, as ``transforms_ini``. The point clouds and depth images that lie beside the input come
+    along, and the images if wanted: as hard links where the file system can, else as copies.
 
     Returns:
         The path of the JSON file.
@@ -144,7 +144,7 @@ def _initial_poses(dataset: Dataset, pattern: Pattern) -> dict[str, Any]:
     edge = (pattern.parent_link, pattern.link)
     poses = {}
     for i, collection in enumerate(dataset.collections):
-        cameras = [s for p, s in collection.labels if p == pattern.name and dataset.sensors[s].camera is not None]
+        cameras = [s for p, s in collection.labels if p == pattern.name and dataset.sensors[s].modality == "rgb"]
         T = dataset.transforms[edge][i] if edge in dataset.transforms else None
         if cameras and T is not None and np.isfinite(T).all():
             poses[collection.key] = {"detected": True, "sensor": cameras[0], **transform_documents(edge, T[None])[0]}

@@ -7,7 +7,8 @@ import numpy as np
 from calibration.dataset.model import CornerLabels, Dataset, Edge, Labels, PointLabels, Sensor
 from calibration.dataset.pattern import Pattern
 from calibration.errors import InputError, UndeterminedError
-from calibration.estimation.problem import Block, Chain, Link, Problem, Term, ViewGroup
+from calibration.estimation.depth_border import depth_border_rays
+from calibration.estimation.problem import Block, Chain, Link, NoiseKind, Problem, Term, ViewGroup
 from calibration.estimation.residuals import BorderTerm, RangeTerm
 from calibration.estimation.scan import border_rays
 from calibration.estimation.single_views import corner_term
@@ -140,24 +141,31 @@ def _terms(sensor: Sensor, pattern: Pattern, labels: list[Labels]) -> tuple[Term
     corners = [label for label in labels if isinstance(label, CornerLabels)]
     points = [label for label in labels if isinstance(label, PointLabels)]
     if not corners:
-        return _point_terms(pattern, points)
+        return _point_terms(sensor, pattern, points)
     if sensor.camera is None:
         raise InputError(f"sensor '{sensor.name}' has corner labels but no camera intrinsics")
     return (corner_term(sensor.camera, pattern, corners),)
 
 
-def _point_terms(pattern: Pattern, labels: list[PointLabels]) -> tuple[Term, ...]:
+def _point_terms(sensor: Sensor, pattern: Pattern, labels: list[PointLabels]) -> tuple[Term, ...]:
     ranges, present, rays = _padded([label.points for label in labels])
     terms: list[Term] = [RangeTerm(rays, ranges, present)]
-    ranges, present, rays = _padded([border_rays(label.points, label.limits) for label in labels])
+    ranges, present, rays = _padded([_border_rays(sensor, label) for label in labels])
     if present.any():
         corners = pattern.outline - pattern.centre[:2]
         along = np.roll(corners, -1, axis=0) - corners
         # outward, because the outline runs from the top left to the top right
         normals = np.stack([along[:, 1], -along[:, 0]], -1) / np.linalg.norm(along, axis=-1, keepdims=True)
         offsets = (normals * corners).sum(-1)
-        terms.append(BorderTerm(rays, ranges, present, normals, offsets))
+        kind: NoiseKind = "depth_border" if sensor.modality == "depth" else "border"
+        terms.append(BorderTerm(rays, ranges, present, normals, offsets, kind))
     return tuple(terms)
+
+
+def _border_rays(sensor: Sensor, label: PointLabels) -> Array:
+    if sensor.camera is None:
+        return border_rays(label.points, label.limits)
+    return depth_border_rays(label.points, label.limits, sensor.camera)
 
 
 def _padded(points: list[Array]) -> tuple[Array, BoolArray, Array]:

@@ -240,6 +240,6 @@ def _rejected(setup: Setup, result: WeightedOptimum) -> tuple[RejectedLabel, ...
         limit = 2 * huber * result.weighting.scales[r.kind]
         for v, k in zip(*np.nonzero(np.nan_to_num(r.magnitudes) > limit), strict=True):
             view, magnitude = labels[r.collections[v]][r.pattern, r.sensor], float(r.magnitudes[v, k])
-            label = int(view.limits[k] if isinstance(view, PointLabels) and r.kind == "border" else k)
+            label = int(view.limits[k] if isinstance(view, PointLabels) and r.kind in ("border", "depth_border") else k)
             rejected.append(RejectedLabel(r.collections[v], r.sensor, r.pattern, r.kind, label, magnitude))
     return tuple(sorted(rejected, key=lambda label: (label.collection, label.sensor, label.label, label.kind)))

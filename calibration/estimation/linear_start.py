@@ -1,9 +1,10 @@
 """A start for the least squares that needs no guess.
 
-Every camera view gives the pose of its pattern by itself (`planar_pose`), every LiDAR view the plane
-it lies on. Seen through a chain ``T_sensor_pattern = ... X ... Y ...`` these are equations for the
-unknown transforms, linear ones: a chain with one unknown gives it directly, once for each view, to
-be averaged; one with two, such as a camera's mount and a pattern on an arm, is a robot-world problem.
+Every camera view gives the pose of its pattern by itself (`planar_pose`), every view of a LiDAR or a
+depth camera the plane it lies on. Seen through a chain ``T_sensor_pattern = ... X ... Y ...`` these are
+equations for the unknown transforms, linear ones: a chain with one unknown gives it directly, once for
+each view, to be averaged; one with two, such as a camera's mount and a pattern on an arm, is a
+robot-world problem.
 So the unknowns are found one after the other, like a spanning tree: always the one that most views
 speak for. Where the equations leave something open, the given guess is taken and it is said.
 """
@@ -166,7 +167,7 @@ class _Search:
         raise UndeterminedError(problems[0])
 
     def _planes(self) -> bool:
-        """A LiDAR's transform from the planes it sees and the poses of the pattern, known by now."""
+        """A LiDAR's or a depth camera's transform from the planes it sees and the pattern's poses, known by now."""
         problem = self.setup.problem
         for group in problem.groups:
             term = group.terms[0]

@@ -1,4 +1,4 @@
-"""Transforms from planes: a LiDAR sees planes whose place in the world is known."""
+"""Transforms from planes: a LiDAR or a depth camera sees planes whose place in the world is known."""
 
 import numpy as np
 

@@ -18,8 +18,9 @@ import numpy as np
 from calibration.geometry.transforms import adjoint, inverse, retract
 from calibration.geometry.types import Array, IntArray
 
-NoiseKind = Literal["pixel", "range", "border"]
-"""What a residual is measured in: corners in px, LiDAR ranges in m, the pattern's border in rad."""
+NoiseKind = Literal["pixel", "range", "border", "depth_border"]
+"""What a residual is measured in: corners in px, ranges of LiDARs and depth cameras in m, the pattern's border in rad,
+which a depth camera finds more finely than a LiDAR."""
 
 
 @dataclass(frozen=True)

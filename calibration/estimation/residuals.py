@@ -151,9 +151,9 @@ def _corner_rows(
 
 @dataclass(frozen=True, eq=False)
 class RangeTerm:
-    """Points of a LiDAR on a pattern's plane: measured range minus the range at which the ray meets it.
+    """Points of a LiDAR or a depth camera on a pattern's plane: measured range minus that at which the ray meets it.
 
-    The difference is taken along the ray, where a LiDAR errs, so that one standard deviation holds at
+    The difference is taken along the ray, where these sensors err, so that one standard deviation holds at
     every angle of incidence; for a ray that hardly meets the plane it is bounded (see `_Meeting`).
     """
 
@@ -190,12 +190,13 @@ class RangeTerm:
 
 @dataclass(frozen=True, eq=False)
 class BorderTerm:
-    """Rays of a LiDAR that graze a pattern's border: how far off the nearest border line they meet its plane.
+    """Rays that graze a pattern's border: how far off the nearest border line they meet the pattern's plane.
 
     Where the ray meets the plane follows from its direction alone, so the range noise stays out. The
-    rays point to where the border is *expected*: half a step of the scan beyond the last point on
-    the pattern (see `calibration.estimation.scan`). What is uncertain is the step, an angle: so the
-    in-plane distance is divided by the range, and one standard deviation holds for near and far.
+    rays point to where the border is *expected*: half a step of a LiDAR's scan, or half a pixel of a
+    depth camera, beyond the last point on the pattern (see `calibration.estimation.scan` and
+    `calibration.estimation.depth_border`). What is uncertain is the step, an angle: so the in-plane
+    distance is divided by the range, and one standard deviation holds for near and far.
     """
 
     rays: Array

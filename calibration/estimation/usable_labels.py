@@ -12,13 +12,13 @@ from calibration.estimation.planar_pose import planar_poses
 MINIMUM_CORNERS = 4
 """Fewer corners do not determine a pattern's pose, and would add flipped ones."""
 MINIMUM_POINTS = 10
-"""Fewer points of a LiDAR hardly make a plane (ATOM's rule too)."""
+"""Fewer points of a LiDAR or a depth camera hardly make a plane (ATOM's rule too)."""
 
 
 def usable_labels(dataset: Dataset) -> tuple[Dataset, tuple[str, ...]]:
     """The dataset without labels that determine nothing, and without collections and patterns that have none left.
 
-    Views of a LiDAR need a camera that saw the pattern: at the same moment, or ever when it is fixed.
+    Views of a LiDAR or a depth camera need a camera that saw the pattern: at the same moment, or ever when it is fixed.
 
     Returns:
         The dataset, and what was left out, and why.

@@ -26,8 +26,8 @@ def camera_of(dataset: Dataset, name: str) -> tuple[Sensor, Camera]:
         InputError: the dataset has no such sensor, or it is no camera.
     """
     sensor = sensor_of(dataset, name)
-    if sensor.camera is None:
-        cameras = (s.name for s in dataset.sensors.values() if s.camera is not None)
+    if sensor.camera is None or sensor.modality != "rgb":
+        cameras = (s.name for s in dataset.sensors.values() if s.modality == "rgb")
         raise InputError(f"{dataset.path}: sensor '{name}' is {sensor.modality}, not rgb (rgb: {_names(cameras)})")
     return sensor, sensor.camera
 

@@ -2,12 +2,13 @@
 
 import numpy as np
 
+from calibration.dataset.depth_image import NO_RETURN, UNIT
 from calibration.dataset.pattern import Pattern
 from calibration.geometry.cameras import Camera
 from calibration.geometry.transforms import apply
 from calibration.geometry.types import Array, BoolArray
 from calibration.labelling.board_plane import END, LEAST_POINTS, SLACK, find_board
-from calibration.labelling.detection import DEPTH_UNIT, NO_RETURN, DepthImage, NotDetected
+from calibration.labelling.detection import DepthImage, NotDetected
 from calibration.labelling.points import TOLERANCE, PatternPoints
 
 SEARCHED = 5000
@@ -90,7 +91,7 @@ def _rays(camera: Camera, part: tuple[slice, slice]) -> Array:
 
 def _metres(depth: DepthImage) -> Array:
     """Depths in metres; NaN where nothing came back."""
-    return np.where((depth == NO_RETURN) | (depth == 0), np.nan, depth * DEPTH_UNIT)
+    return np.where((depth == NO_RETURN) | (depth == 0), np.nan, depth * UNIT)
 
 
 def _largest(region: BoolArray) -> BoolArray:

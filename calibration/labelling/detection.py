@@ -12,10 +12,7 @@ Image = NDArray[np.uint8]
 """Grey (H, W) or colour (H, W, 3), blue first, as OpenCV has them."""
 
 DepthImage = NDArray[np.uint16]
-"""(H, W): the depth along the optical axis in tenths of a millimetre; `NO_RETURN` where nothing came back."""
-DEPTH_UNIT = 1e-4
-"""m."""
-NO_RETURN = 65535
+"""(H, W): the depth along the optical axis as in `calibration.dataset.depth_image`."""
 
 
 @dataclass(frozen=True)

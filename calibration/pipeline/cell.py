@@ -203,7 +203,12 @@ def _described(result: CellResult, calibration: Calibration) -> CellResult:
         "iterations": calibration.iterations,
         "cost": calibration.cost,
         "degrees_of_freedom": calibration.degrees_of_freedom,
-        "noise_levels": {"pixel_px": levels.pixel, "range_m": levels.range, "border_rad": levels.border},
+        "noise_levels": {
+            "pixel_px": levels.pixel,
+            "range_m": levels.range,
+            "border_rad": levels.border,
+            "depth_border_rad": levels.depth_border,
+        },
         "held": calibration.gauge,
         "weak_directions": list(calibration.weak_directions),
         "rejected_labels": [vars(label) for label in calibration.rejected],

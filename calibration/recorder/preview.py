@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from calibration.dataset.depth_image import NO_RETURN
 from calibration.dataset.model import CornerLabels
 from calibration.errors import InputError
 from calibration.geometry.types import Array, BoolArray, IntArray
@@ -17,7 +18,6 @@ from calibration.simulation.collection.capture import Capture, capture
 from calibration.simulation.collection.checks import Requirements, reasons_to_lose
 from calibration.simulation.collection.play import play
 from calibration.simulation.motion.sequence import Motion
-from calibration.simulation.rendering.depth import NO_RETURN
 from calibration.simulation.system import System
 
 SEED = 1

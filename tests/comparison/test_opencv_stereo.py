@@ -109,6 +109,10 @@ def test_why_it_does_not_apply():
             r"it needs two cameras and no other sensor, and there are 'left' \(rgb\), 'scan' \(lidar3d\)",
         ),
         (
+            replace(dataset, sensors={**dataset.sensors, "right": replace(dataset.sensors["right"], modality="depth")}),
+            r"it needs two cameras and no other sensor, and there are .*'right' \(depth\)",
+        ),
+        (
             replace(dataset, additional_transforms=(("a", "b"),)),
             "it cannot calibrate additional transforms, such as 'a-b'",
         ),

@@ -107,6 +107,10 @@ def test_why_it_does_not_apply():
     for other, reason in (
         (replace(dataset, sensors={"scan": lidar("scan")}), "it needs cameras only, and 'scan' is lidar3d"),
         (
+            replace(dataset, sensors={"eye": replace(dataset.sensors["eye"], modality="depth")}),
+            "it needs cameras only, and 'eye' is depth",
+        ),
+        (
             replace(dataset, additional_transforms=(("a", "b"),)),
             "it cannot calibrate additional transforms, such as 'a-b'",
         ),

@@ -157,8 +157,8 @@ CASES = [
         "sensors/lidar: sensor 'lidar' is missing in",
     ),
     (
-        {"sensors/cam/modality": "depth"},
-        "sensors/cam/modality: found 'depth', expected a known modality of sensor 'cam': rgb",
+        {"sensors/cam/modality": "radar"},
+        "sensors/cam/modality: found 'radar', expected a known modality of sensor 'cam': rgb, lidar3d, depth",
     ),
     ({"sensors/lidar/modality": "lidar2d"}, "sensors/lidar/modality: found 'lidar2d', expected a known modality"),
     (

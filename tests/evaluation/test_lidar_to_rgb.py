@@ -1,6 +1,7 @@
 """A LiDAR's border points against the pattern's border in the image."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -117,6 +118,9 @@ def test_sensors_of_the_wrong_kind_are_told():
         lidar_to_rgb(dataset, "eye", "scan", annotation)
     with pytest.raises(InputError, match=r"sensor 'scan' is lidar3d, not rgb \(rgb: eye\)"):
         lidar_to_rgb(dataset, "scan", "scan", annotation)
+    depth = replace(dataset, sensors={**dataset.sensors, "eye": replace(dataset.sensors["eye"], modality="depth")})
+    with pytest.raises(InputError, match=r"sensor 'eye' is depth, not rgb \(rgb: none\)"):
+        lidar_to_rgb(depth, "scan", "eye", annotation)
     with pytest.raises(InputError, match=r"sensor 'left' is rgb, not lidar3d \(lidar3d: none\)"):
         lidar_to_rgb(two_cameras(n=2)[0], "left", "right", annotation)
 

@@ -5,11 +5,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from calibration.dataset.depth_image import NO_RETURN
 from calibration.geometry import rotations
 from calibration.geometry.cameras import Camera, PlumbBob
 from calibration.geometry.transforms import transform
 from calibration.labelling.depth import label_depth
-from calibration.labelling.detection import NO_RETURN, NotDetected
+from calibration.labelling.detection import NotDetected
 from calibration.labelling.points import PatternPoints
 from tests.labelling.worlds import BOARD, Measured, Rectangle, board, displaced, measure
 

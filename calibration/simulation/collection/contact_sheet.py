@@ -1,4 +1,4 @@
-"""A picture of all poses: what each camera saw with the detected corners, and what was lost and why."""
+"""A picture of all poses: what each sensor saw with what was detected in it, and what was lost and why."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -6,11 +6,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from calibration.dataset.depth_image import NO_RETURN, read_depth_image
 from calibration.dataset.pointcloud import read_points
 from calibration.errors import InputError
 from calibration.files import write_atomically
 from calibration.geometry.types import Array
-from calibration.labelling.detection import Image
+from calibration.labelling.detection import DepthImage, Image
 from calibration.simulation.collection.play import Play
 from calibration.simulation.collection.record import Record
 
@@ -26,6 +27,8 @@ _PAPER, _INK, _RED = (250, 250, 250), (60, 60, 60), (40, 40, 200)
 _FONT, _TEXT_SIZE = cv2.FONT_HERSHEY_SIMPLEX, 0.38
 _SHIFT = 4  # drawing with sixteenths of a pixel
 _COLOURS = cv2.applyColorMap(np.arange(256, dtype=np.uint8)[:, None], cv2.COLORMAP_JET)[:, 0]
+_FROM_NEAR = cv2.applyColorMap(np.arange(256, dtype=np.uint8)[::-1, None], cv2.COLORMAP_BONE)[:, 0]
+_ON_PATTERN, _ON_BORDER = (90, 200, 90), (60, 120, 255)
 _DOT = 24  # the radius of a corner's mark, in these
 
 
@@ -36,7 +39,7 @@ def write_contact_sheet(folder: Path, play: Play, records: Sequence[Record], fil
         folder: where the sheet goes.
         play: what was collected.
         records: of every pose, lost ones too.
-        files: the folder with the images and clouds of the records.
+        files: the folder with the images, depth images and clouds of the records.
 
     Raises:
         WorldError: it cannot be written.
@@ -55,6 +58,7 @@ def _tile(play: Play, record: Record, files: Path) -> Image:
     """One pose: its pictures side by side, each under a line that says what it shows; what was lost is framed."""
     pictures = [(_camera(play, record, name, files), name, "corners") for name in play.system.cameras]
     pictures += [(_cloud(record, name, files), name, "points") for name in play.system.lidars]
+    pictures += [(_depth(play, record, name, files), name, "pixels") for name in play.system.depth_cameras]
     parts = []
     for picture, name, what in pictures:
         if not record.kept:
@@ -113,13 +117,43 @@ def _cloud(record: Record, name: str, files: Path) -> Image:
         groups = [(range(len(points)), (150, 140, 130), 1)]
         for by_sensor in record.collection["labels"].values():
             groups += [
-                (by_sensor[name]["idxs"], (90, 200, 90), 1),
-                (by_sensor[name]["idxs_limit_points"], (60, 120, 255), 2),
+                (by_sensor[name]["idxs"], _ON_PATTERN, 1),
+                (by_sensor[name]["idxs_limit_points"], _ON_BORDER, 2),
             ]
         for indices, colour, radius in groups:
             for at in place[list(indices)]:
                 cv2.circle(picture, _fine(at), radius << _SHIFT, colour, -1, cv2.LINE_AA, _SHIFT)
     return picture
+
+
+def _depth(play: Play, record: Record, name: str, files: Path) -> Image:
+    """A depth camera's image, small, near pale and far dark; the labelled pixels in their colours."""
+    camera = play.system.depth_cameras[name].camera
+    width = max(1, round(HEIGHT / camera.height * camera.width))
+    try:
+        depth = read_depth_image(files / record.collection["data"][name]["data_file"], camera).depth
+    except InputError:
+        return np.full((HEIGHT, width, 3), 128, np.uint8)
+    rows, columns = (np.arange(n) * size // n for n, size in ((HEIGHT, camera.height), (width, camera.width)))
+    picture = _coloured(depth[rows[:, None], columns])
+    for by_sensor in record.collection["labels"].values():
+        for key, colour, size in (("idxs", _ON_PATTERN, 3), ("idxs_limit_points", _ON_BORDER, 1)):
+            y, x = np.divmod(np.array(by_sensor[name][key], int), camera.width)
+            marked = np.zeros((HEIGHT, width), np.uint8)
+            marked[y * HEIGHT // camera.height, x * width // camera.width] = 1
+            picture[cv2.dilate(marked, np.ones((size, size), np.uint8)) > 0] = colour  # labels are thinned
+    return picture
+
+
+def _coloured(depth: DepthImage) -> Image:
+    """Depths (h, w) in colours (h, w, 3) from near to far; dark where nothing came back. In whole numbers."""
+    returned = (depth != NO_RETURN) & (depth != 0)
+    sorted_depths = np.sort(depth[returned].astype(int))
+    if not len(sorted_depths):
+        return np.full((*depth.shape, 3), (45, 40, 35), np.uint8)
+    near, far = sorted_depths[[len(sorted_depths) // 100, -1 - len(sorted_depths) // 100]]
+    share = 255 * (np.clip(depth, near, far) - near) // max(far - near, 1)
+    return np.where(returned[..., None], _FROM_NEAR[share], np.array((45, 40, 35), np.uint8))
 
 
 def _spread(values: Array, length: int) -> Array:

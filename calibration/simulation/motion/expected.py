@@ -5,14 +5,15 @@ from pathlib import Path
 import numpy as np
 
 from calibration.dataset.configuration import SensorConfiguration
-from calibration.dataset.model import Collection, CornerLabels, Dataset, Labels, PointLabels, Sensor
+from calibration.dataset.model import Collection, CornerLabels, Dataset, Labels, Modality, PointLabels, Sensor
 from calibration.dataset.pattern import Pattern
 from calibration.geometry.transforms import apply, inverse
 from calibration.geometry.types import Array
-from calibration.simulation.motion.views import camera_views, lidar_detects
+from calibration.simulation.motion.expected_depth import pixels_on
+from calibration.simulation.motion.views import camera_views, depth_camera_detects, lidar_detects
 from calibration.simulation.placement import Placement
 from calibration.simulation.scene import Scene
-from calibration.simulation.sensors import SimulatedLidar
+from calibration.simulation.sensors import SimulatedCamera, SimulatedDepthCamera, SimulatedLidar, SimulatedSensor
 from calibration.simulation.system import System
 
 
@@ -20,22 +21,19 @@ def expected_dataset(system: System, placement: Placement) -> Dataset:
     """The exact labels of all views that a detector would find, one collection for each of N poses.
 
     The transforms are the true ones. The collections' keys are the numbers of the poses, from "0".
-    Depth cameras are left out, as the engine does not calibrate them.
     """
     config = system.configuration
-    sensors = {name: sensor for name, sensor in config.sensors.items() if name not in system.depth_cameras}
     poses = next(iter(placement.transforms.values()))
     labels: list[dict[tuple[str, str], Labels]] = [{} for _ in poses]
     for pattern in system.patterns:
-        for sensor in sensors:
-            of = _corners if sensor in system.cameras else _points
-            for number, label in of(system, sensor, pattern, placement).items():
+        for sensor, simulated in system.sensors.items():
+            for number, label in _LABELS[type(simulated)](system, sensor, pattern, placement).items():
                 labels[number][pattern, sensor] = label
     return Dataset(
         path=Path(system.name),
         version="3.0",
         world=config.world_link,
-        sensors={name: _sensor(system, sensor) for name, sensor in sensors.items()},
+        sensors={name: _sensor(system, sensor) for name, sensor in config.sensors.items()},
         patterns=system.patterns,
         anchored=config.anchored_sensor,
         additional_transforms=tuple(config.additional_tfs.values()),
@@ -46,14 +44,14 @@ def expected_dataset(system: System, placement: Placement) -> Dataset:
 
 
 def _sensor(system: System, sensor: SensorConfiguration) -> Sensor:
-    simulated = system.cameras.get(sensor.name)
+    simulated = system.sensors[sensor.name]
     return Sensor(
         name=sensor.name,
-        modality="lidar3d" if simulated is None else "rgb",
+        modality=_MODALITIES[type(simulated)],
         frame=sensor.link,
         calibration_parent=sensor.parent_link,
         calibration_child=sensor.child_link,
-        camera=None if simulated is None else simulated.camera,
+        camera=None if isinstance(simulated, SimulatedLidar) else simulated.camera,
     )
 
 
@@ -75,6 +73,24 @@ def _points(system: System, sensor: str, pattern: str, placement: Placement) -> 
         number: points_on(lidar, board, T_lidar_pattern[number], system.scene, T_world_lidar[number])
         for number in np.flatnonzero(lidar_detects(system, sensor, pattern, placement)).tolist()
     }
+
+
+def _pixels(system: System, sensor: str, pattern: str, placement: Placement) -> dict[int, Labels]:
+    """By the number of the pose."""
+    depth_camera, board = system.depth_cameras[sensor], system.patterns[pattern]
+    T_camera_pattern, T_world_camera = placement.pattern_in(sensor, pattern), placement.sensors[sensor]
+    return {
+        number: pixels_on(depth_camera, board, T_camera_pattern[number], system.scene, T_world_camera[number])
+        for number in np.flatnonzero(depth_camera_detects(system, sensor, pattern, placement)).tolist()
+    }
+
+
+_LABELS = {SimulatedCamera: _corners, SimulatedDepthCamera: _pixels, SimulatedLidar: _points}
+_MODALITIES: dict[type[SimulatedSensor], Modality] = {
+    SimulatedCamera: "rgb",
+    SimulatedDepthCamera: "depth",
+    SimulatedLidar: "lidar3d",
+}
 
 
 def points_on(

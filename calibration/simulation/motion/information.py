@@ -23,6 +23,7 @@ CORNER_NOISE = 0.05
 """The standard deviation of a corner that is detected in a simulated image, each of x and y, px: 0.035 to 0.05 in
 the systems that ship."""
 _LEAST_RANGE_NOISE = 1e-4  # m: a LiDAR without noise would weigh infinitely much
+_USUAL_DISTANCE = 2.0  # m, to the pattern: the noise of a depth grows with it
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,12 +83,15 @@ def informations(problem: Problem, values: Values, weighting: Weighting) -> Arra
 
 def expected_noise(system: System) -> Weighting:
     """The standard deviations that the labels of a system's sensors will have."""
-    lidars = system.lidars.values()
-    steps = [np.hypot(lidar.noise, lidar.resolution / np.sqrt(12)) for lidar in lidars]
+    lidars, depth_cameras = system.lidars.values(), system.depth_cameras.values()
+    ranges = [np.hypot(lidar.noise, lidar.resolution / np.sqrt(12)) for lidar in lidars]
+    distance = np.mean(system.motion.distance or _USUAL_DISTANCE)
+    ranges += [sensor.noise + sensor.noise_growth * distance**2 for sensor in depth_cameras]
     scales: dict[NoiseKind, float] = {
         "pixel": CORNER_NOISE,
-        "range": max([*map(float, steps), _LEAST_RANGE_NOISE]),
+        "range": max([*map(float, ranges), _LEAST_RANGE_NOISE]),
         "border": max([lidar.step for lidar in lidars], default=1.0) / np.sqrt(12),
+        "depth_border": max([1 / each.camera.fx for each in depth_cameras], default=1.0) / np.sqrt(12),
     }
     return Weighting(scales, None)
 

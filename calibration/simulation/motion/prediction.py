@@ -24,13 +24,12 @@ def predicted_sigmas(system: System, motion: Motion) -> Mapping[str, tuple[float
     Returns:
         By sensor, translation (m) and rotation (rad) of its calibrated transform, each the norm of
         three axes as in `calibration.estimation.result.Calibration.sigma_mm`. Zero for a sensor that
-        is anchored or fixes a free gauge; infinite for what the motion does not determine. Depth
-        cameras are left out, as the engine does not calibrate them.
+        is anchored or fixes a free gauge; infinite for what the motion does not determine.
 
     Raises:
         InputError: the motion does not fit the system (see `calibration.simulation.placement.place`).
     """
-    sensors = [each for name, each in system.configuration.sensors.items() if name not in system.depth_cameras]
+    sensors = list(system.configuration.sensors.values())
     placement = place(system, motion)
     try:
         found = information(system, placement)

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from calibration.dataset.depth_image import NO_RETURN, UNIT
 from calibration.geometry.transforms import inverse
 from calibration.geometry.types import Array
 from calibration.simulation.board import Board
@@ -12,11 +13,6 @@ from calibration.simulation.rendering.background import background
 from calibration.simulation.rendering.rays import rays, rounded
 from calibration.simulation.scene import Scene
 from calibration.simulation.sensors import SimulatedDepthCamera
-
-UNIT = 1e-4
-"""m: a depth image counts in tenths of a millimetre."""
-NO_RETURN = 65535
-"""What a pixel holds that measures nothing; so the greatest depth is 6.5534 m."""
 
 
 def render_depth(

@@ -10,11 +10,13 @@ from calibration.errors import InputError
 from calibration.geometry.transforms import apply, from_xyz_rpy, inverse
 from calibration.labelling.detection import NotDetected
 from calibration.labelling.points import PatternPoints
+from calibration.simulation.collection import capture as capture_module
 from calibration.simulation.collection.capture import Capture, capture
 from calibration.simulation.collection.play import Play, play
 from calibration.simulation.motion.sequence import Motion, moving_joints, moving_model
 from calibration.simulation.placement import place
 from calibration.simulation.scene import Box, Scene
+from calibration.simulation.sensors import SimulatedDepthCamera
 from calibration.simulation.system import System
 from tests.simulation.collection.conftest import own_motion
 from tests.simulation.conftest import SYSTEMS
@@ -26,7 +28,7 @@ def played(system: System, motion: Motion | None = None, seed: int = 5) -> Play:
 
 def content(found: Capture) -> list[bytes]:
     """Every number that the sensors made, and that was made of them."""
-    arrays = [*found.images.values(), *found.clouds.values()]
+    arrays = [*found.images.values(), *found.depths.values(), *found.clouds.values()]
     for labels in found.corners.values():
         arrays += [labels.ids, labels.pixels] if isinstance(labels, CornerLabels) else []
     for points in found.points.values():
@@ -74,6 +76,40 @@ def test_labels_lie_on_the_truth(systems: dict[str, System], name: str) -> None:
         assert np.abs(flat[:, 2]).max() < 0.05
 
 
+def with_depth(system: System) -> System:
+    """t2rgb, whose left camera measures depths instead."""
+    depth = SimulatedDepthCamera(system.cameras["left_camera"].camera)
+    return replace(system, sensors={**system.sensors, "left_camera": depth})
+
+
+def test_labels_of_a_depth_camera_lie_on_the_truth(systems: dict[str, System]) -> None:
+    system = with_depth(systems["t2rgb"])
+    it = played(system)
+    found = capture(it, 0)
+    assert list(found.images) == ["right_camera"]
+    points, depth = found.points["pattern_1", "left_camera"], found.depths["left_camera"]
+    assert isinstance(points, PatternPoints)
+    assert len(points.on_border) > 100
+    assert set(points.on_border) <= set(points.on_pattern)
+    camera = system.depth_cameras["left_camera"].camera
+    v, u = np.divmod(points.on_pattern, camera.width)
+    rays = np.column_stack([camera.normalise(np.stack([u, v], -1).astype(float)), np.ones(len(u))])
+    T_pattern_camera = inverse(it.true.pattern_in("left_camera", "pattern_1")[0])
+    on_board = apply(T_pattern_camera, rays * (depth[v, u] * 1e-4)[:, None])
+    assert np.abs(on_board[:, 2]).max() < 0.1
+    assert np.sqrt((on_board[:, 2] ** 2).mean()) < 0.02
+    low, high = (f(system.patterns["pattern_1"].outline, axis=0) for f in (np.min, np.max))
+    assert ((on_board[:, :2] > low - 0.05) & (on_board[:, :2] < high + 0.05)).all()
+
+
+def test_a_depth_camera_sees_the_same_in_any_part_of_the_motion(systems: dict[str, System]) -> None:
+    system = with_depth(systems["t2rgb"])
+    motion = own_motion(system)
+    whole = content(capture(played(system, motion), 3))
+    assert content(capture(played(system, motion.take([9, 1, 2, 3])), 3)) == whole
+    assert content(capture(played(system, motion, seed=6), 3)) != whole
+
+
 def test_a_box_before_a_camera_hides_corners(systems: dict[str, System]) -> None:
     system = systems["t2rgb"]
     motion = own_motion(system).take([0])
@@ -92,15 +128,7 @@ def test_a_box_before_a_camera_hides_corners(systems: dict[str, System]) -> None
 
 def test_a_lidar_finds_the_pattern_though_its_mount_is_off(systems: dict[str, System]) -> None:
     """The guess comes by the camera through the designed robot; the LiDAR is 3 cm and 2 degrees elsewhere."""
-    system = systems["rlbot"]
-    joints = tuple(
-        replace(j, T_parent_joint=j.T_parent_joint @ from_xyz_rpy([0.02, -0.02, 0.01], [0, 0.02, 0.03]))
-        if j.child == "lidar_right_base_link"
-        else j
-        for j in system.robot.joints
-    )
-    bent = replace(system, robot=replace(system.robot, joints=joints))
-    it = played(bent)
+    it = played(bent(systems["rlbot"]))
     found = capture(it, 0)
     points = found.points["pattern_1", "lidar_right"]
     assert isinstance(points, PatternPoints)
@@ -135,3 +163,65 @@ def test_a_sensor_inside_a_wall(systems: dict[str, System]) -> None:
     inside = replace(system, scene=Scene(boxes=(Box(eye, np.ones(3)),)))
     with pytest.raises(InputError, match=r"motion\.json: a sensor is in a box or under the ground in pose 1"):
         played(inside)
+
+
+def bent(system: System) -> System:
+    """rlbot with a LiDAR that is elsewhere than it was designed to be, and a camera that is, too."""
+    errors = {
+        "lidar_right_base_link": from_xyz_rpy([0.02, -0.02, 0.01], [0, 0.02, 0.03]),
+        "rgb_left_link": from_xyz_rpy([-0.01, 0.02, 0.0], [0.01, 0, 0.02]),
+    }
+    joints = tuple(
+        replace(joint, T_parent_joint=joint.T_parent_joint @ errors.get(joint.child, np.eye(4)))
+        for joint in system.robot.joints
+    )
+    return replace(system, robot=replace(system.robot, joints=joints))
+
+
+def test_where_the_pattern_is_looked_for_is_told_by_the_camera_and_the_designed_robot(
+    systems: dict[str, System], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[np.ndarray] = []
+
+    def watched(points: np.ndarray, pattern: object, T_sensor_pattern: np.ndarray) -> NotDetected:
+        asked.append(T_sensor_pattern)
+        return NotDetected("watched")
+
+    monkeypatch.setattr(capture_module, "label_points", watched)
+    it = played(bent(systems["rlbot"]))
+    found = capture(it, 0)
+    T_camera_pattern = found.estimates["pattern_1", "rgb_left"]
+    nominal = it.nominal.sensors
+    np.testing.assert_allclose(
+        asked, [inverse(nominal["lidar_right"][0]) @ nominal["rgb_left"][0] @ T_camera_pattern], atol=1e-12
+    )
+
+
+def test_the_camera_that_sees_most_of_it_tells_where_it_is(systems: dict[str, System]) -> None:
+    it = played(systems["t2rgb"])
+    found = capture(it, 0)
+    few, many = CornerLabels(np.arange(30), np.zeros((30, 2))), CornerLabels(np.arange(40), np.zeros((40, 2)))
+    left, right = ("pattern_1", "left_camera"), ("pattern_1", "right_camera")
+    for labels, camera in (({left: few, right: many}, "right_camera"), ({left: many, right: few}, "left_camera")):
+        T = capture_module._guess(it, 0, "pattern_1", labels, found.estimates)
+        np.testing.assert_allclose(T, it.nominal.sensors[camera][0] @ found.estimates["pattern_1", camera])
+    unknown = capture_module._guess(it, 0, "pattern_1", {left: NotDetected("x")}, {})
+    np.testing.assert_array_equal(unknown, it.nominal.patterns["pattern_1"][0])
+
+
+def test_only_the_pattern_that_is_moved_sways(systems: dict[str, System]) -> None:
+    system = systems["t2rgb"]
+    config = system.configuration
+    fixed = replace(config.patterns["pattern_1"], name="fixed", fixed=True)
+    both = replace(
+        system,
+        sway=0.01,
+        patterns={**system.patterns, "fixed": fixed.pattern()},
+        configuration=replace(config, patterns={**config.patterns, "fixed": fixed}),
+    )
+    it = played(system)
+    poses = it.true.patterns["pattern_1"]
+    it = replace(it, system=both, true=replace(it.true, patterns={"pattern_1": poses, "fixed": poses}))
+    moved, still = capture_module._boards(it, 0, "left_camera")
+    assert np.abs(moved.T_world_pattern - poses[0]).max() > 1e-4
+    np.testing.assert_array_equal(still.T_world_pattern, poses[0])

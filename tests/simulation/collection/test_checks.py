@@ -45,7 +45,8 @@ def test_what_moves_is_lost(systems: dict[str, System]) -> None:
     system, found = seen(systems, sway=0.01)
     (reason,) = reasons_to_lose(system, found, Requirements(stillness=0.002))
     assert reason == f"moved {1000 * found.movement:.1f} mm while the sensors looked, 2 mm are allowed"
-    assert reasons_to_lose(system, found, Requirements(stillness=1.0)) == ()
+    assert reasons_to_lose(system, found, Requirements(stillness=1.01 * found.movement)) == ()
+    assert len(reasons_to_lose(system, found, Requirements(stillness=0.99 * found.movement))) == 1
 
 
 def test_what_is_too_small_is_lost(systems: dict[str, System]) -> None:

@@ -1,20 +1,27 @@
 """Records: what a pose leaves, as JSON and back."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from calibration.dataset.model import CornerLabels
 from calibration.geometry.transforms import apply
-from calibration.simulation.collection.play import Play
-from calibration.simulation.collection.record import Record
+from calibration.simulation.collection.capture import capture
+from calibration.simulation.collection.document import truth_document
+from calibration.simulation.collection.play import Play, play
+from calibration.simulation.collection.record import Record, record
+from calibration.simulation.system import System
+from tests.simulation.collection.conftest import own_motion
+from tests.simulation.collection.test_capture import bent
 
 
 def test_a_record_survives_json(rlbot_records: list[Record]) -> None:
-    for record in rlbot_records:
-        again = Record.from_json(record.to_json())
-        assert again == record
-        assert again.to_json() == record.to_json()
+    for one in rlbot_records:
+        again = Record.from_json(one.to_json())
+        assert again == one
+        assert again.to_json() == one.to_json()
 
 
 @pytest.mark.parametrize("text", ["", "[]", "{}", '{"number": 1}', "null"])
@@ -55,6 +62,29 @@ def test_cells_are_those_with_a_corner(rlbot_records: list[Record]) -> None:
     labels = record.collection["labels"]["pattern_1"]["rgb_left"]["idxs"]
     expected = {4 * min(int((p["y"] + 0.5) / (800 / 3)), 2) + min(int((p["x"] + 0.5) / 300), 3) for p in labels}
     assert record.cells == {"rgb_left": tuple(sorted(expected))}
+
+
+def test_the_corner_of_a_pixel_is_where_a_cell_begins(systems: dict[str, System]) -> None:
+    """Pixel (159, y) is the last of the first of four cells over 640: 159.4 lies on it, 159.6 on the next one."""
+    system = systems["t2rgb"]
+    it = play(system, own_motion(system).take([0]), 1)
+    seen = capture(it, 0)
+    for x, cells in ((159.4, (0,)), (159.6, (1,))):
+        label = CornerLabels(np.array([0]), np.array([[x, 10.0]]))
+        alone = replace(seen, corners={**seen.corners, ("pattern_1", "left_camera"): label})
+        assert record(it, alone, ()).cells["left_camera"] == cells
+
+
+def test_the_dataset_has_the_designed_robot_and_the_truth_the_real_one(systems: dict[str, System]) -> None:
+    system = bent(systems["rlbot"])
+    it = play(system, own_motion(system).take([0]), 1)
+    made = record(it, capture(it, 0), ())
+    edge = ("tripod_right_support", "lidar_right_base_link")
+    designed = made.collection["transforms"]["-".join(edge)]["trans"]
+    np.testing.assert_allclose(designed, [0.015, 0, 0.006])
+    truth = truth_document(it, [made])["sensors"]["lidar_right"]["trans"]
+    np.testing.assert_allclose(truth, it.true.transforms[edge][0, :3, 3])
+    assert np.abs(np.array(truth) - designed).max() > 0.01
 
 
 def test_numbers_are_rounded(rlbot_records: list[Record]) -> None:

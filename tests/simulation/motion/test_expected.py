@@ -6,11 +6,15 @@ import pytest
 
 from calibration.dataset.model import CornerLabels, PointLabels
 from calibration.geometry.transforms import apply, inverse
+from calibration.labelling.depth import label_depth
+from calibration.labelling.points import PatternPoints
 from calibration.simulation.board import Board
 from calibration.simulation.motion.expected import expected_dataset, points_on
+from calibration.simulation.motion.expected_depth import pixels_on
 from calibration.simulation.motion.sequence import Motion
 from calibration.simulation.placement import place
 from calibration.simulation.random_streams import stream
+from calibration.simulation.rendering.depth import render_depth
 from calibration.simulation.rendering.lidar import scan
 from calibration.simulation.scene import Box, Scene
 from calibration.simulation.sensors import SimulatedDepthCamera
@@ -105,10 +109,54 @@ def test_on_the_seam_of_the_azimuth(systems: dict[str, System]) -> None:
     )
 
 
-def test_depth_cameras_are_left_out(systems: dict[str, System], motions: dict[str, Motion]) -> None:
-    system = systems["t2rgb"]
-    depth = SimulatedDepthCamera(system.cameras["right_camera"].camera)
-    mixed = replace(system, sensors={**system.sensors, "right_camera": depth})
-    dataset = expected_dataset(mixed, place(mixed, motions["t2rgb"]))
-    assert list(dataset.sensors) == ["left_camera"]
-    assert all(list(collection.labels) == [("pattern_1", "left_camera")] for collection in dataset.collections)
+def with_depth(system: System, scene: Scene | None = None) -> System:
+    """t2rgb, whose right camera measures depths instead, without noise."""
+    depth = SimulatedDepthCamera(system.cameras["right_camera"].camera, noise=0.0, noise_growth=0.0)
+    return replace(
+        system, sensors={**system.sensors, "right_camera": depth}, scene=system.scene if scene is None else scene
+    )
+
+
+def test_points_of_a_depth_camera_are_those_of_its_image(
+    systems: dict[str, System], motions: dict[str, Motion]
+) -> None:
+    system = with_depth(systems["t2rgb"])
+    placement = place(system, motions["t2rgb"])
+    dataset = expected_dataset(system, placement)
+    assert dataset.sensors["right_camera"].modality == "depth"
+    sensor, pattern = system.depth_cameras["right_camera"], system.patterns["pattern_1"]
+    for i, collection in enumerate(dataset.collections[:6]):
+        labels = collection.labels["pattern_1", "right_camera"]
+        assert isinstance(labels, PointLabels)
+        T_world_camera, T_world_pattern = placement.sensors["right_camera"][i], placement.patterns["pattern_1"][i]
+        board = Board(system.configuration.patterns["pattern_1"], pattern, T_world_pattern)
+        depth = render_depth(sensor, T_world_camera, system.scene, [board], stream(0))
+        u, v = np.rint(sensor.camera.project(labels.points)).astype(int).T
+        np.testing.assert_allclose(labels.points[:, 2], depth[v, u] * 1e-4, atol=0.6e-4)
+        found = label_depth(depth, sensor.camera, pattern, inverse(T_world_camera) @ T_world_pattern)
+        assert isinstance(found, PatternPoints)
+        assert len(labels.points) == pytest.approx(len(found.on_pattern), rel=0.1)
+        border = v[labels.limits] * sensor.camera.width + u[labels.limits]
+        assert len(np.setxor1d(border, found.on_border)) < 0.1 * len(border)
+
+
+def test_a_post_hides_pixels(systems: dict[str, System], motions: dict[str, Motion]) -> None:
+    system = with_depth(systems["t2rgb"], Scene())
+    placement = place(system, motions["t2rgb"])
+    T_world_camera, T_world_pattern = placement.sensors["right_camera"][0], placement.patterns["pattern_1"][0]
+    at = np.eye(4)
+    at[:3, 3] = (T_world_camera[:3, 3] + apply(T_world_pattern, system.patterns["pattern_1"].centre[None])[0]) / 2
+    post = Scene(boxes=(Box(at, np.array([0.1, 0.1, 3.0])),))
+    free, hidden = (
+        pixels_on(
+            system.depth_cameras["right_camera"],
+            system.patterns["pattern_1"],
+            inverse(T_world_camera) @ T_world_pattern,
+            scene,
+            T_world_camera,
+        )
+        for scene in (Scene(), post)
+    )
+    assert 100 < len(hidden.points) < 0.9 * len(free.points)
+    assert 0 < len(hidden.limits) < len(free.limits)
+    assert {tuple(p) for p in hidden.points} < {tuple(p) for p in free.points}

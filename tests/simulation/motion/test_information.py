@@ -14,6 +14,7 @@ from calibration.simulation.motion.information import (
 )
 from calibration.simulation.motion.sequence import Motion
 from calibration.simulation.placement import place
+from calibration.simulation.sensors import SimulatedDepthCamera
 from calibration.simulation.system import System
 from tests.simulation.conftest import SYSTEMS
 
@@ -53,6 +54,15 @@ def test_a_pose_tells_the_same_in_any_motion(systems: dict[str, System], motions
         whole = information(system, place(system, motions[name]))
         some = information(system, place(system, motions[name].take([20, 3, 7])))
         np.testing.assert_allclose(some.each, whole.each[[20, 3, 7]], rtol=1e-9, atol=1e-9 * np.abs(whole.each).max())
+
+
+def test_noise_of_a_depth_camera_at_the_middle_of_the_distances(systems: dict[str, System]) -> None:
+    system = systems["t2rgb"]
+    depth = SimulatedDepthCamera(system.cameras["right_camera"].camera, noise=0.001, noise_growth=0.002)
+    scales = expected_noise(replace(system, sensors={**system.sensors, "right_camera": depth})).scales
+    assert system.motion.distance == (1.2, 3.0)
+    assert scales["range"] == pytest.approx(0.001 + 0.002 * 2.1**2)
+    assert scales["depth_border"] == pytest.approx(1 / depth.camera.fx / 12**0.5)
 
 
 def test_noise_of_the_sensors(systems: dict[str, System]) -> None:

@@ -28,7 +28,7 @@ def noisy(dataset: Dataset, system: System, seed: int) -> Dataset:
         if isinstance(labels, CornerLabels):
             return replace(labels, pixels=labels.pixels + CORNER_NOISE * rng.normal(size=labels.pixels.shape))
         ranges = np.linalg.norm(labels.points, axis=-1)
-        error = system.lidars[sensor].noise * rng.normal(size=len(ranges))
+        error = system.sensors[sensor].noise * rng.normal(size=len(ranges))
         return replace(labels, points=labels.points * (1 + error / ranges)[:, None])
 
     collections = tuple(
@@ -116,17 +116,19 @@ def test_two_unknowns_in_a_row_are_open(systems: dict[str, System], motions: dic
     assert found["left_camera"] == (0, 0)
 
 
-def test_depth_cameras_are_left_out(systems: dict[str, System], motions: dict[str, Motion]) -> None:
-    system = systems["rlbot"]
-    config, rgb = system.configuration, system.configuration.sensors["rgb_left"]
-    mixed = replace(
-        system,
-        sensors={**system.sensors, "depth": SimulatedDepthCamera(system.cameras["rgb_left"].camera)},
-        configuration=replace(
-            config, sensors={**config.sensors, "depth": replace(rgb, name="depth", modality="depth")}
-        ),
-    )
-    assert predicted_sigmas(mixed, motions["rlbot"]) == predicted_sigmas(system, motions["rlbot"])
+def test_a_depth_camera_is_as_sure_as_a_calibration_with_its_noise_says(
+    systems: dict[str, System], motions: dict[str, Motion]
+) -> None:
+    system = systems["t2rgb"]
+    depth = SimulatedDepthCamera(system.cameras["right_camera"].camera, noise=0.006, noise_growth=0.0)
+    mixed = replace(system, sensors={**system.sensors, "right_camera": depth})
+    predicted = predicted_sigmas(mixed, motions["t2rgb"])
+    assert predicted["left_camera"] == (0, 0)
+    dataset = noisy(expected_dataset(mixed, place(mixed, motions["t2rgb"])), mixed, 1)
+    found = calibrate(dataset)
+    edge = dataset.sensors["right_camera"].edge
+    assert found.sigma_mm(edge) == pytest.approx(1e3 * predicted["right_camera"][0], rel=0.15)
+    assert found.sigma_mrad(edge) == pytest.approx(1e3 * predicted["right_camera"][1], rel=0.15)
 
 
 def test_a_motion_that_does_not_fit(systems: dict[str, System], motions: dict[str, Motion]) -> None:

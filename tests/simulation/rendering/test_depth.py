@@ -1,10 +1,11 @@
 import numpy as np
 import pytest
 
+from calibration.dataset.depth_image import NO_RETURN, UNIT
 from calibration.geometry.cameras import PlumbBob
 from calibration.geometry.transforms import apply, from_xyz_rpy, inverse
 from calibration.simulation.random_streams import stream
-from calibration.simulation.rendering.depth import NO_RETURN, UNIT, render_depth
+from calibration.simulation.rendering.depth import render_depth
 from calibration.simulation.scene import Box, Scene
 from calibration.simulation.sensors import SimulatedDepthCamera
 from tests.simulation.rendering.views import CHARUCO, DISTORTION, T_WORLD_CAMERA, board, camera, random_pose, square_on

@@ -1,0 +1,116 @@
+"""Depth images: PNG files of 16 bits that count tenths of a millimetre along the optical axis."""
+
+import zlib
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration.dataset.document import shown
+from calibration.errors import InputError, WorldError
+from calibration.files import read_bytes
+from calibration.geometry.cameras import Camera
+from calibration.geometry.types import Array, IntArray
+
+UNIT = 1e-4
+"""m: what a depth image counts in."""
+NO_RETURN = 65535
+"""What a pixel holds that measured nothing, and 0 says the same; so the greatest depth is 6.5534 m."""
+MAX_AREA = 1 << 26
+"""No image of more pixels is decoded."""
+_MAX_BYTES = 4 * MAX_AREA
+_SIGNATURE = b"\x89PNG\r\n\x1a\n"
+_FIRST_CHUNK = b"\0\0\0\rIHDR"  # its length and its name
+_HEADER_BYTES = 26  # up to bit depth and colour type
+
+
+@dataclass(frozen=True, eq=False)
+class DepthImage:
+    """What a depth camera measured, pixel by pixel."""
+
+    depth: NDArray[np.uint16]
+    """(H, W): in units of `UNIT`; `NO_RETURN` or 0 where nothing was measured."""
+    camera: Camera
+
+    def __len__(self) -> int:
+        return self.depth.size
+
+    def take(self, index: IntArray) -> Array:
+        """The points (N, 3) in the optical frame (m) of pixels ``y * width + x`` (N,); NaN where there is none.
+
+        Raises:
+            IndexError: an index is not below the number of pixels.
+        """
+        counted = self.depth.ravel()[index]
+        z = np.where((counted == NO_RETURN) | (counted == 0), np.nan, counted * UNIT)
+        v, u = np.divmod(index, self.depth.shape[1])
+        xy = self.camera.normalise(np.stack([u, v], -1).astype(float))
+        return np.concatenate([xy, np.ones((len(index), 1))], -1) * z[:, None]
+
+
+def read_depth_image(path: Path | str, camera: Camera) -> DepthImage:
+    """The depth image in a PNG file.
+
+    Args:
+        path: the file.
+        camera: the intrinsics, whose size the image must have.
+
+    Raises:
+        InputError: the file cannot be read, or is no PNG file of one channel of 16 bits and of the camera's size.
+        WorldError: OpenCV, which decodes it, is missing.
+    """
+    data = read_bytes(path, _MAX_BYTES, "a depth image")
+    try:
+        _check_header(data, camera)
+        _check_chunks(data)
+        return DepthImage(_decode(data, camera), camera)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+
+
+def _check_header(data: bytes, camera: Camera) -> None:
+    """Refuse what is not to be decoded, by the first chunk of a PNG file (https://www.w3.org/TR/png-3/#11IHDR)."""
+    if len(data) < _HEADER_BYTES or not data.startswith(_SIGNATURE + _FIRST_CHUNK):
+        raise InputError(f"found {shown(data[:4].decode('latin-1'))} at its begin, expected a PNG file")
+    width, height = int.from_bytes(data[16:20], "big"), int.from_bytes(data[20:24], "big")
+    bits, colour = data[24], data[25]
+    if (bits, colour) != (16, 0):
+        kind = {0: "grey", 2: "colour", 3: "palette", 4: "grey with alpha", 6: "colour with alpha"}.get(
+            colour, "unknown"
+        )
+        raise InputError(f"found a PNG file of {bits} bits, {kind}, expected 16 bits, grey")
+    if (width, height) != (camera.width, camera.height):
+        raise InputError(
+            f"found an image of {width} x {height} pixels, expected {camera.width} x {camera.height} as in camera_info"
+        )
+    if width * height > MAX_AREA:
+        raise InputError(f"found an image of {width} x {height} pixels, expected {MAX_AREA} pixels at most")
+
+
+def _check_chunks(data: bytes) -> None:
+    """Refuse what is cut off or damaged: a decoder may give a part of the image, or believe any length."""
+    at, view = len(_SIGNATURE), memoryview(data)
+    while at + 12 <= len(data):  # length, name, content, checksum of name and content
+        end = at + 8 + int.from_bytes(view[at : at + 4], "big")
+        if zlib.crc32(view[at + 4 : end]) != int.from_bytes(view[end : end + 4], "big") or end + 4 > len(data):
+            break
+        if data[at + 4 : at + 8] == b"IEND":
+            return
+        at = end + 4
+    raise InputError(f"the PNG file is damaged from byte {at} on; is it truncated?")
+
+
+def _decode(data: bytes, camera: Camera) -> NDArray[np.uint16]:
+    try:
+        import cv2
+    except ImportError as error:
+        raise WorldError("reading depth images needs OpenCV: pip install 'calibration-ci[calibrate,opencv]'") from error
+    try:
+        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    except cv2.error:
+        image = None
+    if image is None or image.dtype != np.uint16 or image.shape != (camera.height, camera.width):
+        raise InputError("the PNG file cannot be decoded; write it again")
+    depth: NDArray[np.uint16] = np.asarray(image, np.uint16)
+    return depth

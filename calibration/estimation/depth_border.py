@@ -1,0 +1,57 @@
+"""Limit pixels of a depth camera: where beside them the border of a pattern lies."""
+
+import numpy as np
+
+from calibration.geometry.cameras import Camera
+from calibration.geometry.types import Array, IntArray
+
+REACH = 6
+"""A border's direction at a limit pixel is told by the pixels so many places before and after it."""
+STRAIGHT = np.cos(np.radians(20))
+"""Where the directions before and after a pixel differ by more, it is at a corner of the pattern, or at a gap. On a
+straight border they differ by a pixel's step in `REACH` each, 19 degrees, at most."""
+
+
+def depth_border_rays(points: Array, limits: IntArray, camera: Camera) -> Array:
+    """Points on the rays that meet the border, one for each limit point, as well as the pixels can tell.
+
+    A limit pixel is the last one *on* the pattern of its row or column, whichever crosses the border
+    more steeply: the border runs somewhere between it and the next pixel of that row or column, on
+    average half a pixel farther out. So each is moved by half a pixel along that axis, away from the
+    pattern; the depth is kept.
+
+    Where a border runs along the rows or columns so well that no step from one to the next is near,
+    all its pixels err alike, by up to half a pixel, and would outvote their error's average: they do
+    not count. Those around a step err evenly to both sides.
+
+    Args:
+        points: (N, 3), the points on the pattern in the optical frame, m.
+        limits: (L,), which of them lie on the border.
+        camera: the intrinsics.
+
+    Returns:
+        (L, 3); NaN where the limit pixels around one do not tell where the border is: no step, a corner, a gap.
+    """
+    pixels = np.rint(camera.project(points[limits]))
+    step = _outward(pixels, camera.project(points).mean(axis=0))
+    x, y = camera.normalise(pixels + 0.5 * step).T
+    z = np.where(np.isnan(x), np.nan, points[limits, 2])
+    return np.stack([x * z, y * z, z], -1)
+
+
+def _outward(pixels: Array, centre: Array) -> Array:
+    """The unit step (L, 2) along rows or columns that leaves a convex region at each pixel of its border; else NaN."""
+    if len(pixels) < 2 * REACH + 1:
+        return np.full_like(pixels, np.nan)
+    order = np.argsort(np.arctan2(*(pixels - centre).T[::-1]), kind="stable")
+    around = pixels[order]
+    after, before = np.roll(around, -REACH, axis=0) - around, around - np.roll(around, REACH, axis=0)
+    along = after + before
+    normal = np.stack([along[:, 1], -along[:, 0]], -1)  # outward: with y down, growing angles run clockwise
+    straight = (after * before).sum(-1) > STRAIGHT * np.linalg.norm(after, axis=-1) * np.linalg.norm(before, axis=-1)
+    rows = np.abs(normal[:, 0]) > np.abs(normal[:, 1])
+    step = np.where(np.stack([rows, ~rows], -1), np.sign(normal), 0.0)
+    out = np.empty_like(pixels)
+    stepped = (along != 0).all(-1)
+    out[order] = np.where((straight & stepped)[:, None], step, np.nan)
+    return out
