@@ -17,6 +17,7 @@ from calibration.pipeline.scenario_report import world_line
 from calibration.pipeline.scenarios import (
     ScenarioRequest,
     ScenarioResults,
+    collect_world,
     replay,
     scenario_document,
     scenario_markdown,
@@ -117,3 +118,22 @@ def test_lines_of_the_progress() -> None:
     assert world_line(GOOD) == "s1-00000: 11/12 collections, 1 mm, 0.1 deg"
     assert world_line(BROKEN) == "s1-00002: nothing seen"
     assert scenarios.MAX_SCENARIOS >= 10_000
+
+
+def test_a_world_does_not_go_on_with_what_another_set_made_of_its_id(tmp_path: Path) -> None:
+    def files(folder: Path) -> dict[str, bytes]:
+        return {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()}
+
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    request = CollectionRequest(Path(__file__).parents[2] / "datasets" / "t2rgb")
+    for name, noise in (("a", 1), ("b", 5)):
+        text = f"cameras: {{noise_levels: {noise}}}\nmotion: {{poses: 4}}\n"
+        (tmp_path / f"{name}.yml").write_text(text)
+    with pytest.raises(KeyboardInterrupt):
+        collect_world(request, tmp_path / "a.yml", "s1-00000", tmp_path / "out", jobs=1, done=interrupt)
+    assert (tmp_path / "out" / ".collecting").exists()
+    for folder in ("out", "fresh"):
+        collect_world(request, tmp_path / "b.yml", "s1-00000", tmp_path / folder, jobs=1)
+    assert files(tmp_path / "out") == files(tmp_path / "fresh")
