@@ -28,7 +28,7 @@ def seen(camera, T):
 
 
 @given(poses)
-def test_without_distortion_the_homography_is_the_map(T):
+def test_without_distortion_the_homography_is_the_map(T) -> None:
     pixels = seen(HD, T)
     found, jacobians = project(homography(PLACES, pixels), PLACES)
     np.testing.assert_allclose(found, pixels, atol=1e-6)
@@ -37,7 +37,7 @@ def test_without_distortion_the_homography_is_the_map(T):
     np.testing.assert_allclose((moved - found) / 1e-5, jacobians @ [0.6, -0.8], atol=1e-2)
 
 
-def test_four_points_are_enough_and_the_horizon_has_no_pixel():
+def test_four_points_are_enough_and_the_horizon_has_no_pixel() -> None:
     places = np.array([[0.0, 0], [1, 0], [1, 1], [0, 1]])
     pixels = np.array([[10.0, 20], [110, 30], [90, 95], [15, 100]])
     H = homography(places, pixels)
@@ -48,7 +48,7 @@ def test_four_points_are_enough_and_the_horizon_has_no_pixel():
 
 @settings(max_examples=30)
 @given(poses, st.integers(0, 2**32 - 1))
-def test_hidden_corners_are_predicted_through_the_distortion(T, seed):
+def test_hidden_corners_are_predicted_through_the_distortion(T, seed) -> None:
     """From two thirds of the corners, to a fraction of a pixel, where a homography is pixels off."""
     pixels = seen(HD_DISTORTED, T)
     known = np.random.default_rng(seed).random(len(PLACES)) < 0.67
@@ -57,7 +57,7 @@ def test_hidden_corners_are_predicted_through_the_distortion(T, seed):
     np.testing.assert_allclose(predicted.pixels[near], pixels[~known][near], atol=0.5)
 
 
-def test_the_jacobian_is_that_of_the_bent_map():
+def test_the_jacobian_is_that_of_the_bent_map() -> None:
     T = facing(BOARD, 0.9, 0.5, 1.0, 0.3)
     predicted = predict(PLACES, seen(HD_DISTORTED, T), PLACES)
     step = 1e-4 * BOARD.size
@@ -70,7 +70,7 @@ def test_the_jacobian_is_that_of_the_bent_map():
 
 @settings(max_examples=30)
 @given(poses, st.integers(0, 2**32 - 1), st.floats(0.02, 0.3), st.sampled_from([HD, HD_DISTORTED]))
-def test_wrong_corners_are_told_from_noisy_ones(T, seed, noise, camera):
+def test_wrong_corners_are_told_from_noisy_ones(T, seed, noise, camera) -> None:
     random = np.random.default_rng(seed)
     pixels = seen(camera, T) + noise * random.normal(size=(len(PLACES), 2)) / np.sqrt(2)
     wrong = random.choice(len(PLACES), 5, replace=False)
@@ -82,7 +82,7 @@ def test_wrong_corners_are_told_from_noisy_ones(T, seed, noise, camera):
 
 
 @pytest.mark.parametrize("count", [4, 5, 6, 9])
-def test_few_corners_are_not_doubted(count):
+def test_few_corners_are_not_doubted(count) -> None:
     pixels = seen(HD, facing(BOARD, 1.0, 0.4))
     chosen = [0, 1, 11, 12, 2, 13, 22, 23, 24][:count]
     assert fits_neighbours(PLACES[chosen], pixels[chosen]).all()

@@ -39,7 +39,7 @@ def errors(found: CornerLabels, truth):
 
 
 @pytest.mark.parametrize(("camera", "limit"), [(HD, 0.06), (HD_DISTORTED, 0.08)])
-def test_corners_are_where_the_truth_projects_them(camera, limit):
+def test_corners_are_where_the_truth_projects_them(camera, limit) -> None:
     """The bars of the work: RMS, no bias, nothing far off, and hardly a corner missed."""
     photograph = Photograph(camera, supersampling=2)
     off, seen = [], 0
@@ -55,7 +55,7 @@ def test_corners_are_where_the_truth_projects_them(camera, limit):
     assert np.abs(off.mean(axis=0)).max() < 0.01
 
 
-def test_small_boards_are_read_down_to_squares_of_13_pixels():
+def test_small_boards_are_read_down_to_squares_of_13_pixels() -> None:
     T = facing(BOARD, 2.5, 0.3, 1.0, 0.2)
     found = detected(Photograph(VGA).of(BOARD, T))
     assert len(found.ids) > 80
@@ -63,7 +63,7 @@ def test_small_boards_are_read_down_to_squares_of_13_pixels():
 
 
 @pytest.mark.parametrize(("white", "black", "noise"), [(70, 5, 1.5), (255, 160, 2.0), (140, 60, 5.0)])
-def test_in_any_light(white, black, noise):
+def test_in_any_light(white, black, noise) -> None:
     T = facing(BOARD, 1.2, 0.4, 0.5, -0.1)
     found = detected(Photograph(VGA, white=white, black=black, noise=noise).of(BOARD, T))
     assert len(found.ids) > 80
@@ -71,7 +71,7 @@ def test_in_any_light(white, black, noise):
 
 
 @pytest.mark.parametrize("at", [(0.5, 0.0), (-0.5, 0.1), (0.0, 0.42), (0.1, -0.42), (0.45, -0.35)])
-def test_partial_views_have_the_ids_of_what_is_seen(at):
+def test_partial_views_have_the_ids_of_what_is_seen(at) -> None:
     T = facing(BOARD, 0.8, 0.3, 0.4, 0.3, at)
     truth = true_corners(VGA, BOARD, T)
     inside = in_view(VGA, truth)
@@ -81,14 +81,14 @@ def test_partial_views_have_the_ids_of_what_is_seen(at):
     assert np.linalg.norm(errors(found, truth), axis=-1).max() < 0.3
 
 
-def test_turned_upside_down_the_ids_stay_and_the_pixels_turn():
+def test_turned_upside_down_the_ids_stay_and_the_pixels_turn() -> None:
     image = Photograph(VGA, noise=1.0).of(BOARD, facing(BOARD, 1.1, 0.4, 0.3, 0.1))
     upright, turned = detected(image), detected(image[::-1, ::-1].copy())
     np.testing.assert_array_equal(upright.ids, turned.ids)
     np.testing.assert_allclose(turned.pixels, [639, 479] - upright.pixels, atol=0.02)
 
 
-def test_on_its_side_too():
+def test_on_its_side_too() -> None:
     image = Photograph(VGA, noise=1.0).of(BOARD, facing(BOARD, 1.1, 0.4, 0.3, 0.1))
     upright, turned = detected(image), detected(np.rot90(image).copy())
     np.testing.assert_array_equal(upright.ids, turned.ids)
@@ -96,19 +96,19 @@ def test_on_its_side_too():
     np.testing.assert_allclose(turned.pixels, np.stack([y, 639 - x], -1), atol=0.02)
 
 
-def test_a_mirrored_board_is_no_board():
+def test_a_mirrored_board_is_no_board() -> None:
     image = Photograph(VGA).of(BOARD, facing(BOARD, 1.1, 0.2))
     assert isinstance(DETECTOR.detect(image[:, ::-1].copy()), NotDetected)
 
 
-def test_x_runs_along_a_row_and_y_down_a_column():
+def test_x_runs_along_a_row_and_y_down_a_column() -> None:
     found = detected(Photograph(VGA).of(BOARD, facing(BOARD, 1.1)))
     grid = found.pixels.reshape(8, 11, 2)
     assert (np.diff(grid[..., 0], axis=1) > 20).all()
     assert (np.diff(grid[..., 1], axis=0) > 20).all()
 
 
-def test_colour_is_as_grey():
+def test_colour_is_as_grey() -> None:
     image = Photograph(VGA).of(BOARD, facing(BOARD, 1.1, 0.3))
     grey, colour = detected(image), detected(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR))
     np.testing.assert_array_equal(grey.pixels, colour.pixels)
@@ -119,7 +119,7 @@ def test_colour_is_as_grey():
 
 @pytest.mark.parametrize("legacy", [False, True])
 @pytest.mark.parametrize("dimension", [(7, 7), (6, 5), (11, 7), (4, 3)])
-def test_the_layout_is_found_in_the_image(dimension, legacy):
+def test_the_layout_is_found_in_the_image(dimension, legacy) -> None:
     pattern = charuco(*dimension)
     detector = CharucoDetector(pattern)
     for T in poses(3, 5, 0.7, 1.0, 0.6, 0.2, pattern):
@@ -130,7 +130,7 @@ def test_the_layout_is_found_in_the_image(dimension, legacy):
 
 
 @pytest.mark.parametrize("legacy", [False, True])
-def test_partial_views_of_either_layout(legacy):
+def test_partial_views_of_either_layout(legacy) -> None:
     pattern = charuco(7, 7)
     detector = CharucoDetector(pattern)
     for at in [(0.45, 0.0), (0.0, -0.3), (-0.4, 0.3)]:
@@ -141,7 +141,7 @@ def test_partial_views_of_either_layout(legacy):
 
 
 @pytest.mark.parametrize("legacy", [False, True])
-def test_few_rows_of_markers_never_give_the_wrong_layout(legacy):
+def test_few_rows_of_markers_never_give_the_wrong_layout(legacy) -> None:
     """Where one row of markers is seen, the two layouts differ by a shift: what surrounds it has to tell."""
     pattern = replace(charuco(11, 3), border_size=(0.0, 0.0))
     detector = CharucoDetector(pattern)
@@ -161,7 +161,7 @@ def test_few_rows_of_markers_never_give_the_wrong_layout(legacy):
 
 @pytest.mark.parametrize("grey", [0, 90, 255])
 @pytest.mark.parametrize("box", [(250, 180, 330, 260), (300, 100, 420, 300), (100, 230, 600, 260), (318, 0, 326, 480)])
-def test_a_corner_beside_something_in_front_is_right_or_left_out(box, grey):
+def test_a_corner_beside_something_in_front_is_right_or_left_out(box, grey) -> None:
     T = facing(BOARD, 1.0, 0.4, 1.0, 0.2)
     truth = true_corners(VGA, BOARD, T)
     found = detected(Photograph(VGA).of(BOARD, T, hidden=(box, grey)))
@@ -180,14 +180,14 @@ def test_a_corner_beside_something_in_front_is_right_or_left_out(box, grey):
 
 
 @pytest.mark.parametrize("shape", [(0, 0), (0, 5), (1, 1), (3, 640), (480, 2), (1, 1, 3), (0, 0, 3), (20, 20)])
-def test_images_too_small_for_anything(shape):
+def test_images_too_small_for_anything(shape) -> None:
     found = DETECTOR.detect(np.zeros(shape, np.uint8))
     assert isinstance(found, NotDetected)
     assert found.reason
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_noise_is_no_board(seed):
+def test_noise_is_no_board(seed) -> None:
     noise = np.random.default_rng(seed).integers(0, 256, (240, 320), dtype=np.uint8)
     for image in (noise, cv2.resize(noise, (640, 480), interpolation=cv2.INTER_NEAREST), np.full_like(noise, 255)):
         found = DETECTOR.detect(image)
@@ -199,19 +199,19 @@ def test_noise_is_no_board(seed):
     "image",
     [np.zeros((480, 640)), np.zeros((480, 640), np.uint16), np.zeros((480, 640, 4), np.uint8), np.zeros(640, np.uint8)],
 )
-def test_what_is_no_image_is_said_in_one_line(image):
+def test_what_is_no_image_is_said_in_one_line(image) -> None:
     with pytest.raises(InputError, match=r"expected 8 bits a channel") as error:
         DETECTOR.detect(image)
     assert str(image.dtype) in str(error.value)
 
 
-def test_another_board_is_not_taken_for_this_one():
+def test_another_board_is_not_taken_for_this_one() -> None:
     other = charuco(11, 8, dictionary="DICT_4X4_100")
     found = DETECTOR.detect(Photograph(VGA).of(other, facing(other, 1.1, 0.3)))
     assert isinstance(found, NotDetected)
 
 
-def test_too_little_of_a_board_says_how_much_is_needed():
+def test_too_little_of_a_board_says_how_much_is_needed() -> None:
     T = facing(BOARD, 0.5, at=(0.75, 0.55))
     found = DETECTOR.detect(Photograph(VGA).of(BOARD, T))
     assert isinstance(found, NotDetected)
@@ -228,7 +228,7 @@ def test_too_little_of_a_board_says_how_much_is_needed():
         ({"dimension": (20, 15)}, "has 168 markers, DICT_5X5_100 has 100"),
     ],
 )
-def test_boards_that_cannot_be_printed(change, message):
+def test_boards_that_cannot_be_printed(change, message) -> None:
     with pytest.raises(InputError, match=message):
         CharucoDetector(replace(BOARD, **change))
 
@@ -236,7 +236,7 @@ def test_boards_that_cannot_be_printed(change, message):
 # The same result whenever and wherever
 
 
-def test_what_was_seen_before_changes_nothing():
+def test_what_was_seen_before_changes_nothing() -> None:
     pattern = charuco(7, 7)
     photograph = Photograph(VGA)
     images = [photograph.of(pattern, facing(pattern, 0.8, 0.2 * i, 1.0, 0.3 * i), i % 2 == 0) for i in range(4)]
@@ -256,13 +256,13 @@ def _in_a_worker(image) -> tuple[list[int], list[list[float]]]:
     return found.ids.tolist(), found.pixels.tolist()
 
 
-def test_a_forked_process_finds_the_same():
+def test_a_forked_process_finds_the_same() -> None:
     images = [Photograph(VGA).of(BOARD, facing(BOARD, 1.0 + 0.2 * i, 0.3)) for i in range(3)]
     here = [_in_a_worker(image) for image in images]  # OpenCV's threads run before the fork
     assert dict(in_parallel(_in_a_worker, images, 2)) == dict(enumerate(here))
 
 
-def test_pixels_are_rounded():
+def test_pixels_are_rounded() -> None:
     found = detected(Photograph(VGA).of(BOARD, facing(BOARD, 1.0, 0.3)))
     np.testing.assert_array_equal(found.pixels, np.round(found.pixels, 4))
     assert found.ids.dtype == np.int64

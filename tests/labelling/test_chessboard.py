@@ -20,7 +20,7 @@ def detected(pattern, T, camera=VGA, **how) -> CornerLabels:
     return found
 
 
-def test_corners_are_where_the_truth_projects_them():
+def test_corners_are_where_the_truth_projects_them() -> None:
     off = []
     for i in range(5):
         T = facing(UNIQUE, 1.0 + 0.2 * i, 0.15 * i, i, 0.3 * i, (0.05 * i - 0.1, 0.03))
@@ -32,7 +32,7 @@ def test_corners_are_where_the_truth_projects_them():
 
 
 @pytest.mark.parametrize("roll", np.linspace(-np.pi, np.pi, 9))
-def test_a_board_that_colours_tell_which_way_up_keeps_its_ids_at_any_angle(roll):
+def test_a_board_that_colours_tell_which_way_up_keeps_its_ids_at_any_angle(roll) -> None:
     """Ten by seven corners: eleven by eight squares, and only one of its ends begins with black."""
     T = facing(UNIQUE, 1.2, 0.3, 0.5, roll)
     assert np.linalg.norm(detected(UNIQUE, T).pixels - true_corners(VGA, UNIQUE, T), axis=-1).max() < 0.5
@@ -40,26 +40,26 @@ def test_a_board_that_colours_tell_which_way_up_keeps_its_ids_at_any_angle(roll)
 
 @pytest.mark.parametrize("pattern", [TWOFOLD, SQUARE, SQUARE_FOURFOLD])
 @pytest.mark.parametrize("roll", [-0.5, 0.0, 0.4])
-def test_other_boards_are_numbered_as_they_stand_upright(pattern, roll):
+def test_other_boards_are_numbered_as_they_stand_upright(pattern, roll) -> None:
     T = facing(pattern, 1.2, 0.3, 0.5, roll)
     assert np.linalg.norm(detected(pattern, T).pixels - true_corners(VGA, pattern, T), axis=-1).max() < 0.5
 
 
-def test_upside_down_they_are_numbered_from_the_other_end():
+def test_upside_down_they_are_numbered_from_the_other_end() -> None:
     T = facing(TWOFOLD, 1.2, 0.3, 0.5, np.pi - 0.1)
     assert np.linalg.norm(detected(TWOFOLD, T).pixels - true_corners(VGA, TWOFOLD, T)[::-1], axis=-1).max() < 0.5
 
 
 @pytest.mark.parametrize("pattern", [UNIQUE, TWOFOLD, SQUARE, SQUARE_FOURFOLD])
 @pytest.mark.parametrize("roll", [0.2, 1.5, 3.0, -2.0])
-def test_never_mirrored(pattern, roll):
+def test_never_mirrored(pattern, roll) -> None:
     grid = detected(pattern, facing(pattern, 1.3, 0.4, 1.0, roll)).pixels
     grid = grid.reshape(pattern.dimension[1], pattern.dimension[0], 2)
     x, y = np.diff(grid, axis=1).mean((0, 1)), np.diff(grid, axis=0).mean((0, 1))
     assert x[0] * y[1] - x[1] * y[0] > 0
 
 
-def test_light_that_varies_over_the_board_is_no_colour():
+def test_light_that_varies_over_the_board_is_no_colour() -> None:
     T = facing(UNIQUE, 1.2, 0.2, 0.0, 0.1)
     image = Photograph(VGA).of(UNIQUE, T) * np.linspace(0.15, 1.0, 640)
     found = ChessboardDetector(UNIQUE).detect(image.astype(np.uint8))
@@ -67,7 +67,7 @@ def test_light_that_varies_over_the_board_is_no_colour():
     assert np.linalg.norm(found.pixels - true_corners(VGA, UNIQUE, T), axis=-1).max() < 1
 
 
-def test_all_corners_or_nothing():
+def test_all_corners_or_nothing() -> None:
     assert isinstance(
         ChessboardDetector(UNIQUE).detect(Photograph(VGA).of(UNIQUE, facing(UNIQUE, 0.6, at=(0.4, 0)))), NotDetected
     )
@@ -76,11 +76,11 @@ def test_all_corners_or_nothing():
 
 
 @pytest.mark.parametrize("shape", [(0, 0), (1, 1), (1, 1000), (30, 30), (480, 5), (0, 4, 3)])
-def test_images_too_small_for_anything(shape):
+def test_images_too_small_for_anything(shape) -> None:
     assert isinstance(ChessboardDetector(UNIQUE).detect(np.zeros(shape, np.uint8)), NotDetected)
 
 
-def test_noise_and_nothing_are_no_boards():
+def test_noise_and_nothing_are_no_boards() -> None:
     noise = np.random.default_rng(0).integers(0, 256, (240, 320), dtype=np.uint8)
     for image in (noise, np.zeros_like(noise), np.full((240, 320, 3), 255, np.uint8)):
         found = ChessboardDetector(UNIQUE).detect(image)
@@ -88,7 +88,7 @@ def test_noise_and_nothing_are_no_boards():
         assert found.reason == "not all corners of the chessboard are found"
 
 
-def test_what_is_no_image_and_no_board():
+def test_what_is_no_image_and_no_board() -> None:
     with pytest.raises(InputError, match="8 bits a channel"):
         ChessboardDetector(UNIQUE).detect(np.zeros((480, 640)))
     with pytest.raises(InputError, match="2 x 7 corners, expected at least 3 each way"):

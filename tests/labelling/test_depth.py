@@ -68,7 +68,7 @@ def from_border(index, T, camera=CAMERA) -> np.ndarray:
     st.sampled_from([0.0, 0.003, 0.008]),
     st.integers(0, 1000),
 )
-def test_any_pose_any_guess_within_the_tolerance(distance, turn, at, camera, noise, seed):
+def test_any_pose_any_guess_within_the_tolerance(distance, turn, at, camera, noise, seed) -> None:
     T = facing(distance, turn, at)
     depth, measured = picture(T, camera=camera, noise=noise)
     random = np.random.default_rng(seed)
@@ -82,13 +82,13 @@ def test_any_pose_any_guess_within_the_tolerance(distance, turn, at, camera, noi
     assert len(labels.on_border) > 50
 
 
-def test_with_a_perfect_sensor_the_region_is_the_board():
+def test_with_a_perfect_sensor_the_region_is_the_board() -> None:
     T = facing(1.5, (0.3, -0.2, 0.4))
     depth, measured = picture(T, noise=0.0)
     np.testing.assert_array_equal(mask(found(depth, T).on_pattern, depth.shape), measured.on_board)
 
 
-def test_where_something_nearer_hides_the_rest_there_is_no_border():
+def test_where_something_nearer_hides_the_rest_there_is_no_border() -> None:
     T = facing(1.5, (0.1, 0.2, 0.3))
     front = Rectangle(transform(np.eye(3), [0.25, 0.0, 1.0]), 0.4, 3.0)
     depth, measured = picture(T, (WALL, front))
@@ -100,7 +100,7 @@ def test_where_something_nearer_hides_the_rest_there_is_no_border():
     assert len(beside_it) <= 2  # where its edge meets that of the board
 
 
-def test_what_parts_the_board_leaves_its_larger_part():
+def test_what_parts_the_board_leaves_its_larger_part() -> None:
     T = facing(1.5)
     front = Rectangle(transform(np.eye(3), [0.1, 0.0, 1.0]), 0.05, 3.0)
     depth, _ = picture(T, (WALL, front))
@@ -109,7 +109,7 @@ def test_what_parts_the_board_leaves_its_larger_part():
     assert columns.max() - columns.min() < 0.75 * 0.8 / 1.5 * 280
 
 
-def test_near_the_edge_of_the_image_nothing_is_on_a_border():
+def test_near_the_edge_of_the_image_nothing_is_on_a_border() -> None:
     T = facing(0.9, at=(0.4, 0.0))
     depth, _ = picture(T)
     labels = found(depth, T)
@@ -119,7 +119,7 @@ def test_near_the_edge_of_the_image_nothing_is_on_a_border():
     assert (labels.on_pattern % 320).max() == 319
 
 
-def test_missing_pixels_in_the_board_are_no_border():
+def test_missing_pixels_in_the_board_are_no_border() -> None:
     T = facing(1.5)
     depth, _ = picture(T)
     depth[110:130, 150:170] = NO_RETURN
@@ -128,7 +128,7 @@ def test_missing_pixels_in_the_board_are_no_border():
 
 
 @pytest.mark.parametrize("most", [50, 1000])
-def test_thinned_evenly(most):
+def test_thinned_evenly(most) -> None:
     T = facing(1.2)
     depth, _ = picture(T)
     everything, some = found(depth, T), found(depth, T, most=most)
@@ -139,7 +139,7 @@ def test_thinned_evenly(most):
     assert np.ptp(some.on_pattern) > 0.95 * np.ptp(everything.on_pattern)
 
 
-def test_no_board():
+def test_no_board() -> None:
     T = facing(1.5)
     empty = np.full((240, 320), NO_RETURN, np.uint16)
     for depth in (empty, np.zeros_like(empty), np.full_like(empty, 40_000)):

@@ -60,7 +60,7 @@ turns = st.tuples(st.floats(-0.7, 0.7), st.floats(-0.7, 0.7), st.floats(-np.pi, 
 
 @settings(max_examples=40, deadline=None)
 @given(st.floats(-np.pi, np.pi), st.floats(1.2, 3.0), turns, guesses, st.sampled_from([0.0, 0.008, 0.02]))
-def test_any_pose_any_noise_any_guess_within_the_tolerance(azimuth, distance, turn, guess, noise):
+def test_any_pose_any_noise_any_guess_within_the_tolerance(azimuth, distance, turn, guess, noise) -> None:
     """5 cm and 3 degrees off, with a wall behind and the ground below: hardly a point is wrong or missed."""
     T = standing(azimuth, distance, turn)
     measured = measure(RAYS, board(T), [WALL, GROUND], noise, 1)
@@ -74,14 +74,14 @@ def test_any_pose_any_noise_any_guess_within_the_tolerance(azimuth, distance, tu
     assert border_missed <= 2 + 0.2 * len(true_border(measured))
 
 
-def test_with_a_perfect_sensor_everything_is_exact():
+def test_with_a_perfect_sensor_everything_is_exact() -> None:
     T = standing(0.3, 2.0, (0.4, -0.3, 0.5))
     measured = measure(RAYS, board(T), [WALL], 0.0)
     points, place = cloud(measured)
     assert compare(found(points, T), measured, place) == (0, 0, 0, 0)
 
 
-def test_the_order_of_the_points_and_rays_without_return_do_not_matter():
+def test_the_order_of_the_points_and_rays_without_return_do_not_matter() -> None:
     T = standing(-3.1, 2.0, (0.4, -0.3, 0.5))  # across the seam of the azimuth
     measured = measure(RAYS, board(T), [], 0.005)
     points, place = cloud(measured)
@@ -93,7 +93,7 @@ def test_the_order_of_the_points_and_rays_without_return_do_not_matter():
         assert sorted(map(tuple, place[a].tolist())) == sorted(map(tuple, all_places[order][b].tolist()))
 
 
-def test_the_same_points_give_the_same_labels():
+def test_the_same_points_give_the_same_labels() -> None:
     T = standing(0.3, 2.0, (0.4, -0.3, 0.5))
     points, _ = cloud(measure(RAYS, board(T), [WALL], 0.01))
     a, b = (found(points.copy(), displaced(T, np.full(3, 0.02), np.full(3, 0.01))) for _ in range(2))
@@ -101,7 +101,7 @@ def test_the_same_points_give_the_same_labels():
     np.testing.assert_array_equal(a.on_border, b.on_border)
 
 
-def test_no_point_belongs_to_a_wall_close_behind_or_a_box_that_crosses_the_plane():
+def test_no_point_belongs_to_a_wall_close_behind_or_a_box_that_crosses_the_plane() -> None:
     T = standing(0.0, 2.0, (0.2, 0.1, 0.1))
     behind = Rectangle(T @ np.array([[1, 0, 0, 0.3], [0, 1, 0, 0.2], [0, 0, 1, 0.06], [0, 0, 0, 1.0]]), 3.0, 3.0)
     beside = upright(0.25, 2.0, 1.0, 0.8, (0.2, 0.1 + np.pi / 2, 0.1))  # edge on, through the plane
@@ -113,7 +113,7 @@ def test_no_point_belongs_to_a_wall_close_behind_or_a_box_that_crosses_the_plane
     assert missed <= 3
 
 
-def test_a_pole_in_the_plane_of_the_board_is_not_the_board():
+def test_a_pole_in_the_plane_of_the_board_is_not_the_board() -> None:
     T = standing(0.0, 2.0)
     middle = board(T).T_sensor_rectangle
     pole = Rectangle(middle @ np.array([[1, 0, 0, 0.0], [0, 1, 0, 0.8], [0, 0, 1, 0], [0, 0, 0, 1.0]]), 0.08, 1.0)
@@ -125,7 +125,7 @@ def test_a_pole_in_the_plane_of_the_board_is_not_the_board():
 
 
 @pytest.mark.parametrize("side", [-1, 1])
-def test_where_something_nearer_hides_the_edge_there_is_no_border(side):
+def test_where_something_nearer_hides_the_edge_there_is_no_border(side) -> None:
     T = standing(0.0, 2.0)
     front = upright(side * 0.2, 1.2, 0.35, 2.0)
     measured = measure(RAYS, board(T), [WALL, front], 0.005)
@@ -140,7 +140,7 @@ def test_where_something_nearer_hides_the_edge_there_is_no_border(side):
 
 
 @pytest.mark.parametrize("hidden", [0.01, 0.02, 0.04, 0.08])
-def test_an_edge_that_is_hidden_by_a_finger_s_breadth_is_no_border(hidden):
+def test_an_edge_that_is_hidden_by_a_finger_s_breadth_is_no_border(hidden) -> None:
     T = standing(0.0, 2.0)
     front = Rectangle(transform(upright(0.0, 1.0, 1, 1).T_sensor_rectangle[:3, :3], [1.0, 0.3 - hidden / 2, 0]), 0.2, 2)
     measured = measure(RAYS, board(T), [WALL, front], 0.0)
@@ -150,7 +150,7 @@ def test_an_edge_that_is_hidden_by_a_finger_s_breadth_is_no_border(hidden):
     assert len(true_border(measured)) < len(true_border(measure(RAYS, board(T), [WALL], 0.0)))
 
 
-def test_what_hides_the_middle_leaves_both_ends():
+def test_what_hides_the_middle_leaves_both_ends() -> None:
     T = standing(0.0, 2.0)
     measured = measure(RAYS, board(T), [WALL, upright(0.0, 1.2, 0.1, 2.0)], 0.005)
     points, place = cloud(measured)
@@ -160,7 +160,7 @@ def test_what_hides_the_middle_leaves_both_ends():
     assert missed <= 2
 
 
-def test_a_thing_too_near_to_return_makes_no_border():
+def test_a_thing_too_near_to_return_makes_no_border() -> None:
     """Rays that give nothing in the middle of the board: it does not end there."""
     T = standing(0.0, 2.0)
     measured = measure(RAYS, board(T), [WALL], 0.0)
@@ -180,7 +180,7 @@ def reason(points, T, **how) -> str:
     return labels.reason
 
 
-def test_no_board_there():
+def test_no_board_there() -> None:
     T = standing(0.0, 2.0)
     nothing = measure(RAYS, board(standing(2.0, 2.0)), [WALL], 0.005)
     assert reason(cloud(nothing)[0], T) == "0 points where the pattern is expected, at least 10 are needed"
@@ -188,14 +188,14 @@ def test_no_board_there():
     assert "at least 10" in reason(np.full((50, 3), np.nan), T)
 
 
-def test_a_smaller_board_is_not_this_one():
+def test_a_smaller_board_is_not_this_one() -> None:
     T = standing(0.0, 2.0)
     small = Rectangle(board(T).T_sensor_rectangle, 0.3, 0.25)
     measured = measure(RAYS, small, [WALL], 0.005)
     assert "rays go past it" in reason(cloud(measured)[0], T)
 
 
-def test_a_hidden_board():
+def test_a_hidden_board() -> None:
     T = standing(0.0, 2.0)
     front = upright(0.03, 1.2, 0.42, 2.0)
     measured = measure(RAYS, board(T), [WALL, front], 0.005)
@@ -203,7 +203,7 @@ def test_a_hidden_board():
     assert reason(cloud(measured)[0], T) == "the pattern is hidden"
 
 
-def test_one_ring_is_no_plane():
+def test_one_ring_is_no_plane() -> None:
     T = standing(0.0, 2.0)
     measured = measure(RAYS, board(T), [WALL], 0.0)
     points, place = cloud(measured)
@@ -211,14 +211,14 @@ def test_one_ring_is_no_plane():
     assert "on 1 rings, at least 10 on 2" in reason(one, T)
 
 
-def test_clutter_is_no_board():
+def test_clutter_is_no_board() -> None:
     random = np.random.default_rng(0)
     T = standing(0.0, 2.0)
     points = board(T).T_sensor_rectangle[:3, 3] + random.uniform(-0.5, 0.5, (3000, 3))
     assert reason(points, T)
 
 
-def test_float32_clouds_are_taken():
+def test_float32_clouds_are_taken() -> None:
     T = standing(0.3, 2.0, (0.4, -0.3, 0.5))
     points, _ = cloud(measure(RAYS, board(T), [WALL], 0.0))
     exact, rounded = found(points, T), found(points.astype(np.float32), T)

@@ -15,7 +15,7 @@ GRID = TRUTH.reshape(7, 10, 2)
 JACOBIANS = np.stack([np.gradient(GRID, axis=1), np.gradient(GRID, axis=0)], -1).reshape(-1, 2, 2)
 
 
-def test_from_anywhere_near_to_the_same_place():
+def test_from_anywhere_near_to_the_same_place() -> None:
     random = np.random.default_rng(0)
     first, found = refine(IMAGE, TRUTH + random.uniform(-1, 1, TRUTH.shape), JACOBIANS, 0.2)
     assert found.all()
@@ -24,7 +24,7 @@ def test_from_anywhere_near_to_the_same_place():
     np.testing.assert_allclose(first, second, atol=1e-6)
 
 
-def test_it_is_opencvs_refinement_to_more_digits():
+def test_it_is_opencvs_refinement_to_more_digits() -> None:
     half = 4
     flat = np.broadcast_to(np.eye(2) * 20.0, JACOBIANS.shape)
     ours, found = refine(IMAGE, TRUTH, flat, (half + 0.1) / 20)
@@ -34,7 +34,7 @@ def test_it_is_opencvs_refinement_to_more_digits():
     np.testing.assert_allclose(ours, theirs, atol=1e-3)
 
 
-def test_a_shifted_image_shifts_the_corners():
+def test_a_shifted_image_shifts_the_corners() -> None:
     shifted = np.roll(IMAGE, (3, 5), axis=(0, 1))
     a, _ = refine(IMAGE, TRUTH, JACOBIANS, 0.2)
     b, _ = refine(shifted, TRUTH + np.array([5, 3]), JACOBIANS, 0.2)
@@ -42,12 +42,12 @@ def test_a_shifted_image_shifts_the_corners():
 
 
 @pytest.mark.parametrize("image", [np.zeros((480, 640), np.uint8), np.tile(np.arange(640) % 256, (480, 1))])
-def test_where_there_is_no_corner_none_is_found(image):
+def test_where_there_is_no_corner_none_is_found(image) -> None:
     _, found = refine(image.astype(np.uint8), TRUTH, JACOBIANS, 0.2)
     assert not found.any()
 
 
-def test_beyond_the_image_and_nowhere():
+def test_beyond_the_image_and_nowhere() -> None:
     off = np.array([[-50.0, 10.0], [0.0, 0.0], [639.0, 479.0], [1e9, 0.0], [np.nan, 1.0], [300.0, np.inf]])
     _, found = refine(IMAGE, off, np.broadcast_to(np.eye(2) * 30.0, (6, 2, 2)), 0.2)
     assert not found.any()
@@ -56,7 +56,7 @@ def test_beyond_the_image_and_nowhere():
     assert refine(IMAGE, np.zeros((0, 2)), np.zeros((0, 2, 2)), 0.2)[0].shape == (0, 2)
 
 
-def test_patches_are_recognised_in_any_light_and_only_where_they_are():
+def test_patches_are_recognised_in_any_light_and_only_where_they_are() -> None:
     half = TEXELS // 2
     patches = PrintedPatches(printed(BOARD)[half:-half, half:-half], TEXELS, BOARD.pattern().corners[:, :2] / 0.06 + 1)
     for image in (IMAGE, (IMAGE * 0.3 + 20).astype(np.uint8)):

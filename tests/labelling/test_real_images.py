@@ -50,7 +50,7 @@ def with_labels(dataset: Dataset, labels: Labels) -> Dataset:
     return replace(dataset, collections=tuple(collections))
 
 
-def test_all_views_of_atom_and_more(shared_data: Path):
+def test_all_views_of_atom_and_more(shared_data: Path) -> None:
     _, theirs, ours, reasons = labelled(shared_data / "t2rgb-paper")
     assert len(theirs) == 34
     assert set(theirs) <= set(ours)
@@ -59,7 +59,7 @@ def test_all_views_of_atom_and_more(shared_data: Path):
     assert all("needed" in reason for reason in reasons)
 
 
-def test_the_ids_are_those_of_atom_and_the_corners_half_a_pixel_away(shared_data: Path):
+def test_the_ids_are_those_of_atom_and_the_corners_half_a_pixel_away(shared_data: Path) -> None:
     """OpenCV 4.6 called the corner of the top-left pixel (0, 0); what else differs are its coarse labels."""
     _, theirs, ours, _ = labelled(shared_data / "t2rgb-paper")
     differences, missing, total = [], 0, 0
@@ -78,7 +78,7 @@ def test_the_ids_are_those_of_atom_and_the_corners_half_a_pixel_away(shared_data
 
 @pytest.mark.parametrize("loss", ["linear", "huber"])
 @pytest.mark.parametrize("only_theirs", [False, True])
-def test_they_calibrate_better_than_those_of_atom(shared_data: Path, loss, only_theirs):
+def test_they_calibrate_better_than_those_of_atom(shared_data: Path, loss, only_theirs) -> None:
     dataset, theirs, ours, _ = labelled(shared_data / "t2rgb-paper")
     chosen = {view: label for view, label in ours.items() if view in theirs} if only_theirs else ours
     cameras = ("right_camera", "left_camera")

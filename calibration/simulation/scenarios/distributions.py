@@ -90,8 +90,8 @@ class Integers:
 
 
 @dataclass(frozen=True)
-class Uniform:
-    """Evenly from low to high."""
+class _Interval:
+    """Any number between two ends."""
 
     low: float
     high: float
@@ -105,6 +105,11 @@ class Uniform:
     def is_whole(self) -> bool:
         """Never."""
         return False
+
+
+@dataclass(frozen=True)
+class Uniform(_Interval):
+    """Evenly from low to high."""
 
     def value(self, u: float) -> float:
         """See `Distribution`."""
@@ -112,21 +117,8 @@ class Uniform:
 
 
 @dataclass(frozen=True)
-class LogUniform:
+class LogUniform(_Interval):
     """The logarithm evenly from that of low to that of high; both are above 0."""
-
-    low: float
-    high: float
-
-    @property
-    def bounds(self) -> tuple[float, float]:
-        """Both ends."""
-        return self.low, self.high
-
-    @property
-    def is_whole(self) -> bool:
-        """Never."""
-        return False
 
     def value(self, u: float) -> float:
         """See `Distribution`."""
