@@ -2,6 +2,7 @@
 
 import threading
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -92,3 +93,36 @@ def test_a_bug_where_one_looks_is_told_and_ends_nothing(
         assert rated.wait(LONG)  # so the thread went on
         page.close()
     assert "RuntimeError: out of light" in capsys.readouterr().err
+
+
+def test_a_browsers_answer_to_what_the_page_has_set_is_no_choice(systems: dict[str, System], tmp_path: Path) -> None:
+    """It would take back the question whether a file is to be replaced."""
+    session = Session(systems["t2rgb"], read_motion(DATASETS / "t2rgb" / "motion.json").take([0, 1, 2]))
+    output = tmp_path / "motion.json"
+    output.write_text("somebody else's")
+    event = SimpleNamespace(client_id=1)
+    with serving("127.0.0.1", 0) as server:
+        page = Page(server, session, output, lambda _: Preview({}, ()), lambda _: {})
+        with page._lock:  # the background shows the poses anew when it has looked at them
+            page._export()
+            page._choose(event)  # type: ignore[arg-type]
+            assert page._sequence.export.label == "Replace motion.json"
+            page._sequence.choice.value = page._sequence.choice.options[2]
+            page._choose(event)  # type: ignore[arg-type]
+            assert session.selected == 2
+            assert page._sequence.export.label == "Export"
+        page.close()
+    assert output.read_text() == "somebody else's"
+
+
+def test_a_pose_is_shown_when_it_differs_only_in_hidden_digits(systems: dict[str, System], tmp_path: Path) -> None:
+    session = Session(systems["t2rgb"], read_motion(DATASETS / "t2rgb" / "motion.json").take([0]))
+    with serving("127.0.0.1", 0) as server:
+        page = Page(server, session, tmp_path / "motion.json", lambda _: Preview({}, ()), lambda _: {})
+        poses = session.pose.model_poses
+        assert poses is not None
+        for shift, shown in ((0.0, True), (0.00004, True), (0.001, False)):
+            moved = poses[0].copy()
+            moved[0, 3] += shift
+            assert page._numbers._is_shown(moved) is shown
+        page.close()
