@@ -1,0 +1,171 @@
+"""Fixtures of a real Docker Engine: a base image that no registry is needed for, and a registry of its own."""
+
+import fcntl
+import os
+import shutil
+import subprocess
+import tempfile
+import time
+import urllib.request
+from collections.abc import Callable, Generator, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+if TYPE_CHECKING:
+    from docker import DockerClient
+
+BASE = "debian:bookworm"
+"""Made here where the engine has none: no image can be pulled where there is no registry."""
+PYTHON_IMAGE = "calibration-test:python"
+"""`BASE` with Python, and a user ``robot`` (1000) who is not root."""
+_DOCKERFILE = f"""FROM {BASE}
+RUN apt-get update -qq && apt-get install -y -qq --no-install-recommends python3 && rm -rf /var/lib/apt/lists/*
+RUN useradd --create-home --uid 1000 robot
+USER robot
+"""
+
+
+@pytest.fixture(scope="session")
+def engine() -> "Iterator[DockerClient]":
+    """A client of the machine's engine; skips where there is none."""
+    docker = pytest.importorskip("docker", reason="needs the package docker")
+    try:
+        client = docker.from_env(timeout=60)
+        client.ping()
+    except docker.errors.DockerException as error:
+        pytest.skip(f"needs a Docker Engine: {error}")
+    yield client
+    client.close()
+
+
+@pytest.fixture(scope="session")
+def base_image(engine: "DockerClient") -> str:
+    """`BASE`: Debian with the machine's certificates."""
+    with _one_at_a_time("base"):
+        if not engine.images.list(BASE):
+            _import_base()
+    return BASE
+
+
+@pytest.fixture(scope="session")
+def python_image(engine: "DockerClient", base_image: str) -> str:
+    """`PYTHON_IMAGE`."""
+    with _one_at_a_time("python"), tempfile.TemporaryDirectory() as context:
+        if not engine.images.list(PYTHON_IMAGE):
+            Path(context, "Dockerfile").write_text(_DOCKERFILE)
+            engine.images.build(path=context, tag=PYTHON_IMAGE, forcerm=True)
+    return PYTHON_IMAGE
+
+
+@dataclass(frozen=True)
+class Registry:
+    """A registry on this machine."""
+
+    address: str
+    """``127.0.0.1:PORT``, which the engine trusts without TLS."""
+    user: str = ""
+    password: str = ""
+
+
+@pytest.fixture(scope="session")
+def registry(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Registry]:
+    """A registry that anyone may push to."""
+    yield from _registry(tmp_path_factory.mktemp("registry"), "")
+
+
+@pytest.fixture(scope="session")
+def private_registry(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Registry]:
+    """A registry with a user and a password."""
+    bcrypt = pytest.importorskip("bcrypt", reason="needs the package bcrypt")
+    folder = tmp_path_factory.mktemp("private-registry")
+    password = "correct horse battery staple"  # noqa: S105
+    hashed = bcrypt.hashpw(password.encode(), bcrypt.gensalt(4)).decode()
+    (folder / "htpasswd").write_text(f"robot:{hashed}\n")
+    auth = f"auth:\n  htpasswd: {{realm: test, path: {folder}/htpasswd}}\n"
+    for started in _registry(folder, auth):
+        yield Registry(started.address, "robot", password)
+
+
+def _registry(folder: Path, auth: str) -> Generator[Registry]:
+    program = shutil.which("docker-registry")
+    if program is None:
+        pytest.skip("needs docker-registry (apt-get install docker-registry)")
+    port = _free_port()
+    (folder / "registry.yml").write_text(
+        "version: 0.1\nlog: {level: error}\n"
+        f"storage: {{filesystem: {{rootdirectory: {folder}/data}}, delete: {{enabled: true}}}}\n"
+        f'http: {{addr: "127.0.0.1:{port}"}}\n{auth}'
+    )
+    with (folder / "log").open("wb") as log:
+        process = subprocess.Popen([program, "serve", folder / "registry.yml"], stdout=log, stderr=log)
+    try:
+        wait_until(lambda: _answers(port), "the registry answers")
+        yield Registry(f"127.0.0.1:{port}")
+    finally:
+        process.terminate()
+        process.wait(10)
+
+
+def wait_until(holds: Callable[[], bool], what: str, seconds: float = 20.0) -> None:
+    """Wait until a condition holds; a failure after so many seconds."""
+    deadline = time.monotonic() + seconds
+    while not holds():
+        if time.monotonic() > deadline:
+            pytest.fail(f"not within {seconds:g} s: {what}")
+        time.sleep(0.05)
+
+
+def _answers(port: int) -> bool:
+    try:
+        urllib.request.urlopen(f"http://127.0.0.1:{port}/v2/", timeout=2)
+    except urllib.error.HTTPError:
+        return True  # it wants a password
+    except OSError:
+        return False
+    return True
+
+
+def _free_port() -> int:
+    import socket
+
+    with socket.socket() as found:
+        found.bind(("127.0.0.1", 0))
+        return int(found.getsockname()[1])
+
+
+def _import_base() -> None:
+    mmdebstrap = shutil.which("mmdebstrap")
+    if mmdebstrap is None:
+        pytest.skip(f"needs the image {BASE}, or mmdebstrap to make it (apt-get install mmdebstrap)")
+    # A machine whose network re-signs TLS needs its own certificates in every container.
+    certificates = os.environ.get("SSL_CERT_FILE", "/etc/ssl/certs/ca-certificates.crt")
+    inside = "/etc/ssl/certs/ca-certificates.crt"
+    with tempfile.TemporaryDirectory() as folder:
+        left_out = [f"--dpkgopt=path-exclude=/usr/share/{what}/*" for what in ("doc", "man", "locale")]
+        hook = [f"--customize-hook=upload {certificates} {inside}"] if Path(certificates).exists() else []
+        subprocess.run(
+            [mmdebstrap, "--quiet", "--variant=minbase", "--include=ca-certificates", *left_out, *hook]
+            + ["bookworm", f"{folder}/base.tar"],
+            check=True,
+            timeout=240,
+            env={**os.environ, "SOURCE_DATE_EPOCH": "1700000000"},
+        )
+        variables = f"ENV LANG=C.UTF-8 DEBIAN_FRONTEND=noninteractive PIP_CERT={inside}"
+        subprocess.run(
+            ["docker", "import", "-c", variables, "-c", 'CMD ["/bin/bash"]', f"{folder}/base.tar", BASE],
+            check=True,
+            stdout=subprocess.DEVNULL,
+            timeout=120,
+        )
+
+
+@contextmanager
+def _one_at_a_time(name: str) -> Iterator[None]:
+    """Several processes run tests at once; only one makes an image."""
+    with Path(tempfile.gettempdir(), f"calibration-test-{name}.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        yield
