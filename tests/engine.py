@@ -147,9 +147,9 @@ def _import_base() -> None:
     with tempfile.TemporaryDirectory() as folder:
         left_out = [f"--dpkgopt=path-exclude=/usr/share/{what}/*" for what in ("doc", "man", "locale")]
         hook = [f"--customize-hook=upload {certificates} {inside}"] if Path(certificates).exists() else []
+        options = ["--quiet", "--variant=minbase", "--include=ca-certificates", *left_out, *hook]
         subprocess.run(
-            [mmdebstrap, "--quiet", "--variant=minbase", "--include=ca-certificates", *left_out, *hook]
-            + ["bookworm", f"{folder}/base.tar"],
+            [mmdebstrap, *options, "bookworm", f"{folder}/base.tar"],
             check=True,
             timeout=240,
             env={**os.environ, "SOURCE_DATE_EPOCH": "1700000000"},
