@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from benchmarks.rows import Bar, Row
-from calibration.pipeline.collection import CollectionRequest, collect_dataset
+from calibration.pipeline.collection.collecting import CollectionRequest, collect_dataset
 
 DATASETS = Path(__file__).parents[1] / "datasets"
 POSES = {"t2rgb": 22, "rlbot": 24, "riwbot": 24}

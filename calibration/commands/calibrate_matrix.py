@@ -21,7 +21,7 @@ from calibration.workflow import Runner
 
 if TYPE_CHECKING:
     from calibration.pipeline.configuration import Configuration, System
-    from calibration.pipeline.matrix import Matrix
+    from calibration.pipeline.matrix.matrix import Matrix
 
 _Value = TypeVar("_Value")
 
@@ -93,7 +93,7 @@ def matrix_of(settings: Settings) -> "Matrix":
         InputError: the settings contradict each other, or the configuration is wrong.
     """
     from calibration.pipeline.configuration import NoiseGrid, seed_range
-    from calibration.pipeline.matrix import Matrix
+    from calibration.pipeline.matrix.matrix import Matrix
 
     if (settings.dataset is None) == (settings.config is None):
         raise InputError("exactly one of dataset and config is to be given: a dataset's folder, or a calibration.yml")

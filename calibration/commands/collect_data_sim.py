@@ -12,7 +12,7 @@ from calibration.errors import ExitCode, InputError
 from calibration.workflow import Runner, stop_commands
 
 if TYPE_CHECKING:
-    from calibration.pipeline.collection import CollectionRequest
+    from calibration.pipeline.collection.collecting import CollectionRequest
     from calibration.simulation.collection.record import Record
     from calibration.simulation.motion.sequence import Motion
     from calibration.simulation.scenarios.result import ScenarioResult
@@ -117,9 +117,9 @@ def collect_data_sim(settings: Settings, runner: Runner) -> ExitCode:
 
 
 def _one_world(settings: Settings, runner: Runner) -> ExitCode:
-    from calibration.pipeline.collection import collect_dataset
-    from calibration.pipeline.collection_report import pose_line, report_collection
-    from calibration.pipeline.scenarios import collect_world
+    from calibration.pipeline.collection.collecting import collect_dataset
+    from calibration.pipeline.collection.report import pose_line, report_collection
+    from calibration.pipeline.collection.scenarios import collect_world
     from calibration.workflow.progress import progress
 
     request = _request(settings)
@@ -151,8 +151,8 @@ def _one_world(settings: Settings, runner: Runner) -> ExitCode:
 
 
 def _many_worlds(settings: Settings, runner: Runner) -> ExitCode:
-    from calibration.pipeline.scenario_report import report_scenarios, world_line
-    from calibration.pipeline.scenarios import MAX_SCENARIOS, ScenarioRequest, run_worlds
+    from calibration.pipeline.collection.scenario_report import report_scenarios, world_line
+    from calibration.pipeline.collection.scenarios import MAX_SCENARIOS, ScenarioRequest, run_worlds
     from calibration.workflow.progress import progress
 
     if settings.scenarios is None or settings.scenario_set is None:
@@ -180,8 +180,8 @@ def _many_worlds(settings: Settings, runner: Runner) -> ExitCode:
 
 
 def _request(settings: Settings) -> "CollectionRequest":
-    from calibration.pipeline.collection import CollectionRequest
-    from calibration.pipeline.collection_results import CollectionChecks
+    from calibration.pipeline.collection.collecting import CollectionRequest
+    from calibration.pipeline.collection.results import CollectionChecks
     from calibration.simulation.collection.checks import Requirements
 
     def given(**values: Any) -> dict[str, Any]:

@@ -42,7 +42,7 @@ def run(settings: Settings, runner: Runner) -> ExitCode:
         WorldError: a result cannot be written.
     """
     from calibration.pipeline.configuration import read_configuration
-    from calibration.pipeline.matrix import Matrix
+    from calibration.pipeline.matrix.matrix import Matrix
     from calibration.pipeline.stages import STAGES, run_stages
 
     configuration = read_configuration(settings.config)

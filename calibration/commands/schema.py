@@ -10,7 +10,7 @@ from calibration.errors import ExitCode
 SCHEMAS = {
     "calibration.yml": ("calibration.pipeline", "calibration.schema.json"),
     "results": ("calibration.pipeline", "results.schema.json"),
-    "collection": ("calibration.pipeline", "collection.schema.json"),
+    "collection": ("calibration.pipeline.collection", "collection.schema.json"),
     "scenario-set": ("calibration.simulation.scenarios", "scenario_set.schema.json"),
     "introspection": ("calibration.introspection", "results.schema.json"),
 }

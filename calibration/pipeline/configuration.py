@@ -12,8 +12,8 @@ from typing import Any, Literal
 from calibration.errors import InputError
 from calibration.introspection.parsing import parse_rules
 from calibration.introspection.rules import RuleSet
-from calibration.pipeline.collection import GENERATE, CollectionRequest
-from calibration.pipeline.collection_results import CollectionChecks
+from calibration.pipeline.collection.collecting import GENERATE, CollectionRequest
+from calibration.pipeline.collection.results import CollectionChecks
 from calibration.workflow.text import did_you_mean, shorten
 from calibration.yaml_file import read_yaml
 

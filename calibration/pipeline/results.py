@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 from calibration.errors import ExitCode, InputError, WorldError
 from calibration.files import write_atomically
-from calibration.pipeline.cell import OUR_METHOD, CellResult, TruthDistance, Verdict
-from calibration.pipeline.collected import Collected
+from calibration.pipeline.collection.collected import Collected
+from calibration.pipeline.matrix.cell import OUR_METHOD, CellResult, TruthDistance, Verdict
 
 if TYPE_CHECKING:
     from calibration.workflow.junit import Case

@@ -6,13 +6,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from calibration.errors import CalibrationError, InputError
-from calibration.pipeline.cell import CellResult
-from calibration.pipeline.collected import Collected
-from calibration.pipeline.collection import collect_dataset
-from calibration.pipeline.collection_report import pose_line
+from calibration.pipeline.collection.collected import Collected
+from calibration.pipeline.collection.collecting import collect_dataset
+from calibration.pipeline.collection.report import pose_line
 from calibration.pipeline.configuration import Simulation, System
-from calibration.pipeline.judgement import judge_cells
-from calibration.pipeline.matrix import Done, Matrix, run_matrix
+from calibration.pipeline.matrix.cell import CellResult
+from calibration.pipeline.matrix.judgement import judge_cells
+from calibration.pipeline.matrix.matrix import Done, Matrix, run_matrix
 from calibration.pipeline.report import report
 from calibration.pipeline.results import Results, clear_results, read_results, write_results
 from calibration.workflow import Runner

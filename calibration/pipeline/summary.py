@@ -3,8 +3,8 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from calibration.pipeline.cell import OUR_METHOD, CellResult
-from calibration.pipeline.collected import Collected
+from calibration.pipeline.collection.collected import Collected
+from calibration.pipeline.matrix.cell import OUR_METHOD, CellResult
 from calibration.pipeline.results import Results
 from calibration.workflow.summary import escape_markdown, markdown_table
 

@@ -104,29 +104,32 @@ def test_old_pythons_read_bootstrap_far_enough_to_say_that_they_are_too_old() ->
 
 
 def test_locks_have_hashes_and_no_addresses() -> None:
-    assert LOCKS.keys() == {"introspect.txt", "calibrate.txt", "collect.txt", "dev.txt"}
+    assert LOCKS.keys() == {f"{name}.txt" for name in ("introspect", "calibrate", "collect", "image", "run", "dev")}
     for text in LOCKS.values():
         assert not re.search(r"://|(?<!\w)/\w|^-", text, re.MULTILINE)
         for requirement in re.split(r"\n(?=\w)", text)[1:]:
-            assert re.match(r"[\w.-]+==\S+( ; [^\\]+)? \\\n    --hash=sha256:[0-9a-f]{64}", requirement)
+            assert re.match(r"[\w.-]+(\[[\w,-]+\])?==\S+( ; [^\\]+)? \\\n    --hash=sha256:[0-9a-f]{64}", requirement)
 
 
 def test_what_is_tested_is_what_the_actions_install(bootstrap: ModuleType) -> None:
-    introspect, calibrate, collect, dev = (
+    introspect, calibrate, collect, image, run, dev = (
         bootstrap.pins(PROJECT / "requirements" / f"{name}.txt")
-        for name in ("introspect", "calibrate", "collect", "dev")
+        for name in ("introspect", "calibrate", "collect", "image", "run", "dev")
     )
     assert bootstrap.covers(calibrate, introspect)
     assert bootstrap.covers(collect, calibrate)
-    assert bootstrap.covers(dev, collect)
+    assert bootstrap.covers(run, [*collect, *image])
+    assert bootstrap.covers(dev, run)
 
 
 @pytest.mark.parametrize(
     ("lock", "extras", "groups"),
     [
         ("introspect.txt", [], []),
-        ("calibrate.txt", ["calibrate", "opencv"], []),
-        ("collect.txt", ["calibrate", "opencv", "figures"], []),
+        ("calibrate.txt", ["calibrate", "opencv", "containers"], []),
+        ("collect.txt", ["calibrate", "opencv", "figures", "containers"], []),
+        ("image.txt", ["containers", "aws"], []),
+        ("run.txt", ["calibrate", "opencv", "figures", "containers", "aws"], []),
         ("dev.txt", ["opencv", "figures", "record"], ["dev"]),
     ],
 )
@@ -137,7 +140,7 @@ def test_locks_satisfy_pyproject(lock: str, extras: list[str], groups: list[str]
     wanted += [line for extra in extras for line in project["project"]["optional-dependencies"][extra]]
     wanted += [line for group in groups for line in project["dependency-groups"][group]]
     locked: dict[str, list[str]] = {}
-    for name, version in re.findall(r"^([\w.-]+)==([^\s;]+)", LOCKS[lock], re.MULTILINE):
+    for name, version in re.findall(r"^([\w.-]+)(?:\[[\w,-]+\])?==([^\s;]+)", LOCKS[lock], re.MULTILINE):
         locked.setdefault(name, []).append(version)
     for line in wanted:
         requirement = packaging.Requirement(line)

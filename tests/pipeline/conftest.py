@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from calibration.pipeline.configuration import Limits, NoiseGrid, System
-from calibration.pipeline.matrix import Matrix
+from calibration.pipeline.matrix.matrix import Matrix
 
 DATASETS = Path(__file__).parents[2] / "datasets"
 T2RGB = System("t2rgb", DATASETS / "t2rgb", "rgb-to-rgb:right_camera:left_camera")

@@ -8,15 +8,15 @@ import jsonschema
 import pytest
 
 from calibration.errors import ExitCode, InputError
-from calibration.pipeline.collected import Collected
+from calibration.pipeline.collection.collected import Collected
 from calibration.pipeline.configuration import read_configuration
-from calibration.pipeline.matrix import Matrix
+from calibration.pipeline.matrix.matrix import Matrix
 from calibration.pipeline.results import SCHEMA, Results, read_results
 from calibration.pipeline.stages import run_stages
 from calibration.pipeline.summary import collections_grid, markdown, sentence
 from calibration.workflow import Runner
 from tests.pipeline.conftest import DATASETS
-from tests.pipeline.test_judgement import CELL
+from tests.pipeline.matrix.test_judgement import CELL
 
 CONFIGURATION = """
 systems: {{riwbot: {{dataset: {datasets}/riwbot}}}}

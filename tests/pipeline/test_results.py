@@ -11,11 +11,11 @@ import pytest
 
 from calibration.errors import ExitCode, InputError
 from calibration.pipeline.configuration import NoiseGrid
-from calibration.pipeline.matrix import Matrix, run_matrix
+from calibration.pipeline.matrix.matrix import Matrix, run_matrix
 from calibration.pipeline.results import SCHEMA, Results, clear_results, read_results, summarise, write_results
 from calibration.pipeline.summary import grid, markdown, sentence
 from tests.pipeline.conftest import RIWBOT
-from tests.pipeline.test_judgement import CELL
+from tests.pipeline.matrix.test_judgement import CELL
 
 FAILED = replace(CELL, rotation_noise=0.5, converged=False, reasons=("a false minimum",), rms_px=None, truth=None)
 BROKEN = replace(FAILED, seed=2, reasons=("no labels | <b>",), error=ExitCode.BAD_INPUT)

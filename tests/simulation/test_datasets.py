@@ -13,7 +13,7 @@ from calibration.dataset.truth import find_truth
 from calibration.geometry import transforms
 from calibration.geometry.transforms import apply, inverse
 from calibration.labelling.corners import corner_detector
-from calibration.pipeline.collection import CollectionRequest, collect_dataset
+from calibration.pipeline.collection.collecting import CollectionRequest, collect_dataset
 from calibration.simulation.motion.generation import generate_motion
 from calibration.simulation.motion.sequence import read_motion
 from calibration.simulation.system import System

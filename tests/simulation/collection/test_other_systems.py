@@ -3,8 +3,8 @@
 from collections.abc import Mapping
 from pathlib import Path
 
-from calibration.pipeline.collection import CollectionRequest, collect_dataset
-from calibration.pipeline.collection_results import CollectionResults
+from calibration.pipeline.collection.collecting import CollectionRequest, collect_dataset
+from calibration.pipeline.collection.results import CollectionResults
 from tests.simulation.conftest import DATASETS
 
 Edits = Mapping[str, Mapping[str, str]]

@@ -11,17 +11,17 @@ import pytest
 
 from calibration.errors import ExitCode, InputError, WorldError
 from calibration.files import write_atomically
-from calibration.pipeline import collection
-from calibration.pipeline.collection import CollectionRequest, collect_dataset
-from calibration.pipeline.collection_report import outputs
-from calibration.pipeline.collection_results import (
+from calibration.pipeline.collection import collecting as collection_module
+from calibration.pipeline.collection.collecting import CollectionRequest, collect_dataset
+from calibration.pipeline.collection.report import outputs
+from calibration.pipeline.collection.results import (
     SCHEMA,
     Check,
     CollectionChecks,
     CollectionResults,
     collection_document,
 )
-from calibration.pipeline.collection_summary import markdown, sentence
+from calibration.pipeline.collection.summary import markdown, sentence
 from calibration.simulation.collection import collecting
 from calibration.simulation.collection.proof import Proof
 from calibration.workflow.summary import escape_markdown
@@ -228,4 +228,4 @@ def test_without_opencv_it_says_what_to_install(
 ) -> None:
     monkeypatch.setitem(__import__("sys").modules, "cv2", None)
     with pytest.raises(WorldError, match=r"needs OpenCV: pip install 'calibration-ci\[calibrate,opencv\]'"):
-        collection.require_opencv()
+        collection_module.require_opencv()

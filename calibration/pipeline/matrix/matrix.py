@@ -12,8 +12,8 @@ from calibration.errors import InputError
 from calibration.estimation.starting_noise import StartingNoise
 from calibration.evaluation.specification import parse_evaluation
 from calibration.execution.parallel import in_parallel
-from calibration.pipeline.cell import Cell, CellResult, LoadedSystem, run_cell, run_comparison
 from calibration.pipeline.configuration import Loss, NoiseGrid, Start, System
+from calibration.pipeline.matrix.cell import Cell, CellResult, LoadedSystem, run_cell, run_comparison
 from calibration.workflow.text import did_you_mean
 
 Job = Cell | tuple[str, str]

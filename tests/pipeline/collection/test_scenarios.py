@@ -10,11 +10,11 @@ import pytest
 
 from calibration.commands.collect_data_sim import command
 from calibration.errors import ExitCode
-from calibration.pipeline import scenarios
-from calibration.pipeline.collection import CollectionRequest
-from calibration.pipeline.collection_results import CollectionChecks
-from calibration.pipeline.scenario_report import world_line
-from calibration.pipeline.scenarios import (
+from calibration.pipeline.collection import scenarios
+from calibration.pipeline.collection.collecting import CollectionRequest
+from calibration.pipeline.collection.results import CollectionChecks
+from calibration.pipeline.collection.scenario_report import world_line
+from calibration.pipeline.collection.scenarios import (
     ScenarioRequest,
     ScenarioResults,
     collect_world,
@@ -127,7 +127,7 @@ def test_a_world_does_not_go_on_with_what_another_set_made_of_its_id(tmp_path: P
     def interrupt(*_: object) -> None:
         raise KeyboardInterrupt
 
-    request = CollectionRequest(Path(__file__).parents[2] / "datasets" / "t2rgb")
+    request = CollectionRequest(Path(__file__).parents[3] / "datasets" / "t2rgb")
     for name, noise in (("a", 1), ("b", 5)):
         text = f"cameras: {{noise_levels: {noise}}}\nmotion: {{poses: 4}}\n"
         (tmp_path / f"{name}.yml").write_text(text)

@@ -190,7 +190,7 @@ def write_collection_results(results: CollectionResults, output: Path) -> None:
     Raises:
         WorldError: a file cannot be written.
     """
-    from calibration.pipeline.collection_summary import markdown
+    from calibration.pipeline.collection.summary import markdown
 
     text = json.dumps(collection_document(results), indent=1, allow_nan=False) + "\n"
     write_atomically(output / FILE, text)

@@ -3,7 +3,13 @@
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from calibration.pipeline.scenarios import FIGURE_FILE, FILE, SUMMARY_FILE, ScenarioResults, scenario_markdown
+from calibration.pipeline.collection.scenarios import (
+    FIGURE_FILE,
+    FILE,
+    SUMMARY_FILE,
+    ScenarioResults,
+    scenario_markdown,
+)
 from calibration.workflow import Annotation, Level, Runner, add_summary, annotate, set_outputs, stop_commands
 from calibration.workflow.text import aligned
 

@@ -9,8 +9,14 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from calibration.errors import ExitCode, InputError
 from calibration.files import write_atomically
-from calibration.pipeline.collection import CollectionRequest, Done, collect_play, read_or_generate, require_opencv
-from calibration.pipeline.collection_results import Check, CollectionChecks, CollectionResults
+from calibration.pipeline.collection.collecting import (
+    CollectionRequest,
+    Done,
+    collect_play,
+    read_or_generate,
+    require_opencv,
+)
+from calibration.pipeline.collection.results import Check, CollectionChecks, CollectionResults
 
 if TYPE_CHECKING:
     from calibration.simulation.motion.sequence import Motion

@@ -3,8 +3,8 @@
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from calibration.pipeline.collection_results import CONTACT_SHEET, FILE, SUMMARY_FILE, CollectionResults
-from calibration.pipeline.collection_summary import lost_line, markdown, sensors_grid, sentence
+from calibration.pipeline.collection.results import CONTACT_SHEET, FILE, SUMMARY_FILE, CollectionResults
+from calibration.pipeline.collection.summary import lost_line, markdown, sensors_grid, sentence
 from calibration.workflow import Annotation, Level, Runner, add_summary, annotate, set_outputs, stop_commands
 from calibration.workflow.outputs import OutputValue
 from calibration.workflow.text import aligned

@@ -6,7 +6,7 @@ from calibration.pipeline.summary import Grid
 from calibration.workflow.summary import escape_markdown, markdown_table
 
 if TYPE_CHECKING:
-    from calibration.pipeline.collection_results import CollectionResults, SensorNumbers
+    from calibration.pipeline.collection.results import CollectionResults, SensorNumbers
     from calibration.simulation.collection.record import Record
 
 LOST_SHOWN = 50

@@ -1,0 +1,1 @@
+"""Datasets collected in simulation, proven by calibrating them, and judged."""

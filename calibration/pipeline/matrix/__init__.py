@@ -1,0 +1,1 @@
+"""Systems, noise and seeds: every combination is a cell, and has a verdict."""
