@@ -35,17 +35,19 @@ from typing import NoReturn
 
 # Which entry point and which lock each action uses: the one place that says so.
 ACTIONS = {
+    "build-image": ("build-image/main.py", "image.txt"),
     "introspect-csv": ("introspect-csv/main.py", "introspect.txt"),
     "calibrate-matrix": ("calibrate-matrix/main.py", "calibrate.txt"),
     "collect-data-sim": ("collect-data-sim/main.py", "collect.txt"),
     "run": ("run.py", "run.txt"),  # the root action.yml; no folder, because a folder here is a sub-action
 }
 # What an interpreter of the user's own must be able to import. Without OpenCV calibrate.txt lacks some comparisons and
-# the stage collect, without matplotlib collect.txt lacks a figure, without docker what runs in containers: each says so.
+# the stage collect, without matplotlib collect.txt lacks a figure, without docker none runs containers: each says so.
 MODULES = {
     "introspect.txt": ["click", "yaml"],
     "calibrate.txt": ["click", "yaml", "numpy", "jsonschema", "defusedxml", "rich"],
     "collect.txt": ["click", "yaml", "numpy", "jsonschema", "defusedxml", "rich", "cv2"],
+    "image.txt": ["click", "yaml", "jsonschema", "rich", "docker"],
     "run.txt": ["click", "yaml", "numpy", "jsonschema", "defusedxml", "rich"],
 }
 

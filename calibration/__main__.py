@@ -38,8 +38,17 @@ COMMANDS: Mapping[str, LazyCommand] = {
     "collect-data-sim": LazyCommand(
         "calibration.commands.collect_data_sim:command", "Collect a dataset in simulation."
     ),
+    "build-image": LazyCommand(
+        "calibration.commands.build_image:command", "Build the image with the team's software, if anything changed."
+    ),
     "record-motion": LazyCommand(
         "calibration.commands.record_motion:command", "Record a motion sequence on a page in the browser."
+    ),
+    "import-rigelfile": LazyCommand(
+        "calibration.commands.import_rigelfile:command", "Convert a Rigelfile to calibration.yml."
+    ),
+    "cleanup": LazyCommand(
+        "calibration.commands.cleanup:command", "Remove what killed runs left in the Docker Engine."
     ),
     "schema": LazyCommand("calibration.commands.schema:command", "Print the JSON Schema of a file."),
     "version": LazyCommand("calibration.commands.version:command", "Print the versions in use."),

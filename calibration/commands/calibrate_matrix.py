@@ -43,6 +43,15 @@ class Settings:
     truth: str | None = None
     compare: tuple[str, ...] = ()
     rules: Path | None = None
+    image: str | None = None
+    """What the team's software runs in; with it, or with a command, that calibrates in the place of our engine."""
+    command: str | None = None
+    artifacts: tuple[str, ...] = ()
+    table: str | None = None
+    calibrated: str | None = None
+    ros: str | None = None
+    memory: str | None = None
+    timeout: str | None = None
     jobs: int | None = None
     fail_fast: bool = False
     output: Path = Path("output")
@@ -62,7 +71,17 @@ class Settings:
 @click.option("--truth", type=text, help="ground_truth.json's path, dataset or none (the file beside the dataset).")
 @click.option("--compare", type=TEXT_LIST, help="Other methods on the same data: opencv-stereo, shah, li.")
 @click.option("--rules", type=path, help="YAML file of rules for the table of every cell.")
-@click.option("--jobs", type=count, help="Processes (one a core).")
+@click.option("--image", type=text, help="Image with the team's own calibration, which takes the place of our engine.")
+@click.option(
+    "--command", type=text, help="What it runs, without a shell: calibrate {start} {output} --seed {seed}; see README."
+)
+@click.option("--artifacts", type=TEXT_LIST, help="Files to bring out of it, with wildcards ({output}/*).")
+@click.option("--table", type=text, help="Which of them is the table to judge (*.csv).")
+@click.option("--calibrated", type=text, help="Which of them is the calibrated dataset, held against the truth.")
+@click.option("--ros", type=click.Choice(["none", "1", "2"]), help="1 starts a ROS master beside it (none).")
+@click.option("--memory", type=text, help="The most memory it may use, such as 2g (no limit).")
+@click.option("--timeout", type=text, help="How long it may take, such as 10m (1h).")
+@click.option("--jobs", type=count, help="Processes, or containers at once (one a core).")
 @boolean_option("--fail-fast", help="The first cell that fails stops the others.")
 @click.option("--output", type=path, default=Path("output"), help="Folder for results, tables and datasets (output).")
 def command(**options: Any) -> ExitCode:
@@ -81,7 +100,13 @@ def calibrate_matrix(settings: Settings, runner: Runner) -> ExitCode:
     from calibration.pipeline.stages import run_stages  # numpy and the engine, for those who need them
 
     results = run_stages(
-        matrix_of(settings), settings.output, runner, "calibrate-matrix", settings.jobs, settings.fail_fast
+        matrix_of(settings),
+        settings.output,
+        runner,
+        "calibrate-matrix",
+        settings.jobs,
+        settings.fail_fast,
+        ("calibrate", "introspect"),
     )
     return results.exit_code
 
@@ -135,7 +160,17 @@ def _adjusted(system: "System", settings: Settings) -> "System":
         from calibration.introspection.rulesfile import read_rules
 
         changes["rules"] = read_rules(settings.rules)
+    if entry := _software(settings):
+        from calibration.pipeline.matrix.software import adjusted_software
+
+        changes["software"] = adjusted_software(system.software, entry, Path.cwd())
     return replace(system, **changes)
+
+
+def _software(settings: Settings) -> dict[str, Any]:
+    """The settings about the team's software, as the keys of ``software`` in calibration.yml."""
+    names = ("image", "command", "artifacts", "table", "calibrated", "ros", "memory", "timeout")
+    return {name: value for name in names if (value := getattr(settings, name)) not in (None, ())}
 
 
 def _each_once(values: tuple[_Value, ...]) -> tuple[_Value, ...]:

@@ -13,6 +13,7 @@ from calibration.workflow import Runner, stop_commands
 
 if TYPE_CHECKING:
     from calibration.pipeline.collection.collecting import CollectionRequest
+    from calibration.pipeline.collection.results import CollectionChecks
     from calibration.simulation.collection.record import Record
     from calibration.simulation.motion.sequence import Motion
     from calibration.simulation.scenarios.result import ScenarioResult
@@ -58,7 +59,17 @@ class Settings:
     max_translation_mm: float | None = None
     max_rotation_deg: float | None = None
     stillness_mm: float | None = None
-    backend: str = "embedded"
+    backend: str | None = None
+    """None for docker where there are applications, else embedded."""
+    applications: Path | None = None
+    """What an entry ``simulation`` of calibration.yml says of containers, in a file of its own."""
+    image: str | None = None
+    simulation_command: str | None = None
+    robot_command: str | None = None
+    player: str | None = None
+    ros: str | None = None
+    truth: str | None = None
+    timeout: str | None = None
     jobs: int | None = None
     overwrite: bool = False
 
@@ -81,7 +92,17 @@ class Settings:
 @click.option("--max-translation-mm", type=non_negative, help="Largest error against the truth, mm (5).")
 @click.option("--max-rotation-deg", type=non_negative, help="Largest error against the truth, degrees (0.3).")
 @click.option("--stillness-mm", type=non_negative, help="How far the pattern may move while the sensors look (2).")
-@click.option("--backend", type=text, help="What simulates: embedded (embedded).")
+@click.option("--backend", type=text, help="What simulates: embedded, or docker for the team's own applications.")
+@click.option("--applications", type=path, help="YAML file of the team's applications, each in a container.")
+@click.option("--image", type=text, help="The image of applications that name none.")
+@click.option("--simulation-command", type=text, help="What the simulation application runs, without a file for it.")
+@click.option("--robot-command", type=text, help="What the robot application runs, which labels and saves.")
+@click.option(
+    "--player", type=click.Choice(["ros1"]), help="ros1: our player moves the pattern and asks for collections."
+)
+@click.option("--ros", type=click.Choice(["none", "1", "2"]), help="1 starts a ROS master beside the applications.")
+@click.option("--truth", type=text, help="Of the applications' dataset: a file, dataset or none (the system's).")
+@click.option("--timeout", type=text, help="How long the applications may take, such as 10m (1h).")
 @click.option("--jobs", type=count, help="Processes (one a core).")
 @click.option(
     "--output",
@@ -105,7 +126,16 @@ def collect_data_sim(settings: Settings, runner: Runner) -> ExitCode:
     """
     from calibration.execution.backends import check_backend
 
-    check_backend(settings.backend)
+    applications = _applications_entry(settings)
+    backend = settings.backend or ("docker" if applications else "embedded")
+    check_backend(backend)
+    if (backend == "docker") != bool(applications):
+        raise InputError(
+            f"backend: found {backend}; docker runs the team's applications (applications, or image with "
+            "simulation-command and robot-command), embedded our own simulation"
+        )
+    if applications:
+        return _in_containers(settings, applications, runner)
     worlds = [asked for asked in (settings.scenarios, settings.scenario) if asked is not None]
     if settings.scenario_set is None and worlds:
         raise InputError("scenarios and scenario need a scenario-set: a YAML file of what varies between worlds")
@@ -114,6 +144,76 @@ def collect_data_sim(settings: Settings, runner: Runner) -> ExitCode:
     if settings.scenarios is not None:
         return _many_worlds(settings, runner)
     return _one_world(settings, runner)
+
+
+def _applications_entry(settings: Settings) -> dict[str, Any]:
+    """What the settings say of applications, as an entry ``simulation`` of calibration.yml; nothing where they do not.
+
+    Raises:
+        InputError: the file of the applications is wrong.
+    """
+    from calibration.yaml_file import read_yaml
+
+    commands = {"simulation": settings.simulation_command, "robot": settings.robot_command}
+    containers: dict[str, Any] = {
+        name: {"command": command} for name, command in commands.items() if command is not None
+    }
+    if settings.applications is not None and containers:
+        raise InputError("applications: excludes simulation-command and robot-command, which a file says itself")
+    entry: dict[str, Any] = {"containers": containers} if containers else {}
+    if "robot" in containers and "simulation" in containers:
+        containers["robot"]["after"] = ["simulation"]
+    if settings.applications is not None:
+        document = read_yaml(settings.applications, "a description of applications")
+        if not isinstance(document, dict) or "containers" not in document:
+            raise InputError(f"{settings.applications}: expected a mapping with containers, as in calibration.yml")
+        entry = document
+    names = ("image", "player", "ros", "timeout")
+    given = {name: value for name in names if (value := getattr(settings, name)) is not None}
+    if given and not entry:
+        raise InputError(f"{next(iter(given))}: needs applications, or simulation-command and robot-command")
+    return {**entry, **given} if entry else {}
+
+
+def _in_containers(settings: Settings, entry: dict[str, Any], runner: Runner) -> ExitCode:
+    from dataclasses import replace
+
+    from calibration.execution.backends import docker_backend
+    from calibration.pipeline.collection.in_containers import ContainerRequest, collect_in_containers
+    from calibration.pipeline.collection.report import report_collection
+    from calibration.pipeline.configuration import parse_applications
+    from calibration.workflow.streams import LogDisplay
+
+    if settings.scenario_set is not None:
+        raise InputError("scenario-set: worlds vary in our own simulation only, not in applications")
+    where, folder = (settings.applications or "applications", Path())
+    if settings.applications is not None:
+        folder = settings.applications.parent
+    applications = parse_applications(entry, folder, str(where))
+    for container in applications.containers:
+        if not container.image:
+            raise InputError(f"{where}: containers.{container.name}: missing image (or give one for all)")
+    system = find_system(settings.system)
+    checks = _checks(settings)
+    if settings.truth == "none":
+        checks = replace(
+            checks, max_translation_mm=settings.max_translation_mm, max_rotation_deg=settings.max_rotation_deg
+        )
+    request = ContainerRequest(
+        name=system.name if system else settings.system,
+        applications=applications,
+        system=system,
+        robot=settings.robot,
+        configuration=settings.config,
+        motion=settings.motion,
+        seed=settings.seed,
+        checks=checks,
+        truth=settings.truth,
+    )
+    with docker_backend(LogDisplay(runner)) as backend:
+        results = collect_in_containers(request, settings.output, backend, settings.overwrite)
+    report_collection(results, settings.output, runner, TITLE)
+    return results.exit_code
 
 
 def _one_world(settings: Settings, runner: Runner) -> ExitCode:
@@ -181,11 +281,7 @@ def _many_worlds(settings: Settings, runner: Runner) -> ExitCode:
 
 def _request(settings: Settings) -> "CollectionRequest":
     from calibration.pipeline.collection.collecting import CollectionRequest
-    from calibration.pipeline.collection.results import CollectionChecks
     from calibration.simulation.collection.checks import Requirements
-
-    def given(**values: Any) -> dict[str, Any]:
-        return {name: value for name, value in values.items() if value is not None}
 
     stillness = None if settings.stillness_mm is None else settings.stillness_mm / 1000
     return CollectionRequest(
@@ -194,28 +290,38 @@ def _request(settings: Settings) -> "CollectionRequest":
         configuration=settings.config,
         motion=settings.motion,
         seed=settings.seed,
-        requirements=Requirements(**given(stillness=stillness)),
-        checks=CollectionChecks(
-            **given(
-                minimum_collections=settings.minimum_collections,
-                minimum_detection_rate=settings.minimum_detection_rate,
-                minimum_coverage=settings.minimum_coverage,
-                max_translation_mm=settings.max_translation_mm,
-                max_rotation_deg=settings.max_rotation_deg,
-            )
-        ),
+        requirements=Requirements(**_given(stillness=stillness)),
+        checks=_checks(settings),
     )
 
 
+def _checks(settings: Settings) -> "CollectionChecks":
+    from calibration.pipeline.collection.results import CollectionChecks
+
+    names = (
+        *("minimum_collections", "minimum_detection_rate", "minimum_coverage"),
+        *("max_translation_mm", "max_rotation_deg"),
+    )
+    return CollectionChecks(**_given(**{name: getattr(settings, name) for name in names}))
+
+
+def _given(**values: Any) -> dict[str, Any]:
+    return {name: value for name, value in values.items() if value is not None}
+
+
+def find_system(system: str) -> Path | None:
+    """The folder of a system, by its name in `SYSTEMS` or by its path; None where there is none."""
+    return next((folder for folder in (SYSTEMS / system, Path(system)) if system and folder.is_dir()), None)
+
+
 def system_folder(system: str) -> Path:
-    """The folder of a system, by its name in `SYSTEMS` or by its path.
+    """The folder of a system, as `find_system` finds it.
 
     Raises:
         InputError: there is none.
     """
-    for folder in (SYSTEMS / system, Path(system)):
-        if system and folder.is_dir():
-            return folder
+    if (folder := find_system(system)) is not None:
+        return folder
     known = sorted(folder.parent.name for folder in SYSTEMS.glob("*/simulation.yml"))
     names = f"one of {', '.join(known)} or a folder" if known else "a folder"
     raise InputError(f"system: found '{system}', expected {names}")

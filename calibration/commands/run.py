@@ -9,7 +9,7 @@ import click
 
 from calibration.commands.parameters import TEXT_LIST, count, path
 from calibration.errors import ExitCode
-from calibration.workflow import Runner
+from calibration.workflow import Runner, set_outputs
 
 
 @dataclass(frozen=True)
@@ -26,7 +26,7 @@ class Settings:
 @click.command("run")
 @click.option("--config", type=path, help="The configuration (calibration.yml).")
 @click.option("--output", type=path, help="Folder for results, tables and datasets (output).")
-@click.option("--only", type=TEXT_LIST, help="Only these stages: calibrate, introspect, collect.")
+@click.option("--only", type=TEXT_LIST, help="Only these stages: build, collect, calibrate, introspect, promote.")
 @click.option("--jobs", type=count, help="Processes (one a core).")
 def command(**options: Any) -> ExitCode:
     """Run the pipeline of calibration.yml, stage by stage; the verdict is fail when one of them is."""
@@ -48,8 +48,16 @@ def run(settings: Settings, runner: Runner) -> ExitCode:
     configuration = read_configuration(settings.config)
     matrix = Matrix(configuration.systems, configuration.noise, configuration.start, configuration.loss)
     stages = settings.only or STAGES
-    simulations = configuration.simulations
     results = run_stages(
-        matrix, settings.output, runner, "calibration run", settings.jobs, stages=stages, simulations=simulations
+        matrix,
+        settings.output,
+        runner,
+        "calibration run",
+        settings.jobs,
+        stages=stages,
+        simulations=configuration.simulations,
+        image=configuration.image,
     )
+    image = results.image
+    set_outputs(runner, {"image": image.reference if image else "", "digest": (image.digest if image else None) or ""})
     return results.exit_code

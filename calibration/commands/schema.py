@@ -1,17 +1,21 @@
 """``schema``: the JSON Schemas that ship, for editors and other programs."""
 
+import json
 import sys
-from importlib.resources import files
+from importlib.resources import as_file, files
 
 import click
 
 from calibration.errors import ExitCode
+from calibration.json_schema import bundled
 
 SCHEMAS = {
     "calibration.yml": ("calibration.pipeline", "calibration.schema.json"),
+    "image": ("calibration.image", "image.schema.json"),
     "results": ("calibration.pipeline", "results.schema.json"),
     "collection": ("calibration.pipeline.collection", "collection.schema.json"),
     "scenario-set": ("calibration.simulation.scenarios", "scenario_set.schema.json"),
+    "image-results": ("calibration.image", "results.schema.json"),
     "introspection": ("calibration.introspection", "results.schema.json"),
 }
 """What there is a schema of: package and file."""
@@ -20,7 +24,11 @@ SCHEMAS = {
 @click.command("schema")
 @click.argument("name", type=click.Choice(list(SCHEMAS)), default="calibration.yml")
 def command(name: str) -> ExitCode:
-    """Print a JSON Schema: of calibration.yml, of a scenario set, or of the results of a command."""
+    """Print a JSON Schema: of calibration.yml, of another file that is read, or of the results of a command."""
     package, file = SCHEMAS[name]
-    sys.stdout.write(files(package).joinpath(file).read_text(encoding="utf-8"))
+    with as_file(files(package).joinpath(file)) as path:
+        text = path.read_text(encoding="utf-8")
+        if '"$ref": ".' in text:  # it refers to other files, which an editor far away has not
+            text = json.dumps(bundled(path), indent=2) + "\n"
+    sys.stdout.write(text)
     return ExitCode.PASS

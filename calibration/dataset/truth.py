@@ -63,6 +63,21 @@ def read_truth(path: Path | str) -> Truth:
     )
 
 
+def choose_truth(dataset: Dataset, choice: str | None) -> Truth | None:
+    """The truth that a user has chosen for a dataset: a file, "dataset" for the transforms in it, "none".
+
+    None stands for ``ground_truth.json`` beside the dataset, where there is one.
+
+    Raises:
+        InputError: the file is wrong, or is about other transforms than those the dataset calibrates.
+    """
+    if choice is None:
+        return find_truth(dataset)
+    if choice == "dataset":
+        return truth_of(dataset)
+    return None if choice == "none" else read_truth(Path(choice))
+
+
 def find_truth(dataset: Dataset) -> Truth | None:
     """The truth in ``ground_truth.json`` beside the dataset, if there is one.
 

@@ -10,9 +10,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calibration.dataset.model import Dataset
+from calibration.dataset.model import Dataset, Edge
 from calibration.estimation.build import Setup
 from calibration.estimation.problem import Values
+from calibration.estimation.usable_labels import usable_labels
 from calibration.geometry import rotations
 from calibration.geometry.transforms import transform
 from calibration.geometry.types import Array
@@ -31,18 +32,30 @@ class StartingNoise:
 
 def perturb(setup: Setup, values: Values, noise: StartingNoise) -> Values:
     """The values with noise on the transforms to calibrate; the same draws for every size of noise."""
-    if noise.translation == noise.rotation == 0.0:
-        return values
-    rng = np.random.default_rng(noise.seed)
     out = list(values)
-    dataset = setup.dataset
-    for edge in _noisy_edges(dataset):
-        block = setup.block(edge)
-        out[block] = _moved(values[block], noise, rng)
+    for edge, T in _noisy_transforms(setup.dataset, noise).items():
+        out[setup.block(edge)] = T
     return tuple(out)
 
 
-def _noisy_edges(dataset: Dataset) -> list[tuple[str, str]]:
+def with_starting_noise(dataset: Dataset, noise: StartingNoise) -> Dataset:
+    """The dataset with the guess that `calibrate` starts from as its transforms, for software that reads it from there.
+
+    Raises:
+        InputError: the labels cannot be used.
+    """
+    return dataset.with_transforms(_noisy_transforms(usable_labels(dataset)[0], noise))
+
+
+def _noisy_transforms(dataset: Dataset, noise: StartingNoise) -> dict[Edge, Array]:
+    """``T_parent_child`` (4, 4) of the first collection with noise, for every edge that gets some."""
+    if noise.translation == noise.rotation == 0.0:
+        return {}
+    rng = np.random.default_rng(noise.seed)
+    return {edge: _moved(dataset.transform(*edge)[0], noise, rng) for edge in _noisy_edges(dataset)}
+
+
+def _noisy_edges(dataset: Dataset) -> list[Edge]:
     anchored = dataset.sensors[dataset.anchored].edge if dataset.anchored else None
     edges = [*dataset.additional_transforms, *(sensor.edge for sensor in dataset.sensors.values())]
     return [edge for edge in dict.fromkeys(edges) if edge != anchored]

@@ -9,8 +9,12 @@ from pathlib import Path
 from typing import Literal
 
 Network = Literal["private", "internal", "host", "none"]
-"""private: a network of the job's own, on which containers find each other by name. internal: the same
-without a way out. host: that of the machine (a relaxation). none: no network."""
+"""private: the job's containers find each other by name, and those of no other job. internal: the same without a
+way out. host: that of the machine (a relaxation). none: no network.
+
+A container alone in its job has nobody to find: the Docker backend puts it on a network on which the engine keeps
+all containers apart, or, where it is all that there is in a run, on the engine's default network, as ``docker run``
+does."""
 
 OUTPUT = "/calibration/output"
 """A volume of the job's own, writable and shared by its containers; it is gone with the job."""
@@ -51,7 +55,7 @@ class Readiness:
     command: tuple[str, ...] = ()
     """This command, run in it, answers 0."""
     seconds: float = 60.0
-    """It is not ready after so long: the job has failed."""
+    """It is not ready after so long: the job has failed, and the software in it is to blame (exit code 1)."""
 
 
 @dataclass(frozen=True)
@@ -76,7 +80,9 @@ class Artifact:
 
     path: str
     """Absolute, in the container, with ``*``, ``?``, ``[...]`` and ``**`` as in a shell. A folder stands for all
-    that is in it. What is found lands relative to the path's last folder without a wildcard."""
+    that is in it. What is found lands relative to the path's last folder without a wildcard: ``/out/a/*.csv`` as
+    ``x.csv``, ``/out/a`` as ``a/x.csv``. Links to what is inside are left out, with a note; other links and what is
+    no file or folder are refused."""
     required: bool = True
     """Whether the job has failed where nothing is found."""
 
@@ -92,7 +98,7 @@ class Container:
     """Arguments, run without a shell; the image's own command where there are none."""
     entrypoint: tuple[str, ...] | None = None
     """In the place of the image's; None for the image's."""
-    environment: Mapping[str, str] = field(default_factory=dict)
+    environment: Mapping[str, str] = field(default_factory=dict, repr=False)
     secrets: frozenset[str] = frozenset()
     """Names of variables of the environment whose values appear in no log, file or message."""
     working_directory: str | None = None
@@ -123,3 +129,6 @@ class Job:
     artifact_bytes: int = 2 * 1024**3
     """More than this is not brought out."""
     artifact_files: int = 20_000
+    own_network: bool = False
+    """A private network of its own also for a container that is all that there is in a run: for software that
+    finds its peers by multicast, as ROS 2 does."""

@@ -40,6 +40,8 @@ class ContainerOutcome:
     seconds: float = 0.0
     log: Path | None = None
     """The file of its output."""
+    image: str = ""
+    """The id of the image that it was made from, where the backend knows it."""
 
 
 @dataclass(frozen=True)
@@ -63,11 +65,13 @@ class JobOutcome:
     """Has ``artifacts/``, ``logs/<container>.log`` and ``manifest.json``."""
     containers: tuple[ContainerOutcome, ...] = ()
     artifacts: tuple[BroughtOut, ...] = ()
+    left_out: tuple[str, ...] = ()
+    """What was among the artifacts but not brought out, a line each: links to others of them."""
     reasons: tuple[str, ...] = ()
     """Why it failed, a line each, the cause first; none where it succeeded."""
     exit_code: ExitCode = ExitCode.PASS
-    """1 where the software in the containers failed, 2 where the job is wrong (no such image), 3 where the world
-    failed: the engine, or the time."""
+    """1 where the software in the containers failed (it never got ready, it left no artifact or a hostile one), 2
+    where the job is wrong (no such image or user), 3 where the world failed: the engine, or the time."""
     seconds: float = 0.0
 
     @property

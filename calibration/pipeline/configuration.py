@@ -1,26 +1,35 @@
 """What ``calibration.yml`` says; its JSON Schema is ``calibration.schema.json`` beside this module."""
 
-import json
-import math
-import os
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from calibration.errors import InputError
+from calibration.image.specification import ImageSpecification, parse_image_specification
 from calibration.introspection.parsing import parse_rules
 from calibration.introspection.rules import RuleSet
+from calibration.json_schema import bundled, check_document
+from calibration.pipeline.collection.applications import Applications, applications_from
 from calibration.pipeline.collection.collecting import GENERATE, CollectionRequest
+from calibration.pipeline.collection.in_containers import ContainerRequest
 from calibration.pipeline.collection.results import CollectionChecks
-from calibration.workflow.text import did_you_mean, shorten
+from calibration.pipeline.matrix.cell import Loss, Start
+from calibration.pipeline.matrix.software import Software, software_from
+from calibration.variables import with_variables
+from calibration.workflow.text import did_you_mean
 from calibration.yaml_file import read_yaml
 
 SCHEMA = Path(__file__).with_name("calibration.schema.json")
+ADVICE = {
+    "not": "seeds and seed-list exclude each other",
+    "anyOf": "expected systems to calibrate, or a simulation to collect data from",
+    "simulation anyOf": "expected a system, or containers that simulate and collect",
+    "oneOf": "this has none of the forms that are known: see `calibration schema`",
+}
 DEFAULT_FILE = Path("calibration.yml")
-Start = Literal["linear", "given"]
-Loss = Literal["huber", "linear"]
+COLLECTED = "simulation:"
+"""Begins a system's dataset that an entry of ``simulation`` collects."""
 
 
 @dataclass(frozen=True)
@@ -45,6 +54,10 @@ class System:
     compare: tuple[str, ...] = ()
     rules: RuleSet | None = None
     limits: Limits = field(default_factory=Limits)
+    software: Software | None = None
+    """The team's own calibration, in the place of our engine, which then only compares."""
+    collected: str | None = None
+    """The entry of `simulation` that makes its dataset, whose place only a run knows."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +65,8 @@ class Simulation:
     """A dataset to collect in simulation, and to calibrate."""
 
     name: str
-    request: CollectionRequest
+    request: CollectionRequest | ContainerRequest
+    """For our own simulation, or for the team's applications."""
 
 
 @dataclass(frozen=True)
@@ -75,6 +89,7 @@ class Configuration:
     start: Start = "linear"
     loss: Loss = "huber"
     simulations: tuple[Simulation, ...] = ()
+    image: ImageSpecification | None = None
 
     def only(self, names: tuple[str, ...]) -> tuple[System, ...]:
         """The systems of these names, or all where there are none.
@@ -101,18 +116,57 @@ def read_configuration(path: Path, environment: Mapping[str, str] | None = None)
         InputError: the file is missing, is no YAML, or does not follow its schema; names file and key.
     """
     document = read_yaml(path, "a pipeline configuration")
-    _validate(document, path)
+    check_document(document, bundled(SCHEMA), str(path), ADVICE)
     assert isinstance(document, dict)  # noqa: S101 (the schema says so)
-    variables = os.environ if environment is None else environment
-    document = {key: _prepared(value, variables, f"{path}: {key}") for key, value in document.items()}
+    document = {key: with_variables(value, f"{path}: {key}", environment) for key, value in document.items()}
     common = document.get("limits")
-    return Configuration(
-        systems=tuple(_system(name, entry, common, path) for name, entry in document["systems"].items()),
+    simulations = tuple(_simulation(name, entry, path) for name, entry in document.get("simulation", {}).items())
+    image = document.get("image")
+    configuration = Configuration(
+        systems=tuple(_system(name, entry, common, path) for name, entry in document.get("systems", {}).items()),
         noise=_noise(document.get("noise", {})),
         start=document.get("start", "linear"),
         loss=document.get("loss", "huber"),
-        simulations=tuple(_simulation(name, entry, path) for name, entry in document.get("simulation", {}).items()),
+        simulations=simulations,
+        image=parse_image_specification(image, path.parent, f"{path}: image") if image is not None else None,
     )
+    _check_references(configuration, path)
+    return configuration
+
+
+def _check_references(configuration: Configuration, path: Path) -> None:
+    """Refuse a system whose dataset nothing collects, and a container without an image.
+
+    Raises:
+        InputError: naming it.
+    """
+    collected = {simulation.name for simulation in configuration.simulations}
+    for system in configuration.systems:
+        where = f"{path}: systems.{system.name}"
+        if system.collected is not None and system.collected not in collected:
+            raise InputError(
+                f"{where}.dataset: simulation has no entry '{system.collected}'"
+                f"{did_you_mean(system.collected, collected)}"
+            )
+        if configuration.image is None and system.software is not None and not system.software.container.image:
+            raise InputError(f"{where}.software: missing image, as there is no section image that builds one")
+    for simulation in configuration.simulations:
+        request = simulation.request
+        for container in request.applications.containers if isinstance(request, ContainerRequest) else ():
+            if configuration.image is None and not container.image:
+                where = f"{path}: simulation.{simulation.name}.containers.{container.name}"
+                raise InputError(f"{where}: missing image, as there is no section image that builds one")
+
+
+def parse_applications(entry: Mapping[str, Any], folder: Path, where: str) -> Applications:
+    """Read a description of applications from outside a configuration: an entry of ``simulation`` in it.
+
+    Raises:
+        InputError: it does not follow the schema; names the key.
+    """
+    schema = bundled(SCHEMA)
+    check_document(entry, {**schema["$defs"]["simulation"], "$defs": schema["$defs"]}, where, ADVICE)
+    return applications_from(with_variables(entry, where), folder, where)
 
 
 def seed_range(count: int) -> tuple[int, ...]:
@@ -121,33 +175,56 @@ def seed_range(count: int) -> tuple[int, ...]:
 
 
 def _system(name: str, entry: Mapping[str, Any], common_limits: Mapping[str, float] | None, path: Path) -> System:
-    truth = entry.get("truth")
+    place = entry["dataset"]
     return System(
         name=name,
-        dataset=path.parent / entry["dataset"],
+        dataset=path.parent / place,
         evaluate=entry.get("evaluate"),
-        truth=truth if truth in (None, "dataset", "none") else str(path.parent / truth),
+        truth=_truth(entry, path),
         compare=tuple(entry.get("compare", ())),
         rules=parse_rules(entry["rules"], f"{path}: systems.{name}.rules") if "rules" in entry else None,
         limits=Limits(**{key.replace("-", "_"): v for key, v in (entry.get("limits") or common_limits or {}).items()}),
+        software=software_from(entry["software"], path.parent, f"{path}: systems.{name}.software")
+        if "software" in entry
+        else None,
+        collected=place.removeprefix(COLLECTED) if place.startswith(COLLECTED) else None,
     )
 
 
 def _simulation(name: str, entry: Mapping[str, Any], path: Path) -> Simulation:
+    where = f"{path}: simulation.{name}"
     motion = entry.get("motion")
     if motion is not None and not motion.startswith(GENERATE):
         motion = str(path.parent / motion)
-    limits = {f"max_{key.replace('-', '_')}": value for key, value in entry.get("limits", {}).items()}
-    least = {key.replace("-", "_"): value for key, value in entry.items() if key.startswith("minimum-")}
-    request = CollectionRequest(
-        system=path.parent / entry["system"],
-        robot=path.parent / entry["robot"] if "robot" in entry else None,
-        configuration=path.parent / entry["config"] if "config" in entry else None,
-        motion=motion,
-        seed=entry.get("seed", 1),
-        checks=CollectionChecks(**limits, **least),
+    backend = entry.get("backend", "docker" if "containers" in entry else "embedded")
+    if (backend == "docker") != ("containers" in entry):
+        raise InputError(f"{where}.backend: found {backend}; containers run with docker, and docker needs containers")
+    robot = path.parent / entry["robot"] if "robot" in entry else None
+    configuration = path.parent / entry["config"] if "config" in entry else None
+    system = path.parent / entry["system"] if "system" in entry else None
+    seed, checks = entry.get("seed", 1), _checks(entry)
+    if "containers" not in entry:
+        if system is None:
+            raise AssertionError("the schema asks for a system")
+        return Simulation(name, CollectionRequest(system, robot, configuration, motion, seed, None, checks))
+    applications = applications_from(entry, path.parent, where)
+    truth = _truth(entry, path)
+    return Simulation(
+        name, ContainerRequest(name, applications, system, robot, configuration, motion, seed, checks, truth)
     )
-    return Simulation(name, request)
+
+
+def _checks(entry: Mapping[str, Any]) -> CollectionChecks:
+    limits = {f"max_{key.replace('-', '_')}": value for key, value in entry.get("limits", {}).items()}
+    if entry.get("truth") == "none":
+        limits = {"max_translation_mm": None, "max_rotation_deg": None, **limits}
+    least = {key.replace("-", "_"): value for key, value in entry.items() if key.startswith("minimum-")}
+    return CollectionChecks(**limits, **least)
+
+
+def _truth(entry: Mapping[str, Any], path: Path) -> str | None:
+    truth: str | None = entry.get("truth")
+    return truth if truth in (None, "dataset", "none") else str(path.parent / str(truth))
 
 
 def _noise(entry: Mapping[str, Any]) -> NoiseGrid:
@@ -156,48 +233,3 @@ def _noise(entry: Mapping[str, Any]) -> NoiseGrid:
         rotations=tuple(float(r) for r in entry.get("rotation", (0.0,))),
         seeds=tuple(entry["seed-list"]) if "seed-list" in entry else seed_range(entry.get("seeds", 1)),
     )
-
-
-def _validate(document: object, path: Path) -> None:
-    """Hold a document to the schema.
-
-    Raises:
-        InputError: one line that names the key, what was found and what is expected.
-    """
-    import jsonschema  # slow to import, and not needed by the other commands
-
-    schema = json.loads(SCHEMA.read_text())
-    errors = sorted(jsonschema.Draft202012Validator(schema).iter_errors(document), key=lambda e: list(map(str, e.path)))
-    if not errors:
-        return
-    error = jsonschema.exceptions.best_match(errors)
-    where = ".".join(str(part) for part in error.absolute_path)
-    if error.validator == "additionalProperties":
-        known = error.schema.get("properties", {})
-        unknown = next(key for key in error.instance if key not in known)
-        message = f"unknown key '{unknown}'{did_you_mean(str(unknown), known)} (known: {', '.join(known)})"
-    elif error.validator == "not":
-        message = "seeds and seed-list exclude each other"
-    else:
-        message = shorten(error.message, 200)
-    raise InputError(f"{path}: {where + ': ' if where else ''}{message}")
-
-
-def _prepared(value: object, environment: Mapping[str, str], where: str) -> Any:
-    """The document with ``${NAME}`` replaced in every text; a number that is not finite is refused."""
-
-    def variable(match: re.Match[str]) -> str:
-        name = match[1]
-        if name not in environment:
-            raise InputError(f"{where}: the environment variable {name} is not set")
-        return environment[name]
-
-    if isinstance(value, str):
-        return re.sub(r"\$\{([A-Za-z_][A-Za-z0-9_]*)\}", variable, value)
-    if isinstance(value, float) and not math.isfinite(value):
-        raise InputError(f"{where}: found {value}, a finite number was expected")
-    if isinstance(value, list):
-        return [_prepared(item, environment, f"{where}.{i}") for i, item in enumerate(value)]
-    if isinstance(value, dict):
-        return {key: _prepared(item, environment, f"{where}.{key}") for key, item in value.items()}
-    return value

@@ -4,7 +4,15 @@ from pathlib import Path
 
 from calibration.files import write_atomically
 from calibration.pipeline.results import FILE, Results, summarise
-from calibration.pipeline.summary import collections_grid, failures, grid, markdown, sentence
+from calibration.pipeline.summary import (
+    collections_grid,
+    failures,
+    grid,
+    image_line,
+    markdown,
+    sentence,
+    without_result,
+)
 from calibration.workflow import Annotation, Level, Runner, add_summary, annotate, set_outputs, stop_commands
 from calibration.workflow.text import aligned
 
@@ -25,7 +33,7 @@ def report(results: Results, output: Path, runner: Runner, title: str) -> None:
             runner.log(aligned(table.header, table.rows))
         runner.log("")
     failed = [Annotation(line, title=title) for line in failures(results)]
-    notes = [Annotation(f"{c.name}: {'; '.join(c.reasons)}", Level.WARNING) for c in results.comparisons if c.reasons]
+    notes = [Annotation(f"{c.name}: {'; '.join(c.reasons)}", Level.WARNING) for c in without_result(results)]
     annotate(runner, [*failed, *notes])
     add_summary(runner, text)
     numbers = summarise(results)
@@ -41,4 +49,6 @@ def report(results: Results, output: Path, runner: Runner, title: str) -> None:
             "worst-translation-mm": "" if numbers["worst_translation_mm"] is None else numbers["worst_translation_mm"],
         },
     )
+    if results.image is not None:
+        runner.log(image_line(results.image))
     runner.log(f"{sentence(results)} ({output / FILE})")

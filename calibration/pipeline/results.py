@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from calibration.errors import ExitCode, InputError, WorldError
 from calibration.files import write_atomically
 from calibration.pipeline.collection.collected import Collected
+from calibration.pipeline.image_result import ImageResult
 from calibration.pipeline.matrix.cell import OUR_METHOD, CellResult, TruthDistance, Verdict
 
 if TYPE_CHECKING:
@@ -33,6 +34,8 @@ class Results:
     cells: tuple[CellResult, ...]
     comparisons: tuple[CellResult, ...] = ()
     collections: tuple[Collected, ...] = ()
+    image: ImageResult | None = None
+    """The image that was built for the cells and collections that run in containers."""
 
     @property
     def judged(self) -> tuple[CellResult | Collected, ...]:
@@ -67,8 +70,8 @@ def write_results(results: Results, output: Path) -> None:
     write_atomically(output / FILE, _json(_document(results)))
     write_atomically(output / "cells.csv", cells_csv(results))
     write_atomically(output / "junit.xml", _junit(results))
-    for cell in results.cells:
-        if cell.dataset is not None:
+    for cell in (*results.cells, *results.comparisons):
+        if cell.dataset is not None and cell.details:
             alone = _document(Results((cell,)))
             alone["cells"][0].update(cell.details)
             write_atomically((output / cell.dataset).with_name(FILE), _json(alone))
@@ -91,8 +94,9 @@ def clear_results(output: Path, inputs: Collection[Path] = ()) -> None:
         earlier = read_results(output)
     except InputError:
         earlier = Results(())
-    named = [path for cell in (*earlier.cells, *earlier.comparisons) for path in (cell.table, cell.dataset) if path]
-    own = [str(Path(cell.dataset).with_name(FILE)) for cell in earlier.cells if cell.dataset]
+    everything = (*earlier.cells, *earlier.comparisons)
+    named = [path for cell in everything for path in (cell.table, cell.dataset) if path]
+    own = [str(Path(cell.dataset).with_name(FILE)) for cell in everything if cell.dataset and cell.details]
     paths = [output / name for name in (FILE, "cells.csv", "junit.xml", "summary.md", *named, *own)]
     inside = [path for path in paths if path.resolve().is_relative_to(output.resolve())]
     needed = {path.resolve() for path in inputs}
@@ -119,6 +123,7 @@ def read_results(output: Path) -> Results:
             tuple(_cell(entry, output) for entry in document["cells"]),
             tuple(_cell(entry, output) for entry in document["comparisons"]),
             tuple(Collected.of_document(entry) for entry in document["collections"]),
+            ImageResult.of_document(document["image"]) if document["image"] else None,
         )
     except OSError as error:
         raise InputError(f"{path}: the results of the stage calibrate were expected here: {error.strerror}") from None
@@ -153,7 +158,7 @@ def cells_csv(results: Results) -> str:
         truth = (f"{cell.truth.translation_mm:.4f}", f"{cell.truth.rotation_deg:.5f}") if cell.truth else ("", "")
         rms = "" if cell.rms_px is None else f"{cell.rms_px:.4f}"
         noise = ["" if v is None else f"{v:g}" for v in (cell.translation_noise, cell.rotation_noise, cell.seed)]
-        verdict = cell.verdict if cell.method == OUR_METHOD else ""
+        verdict = cell.verdict if cell.from_noise else ""
         writer.writerow([cell.name, cell.system, cell.method, *noise, verdict, rms, *truth])
     return text.getvalue()
 
@@ -182,6 +187,7 @@ def _document(results: Results) -> dict[str, Any]:
         "cells": [_object(cell) for cell in results.cells],
         "comparisons": [_object(cell) for cell in results.comparisons],
         "collections": [collected.document for collected in results.collections],
+        "image": results.image.document if results.image else None,
         "summary": summarise(results),
     }
 
@@ -211,7 +217,7 @@ def _cell(entry: Mapping[str, Any], output: Path) -> CellResult:
 
 def _details(entry: Mapping[str, Any], output: Path) -> dict[str, Any]:
     """What a cell's own results say beyond the common fields."""
-    if entry["method"] != OUR_METHOD or entry["dataset"] is None:
+    if entry["method"] != OUR_METHOD or entry["translation_noise"] is None or entry["dataset"] is None:
         return {}
     own = json.loads((output / entry["dataset"]).with_name(FILE).read_bytes())["cells"][0]
     return {key: value for key, value in own.items() if key not in entry}

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from calibration.pipeline.collection.collected import Collected
+from calibration.pipeline.image_result import ImageResult
 from calibration.pipeline.matrix.cell import OUR_METHOD, CellResult
 from calibration.pipeline.results import Results
 from calibration.workflow.summary import escape_markdown, markdown_table
@@ -22,18 +23,30 @@ class Grid:
 
 
 def grid(results: Results) -> Grid:
-    """For each noise pair and each other method (rows) and system (columns): RMS, and the error against the truth."""
+    """For each noise pair and each other method (rows) and system (columns): RMS, and the error against the truth.
+
+    A system that the team's software calibrates has a second column: our engine on the same data and starts.
+    """
     rows: dict[str, dict[str, list[CellResult]]] = {}
+    software = {cell.system for cell in results.cells if cell.method != OUR_METHOD}
+
+    def column(cell: CellResult) -> str:
+        if cell.system not in software:
+            return cell.system
+        return f"{cell.system}: {cell.method if cell.from_noise else OUR_METHOD}"
+
+    everything = sorted((*results.cells, *results.comparisons), key=lambda c: results.systems.index(c.system))
+    columns = list(dict.fromkeys(map(column, everything)))
     for cell in (*results.cells, *results.comparisons):
-        rows.setdefault(_row(cell), {}).setdefault(cell.system, []).append(cell)
+        rows.setdefault(_row(cell), {}).setdefault(column(cell), []).append(cell)
     return Grid(
-        ("Start", *results.systems),
-        tuple((row, *(_text(columns.get(system, ())) for system in results.systems)) for row, columns in rows.items()),
+        ("Start", *columns),
+        tuple((row, *(_text(found.get(column, ())) for column in columns)) for row, found in rows.items()),
     )
 
 
 def _row(cell: CellResult) -> str:
-    if cell.translation_noise is None:
+    if not cell.from_noise:
         return cell.method
     return f"{cell.translation_noise:g} m, {cell.rotation_noise:g} rad"
 
@@ -51,7 +64,7 @@ def _text(cells: Sequence[CellResult]) -> str:
         parts.append(f"{max(t.translation_mm for t in truths):.3g} mm")
         parts.append(f"{max(t.rotation_deg for t in truths):.2g} deg")
     passed = sum(cell.verdict == "pass" for cell in cells)
-    if cells[0].method != OUR_METHOD:
+    if not cells[0].from_noise:
         return ", ".join(parts) or "no result"
     if passed < len(cells):
         parts.append("FAIL" if len(cells) == 1 else f"FAIL: {passed}/{len(cells)} pass")
@@ -102,13 +115,40 @@ def sentence(results: Results) -> str:
 
 def failures(results: Results) -> list[str]:
     """A line for everything that failed, with its first reasons; results.json has all of them."""
-    cells = [f"{cell.name}: {_first(cell.reasons)}" for cell in results.cells if cell.verdict == "fail"]
+    references = {cell.start_of_cell: cell for cell in results.comparisons if cell.from_noise}
+    cells = [
+        f"{cell.name}: {_first(cell.reasons)}{_whose_fault(references.get(cell.start_of_cell))}"
+        for cell in results.cells
+        if cell.verdict == "fail"
+    ]
     return cells + [f"collected {c.name}: {_first(c.reasons)}" for c in results.collections if c.verdict == "fail"]
+
+
+def _whose_fault(reference: CellResult | None) -> str:
+    """What our engine, on the same data from the same start, tells of a cell that the team's software failed."""
+    if reference is None:
+        return ""
+    if reference.verdict == "pass":
+        rms = "" if reference.rms_px is None else f" ({reference.rms_px:.4f} px)"
+        return f". Our engine passes on the same data from the same start{rms}: look at the software"
+    return f". Our engine fails on the same data too ({_first(reference.reasons)}): look at the data"
 
 
 def _first(reasons: Sequence[str]) -> str:
     more = len(reasons) - REASONS_SHOWN
     return "; ".join(reasons[:REASONS_SHOWN]) + (f"; and {more} more" if more > 0 else "")
+
+
+def without_result(results: Results) -> list[CellResult]:
+    """The other methods that have found nothing; our engine beside a team's software is part of the table."""
+    return [cell for cell in results.comparisons if cell.reasons and not cell.from_noise]
+
+
+def image_line(image: ImageResult) -> str:
+    """What was done about the image."""
+    what = f"built in {image.seconds:.0f} s" if image.built else "unchanged, nothing was built"
+    promoted = f"; promoted to {', '.join(image.promoted)}" if image.promoted else ""
+    return f"Image {image.reference}: {what}{promoted}"
 
 
 def _notes(results: Results) -> list[str]:
@@ -147,7 +187,9 @@ def markdown(results: Results) -> str:
         lines.append("")
     if notes := _notes(results):
         lines += ["### To look at", "", *(f"- {escape_markdown(line)}" for line in notes), ""]
-    left_out = [f"{c.name}: {'; '.join(c.reasons)}" for c in results.comparisons if c.reasons]
+    if results.image is not None:
+        lines += [f"{escape_markdown(image_line(results.image))}.", ""]
+    left_out = [f"{c.name}: {'; '.join(c.reasons)}" for c in without_result(results)]
     if left_out:
         lines += ["### Methods without a result", "", *(f"- {escape_markdown(line)}" for line in left_out), ""]
     return "\n".join(lines)

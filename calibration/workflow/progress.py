@@ -18,9 +18,9 @@ class Advance(Protocol):
 
 
 @contextmanager
-def progress(runner: Runner, title: str) -> Iterator[Advance]:
-    """Show the progress of steps while the block runs."""
-    if not runner.github and runner.stdout.isatty():
+def progress(runner: Runner, title: str, bar: bool = True) -> Iterator[Advance]:
+    """Show the progress of steps while the block runs; without a bar where other lines come in between."""
+    if bar and not runner.github and runner.stdout.isatty():
         with _bar(runner, title) as advance:
             yield advance
     else:

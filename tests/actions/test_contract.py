@@ -1,7 +1,6 @@
 """Holds every action.yml to the command it runs, and the locks to pyproject.toml."""
 
 import ast
-import json
 import re
 import tomllib
 from importlib.metadata import packages_distributions
@@ -14,6 +13,7 @@ import pytest
 import yaml
 
 from calibration.dataset.document import Node
+from calibration.json_schema import bundled
 from calibration.simulation.scene import read_scene
 from calibration.simulation.sensors import read_camera, read_depth_camera, read_lidar
 
@@ -49,7 +49,7 @@ def test_inputs_are_those_of_the_command(name: str, bootstrap: ModuleType) -> No
 
 def test_the_readme_shows_every_input_and_output() -> None:
     text = README.read_text()
-    assert {"calibrate-matrix", "collect-data-sim", "introspect-csv"} <= set(
+    assert {"build-image", "calibrate-matrix", "collect-data-sim", "introspect-csv"} <= set(
         re.findall(r"<!-- inputs: (\S+) -->", text)
     )
     assert text == with_tables(text), "run `make actions`"
@@ -165,14 +165,15 @@ def test_an_interpreter_of_ones_own_is_asked_for_all_modules(
 
 def test_the_examples_of_the_readme_are_right() -> None:
     blocks = [yaml.safe_load(block) for block in re.findall(r"```yaml\n(.*?)```", README.read_text(), re.DOTALL)]
-    workflow, configuration, simulation = blocks
+    workflow, configuration, simulation, image, software = blocks
     steps = [step for step in workflow["jobs"]["calibrate"]["steps"] if step["uses"].startswith("OWNER/")]
     used = {step["uses"].partition("@")[0].rpartition("/")[2]: step["with"] for step in steps}
     assert set(used) == {"calibrate-matrix", "introspect-csv"}
     for name, given in used.items():
         assert set(given) <= set(options(name))
-    schema = json.loads((PROJECT / "calibration/pipeline/calibration.schema.json").read_text())
-    jsonschema.validate(configuration, schema)
+    schema = bundled(PROJECT / "calibration/pipeline/calibration.schema.json")
+    for each in (configuration, {**image, **configuration}, software):
+        jsonschema.validate(each, schema)
     node = Node(README, (), simulation)
     assert read_camera(node["sensors"]["left_camera"]).camera.distortion.k1 == -0.1
     assert read_depth_camera(node["sensors"]["depth"]).most_range == 6.5

@@ -110,7 +110,27 @@ def test_red_is_red(motion: Path, tmp_path: Path, capsys: pytest.CaptureFixture[
     [
         (("--system", "t3rgb"), "system: found 't3rgb', expected one of riwbot, rlbot, t2rgb or a folder"),
         (("--system", ""), "system: found '', expected one of riwbot, rlbot, t2rgb or a folder"),
-        (("--system", "t2rgb", "--backend", "docker"), "backend: found 'docker', expected embedded"),
+        (("--system", "t2rgb", "--backend", "doker"), "backend: found 'doker', expected embedded or docker"),
+        (("--system", "t2rgb", "--backend", "docker"), "docker runs the team's applications"),
+        (("--system", "t2rgb", "--image", "robot:1"), "image: needs applications, or simulation-command"),
+        (("--system", "t2rgb", "--robot-command", "run"), "containers.robot: missing image"),
+        (
+            ("--system", "t2rgb", "--robot-command", "run", "--image", "i", "--backend", "embedded"),
+            "backend: found embedded",
+        ),
+        (
+            ("--system", "t2rgb", "--robot-command", "run {sed}", "--image", "i"),
+            "there is no placeholder '{sed}': did you mean 'seed'",
+        ),
+        (
+            ("--system", "t2rgb", "--robot-command", "run", "--image", "i", "--scenario-set", "s", "--scenarios", "2"),
+            "scenario-set: worlds vary in our own simulation only",
+        ),
+        (
+            ("--system", "t2rgb", "--robot-command", "run", "--image", "i", "--player", "ros1"),
+            "ros1 needs a ROS master",
+        ),
+        (("--system", "t2rgb", "--applications", "none.yml"), "none.yml"),
         (
             ("--system", "t2rgb", "--motion", "generate:0"),
             "motion: found 'generate:0', expected generate:N with N from 1",

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from calibration.estimation.build import Setup, build
 from calibration.estimation.problem import Values
-from calibration.estimation.starting_noise import StartingNoise, perturb
+from calibration.estimation.starting_noise import StartingNoise, perturb, with_starting_noise
 from calibration.geometry import rotations
 from calibration.geometry.transforms import distance
 from calibration.geometry.types import Array
@@ -103,3 +103,18 @@ def test_over_many_seeds_directions_fill_the_cube_and_signs_are_fair():
     assert max(counts) < 1500 / 8 + 4.5 * 13
     angle = distance(T, moved)[1]
     assert (angle > 0.09).all()
+
+
+def test_a_dataset_gets_the_guess_that_the_engine_starts_from():
+    dataset = hand_and_world(4).dataset()
+    noise = StartingNoise(0.3, 0.1, 7)
+    noisy = with_starting_noise(dataset, noise)
+    setup = build(dataset)
+    for edge in (("world", "base"), ("flange", "mount")):
+        values = tuple(dataset.transform(*e)[0] for e in setup.edges)
+        guess = perturb(setup, values, noise)[setup.block(edge)]
+        np.testing.assert_array_equal(noisy.transforms[edge], np.broadcast_to(guess, noisy.transforms[edge].shape))
+        assert np.linalg.norm(guess[:3, 3] - dataset.transform(*edge)[0, :3, 3]) == pytest.approx(0.3)
+    same = set(dataset.transforms) - {("world", "base"), ("flange", "mount")}
+    assert all(noisy.transforms[edge] is dataset.transforms[edge] for edge in same)
+    assert with_starting_noise(dataset, StartingNoise()).transforms == dataset.transforms

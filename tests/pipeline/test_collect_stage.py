@@ -108,7 +108,7 @@ def test_nothing_at_all_is_no_pass() -> None:
     ("text", "message"),
     [
         ("simulation: {}", "simulation: {} should be non-empty"),
-        ("simulation: {a: {}}", "simulation.a: 'system' is a required property"),
+        ("simulation: {a: {}}", "simulation.a: expected a system, or containers"),
         ("simulation: {a: {system: x, motoin: y}}", "simulation.a: unknown key 'motoin': did you mean 'motion'"),
         ("simulation: {a: {system: x, minimum-coverage: 2}}", "simulation.a.minimum-coverage: 2 is greater than"),
         ("simulation: {../a: {system: x}}", "does not match"),

@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 
 from calibration.errors import InputError
+from calibration.pipeline.collection.in_containers import ContainerRequest
 from calibration.pipeline.configuration import Limits, read_configuration
 
 ROOT = Path(__file__).parents[2]
@@ -63,7 +64,8 @@ def test_limits_for_all_systems_yield_to_a_system_s_own(tmp_path: Path) -> None:
     [
         ("systems: {}", "systems"),
         ("- 1", "object"),
-        ("system: {a: {dataset: a}}", "systems"),
+        ("system: {a: {dataset: a}}", "unknown key 'system': did you mean 'systems'?"),
+        ("image: {name: a, base: b}", "expected systems to calibrate, or a simulation"),
         ("systems: {a: {dataset: a, evalute: x}}", "systems.a: unknown key 'evalute': did you mean 'evaluate'?"),
         ("systems: {a: {}}", "systems.a"),
         ("systems: {a: {dataset: 3}}", "systems.a.dataset"),
@@ -105,3 +107,66 @@ def test_only_names_a_system_that_is_not_known() -> None:
     assert [s.name for s in configuration.only(("riwbot",))] == ["riwbot"]
     with pytest.raises(InputError, match="did you mean 'riwbot'"):
         configuration.only(("riwbo",))
+
+
+IMAGE = "image: {name: team/robot, base: 'debian:bookworm'}\n"
+SOFTWARE = "systems: {a: {dataset: a, software: {command: 'run {start}'}}}"
+COLLECTED = "systems: {a: {dataset: 'simulation:fresh'}}\n"
+CONTAINERS = "simulation: {fresh: {containers: {robot: {command: run}}}}"
+
+
+def test_software_and_applications_run_in_the_image_unless_they_name_another(tmp_path: Path) -> None:
+    text = IMAGE + COLLECTED + "simulation: {fresh: {containers: {robot: {command: run}, sim: {image: other}}}}"
+
+    configuration = read_configuration(write(tmp_path, text))
+
+    assert configuration.image is not None
+    assert configuration.image.name == "team/robot"
+    assert configuration.systems[0].collected == "fresh"
+    request = configuration.simulations[0].request
+    assert isinstance(request, ContainerRequest)
+    assert [c.image for c in request.applications.with_image("built").containers] == ["built", "other"]
+
+
+def test_what_the_software_says(tmp_path: Path) -> None:
+    text = (
+        "systems: {a: {dataset: a, software: {image: i, command: [run, '{seed}'], ros: 1, network: internal, "
+        "memory: 1g, table: '*.csv', mounts: ['data:/data'], artifacts: ['{output}/x']}}}"
+    )
+    (tmp_path / "data").mkdir()
+
+    software = read_configuration(write(tmp_path, text)).systems[0].software
+
+    assert software is not None
+    assert (software.ros, software.network, software.table) == ("1", "internal", "*.csv")
+    assert software.container.mounts[0].source == tmp_path / "data"
+    assert software.container.limits.memory == 1024**3
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        (SOFTWARE, "systems.a.software: missing image, as there is no section image"),
+        (COLLECTED + CONTAINERS, "simulation.fresh.containers.robot: missing image"),
+        (COLLECTED, "systems.a.dataset: simulation has no entry 'fresh'"),
+        (IMAGE + COLLECTED + CONTAINERS.replace("fresh", "frech"), "did you mean 'frech'?"),
+        ("systems: {a: {dataset: a, software: {image: i}}}", "systems.a.software"),
+        (SOFTWARE.replace("command", "comand"), "systems.a.software"),
+        (SOFTWARE.replace("start", "strat"), "systems.a.software.command: there is no placeholder '{strat}'"),
+        (IMAGE + SOFTWARE.replace("}}}", "}', memory: much}}}").replace("'}'", "}'"), "systems.a.software.memory"),
+        ("image: {name: x}\n" + SOFTWARE, "image"),
+        ("image: {name: x, base: b, atp: [y]}\n" + SOFTWARE, "image: unknown key 'atp': did you mean 'apt'?"),
+        (IMAGE + COLLECTED + "simulation: {fresh: {system: s, ros: 1}}", "simulation.fresh"),
+        (IMAGE + COLLECTED + "simulation: {fresh: {system: s, backend: docker}}", "docker needs containers"),
+        (IMAGE + COLLECTED + CONTAINERS.replace("{containers", "{backend: embedded, containers"), "found embedded"),
+        (IMAGE + COLLECTED + CONTAINERS.replace("}}}}", "}}, player: ros2}}"), "simulation.fresh.player"),
+    ],
+)
+def test_one_line_about_containers(tmp_path: Path, text: str, expected: str) -> None:
+    path = write(tmp_path, text)
+
+    with pytest.raises(InputError) as raised:
+        read_configuration(path)
+
+    assert expected in str(raised.value)
+    assert "\n" not in str(raised.value)

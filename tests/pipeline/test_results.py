@@ -11,9 +11,10 @@ import pytest
 
 from calibration.errors import ExitCode, InputError
 from calibration.pipeline.configuration import NoiseGrid
+from calibration.pipeline.image_result import ImageResult
 from calibration.pipeline.matrix.matrix import Matrix, run_matrix
 from calibration.pipeline.results import SCHEMA, Results, clear_results, read_results, summarise, write_results
-from calibration.pipeline.summary import grid, markdown, sentence
+from calibration.pipeline.summary import failures, grid, markdown, sentence
 from tests.pipeline.conftest import RIWBOT
 from tests.pipeline.matrix.test_judgement import CELL
 
@@ -171,3 +172,47 @@ def test_an_input_among_the_earlier_results_is_not_removed(tmp_path: Path) -> No
         clear_results(tmp_path, [dataset])
 
     assert dataset.exists()
+
+
+def software_cells(reference_passes: bool) -> Results:
+    theirs = replace(CELL, method="software", loss=None, start="given", rms_px=3.0, reasons=("RMS: found 3",))
+    ours = replace(CELL, rms_px=0.5, reasons=() if reference_passes else ("RMS: found 2.5",))
+    return Results((theirs,), (ours, replace(CELL, method="shah", translation_noise=None, rotation_noise=None)))
+
+
+def test_the_team_s_software_and_our_engine_side_by_side() -> None:
+    table = grid(software_cells(True))
+    system = CELL.system
+    assert table.header == ("Start", f"{system}: software", f"{system}: calibration-ci")
+    start, other = table.rows
+    assert start[1].startswith("3.0000 px")
+    assert start[1].endswith("FAIL")
+    assert start[2].startswith("0.5000 px")
+    assert "FAIL" not in start[2]
+    assert other[:2] == ("shah", "-")
+    assert len(table.rows) == 2
+
+
+def test_whose_fault_it_is() -> None:
+    [line] = failures(software_cells(True))
+    assert line.endswith(
+        "RMS: found 3. Our engine passes on the same data from the same start (0.5000 px): look at the software"
+    )
+    [line] = failures(software_cells(False))
+    assert line.endswith("Our engine fails on the same data too (RMS: found 2.5): look at the data")
+    assert "Methods without a result" not in markdown(software_cells(False))
+
+
+def test_our_engine_beside_the_software_has_no_part_in_the_verdict() -> None:
+    results = software_cells(False)
+    passing = replace(results, cells=(replace(results.cells[0], reasons=()),))
+    assert (results.verdict, passing.verdict) == ("fail", "pass")
+
+
+def test_the_image_is_part_of_the_results(tmp_path: Path) -> None:
+    image = ImageResult("team/robot:key-1", "1" * 64, False, "sha256:2", 0.5, ("stable",))
+    results = Results((CELL,), image=image)
+    write_results(results, tmp_path)
+    jsonschema.validate(json.loads((tmp_path / "results.json").read_text()), json.loads(SCHEMA.read_text()))
+    assert read_results(tmp_path).image == image
+    assert "Image team/robot:key-1: unchanged, nothing was built; promoted to stable." in markdown(results)

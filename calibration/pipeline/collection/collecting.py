@@ -129,7 +129,7 @@ def collect_play(
                 proof=proof,
                 limits=checks,
             )
-            write_contact_sheet(new, played, records, work.folder)
+            write_contact_sheet(new, played.system, records, work.folder)
             write_collection_results(results, new)
     return results
 

@@ -59,7 +59,7 @@ def outputs(results: CollectionResults, output: Path) -> dict[str, OutputValue]:
         "rotation-deg": known(proof.rotation_deg if proof else None),
         "success-rate": "",
         "worst-worlds": "",
-        "contact-sheet": output / CONTACT_SHEET,
+        "contact-sheet": output / CONTACT_SHEET if results.contact_sheet else "",
         "results": output / FILE,
         "summary": output / SUMMARY_FILE,
     }

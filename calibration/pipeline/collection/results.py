@@ -92,6 +92,12 @@ class CollectionResults:
     proof: "Proof | None"
     """None where no collection was kept."""
     limits: CollectionChecks = field(default_factory=CollectionChecks)
+    failures: tuple[str, ...] = ()
+    """Why the applications of a team collected nothing, or not everything."""
+    error: ExitCode | None = None
+    """Set where that was not their fault: a wrong image (2), the engine or the time (3)."""
+    contact_sheet: bool = True
+    """Whether there is one: without a system's description nobody knows the images."""
 
     @property
     def kept(self) -> "list[Record]":
@@ -137,6 +143,8 @@ class CollectionResults:
     @property
     def reasons(self) -> list[str]:
         """Why the verdict is fail; nothing where it is pass."""
+        if self.failures:
+            return list(self.failures)
         failed = [str(check) for check in self.checks if not check.passed]
         if self.proof is not None and not self.proof.converged:
             return [f"the dataset does not calibrate: {self.proof.reason}", *failed]
@@ -149,7 +157,9 @@ class CollectionResults:
 
     @property
     def exit_code(self) -> ExitCode:
-        """The verdict's."""
+        """The verdict's, or that of what went wrong."""
+        if self.error is not None:
+            return self.error
         return ExitCode.PASS if self.verdict == "pass" else ExitCode.FAIL
 
 
@@ -216,7 +226,7 @@ def collection_document(results: CollectionResults) -> dict[str, Any]:
         "checks": [{**asdict(check), "passed": check.passed} for check in results.checks],
         "reasons": results.reasons,
         "dataset": "dataset.json" if results.kept else None,
-        "contact_sheet": CONTACT_SHEET,
+        "contact_sheet": CONTACT_SHEET if results.contact_sheet else None,
         "made_with": _made_with(),
     }
 

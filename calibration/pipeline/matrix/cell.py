@@ -20,10 +20,11 @@ from calibration.evaluation.specification import Evaluation
 from calibration.evaluation.table import Table
 from calibration.evaluation.truth import truth_error
 from calibration.geometry.rotations import to_quaternion
-from calibration.pipeline.configuration import Loss, Start
 
 OUR_METHOD = "calibration-ci"
 Verdict = Literal["pass", "fail"]
+Start = Literal["linear", "given"]
+Loss = Literal["huber", "linear"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,9 +100,19 @@ class CellResult:
         return "pass" if self.converged and not self.reasons else "fail"
 
     @property
+    def from_noise(self) -> bool:
+        """Whether it started from a cell's noisy guess; other methods take no start."""
+        return self.translation_noise is not None
+
+    @property
+    def start_of_cell(self) -> tuple[str, float | None, float | None, int | None]:
+        """What it shares with whatever else started from there."""
+        return (self.system, self.translation_noise, self.rotation_noise, self.seed)
+
+    @property
     def name(self) -> str:
         """What a message calls it."""
-        if self.method != OUR_METHOD:
+        if not self.from_noise:
             return f"{self.system}, {self.method}"
         return f"{self.system}, {self.translation_noise:g} m, {self.rotation_noise:g} rad, seed {self.seed}"
 
@@ -110,20 +121,16 @@ class CellResult:
         return replace(self, reasons=(*self.reasons, *reasons))
 
 
-def run_cell(cell: Cell, system: LoadedSystem, output: Path) -> CellResult:
-    """Calibrate, evaluate, and write the calibrated dataset and the table into the cell's folder.
-
-    An error of the data is not raised: it is the cell's result, so that the other cells go on.
-    """
-    begin = time.perf_counter()
-    result = CellResult(
+def nothing_yet(cell: Cell, method: str = OUR_METHOD, start: str | None = None) -> CellResult:
+    """The result of a cell of which nothing has come."""
+    return CellResult(
         system=cell.system,
-        method=OUR_METHOD,
+        method=method,
         translation_noise=cell.noise.translation,
         rotation_noise=cell.noise.rotation,
         seed=cell.noise.seed,
-        start=cell.start,
-        loss=cell.loss,
+        start=start or cell.start,
+        loss=cell.loss if method == OUR_METHOD else None,
         converged=False,
         rms_px=None,
         table=None,
@@ -131,11 +138,20 @@ def run_cell(cell: Cell, system: LoadedSystem, output: Path) -> CellResult:
         truth=None,
         seconds=0.0,
     )
+
+
+def run_cell(cell: Cell, system: LoadedSystem, output: Path, folder: str | None = None) -> CellResult:
+    """Calibrate, evaluate, and write the calibrated dataset and the table into a folder, by default the cell's.
+
+    An error of the data is not raised: it is the cell's result, so that the other cells go on.
+    """
+    begin = time.perf_counter()
+    result = nothing_yet(cell)
     try:
         calibration = calibrate(system.dataset, Options(cell.start, cell.loss), cell.noise)
         result = _described(result, calibration)
         if np.isfinite(calibration.cost):
-            result = _written(result, calibration.dataset, system, output, cell.folder, calibration)
+            result = _written(result, calibration.dataset, system, output, folder or cell.folder, calibration)
     except CalibrationError as error:
         result = replace(result.failing(str(error)), converged=False, error=error.exit_code)
     return replace(result, seconds=round(time.perf_counter() - begin, 4))
@@ -170,12 +186,21 @@ def _written(
         result = replace(result, table=f"{folder}/{name}", rms_px=round(table.average(table.columns[0]), 4))
     if calibration is not None and (system.evaluation is None or table is None):
         result = replace(result, rms_px=round(calibration.rms_px, 4))
-    if system.truth is not None:
-        error = truth_error(dataset, system.truth)
-        distance = TruthDistance(round(error.translation_mm, 6), round(error.rotation_deg, 8))
-        result = replace(result, truth=distance)
+    result = replace(result, truth=distance_from_truth(dataset, system))
     write_dataset(dataset, output / folder, images=False)  # they would weigh more than all the rest
     return replace(result, dataset=f"{folder}/dataset.json")
+
+
+def distance_from_truth(dataset: Dataset, system: LoadedSystem) -> TruthDistance | None:
+    """How far a calibrated dataset of a system is from its truth, where that is known.
+
+    Raises:
+        InputError: the dataset and the truth do not fit together.
+    """
+    if system.truth is None:
+        return None
+    error = truth_error(dataset, system.truth)
+    return TruthDistance(round(error.translation_mm, 6), round(error.rotation_deg, 8))
 
 
 def _table(dataset: Dataset, system: LoadedSystem, calibration: Calibration | None) -> Table | None:

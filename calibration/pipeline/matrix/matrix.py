@@ -1,23 +1,59 @@
-"""The matrix: every system from every noisy start, in parallel over the cores."""
+"""The matrix: every system from every noisy start, in parallel over the cores.
+
+Where a system has software of the team's own, that calibrates its cells, and our engine calibrates the
+same data from the same starts as a comparison, so that "our software got worse" and "the data got worse"
+can be told apart.
+"""
 
 from collections.abc import Callable
+from contextlib import ExitStack, closing
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from calibration.comparison.methods import METHODS
 from calibration.dataset.reading import read_dataset
-from calibration.dataset.truth import find_truth, read_truth, truth_of
+from calibration.dataset.truth import choose_truth
 from calibration.errors import InputError
 from calibration.estimation.starting_noise import StartingNoise
 from calibration.evaluation.specification import parse_evaluation
+from calibration.execution.backends import docker_backend
 from calibration.execution.parallel import in_parallel
-from calibration.pipeline.configuration import Loss, NoiseGrid, Start, System
-from calibration.pipeline.matrix.cell import Cell, CellResult, LoadedSystem, run_cell, run_comparison
+from calibration.pipeline.configuration import NoiseGrid, System
+from calibration.pipeline.matrix.cell import (
+    OUR_METHOD,
+    Cell,
+    CellResult,
+    LoadedSystem,
+    Loss,
+    Start,
+    run_cell,
+    run_comparison,
+)
+from calibration.pipeline.matrix.software import Software
+from calibration.pipeline.matrix.software_cell import run_software_cells
 from calibration.workflow.text import did_you_mean
 
-Job = Cell | tuple[str, str]
-"""A cell, or (system, other method)."""
+if TYPE_CHECKING:
+    from calibration.workflow.streams import LogDisplay
+
+
+@dataclass(frozen=True)
+class Reference:
+    """Our engine on what a cell has the team's software calibrate."""
+
+    cell: Cell
+
+    @property
+    def folder(self) -> str:
+        """Where its files go: beside those of the cells."""
+        system, _, start = self.cell.folder.partition("/")
+        return f"{system}/{OUR_METHOD}/{start}"
+
+
+Job = Cell | Reference | tuple[str, str]
+"""A cell, our engine's answer to compare it with, or (system, other method)."""
 Done = Callable[[int, int, CellResult], None]
 """Called after each job with how many are done, how many there are, and its result."""
 
@@ -43,6 +79,11 @@ class Matrix:
         ]
 
     @property
+    def software(self) -> dict[str, Software]:
+        """The team's own, by system."""
+        return {system.name: system.software for system in self.systems if system.software is not None}
+
+    @property
     def comparisons(self) -> list[tuple[str, str]]:
         """Every (system, other method)."""
         return [(system.name, method) for system in self.systems for method in system.compare]
@@ -57,7 +98,12 @@ class MatrixResults:
 
 
 def run_matrix(
-    matrix: Matrix, output: Path, jobs: int | None = None, fail_fast: bool = False, done: Done | None = None
+    matrix: Matrix,
+    output: Path,
+    jobs: int | None = None,
+    fail_fast: bool = False,
+    done: Done | None = None,
+    display: "LogDisplay | None" = None,
 ) -> MatrixResults:
     """Run all cells and comparisons, each in its own folder below ``output``.
 
@@ -66,28 +112,52 @@ def run_matrix(
     Args:
         matrix: what to calibrate.
         output: the folder.
-        jobs: processes; None for one a core.
+        jobs: processes, or containers at once; None for as many as the machine holds.
         fail_fast: whether the first cell that fails stops the others.
         done: called after each job.
+        display: where the logs of containers are shown.
 
     Raises:
-        InputError: a dataset, an evaluation or a truth is wrong; nothing has been calibrated then.
-        WorldError: a process died.
+        InputError: a dataset, an evaluation, a truth or an image is wrong; nothing has been calibrated then.
+        WorldError: a process died, or containers cannot be run.
     """
     loaded = {system.name: load(system) for system in matrix.systems}
-    work: list[Job] = [*matrix.cells, *matrix.comparisons]
-    order = sorted(range(len(work)), key=lambda i: isinstance(work[i], Cell))  # slow ones first
-    results: dict[int, CellResult] = {}
-    for place, result in in_parallel(partial(_run, loaded=loaded, output=output), [work[i] for i in order], jobs):
-        index = order[place]
-        results[index] = result
+    theirs = [cell for cell in matrix.cells if cell.system in matrix.software]
+    ours = [cell for cell in matrix.cells if cell.system not in matrix.software]
+    work: list[Job] = [*matrix.comparisons, *ours, *map(Reference, theirs)]  # slow ones first
+    results: dict[Job, CellResult] = {}
+    software: dict[Cell, CellResult] = {}
+
+    def finished(result: CellResult, counts: bool) -> bool:
+        """Tell of a result; whether it stops the others."""
         if done:
-            done(len(results), len(work), result)
-        if fail_fast and isinstance(work[index], Cell) and result.verdict == "fail":
-            break
-    cells = tuple(results[i] for i, job in enumerate(work) if isinstance(job, Cell) and i in results)
-    comparisons = tuple(results[i] for i, job in enumerate(work) if not isinstance(job, Cell) and i in results)
-    return MatrixResults(cells, comparisons)
+            done(len(results) + len(software), len(work) + len(theirs), result)
+        return fail_fast and counts and result.verdict == "fail"
+
+    with ExitStack() as stack:
+        backend = (
+            stack.enter_context(docker_backend(display)) if theirs else None
+        )  # before long work: it may not be there
+        for place, result in in_parallel(partial(_run, loaded=loaded, output=output), work, jobs):
+            results[work[place]] = result
+            if finished(result, isinstance(work[place], Cell)):
+                return _in_order(matrix, results, software)
+        if backend is not None:
+            answers = run_software_cells(theirs, loaded, matrix.software, output, backend, jobs)
+            for place, result in stack.enter_context(closing(answers)):
+                software[theirs[place]] = result
+                if finished(result, True):
+                    break
+    return _in_order(matrix, results, software)
+
+
+def _in_order(matrix: Matrix, results: dict[Job, CellResult], software: dict[Cell, CellResult]) -> MatrixResults:
+    cells = [software.get(cell) or results.get(cell) for cell in matrix.cells]
+    references = [results.get(Reference(cell)) for cell in matrix.cells]
+    others = [results.get(job) for job in matrix.comparisons]
+    return MatrixResults(
+        tuple(cell for cell in cells if cell), tuple(other for other in (*references, *others) if other)
+    )
 
 
 def load(system: System) -> LoadedSystem:
@@ -97,12 +167,7 @@ def load(system: System) -> LoadedSystem:
         InputError: the dataset, the truth, the evaluation or a method to compare with is wrong.
     """
     dataset = read_dataset(system.dataset)
-    if system.truth is None:
-        truth = find_truth(dataset)
-    elif system.truth == "dataset":
-        truth = truth_of(dataset)
-    else:
-        truth = None if system.truth == "none" else read_truth(Path(system.truth))
+    truth = choose_truth(dataset, system.truth)
     for method in system.compare:
         if method not in METHODS:
             raise InputError(
@@ -122,5 +187,7 @@ def load(system: System) -> LoadedSystem:
 def _run(job: Job, loaded: dict[str, LoadedSystem], output: Path) -> CellResult:
     if isinstance(job, Cell):
         return run_cell(job, loaded[job.system], output)
+    if isinstance(job, Reference):
+        return run_cell(job.cell, loaded[job.cell.system], output, job.folder)
     system, method = job
     return run_comparison(method, loaded[system], output)

@@ -12,8 +12,8 @@ from calibration.errors import InputError
 from calibration.files import write_atomically
 from calibration.geometry.types import Array
 from calibration.labelling.detection import DepthImage, Image
-from calibration.simulation.collection.play import Play
 from calibration.simulation.collection.record import Record
+from calibration.simulation.system import System
 
 FILE = "contact_sheet.png"
 WIDTH = 1600
@@ -32,19 +32,19 @@ _ON_PATTERN, _ON_BORDER = (90, 200, 90), (60, 120, 255)
 _DOT = 24  # the radius of a corner's mark, in these
 
 
-def write_contact_sheet(folder: Path, play: Play, records: Sequence[Record], files: Path) -> None:
+def write_contact_sheet(folder: Path, system: System, records: Sequence[Record], files: Path) -> None:
     """Write the sheet.
 
     Args:
         folder: where the sheet goes.
-        play: what was collected.
+        system: whose sensors look.
         records: of every pose, lost ones too.
         files: the folder with the images, depth images and clouds of the records.
 
     Raises:
         WorldError: it cannot be written.
     """
-    tiles = [_tile(play, record, files) for record in records[:MOST_POSES]]
+    tiles = [_tile(system, record, files) for record in records[:MOST_POSES]]
     columns = max(1, round(WIDTH / tiles[0].shape[1]))
     tiles += [np.full_like(tiles[0], _PAPER)] * (-len(tiles) % columns)
     rows = [np.hstack(tiles[i : i + columns]) for i in range(0, len(tiles), columns)]
@@ -54,11 +54,11 @@ def write_contact_sheet(folder: Path, play: Play, records: Sequence[Record], fil
     write_atomically(folder / FILE, bytes(data))
 
 
-def _tile(play: Play, record: Record, files: Path) -> Image:
+def _tile(system: System, record: Record, files: Path) -> Image:
     """One pose: its pictures side by side, each under a line that says what it shows; what was lost is framed."""
-    pictures = [(_camera(play, record, name, files), name, "corners") for name in play.system.cameras]
-    pictures += [(_cloud(record, name, files), name, "points") for name in play.system.lidars]
-    pictures += [(_depth(play, record, name, files), name, "pixels") for name in play.system.depth_cameras]
+    pictures = [(_camera(system, record, name, files), name, "corners") for name in system.cameras]
+    pictures += [(_cloud(record, name, files), name, "points") for name in system.lidars]
+    pictures += [(_depth(system, record, name, files), name, "pixels") for name in system.depth_cameras]
     parts = []
     for picture, name, what in pictures:
         if not record.kept:
@@ -79,12 +79,13 @@ def _line(text: str, width: int, colour: tuple[int, int, int]) -> Image:
     return picture
 
 
-def _camera(play: Play, record: Record, name: str, files: Path) -> Image:
+def _camera(system: System, record: Record, name: str, files: Path) -> Image:
     """A camera's image, small, with the corners in the colours of their order."""
-    camera = play.system.cameras[name].camera
+    camera = system.cameras[name].camera
     scale = HEIGHT / camera.height
     size = (max(1, round(scale * camera.width)), HEIGHT)
-    image = cv2.imread(str(files / record.collection["data"][name]["data_file"]), cv2.IMREAD_COLOR)
+    file = files / record.collection["data"][name]["data_file"]
+    image = cv2.imread(str(file), cv2.IMREAD_COLOR) if file.is_file() else None  # it warns of one that is not there
     picture = (
         np.full((size[1], size[0], 3), 128, np.uint8)
         if image is None
@@ -95,7 +96,7 @@ def _camera(play: Play, record: Record, name: str, files: Path) -> Image:
     )  # paler, so that the marks stand out
     for pattern, by_sensor in record.collection["labels"].items():
         labels = by_sensor[name]["idxs"]
-        total = len(play.system.patterns[pattern].corners)
+        total = len(system.patterns[pattern].corners)
         for label in labels:
             at = scale * (np.array([label["x"], label["y"]]) + 0.5) - 0.5
             cv2.circle(drawn, _fine(at), _DOT, _colour(label["id"] / total), -1, cv2.LINE_AA, _SHIFT)
@@ -126,9 +127,9 @@ def _cloud(record: Record, name: str, files: Path) -> Image:
     return picture
 
 
-def _depth(play: Play, record: Record, name: str, files: Path) -> Image:
+def _depth(system: System, record: Record, name: str, files: Path) -> Image:
     """A depth camera's image, small, near pale and far dark; the labelled pixels in their colours."""
-    camera = play.system.depth_cameras[name].camera
+    camera = system.depth_cameras[name].camera
     width = max(1, round(HEIGHT / camera.height * camera.width))
     try:
         depth = read_depth_image(files / record.collection["data"][name]["data_file"], camera).depth

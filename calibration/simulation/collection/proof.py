@@ -7,7 +7,7 @@ import numpy as np
 
 from calibration.dataset.model import Dataset
 from calibration.dataset.reading import read_dataset
-from calibration.dataset.truth import find_truth
+from calibration.dataset.truth import choose_truth
 from calibration.errors import CalibrationError
 from calibration.estimation.calibrate import calibrate
 from calibration.evaluation.truth import truth_error
@@ -38,25 +38,25 @@ class Proof:
     weak_directions: tuple[str, ...] = ()
 
 
-def prove(folder: Path) -> Proof:
-    """Calibrate the dataset in a folder from its linear start, and compare with the truth beside it.
+def prove(folder: Path, truth: str | None = None) -> Proof:
+    """Calibrate the dataset in a folder from its linear start, and compare with a truth (see `choose_truth`).
 
     A dataset that cannot be calibrated is an answer, not an error.
     """
     try:
-        return prove_dataset(read_dataset(folder))
+        return prove_dataset(read_dataset(folder), truth)
     except CalibrationError as error:
         return Proof(False, str(error).replace(f"{folder}/", ""))  # it will be elsewhere when this is read
 
 
-def prove_dataset(dataset: Dataset) -> Proof:
+def prove_dataset(dataset: Dataset, choice: str | None = None) -> Proof:
     """`prove` for a dataset that was read.
 
     Raises:
         CalibrationError: it cannot be calibrated.
     """
     found = calibrate(dataset)
-    truth = find_truth(dataset)
+    truth = choose_truth(dataset, choice)
     error = truth_error(found.dataset, truth) if truth is not None and found.converged else None
     sensors = {s.name: s.edge for s in dataset.sensors.values() if s.edge in found.covariances}
     return Proof(

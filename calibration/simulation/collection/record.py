@@ -4,7 +4,7 @@ A record is plain JSON, so that an interrupted collection can go on from the rec
 """
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -12,6 +12,7 @@ import numpy as np
 
 from calibration.dataset.configuration import SensorConfiguration
 from calibration.dataset.model import CornerLabels, Edge
+from calibration.geometry.cameras import Camera
 from calibration.geometry.transforms import apply, inverse
 from calibration.geometry.types import Array
 from calibration.labelling.detection import NotDetected
@@ -60,11 +61,13 @@ class Record:
     """By pattern: the entry of its ``transforms_initial``."""
     truth: tuple[Mapping[str, Any], ...]
     """The true poses of the patterns in the world."""
+    named: str | None = None
+    """The collection's key where others than we have given it one."""
 
     @property
     def key(self) -> str:
         """The collection's key: the number of its pose, so a lost one leaves a gap."""
-        return collection_key(self.number)
+        return collection_key(self.number) if self.named is None else self.named
 
     @property
     def kept(self) -> bool:
@@ -120,7 +123,10 @@ def record(play: Play, capture: Capture, lost: tuple[str, ...]) -> Record:
         labels=labels,
         complete={name: _sees_all(play, capture, name) for name in system.cameras},
         errors={name: error for name in system.cameras if (error := _corner_errors(play, capture, name))},
-        cells={name: _cells(play, capture, name) for name in system.cameras},
+        cells={
+            name: image_cells(sensor.camera, [labels for _, labels in _detected(capture, name)])
+            for name, sensor in system.cameras.items()
+        },
         collection=_collection(play, capture),
         initial={name: _initial(play, capture, name) for name in system.patterns},
         truth=tuple(
@@ -176,11 +182,11 @@ def _corner_errors(play: Play, capture: Capture, camera: str) -> CornerErrors | 
     )
 
 
-def _cells(play: Play, capture: Capture, name: str) -> tuple[int, ...]:
-    camera = play.system.cameras[name].camera
+def image_cells(camera: Camera, detected: Iterable[CornerLabels]) -> tuple[int, ...]:
+    """Which cells of the grid over a camera's image have a corner."""
     size = np.array([camera.width / COLUMNS, camera.height / ROWS])
     found = set()
-    for _, labels in _detected(capture, name):
+    for labels in detected:
         column, row = np.clip((labels.pixels + 0.5) // size, 0, [COLUMNS - 1, ROWS - 1]).astype(int).T
         found.update((row * COLUMNS + column).tolist())
     return tuple(sorted(found))

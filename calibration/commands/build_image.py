@@ -1,0 +1,244 @@
+"""``build-image``: a specification or a Dockerfile to an image, in a registry where one is wanted."""
+
+import os
+import time
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from calibration.commands.parameters import TEXT_LIST, boolean_option, path, text
+from calibration.errors import ExitCode, InputError, WorldError
+from calibration.files import write_atomically
+from calibration.workflow import Annotation, Runner, add_mask, add_summary, annotate, set_outputs, stop_commands
+
+if TYPE_CHECKING:
+    from calibration.image.builders.failure import BuildFailedError
+    from calibration.image.report import Report
+    from calibration.image.specification import ImageSpecification
+
+SPECIFICATION = Path("calibration.yml")
+PASSWORD_VARIABLES = ("CALIBRATION_REGISTRY_PASSWORD", "INPUT_REGISTRY_PASSWORD")
+"""Where a password is read from: the first on the command line, the second in the action."""
+TITLE = "build-image"
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What ``build-image`` is asked; what is None is as the specification says."""
+
+    spec: Path | None = None
+    dockerfile: Path | None = None
+    context: Path | None = None
+    name: str | None = None
+    tags: tuple[str, ...] | None = None
+    push: bool | None = None
+    load: bool | None = None
+    promote: tuple[str, ...] = ()
+    digest: str | None = None
+    """Of the image to promote; None for the one that is built."""
+    builder: str = "auto"
+    force: bool = False
+    pull: bool = False
+    render: Path | None = None
+    registry_username: str | None = None
+    password_variable: str | None = None
+    output: Path | None = None
+    """Folder for results.json and summary.md."""
+
+
+@click.command(TITLE)
+@click.option(
+    "--spec", type=path, help="YAML file of what the image is made of, or one that has a key image (calibration.yml)."
+)
+@click.option("--dockerfile", type=path, help="A Dockerfile of your own, in the place of a specification.")
+@click.option("--context", type=path, help="The folder that this Dockerfile copies from (the working directory).")
+@click.option("--name", type=text, help="Registry and repository without a tag: ghcr.io/team/robot.")
+@click.option("--tags", type=TEXT_LIST, help="Tags beside the one made of the content.")
+@boolean_option("--push", default=None, help="Push the image to its registry.")
+@boolean_option(
+    "--load", default=None, help="The image has to be on this machine's engine (it need not if it is pushed)."
+)
+@click.option(
+    "--promote", type=TEXT_LIST, help="Tags that the image gets in its registry, such as stable; it is pushed."
+)
+@click.option("--digest", type=text, help="The image to promote (sha256:...), with nothing built.")
+@click.option("--builder", type=text, help="auto, engine or buildkit (auto).")
+@boolean_option("--force", help="Build anew, though nothing has changed, and without a cache.")
+@boolean_option("--pull", help="Ask the registry whether there is a newer base.")
+@click.option("--render", type=path, help="Write the Dockerfile and all it copies into this folder, and build nothing.")
+@click.option("--registry-username", type=text, help="User of the registry.")
+@click.option(
+    "--registry-password",
+    envvar=PASSWORD_VARIABLES[0],
+    type=text,
+    help="Password or token of this user; on a command line by the variable CALIBRATION_REGISTRY_PASSWORD instead.",
+)
+@click.option("--output", type=path, help="Folder for results.json and summary.md.")
+@click.pass_context
+def command(click_context: click.Context, /, **options: Any) -> ExitCode:
+    """Build an image from a specification or a Dockerfile; nothing is built where nothing has changed."""
+    runner = Runner.from_environment(os.environ)
+    password = options.pop("registry_password")
+    if password:
+        add_mask(runner, password)
+    if click_context.get_parameter_source("registry_password") is click.core.ParameterSource.COMMANDLINE:
+        raise InputError(
+            "registry-password: found on the command line, where every process reads it: "
+            f"put it into the environment variable {PASSWORD_VARIABLES[0]}"
+        )
+    given = {name: value for name, value in options.items() if value not in (None, ())}
+    if password:
+        given["password_variable"] = next(name for name in PASSWORD_VARIABLES if os.environ.get(name))
+    return build(Settings(**given), runner)
+
+
+def build(settings: Settings, runner: Runner) -> ExitCode:
+    """Build or find the image, push and promote it as asked, and report.
+
+    Raises:
+        InputError: an input, a file or a base is wrong or missing, or access denied.
+        WorldError: the engine, a registry or the network failed. A result of an earlier run is removed
+            first, so that none is mistaken for this one's.
+    """
+    from calibration.image.builders.failure import BuildFailedError
+    from calibration.image.report import Report
+
+    if settings.output is not None:
+        _remove_results(settings.output)
+    begin = time.monotonic()
+    specification = _specification(settings)
+    if settings.render is not None:
+        return _render(specification, settings.render, runner)
+    try:
+        report = (
+            _promoted(settings, specification, runner) if settings.digest else _built(settings, specification, runner)
+        )
+    except BuildFailedError as error:
+        report = Report(failure=error)
+        _tell(error, settings, runner)
+    _publish(replace(report, seconds=time.monotonic() - begin), settings, runner)
+    return ExitCode.PASS if report.passed else ExitCode.FAIL
+
+
+def _built(settings: Settings, specification: "ImageSpecification", runner: Runner) -> "Report":
+    from calibration.image.building import BUILDERS, build_image
+    from calibration.image.report import Report
+
+    builder = next((name for name in BUILDERS if name == settings.builder), None)
+    if builder is None:
+        raise InputError(f"builder: found '{settings.builder}', expected {' or '.join(BUILDERS)}")
+    push = bool(settings.promote) or (specification.push if settings.push is None else settings.push)
+    image = build_image(
+        specification,
+        runner,
+        push=push,
+        load=settings.load if settings.load is not None else not push,
+        builder=builder,
+        force=settings.force,
+        pull=settings.pull,
+        leave_out=() if settings.output is None else (settings.output,),
+    )
+    if not settings.promote:
+        return Report(image)
+    if image.digest is None:
+        raise AssertionError("a pushed image has a digest")
+    return Report(image, promoted=_promote(specification, image.digest, settings, runner))
+
+
+def _promoted(settings: Settings, specification: "ImageSpecification", runner: Runner) -> "Report":
+    from calibration.image.report import Report
+
+    if not settings.promote or settings.digest is None:
+        raise InputError("digest is given without promote: say which tags the image gets")
+    reference = f"{specification.name}@{settings.digest}"
+    names = _promote(specification, settings.digest, settings, runner)
+    return Report(reference=reference, digest=settings.digest, promoted=names)
+
+
+def _promote(specification: "ImageSpecification", digest: str, settings: Settings, runner: Runner) -> tuple[str, ...]:
+    from calibration.image.registries.login import registry_login
+    from calibration.image.registries.promotion import promote
+
+    credentials = registry_login(specification.registry, specification.name, runner)
+    return tuple(promote(specification.name, digest, settings.promote, credentials, runner))
+
+
+def _specification(settings: Settings) -> "ImageSpecification":
+    """Read what the image is made of, with what the options say in the place of what the file says."""
+    from calibration.image.registries.credentials import RegistrySettings
+    from calibration.image.registries.reference import check_tag
+    from calibration.image.specification import parse_image_specification, read_image_specification
+
+    if settings.dockerfile is not None and settings.spec is not None:
+        raise InputError("spec and dockerfile are both given: a specification can name a Dockerfile of your own")
+    if settings.context is not None and settings.dockerfile is None:
+        raise InputError("context is given without the dockerfile that it is for")
+    named = {} if settings.name is None else {"name": settings.name}
+    if settings.dockerfile is not None:
+        entry = {"dockerfile": str(settings.dockerfile), "context": str(settings.context or "."), **named}
+        specification = parse_image_specification(entry, Path(), "options")
+    elif settings.digest is not None and settings.spec is None and named:
+        specification = parse_image_specification({"base": "unused", **named}, Path(), "options")
+    else:
+        specification = read_image_specification(settings.spec or SPECIFICATION)
+        if named:
+            name = parse_image_specification({"base": "unused", **named}, Path(), "options").name
+            specification = replace(specification, name=name)
+    if settings.tags is not None:
+        specification = replace(specification, tags=tuple(map(check_tag, settings.tags)))
+    if (settings.registry_username is None) != (settings.password_variable is None):
+        missing = "registry-username" if settings.registry_username is None else "registry-password"
+        raise InputError(f"{missing} is not given: user and password go together")
+    if settings.registry_username is not None:
+        registry = specification.registry or RegistrySettings()
+        registry = replace(registry, username=settings.registry_username, password_variable=settings.password_variable)
+        specification = replace(specification, registry=registry)
+    return specification
+
+
+def _render(specification: "ImageSpecification", folder: Path, runner: Runner) -> ExitCode:
+    from calibration.image.context import Context
+    from calibration.image.plan import add_recipe
+    from calibration.image.specification import OwnDockerfile
+
+    if isinstance(specification.source, OwnDockerfile):
+        raise InputError("render: a Dockerfile of your own is there already; there is nothing to generate")
+    context = Context()
+    rendered = add_recipe(specification, context)
+    context.write_folder(folder)
+    with stop_commands(runner):
+        runner.log(rendered.dockerfile)
+    runner.log(f"pass: {folder} has the Dockerfile and all that it copies")
+    return ExitCode.PASS
+
+
+def _tell(error: "BuildFailedError", settings: Settings, runner: Runner) -> None:
+    """Say which step failed: one annotation with its last lines, which a log has shown already."""
+    if not runner.github and runner.stdout.isatty():
+        runner.log("\n".join(f"    {line}" for line in error.lines))
+    lines = error.lines if runner.github else ()
+    file = settings.dockerfile or settings.spec or SPECIFICATION
+    annotate(runner, [Annotation("\n".join([error.headline, *lines]), file=file, title=TITLE)])
+
+
+def _publish(report: "Report", settings: Settings, runner: Runner) -> None:
+    summary = report.markdown()
+    results: Path | str = ""
+    if settings.output is not None:
+        results = settings.output / "results.json"
+        write_atomically(results, report.json())
+        write_atomically(settings.output / "summary.md", summary)
+    add_summary(runner, summary)
+    set_outputs(runner, report.outputs() | {"results": results})
+    with stop_commands(runner):  # the failing step is text that others wrote
+        runner.log(report.sentence())
+
+
+def _remove_results(folder: Path) -> None:
+    for name in ("results.json", "summary.md"):
+        try:
+            (folder / name).unlink(missing_ok=True)
+        except OSError as error:
+            raise WorldError(f"{folder / name}: an earlier result cannot be removed: {error.strerror}") from error

@@ -1,0 +1,79 @@
+"""``import-rigelfile``: a Rigelfile written anew as ``calibration.yml``."""
+
+import os
+from pathlib import Path
+
+import click
+
+from calibration.commands.parameters import boolean_option, path
+from calibration.errors import ExitCode, InputError
+from calibration.files import write_atomically
+from calibration.workflow import Annotation, Level, Runner, annotate, stop_commands
+from calibration.workflow.text import one_line
+
+
+@click.command("import-rigelfile")
+@click.option("--file", type=path, default="Rigelfile", show_default=True, help="Rigelfile to read.")
+@click.option("--output", type=path, default="calibration.yml", show_default=True, help="File to write.")
+@boolean_option("--overwrite", help="Replace the file to write, where there is one.")
+def command(file: Path, output: Path, overwrite: bool) -> ExitCode:
+    """Write a calibration.yml from a Rigelfile, and name what could not be carried over.
+
+    Nothing in the Rigelfile is executed. Secrets are not copied: variables take their place.
+    """
+    return import_rigelfile(file, output, Runner.from_environment(os.environ), overwrite=overwrite)
+
+
+def import_rigelfile(file: Path, output: Path, runner: Runner, *, overwrite: bool = False) -> ExitCode:
+    """Convert a Rigelfile; what it does not carry over is a warning, and a comment in the new file.
+
+    Raises:
+        InputError: there is no Rigelfile, it is none, nothing in it has a place here, or the file to write is there.
+        WorldError: the file cannot be written.
+    """
+    from calibration.rigel.conversion import convert
+    from calibration.rigel.document import read_rigelfile
+    from calibration.rigel.notes import Kind
+    from calibration.rigel.writing import written
+
+    if output.exists() and (not overwrite or output.samefile(file)):
+        hint = "name another file" if overwrite else "name another file, or add --overwrite"
+        raise InputError(f"{output}: there is such a file already: {hint}")
+    conversion = convert(read_rigelfile(file))
+    if output.absolute().parent.resolve() != file.absolute().parent.resolve():
+        conversion.notes.to_do("paths", f"they are relative to calibration.yml here: move it beside {file.name}")
+    if conversion.is_empty:
+        reasons = "; ".join(map(str, conversion.notes)) or "it has no jobs"
+        raise InputError(f"{file}: nothing in it has a place in calibration.yml: {reasons}")
+    write_atomically(output, written(conversion, file.name))
+    levels = {Kind.LOST: Level.WARNING, Kind.TO_DO: Level.WARNING, Kind.CHANGED: Level.NOTICE}
+    annotate(runner, [Annotation(f"{n.kind}: {n}", levels[n.kind], file=file) for n in conversion.notes])
+    count = {kind: sum(note.kind is kind for note in conversion.notes) for kind in Kind}
+    with stop_commands(runner):
+        runner.log(
+            f"{one_line(str(output))}: {_counted('system', len(conversion.systems))}, "
+            f"{_counted('simulation', len(conversion.simulations))}, {'an' if conversion.image else 'no'} image; "
+            f"{count[Kind.TO_DO]} to do, "
+            f"{count[Kind.CHANGED]} work otherwise here, {count[Kind.LOST]} not carried over"
+        )
+        complaint = _complaint(output)
+        if complaint:
+            runner.log(one_line(f"before `calibration run --config {output}`: {complaint}"))
+    return ExitCode.PASS
+
+
+def _counted(what: str, number: int) -> str:
+    return f"{number} {what}{'' if number == 1 else 's'}"
+
+
+def _complaint(output: Path) -> str:
+    """What our own reader says of the new file; nothing where it takes it."""
+    try:
+        from calibration.pipeline.configuration import read_configuration
+
+        read_configuration(output)
+    except ModuleNotFoundError:  # a small installation, without the engine
+        return ""
+    except InputError as error:
+        return str(error)
+    return ""

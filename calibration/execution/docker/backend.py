@@ -1,0 +1,269 @@
+"""Jobs in containers of a Docker Engine, many at once, and nothing left of them."""
+
+import re
+import threading
+import time
+from collections.abc import Generator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from queue import Empty, SimpleQueue
+from types import TracebackType
+from typing import Self
+
+from calibration.errors import CalibrationError, InputError, WorldError
+from calibration.execution.admission import Admission, Need
+from calibration.execution.backend import Done
+from calibration.execution.docker.engine import EngineLostError, engine_errors, find_engine, lost
+from calibration.execution.docker.images import find_images
+from calibration.execution.docker.job_run import Interrupted, JobRun, Run, lost_job
+from calibration.execution.docker.labels import RUN, Owner, new_run
+from calibration.execution.docker.leftovers import find_leftovers, remove
+from calibration.execution.docker.networks import Networks
+from calibration.execution.job import Job
+from calibration.execution.job_check import check_jobs
+from calibration.execution.outcome import JobOutcome
+from calibration.workflow.streams import LogDisplay
+
+_RUN_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,60}")
+_MOST_THREADS = 64
+_LOOKING = 5
+"""Seconds between two looks at whether the engine still answers."""
+_PATIENCE = 15.0
+"""Seconds after which jobs on an engine that does not answer are given up."""
+_ENDING = 10.0
+"""Seconds that the jobs of a run that is stopped have for ending."""
+
+
+@dataclass(frozen=True)
+class _Answer:
+    """What a thread says of a job."""
+
+    index: int
+    outcome: JobOutcome | BaseException
+
+
+class DockerBackend:
+    """The engine as a place where jobs run; a context manager, which leaves nothing on it.
+
+    Each job has a thread and a client of its own. The thread that reads the outcomes can be
+    interrupted at any time.
+    """
+
+    def __init__(self, run: str | None = None, show: LogDisplay | None = None) -> None:
+        """Choose an engine; nothing is asked of it yet.
+
+        Args:
+            run: the name of the run, in the labels of everything that is started; a new one unless given.
+            show: where the logs of the containers are shown.
+
+        Raises:
+            InputError: the name cannot be part of a container's.
+        """
+        self.run_name = run if run is not None else new_run()
+        if not _RUN_NAME.fullmatch(self.run_name):
+            raise InputError(f"run '{self.run_name}': expected letters, digits, _ . and -, at most 61")
+        self._show = show
+        self._labels = {RUN: self.run_name, **Owner.this_process().labels}
+        self._networks = Networks(self.run_name, self._labels)
+        self._threads: list[threading.Thread] = []
+        """Those that run the jobs."""
+
+    def __enter__(self) -> Self:
+        """Find the engine.
+
+        Raises:
+            WorldError: there is none.
+        """
+        self._engine = find_engine()
+        self._client = self._engine.client()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        """Remove what is left, such as the networks.
+
+        Raises:
+            WorldError: something cannot be removed, and nothing else has gone wrong.
+        """
+        try:
+            try:
+                self._leave_nothing()
+            except KeyboardInterrupt:  # the next signal is the last that is heard: SIGTERM is ignored from now on
+                self._leave_nothing()
+                raise
+        except CalibrationError as problem:
+            if error is None and not isinstance(problem, EngineLostError):  # a lost engine is in the outcomes
+                raise
+        finally:
+            self._client.close()
+
+    def run(
+        self, jobs: Sequence[Job], folder: Path, workers: int | None = None, done: Done | None = None
+    ) -> Generator[tuple[int, JobOutcome]]:
+        """Run jobs; yields each one's index and what came of it, in the order of completion.
+
+        What is wrong with the jobs is raised by this call; nothing is started before the first is asked for.
+        Closing the iterator, or any exception, stops and removes everything.
+
+        Args:
+            jobs: are started in their order.
+            folder: each job has its own in it, by its name: ``artifacts/``, ``logs/`` and ``manifest.json``, of
+                which those of an earlier run are removed.
+            workers: jobs at once, whatever the cores; None for as many as cores and memory allow.
+            done: called before each is yielded.
+
+        Raises:
+            InputError: a job makes no sense, or an image is missing.
+            WorldError: the engine or a registry cannot be reached.
+        """
+        check_jobs(jobs)
+        if workers is not None and workers < 1:
+            raise InputError(f"jobs: found {workers}, expected at least 1")
+        images = find_images(self._client.api, (c.image for job in jobs for c in job.containers))
+        run = Run(
+            name=self.run_name,
+            engine=self._engine,
+            labels=self._labels,
+            images=images,
+            networks=self._networks,
+            alone=len(jobs) == 1,
+            show=self._show,
+        )
+        return self._outcomes(run, jobs, folder, workers, done)
+
+    def _outcomes(
+        self, run: Run, jobs: Sequence[Job], folder: Path, workers: int | None, done: Done | None
+    ) -> Generator[tuple[int, JobOutcome]]:
+        needs = [Need.of(job) for job in jobs]
+        admission = Admission(needs, self._engine.cores, self._engine.memory, workers)
+        # A queue, because a signal may strike while one waits on it; the threads hold no lock meanwhile.
+        answers: SimpleQueue[_Answer] = SimpleQueue()
+        count = min(len(jobs), workers or _MOST_THREADS)
+        threads = [
+            threading.Thread(target=_work, args=(run, jobs, folder, admission, answers), daemon=True)
+            for _ in range(count)
+        ]
+        self._threads = threads
+        left = set(range(len(jobs)))
+        try:
+            for thread in threads:
+                thread.start()
+            while left:
+                try:
+                    answer = self._next(answers)
+                except EngineLostError as error:  # the threads wait for answers that will not come
+                    admission.stop()
+                    for index in sorted(left):
+                        yield from self._report(index, lost_job(run, jobs[index], folder, error), done)
+                    left.clear()
+                    break
+                if not isinstance(answer.outcome, JobOutcome):
+                    raise answer.outcome
+                left.discard(answer.index)
+                yield from self._report(answer.index, answer.outcome, done)
+        finally:
+            admission.stop()
+            if left:
+                run.stopping.set()
+                with suppress(CalibrationError):  # __exit__ tries once more, and says so
+                    self._leave_nothing()
+                self._networks = Networks(self.run_name, self._labels)  # those of this run of jobs are gone
+
+    def _report(self, index: int, outcome: JobOutcome, done: Done | None) -> Generator[tuple[int, JobOutcome]]:
+        """Hand an outcome over; meanwhile no log is shown, so that the reader can print what it likes."""
+        if self._show is None:
+            if done is not None:
+                done(index, outcome)
+            yield index, outcome
+            return
+        with self._show.paused():
+            if done is not None:
+                done(index, outcome)
+            yield index, outcome
+
+    def _next(self, answers: "SimpleQueue[_Answer]") -> _Answer:
+        """Wait for the next answer, for as long as the engine is there.
+
+        Raises:
+            EngineLostError: it has not answered for a while.
+        """
+        silent_since: float | None = None
+        while True:
+            try:
+                return answers.get(timeout=_LOOKING)
+            except Empty:
+                pass
+            try:
+                self._ask()
+            except EngineLostError as error:
+                # the threads find out by themselves, unless the engine holds their connections and says nothing
+                silent_since = silent_since or time.monotonic()
+                if time.monotonic() - silent_since > _PATIENCE:
+                    raise error
+            else:
+                silent_since = None
+
+    def _ask(self) -> None:
+        """Ask the engine for a sign of life.
+
+        Raises:
+            EngineLostError: it gives none.
+        """
+        client = self._engine.client(_LOOKING)
+        try:
+            with engine_errors():
+                client.ping()
+        except EngineLostError:
+            raise
+        except CalibrationError as error:
+            raise lost(error) from None
+        finally:
+            client.close()
+
+    def _stop(self, threads: Sequence[threading.Thread]) -> None:
+        """End everything at once: what the threads wait for is removed under them."""
+        deadline = time.monotonic() + _ENDING
+        while any(thread.is_alive() for thread in threads) and time.monotonic() < deadline:
+            try:
+                self._sweep(containers_only=True)
+            except EngineLostError:
+                break
+            except WorldError:
+                pass  # somebody else is removing it
+            for thread in threads:
+                thread.join(0.2 / len(threads))
+
+    def _leave_nothing(self) -> None:
+        """End what still runs after an interruption of the ending itself, and remove all that is left.
+
+        Raises:
+            WorldError: something cannot be removed, or the engine does not answer.
+        """
+        self._stop([thread for thread in self._threads if thread.is_alive()])
+        self._sweep()
+
+    def _sweep(self, containers_only: bool = False) -> None:
+        """Remove everything of the run from the engine.
+
+        Raises:
+            WorldError: something cannot be removed, or the engine does not answer.
+        """
+        self._ask()  # one that says nothing is not waited for
+        leftovers = find_leftovers(self._client.api, self.run_name)
+        remove(self._client.api, [each for each in leftovers if not containers_only or each.kind == "container"])
+
+
+def _work(run: Run, jobs: Sequence[Job], folder: Path, admission: Admission, answers: "SimpleQueue[_Answer]") -> None:
+    """In a thread: run one job after the other."""
+    while (index := admission.wait()) is not None:
+        try:
+            answers.put(_Answer(index, JobRun(run, jobs[index], folder).run()))
+        except Interrupted:
+            return
+        except BaseException as error:  # whatever it is, the reader has to know of it
+            answers.put(_Answer(index, error))
+            return
+        finally:
+            admission.release(index)

@@ -1,0 +1,144 @@
+"""Artifacts brought out of the containers of a job: all of them, or none."""
+
+import os
+import shutil
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from calibration.errors import InputError, WorldError
+from calibration.execution.docker.archive import open_archive
+from calibration.execution.docker.container_run import ContainerRun
+from calibration.execution.docker.engine import engine_errors
+from calibration.execution.extraction import Budget, Extraction, RefusedError, extract
+from calibration.execution.globs import Glob
+from calibration.execution.job import Artifact
+from calibration.execution.outcome import BroughtOut
+from calibration.workflow.text import shorten
+
+if TYPE_CHECKING:
+    from docker import APIClient
+
+
+class BringingOut:
+    """Collects what is brought out of one container after the other."""
+
+    def __init__(self, api: "APIClient", folder: Path, budget: Budget, go_on: Callable[[], None]) -> None:
+        """Make it for a folder that is there and empty; ``go_on`` is asked all the time, and may raise."""
+        self.files: list[BroughtOut] = []
+        self.left_out: list[str] = []
+        self.missing: list[str] = []
+        """A line for each required artifact that is not there."""
+        self._api = api
+        self._folder = folder
+        self._budget = budget
+        self._go_on = go_on
+
+    def bring_out(self, container: ContainerRun) -> None:
+        """Bring out what a container's artifacts name.
+
+        Raises:
+            RefusedError: something of it is hostile, or too large.
+            InputError: two artifacts would land at the same place.
+            WorldError: the engine does not answer, or a file cannot be written.
+        """
+        for artifact in container.container.artifacts:
+            try:
+                found = self._extract(container, Glob(artifact.path))
+            except RefusedError as error:
+                raise RefusedError(f"container '{container.name}': {error}") from None
+            self.left_out += [f"container '{container.name}': {note}" for note in found.left_out]
+            self._add(container, found)
+            if artifact.required and not found.files:
+                self.missing.append(_missing(container, artifact, found))
+
+    def _extract(self, container: ContainerRun, glob: Glob) -> Extraction:
+        import docker.errors
+
+        # On its own at first: what the same artifact brought out before is no clash.
+        where = f"container '{container.name}', artifact '{glob.path}'"
+        with _fresh(self._folder) as fresh, engine_errors(where):  # the engine's errors are OSErrors too
+            try:
+                found = self._read(container, glob, glob.source, fresh)
+            except docker.errors.NotFound:
+                return Extraction()
+            self._settle(fresh, found, container)
+            return found
+
+    def _read(self, container: ContainerRun, glob: Glob, source: str, fresh: Path) -> Extraction:
+        with open_archive(self._api, container.identifier, source) as archive:
+            if not archive.link:
+                return extract(self._watched(archive.chunks), glob.landing, source, fresh, self._budget)
+            link = archive.link
+        # what the artifact itself names may be a link, such as that to the newest folder
+        with open_archive(self._api, container.identifier, link) as archive:
+            return extract(self._watched(archive.chunks), glob.landing, link, fresh, self._budget)
+
+    def _watched(self, chunks: Iterator[bytes]) -> Iterator[bytes]:
+        for chunk in chunks:
+            self._go_on()
+            yield chunk
+
+    def _settle(self, fresh: Path, found: Extraction, container: ContainerRun) -> None:
+        """Move what was extracted to the rest."""
+        there = {file.path: file for file in self.files}
+        for file in found.files:
+            before = there.get(file.path)
+            target = self._folder / file.path
+            if before is not None and before.sha256 == file.sha256:
+                continue
+            if before is not None or target.exists():
+                raise InputError(
+                    f"container '{container.name}': two artifacts of the job land at '{file.path}', with other content"
+                )
+            try:
+                target.parent.mkdir(parents=True, exist_ok=True)
+            except (FileExistsError, NotADirectoryError):
+                raise InputError(
+                    f"container '{container.name}': the artifact '{file.path}' lies in what is a file of another one"
+                ) from None
+            (fresh / file.path).rename(target)
+
+    def _add(self, container: ContainerRun, found: Extraction) -> None:
+        known = {file.path for file in self.files}
+        self.files += [
+            BroughtOut(file.path, container.name, file.size, file.sha256)
+            for file in found.files
+            if file.path not in known
+        ]
+
+
+@contextmanager
+def complete_or_not_at_all(folder: Path) -> Iterator[Path]:
+    """A folder beside ``folder`` that takes its place if nothing goes wrong, and is removed else.
+
+    Raises:
+        WorldError: it cannot be made.
+    """
+    temporary = folder.with_name(f".{folder.name}-{os.urandom(6).hex()}")
+    try:
+        temporary.mkdir(parents=True)
+        yield temporary
+        temporary.rename(folder)
+    except OSError as error:
+        raise WorldError(f"{folder}: cannot be written: {error.strerror or error}") from error
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+
+
+@contextmanager
+def _fresh(folder: Path) -> Iterator[Path]:
+    fresh = folder.with_name(f"{folder.name}-{os.urandom(6).hex()}")
+    try:
+        fresh.mkdir()
+        yield fresh
+    except OSError as error:
+        raise WorldError(f"{folder}: cannot be written: {error.strerror or error}") from error
+    finally:
+        shutil.rmtree(fresh, ignore_errors=True)
+
+
+def _missing(container: ContainerRun, artifact: Artifact, found: Extraction) -> str:
+    there = f"; beside it are {', '.join(found.seen)}" if found.seen else ""
+    return shorten(f"container '{container.name}' left no file that is the artifact '{artifact.path}'{there}", 400)

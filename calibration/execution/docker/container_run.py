@@ -1,0 +1,226 @@
+"""One container of a job on the engine, from its creation to its removal."""
+
+import signal
+import threading
+import time
+from collections.abc import Mapping
+from contextlib import ExitStack
+from queue import SimpleQueue
+from typing import TYPE_CHECKING, Any
+
+from calibration.errors import CalibrationError
+from calibration.execution.docker.engine import Engine, engine_errors, lost
+from calibration.execution.docker.labels import new_run
+from calibration.execution.docker.output import attach, pieces
+from calibration.execution.docker.readiness import Probe
+from calibration.execution.job import Container
+from calibration.execution.log_file import LogFile
+from calibration.execution.outcome import ContainerOutcome, End
+from calibration.execution.sizes import describe_bytes
+
+if TYPE_CHECKING:
+    from docker import APIClient, DockerClient
+    from requests import Response
+
+GRACE = 5
+"""Seconds between the polite and the impolite request to end."""
+_TRIES = 5
+_SETTLING = 0.25
+"""Seconds; the engine may hear that memory ran out after it has heard of the end."""
+_SIGNALLED = 128
+_HINTS = {126: "its command may not be executed", 127: "its command was not found"}
+
+
+class ContainerRun:
+    """A container that runs, or will, or did."""
+
+    def __init__(self, container: Container, engine: Engine, image: str, log: LogFile) -> None:
+        self.container = container
+        self.name = container.name
+        self.image = image
+        self.id: str | None = None
+        self.end: End = End.NOT_STARTED
+        self.exit_code: int | None = None
+        self.signal: str | None = None
+        self.started: float | None = None
+        self.ended: float | None = None
+        self.ready = False
+        self.log = log
+        self._engine = engine
+        self._probe: Probe | None = None
+        self._follower: threading.Thread | None = None
+        self._problem: CalibrationError | None = None
+
+    def create(self, api: "APIClient", prefix: str, settings: Mapping[str, Any]) -> str:
+        """Create it under a name that nothing else has.
+
+        Returns:
+            Its id.
+
+        Raises:
+            docker.errors.APIError: the engine refuses.
+        """
+        import docker.errors
+
+        for attempt in range(_TRIES):
+            try:
+                self.id = api.create_container(self.image, name=f"{prefix}-{new_run()}", **settings)["Id"]
+            except docker.errors.APIError as error:
+                if error.status_code != 409 or attempt == _TRIES - 1:
+                    raise
+            else:
+                return self.id
+        raise AssertionError("either created or refused")
+
+    def start(self, api: "APIClient", ends: "SimpleQueue[ContainerRun]", host_network: bool) -> None:
+        """Start it, with its log followed; it is put into the queue when it has ended.
+
+        Raises:
+            docker.errors.APIError: the engine refuses.
+        """
+        with ExitStack() as opened:
+            client = self._engine.client()
+            opened.callback(client.close)
+            # before it starts, so that nothing of its output is missed
+            stream = opened.enter_context(attach(client.api, self.identifier))
+            api.start(self.identifier)
+            opened.pop_all()  # they are the follower's now
+        self.started = time.monotonic()
+        if self.container.readiness is not None:
+            self._probe = Probe(api, self.identifier, self.container.readiness, host_network)
+        self.ready = self._probe is None
+        self._follower = threading.Thread(
+            target=self._follow, args=(client, stream, ends), name=f"log of {self.name}", daemon=True
+        )
+        self._follower.start()
+
+    @property
+    def identifier(self) -> str:
+        """Its id; it has been created."""
+        if self.id is None:
+            raise AssertionError("it has been created")
+        return self.id
+
+    @property
+    def running(self) -> bool:
+        """Whether it was started, and its end has not been heard of."""
+        return self.started is not None and self.ended is None
+
+    def is_ready(self) -> bool:
+        """Whether it is ready, or was; asks the engine. A container that ends meanwhile is not.
+
+        Raises:
+            EngineLostError: the engine does not answer.
+        """
+        import docker.errors
+
+        if not self.ready and self._probe is not None:
+            with engine_errors():
+                try:
+                    self.ready = self._probe.holds(self.log.found)
+                except docker.errors.APIError:
+                    return False  # it has ended, which will be heard of
+        return self.ready
+
+    def not_ready_for(self) -> str:
+        """What it is not ready for, for a message."""
+        return "" if self._probe is None else self._probe.missing(self.log.found)
+
+    def join(self, seconds: float) -> None:
+        """Wait until its log is complete.
+
+        Raises:
+            CalibrationError: the engine went away, or the log could not be written.
+        """
+        if self._follower is not None:
+            self._follower.join(seconds)
+            if self._follower.is_alive():
+                raise lost()
+        if self._problem is not None:
+            raise self._problem
+
+    def read_end(self, api: "APIClient", ours: End | None) -> None:
+        """Ask the engine how it ended.
+
+        Args:
+            api: of the engine.
+            ours: why we stopped it; None where it ended by itself.
+
+        Raises:
+            EngineLostError: the engine does not answer.
+        """
+        with engine_errors(f"container '{self.name}'"):
+            state = api.inspect_container(self.identifier)["State"]
+            settled = time.monotonic() + (_SETTLING if self.container.limits.memory is not None else 0)
+            while not state.get("OOMKilled") and time.monotonic() < settled:
+                time.sleep(_SETTLING / 10)
+                state = api.inspect_container(self.identifier)["State"]
+        self.exit_code = int(state["ExitCode"])
+        if self.exit_code not in self.container.success:
+            self.signal = signal_of(self.exit_code)
+        if state.get("OOMKilled"):
+            self.end = End.OUT_OF_MEMORY
+        elif ours is not None:
+            self.end = ours
+        elif self.signal == "SIGKILL" and self.container.limits.memory is not None:
+            self.end = End.OUT_OF_MEMORY  # engines lose the event when all ends at once; nobody else sends SIGKILL
+        else:
+            self.end = End.SIGNALLED if self.signal else End.EXITED
+
+    @property
+    def failure(self) -> str | None:
+        """Why its end is none of success, by itself; None where it is."""
+        said = f": {self.log.last_line}" if self.log.last_line else ""
+        container = f"container '{self.name}'"
+        if self.end == End.OUT_OF_MEMORY:
+            limit = self.container.limits.memory
+            known = "the machine had no more" if limit is None else f"its limit is {describe_bytes(limit)} (memory)"
+            return f"{container} ran out of memory: {known}{said}"
+        if self.end == End.SIGNALLED:
+            return f"{container} was killed by {self.signal}{said}"
+        if self.end == End.EXITED and self.exit_code not in self.container.success:
+            hint = f" ({_HINTS[self.exit_code]})" if self.exit_code in _HINTS else ""
+            return f"{container} ended with exit code {self.exit_code}{hint}{said}"
+        return None
+
+    def outcome(self) -> ContainerOutcome:
+        """What came of it."""
+        seconds = 0.0 if self.started is None else (self.ended or time.monotonic()) - self.started
+        log = None if self.started is None else self.log.path
+        unknown = self.started is not None and self.end == End.NOT_STARTED
+        end = End.LOST if unknown else self.end
+        return ContainerOutcome(self.name, end, self.exit_code, self.signal, seconds, log, self.image)
+
+    def _follow(self, client: "DockerClient", stream: "Response", ends: "SimpleQueue[ContainerRun]") -> None:
+        """In a thread: bring its output into the log until it has ended."""
+        try:
+            with engine_errors(f"container '{self.name}'"):
+                try:
+                    for chunk in pieces(stream):
+                        self._feed(chunk)
+                except (OSError, ValueError) as error:  # what a broken connection raises below the SDK
+                    raise lost(error) from None
+                client.api.wait(self.identifier, timeout=None)
+        except CalibrationError as error:
+            self._problem = self._problem or error
+        finally:
+            self.ended = time.monotonic()
+            ends.put(self)
+            stream.close()
+            client.close()
+
+    def _feed(self, chunk: bytes) -> None:
+        """Write to the log; where that fails, read on: a container whose output nobody reads stands still."""
+        if self._problem is None:
+            try:
+                self.log.feed(chunk)
+            except CalibrationError as error:
+                self._problem = error
+
+
+def signal_of(exit_code: int) -> str | None:
+    """The signal that an exit code tells of, by the shell's convention; None where it tells of none."""
+    try:
+        return signal.Signals(exit_code - _SIGNALLED).name if exit_code > _SIGNALLED else None
+    except ValueError:
+        return None

@@ -1,0 +1,76 @@
+"""Images are there before anything is started."""
+
+from collections.abc import Iterable
+from typing import TYPE_CHECKING
+
+from calibration.errors import InputError, WorldError
+from calibration.execution.docker.engine import engine_errors, engine_message
+from calibration.workflow.text import one_line, shorten
+
+if TYPE_CHECKING:
+    from docker import APIClient
+
+_NOT_THERE = (
+    "not found",
+    "manifest unknown",
+    "name unknown",
+    "does not exist",
+    "denied",
+    "unauthorized",
+    "no basic auth",
+    "invalid reference",
+    "invalid repository name",
+    "no matching manifest",
+)
+"""What registries say where there is no such image, or not for us."""
+
+
+def find_images(api: "APIClient", images: Iterable[str]) -> dict[str, str]:
+    """Find images on the engine, or else pull them.
+
+    Returns:
+        The id of each, so that a tag that moves meanwhile changes nothing.
+
+    Raises:
+        InputError: there is no such image, or it may not be pulled.
+        WorldError: the engine or the registry cannot be reached.
+    """
+    return {image: _find(api, image) or _pull(api, image) for image in dict.fromkeys(images)}
+
+
+def _find(api: "APIClient", image: str) -> str | None:
+    import docker.errors
+
+    with engine_errors(f"image '{image}'"):
+        try:
+            return str(api.inspect_image(image)["Id"])  # type: ignore[no-untyped-call]
+        except docker.errors.NotFound:
+            return None
+
+
+def _pull(api: "APIClient", image: str) -> str:
+    import docker.errors
+    from docker.utils import parse_repository_tag
+
+    repository, tag = parse_repository_tag(image)
+    with engine_errors(f"image '{image}'"):
+        try:
+            for event in api.pull(repository, tag=tag or "latest", stream=True, decode=True):
+                if "error" in event:
+                    raise _not_pulled(image, str(event["error"]))
+        except docker.errors.APIError as error:
+            raise _not_pulled(image, engine_message(error)) from None
+    found = _find(api, image)
+    if found is None:
+        raise WorldError(f"image '{image}': was pulled, but the engine does not have it")
+    return found
+
+
+def _not_pulled(image: str, said: str) -> InputError | WorldError:
+    said = shorten(one_line(said), 300)
+    if any(sentence in said.lower() for sentence in _NOT_THERE):
+        return InputError(
+            f"image '{image}' is not on the engine, and cannot be pulled: {said}; "
+            "build it, log in to its registry, or correct its name"
+        )
+    return WorldError(f"image '{image}' is not on the engine, and its registry cannot be reached: {said}")

@@ -1,0 +1,109 @@
+"""What runs have started and not removed, found by its labels."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal, Self
+
+from calibration.errors import WorldError
+from calibration.execution.docker.engine import engine_errors, engine_message
+from calibration.execution.docker.labels import CONTAINER, JOB, RUN, Owner
+
+if TYPE_CHECKING:
+    from docker import APIClient
+
+Kind = Literal["container", "network", "volume"]
+
+
+@dataclass(frozen=True)
+class Leftover:
+    """Something on the engine that a run has started."""
+
+    kind: Kind
+    id: str
+    name: str
+    run: str
+    job: str
+    """Nothing for a network, which many jobs use."""
+    container: str
+    state: str
+    owner: Owner | None
+    """None where the labels do not say."""
+
+    @classmethod
+    def of(cls, kind: Kind, identifier: str) -> Self:
+        """Something that its starter knows, and needs not find."""
+        return cls(kind, identifier, identifier, run="", job="", container="", state="", owner=None)
+
+
+def find_leftovers(api: "APIClient", run: str | None = None) -> list[Leftover]:
+    """Find what a run, or every run, has on the engine, in the order in which it can be removed.
+
+    Raises:
+        WorldError: the engine does not answer.
+    """
+    chosen = {"label": [RUN if run is None else f"{RUN}={run}"]}
+    with engine_errors():
+        containers = api.containers(all=True, filters=chosen)
+        networks = api.networks(filters=chosen)
+        volumes = api.volumes(filters=chosen)["Volumes"] or []
+    return [
+        *(_leftover("container", c["Id"], (c.get("Names") or [c["Id"][:12]])[0].lstrip("/"), c) for c in containers),
+        *(_leftover("network", n["Id"], n["Name"], n) for n in networks),
+        *(_leftover("volume", v["Name"], v["Name"], v) for v in volumes),
+    ]
+
+
+def remove(api: "APIClient", leftovers: Sequence[Leftover]) -> list[Leftover]:
+    """Remove things, running containers too; what is gone already is no error.
+
+    Returns:
+        What has been removed, by this or by somebody else meanwhile.
+
+    Raises:
+        WorldError: something cannot be removed; the rest has been. Or the engine does not answer.
+    """
+    import docker.errors
+
+    removed, problems = [], []
+    for leftover in _in_order(leftovers):
+        with engine_errors():
+            try:
+                _remove(api, leftover)
+            except docker.errors.NotFound:
+                pass
+            except docker.errors.APIError as error:
+                if "is already in progress" not in str(error):
+                    problems.append(f"{leftover.kind} {leftover.name}: {engine_message(error)}")
+                    continue
+        removed.append(leftover)
+    if problems:
+        raise WorldError(f"cannot be removed: {'; '.join(problems[:5])}")
+    return removed
+
+
+def _in_order(leftovers: Iterable[Leftover]) -> list[Leftover]:
+    """Containers first: what they use cannot be removed before."""
+    return sorted(leftovers, key=lambda leftover: leftover.kind)
+
+
+def _remove(api: "APIClient", leftover: Leftover) -> None:
+    if leftover.kind == "container":
+        api.remove_container(leftover.id, force=True, v=True)
+    elif leftover.kind == "network":
+        api.remove_network(leftover.id)
+    else:
+        api.remove_volume(leftover.id)
+
+
+def _leftover(kind: Kind, identifier: str, name: str, record: Any) -> Leftover:
+    labels = record.get("Labels") or {}
+    return Leftover(
+        kind=kind,
+        id=identifier,
+        name=name,
+        run=labels.get(RUN, ""),
+        job=labels.get(JOB, ""),
+        container=labels.get(CONTAINER, ""),
+        state=record.get("State", "") if kind == "container" else "",
+        owner=Owner.from_labels(labels),
+    )

@@ -1,0 +1,94 @@
+"""Private networks of the jobs of a run.
+
+Making and removing one takes a third of a second, so as few are made as keep jobs apart. Jobs with one
+container share a network on which the engine lets nobody talk to anybody else, only to the outside.
+A job with several has one of its own, which a later job of the run uses again.
+"""
+
+import threading
+from collections import defaultdict
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from calibration.errors import CalibrationError, WorldError
+from calibration.execution.docker.engine import EngineLostError, engine_errors
+from calibration.execution.docker.labels import new_run
+
+if TYPE_CHECKING:
+    from docker import APIClient
+
+_NO_TALKING = {"com.docker.network.bridge.enable_icc": "false"}
+
+
+@dataclass(frozen=True)
+class Network:
+    """A network that a job uses."""
+
+    name: str
+    internal: bool
+    """Whether it has no way out."""
+    shared: bool
+    """Whether other jobs are on it, which cannot be reached."""
+
+
+class Networks:
+    """The networks of a run. May be used from any thread."""
+
+    def __init__(self, run: str, labels: Mapping[str, str]) -> None:
+        self._run = run
+        self._labels = dict(labels)
+        self._free: dict[bool, list[Network]] = defaultdict(list)
+        self._shared: dict[bool, Network | None] = {}
+        self._lock = threading.Lock()
+
+    def shared(self, api: "APIClient", internal: bool) -> Network:
+        """The network for jobs with one container; one of its own where the engine cannot keep them apart.
+
+        Raises:
+            WorldError: the engine cannot make it, or does not answer.
+        """
+        with self._lock:
+            if internal not in self._shared:
+                try:
+                    self._shared[internal] = self._make(api, internal, shared=True)
+                except EngineLostError:
+                    raise
+                except CalibrationError:  # a kernel without br_netfilter
+                    self._shared[internal] = None
+            found = self._shared[internal]
+        return found or self.take(api, internal)
+
+    def take(self, api: "APIClient", internal: bool) -> Network:
+        """A network on which there is nobody.
+
+        Raises:
+            WorldError: the engine cannot make one more, or does not answer.
+        """
+        with self._lock:
+            if self._free[internal]:
+                return self._free[internal].pop()
+        return self._make(api, internal, shared=False)
+
+    def give_back(self, network: Network) -> None:
+        """Say that nobody of a job is on a network any more."""
+        if not network.shared:
+            with self._lock:
+                self._free[network.internal].append(network)
+
+    def _make(self, api: "APIClient", internal: bool, shared: bool) -> Network:
+        import docker.errors
+
+        network = Network(f"calibration-{self._run}-{new_run()}", internal, shared)
+        options = _NO_TALKING if shared else {}
+        with engine_errors("network"):
+            try:
+                api.create_network(network.name, "bridge", options, internal=internal, labels=self._labels)
+            except docker.errors.APIError as error:
+                if "address pool" in str(error):
+                    raise WorldError(
+                        "the Docker Engine has no addresses for one more network: let fewer jobs run at once, "
+                        "or remove unused networks (docker network prune)"
+                    ) from None
+                raise
+        return network

@@ -1,0 +1,61 @@
+"""What differs from job to job in a command: ``{seed}`` is replaced in each argument by itself, never by a shell."""
+
+import re
+import shlex
+from collections.abc import Mapping, Sequence
+
+from calibration.errors import InputError
+from calibration.workflow.text import did_you_mean, shorten
+
+_BRACES = re.compile(r"\{\{|\}\}|\{([^{}]*)\}|[{}]")
+
+
+def fill(arguments: Sequence[str], values: Mapping[str, str], where: str) -> tuple[str, ...]:
+    """Replace ``{name}`` by its value in each argument; ``{{`` and ``}}`` stand for braces.
+
+    An argument stays one argument, whatever the value is.
+
+    Raises:
+        InputError: there is no such name, or a brace stands alone; names the argument.
+    """
+
+    def replacement(match: re.Match[str]) -> str:
+        found, name = match[0], match[1]
+        if found in ("{{", "}}"):
+            return found[0]
+        if name in values:
+            return values[name]
+        if name is None:
+            raise InputError(f"{where}: a single '{found}' in '{shorten(match.string)}': write {found * 2} for a brace")
+        raise InputError(
+            f"{where}: there is no placeholder '{{{shorten(name)}}}'{did_you_mean(name, values)} "
+            f"(known: {', '.join(values) or 'none'}; write {{{{ and }}}} for braces)"
+        )
+
+    return tuple(_BRACES.sub(replacement, argument) for argument in arguments)
+
+
+def split_command(command: str | Sequence[str], where: str) -> tuple[str, ...]:
+    """Make arguments of a command: a text is split as a shell would, a list is taken as it is.
+
+    Nothing else of a shell works: no variables, no ``&&``, no ``>``. Do it before :func:`fill`.
+
+    Raises:
+        InputError: the quoting is wrong, it is empty, or something in it is no text.
+    """
+    arguments = _split(command, where) if isinstance(command, str) else tuple(command)
+    for argument in arguments:
+        if not isinstance(argument, str):
+            raise InputError(f"{where}: found {argument!r} among the arguments, expected texts: put it in quotes")
+        if "\0" in argument:
+            raise InputError(f"{where}: {argument!r} has a NUL character, which no argument can have")
+    if not arguments:
+        raise InputError(f"{where}: the command is empty")
+    return arguments
+
+
+def _split(text: str, where: str) -> tuple[str, ...]:
+    try:
+        return tuple(shlex.split(text))
+    except ValueError as error:
+        raise InputError(f"{where}: '{shorten(text)}' cannot be split into arguments: {error}") from None

@@ -1,0 +1,1 @@
+"""The programs that turn a Dockerfile and its context into an image."""

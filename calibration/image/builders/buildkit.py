@@ -1,0 +1,183 @@
+"""BuildKit, through a ``docker`` program: it keeps secrets out of layers, and builds for several platforms."""
+
+import os
+import re
+import secrets
+import subprocess
+import tempfile
+from collections import defaultdict, deque
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack, closing, contextmanager
+from pathlib import Path
+from typing import IO
+
+from calibration.errors import InputError, WorldError
+from calibration.image.builders.build_log import LAST_LINES, BuildLog
+from calibration.image.builders.login_file import write_login
+from calibration.image.builders.problems import build_problem
+from calibration.image.builders.processes import lines_of
+from calibration.image.builders.programs import Program, docker_environment
+from calibration.image.builders.request import BuildRequest
+from calibration.image.registries.credentials import Credentials
+from calibration.image.secret_values import secret_files
+
+_VERTEX = re.compile(r"^#(\d+) (.*)$")
+_STEP = re.compile(r"^\[(?:\S+ +)?(\d+)/(\d+)\] (.*)$")
+_OUTPUT = re.compile(r"^\d+\.\d+ ?(.*)$")
+_EXIT_CODE = re.compile(r"exit code: (\d+)")
+
+
+def build_by_buildkit(program: Program, request: BuildRequest, reference: str, log: BuildLog) -> None:
+    """Build an image on the engine, under a name. A build that is stopped leaves nothing but BuildKit's own cache.
+
+    Raises:
+        BuildFailedError: a step failed, or the Dockerfile is wrong.
+        InputError: SSH is asked for and there is no agent.
+        WorldError: the engine, its disk or the network failed.
+    """
+    start = ["buildx", "build", "--builder", "default", "--load"] if program.buildx else ["build"]
+    _run(program, [*start, "--tag", reference], docker_environment(os.environ), request, log)
+
+
+def build_and_push(
+    program: Program, request: BuildRequest, references: Sequence[str], credentials: Credentials, log: BuildLog
+) -> str:
+    """Build for several platforms and push; no engine holds such an image. Returns its digest.
+
+    Raises:
+        BuildFailedError, InputError, WorldError: as :func:`build_by_buildkit`.
+    """
+    with ExitStack() as stack:
+        folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="calibration-"))
+        environment = docker_environment(os.environ) | write_login(credentials, Path(folder))
+        name = stack.enter_context(_builder(program, environment, request.name))
+        metadata = Path(folder, "metadata.json")
+        tags = [word for reference in references for word in ("--tag", reference)]
+        start = ["buildx", "build", "--builder", name, "--push", "--metadata-file", str(metadata), *tags]
+        _run(program, start, environment, request, log)
+        text = metadata.read_text() if metadata.exists() else ""
+    digest = re.search(r'"containerimage\.digest"\s*:\s*"(sha256:[0-9a-f]{64})"', text)
+    if digest is None:
+        raise WorldError(f"image {request.name}: BuildKit ended without a digest")
+    return digest[1]
+
+
+def _run(
+    program: Program, start: Sequence[str], environment: Mapping[str, str], request: BuildRequest, log: BuildLog
+) -> None:
+    with ExitStack() as stack:
+        archive = stack.enter_context(tempfile.TemporaryFile())
+        request.context.write_tar(archive)
+        archive.seek(0)
+        files = stack.enter_context(secret_files(request.secrets))
+        command = [program.path, *start, "--progress", "plain", "--file", request.dockerfile]
+        command += [word for item in request.build_arguments.items() for word in ("--build-arg", "=".join(item))]
+        command += [word for item in request.labels.items() for word in ("--label", "=".join(item))]
+        command += ["--target", request.target] if request.target else []
+        command += ["--platform", ",".join(request.platforms)] if request.platforms else []
+        command += [word for name, path in files.items() for word in ("--secret", f"id={name},src={path}")]
+        command += ["--no-cache"] if request.no_cache else []
+        if request.ssh:
+            if not os.environ.get("SSH_AUTH_SOCK"):
+                raise InputError("ssh: no SSH agent runs here (SSH_AUTH_SOCK): start one and add the key to it")
+            command += ["--ssh", "default"]
+        _follow([*command, "-"], archive, environment, request, log)
+
+
+def _follow(
+    command: Sequence[str],
+    context: IO[bytes],
+    environment: Mapping[str, str],
+    request: BuildRequest,
+    log: BuildLog,
+) -> None:
+    """Run the program to its end.
+
+    Raises:
+        BuildFailedError, InputError, WorldError: it failed.
+    """
+    reader = _Reader(log)
+    status = None
+    with closing(lines_of(command, context, environment)) as lines:
+        for line in lines:
+            if isinstance(line, int):
+                status = line
+            else:
+                reader.read(line)
+    if status:
+        raise build_problem(request.name, reader.failed_step, reader.problem or f"exit code {status}", log)
+
+
+class _Reader:
+    """Makes sense of what BuildKit prints: ``#7 [2/4] RUN make``, ``#7 0.31 output``, ``#7 ERROR: ...``."""
+
+    def __init__(self, log: BuildLog) -> None:
+        self.failed_step = ""
+        self.problem = ""
+        self._log = log
+        self._steps: dict[str, str] = {}
+        self._lines: defaultdict[str, deque[str]] = defaultdict(lambda: deque(maxlen=LAST_LINES))
+        self._ended = False
+
+    def read(self, line: str) -> None:
+        """Take a line."""
+        found = _VERTEX.match(line)
+        if found is None:
+            self._message(line)
+            return
+        vertex, text = found.groups()
+        if step := _STEP.match(text):
+            if vertex not in self._steps:
+                self._log.step(int(step[1]), int(step[2]), step[3])
+                self._steps[vertex] = self._log.step_name
+        elif text.startswith("ERROR: ") and not self._ended:
+            self._ended = True
+            self.failed_step = self._steps.get(vertex, "")
+            self.problem = _problem(text.removeprefix("ERROR: "))
+            self._log.remember(self._lines[vertex])
+        elif (output := _OUTPUT.match(text)) and not self._ended:
+            self._lines[vertex].append(output[1])
+            self._log.output(output[1] + "\n")
+
+    def _message(self, line: str) -> None:
+        """What is no part of a step: at the end, why it failed."""
+        line = line.strip()
+        if not self._ended and line:
+            self._log.output(line + "\n")
+        if not self.problem and re.match(r"error|failed to solve|unknown flag", line, re.IGNORECASE):
+            self.problem = _problem(line)
+
+
+def _problem(text: str) -> str:
+    code = _EXIT_CODE.search(text)
+    return f"exit code {code[1]}" if code else text
+
+
+@contextmanager
+def _builder(program: Program, environment: Mapping[str, str], image: str) -> Iterator[str]:
+    """A builder of our own that can build for several platforms; gone afterwards."""
+    name = f"calibration-{secrets.token_hex(6)}"
+    try:
+        _administer(program, environment, image, "create", "--name", name, "--driver", "docker-container")
+        yield name
+    finally:
+        _administer(program, environment, image, "rm", "--force", name)
+
+
+def _administer(program: Program, environment: Mapping[str, str], image: str, *arguments: str) -> None:
+    command = [program.path, "buildx", *arguments]
+    try:
+        subprocess.run(
+            command,
+            env=environment,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+            timeout=120,
+            check=True,
+        )
+    except subprocess.CalledProcessError as error:
+        said = " ".join(error.stderr.decode(errors="replace").split())[-200:]
+        raise WorldError(f"image {image}: `docker buildx {arguments[0]}` failed: {said}") from None
+    except (OSError, subprocess.TimeoutExpired) as error:
+        raise WorldError(f"image {image}: `docker buildx {arguments[0]}` failed: {error}") from None

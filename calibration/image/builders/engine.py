@@ -1,0 +1,101 @@
+"""The engine's classic builder, through its own interface; it needs no program on this machine."""
+
+import re
+import tempfile
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+from calibration.errors import CalibrationError, WorldError
+from calibration.image.builders.build_log import BuildLog
+from calibration.image.builders.problems import build_problem
+from calibration.image.builders.request import BuildRequest
+
+if TYPE_CHECKING:
+    import requests
+    from docker import DockerClient
+
+_STEP = re.compile(r"^Step (\d+)/(\d+) : (.*)", re.DOTALL)
+_CONTROL = re.compile(r"^ ---> |^Removing intermediate container|^Successfully (built|tagged) ")
+
+
+def build_by_engine(client: "DockerClient", request: BuildRequest, log: BuildLog) -> str:
+    """Build an image and return its id. Nothing is left of a build that fails or is stopped.
+
+    Raises:
+        BuildFailedError: a step failed, or the Dockerfile is wrong.
+        WorldError: the engine, its disk or the network failed.
+    """
+    import docker
+    import requests
+    import urllib3
+
+    with tempfile.TemporaryFile() as archive, _closing_answers(client):
+        request.context.write_tar(archive)
+        archive.seek(0)
+        image = ""
+        try:
+            events = client.api.build(
+                fileobj=archive,
+                custom_context=True,
+                dockerfile=request.dockerfile,
+                buildargs=dict(request.build_arguments),
+                labels=dict(request.labels),
+                target=request.target,
+                platform=next(iter(request.platforms), None),
+                nocache=request.no_cache,
+                rm=True,
+                forcerm=True,  # the container of a failed step too
+                decode=True,
+                use_config_proxy=True,
+            )
+            for event in events:
+                image = _heed(event, request, log) or image
+        except docker.errors.APIError as error:
+            raise build_problem(request.name, "", str(error.explanation or error), log) from None
+        except (requests.RequestException, urllib3.exceptions.HTTPError, OSError, ValueError):
+            raise WorldError(f"image {request.name}: the engine broke off the build") from None
+    if not image:
+        raise WorldError(f"image {request.name}: the engine ended without an image")
+    return image
+
+
+@contextmanager
+def _closing_answers(client: "DockerClient") -> Iterator[None]:
+    """Close what the engine still sends when nobody listens any more: it then stops the build."""
+    answers: list[requests.Response] = []
+
+    def remember(answer: "requests.Response", **_: object) -> None:
+        answers.append(answer)
+
+    hooks = client.api.hooks["response"]
+    hooks.append(remember)
+    try:
+        yield
+    finally:
+        hooks.remove(remember)
+        for answer in answers:
+            answer.close()
+
+
+def _heed(event: Mapping[str, Any], request: BuildRequest, log: BuildLog) -> str | None:
+    """Show an event; returns the image's id where it is the one that says so."""
+    if "error" in event or "errorDetail" in event:
+        raise _failure(event, request, log)
+    text = str(event.get("stream", ""))
+    if found := _STEP.match(text):
+        log.step(int(found[1]), int(found[2]), found[3])
+    elif text and not _CONTROL.match(text):
+        log.output(text)
+    elif event.get("status") and not event.get("progressDetail"):
+        log.output(f"{event.get('id', '')} {event['status']}\n")
+    aux = event.get("aux")
+    return str(aux["ID"]) if isinstance(aux, Mapping) and "ID" in aux else None
+
+
+def _failure(event: Mapping[str, Any], request: BuildRequest, log: BuildLog) -> CalibrationError:
+    detail = event.get("errorDetail")
+    detail = detail if isinstance(detail, Mapping) else {}
+    code = detail.get("code")
+    message = f"exit code {code}" if code else str(detail.get("message") or event.get("error"))
+    return build_problem(request.name, log.step_name, message, log)

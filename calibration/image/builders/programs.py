@@ -1,0 +1,63 @@
+"""The ``docker`` program that can talk to BuildKit, where this machine has one."""
+
+import os
+import re
+import shutil
+import subprocess
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import cache
+
+SECONDS = 20
+"""More than a program needs to tell its version."""
+_VERSION = re.compile(r"Docker version (\d+)\.(\d+)")
+
+
+@dataclass(frozen=True)
+class Program:
+    """A ``docker`` that does BuildKit."""
+
+    path: str
+    buildx: bool
+    """By its plugin buildx; else by itself, as those from 18.09 to 22 do."""
+
+
+@cache
+def find_buildkit(search_path: str) -> Program | None:
+    """Find the first program in the folders of a PATH that does BuildKit; better one with buildx than without."""
+    found = None
+    for path in _programs(search_path):
+        if _answer(path, "buildx", "version") is not None:
+            return Program(path, buildx=True)
+        version = _VERSION.search(_answer(path, "--version") or "")
+        if found is None and version and (18, 9) <= (int(version[1]), int(version[2])) < (23, 0):
+            found = Program(path, buildx=False)
+    return found
+
+
+def docker_environment(environment: Mapping[str, str]) -> dict[str, str]:
+    """The variables for a ``docker`` that builds an image, and nothing beside it, without colours."""
+    return {**environment, "DOCKER_BUILDKIT": "1", "BUILDX_NO_DEFAULT_ATTESTATIONS": "1", "NO_COLOR": "1"}
+
+
+def _programs(search_path: str) -> Iterator[str]:
+    folders = dict.fromkeys(filter(None, search_path.split(os.pathsep)))
+    paths = (shutil.which("docker", path=folder) for folder in folders)
+    return filter(None, paths)
+
+
+def _answer(*command: str) -> str | None:
+    try:
+        done = subprocess.run(
+            command,
+            capture_output=True,
+            text=True,
+            errors="replace",
+            timeout=SECONDS,
+            check=False,
+            stdin=subprocess.DEVNULL,
+            env=docker_environment(os.environ),
+        )
+    except (OSError, subprocess.TimeoutExpired):
+        return None
+    return done.stdout if done.returncode == 0 else None

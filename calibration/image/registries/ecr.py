@@ -1,0 +1,155 @@
+"""AWS's registry (ECR): a password for some hours, and a repository where there is none."""
+
+import base64
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from calibration.errors import InputError, WorldError
+from calibration.image.registries.credentials import Credentials
+from calibration.image.registries.reference import Reference, parse_reference
+from calibration.workflow import Runner, add_mask
+from calibration.workflow.text import one_line, shorten
+
+if TYPE_CHECKING:
+    from botocore.exceptions import ClientError
+
+PUBLIC = "public.ecr.aws"
+PUBLIC_REGION = "us-east-1"
+"""Where the public registry has its only interface."""
+
+_HOST = re.compile(
+    r"(?P<account>[0-9]{12})\.dkr[.-]ecr(?P<fips>-fips)?\.(?P<region>[a-z]{2}(?:-[a-z]+)+-[0-9])"
+    r"\.(?:amazonaws\.com(?:\.cn)?|on\.aws|on\.amazonwebservices\.com\.cn)"
+)
+_EXPIRED = ("ExpiredToken", "ExpiredTokenException", "RequestExpired")
+_UNKNOWN = ("UnrecognizedClientException", "InvalidClientTokenId", "InvalidSignatureException", "SignatureDoesNotMatch")
+_DENIED = ("AccessDenied", "AccessDeniedException", "UnauthorizedOperation", "NotAuthorized")
+_THROTTLED = ("Throttling", "ThrottlingException", "TooManyRequestsException", "RequestLimitExceeded")
+
+
+@dataclass(frozen=True)
+class EcrHost:
+    """What the host of a private registry says."""
+
+    account: str
+    region: str
+
+
+def parse_host(registry: str) -> EcrHost | None:
+    """Read ``<account>.dkr.ecr.<region>.amazonaws.com``, also of China, FIPS and dual stack; None for any other."""
+    found = _HOST.fullmatch(registry)
+    return None if found is None else EcrHost(found["account"], found["region"])
+
+
+def is_ecr(registry: str) -> bool:
+    """Whether a registry is one of AWS's, private or public."""
+    return registry == PUBLIC or parse_host(registry) is not None
+
+
+def ecr_credentials(name: str, runner: Runner, create_repository: bool = False, insecure: bool = False) -> Credentials:
+    """Get the password for an image's registry from AWS, and its repository where that is asked for.
+
+    boto3 finds who one is as AWS's own tools do: variables, profile, role, OIDC; ``AWS_ENDPOINT_URL`` leads it
+    elsewhere. A registry that is none of AWS's by its host is taken for one in the region of the environment.
+
+    Args:
+        name: of the image.
+        runner: where what is secret is masked.
+        create_repository: whether a repository that is missing is made.
+        insecure: as in the settings.
+
+    Raises:
+        InputError: there are no credentials, they are expired or unknown, or may not do this.
+        WorldError: AWS cannot be reached, throttles, or fails.
+    """
+    reference = parse_reference(name)
+    with _one_line_errors(reference.name):
+        client: Any = _client(reference.registry)
+        try:
+            data = client.get_authorization_token().get("authorizationData")
+            if create_repository:
+                _create_repository(client, reference, runner)
+        finally:
+            client.close()
+    try:
+        token = (data if reference.registry == PUBLIC else data[0])["authorizationToken"]
+        username, colon, password = base64.b64decode(token, validate=True).decode().partition(":")
+    except (LookupError, TypeError, ValueError):
+        token = colon = ""
+    if not colon:
+        raise WorldError(f"{reference.name}: AWS answers without a token")
+    add_mask(runner, token)
+    return Credentials(reference.registry, username, password, insecure=insecure)
+
+
+def _client(registry: str) -> object:
+    import boto3
+    from botocore.config import Config
+
+    host = parse_host(registry)
+    region = PUBLIC_REGION if registry == PUBLIC else host.region if host else None
+    return boto3.session.Session().client(
+        "ecr-public" if registry == PUBLIC else "ecr",
+        region_name=region,
+        config=Config(retries={"mode": "standard", "total_max_attempts": 4}, connect_timeout=10, read_timeout=30),
+    )
+
+
+def _create_repository(client: Any, reference: Reference, runner: Runner) -> None:
+    repository = reference.repository
+    if reference.registry == PUBLIC:  # public.ecr.aws/<alias>/<repository>
+        repository = repository.partition("/")[2]
+    host = parse_host(reference.registry)
+    account = {"registryId": host.account} if host else {}
+    try:
+        client.describe_repositories(repositoryNames=[repository], **account)
+    except client.exceptions.RepositoryNotFoundException:
+        try:
+            client.create_repository(repositoryName=repository, **account)
+        except client.exceptions.RepositoryAlreadyExistsException:
+            return  # somebody else was faster
+        runner.log(f"created the repository {reference.name}")
+
+
+@contextmanager
+def _one_line_errors(where: str) -> Iterator[None]:
+    """What boto3 raises, as one line."""
+    import botocore.exceptions as aws
+
+    try:
+        yield
+    except aws.ClientError as error:
+        raise _answered(where, error) from None
+    except aws.NoRegionError:
+        raise InputError(f"{where}: AWS's region is not known: set AWS_REGION") from None
+    except (aws.NoCredentialsError, aws.CredentialRetrievalError, aws.PartialCredentialsError):
+        hint = "set AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, a profile, or let the workflow assume a role"
+        raise InputError(f"{where}: AWS: there are no credentials: {hint}") from None
+    except (aws.ProfileNotFound, aws.TokenRetrievalError, aws.SSOError, ValueError) as error:
+        raise InputError(f"{where}: AWS: {_short(error)}") from None
+    except aws.BotoCoreError as error:
+        raise WorldError(f"{where}: AWS: {_short(error)}") from None
+
+
+def _answered(where: str, error: "ClientError") -> InputError | WorldError:
+    """What AWS itself answered."""
+    code = str(error.response.get("Error", {}).get("Code", "")) or "unknown error"
+    said = f"{where}: AWS: {error.operation_name}: {one_line(code)}"
+    if code in _EXPIRED:
+        return InputError(f"{said}: the credentials are expired: get new ones")
+    if code in _UNKNOWN:
+        return InputError(f"{said}: AWS does not know these credentials: check key and secret")
+    if code in _DENIED:
+        return InputError(f"{said}: the role or user needs this permission")
+    if code in _THROTTLED:
+        return WorldError(f"{said}: too many requests: try again later")
+    status = error.response.get("ResponseMetadata", {}).get("HTTPStatusCode", 500)
+    line = f"{said}: {_short(error.response.get('Error', {}).get('Message', ''))}"
+    return InputError(line) if 400 <= status < 500 else WorldError(line)
+
+
+def _short(text: object) -> str:
+    return shorten(one_line(str(text)), 200)

@@ -1,0 +1,89 @@
+"""Who one is to a registry: from the settings, from AWS, or from what the user's docker is logged in to."""
+
+import os
+from collections.abc import Mapping
+
+from calibration.errors import InputError, WorldError
+from calibration.image.registries.credentials import Credentials, RegistrySettings
+from calibration.image.registries.reference import DOCKER_HUB, parse_reference
+from calibration.workflow import Runner, add_mask
+from calibration.workflow.text import one_line, shorten
+
+
+def registry_login(
+    settings: RegistrySettings | None, name: str, runner: Runner, environment: Mapping[str, str] | None = None
+) -> Credentials:
+    """Find the credentials for an image's registry, and mask what is secret of them.
+
+    In this order: the user and the variable of the settings; AWS, where the settings say so; what docker is
+    logged in to (``docker login`` and its helpers); AWS, where the registry is one of AWS's; nobody.
+    Nothing is written anywhere: the credentials go with each call.
+
+    Args:
+        settings: None where there are none.
+        name: of the image, with or without tag.
+        runner: where the secrets are masked.
+        environment: the variables; those of the process unless given.
+
+    Raises:
+        InputError: the settings are not complete, the variable is not set, or AWS denies it.
+        WorldError: AWS cannot be reached, or docker's own helper fails.
+    """
+    settings = settings or RegistrySettings()
+    registry = parse_reference(name).registry
+    credentials = _credentials(settings, name, registry, runner, os.environ if environment is None else environment)
+    for secret in credentials.secrets:
+        add_mask(runner, secret)
+    return credentials
+
+
+def _credentials(
+    settings: RegistrySettings, name: str, registry: str, runner: Runner, environment: Mapping[str, str]
+) -> Credentials:
+    from calibration.image.registries.ecr import ecr_credentials, is_ecr
+
+    if settings.username or settings.password_variable:
+        return _from_settings(settings, registry, environment)
+    if settings.kind != "ecr":
+        found = _from_docker(registry, settings.insecure)
+        if found is not None:
+            return found
+    if settings.kind == "ecr" or is_ecr(registry):
+        return ecr_credentials(name, runner, settings.create_repository, settings.insecure)
+    return Credentials(registry, insecure=settings.insecure)
+
+
+def _from_settings(settings: RegistrySettings, registry: str, environment: Mapping[str, str]) -> Credentials:
+    variable = settings.password_variable
+    if not settings.username or not variable:
+        missing = "password-variable" if settings.username else "username"
+        raise InputError(f"registry: {missing} is not given: username and password-variable belong together")
+    password = environment.get(variable, "").strip()
+    if not password:
+        raise InputError(
+            f"registry: the environment variable {variable} is not set or empty, "
+            f"where the password of {settings.username} at {registry} was expected"
+        )
+    return Credentials(registry, settings.username, password, insecure=settings.insecure)
+
+
+def _from_docker(registry: str, insecure: bool) -> Credentials | None:
+    """What ``docker login`` has left for a registry."""
+    from docker import auth, errors
+
+    try:
+        found = auth.load_config().resolve_authconfig(None if registry == DOCKER_HUB else registry)
+    except errors.DockerException as error:
+        raise WorldError(
+            f"{registry}: docker's own login cannot be read: {shorten(one_line(str(error)), 200)}"
+        ) from None
+    except (ValueError, TypeError, AttributeError, UnicodeError):
+        raise InputError(
+            f"{registry}: docker's config.json cannot be read: log in again with docker login, or mend the file"
+        ) from None
+    values = {name.lower(): value for name, value in (found or {}).items()}
+    if values.get("identitytoken"):
+        return Credentials(registry, identity_token=values["identitytoken"], insecure=insecure)
+    if values.get("username") and values.get("password"):
+        return Credentials(registry, values["username"], values["password"], insecure=insecure)
+    return None

@@ -1,0 +1,152 @@
+"""An image from the engine to a registry."""
+
+import re
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from calibration.errors import CalibrationError, InputError, WorldError
+from calibration.image.registries.credentials import Credentials
+from calibration.image.registries.promotion import tag_image
+from calibration.image.registries.push_progress import PushProgress
+from calibration.image.registries.reference import Reference, is_digest, parse_reference
+from calibration.image.registries.registry import RegistryClient, denied
+from calibration.workflow import redact
+from calibration.workflow.progress import Advance
+from calibration.workflow.text import one_line, shorten
+
+if TYPE_CHECKING:
+    from docker import DockerClient
+
+ATTEMPTS = 4
+FIRST_PAUSE = 1.0
+"""Seconds before the second attempt; doubled before each further one."""
+
+_DENIED = re.compile(
+    r"denied|unauthorized|authentication required|no basic auth|incorrect username|forbidden|\b40[13]\b"
+)
+_UNKNOWN = re.compile(r"name unknown|name invalid|repository .*(does not exist|not found)|repository name not known")
+_NOT_LOCAL = re.compile(r"does not exist locally|no such image")
+_HTTP_EXPECTED = re.compile(r"server gave http response to https client|x509|certificate")
+_PASSING = re.compile(
+    r"reset|\beof\b|timeout|timed out|too ?many ?requests|refused|broken pipe|unavailable|unreachable|try again"
+    r"|\b(429|5\d\d)\b|no such host|temporary failure|tls handshake|closed network connection"
+)
+
+
+def push_image(
+    client: "DockerClient",
+    reference: str,
+    tags: Sequence[str],
+    credentials: Credentials | None,
+    advance: Advance | None = None,
+    *,
+    pause: Callable[[float], None] = time.sleep,
+) -> str:
+    """Push an image under its own tag, and give it further tags in the registry.
+
+    Tried again where that may help. The layers are sent once; the other tags are names for the same manifest.
+
+    Args:
+        client: of the engine that has the image.
+        reference: the image with its tag: ``ghcr.io/team/robot:key-0123456789abcdef``.
+        tags: further ones.
+        credentials: for the registry.
+        advance: told of each layer.
+        pause: waits for so many seconds between two attempts.
+
+    Returns:
+        The image's digest in the registry, which the registry itself has confirmed.
+
+    Raises:
+        InputError: there is no such image or repository, or it is denied.
+        WorldError: the engine or the registry cannot be reached, fails, or has something else afterwards.
+    """
+    image = parse_reference(reference)
+    wanted = [image.with_tag(tag) for tag in dict.fromkeys(tags) if tag != image.tag]
+    digest = _push(client, image, credentials, advance, pause)
+    with RegistryClient(credentials, pause=pause) as registry:
+        manifest = registry.read_manifest(image.with_digest(digest))
+        if manifest is None or registry.find_manifest(image) != digest:
+            raise WorldError(f"{image}: the registry does not have the image that was pushed, {digest}")
+        for other in wanted:
+            tag_image(registry, other, manifest)
+    return digest
+
+
+def _push(
+    client: "DockerClient",
+    image: Reference,
+    credentials: Credentials | None,
+    advance: Advance | None,
+    pause: Callable[[float], None],
+) -> str:
+    for attempt in range(ATTEMPTS):
+        try:
+            return _push_once(client, image, credentials, advance)
+        except _PassingError as error:
+            problem = str(error)
+        if attempt + 1 < ATTEMPTS:
+            pause(FIRST_PAUSE * 2**attempt)
+    raise WorldError(f"{image}: the push failed: {problem} ({ATTEMPTS} attempts)")
+
+
+def _push_once(
+    client: "DockerClient", image: Reference, credentials: Credentials | None, advance: Advance | None
+) -> str:
+    shown, digest, problem = PushProgress(advance), "", ""
+    for event in _events(client, image, credentials):  # to its end, so that the connection is free again
+        detail = event.get("errorDetail")
+        if detail is not None or "error" in event:
+            said = (detail.get("message") if isinstance(detail, Mapping) else None) or event.get("error")
+            problem = problem or str(said or "no reason")
+        shown.event(event)
+        aux = event.get("aux")
+        if isinstance(aux, Mapping) and is_digest(str(aux.get("Digest", ""))):
+            digest = str(aux["Digest"])
+    if problem:
+        raise _error(problem, image, credentials)
+    if not digest:
+        raise _PassingError("the engine ended without a digest")
+    return digest
+
+
+def _events(client: "DockerClient", image: Reference, credentials: Credentials | None) -> Iterator[Mapping[str, Any]]:
+    """What the engine tells while it pushes."""
+    import docker
+    import requests
+
+    # Given even where it is empty: without it docker-py would look for a login of its own.
+    login = {} if credentials is None else credentials.auth_config()
+    try:
+        stream = client.api.push(image.name, image.tag, stream=True, decode=True, auth_config=login)
+        for event in stream:
+            if isinstance(event, Mapping):
+                yield event
+    except docker.errors.APIError as error:
+        raise _error(str(error.explanation or error), image, credentials) from None
+    except (requests.RequestException, OSError, ValueError) as error:
+        raise WorldError(f"{image}: the engine broke off the push: {shorten(one_line(str(error)), 200)}") from None
+
+
+class _PassingError(Exception):
+    """What may go well the next time."""
+
+
+def _error(message: str, image: Reference, credentials: Credentials | None) -> CalibrationError | _PassingError:
+    """What the engine says went wrong, as the error to raise."""
+    message = shorten(one_line(redact(message, credentials.secrets if credentials else ())), 300)
+    text = message.lower()
+    if _NOT_LOCAL.search(text):
+        return InputError(f"{image}: the engine has no such image to push")
+    if _UNKNOWN.search(text):
+        hint = "check image.name; ECR makes one where registry.create-repository is true"
+        return InputError(f"{image}: {image.registry} has no such repository ({message}): {hint}")
+    if _DENIED.search(text):
+        return denied(image, credentials, message)
+    if _HTTP_EXPECTED.search(text):
+        hint = "the engine has to trust it (its certificate, or insecure-registries in daemon.json)"
+        return InputError(f"{image}: {image.registry} is not trusted by the engine ({message}): {hint}")
+    if _PASSING.search(text):
+        return _PassingError(message)
+    return WorldError(f"{image}: the push failed: {message}")

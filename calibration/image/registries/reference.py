@@ -1,0 +1,117 @@
+"""Names of images: ``host:port/name:tag@digest``, and Docker Hub's short forms."""
+
+import re
+from dataclasses import dataclass, replace
+
+from calibration.errors import InputError
+from calibration.workflow.text import shorten
+
+DOCKER_HUB = "docker.io"
+"""The registry of a name that has none."""
+MAX_LENGTH = 255
+"""Of registry and repository together, as the engine has it."""
+
+_PART = r"[a-z0-9]+(?:(?:\.|__?|-+)[a-z0-9]+)*"
+_REPOSITORY = re.compile(rf"{_PART}(?:/{_PART})*")
+_LABEL = r"[A-Za-z0-9](?:[A-Za-z0-9-]*[A-Za-z0-9])?"
+_REGISTRY = re.compile(rf"(?:{_LABEL}(?:\.{_LABEL})*|\[[0-9A-Fa-f:.]+\])(?::[0-9]{{1,5}})?")
+_TAG = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,127}")
+_LOOPBACK = re.compile(r"(?:localhost|\[::1\]|127(?:\.[0-9]{1,3}){3})(?::[0-9]{1,5})?")
+_DIGEST = re.compile(r"sha256:[0-9a-f]{64}|sha512:[0-9a-f]{128}")
+
+
+@dataclass(frozen=True)
+class Reference:
+    """Where an image is, and which one."""
+
+    registry: str
+    """``docker.io``, ``ghcr.io``, ``127.0.0.1:5000``."""
+    repository: str
+    """``library/debian``, ``team/robot``."""
+    tag: str | None = None
+    digest: str | None = None
+    """``sha256:...``; where it is given, the tag says nothing."""
+
+    @property
+    def name(self) -> str:
+        """Without tag and digest, as the engine writes it: ``debian``, ``ghcr.io/team/robot``."""
+        if self.registry != DOCKER_HUB:
+            return f"{self.registry}/{self.repository}"
+        return self.repository.removeprefix("library/")
+
+    def with_tag(self, tag: str) -> "Reference":
+        """The same repository under a tag.
+
+        Raises:
+            InputError: no registry takes such a tag.
+        """
+        return replace(self, tag=check_tag(tag), digest=None)
+
+    def with_digest(self, digest: str) -> "Reference":
+        """The same repository at a digest.
+
+        Raises:
+            InputError: it is no digest.
+        """
+        if not is_digest(digest):
+            raise InputError(f"found {shorten(digest)!r}, a digest such as sha256:<64 hexadecimal digits> was expected")
+        return replace(self, tag=None, digest=digest)
+
+    def __str__(self) -> str:
+        tag = f":{self.tag}" if self.tag else ""
+        return f"{self.name}{tag}{f'@{self.digest}' if self.digest else ''}"
+
+
+def parse_reference(text: str) -> Reference:
+    """Read the name of an image; what stands before the first slash is a registry if it looks like a host.
+
+    Raises:
+        InputError: it is no name of an image; says which part of it.
+    """
+    rest, at, digest = text.partition("@")
+    if at and not _DIGEST.fullmatch(digest):
+        raise InputError(
+            f"image {shorten(text)!r}: {shorten(digest)!r} is no digest (sha256: and 64 hexadecimal digits)"
+        )
+    host, slash, path = rest.partition("/")
+    if not (slash and _looks_like_a_host(host)):
+        host, path = DOCKER_HUB, rest
+    path, colon, tag = path.partition(":")
+    if host in ("index.docker.io", "registry-1.docker.io"):
+        host = DOCKER_HUB
+    if host == DOCKER_HUB and "/" not in path:
+        path = f"library/{path}"
+    if not _REGISTRY.fullmatch(host):
+        raise InputError(f"image {shorten(text)!r}: {shorten(host)!r} is no registry (a host, and a port where needed)")
+    if not _REPOSITORY.fullmatch(path):
+        expected = "lower-case letters, digits, and single . _ - between them"
+        raise InputError(f"image {shorten(text)!r}: {shorten(path)!r} is no repository ({expected})")
+    if len(host) + 1 + len(path) > MAX_LENGTH:
+        raise InputError(f"image {shorten(text)!r}: the name has more than {MAX_LENGTH} characters")
+    return Reference(host, path, check_tag(tag) if colon else None, digest or None)
+
+
+def check_tag(tag: str) -> str:
+    """Return a tag that a registry takes.
+
+    Raises:
+        InputError: it takes none such.
+    """
+    if not _TAG.fullmatch(tag):
+        expected = "1 to 128 letters, digits, _ . -, the first no . or -"
+        raise InputError(f"found the tag {shorten(tag)!r}, expected {expected}")
+    return tag
+
+
+def is_digest(text: str) -> bool:
+    """Whether a text is a digest: ``sha256:`` and 64 hexadecimal digits."""
+    return _DIGEST.fullmatch(text) is not None
+
+
+def is_loopback(registry: str) -> bool:
+    """Whether a registry is on this machine, where the engine too speaks HTTP without TLS."""
+    return _LOOPBACK.fullmatch(registry) is not None
+
+
+def _looks_like_a_host(text: str) -> bool:
+    return "." in text or ":" in text or text == "localhost" or text != text.lower()

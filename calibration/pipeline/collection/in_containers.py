@@ -1,0 +1,298 @@
+"""Collect a dataset with the team's own applications: run them, bring the dataset out, prove it, judge it."""
+
+import json
+import shutil
+import tempfile
+from collections.abc import Mapping
+from contextlib import closing
+from dataclasses import dataclass, field
+from pathlib import Path, PurePosixPath
+from typing import TYPE_CHECKING, Any
+
+from calibration.errors import CalibrationError, ExitCode, InputError, WorldError
+from calibration.execution.backend import Backend
+from calibration.execution.outcome import JobOutcome
+from calibration.files import read_bytes
+from calibration.pipeline.collection.applications import REPORT, Applications, collection_job
+from calibration.pipeline.collection.collecting import GENERATE, pose_count, require_opencv
+from calibration.pipeline.collection.results import CollectionChecks, CollectionResults, write_collection_results
+from calibration.workflow.text import one_line, shorten
+
+if TYPE_CHECKING:
+    from calibration.dataset.model import Dataset
+    from calibration.simulation.collection.record import Record
+    from calibration.simulation.motion.sequence import Motion
+    from calibration.simulation.system import System
+
+LOGS = "logs"
+NO_FILE = "missing"
+"""The name of an image that there is not."""
+MAX_REPORT = 16 * 1024 * 1024
+"""Bytes of our player's report that are read."""
+
+
+@dataclass(frozen=True)
+class ContainerRequest:
+    """What is to be collected by applications."""
+
+    name: str
+    applications: Applications
+    system: Path | None = None
+    """The folder of a system: its sensors are expected in the dataset, and its robot is the truth."""
+    robot: Path | None = None
+    configuration: Path | None = None
+    motion: str | None = None
+    """A file, or ``generate:N``; the system's own motion where None."""
+    seed: int = 1
+    checks: CollectionChecks = field(default_factory=CollectionChecks)
+    truth: str | None = None
+    """As `calibration.dataset.truth.choose_truth`; None for the system's, where there is one."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Plan:
+    """A request with its files read."""
+
+    system: "System | None"
+    motion: "Motion | None"
+
+
+def collect_in_containers(
+    request: ContainerRequest, output: Path, backend: Backend, overwrite: bool = False
+) -> CollectionResults:
+    """Collect a dataset into a folder, with its results and the containers' logs beside it.
+
+    What the applications do wrong is a result, not an error.
+
+    Args:
+        request: what to collect.
+        output: the folder; what it has besides a dataset stays.
+        backend: where the containers run.
+        overwrite: whether a dataset that it has is replaced.
+
+    Raises:
+        InputError: an input is missing or wrong, or the folder has a dataset and may not be overwritten.
+        WorldError: there is no backend, or a file cannot be written.
+    """
+    require_opencv()
+    from calibration.simulation.collection.dataset_folder import refuse_existing, replacing_dataset
+
+    refuse_existing(output, overwrite)
+    plan = _plan(request)
+    with replacing_dataset(output, overwrite) as new, tempfile.TemporaryDirectory(prefix=".job-", dir=output) as work:
+        outcome = _run(request, plan, Path(work), backend)
+        _keep_logs(outcome, output)
+        results = _results(request, plan, outcome, new)
+        write_collection_results(results, new)
+    return results
+
+
+def _plan(request: ContainerRequest) -> _Plan:
+    from calibration.simulation.players import check_motion
+    from calibration.simulation.system import read_system
+
+    system = read_system(request.system, request.robot, request.configuration) if request.system else None
+    motion = _motion(request, system)
+    if request.applications.player is not None:
+        if motion is None:
+            raise InputError(f"{request.name}: our player needs a motion: a file, or a system with one")
+        check_motion(motion)
+    return _Plan(system, motion)
+
+
+def _motion(request: ContainerRequest, system: "System | None") -> "Motion | None":
+    from calibration.simulation.motion.generation import generate_motion
+    from calibration.simulation.motion.sequence import read_motion
+    from calibration.simulation.system import MOTION_FILE
+
+    given = request.motion
+    if given is None and request.system is not None and (request.system / MOTION_FILE).exists():
+        given = str(request.system / MOTION_FILE)
+    if given is None:
+        return None
+    if not given.startswith(GENERATE):
+        return read_motion(Path(given))
+    if system is None:
+        raise InputError(f"{request.name}: motion: found '{given}', but a motion is only generated for a system")
+    return generate_motion(system, pose_count(given), request.seed)
+
+
+def _run(request: ContainerRequest, plan: _Plan, work: Path, backend: Backend) -> JobOutcome:
+    from calibration.dataset.writing import write_document
+    from calibration.simulation.motion.sequence import motion_document
+
+    motion = None
+    if plan.motion is not None:
+        motion = work / "motion.json"
+        write_document(motion_document(plan.motion), motion)
+    system = plan.system.name if plan.system else request.name
+    job = collection_job(request.applications, "collection", system, request.seed, motion)
+    with closing(backend.run([job], work, 1)) as outcomes:
+        for _, outcome in outcomes:
+            return outcome
+    raise AssertionError("a backend answers for every job")
+
+
+def _keep_logs(outcome: JobOutcome, output: Path) -> None:
+    """Put the containers' logs beside the dataset; those of an earlier collection go."""
+    try:
+        shutil.rmtree(output / LOGS, ignore_errors=True)
+        if (outcome.folder / LOGS).is_dir():
+            shutil.move(outcome.folder / LOGS, output / LOGS)
+    except OSError as error:
+        raise WorldError(f"{output / LOGS}: cannot be written: {error.strerror or error}") from error
+
+
+def _results(request: ContainerRequest, plan: _Plan, outcome: JobOutcome, new: Path) -> CollectionResults:
+    """Put what was brought out into a new folder, and say what it is worth."""
+    from calibration.dataset.reading import read_dataset
+    from calibration.simulation.collection.contact_sheet import write_contact_sheet
+    from calibration.simulation.collection.proof import prove
+
+    dataset, records, proof = None, [], None
+    failures, error = outcome.reasons, None
+    if outcome.exit_code in (ExitCode.BAD_INPUT, ExitCode.WORLD):
+        error = outcome.exit_code
+    if outcome.exit_code == ExitCode.PASS:
+        brought = outcome.folder / "artifacts" / PurePosixPath(request.applications.dataset).name
+        try:
+            dataset = read_dataset(brought)
+            records = _records(dataset, _report(outcome))
+            _check_sensors(dataset, plan)
+        except CalibrationError as problem:  # of files that the applications wrote: they have failed
+            failures = (str(problem).replace(f"{brought}/", ""),)
+    if dataset is not None and not failures:
+        for path in sorted(brought.iterdir()):
+            path.rename(new / path.name)
+        _describe(request, plan, new)
+        proof = prove(new, request.truth)
+        if plan.system is not None:
+            write_contact_sheet(new, plan.system, records, new)
+    modalities: Mapping[str, str] = {s.name: s.modality for s in dataset.sensors.values()} if dataset else {}
+    return CollectionResults(
+        system=request.name,
+        seed=request.seed,
+        motion=plan.motion.source if plan.motion else "the motion of the applications",
+        modalities=dict(modalities),
+        records=tuple(records),
+        proof=proof,
+        limits=request.checks,
+        failures=tuple(failures),
+        error=error,
+        contact_sheet=proof is not None and plan.system is not None,
+    )
+
+
+def _check_sensors(dataset: "Dataset", plan: _Plan) -> None:
+    """Hold a dataset's sensors to those of the system.
+
+    Raises:
+        InputError: one is missing.
+    """
+    for name in plan.system.sensors if plan.system else ():
+        if name not in dataset.sensors:
+            raise InputError(f"dataset.json: missing sensor '{name}' (it has {', '.join(dataset.sensors)})")
+
+
+def _describe(request: ContainerRequest, plan: _Plan, new: Path) -> None:
+    """Put the files of the system, the motion and the truth beside the dataset."""
+    from calibration.dataset import truth
+    from calibration.dataset.writing import write_document
+    from calibration.files import write_atomically
+    from calibration.simulation.collection.document import truth_document
+    from calibration.simulation.collection.play import play
+    from calibration.simulation.motion.sequence import motion_document
+    from calibration.simulation.system import MOTION_FILE
+
+    if plan.motion is not None:
+        write_document(motion_document(plan.motion), new / MOTION_FILE)
+    if plan.system is None:
+        return
+    for name, content in plan.system.sources.items():
+        write_atomically(new / name, content)
+    if plan.motion is not None and request.truth is None:
+        write_document(truth_document(play(plan.system, plan.motion, request.seed), ()), new / truth.FILE_NAME)
+
+
+def _report(outcome: JobOutcome) -> list[dict[str, Any]]:
+    """What our player says of each pose: its number, whether it was saved, the answer; nothing where it did not play.
+
+    Raises:
+        InputError: it is not of this form; a container may have written it.
+    """
+    path = outcome.folder / "artifacts" / PurePosixPath(REPORT).name
+    if not path.exists():
+        return []
+    try:
+        report = json.loads(read_bytes(path, MAX_REPORT, "the report of the player"))
+        return [{"pose": int(p["pose"]), "saved": p["saved"] is True, "answer": str(p["answer"])} for p in report]
+    except (ValueError, KeyError, TypeError, RecursionError):
+        raise InputError(f"{path.name}: this is no report of the player") from None
+
+
+def _records(dataset: "Dataset", report: list[dict[str, Any]]) -> "list[Record]":
+    """A record for each collection, and for each pose of which the robot application saved none."""
+    saved = [pose["pose"] for pose in report if pose["saved"]]
+    numbers = saved if len(saved) == len(dataset.collections) else list(range(1, len(dataset.collections) + 1))
+    kept = [_record(dataset, index, number - 1) for index, number in enumerate(numbers)]
+    lost = [_lost(dataset, pose["pose"] - 1, pose["answer"]) for pose in report if not pose["saved"]]
+    return sorted([*kept, *lost], key=lambda record: record.number)
+
+
+def _lost(dataset: "Dataset", number: int, answer: str) -> "Record":
+    from calibration.simulation.collection.record import Record
+
+    reason = f"not saved: {shorten(one_line(answer), 200)}" if answer else "not saved"
+    nothing = {"data": {name: {"data_file": NO_FILE} for name in dataset.sensors}, "labels": {}}
+    return Record(number, (reason,), dict.fromkeys(dataset.sensors, 0), {}, {}, {}, nothing, {}, (), named="")
+
+
+def _record(dataset: "Dataset", index: int, number: int) -> "Record":
+    """What a collection says of itself; nobody knows how far its labels are from the truth."""
+    from calibration.dataset.model import CornerLabels
+    from calibration.simulation.collection.record import Record, image_cells
+
+    collection = dataset.collections[index]
+    corners: dict[str, list[CornerLabels]] = {name: [] for name, s in dataset.sensors.items() if s.camera}
+    labels, complete = dict.fromkeys(dataset.sensors, 0), dict.fromkeys(corners, False)
+    for (pattern, sensor), found in collection.labels.items():
+        if isinstance(found, CornerLabels):
+            labels[sensor] += len(found.ids)
+            corners[sensor].append(found)
+            complete[sensor] |= len(found.ids) == len(dataset.patterns[pattern].corners)
+        else:
+            labels[sensor] += len(found.points)
+    cells = {
+        name: image_cells(sensor.camera, corners[name])
+        for name, sensor in dataset.sensors.items()
+        if sensor.modality == "rgb" and sensor.camera
+    }
+    drawn = {"data": _data_files(dataset, index), "labels": _drawn_labels(dataset, index)}
+    return Record(number, (), labels, complete, {}, cells, drawn, {}, (), named=collection.key)
+
+
+def _data_files(dataset: "Dataset", index: int) -> dict[str, dict[str, str]]:
+    """The file of each sensor, for the contact sheet; one that is no file of the dataset's folder is left out."""
+    data = dataset.document["collections"][dataset.keys[index]].get("data")
+    names = {name: data[name].get("data_file") for name in dataset.sensors} if isinstance(data, dict) else {}
+    inside = {n: f for n, f in names.items() if isinstance(f, str) and PurePosixPath(f).name == f}
+    return {name: {"data_file": inside.get(name, NO_FILE)} for name in dataset.sensors}
+
+
+def _drawn_labels(dataset: "Dataset", index: int) -> dict[str, dict[str, dict[str, Any]]]:
+    """The labels of each pattern and sensor in the form that the contact sheet draws: corners only."""
+    from calibration.dataset.model import CornerLabels
+
+    found = dataset.collections[index].labels
+
+    def entries(pattern: str, sensor: str) -> list[dict[str, float]]:
+        labels = found.get((pattern, sensor))
+        if not isinstance(labels, CornerLabels):
+            return []
+        rows = zip(labels.ids.tolist(), labels.pixels.tolist(), strict=True)
+        return [{"id": i, "x": x, "y": y} for i, (x, y) in rows]
+
+    return {
+        pattern: {s: {"idxs": entries(pattern, s), "idxs_limit_points": []} for s in dataset.sensors}
+        for pattern in dataset.patterns
+    }

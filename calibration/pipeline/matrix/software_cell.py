@@ -1,0 +1,125 @@
+"""Cells that the team's software calibrates: each a job in containers, judged by the files that come out."""
+
+import tempfile
+from collections.abc import Generator, Mapping, Sequence
+from dataclasses import replace
+from fnmatch import fnmatchcase
+from pathlib import Path
+
+from calibration.dataset.reading import read_dataset
+from calibration.dataset.writing import write_dataset
+from calibration.errors import CalibrationError, ExitCode, InputError
+from calibration.estimation.starting_noise import with_starting_noise
+from calibration.evaluation.table import AVERAGES
+from calibration.execution.backend import Backend
+from calibration.execution.outcome import JobOutcome
+from calibration.introspection.numbers import parse_number
+from calibration.introspection.selection import KeyedTable, LabelledRow
+from calibration.introspection.table import read_table
+from calibration.pipeline.matrix.cell import Cell, CellResult, LoadedSystem, distance_from_truth, nothing_yet
+from calibration.pipeline.matrix.software import SOFTWARE, Software, cell_job
+
+ARTIFACTS = "artifacts"
+RMS = "RMS (pix)"
+"""The column of a table whose average is a cell's ``rms_px``."""
+
+
+def run_software_cells(
+    cells: Sequence[Cell],
+    systems: Mapping[str, LoadedSystem],
+    software: Mapping[str, Software],
+    output: Path,
+    backend: Backend,
+    workers: int | None = None,
+) -> Generator[tuple[int, CellResult]]:
+    """Run each cell's job; yields the cell's index and its result, in the order in which they come.
+
+    What fails in one cell is its result, so that the others go on.
+
+    Args:
+        cells: what to calibrate.
+        systems: their data, by name.
+        software: what runs, by the system's name.
+        output: the folder; each cell's files go below it.
+        backend: where the jobs run.
+        workers: how many at once; None for as many as the machine holds.
+
+    Raises:
+        InputError: a command or an image is wrong, or a dataset's labels cannot be used.
+        WorldError: the backend is not there, or a file cannot be written.
+    """
+    output.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(prefix=".starts-", dir=output) as temporary:
+        jobs = []
+        for number, cell in enumerate(cells):
+            dataset, start = systems[cell.system].dataset, Path(temporary, str(number))
+            write_dataset(with_starting_noise(dataset, cell.noise), start)
+            jobs.append(cell_job(cell, software[cell.system], dataset.path.parent, start))
+        for index, outcome in backend.run(jobs, output, workers):
+            cell = cells[index]
+            yield index, software_result(cell, systems[cell.system], software[cell.system], outcome, output)
+
+
+def software_result(
+    cell: Cell, system: LoadedSystem, software: Software, outcome: JobOutcome, output: Path
+) -> CellResult:
+    """What a cell's files say; where the job failed, only why."""
+    result = replace(nothing_yet(cell, SOFTWARE, start="given"), seconds=round(outcome.seconds, 4))
+    if outcome.exit_code != ExitCode.PASS:
+        error = None if outcome.exit_code == ExitCode.FAIL else outcome.exit_code
+        return replace(result.failing(*outcome.reasons), error=error)
+    try:
+        return _with_files(result, system, software, outcome, output)
+    except CalibrationError as error:  # of files that the software wrote: it has failed
+        return result.failing(str(error))
+
+
+def _with_files(
+    result: CellResult, system: LoadedSystem, software: Software, outcome: JobOutcome, output: Path
+) -> CellResult:
+    folder = outcome.folder.relative_to(output)
+    files = folder / ARTIFACTS
+    paths = [file.path for file in outcome.artifacts]
+    found = _only(paths, software.table or "*.csv", "table", required=software.calibrated is None)
+    table = None if found is None else files / found
+    if software.calibrated is not None:
+        calibrated = files / str(_only(paths, software.calibrated, "calibrated", required=True))
+        dataset = read_dataset(output / calibrated)
+        result = replace(result, dataset=str(calibrated), truth=distance_from_truth(dataset, system))
+        if table is None and system.evaluation is not None:
+            table = folder / f"{system.evaluation.kind.replace('-', '_')}_results.csv"
+            system.evaluation.run(dataset, system.truth).write(output / table)
+    if table is None:
+        return replace(result, converged=True)
+    return replace(result, converged=True, table=str(table), rms_px=_average_rms(output / table))
+
+
+def _only(paths: Sequence[str], pattern: str, key: str, required: bool) -> str | None:
+    """The one artifact whose path, or name, fits a pattern.
+
+    Raises:
+        InputError: there is more than one, or none although it is required.
+    """
+    found = [path for path in paths if fnmatchcase(path, pattern) or fnmatchcase(Path(path).name, pattern)]
+    if len(found) == 1 or not (found or required):
+        return found[0] if found else None
+    listed = ", ".join(sorted(found or paths)[:8]) or "no file"
+    raise InputError(f"{key}: the software left {listed}; expected exactly one file '{pattern}'")
+
+
+def _average_rms(path: Path) -> float | None:
+    """The row of averages in the column `RMS`; None for a table without them.
+
+    Raises:
+        InputError: the file is no table, or the value is no finite number.
+    """
+    table = read_table(path)
+    keyed = KeyedTable.of(table, None, ())
+    if RMS not in table.header or AVERAGES not in keyed.labels:
+        return None
+    row = keyed.row(LabelledRow(AVERAGES))
+    text = row.cells[table.column(RMS)] if row else ""
+    number = parse_number(text)
+    if number is None:
+        raise InputError(f"{path}: row '{AVERAGES}', column '{RMS}': found '{text}', a finite number was expected")
+    return round(number, 4)

@@ -1,0 +1,87 @@
+"""The stage collect: datasets in simulation, by our own or by the team's applications."""
+
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from calibration.errors import CalibrationError
+from calibration.execution.backends import docker_backend
+from calibration.pipeline.collection.collected import Collected
+from calibration.pipeline.collection.collecting import CollectionRequest, collect_dataset
+from calibration.pipeline.collection.in_containers import ContainerRequest, collect_in_containers
+from calibration.pipeline.collection.report import pose_line
+from calibration.pipeline.collection.results import CollectionResults
+from calibration.pipeline.configuration import Simulation
+from calibration.pipeline.results import Results, write_results
+from calibration.workflow import Runner
+from calibration.workflow.progress import progress
+from calibration.workflow.streams import LogDisplay
+
+if TYPE_CHECKING:
+    from calibration.simulation.collection.record import Record
+
+COLLECTED = "collected"
+"""The folder of what was collected, in the output folder."""
+
+
+def collect_stage(
+    simulations: Sequence[Simulation], results: Results, output: Path, runner: Runner, jobs: int | None = None
+) -> Results:
+    """Collect datasets, each in its folder below ``output``, and calibrate them.
+
+    One that cannot be collected is among the results, and does not stop the others.
+
+    Args:
+        simulations: what to collect.
+        results: of the stages before, to which these are added.
+        output: the folder between the stages.
+        runner: where to show the progress.
+        jobs: processes; None for one a core.
+
+    Raises:
+        WorldError: a result cannot be written.
+    """
+    collections = tuple(_collected(simulation, output, runner, jobs) for simulation in simulations)
+    results = replace(results, collections=collections)
+    write_results(results, output)
+    return results
+
+
+def _collected(simulation: Simulation, output: Path, runner: Runner, jobs: int | None) -> Collected:
+    folder, begin = f"{COLLECTED}/{simulation.name}", time.perf_counter()
+    try:
+        match simulation.request:
+            case ContainerRequest() as request:
+                with docker_backend(LogDisplay(runner)) as backend:
+                    found = collect_in_containers(request, output / folder, backend, overwrite=True)
+            case CollectionRequest() as request:
+                found = _simulated(simulation.name, request, output / folder, runner, jobs)
+    except CalibrationError as error:
+        return Collected(simulation.name, reasons=(str(error),), error=error.exit_code)
+    proof = found.proof
+    return Collected(
+        name=simulation.name,
+        poses=len(found.records),
+        kept=len(found.kept),
+        corner_rms_px=found.corner_rms,
+        rms_px=proof.rms_px if proof else None,
+        translation_mm=proof.translation_mm if proof else None,
+        rotation_deg=proof.rotation_deg if proof else None,
+        dataset=folder if found.kept else None,
+        reasons=tuple(found.reasons),
+        error=found.error,
+        seconds=round(time.perf_counter() - begin, 4),
+    )
+
+
+def _simulated(
+    name: str, request: CollectionRequest, folder: Path, runner: Runner, jobs: int | None
+) -> CollectionResults:
+    with progress(runner, f"collect {name}") as advance:
+
+        def done(count: int, total: int, record: "Record") -> None:
+            advance(count, total, f"{name}: {pose_line(record)}", important=not record.kept)
+
+        return collect_dataset(request, folder, overwrite=True, jobs=jobs, done=done)

@@ -1,0 +1,177 @@
+"""A container as ``calibration.yml`` has it, of a component of ComposePlugin or an application of RoboMakerPlugin."""
+
+import re
+import shlex
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from calibration.rigel.document import list_at, mapping_at, text_at, truth_at
+from calibration.rigel.image import split_name
+from calibration.rigel.notes import Notes
+from calibration.rigel.secrets import names_a_secret, variable_name
+from calibration.rigel.substitution import argument, plain, secret_names, sole_variable
+
+_DOCKER_SOCKET = "docker.sock"
+_X_SERVER = "/tmp/.X11-unix"  # noqa: S108 (where it is)
+_SHELLS = ("sh", "bash", "dash")
+
+
+@dataclass(frozen=True)
+class Surroundings:
+    """What a container's description needs to know of the rest."""
+
+    notes: Notes
+    image: str | None
+    """The image that the section ``image`` builds: a container that runs it need not name it."""
+    placeholders: Mapping[str, str]
+    """Our names of the data of the matrix."""
+    replaced: Callable[[str], str] = str
+    """Done to every text first."""
+
+
+def component_entry(component: dict[str, Any], around: Surroundings, where: str) -> dict[str, Any]:
+    """The entry of a component, without its name.
+
+    Raises:
+        InputError: a field is of the wrong kind.
+    """
+    fields, notes, entry = dict(component), around.notes, dict[str, Any]()
+    secrets: dict[str, None] = {}
+    fields.pop("name", None)
+    _image(fields.pop("image", ""), entry, around, f"{where}.image")
+    for ours, theirs in (("command", "command"), ("entrypoint", "entrypoint")):
+        value = fields.pop(theirs, None)
+        if value not in (None, "", []):
+            entry[ours] = _command(value, secrets, around, f"{where}.{theirs}")
+    _environment(mapping_at(fields.pop("envs", {}), f"{where}.envs"), entry, secrets, around, f"{where}.envs")
+    _mounts(list_at(fields.pop("volumes", []), f"{where}.volumes"), entry, around, f"{where}.volumes")
+    for ours, theirs in (("working-directory", "workdir"), ("user", "user"), ("memory", "memory")):
+        if fields.get(theirs) not in (None, ""):
+            entry[ours] = _plain(fields.pop(theirs), around, f"{where}.{theirs}")
+    if isinstance(fields.get("cpus"), int | float) and not isinstance(fields["cpus"], bool):
+        entry["cpus"] = fields.pop("cpus")
+    devices = [_plain(item, around, f"{where}.devices") for item in list_at(fields.pop("devices", []), where)]
+    if devices:
+        entry["devices"] = [device.partition(":")[0] for device in devices]
+    if fields.pop("gpus", None):
+        entry["gpus"] = True
+    if truth_at(fields.pop("privileged", False), f"{where}.privileged"):
+        entry["privileged"] = True
+        notes.changed(f"{where}.privileged", "it may do all that root of the machine may: leave it out if you can")
+    artifacts = [
+        argument(around.replaced(text_at(item, f"{where}.artifacts")), around.placeholders, _dollar, notes, where)
+        for item in list_at(fields.pop("artifacts", []), f"{where}.artifacts")
+    ]
+    if artifacts:
+        entry["artifacts"] = artifacts
+    requirements = fields.pop("introspection", False)
+    if requirements:
+        notes.lost(
+            f"{where}.introspection", "requirements on ROS messages are not checked here: check files with rules"
+        )
+    if secrets:
+        entry["secrets"] = list(secrets)
+    for key in fields:
+        notes.lost(f"{where}.{key}", "there is no such setting of a container here")
+    return entry
+
+
+def pair_environment(items: list[Any], where: str) -> dict[str, str]:
+    """The mapping of a list of ``NAME=value``.
+
+    Raises:
+        InputError: an item is no text.
+    """
+    pairs = (text_at(item, where).partition("=") for item in items)
+    return {name.strip(): value for name, _, value in pairs}
+
+
+def _image(value: object, entry: dict[str, Any], around: Surroundings, where: str) -> None:
+    image = _plain(value, around, where)
+    if not image:
+        return
+    if around.image is not None and split_name(image)[0] == split_name(around.image)[0]:
+        return
+    entry["image"] = image
+
+
+def _command(value: object, secrets: dict[str, None], around: Surroundings, where: str) -> list[str]:
+    """The arguments; a text is split as a shell would."""
+    if isinstance(value, list):
+        words = [around.replaced(text_at(item, where)) for item in value]
+    else:
+        text = around.replaced(text_at(value, where))
+        try:
+            words = shlex.split(text)
+        except ValueError:
+            words = ["bash", "-c", text]
+            around.notes.changed(where, "its quotes do not match: it is given to bash as it is")
+    found = {name for word in words for name in secret_names(word)}
+    if found and not (words[0].rpartition("/")[2] in _SHELLS and "-c" in words):
+        around.notes.to_do(where, f"no shell reads ${', $'.join(sorted(found))} here: run it by [bash, -c, ...]")
+    secrets.update(dict.fromkeys(sorted(found)))
+    return [argument(word, around.placeholders, _dollar, around.notes, where) for word in words]
+
+
+def _environment(
+    variables: Mapping[str, Any],
+    entry: dict[str, Any],
+    secrets: dict[str, None],
+    around: Surroundings,
+    where: str,
+) -> None:
+    environment = {}
+    for name, value in variables.items():
+        place = f"{where}.{name}"
+        text = around.replaced(text_at("" if value is None else value, place))
+        alone = sole_variable(text)
+        if alone is not None and (names_a_secret(name) or secret_names(text)):
+            secrets[name if variable_name(name) == name else alone] = None
+            if alone != name:
+                around.notes.to_do(place, f"the variable {name} is passed on: put the secret there, not into {alone}")
+        elif names_a_secret(name) and text:
+            secrets[name] = None
+            around.notes.to_do(place, f"a secret, which is not copied: put it into the variable {name}")
+        elif secret_names(text):
+            around.notes.lost(place, "a secret in a longer text: put the whole text into a variable, named in secrets")
+        else:
+            environment[name] = plain(text, around.notes, place)
+    if environment:
+        entry["environment"] = environment
+
+
+def _mounts(volumes: list[Any], entry: dict[str, Any], around: Surroundings, where: str) -> None:
+    mounts: list[str | dict[str, Any]] = []
+    for number, volume in enumerate(volumes):
+        place = f"{where}.{number}"
+        parts = volume if isinstance(volume, list) else text_at(volume, place).split(":")
+        # a tuple may hold the mode in its last text: ("/a", "/b:rw")
+        texts = ":".join(_plain(part, around, place) for part in parts).split(":")
+        if len(texts) < 2 or not texts[0] or not texts[1].startswith("/"):
+            around.notes.lost(place, f"{':'.join(texts)} is not HERE:THERE")
+        elif texts[0].startswith(_X_SERVER):
+            around.notes.lost(place, "a server of CI has no X server: xvfb-run in the command needs none")
+        elif texts[0].endswith(_DOCKER_SOCKET):
+            entry["docker-socket"] = True
+            around.notes.changed(place, "whoever has docker's socket is root on the machine: leave it out if you can")
+        elif "ro" in texts[2:]:
+            mounts.append(f"{texts[0]}:{texts[1]}")
+        else:
+            mounts.append({"source": texts[0], "target": texts[1], "writable": True})
+            around.notes.changed(place, "it stays writable: leave `writable` out where nothing is written")
+    if mounts:
+        entry["mounts"] = mounts
+
+
+def _plain(value: object, around: Surroundings, where: str) -> str:
+    return plain(around.replaced(text_at(value, where)), around.notes, where)
+
+
+def named(text: str) -> str:
+    """A name for a container, a system or a simulation: ``Robot App`` gives ``robot-app``."""
+    return re.sub(r"[^a-z0-9-]+", "-", text.lower()).strip("-")[:63] or "robot"
+
+
+def _dollar(name: str) -> str:
+    return f"${name}"

@@ -1,0 +1,120 @@
+"""From a Rigelfile to what ``calibration.yml`` says."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from calibration.errors import InputError
+from calibration.rigel.containers import Surroundings
+from calibration.rigel.document import Rigelfile, RigelJob, naming
+from calibration.rigel.image import BUILD, DOCKERFILE, image_section
+from calibration.rigel.noise import noise_section, placeholder
+from calibration.rigel.notes import Notes
+from calibration.rigel.robomaker import ROBOMAKER, robomaker_entry
+from calibration.rigel.systems import (
+    Converted,
+    collection_of,
+    is_compose,
+    is_introspection,
+    judged_by,
+    named_system,
+    system_of,
+)
+
+_ELSEWHERE = {
+    "TestPlugin": "requirements on ROS messages are not checked here: write a table, and judge it by rules",
+    "WorldForgePlugin": "worlds come from a scenario set here: calibration schema scenario-set",
+    "UnitTestPlugin": "unit tests are a job of the workflow",
+}
+
+
+@dataclass
+class Conversion:
+    """The sections of a ``calibration.yml``, each with where it comes from; an empty one is not there."""
+
+    notes: Notes
+    secrets: Mapping[str, str] = field(default_factory=dict, repr=False)
+    """What must not be in the file, and the variables that take its place."""
+    image: dict[str, Any] = field(default_factory=dict)
+    image_origin: str = ""
+    noise: dict[str, list[float]] = field(default_factory=dict)
+    noise_origin: str = ""
+    systems: list[Converted] = field(default_factory=list)
+    simulations: list[Converted] = field(default_factory=list)
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether nothing at all could be carried over."""
+        return not (self.image or self.noise or self.systems or self.simulations)
+
+
+def convert(rigelfile: Rigelfile) -> Conversion:
+    """Convert a Rigelfile; what cannot be carried over is in the notes.
+
+    Raises:
+        InputError: a value is of the wrong kind; names file and key.
+    """
+    with naming(rigelfile.path):
+        return _convert(rigelfile)
+
+
+def _convert(rigelfile: Rigelfile) -> Conversion:
+    notes = rigelfile.notes
+    conversion = Conversion(notes, rigelfile.secrets)
+    conversion.image, origins = image_section(rigelfile)
+    conversion.image_origin = _listed("job", origins)
+    conversion.noise, places = noise_section(rigelfile.stages, notes)
+    conversion.noise_origin = f"the matrix of {', '.join(places)}"
+    around = Surroundings(notes, conversion.image.get("name"), _placeholders(rigelfile))
+    judges = judged_by(rigelfile)
+    for job in rigelfile.jobs:
+        _add(conversion, job, judges.get(job.name, []), rigelfile, around)
+    _refuse_repeated(conversion.systems)
+    _refuse_repeated(conversion.simulations)
+    if conversion.systems and not conversion.image:
+        for system in conversion.systems:
+            if "image" not in system.entry["software"]:
+                notes.to_do(system.origin, "no image is named, and none is built: write software.image")
+    return conversion
+
+
+def _add(
+    conversion: Conversion, job: RigelJob, judges: list[RigelJob], rigelfile: Rigelfile, around: Surroundings
+) -> None:
+    """Put a job where it belongs."""
+    if job.kind in (DOCKERFILE, BUILD) or is_introspection(job):
+        return
+    if job.kind == ROBOMAKER:
+        entry = robomaker_entry(job, around)
+        if entry:
+            conversion.simulations.append(Converted(named_system(job.name), entry, f"job {job.name}"))
+    elif is_compose(job):
+        system = system_of(job, judges, rigelfile.distro, around, str(rigelfile.path))
+        collection = None if system else collection_of(job, rigelfile.distro, around)
+        if system is not None:
+            conversion.systems.append(system)
+        elif collection is not None:
+            conversion.simulations.append(collection)
+        else:
+            why = "its containers bring out neither a table nor a dataset, so nothing would be judged"
+            conversion.notes.lost(job.where, why)
+    else:
+        why = _ELSEWHERE.get(job.kind, f"there is nothing like {job.plugin} here")
+        conversion.notes.lost(job.where.removesuffix(".with"), why)
+
+
+def _placeholders(rigelfile: Rigelfile) -> dict[str, str]:
+    """Our names of the data of all matrices."""
+    names = {name for stage in rigelfile.stages for name in stage.matrix}
+    return {name: ours for name in names if (ours := placeholder(name)) is not None}
+
+
+def _refuse_repeated(entries: list[Converted]) -> None:
+    names = [entry.name for entry in entries]
+    for name in names:
+        if names.count(name) > 1:
+            raise InputError(f"jobs: two are called {name!r} once only letters, digits and _ . - are kept: rename one")
+
+
+def _listed(what: str, names: list[str]) -> str:
+    return f"{what}{'s' if len(names) > 1 else ''} {' and '.join(names)}" if names else ""

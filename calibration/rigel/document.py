@@ -1,0 +1,287 @@
+"""A Rigelfile as it is read: its jobs and what says in which order they run, whatever its generation."""
+
+import re
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from calibration.errors import InputError
+from calibration.rigel.notes import Notes
+from calibration.rigel.substitution import Substitution, bounded
+from calibration.workflow.text import shorten
+from calibration.yaml_file import read_yaml
+
+_KNOWN = ("vars", "application", "applications", "jobs", "sequences", "providers")
+
+
+@dataclass(frozen=True)
+class RigelJob:
+    """A use of a plugin."""
+
+    name: str
+    plugin: str
+    """The dotted path of its class."""
+    fields: Mapping[str, Any]
+    where: str
+    """In the file: ``jobs.build.with``."""
+
+    @property
+    def kind(self) -> str:
+        """The plugin's class, whatever the package: ``ComposePlugin``."""
+        return self.plugin.rpartition(".")[2]
+
+
+@dataclass(frozen=True)
+class Stage:
+    """Jobs that run one after the other, and what they are repeated over."""
+
+    jobs: tuple[RigelJob, ...]
+    matrix: Mapping[str, Any]
+    where: str
+
+
+@dataclass(frozen=True)
+class Rigelfile:
+    """What a Rigelfile says, with its variables put in."""
+
+    path: Path
+    distro: str | None
+    folder: str
+    """Of the sources, relative to the file."""
+    jobs: tuple[RigelJob, ...]
+    """Each once, with what a stage overrides as a job of its own."""
+    stages: tuple[Stage, ...]
+    providers: Mapping[str, RigelJob]
+    notes: Notes = field(default_factory=Notes)
+    secrets: Mapping[str, str] = field(default_factory=dict, repr=False)
+    """What is not to be copied, and the variables that take its place."""
+
+
+def read_rigelfile(path: Path) -> Rigelfile:
+    """Read a Rigelfile; nothing in it is executed, and no environment variable is read.
+
+    Raises:
+        InputError: there is no such file, it is no YAML or no Rigelfile, too large or too deep, or a value in it is
+            of the wrong kind; names file and key.
+    """
+    document = read_yaml(path, "a Rigelfile")
+    with naming(path):
+        return _read(path, bounded(document, str(path)))
+
+
+@contextmanager
+def naming(path: Path) -> Iterator[None]:
+    """Put the file in front of an error's message that does not name it yet."""
+    try:
+        yield
+    except InputError as error:
+        raise InputError(f"{path}: {str(error).removeprefix(f'{path}: ')}") from None
+
+
+def _read(path: Path, document: object) -> Rigelfile:
+    if not isinstance(document, dict) or not document:
+        raise InputError(f"{path}: a Rigelfile was expected: a mapping with the keys application and jobs")
+    if not any(key in document for key in ("application", "applications", "jobs", "packages")):
+        raise InputError(f"{path}: found {shorten(', '.join(document))}, the keys application and jobs were expected")
+    return _Reader(path, document).rigelfile()
+
+
+def mapping_at(value: object, where: str) -> dict[str, Any]:
+    """A mapping; an empty one for nothing.
+
+    Raises:
+        InputError: it is something else.
+    """
+    if value is None:
+        return {}
+    if not isinstance(value, dict):
+        raise InputError(f"{where}: found {_shown(value)}, a mapping was expected")
+    return value
+
+
+def list_at(value: object, where: str) -> list[Any]:
+    """A list; an empty one for nothing, and one of one for a single mapping, as old Rigelfiles have it.
+
+    Raises:
+        InputError: it is something else.
+    """
+    if value is None:
+        return []
+    if isinstance(value, dict):
+        return [value]
+    if not isinstance(value, list):
+        raise InputError(f"{where}: found {_shown(value)}, a list was expected")
+    return value
+
+
+def text_at(value: object, where: str) -> str:
+    """A text; a number or a truth value as it is written.
+
+    Raises:
+        InputError: it is a list, a mapping or nothing.
+    """
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, str | int | float):
+        return str(value)
+    raise InputError(f"{where}: found {_shown(value)}, a text was expected")
+
+
+def truth_at(value: object, where: str) -> bool:
+    """A truth value.
+
+    Raises:
+        InputError: it is none.
+    """
+    if isinstance(value, bool):
+        return value
+    if isinstance(value, str) and value.lower() in ("true", "false"):
+        return value.lower() == "true"
+    raise InputError(f"{where}: found {_shown(value)}, true or false was expected")
+
+
+def _shown(value: object) -> str:
+    return shorten(re.sub(r"\\ue000[VSD](.*?)\\ue001", r"${\1}", repr(value)))
+
+
+class _Reader:
+    def __init__(self, path: Path, document: dict[str, Any]) -> None:
+        self._path, self._document, self._notes = path, document, Notes()
+        self._substitution = Substitution(self._variables(), self._notes)
+        self._jobs: list[RigelJob] = []
+
+    def rigelfile(self) -> Rigelfile:
+        for key in self._document:
+            if key not in _KNOWN:
+                self._notes.lost(key, self._why_lost(key))
+        application = self._application()
+        where = "jobs"
+        declared = application.pop("jobs", None) if "jobs" not in self._document else self._document["jobs"]
+        self._jobs = [self._job(n, job, "jobs", "plugin") for n, job in mapping_at(declared, where).items()]
+        stages = self._without_unused(self._sequences())
+        folder = self._value(application.pop("dir", "."), "application.dir")
+        distro = application.pop("distro", None)
+        for key in application:
+            self._notes.lost(f"application.{key}", "Rigel has no such key")
+        providers = mapping_at(self._document.get("providers"), "providers")
+        return Rigelfile(
+            path=self._path,
+            distro=None if distro is None else self._value(distro, "application.distro"),
+            folder=folder,
+            jobs=tuple(self._jobs),
+            stages=tuple(stages),
+            providers={name: self._job(name, entry, "providers", "provider") for name, entry in providers.items()},
+            notes=self._notes,
+            secrets=self._substitution.secrets,
+        )
+
+    def _why_lost(self, key: str) -> str:
+        if key in ("packages", "deploy", "simulate"):
+            return "of Rigel 0.2, which has neither jobs nor sequences: write it as jobs of 0.3 first, or by hand here"
+        return "Rigel has no such key"
+
+    def _variables(self) -> dict[str, Any]:
+        variables = mapping_at(self._document.get("vars"), "vars")
+        # {type, with} declares a value of a class of Rigel's; what it holds is in `with`
+        return {n: v["with"] if isinstance(v, dict) and set(v) == {"type", "with"} else v for n, v in variables.items()}
+
+    def _application(self) -> dict[str, Any]:
+        """The application; of several the first, as our calibration.yml has one image."""
+        if "application" in self._document or "applications" not in self._document:
+            return dict(mapping_at(self._document.get("application"), "application"))
+        several = mapping_at(self._document["applications"], "applications")
+        for name in list(several)[1:]:
+            self._notes.lost(f"applications.{name}", "there is one image: put this application into a file of its own")
+        first = next(iter(several), None)
+        return {} if first is None else dict(mapping_at(several[first], f"applications.{first}"))
+
+    def _value(self, value: object, where: str) -> str:
+        return text_at(self._substitution.resolved(value, where), f"{where}")
+
+    def _job(self, name: str, entry: object, section: str, key: str) -> RigelJob:
+        where = f"{section}.{name}"
+        fields = mapping_at(entry, f"{where}")
+        for other in fields:
+            if other not in (key, "with"):
+                self._notes.lost(f"{where}.{other}", "Rigel has no such key")
+        plugin = self._value(fields.get(key), f"{where}.{key}")
+        inner = self._substitution.resolved(mapping_at(fields.get("with"), f"{where}.with"), f"{where}.with")
+        return RigelJob(name, plugin, inner, f"{where}.with")
+
+    def _sequences(self) -> list[Stage]:
+        stages: list[Stage] = []
+        for name, entry in mapping_at(self._document.get("sequences"), "sequences").items():
+            where = f"sequences.{name}"
+            if isinstance(entry, list):  # the older form: the jobs themselves
+                stages.append(Stage(self._named(entry, where), {}, where))
+                continue
+            sequence = mapping_at(entry, f"{where}")
+            for key in sequence:
+                if key == "matrix":
+                    self._notes.lost(f"{where}.matrix", "Rigel takes it and does not use it: write it in the stage")
+                elif key not in ("stages", "description"):
+                    self._notes.lost(f"{where}.{key}", "Rigel has no such key")
+            for number, stage in enumerate(list_at(sequence.get("stages"), f"{where}.stages")):
+                place = f"{where}.stages.{number}"
+                if isinstance(stage, str):
+                    stages.append(Stage(self._named([stage], place), {}, place))
+                else:
+                    stages += self._stage(mapping_at(stage, f"{place}"), place, {})
+        return stages
+
+    def _stage(self, stage: dict[str, Any], where: str, matrix: Mapping[str, Any]) -> list[Stage]:
+        for key in stage:
+            if key not in ("jobs", "dependencies", "parallel", "matrix", "description"):
+                self._notes.lost(f"{where}.{key}", "Rigel has no such key")
+        own = self._substitution.resolved(mapping_at(stage.get("matrix"), f"{where}.matrix"), f"{where}.matrix")
+        matrix = {**matrix, **own}
+        dependencies = list_at(stage.get("dependencies"), f"{where}.dependencies")
+        jobs = list_at(stage.get("jobs"), f"{where}.jobs")
+        found = [Stage(self._named([*dependencies, *jobs], where), matrix, where)] if dependencies or jobs else []
+        for number, inner in enumerate(list_at(stage.get("parallel"), f"{where}.parallel")):
+            place = f"{where}.parallel.{number}"
+            found += self._stage(mapping_at(inner, f"{place}"), place, matrix)
+        return found
+
+    def _named(self, entries: list[Any], where: str) -> tuple[RigelJob, ...]:
+        """The jobs that a stage names; one whose fields it overrides becomes a job of its own."""
+        jobs = []
+        for entry in entries:
+            override: dict[str, Any] = {}
+            name = entry
+            if isinstance(entry, dict):
+                name = entry.get("name")
+                place = f"{where}.{name}.with"
+                override = self._substitution.resolved(mapping_at(entry.get("with"), f"{place}"), place)
+            job = next((job for job in self._jobs if job.name == name), None)
+            if job is None:
+                self._notes.lost(where, f"there is no job {_shown(name)}")
+                continue
+            jobs.append(self._overridden(job, override) if override else job)
+        return tuple(jobs)
+
+    def _without_unused(self, stages: list[Stage]) -> list[Stage]:
+        """Leave out jobs that no stage uses as they are; the first of their uses then has their name."""
+        used = {job.name for stage in stages for job in stage.jobs}
+        renamed = {}
+        for job in [job for job in self._jobs if job.name not in used]:
+            first = next((other for other in self._jobs if other.where == job.where and other.name in used), None)
+            if first is not None:
+                self._jobs.remove(job)
+                renamed[first.name] = replace(first, name=job.name)
+        self._jobs = [renamed.get(job.name, job) for job in self._jobs]
+        return [replace(stage, jobs=tuple(renamed.get(job.name, job) for job in stage.jobs)) for stage in stages]
+
+    def _overridden(self, job: RigelJob, override: Mapping[str, Any]) -> RigelJob:
+        fields = {**job.fields, **override}
+        names = {other.name for other in self._jobs}
+        number = 2
+        while f"{job.name}-{number}" in names:
+            number += 1
+        other = RigelJob(f"{job.name}-{number}", job.plugin, fields, job.where)
+        same = next((j for j in self._jobs if j.where == job.where and j.fields == fields), None)
+        if same is None:
+            self._jobs.append(other)
+        return same or other

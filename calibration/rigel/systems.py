@@ -1,0 +1,232 @@
+"""The systems of the jobs that calibrate in containers, each with the rules of the job that judges its table."""
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import PurePosixPath
+from typing import Any
+
+from calibration.errors import InputError
+from calibration.introspection.parsing import parse_rules
+from calibration.introspection.rigelfile import COLUMNS_KEY, translate
+from calibration.rigel.containers import Surroundings, component_entry, named
+from calibration.rigel.document import Rigelfile, RigelJob, list_at, mapping_at, text_at
+from calibration.rigel.notes import Notes
+from calibration.rigel.substitution import plain
+
+_ROS_2 = (
+    *("ardent", "bouncy", "crystal", "dashing", "eloquent", "foxy", "galactic"),
+    *("humble", "iron", "jazzy", "kilted", "lyrical", "rolling"),
+)
+_EARLIER = "columns_to_verify"
+"""A key of an earlier form of the file introspection."""
+_EVALUATIONS = (
+    ("rgb-to-rgb", r"rgb_to_rgb_evaluation\b.*?--sensor_source\s+([\w.-]+).*?--sensor_target\s+([\w.-]+)"),
+    ("lidar-to-rgb", r"lidar_to_rgb_evaluation\b.*?\s-rs\s+([\w.-]+).*?\s-cs\s+([\w.-]+)"),
+)
+
+
+@dataclass(frozen=True)
+class Converted:
+    """An entry of ``systems`` or ``simulation``, and where it comes from."""
+
+    name: str
+    entry: dict[str, Any]
+    origin: str
+
+
+def is_compose(job: RigelJob) -> bool:
+    """Whether a job runs containers."""
+    return job.kind == "ComposePlugin" or "components" in job.fields
+
+
+def is_introspection(job: RigelJob) -> bool:
+    """Whether a job judges a table."""
+    return COLUMNS_KEY in job.fields or _EARLIER in job.fields or "introspection" in job.kind.lower()
+
+
+def judged_by(rigelfile: Rigelfile) -> dict[str, list[RigelJob]]:
+    """The jobs that judge, by the name of the job whose table they judge: the one before them in their stage.
+
+    A judge that stands in no stage belongs to the only job that runs containers, where there is only one.
+    """
+    judges: dict[str, list[RigelJob]] = {}
+    placed = set()
+    for stage in rigelfile.stages:
+        last = None
+        for job in stage.jobs:
+            if is_compose(job):
+                last = job
+            elif is_introspection(job) and last is not None:
+                placed.add(job.name)
+                if job not in judges.setdefault(last.name, []):
+                    judges[last.name].append(job)
+    running = [job for job in rigelfile.jobs if is_compose(job)]
+    for job in rigelfile.jobs:
+        if is_introspection(job) and job.name not in placed:
+            if len(running) == 1:
+                judges.setdefault(running[0].name, []).append(job)
+            else:
+                rigelfile.notes.lost(job.where, "it stands after no job that makes its table: write its rules by hand")
+    return judges
+
+
+def ros_version(distro: str | None) -> int:
+    """1 or 2, by the name of the distribution; Rigel always starts a ROS 1 master otherwise."""
+    return 2 if distro in _ROS_2 else 1
+
+
+def system_of(
+    job: RigelJob, judges: list[RigelJob], distro: str | None, around: Surroundings, folder: str
+) -> Converted | None:
+    """The system of a job that calibrates; None where it is none.
+
+    Raises:
+        InputError: a field is of the wrong kind.
+    """
+    components = _components(job)
+    chosen = _calibrating(components, bool(judges))
+    if chosen is None:
+        return None
+    where = f"{job.where}.components"
+    for other in components:
+        if other is not chosen:
+            name = other.get("name", "without a name")
+            around.notes.lost(
+                f"{where}.{name}", "a calibration is one container here: start what it needs in its command"
+            )
+    software = component_entry(chosen, around, f"{where}.{chosen.get('name', 0)}")
+    if "command" not in software:
+        around.notes.to_do(where, "the command that calibrates is not in the Rigelfile: write it for TODO")
+        software = {"command": ["TODO"], **software}
+    software["ros"] = ros_version(distro)
+    timeout = job.fields.get("timeout")
+    if timeout not in (None, 0):
+        software["timeout"] = f"{text_at(timeout, f'{job.where}.timeout').removesuffix('.0')}s"
+        around.notes.changed(f"{job.where}.timeout", "a limit, no waiting: the job ends when its container ends")
+    entry: dict[str, Any] = {"dataset": "TODO"}
+    around.notes.to_do(
+        f"{where}.{chosen.get('name', 0)}",
+        "dataset: name the folder of the dataset in the repository; {start} in the command stands for it with noise",
+    )
+    evaluate = _evaluation(" ".join(map(str, software["command"])))
+    if evaluate:
+        entry["evaluate"] = evaluate
+    entry["software"] = software
+    rules = [rule for judge in judges for rule in _rules(judge, software, around.notes, folder)]
+    if rules:
+        entry["rules"] = rules
+    elif not judges:
+        around.notes.to_do(job.where, "no job judges its table: write rules, or only its exit code counts")
+    _refuse_others(job, ("components", "timeout"), around.notes)
+    origin = f"job {job.name}" + (f", judged by {', '.join(judge.name for judge in judges)}" if judges else "")
+    return Converted(named_system(job.name), entry, origin)
+
+
+def collection_of(job: RigelJob, distro: str | None, around: Surroundings) -> Converted | None:
+    """The simulation of a job that brings a dataset out, or runs several containers; None where it is none.
+
+    Raises:
+        InputError: a field is of the wrong kind.
+    """
+    components = _components(job)
+    where = f"{job.where}.components"
+    containers: dict[str, dict[str, Any]] = {}
+    dataset = None
+    for number, component in enumerate(components):
+        name = named(str(component.get("name", f"container-{number}")))
+        while name in containers:
+            name = f"{name}-2"
+        entry = component_entry(component, around, f"{where}.{name}")
+        brought = [path for path in entry.get("artifacts", []) if path.endswith(("dataset.json", "/dataset"))]
+        if brought:
+            dataset = brought[0].removesuffix("/dataset.json")
+            entry["artifacts"] = [path for path in entry["artifacts"] if path not in brought]
+            if not entry["artifacts"]:
+                del entry["artifacts"]
+        elif len(components) > 1:
+            entry["essential"] = False
+        containers[name] = entry
+    if dataset is None:
+        return None
+    if all(entry.get("essential") is False for entry in containers.values()):
+        raise AssertionError("the container that has the dataset is essential")
+    simulation: dict[str, Any] = {"containers": containers, "ros": ros_version(distro)}
+    timeout = job.fields.get("timeout")
+    if timeout not in (None, 0):
+        simulation["timeout"] = f"{text_at(timeout, f'{job.where}.timeout').removesuffix('.0')}s"
+        around.notes.changed(f"{job.where}.timeout", "a limit, no waiting: the job ends when its container ends")
+    simulation["dataset"] = dataset
+    _refuse_others(job, ("components", "timeout"), around.notes)
+    return Converted(named_system(job.name), simulation, f"job {job.name}")
+
+
+def named_system(name: str) -> str:
+    """A name that calibration.yml takes."""
+    return re.sub(r"[^A-Za-z0-9_.-]+", "-", name).strip("-_.")[:64] or "robot"
+
+
+def _components(job: RigelJob) -> list[dict[str, Any]]:
+    where = f"{job.where}.components"
+    return [mapping_at(c, f"{where}.{i}") for i, c in enumerate(list_at(job.fields.get("components"), where))]
+
+
+def _calibrating(components: list[dict[str, Any]], judged: bool) -> dict[str, Any] | None:
+    """The component whose table is judged: one that brings out a CSV file, or the last of a judged job."""
+
+    def has_table(component: Mapping[str, Any]) -> bool:
+        artifacts = component.get("artifacts")
+        return isinstance(artifacts, list) and any(str(path).endswith(".csv") for path in artifacts)
+
+    with_table = [component for component in components if has_table(component)]
+    return with_table[-1] if with_table else components[-1] if judged and components else None
+
+
+def _evaluation(command: str) -> str | None:
+    """The table that ATOM's evaluation in a command makes, so that our engine makes the same beside it."""
+    for kind, pattern in _EVALUATIONS:
+        found = re.search(pattern, command, re.DOTALL)
+        if found:
+            return f"{kind}:{found[1]}:{found[2]}"
+    return None
+
+
+def _rules(judge: RigelJob, software: dict[str, Any], notes: Notes, path: str) -> list[dict[str, Any]]:
+    if COLUMNS_KEY not in judge.fields:
+        notes.lost(judge.where, "an earlier form of the file introspection: write its limits as rules")
+        return []
+    try:
+        document = translate(_plainly(judge.fields, notes, judge.where), f"{path}: {judge.where}")
+        parse_rules(document, f"{path}: {judge.where}")
+    except InputError as error:
+        notes.lost(judge.where, str(error).removeprefix(f"{path}: {judge.where}: "))
+        return []
+    _table(str(document.get("file", "")), software, judge.where, notes)
+    notes.changed(judge.where, "a number equal to a limit passes here; add `exclusive: true` to a rule if it must not")
+    rules: list[dict[str, Any]] = document["rules"]
+    return rules
+
+
+def _table(file: str, software: dict[str, Any], where: str, notes: Notes) -> None:
+    """Which of the files that are brought out is judged."""
+    name = PurePosixPath(file).name
+    tables = [path for path in software.get("artifacts", []) if path.endswith(".csv")]
+    if file and any(PurePosixPath(path).name == name for path in tables):
+        if len(tables) > 1:
+            software["table"] = f"*{name}"
+    elif file:
+        notes.to_do(f"{where}.file", f"{name} is no artifact of the job before it: add it to software.artifacts")
+
+
+def _plainly(node: Any, notes: Notes, where: str) -> Any:
+    if isinstance(node, dict):
+        return {plain(key, notes, where): _plainly(value, notes, f"{where}.{key}") for key, value in node.items()}
+    if isinstance(node, list):
+        return [_plainly(value, notes, where) for value in node]
+    return plain(node, notes, where) if isinstance(node, str) else node
+
+
+def _refuse_others(job: RigelJob, known: tuple[str, ...], notes: Notes) -> None:
+    for key in job.fields:
+        if key not in known:
+            notes.lost(f"{job.where}.{key}", "there is no such setting here")

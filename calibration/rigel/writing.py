@@ -1,0 +1,104 @@
+"""A conversion as the text of a ``calibration.yml``, with comments that say where each part comes from."""
+
+import textwrap
+from collections.abc import Mapping
+from typing import Any
+
+import yaml
+
+from calibration.rigel.conversion import Conversion
+from calibration.rigel.notes import Kind
+from calibration.rigel.systems import Converted
+from calibration.workflow.text import one_line
+
+WIDTH = 110
+"""Of comments."""
+LEAST_SECRET = 6
+"""Characters; a shorter one may be a word of any text."""
+SHORT = 90
+"""Characters of a list that stands on one line."""
+_HEADINGS = {
+    Kind.TO_DO: "To do:",
+    Kind.CHANGED: "What works otherwise here:",
+    Kind.LOST: "What was not carried over:",
+}
+
+
+class _Dumper(yaml.SafeDumper):
+    """Texts of several lines as they are, nothing by alias."""
+
+    def ignore_aliases(self, data: object) -> bool:
+        return True
+
+    def increase_indent(self, flow: bool = False, indentless: bool = False) -> None:
+        super().increase_indent(flow, indentless=False)
+
+
+def _text(dumper: yaml.SafeDumper, text: str) -> yaml.ScalarNode:
+    # A block keeps no blanks at the end of a line, and can hold only what prints.
+    block = "\n" in text and not any(line != line.rstrip() for line in text.split("\n")) and text.strip("\n") == text
+    printable = text.replace("\n", "").isprintable()
+    style = ("|" if block else None) if printable else '"'
+    return dumper.represent_scalar("tag:yaml.org,2002:str", text, style=style)
+
+
+def _list(dumper: yaml.SafeDumper, items: list[Any]) -> yaml.SequenceNode:
+    node = dumper.represent_sequence("tag:yaml.org,2002:seq", items)
+    if sum(len(str(item)) + 2 for item in items) > SHORT:
+        node.flow_style = False
+    return node
+
+
+_Dumper.add_representer(str, _text)
+_Dumper.add_representer(list, _list)
+
+
+def written(conversion: Conversion, source: str) -> str:
+    """The text of ``calibration.yml``; ``source`` is what it was made from."""
+    parts = [
+        _comment(f"Made from {source} by `calibration import-rigelfile`; from now on it is yours to edit."),
+        _notes(conversion, Kind.TO_DO),
+    ]
+    if conversion.image:
+        parts.append(_comment(f"from the {conversion.image_origin}") + _dumped({"image": conversion.image}))
+    if conversion.noise:
+        parts.append(_comment(f"from {conversion.noise_origin}; m and rad") + _dumped({"noise": conversion.noise}))
+    parts += [_section("systems", conversion.systems), _section("simulation", conversion.simulations)]
+    parts += [_notes(conversion, Kind.CHANGED), _notes(conversion, Kind.LOST)]
+    return _without(conversion.secrets, "\n".join(part for part in parts if part))
+
+
+def _without(secrets: Mapping[str, str], text: str) -> str:
+    """The text without a secret that stood in a second place, where nothing told that it is one."""
+    for secret in sorted(secrets, key=len, reverse=True):
+        if len(secret) >= LEAST_SECRET:
+            text = text.replace(secret, f"${{{secrets[secret]}}}")
+    return text
+
+
+def _section(name: str, entries: list[Converted]) -> str:
+    if not entries:
+        return ""
+    blocks = [
+        textwrap.indent(_comment(f"from the {entry.origin}") + _dumped({entry.name: entry.entry}), "  ")
+        for entry in entries
+    ]
+    return f"{name}:\n" + "\n".join(blocks)
+
+
+def _notes(conversion: Conversion, kind: Kind) -> str:
+    notes = [note for note in conversion.notes if note.kind is kind]
+    return _comment("\n".join([_HEADINGS[kind], *(f"- {note}" for note in notes)])) if notes else ""
+
+
+def _comment(text: str) -> str:
+    lines: list[str] = []
+    for line in text.split("\n"):
+        lines += textwrap.wrap(one_line(line), WIDTH, subsequent_indent="  ", break_on_hyphens=False)
+    return "".join(f"# {line}\n" for line in lines)
+
+
+def _dumped(document: dict[str, Any]) -> str:
+    return yaml.dump(
+        document, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=2**20, default_flow_style=None
+    )

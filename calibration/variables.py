@@ -1,0 +1,41 @@
+"""``${NAME}`` in what users write: the environment variable of that name."""
+
+import math
+import os
+import re
+from collections.abc import Mapping
+from typing import Any
+
+from calibration.errors import InputError
+
+_VARIABLE = re.compile(r"\$\{([A-Za-z_][A-Za-z0-9_]*)\}")
+
+
+def with_variables(value: object, where: str, environment: Mapping[str, str] | None = None) -> Any:
+    """A document with ``${NAME}`` replaced in every text; nothing else is replaced.
+
+    Args:
+        value: what a YAML file holds.
+        where: the file, and the key in it, for messages.
+        environment: that of the process where None.
+
+    Raises:
+        InputError: a variable is not set, or a number is not finite; names the key.
+    """
+    variables = os.environ if environment is None else environment
+
+    def variable(match: re.Match[str]) -> str:
+        name = match[1]
+        if name not in variables:
+            raise InputError(f"{where}: the environment variable {name} is not set")
+        return variables[name]
+
+    if isinstance(value, str):
+        return _VARIABLE.sub(variable, value)
+    if isinstance(value, float) and not math.isfinite(value):
+        raise InputError(f"{where}: found {value}, a finite number was expected")
+    if isinstance(value, list):
+        return [with_variables(item, f"{where}.{i}", variables) for i, item in enumerate(value)]
+    if isinstance(value, dict):
+        return {key: with_variables(item, f"{where}.{key}", variables) for key, item in value.items()}
+    return value

@@ -1,0 +1,152 @@
+"""Output of several programs at once, shown live so that each can be read, and none can command anything."""
+
+import re
+import threading
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+
+from calibration.workflow.groups import group, stop_commands
+from calibration.workflow.runner import Runner
+from calibration.workflow.text import one_line, shorten
+
+MOST_SHOWN = 4 * 1024**2
+"""Characters of one stream; what comes after is not shown."""
+LONGEST_LINE = 2000
+"""Characters of a line that are shown."""
+_COLOURS = re.compile(r"\x1b\[[0-9;:?]*[A-Za-z]")
+
+
+class LogStream:
+    """The lines of one program. May be used from any thread."""
+
+    def __init__(self, display: "LogDisplay", title: str, live: bool) -> None:
+        self.title = one_line(title)
+        self.live = live
+        self.waiting: list[str] = []
+        """Lines that have not been printed yet."""
+        self.closed = False
+        self.printed = False
+        self._display = display
+        self._room = MOST_SHOWN
+
+    def line(self, text: str) -> None:
+        """Show a line as soon as it may be shown."""
+        if self._room <= 0:
+            return
+        text = tame(text)
+        self._room -= len(text) + 1
+        more = [] if self._room > 0 else ["(more is not shown here, see the file of the log)"]
+        self._display.show(self, [text, *more])
+
+    def close(self) -> None:
+        """Say that no line comes any more."""
+        self._display.finish(self)
+
+
+class LogDisplay:
+    """Shows the lines of several programs that run at once.
+
+    In the log of a terminal each line begins with the program's title. On GitHub each program has a
+    group; only one group can be open, so one program is followed live, and the lines of the others
+    come in one piece when they have ended. The runner obeys no command in any of it.
+    """
+
+    def __init__(self, runner: Runner) -> None:
+        self._runner = runner
+        self._lock = threading.RLock()
+        self._streams: list[LogStream] = []
+        self._group: ExitStack | None = None
+        """The open group on GitHub."""
+        self._in_group: LogStream | None = None
+        self._paused = 0
+        self._broken = False
+
+    def open(self, title: str, *, live: bool = True) -> LogStream:
+        """Begin a stream; one that is not ``live`` is never followed live on GitHub, and comes when it has ended."""
+        stream = LogStream(self, title, live)
+        with self._lock:
+            self._streams.append(stream)
+        return stream
+
+    @contextmanager
+    def paused(self) -> Iterator[None]:
+        """Print other things inside, workflow commands too: meanwhile no line is shown, and no group is open."""
+        with self._lock:
+            self._paused += 1
+            self._close_group()
+        try:
+            yield
+        finally:
+            with self._lock:
+                self._paused -= 1
+                self._print_what_may()
+
+    def show(self, stream: LogStream, lines: list[str]) -> None:
+        """Take lines of a stream."""
+        with self._lock:
+            stream.waiting += lines
+            self._print_what_may()
+
+    def finish(self, stream: LogStream) -> None:
+        """Take the end of a stream."""
+        with self._lock:
+            stream.closed = True
+            self._print_what_may()
+
+    def _print_what_may(self) -> None:
+        if self._paused or self._broken:
+            return
+        try:
+            if self._runner.github:
+                self._print_in_groups()
+            else:
+                for stream in self._streams:
+                    self._print_waiting(stream, f"{stream.title} | ")
+        except (OSError, ValueError):  # nobody reads, or the stream is closed: no reason for a program to fail
+            self._broken = True
+        self._streams = [stream for stream in self._streams if stream.waiting or not stream.closed]
+
+    def _print_in_groups(self) -> None:
+        current = self._in_group
+        if current is not None:
+            self._print_waiting(current)
+            if not current.closed:
+                return
+            self._close_group()
+        for stream in self._streams:
+            if stream.closed and stream.waiting:
+                self._open_group(stream)
+                self._print_waiting(stream)
+                self._close_group()
+        following = next((stream for stream in self._streams if stream.live and stream.waiting), None)
+        if following is not None:
+            self._open_group(following)
+            self._print_waiting(following)
+
+    def _open_group(self, stream: LogStream) -> None:
+        self._group, self._in_group = ExitStack(), stream
+        title = f"{stream.title} (continued)" if stream.printed else stream.title
+        self._group.enter_context(group(self._runner, title))
+        self._group.enter_context(stop_commands(self._runner))
+        stream.printed = True
+
+    def _close_group(self) -> None:
+        if self._group is not None:
+            opened, self._group, self._in_group = self._group, None, None
+            opened.close()
+
+    def _print_waiting(self, stream: LogStream, prefix: str = "") -> None:
+        lines, stream.waiting = stream.waiting, []
+        if lines:
+            self._runner.log("\n".join(prefix + line for line in lines))
+
+
+def tame(text: str) -> str:
+    """Make a line of others fit for a log: what a terminal would show of it, without colours, not too long.
+
+    Of a progress bar, which returns to the line's beginning, the last state is kept.
+    """
+    text = text.rstrip().rpartition("\r")[2].expandtabs(4)
+    text = _COLOURS.sub("", text)
+    words = text.lstrip(" ")
+    return " " * min(len(text) - len(words), LONGEST_LINE // 4) + one_line(shorten(words, LONGEST_LINE))

@@ -1,0 +1,1 @@
+"""The team's own software: collects a dataset and calibrates two cameras. Knows nothing of Calibration CI."""

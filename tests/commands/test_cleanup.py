@@ -1,0 +1,66 @@
+"""`calibration cleanup` as it is called; what killed runs leave is in tests/integration/execution."""
+
+from typing import TYPE_CHECKING
+
+import pytest
+
+from calibration.__main__ import main
+from calibration.execution.docker.labels import JOB, RUN, Owner, new_run
+from calibration.execution.docker.leftovers import Leftover, find_leftovers, remove
+
+if TYPE_CHECKING:
+    from docker import DockerClient
+
+
+def test_without_an_engine(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setenv("DOCKER_HOST", "unix:///nosuch.sock")
+    assert main(["cleanup"]) == 3
+    assert capsys.readouterr().err.startswith("error: no Docker Engine answers at unix:///nosuch.sock: ")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [(["--run", "x", "--all"], "run and all exclude each other"), (["--run", " "], "run is empty")],
+)
+def test_contradictions(arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["cleanup", *arguments]) == 2
+    assert message in capsys.readouterr().err
+
+
+def test_what_another_version_has_made(engine: "DockerClient", capsys: pytest.CaptureFixture[str]) -> None:
+    run = new_run()
+    engine.api.create_volume(f"calibration-{run}", labels={RUN: run, JOB: "a\x1b[2Jb"})
+    try:
+        assert main(["cleanup"]) == 0  # whose it is cannot be known
+        assert len(find_leftovers(engine.api, run)) == 1
+        assert "left alone" in capsys.readouterr().out
+        assert main(["cleanup", "--all", "--dry-run"]) == 0
+        shown = capsys.readouterr().out
+        assert run in shown
+        assert "\x1b" not in shown
+        assert main(["cleanup", "--run", run, "--dry-run"]) == 0
+        assert "1 volume would be removed" in capsys.readouterr().out
+        assert main(["cleanup", "--run", run]) == 0
+        assert "1 volume removed" in capsys.readouterr().out
+        assert find_leftovers(engine.api, run) == []
+        assert main(["cleanup", "--run", run]) == 0
+        assert capsys.readouterr().out == "nothing removed\n"
+    finally:
+        remove(engine.api, find_leftovers(engine.api, run))
+
+
+def test_what_is_gone_already_is_no_error_and_what_is_in_use_is_named(engine: "DockerClient", base_image: str) -> None:
+    run = new_run()
+    labels = {RUN: run, **Owner.this_process().labels}
+    name = f"calibration-{run}"
+    engine.api.create_volume(name, labels=labels)
+    host = engine.api.create_host_config(binds={name: {"bind": "/v", "mode": "rw"}})
+    user = engine.api.create_container(base_image, ["true"], host_config=host)
+    try:
+        gone = [Leftover.of("container", "0" * 64), Leftover.of("volume", f"{name}-gone")]
+        assert len(remove(engine.api, gone)) == 2
+        code = main(["cleanup", "--run", run])
+        assert code == 3
+    finally:
+        engine.api.remove_container(user, force=True)
+        remove(engine.api, find_leftovers(engine.api, run))

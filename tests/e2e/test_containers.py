@@ -1,0 +1,131 @@
+"""The ROS 1 example as a user's workflow runs it: built, collected, calibrated, judged and promoted, under act."""
+
+import json
+import re
+import shutil
+import urllib.request
+from pathlib import Path
+
+import yaml
+
+from tests.engine import Registry
+
+from .conftest import PROJECT, Repository, Run
+
+STEPS = """
+- id: image
+  uses: me/suite/actions/build-image@v1
+  with:
+    spec: examples/ros1/calibration.yml
+    push: true
+  env:
+    REGISTRY: REGISTRY_ADDRESS
+- id: collect
+  uses: me/suite/actions/collect-data-sim@v1
+  with:
+    system: examples/ros1/system
+    image: ${{ steps.image.outputs.reference }}
+    ros: 1
+    player: ros1
+    simulation-command: roslaunch example_simulation simulation.launch
+    robot-command: roslaunch example_robot robot.launch output:={output}/dataset
+    max-translation-mm: 1
+    output: collected
+- id: calibrate
+  uses: me/suite/actions/calibrate-matrix@v1
+  with:
+    dataset: collected
+    translation-noise: 0, 0.1
+    rotation-noise: 0, 0.1
+    evaluate: rgb-to-rgb:right_camera:left_camera
+    image: ${{ steps.image.outputs.reference }}
+    command: python3 /opt/example_robot/calibrate.py --dataset {start} --output {output}
+    calibrated: dataset.json
+    output: calibrated
+- uses: me/suite/actions/introspect-csv@v1
+  with:
+    file: calibrated/**/artifacts/rgb_to_rgb_results.csv
+    column: RMS (pix)
+    row: Averages
+    max: 0.5
+- run: echo "kept=$KEPT rate=$RATE digest=$DIGEST"
+  shell: bash
+  env:
+    KEPT: ${{ steps.collect.outputs.collections }}
+    RATE: ${{ steps.calibrate.outputs.success-rate }}
+    DIGEST: ${{ steps.image.outputs.digest }}
+"""
+WHOLE = """
+- id: pipeline
+  uses: me/suite@v1
+  with:
+    config: examples/ros1/calibration.yml
+  env:
+    REGISTRY: REGISTRY_ADDRESS
+- run: echo "verdict=$VERDICT"
+  shell: bash
+  env:
+    VERDICT: ${{ steps.pipeline.outputs.verdict }}
+"""
+
+
+def digest(registry: Registry, tag: str) -> str | None:
+    url = f"http://{registry.address}/v2/ros1-example/manifests/{tag}"
+    accepted = {"Accept": "application/vnd.docker.distribution.manifest.v2+json"}
+    try:
+        with urllib.request.urlopen(urllib.request.Request(url, headers=accepted), timeout=5) as answer:
+            return str(answer.headers["Docker-Content-Digest"])
+    except urllib.error.HTTPError:
+        return None
+
+
+def push(repository: Repository, steps: str, registry: Registry, examples: Path = PROJECT / "examples") -> Run:
+    return repository.push(
+        steps.replace("REGISTRY_ADDRESS", registry.address),
+        {"examples": examples, "calibration": PROJECT / "calibration"},
+    )
+
+
+def test_the_four_actions_one_after_the_other(repository: Repository, base_image: str, registry: Registry) -> None:
+    run = push(repository, STEPS, registry)
+    assert run.code == 0, run.log
+    [line] = [line for line in run.printed if line.startswith("kept=")]
+    found = re.fullmatch(r"kept=12 rate=1\.0 digest=(sha256:[0-9a-f]{64})", line)
+    assert found, line
+    assert run.annotations == []
+    assert digest(registry, "stable") is None  # that is for a verdict over all of it
+
+
+def test_the_root_action_promotes_what_it_has_tested(
+    repository: Repository, base_image: str, registry: Registry
+) -> None:
+    run = push(repository, WHOLE, registry)
+    assert run.code == 0, run.log
+    assert "verdict=pass" in run.printed
+    assert digest(registry, "stable") is not None
+    assert {"verdict", "image", "digest"} <= run.outputs
+
+
+def test_software_that_got_worse_is_red_and_not_promoted(
+    repository: Repository, base_image: str, registry: Registry, tmp_path: Path
+) -> None:
+    examples = tmp_path / "examples"
+    shutil.copytree(PROJECT / "examples", examples)
+    path = examples / "ros1" / "calibration.yml"
+    configuration = yaml.safe_load(path.read_text())
+    configuration["systems"]["ros1"]["software"]["environment"] = {"ROBOT_BUG": "1"}
+    configuration["image"]["promote"] = ["worse"]
+    path.write_text(json.dumps(configuration))
+    run = push(repository, WHOLE, registry, examples)
+    assert run.code == 1
+    assert any("Our engine passes on the same data from the same start" in line for line in run.annotations), run.log
+    assert digest(registry, "worse") is None
+
+
+def test_without_docker_it_says_so_in_one_line(repository: Repository, registry: Registry) -> None:
+    steps = WHOLE.replace("  env:\n    REGISTRY", "  env:\n    DOCKER_HOST: unix:///nowhere.sock\n    REGISTRY", 1)
+    run = push(repository, steps, registry)
+    assert run.code == 1
+    assert "exit status 3" in run.log
+    [annotation] = run.annotations
+    assert "Docker" in annotation

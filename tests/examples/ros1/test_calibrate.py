@@ -1,0 +1,97 @@
+"""The team's calibration as it is run: a process of its own."""
+
+import csv
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from calibration.dataset.model import Dataset
+from calibration.dataset.reading import read_dataset
+from calibration.evaluation.rgb_to_rgb import rgb_to_rgb
+from calibration.geometry.transforms import distance
+from calibration.introspection import judge, parse_rules, read_table
+from tests.examples.ros1.conftest import EXAMPLE, Collected
+
+TABLE = "rgb_to_rgb_results.csv"
+
+
+def calibrate(dataset: Path, output: Path, *more: str, **environment: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, EXAMPLE / "robot" / "calibrate.py", "--dataset", dataset, "--output", output, *more]
+    variables = {**os.environ, **environment}
+    return subprocess.run(command, capture_output=True, text=True, check=False, env=variables)
+
+
+def error_mm(calibrated: Dataset, truth: Dataset) -> float:
+    """Between the two cameras."""
+    frames = "left_camera_optical", "right_camera_optical"
+    return float(1000 * distance(truth.transform(*frames)[0], calibrated.transform(*frames)[0])[0])
+
+
+@pytest.mark.parametrize("noise", [("0", "0"), ("0.1", "0.1")])
+def test_it_finds_the_truth_from_every_noisy_start(
+    collected: Collected, tmp_path: Path, noise: tuple[str, str]
+) -> None:
+    before = (collected.folder / "dataset.json").read_bytes()
+    options = ("--translation-noise", noise[0], "--rotation-noise", noise[1], "--seed", "3")
+    done = calibrate(collected.folder, tmp_path, *options)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.startswith(f"calibrated 2 cameras from {len(collected.dataset.keys)} collections: RMS 0.0")
+    calibrated = read_dataset(tmp_path)
+    assert error_mm(calibrated, collected.dataset) < 0.2
+    assert (collected.folder / "dataset.json").read_bytes() == before
+    ours = rgb_to_rgb(calibrated, "right_camera", "left_camera")
+    header, *rows, averages = csv.reader((tmp_path / TABLE).read_text().splitlines())
+    assert header == ["Collection #", *ours.columns]
+    assert [row[0] for row in rows] == list(ours.labels)
+    values = np.array([row[1:] for row in rows], float)
+    np.testing.assert_allclose(values, ours.values, rtol=0.005, atol=1e-3)
+    assert averages[0] == "Averages"
+    np.testing.assert_allclose(np.array(averages[1:], float), values.mean(0), atol=6e-5)
+
+
+def test_the_noise_depends_on_the_seed_alone(collected: Collected, tmp_path: Path) -> None:
+    for folder, seed in (("a", "1"), ("b", "1"), ("c", "2")):
+        noise = ("--translation-noise", "0.1", "--rotation-noise", "0.1", "--seed", seed)
+        assert calibrate(collected.folder, tmp_path / folder, *noise).returncode == 0
+    a, b, c = (json.loads((tmp_path / folder / "dataset.json").read_text()) for folder in "abc")
+    # nothing ties the cameras to the world, so the first stays where the noise has put it
+    assert a == b
+    left = "stand-left_camera"
+    assert a["collections"]["000"]["transforms"][left] != c["collections"]["000"]["transforms"][left]
+
+
+def test_broken_software_fails_the_rule_and_is_far_from_the_truth(collected: Collected, tmp_path: Path) -> None:
+    rules = parse_rules([{"column": "RMS (pix)", "row": "Averages", "min": 0, "max": 0.5}], where="rules")
+    for name, bug, passes in (("good", "0", True), ("bad", "1", False)):
+        assert calibrate(collected.folder, tmp_path / name, ROBOT_BUG=bug).returncode == 0
+        assert judge(read_table(tmp_path / name / TABLE), rules).passed is passes
+    assert error_mm(read_dataset(tmp_path / "bad"), collected.dataset) > 5
+
+
+@pytest.mark.parametrize(
+    ("content", "error"),
+    [(None, "FileNotFoundError"), ("{", "JSONDecodeError"), ("{}", "KeyError: 'calibration_config'")],
+)
+def test_what_is_no_dataset_is_a_failure_in_one_line(tmp_path: Path, content: str | None, error: str) -> None:
+    if content is not None:
+        (tmp_path / "dataset.json").write_text(content)
+    done = calibrate(tmp_path, tmp_path / "output")
+    assert done.returncode == 1
+    assert done.stderr.startswith(f"calibrate: {error}")
+    assert done.stderr.count("\n") == 1
+    assert not (tmp_path / "output").exists()
+
+
+def test_a_camera_that_saw_nothing_is_a_failure(collected: Collected, tmp_path: Path) -> None:
+    document = json.loads((collected.folder / "dataset.json").read_text())
+    for collection in document["collections"].values():
+        collection["labels"]["board"]["right_camera"] = {"detected": False, "idxs": []}
+    (tmp_path / "dataset.json").write_text(json.dumps(document))
+    done = calibrate(tmp_path, tmp_path / "output")
+    assert done.returncode == 1
+    assert "right_camera and left_camera saw the board together in no collection" in done.stderr

@@ -1,0 +1,114 @@
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import jsonschema
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from calibration.errors import InputError
+from calibration.execution.document import SCHEMA, container_from
+from calibration.execution.job import Artifact, Container, Limits, Mount, Readiness, Relaxations
+from calibration.json_schema import bundled
+
+FOLDER = Path("/team")
+KEYS = set(bundled(SCHEMA)["$defs"]["container"]["properties"])
+
+
+def test_every_key() -> None:
+    entry = {
+        "image": "team/robot:1",
+        "command": "rosrun robot calibrate --seed {seed}",
+        "entrypoint": [],
+        "environment": {"A": 1, "B": True, "C": "x y", "D": 0.5},
+        "secrets": ["TOKEN"],
+        "working-directory": "/w",
+        "user": 1000,
+        "mounts": ["data:/data", "/abs:/abs:ro", {"source": "cache", "target": "/cache", "writable": True}],
+        "memory": "2g",
+        "cpus": 1.5,
+        "processes": 100,
+        "timeout": "5m",
+        "ready": {"port": 80, "log": "up", "file": "/up", "command": ["test", "-e", "/x"], "timeout": 5},
+        "after": ["sim"],
+        "essential": False,
+        "success": [0, 3],
+        "artifacts": ["{output}/*.csv", {"path": "/log", "required": False}],
+        "new-privileges": True,
+        "capabilities": ["NET_RAW"],
+        "devices": ["/dev/video0"],
+        "gpus": True,
+        "docker-socket": True,
+        "privileged": True,
+    }
+    assert set(entry) == KEYS
+    container = container_from("robot", entry, FOLDER, "here", {"TOKEN": "s3cret"})
+    assert container == Container(
+        name="robot",
+        image="team/robot:1",
+        command=("rosrun", "robot", "calibrate", "--seed", "{seed}"),
+        entrypoint=(),
+        environment={"A": "1", "B": "true", "C": "x y", "D": "0.5", "TOKEN": "s3cret"},
+        secrets=frozenset({"TOKEN"}),
+        working_directory="/w",
+        user="1000",
+        mounts=(Mount(FOLDER / "data", "/data"), Mount(Path("/abs"), "/abs"), Mount(FOLDER / "cache", "/cache", True)),
+        limits=Limits(2 * 1024**3, 1.5, 100, 300),
+        readiness=Readiness(80, "up", "/up", ("test", "-e", "/x"), 5),
+        after=("sim",),
+        essential=False,
+        success=(0, 3),
+        artifacts=(Artifact("{output}/*.csv"), Artifact("/log", required=False)),
+        relaxations=Relaxations(True, ("NET_RAW",), ("/dev/video0",), True, True, True),
+    )
+    assert "s3cret" not in repr(container)
+
+
+def test_everything_is_forbidden_by_default() -> None:
+    assert container_from("a", {"image": ""}, FOLDER, "here") == Container("a", "")
+
+
+@pytest.mark.parametrize(
+    ("entry", "message"),
+    [
+        ({"comand": "x"}, "here: unknown key 'comand': did you mean 'command'?"),
+        ({"command": []}, "here: command"),
+        ({"command": "a 'b"}, "here.command: 'a 'b' cannot be split"),
+        ({"command": ["a", 1]}, "here: command"),
+        ({"memory": "much"}, "here.memory: found 'much'"),
+        ({"timeout": "soon"}, "here.timeout: found 'soon'"),
+        ({"ready": {"port": 80, "timeout": "x"}}, "here.ready.timeout"),
+        ({"ready": {}}, "here: ready"),
+        ({"mounts": ["data"]}, "here: mounts.0"),
+        ({"mounts": ["data:/data:rw"]}, "here: mounts.0"),
+        ({"mounts": [{"source": "a"}]}, "here: mounts.0"),
+        ({"secrets": ["NOT_SET"]}, "here.secrets: the environment variable NOT_SET is not set"),
+        ({"secrets": ["TOKEN"], "environment": {"TOKEN": "x"}}, "TOKEN stands in environment and in secrets"),
+        ({"capabilities": ["net_raw"]}, "here: capabilities.0"),
+        ({"success": 256}, "here: success"),
+        ({"artifacts": [3]}, "here: artifacts.0"),
+    ],
+)
+def test_what_is_wrong_is_named(entry: dict[str, Any], message: str) -> None:
+    with pytest.raises(InputError) as caught:
+        container_from("a", entry, FOLDER, "here", {"TOKEN": "x"})
+    assert message in str(caught.value)
+
+
+VALUES = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=8), inner, max_size=3),
+    max_leaves=6,
+)
+
+
+@settings(max_examples=50)
+@given(st.dictionaries(st.sampled_from(sorted(KEYS)), VALUES, max_size=3))
+def test_any_document_is_a_container_or_an_error(entry: dict[str, Any]) -> None:
+    with suppress(InputError):
+        assert container_from("a", entry, FOLDER, "here", {}).name == "a"
+
+
+def test_the_schema_is_one() -> None:
+    jsonschema.Draft202012Validator.check_schema(bundled(SCHEMA))

@@ -1,0 +1,68 @@
+"""An engine that answers wrongly: one line for the user, whatever it says."""
+
+import json
+
+import docker
+import pytest
+
+from calibration.errors import WorldError
+from calibration.image.bases import fetch
+from calibration.image.builders.build_log import BuildLog
+from calibration.image.builders.engine import build_by_engine
+from calibration.image.builders.failure import BuildFailedError
+from calibration.image.builders.request import BuildRequest
+from calibration.image.context import Context
+from calibration.image.registries.credentials import Credentials
+from calibration.workflow import Runner
+from tests.image.registries.server import Reply, serve
+
+STEP = {"stream": "Step 1/1 : RUN x"}
+
+
+def log() -> BuildLog:
+    return BuildLog(Runner(github=True), lambda *_, **__: None)
+
+
+def build(reply: Reply) -> str:
+    context = Context()
+    context.add_bytes("Dockerfile", b"FROM x")
+    with serve(lambda _: reply) as server:
+        client = docker.DockerClient(base_url=f"tcp://{server.address}", version="1.41", timeout=5)
+        try:
+            return build_by_engine(client, BuildRequest("robot", context, "Dockerfile"), log())
+        finally:
+            client.close()
+
+
+def message(text: str, status: int = 500) -> Reply:
+    return Reply(status, json.dumps({"message": text}).encode(), {"Content-Type": "application/json"})
+
+
+@pytest.mark.parametrize(
+    ("reply", "kind", "said"),
+    [
+        (message("no space left on device"), WorldError, "the build broke off: no space left on device"),
+        (message("unknown instruction: FORM", 400), BuildFailedError, "image robot: unknown instruction: FORM"),
+        (Reply(reset=True), WorldError, "the engine broke off the build"),
+        (Reply(body=b"<html>"), WorldError, "the engine broke off the build"),
+        (Reply(body=json.dumps(STEP).encode()), WorldError, "the engine ended without an image"),
+        (
+            Reply(body=json.dumps({"error": "it broke", "errorDetail": "not a mapping"}).encode()),
+            BuildFailedError,
+            "image robot: it broke",
+        ),
+    ],
+)
+def test_a_build(reply: Reply, kind: type[Exception], said: str) -> None:
+    with pytest.raises(kind, match=said) as error:
+        build(reply)
+    assert str(error.value).isprintable()
+
+
+def test_a_pull_that_the_engine_refuses() -> None:
+    replies = iter([message("no such image", 404), message("dial tcp: lookup r: no such host")])
+    with serve(lambda _: next(replies)) as server:
+        client = docker.DockerClient(base_url=f"tcp://{server.address}", version="1.41", timeout=5)
+        with pytest.raises(WorldError, match=r"image r/x: it cannot be pulled: .*no such host"):
+            fetch(client, "r/x", lambda _: Credentials("docker.io"), None, log())
+        client.close()

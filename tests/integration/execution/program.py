@@ -1,0 +1,62 @@
+"""A program that runs jobs, for tests that stop or kill it.
+
+``python -m tests.integration.execution.program KIND RUN FOLDER [ARGUMENT]`` exits as `calibration`
+does; each outcome is a line: ``job exit_code reason``.
+"""
+
+import sys
+from pathlib import Path
+
+from calibration.errors import CalibrationError
+from calibration.execution.docker import backend
+from calibration.execution.job import OUTPUT, Artifact, Container, Job, Readiness
+from calibration.workflow import Runner
+from calibration.workflow.signals import Terminated, terminate_cleanly
+from calibration.workflow.streams import LogDisplay
+from tests.engine import PYTHON_IMAGE
+
+
+def shell(text: str, name: str = "a", image: str = PYTHON_IMAGE, **settings: object) -> Container:
+    return Container(name, image, ("sh", "-c", text), **settings)  # type: ignore[arg-type]
+
+
+def jobs(kind: str, argument: str) -> list[Job]:
+    if kind == "pulling":
+        return [Job("j", (shell("true", image=f"{argument}/hangs:1"),))]
+    if kind == "waiting":
+        never = shell("echo up; sleep 600", "sim", essential=False, readiness=Readiness(file="/never", seconds=600))
+        return [Job("j", (never, shell("true", after=("sim",))))]
+    if kind == "running":
+        helper = shell("sleep 600", "sim", essential=False)
+        return [Job(f"j{i}", (helper, shell("echo up; sleep 600"))) for i in range(3)]
+    if kind == "copying":
+        text = f"head -c 800000000 /dev/zero > {OUTPUT}/zeros; echo up"
+        return [Job("j", (shell(text, artifacts=(Artifact(f"{OUTPUT}/*"),)),))]
+    if kind == "short":
+        return [Job(f"j{i}", (shell("echo up"), shell("sleep 9", "b", essential=False))) for i in range(20)]
+    if kind == "bare":  # an engine of the test's own, with an image that has nothing but sleep
+        backend._LOOKING, backend._PATIENCE = 1, 2
+        return [Job(f"j{i}", (Container("a", argument, ("/bin/sleep", "600")),), network="none") for i in range(2)]
+    raise AssertionError(kind)
+
+
+def main() -> int:
+    kind, run, folder, argument = (*sys.argv[1:], "")[:4]
+    try:
+        with terminate_cleanly(), backend.DockerBackend(run=run, show=LogDisplay(Runner())) as docker:
+            code = 0
+            for _, outcome in docker.run(jobs(kind, argument), Path(folder), workers=2):
+                print(outcome.job, int(outcome.exit_code), *outcome.reasons, flush=True)
+                code = max(code, int(outcome.exit_code))
+            return code
+    except CalibrationError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return int(error.exit_code)
+    except Terminated:
+        return 143
+    except KeyboardInterrupt:
+        return 130
+
+
+if __name__ == "__main__":
+    sys.exit(main())

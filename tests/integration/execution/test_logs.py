@@ -1,0 +1,146 @@
+import base64
+import io
+from pathlib import Path
+
+import pytest
+
+from calibration.execution.docker.backend import DockerBackend
+from calibration.execution.docker.leftovers import find_leftovers
+from calibration.execution.job import Job
+from calibration.execution.outcome import End
+from calibration.workflow import Runner
+from calibration.workflow.streams import LogDisplay
+from tests.integration.execution.jobs import python, run_job, run_jobs, shell
+from tests.workflow.test_groups import obeyed
+
+
+def test_in_a_group_per_container_on_github(tmp_path: Path) -> None:
+    runner = Runner(github=True, stdout=io.StringIO())
+    display = LogDisplay(runner)
+    hostile = shell("printf '::error::no\\n::stop-commands::x\\n##[error]no\\n\\033[31mred\\n'; sleep 0.3", "robot")
+    jobs = [Job("j1", (shell("echo up; sleep 9", "sim", essential=False), hostile)), Job("j2", (shell("echo x"),))]
+    with DockerBackend(show=display) as backend:
+        for _, outcome in backend.run(jobs, tmp_path, 2):
+            runner.log(f"::notice::{outcome.job} {outcome.verdict}")
+    assert isinstance(runner.stdout, io.StringIO)
+    log = runner.stdout.getvalue()
+    commands = obeyed(log)
+    assert {"::group::j1/sim", "::group::j1/robot", "::group::j2/a", "::notice::j1 pass", "::notice::j2 pass"} <= set(
+        commands
+    )
+    assert not [command for command in commands if "error" in command]
+    opened = 0
+    for command in commands:
+        opened += command.startswith("::group") - command.startswith("::endgroup")
+        assert opened in (0, 1)  # the runner knows no groups in groups
+    assert "##[" not in log
+    assert "\x1b" not in log
+
+
+def test_live(tmp_path: Path) -> None:
+    """A line is shown when it is printed, not when the container ends."""
+    stop = tmp_path / "stop"
+    stop.mkdir()
+
+    class Screen(io.StringIO):
+        def write(self, text: str) -> int:
+            if "begun" in text:
+                (stop / "now").touch()
+            return super().write(text)
+
+    from calibration.execution.job import Limits, Mount
+
+    screen = Screen()
+    waiting = shell(
+        "echo begun; while ! test -e /stop/now; do sleep 0.05; done",
+        mounts=(Mount(stop, "/stop"),),
+        limits=Limits(seconds=20),
+    )
+    [outcome] = run_jobs(tmp_path, Job("j", (waiting,)), show=LogDisplay(Runner(stdout=screen)))
+    assert outcome.reasons == ()
+    assert screen.getvalue() == "j/a | begun\n"
+
+
+def test_much_output_is_kept_whole(tmp_path: Path) -> None:
+    for stream in ("stdout", "stderr"):
+        text = f"import sys\nprint(*range(200000), sep='\\n', file=sys.{stream})"
+        outcome = run_job(tmp_path, python(text), name=stream)
+        assert (outcome.folder / "logs" / "a.log").read_text().split("\n")[:-1] == [str(i) for i in range(200000)]
+
+
+def test_output_that_is_closed_early_is_no_end(tmp_path: Path) -> None:
+    outcome = run_job(tmp_path, shell("echo x; exec >&- 2>&-; sleep 0.7; exit 4"))
+    assert outcome.reasons == ("container 'a' ended with exit code 4: x",)
+    assert outcome.containers[0].seconds > 0.6
+
+
+SECRET = "pl4nted-s3cret\nwith a second line"  # noqa: S105
+
+
+def test_planted_secrets_are_found_nowhere(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    screen = io.StringIO()
+    text = """
+import base64, os, sys, time
+secret = os.environ["TOKEN"]
+print("plain", secret)
+print(base64.b64encode(secret.encode()).decode())
+for letter in secret: sys.stdout.write(letter); sys.stdout.flush()
+time.sleep(0.2)
+print()
+print(repr(os.environ), flush=True)
+time.sleep(0.2)
+sys.exit("the token " + secret.split()[0] + " was refused")
+"""
+    robot = python(text, environment={"TOKEN": SECRET}, secrets=frozenset({"TOKEN"}))
+    [outcome] = run_jobs(tmp_path, Job("j", (robot,)), show=LogDisplay(Runner(stdout=screen)))
+    assert outcome.reasons == ("container 'a' ended with exit code 1: the token *** was refused",)
+    written = b"".join(path.read_bytes() for path in tmp_path.rglob("*") if path.is_file())
+    said = written + (screen.getvalue() + repr(outcome) + repr(robot) + "".join(capfd.readouterr())).encode()
+    for form in (b"pl4nted", b"second line", base64.b64encode(SECRET.encode())):
+        assert form not in said
+    assert b"plain ***" in written
+
+
+def test_the_engine_keeps_no_log(tmp_path: Path) -> None:
+    with DockerBackend() as backend:
+        running = backend.run([Job("j", (shell("echo x; sleep 0.5"), shell("sleep 9", "b")))], tmp_path)
+        api = backend._client.api
+        kinds = set()
+
+        def look(*_: object) -> None:
+            for each in find_leftovers(api, backend.run_name):
+                if each.kind == "container":
+                    kinds.add(api.inspect_container(each.id)["HostConfig"]["LogConfig"]["Type"])
+
+        import threading
+        import time
+
+        done = threading.Event()
+
+        def watch() -> None:
+            while not done.is_set() and not kinds:
+                look()
+                time.sleep(0.05)
+
+        thread = threading.Thread(target=watch)
+        thread.start()
+        [(_, outcome)] = list(running)
+        done.set()
+        thread.join()
+    assert kinds == {"none"}
+    assert outcome.containers[1].end == End.STOPPED
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
+def test_a_full_disk_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from calibration.execution import log_file
+
+    plain = log_file.Path.open
+
+    def full(path: Path, *arguments: object, **settings: object) -> object:
+        return plain(Path("/dev/full") if path.suffix == ".log" else path, *arguments, **settings)  # type: ignore[call-overload]
+
+    monkeypatch.setattr(log_file.Path, "open", full)
+    outcome = run_job(tmp_path, shell("echo x; sleep 0.3; echo y"))
+    assert outcome.exit_code == 3
+    assert "a.log: the log cannot be written: No space left on device" in outcome.reasons[0]

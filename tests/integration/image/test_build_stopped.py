@@ -1,0 +1,159 @@
+"""Builds that are stopped, or whose engine is gone: one line, the right exit code, and nothing left."""
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+import uuid
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from tests.engine import wait_until
+from tests.integration.image.builds import Builds, builds
+from tests.integration.image.test_build import buildkit_or_skip
+
+__all__ = ["builds"]
+
+BASE = "debian:bookworm"
+SCRIPT = """
+import sys
+from calibration.__main__ import _execute
+from calibration.commands.build_image import command
+sys.exit(_execute(command, "build-image", sys.argv[1:]))
+"""
+
+
+@contextmanager
+def building(builds: Builds, builder: str, marker: str, **variables: str) -> Iterator["subprocess.Popen[str]"]:
+    """The command, in a build whose last step sleeps; it runs."""
+    builds.write("image.yml", f"name: {builds.name}\nbase: {BASE}\ncommands: ['sleep 600; echo {marker}']")
+    arguments = ["--spec", "image.yml", "--builder", builder]
+    with subprocess.Popen(
+        [sys.executable, "-c", SCRIPT, *arguments],
+        cwd=builds.folder,
+        env={**os.environ, "TMPDIR": str(builds.folder), **variables},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as process:
+        try:
+            wait_until(lambda: process.poll() is not None or sleeping(marker), "the step runs", 60)
+            yield process
+        finally:
+            process.kill()
+
+
+def sleeping(marker: str) -> bool:
+    """Whether a process of the step runs, in whatever container."""
+    for path in Path("/proc").glob("[0-9]*/cmdline"):
+        try:
+            command = path.read_bytes()
+        except OSError:
+            continue
+        if marker.encode() in command and b"/bin/bash" in command and b"image.yml" not in command:
+            return True
+    return False
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+@pytest.mark.parametrize("builder", ["engine", "buildkit"])
+def test_a_signal_stops_the_build(builds: Builds, builder: str, number: signal.Signals) -> None:
+    if builder == "buildkit":
+        buildkit_or_skip()
+    marker = uuid.uuid4().hex
+    with building(builds, builder, marker) as process:
+        process.send_signal(number)
+        _, errors = process.communicate(timeout=30)
+    assert process.returncode == 128 + number
+    assert errors == f"error: stopped by {number.name}\n"
+    wait_until(lambda: not sleeping(marker), "the step has ended")
+
+    def containers() -> list[str]:
+        return [c["Id"] for c in builds.engine.api.containers(all=True) if marker in c["Command"]]
+
+    wait_until(lambda: not containers(), "no container is left")
+    assert builds.tags() == []
+    assert [path.name for path in builds.folder.iterdir()] == ["image.yml"]  # TMPDIR: no secret, no archive
+
+
+@pytest.fixture
+def mortal_engine(builds: Builds) -> Iterator[tuple[str, "subprocess.Popen[bytes]"]]:
+    """An engine of our own, with the base, that may be killed."""
+    program = shutil.which("dockerd")
+    if program is None or os.geteuid() != 0:
+        pytest.skip("needs dockerd, and root")
+    folder = Path("/tmp") / f"e{uuid.uuid4().hex[:8]}"  # noqa: S108 (a socket's path is short)
+    folder.mkdir(mode=0o700)
+    address = f"unix://{folder}/s"
+    places = {"data-root": "d", "exec-root": "x", "pidfile": "p"}
+    # With a network of its own: another engine's would lose its bridge to this one.
+    command = ["unshare", "--net", program, "-H", address]
+    command += [f"--{name}={folder}/{place}" for name, place in places.items()]
+    with (folder / "log").open("wb") as log:
+        process = subprocess.Popen([*command, "--iptables=false"], stdout=log, stderr=log)
+    try:
+        wait_until((folder / "s").exists, "the engine answers", 60)
+        docker = ["docker", "-H", address]
+        saved = builds.folder / "base.tar"
+        with saved.open("wb") as file:
+            file.writelines(builds.engine.images.get(BASE).save(named=True))
+        subprocess.run([*docker, "load", "--quiet", "--input", saved], check=True, stdout=subprocess.DEVNULL)
+        saved.unlink()
+        yield address, process
+    finally:
+        process.terminate()
+        try:
+            process.wait(30)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+        for left in processes_of(str(folder)):  # its containerd and the containers, which a killed engine leaves
+            os.kill(left, signal.SIGKILL)
+        wait_until(lambda: not processes_of(str(folder)), "nothing of the engine runs")
+        for line in reversed(Path("/proc/mounts").read_text().splitlines()):
+            if str(folder) in line:
+                subprocess.run(["umount", "--lazy", line.split()[1]], check=False)
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def processes_of(folder: str) -> list[int]:
+    """The processes that work in a folder of this test, with those in the containers that they run."""
+    found = []
+    for path in Path("/proc").glob("[0-9]*"):
+        try:
+            if folder in (path / "cmdline").read_text() or folder in (path / "mountinfo").read_text().split("\n")[0]:
+                found.append(int(path.name))
+        except OSError:
+            continue
+    return found
+
+
+def test_an_engine_that_is_killed(builds: Builds, mortal_engine: tuple[str, "subprocess.Popen[bytes]"]) -> None:
+    address, engine = mortal_engine
+    marker = uuid.uuid4().hex
+    with building(builds, "engine", marker, DOCKER_HOST=address) as process:
+        begin = time.monotonic()
+        engine.kill()
+        _, errors = process.communicate(timeout=30)
+    assert time.monotonic() - begin < 20
+    assert process.returncode == 3
+    assert errors == f"error: image {builds.name}: the engine broke off the build\n"
+
+
+def test_no_engine(builds: Builds) -> None:
+    builds.write("image.yml", f"base: {BASE}")
+    done = subprocess.run(
+        [sys.executable, "-c", SCRIPT, "--spec", "image.yml"],
+        cwd=builds.folder,
+        env={**os.environ, "DOCKER_HOST": "unix:///nowhere/s"},
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 3
+    assert done.stderr.startswith("error: no Docker Engine answers at unix:///nowhere/s")
+    assert len(done.stderr.splitlines()) == 1

@@ -1,0 +1,168 @@
+"""`calibrate-matrix` with the team's software in real containers: the verdict, the exit code, and what is left."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from tests.engine import wait_until
+
+if TYPE_CHECKING:
+    from docker import DockerClient
+
+PROJECT = Path(__file__).parents[3]
+DATASET = PROJECT / "datasets" / "t2rgb"
+# Writes a table whose RMS tells the noise that it was given, and how far the start is from the dataset.
+SOFTWARE = """
+import json, math, sys
+dataset, start, output, translation, rotation, seed = sys.argv[1:]
+edge = "left_tripod_base-left_camera"
+def place(folder):
+    with open(folder + "/dataset.json") as file:
+        transforms = next(iter(json.load(file)["collections"].values()))["transforms"]
+    return [entry["trans"] for key, entry in sorted(transforms.items())]
+moved = max(math.dist(a, b) for a, b in zip(place(dataset), place(start)))
+rms = float(translation) + 10 * float(rotation) + 100 * int(seed)
+with open(output + "/results.csv", "w") as file:
+    file.write("Collection #,RMS (pix),Moved\\n000,%f,%f\\nAverages,%f,%f\\n" % (rms, moved, rms, moved))
+"""
+ARGUMENTS = "{dataset} {start} {output} {translation_noise} {rotation_noise} {seed}"
+
+
+@pytest.fixture
+def matrix(
+    tmp_path: Path, python_image: str, engine: "DockerClient"
+) -> Callable[..., subprocess.CompletedProcess[str]]:
+    def run(command: str, *options: str, **variables: str) -> subprocess.CompletedProcess[str]:
+        words = [sys.executable, "-m", "calibration", "calibrate-matrix", "--dataset", str(DATASET)]
+        words += ["--image", python_image, "--command", command, "--output", str(tmp_path / "out"), *options]
+        return subprocess.run(
+            words,
+            cwd=PROJECT,
+            env={**os.environ, **variables},
+            capture_output=True,
+            text=True,
+            timeout=120,
+            check=False,
+        )
+
+    return run
+
+
+def python(program: str, arguments: str = ARGUMENTS) -> str:
+    import shlex
+
+    return f"python3 -c {shlex.quote(program.replace('{', '{{').replace('}', '}}'))} {arguments}"
+
+
+def results(folder: Path) -> dict[str, Any]:
+    document: dict[str, Any] = json.loads((folder / "results.json").read_text())
+    return document
+
+
+def errors(run: subprocess.CompletedProcess[str]) -> list[str]:
+    return [line for line in run.stderr.splitlines() if line.startswith("error")]
+
+
+def test_each_cell_has_its_own_start_table_and_verdict(
+    matrix: Callable[..., subprocess.CompletedProcess[str]], tmp_path: Path
+) -> None:
+    run = matrix(python(SOFTWARE), "--translation-noise", "0,0.5", "--rotation-noise", "0,0.1", "--seed-list", "3")
+    assert run.returncode == 0, run.stdout + run.stderr
+    document = results(tmp_path / "out")
+    cells = document["cells"]
+    assert [cell["rms_px"] for cell in cells] == [300.0, 301.0, 300.5, 301.5]
+    assert {cell["method"] for cell in cells} == {"software"}
+    tables = [(tmp_path / "out" / cell["table"]).read_text() for cell in cells]
+    assert len(set(tables)) == 4
+    moved = [float(table.splitlines()[-1].split(",")[-1]) for table in tables]
+    assert moved == pytest.approx([0, 0, 0.5, 0.5], abs=1e-6)
+    references = document["comparisons"]
+    assert [cell["method"] for cell in references] == ["calibration-ci"] * 4
+    assert all(cell["converged"] and cell["rms_px"] < 1 for cell in references)
+    assert "t2rgb: software" in run.stdout
+    for cell in cells:
+        folder = (tmp_path / "out" / cell["table"]).parents[1]
+        assert (folder / "logs" / "calibration.log").exists()
+        assert json.loads((folder / "manifest.json").read_text())
+    assert not list((tmp_path / "out").glob(".starts-*"))
+
+
+def test_a_rule_that_the_table_breaks_is_red_and_our_engine_tells_why(
+    matrix: Callable[..., subprocess.CompletedProcess[str]], tmp_path: Path
+) -> None:
+    rules = tmp_path / "rules.yml"
+    rules.write_text("- {column: RMS (pix), row: Averages, max: 3}\n")
+    run = matrix(python(SOFTWARE), "--rules", str(rules))
+    assert run.returncode == 1
+    [line] = errors(run)
+    assert "found 100" in line
+    assert "Our engine passes on the same data from the same start" in line
+
+
+@pytest.mark.parametrize(
+    ("program", "options", "code", "says"),
+    [
+        ("import sys; print('no board'); sys.exit(3)", (), 1, "ended with exit code 3"),
+        ("import os; os.kill(os.getpid(), 9)", (), 1, "SIGKILL"),
+        ("x = bytearray(10**9)", ("--memory", "64m"), 1, "memory"),
+        ("import time; time.sleep(60)", ("--timeout", "1s"), 3, "1 s"),
+        ("", (), 1, "/calibration/output/*"),
+        ("open('/calibration/output/a.txt', 'w')", (), 1, "expected exactly one file '*.csv'"),
+        ("import os; os.symlink('/etc/passwd', '/calibration/output/a.csv')", (), 1, "a.csv"),
+    ],
+)
+def test_what_goes_wrong_in_a_cell_is_one_line_and_its_exit_code(
+    matrix: Callable[..., subprocess.CompletedProcess[str]],
+    program: str,
+    options: tuple[str, ...],
+    code: int,
+    says: str,
+) -> None:
+    run = matrix(python(program, ""), *options)
+    assert run.returncode == code, run.stdout + run.stderr
+    [line] = errors(run)
+    assert says in line
+    assert "Traceback" not in run.stdout + run.stderr
+
+
+def test_an_image_that_there_is_not(matrix: Callable[..., subprocess.CompletedProcess[str]]) -> None:
+    run = matrix("true", "--image", "127.0.0.1:1/no/such:image")
+    assert run.returncode in (2, 3)
+    [line] = errors(run)
+    assert "127.0.0.1:1/no/such:image" in line
+
+
+def test_without_an_engine_it_says_so_at_once(matrix: Callable[..., subprocess.CompletedProcess[str]]) -> None:
+    run = matrix("true", DOCKER_HOST="unix:///nowhere.sock")
+    assert run.returncode == 3
+    [line] = errors(run)
+    assert "Docker" in line
+    assert "unix:///nowhere.sock" in line
+
+
+def test_sigterm_leaves_nothing_behind(python_image: str, engine: "DockerClient", tmp_path: Path) -> None:
+    words = [sys.executable, "-m", "calibration", "calibrate-matrix", "--dataset", str(DATASET), "--seeds", "2"]
+    words += ["--image", python_image, "--command", "sleep 60", "--output", str(tmp_path)]
+
+    def containers() -> list[Any]:
+        return [
+            c
+            for c in engine.containers.list(all=True)
+            if c.attrs["Config"]["Cmd"] == ["sleep", "60"]
+            and any(str(tmp_path) in mount.get("Source", "") for mount in c.attrs["Mounts"])
+        ]
+
+    with subprocess.Popen(words, cwd=PROJECT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        wait_until(lambda: bool(containers()), "a container runs", 30)
+        process.send_signal(signal.SIGTERM)
+        _, stderr = process.communicate(timeout=30)
+    assert process.returncode == 143
+    assert "stopped by SIGTERM" in stderr
+    assert containers() == []

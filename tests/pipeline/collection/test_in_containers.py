@@ -1,0 +1,250 @@
+"""Datasets that applications collected: what their containers are told, and what is made of what they leave."""
+
+import json
+import shutil
+from collections.abc import Callable, Generator, Sequence
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from calibration.errors import ExitCode, InputError
+from calibration.execution.job import OUTPUT, Artifact, Job
+from calibration.execution.outcome import JobOutcome
+from calibration.pipeline.collection.applications import MOTION, PLAYER, REPORT, applications_from, collection_job
+from calibration.pipeline.collection.collecting import CollectionRequest, collect_dataset
+from calibration.pipeline.collection.in_containers import ContainerRequest, collect_in_containers
+from calibration.pipeline.collection.results import CollectionChecks, CollectionResults
+
+DATASETS = Path(__file__).parents[3] / "datasets"
+ENTRY = {
+    "image": "robot:1",
+    "ros": 1,
+    "containers": {
+        "simulation": {"command": "roslaunch simulation.launch seed:={seed}"},
+        "robot": {"command": "roslaunch robot.launch out:={output}/dataset", "after": ["simulation"]},
+    },
+    "player": "ros1",
+}
+
+
+class LeavesBehind:
+    """A backend whose containers leave these files in the output folder, and end so."""
+
+    def __init__(self, leave: Callable[[Path], None], outcome: dict[str, Any] | None = None) -> None:
+        self.leave, self.outcome, self.jobs = leave, outcome or {}, list[Job]()
+
+    def run(
+        self, jobs: Sequence[Job], folder: Path, workers: int | None = None, done: object = None
+    ) -> Generator[tuple[int, JobOutcome]]:
+        self.jobs += jobs
+        place = folder / jobs[0].name
+        (place / "artifacts").mkdir(parents=True)
+        (place / "logs").mkdir()
+        (place / "logs" / "robot.log").write_text("hello\n")
+        self.leave(place / "artifacts")
+        yield 0, JobOutcome(jobs[0].name, place, **self.outcome)
+
+
+@pytest.fixture(scope="module")
+def collected(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A dataset of three poses, as a robot application would leave it: no truth, no system."""
+    folder = tmp_path_factory.mktemp("collected")
+    collect_dataset(CollectionRequest(DATASETS / "t2rgb", motion="generate:4", seed=3), folder)
+    names = [path for path in folder.iterdir() if path.suffix != ".jpg" and path.name != "dataset.json"]
+    for path in names:
+        path.unlink()
+    return folder
+
+
+def copying(dataset: Path, report: object = None) -> Callable[[Path], None]:
+    def leave(artifacts: Path) -> None:
+        shutil.copytree(dataset, artifacts / "dataset")
+        if report is not None:
+            (artifacts / Path(REPORT).name).write_text(json.dumps(report))
+
+    return leave
+
+
+def request(**changes: Any) -> ContainerRequest:
+    return ContainerRequest(
+        "fresh", applications_from(ENTRY, Path(), "simulation.fresh"), DATASETS / "t2rgb", **{"seed": 3, **changes}
+    )
+
+
+def test_the_containers_and_our_player() -> None:
+    job = collection_job(applications_from(ENTRY, Path(), "x"), "collection", "t2rgb", 3, DATASETS / "t.json")
+    containers = {container.name: container for container in job.containers}
+    assert list(containers) == ["master", "simulation", "robot", "player"]
+    assert containers["simulation"].command[-1] == "seed:=3"
+    assert containers["robot"].command[-1] == f"out:={OUTPUT}/dataset"
+    player = containers["player"]
+    assert set(player.after) == {"master", "simulation", "robot"}
+    assert player.image == "robot:1"
+    assert {mount.target for mount in player.mounts} == {MOTION, PLAYER}
+    assert player.artifacts == (Artifact(f"{OUTPUT}/dataset"), Artifact(REPORT, required=False))
+    assert all(not mount.writable for container in job.containers for mount in container.mounts)
+
+
+def test_one_of_the_containers_plays() -> None:
+    entry = {**ENTRY, "dataset": "/data/set"}
+    del entry["player"]
+    job = collection_job(applications_from(entry, Path(), "x"), "collection", "t2rgb", 3, None)
+    assert [container.name for container in job.containers] == ["master", "simulation", "robot"]
+    assert job.containers[-1].artifacts == (Artifact("/data/set"),)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"ros": "none"}, "x.player: ros1 needs a ROS master; add ros: 1"),
+        ({"containers": {"robot": {"command": "run {sed}"}}}, "did you mean 'seed'"),
+        ({"containers": {"master": {"command": "run"}}}, "master"),
+        ({"containers": {"robot": {"command": "run", "after": ["robt"]}}}, "robt"),
+        ({"dataset": "data"}, "data"),
+        ({"timeout": "x"}, "x.timeout"),
+    ],
+)
+def test_what_is_wrong_is_said_before_anything_runs(changes: dict[str, Any], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        applications_from({**ENTRY, **changes}, Path(), "x")
+
+
+def test_the_dataset_is_checked_and_calibrated(collected: Path, tmp_path: Path) -> None:
+    report = [{"pose": n, "saved": n != 3, "answer": "" if n != 3 else "no board\nseen"} for n in range(1, 6)]
+    backend = LeavesBehind(copying(collected, report))
+    results = collect_in_containers(request(), tmp_path / "out", backend)
+    assert results.verdict == "pass"
+    assert results.proof is not None
+    assert results.proof.translation_mm is not None
+    assert results.proof.translation_mm < 0.5
+    assert [record.number for record in results.lost] == [2]
+    assert "no board" in results.lost[0].lost[0]
+    assert [record.number for record in results.kept] == [0, 1, 3, 4]
+    document = json.loads((tmp_path / "out" / "results.json").read_text())
+    assert (document["poses"], document["kept"], document["corner_rms_px"]) == (5, 4, None)
+    assert document["sensors"]["left_camera"]["detected"] >= 3
+    left = {path.name for path in (tmp_path / "out").iterdir()}
+    assert {"dataset.json", "ground_truth.json", "motion.json", "contact_sheet.png", "logs", "robot.urdf"} <= left
+    assert not [name for name in left if name.startswith(".")]
+    assert (tmp_path / "out" / "logs" / "robot.log").read_text() == "hello\n"
+    [job] = backend.jobs
+    assert job.seconds == 3600
+
+
+def test_collections_are_named_as_the_dataset_names_them(collected: Path, tmp_path: Path) -> None:
+    results = collect_in_containers(request(), tmp_path / "out", LeavesBehind(copying(collected)))
+    assert [record.key for record in results.records] == ["000", "001", "002", "003"]
+    assert "000,1,yes" in (tmp_path / "out" / "poses.csv").read_text()
+
+
+def test_a_collection_again_replaces_all_of_the_earlier_one(collected: Path, tmp_path: Path) -> None:
+    output = tmp_path / "out"
+    collect_in_containers(request(), output, LeavesBehind(copying(collected)))
+    (output / "logs" / "old.log").write_text("old")
+    with pytest.raises(InputError, match="exists already"):
+        collect_in_containers(request(), output, LeavesBehind(copying(collected)))
+    collect_in_containers(request(), output, LeavesBehind(copying(collected)), overwrite=True)
+    assert [path.name for path in (output / "logs").iterdir()] == ["robot.log"]
+
+
+@pytest.mark.parametrize(
+    ("code", "error"),
+    [(ExitCode.FAIL, None), (ExitCode.BAD_INPUT, ExitCode.BAD_INPUT), (ExitCode.WORLD, ExitCode.WORLD)],
+)
+def test_applications_that_fail_say_why(tmp_path: Path, code: ExitCode, error: ExitCode | None) -> None:
+    outcome = {"exit_code": code, "reasons": ("robot: exited with code 3",)}
+    results = collect_in_containers(request(), tmp_path / "out", LeavesBehind(lambda _: None, outcome))
+    assert results.exit_code == code
+    assert results.error == error
+    assert results.reasons == ["robot: exited with code 3"]
+    document = json.loads((tmp_path / "out" / "results.json").read_text())
+    assert (document["verdict"], document["dataset"], document["contact_sheet"]) == ("fail", None, None)
+    assert (tmp_path / "out" / "logs" / "robot.log").exists()
+
+
+def reasons_of(dataset: Path, tmp_path: Path, **changes: Any) -> CollectionResults:
+    return collect_in_containers(request(**changes), tmp_path / "out", LeavesBehind(copying(dataset)))
+
+
+def changed(collected: Path, tmp_path: Path, change: Callable[[dict[str, Any]], None]) -> Path:
+    folder = tmp_path / "changed"
+    shutil.copytree(collected, folder)
+    document = json.loads((folder / "dataset.json").read_text())
+    change(document)
+    (folder / "dataset.json").write_text(json.dumps(document))
+    return folder
+
+
+def test_a_dataset_that_is_none_has_failed(collected: Path, tmp_path: Path) -> None:
+    broken = changed(collected, tmp_path, lambda document: document.pop("sensors"))
+    results = reasons_of(broken, tmp_path)
+    assert (results.verdict, results.error) == ("fail", None)
+    assert results.reasons[0].startswith("dataset.json")
+    assert not (tmp_path / "out" / "dataset.json").exists()
+
+
+def test_a_sensor_that_the_system_has_is_missed(collected: Path, tmp_path: Path) -> None:
+    def drop(document: dict[str, Any]) -> None:
+        for place in (document["sensors"], document["calibration_config"]["sensors"]):
+            del place["left_camera"]
+        for collection in document["collections"].values():
+            for place in (collection["data"], *collection["labels"].values()):
+                del place["left_camera"]
+
+    results = reasons_of(changed(collected, tmp_path, drop), tmp_path)
+    assert results.reasons == ["dataset.json: missing sensor 'left_camera' (it has right_camera)"]
+
+
+def test_a_file_outside_of_the_folder_is_not_drawn(collected: Path, tmp_path: Path) -> None:
+    def leave(document: dict[str, Any]) -> None:
+        for collection in document["collections"].values():
+            collection["data"]["left_camera"]["data_file"] = "../../../etc/passwd"
+
+    results = reasons_of(changed(collected, tmp_path, leave), tmp_path)
+    assert {r.collection["data"]["left_camera"]["data_file"] for r in results.kept} == {"missing"}
+
+
+def test_checks_and_truth(collected: Path, tmp_path: Path) -> None:
+    few = reasons_of(collected, tmp_path, checks=CollectionChecks(minimum_collections=9))
+    assert few.reasons == ["collections: found 4, at least 9 was expected"]
+    none = CollectionChecks(max_translation_mm=None, max_rotation_deg=None)
+    shutil.rmtree(tmp_path / "out")
+    free = reasons_of(collected, tmp_path, truth="none", checks=none)
+    assert free.verdict == "pass"
+    assert free.proof is not None
+    assert free.proof.translation_mm is None
+
+
+def test_without_a_system_nothing_is_known_of_it(collected: Path, tmp_path: Path) -> None:
+    entry = {**ENTRY, "ros": "none"}
+    del entry["player"]
+    asked = ContainerRequest("theirs", applications_from(entry, Path(), "x"), truth="dataset")
+    results = collect_in_containers(asked, tmp_path / "out", LeavesBehind(copying(collected)))
+    assert results.verdict == "pass"
+    assert not results.contact_sheet
+    assert results.motion == "the motion of the applications"
+
+
+@pytest.mark.parametrize("report", ["[", '{"a": 1}', '[{"pose": "x"}]', "[" * 100_000])
+def test_a_report_that_is_none_is_refused(collected: Path, tmp_path: Path, report: str) -> None:
+    def leave(artifacts: Path) -> None:
+        shutil.copytree(collected, artifacts / "dataset")
+        (artifacts / Path(REPORT).name).write_text(report)
+
+    results = collect_in_containers(request(), tmp_path / "out", LeavesBehind(leave))
+    assert results.reasons == [".player.json: this is no report of the player"]
+
+
+def test_our_player_needs_a_motion_of_a_pattern(tmp_path: Path) -> None:
+    asked = ContainerRequest("fresh", applications_from(ENTRY, Path(), "x"))
+    with pytest.raises(InputError, match="our player needs a motion"):
+        collect_in_containers(asked, tmp_path / "out", LeavesBehind(lambda _: None))
+    with pytest.raises(InputError, match="a motion is only generated for a system"):
+        collect_in_containers(
+            ContainerRequest("fresh", asked.applications, motion="generate:3"), tmp_path, LeavesBehind(lambda _: None)
+        )
+    with pytest.raises(InputError, match="moves joints"):
+        collect_in_containers(
+            ContainerRequest("fresh", asked.applications, DATASETS / "riwbot"), tmp_path, LeavesBehind(lambda _: None)
+        )
