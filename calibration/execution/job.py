@@ -111,7 +111,7 @@ class Container:
     essential: bool = True
     """Its end ends the job. What is not essential is stopped then, and its end is no success or failure."""
     success: tuple[int, ...] = (0,)
-    """The exit codes of an essential container that are a success."""
+    """The exit codes of an essential container that are a success; none where it must not end by itself."""
     artifacts: tuple[Artifact, ...] = ()
     relaxations: Relaxations = field(default_factory=Relaxations)
 

@@ -119,7 +119,7 @@ def _problems(container: Container) -> Iterator[str]:
             yield f"artifact '{artifact.path}': expected an absolute path in the container without . and .."
         elif Glob(artifact.path).source == "/":
             yield f"artifact '{artifact.path}': all of the container would have to be read; name a folder"
-    if not container.success or not all(0 <= code <= _HIGHEST_CODE for code in container.success):
+    if not all(0 <= code <= _HIGHEST_CODE for code in container.success):
         yield f"success: found {list(container.success)}, expected exit codes from 0 to 255"
 
 

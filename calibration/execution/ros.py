@@ -18,7 +18,7 @@ def with_ros(job: Job, version: RosVersion, image: str | None = None) -> Job:
     1: a container with a master, which everybody else waits for, in ``image`` (that of the first container
     unless given), and the variables by which nodes find it and each other. 2: no master; a domain, and a
     network of the job's own even for a container alone, because nodes find each other by multicast and
-    must not find those of another job. Logs of ROS go where every user may write.
+    must not find those of another job. ROS 2 logs where every user may write.
 
     Raises:
         InputError: a container has the master's name, or a ROS master is asked for without a network of the job.
@@ -53,7 +53,6 @@ def _as_node(container: Container) -> Container:
     environment = {
         "ROS_MASTER_URI": f"http://{MASTER}:{PORT}",
         "ROS_HOSTNAME": container.name,
-        "ROS_HOME": "/tmp/ros",  # noqa: S108 (in a container of its own)
     }
     return _with_environment(container, environment)
 

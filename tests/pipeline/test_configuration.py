@@ -153,13 +153,14 @@ def test_what_the_software_says(tmp_path: Path) -> None:
         ("systems: {a: {dataset: a, software: {image: i}}}", "systems.a.software"),
         (SOFTWARE.replace("command", "comand"), "systems.a.software"),
         (SOFTWARE.replace("start", "strat"), "systems.a.software.command: there is no placeholder '{strat}'"),
-        (IMAGE + SOFTWARE.replace("}}}", "}', memory: much}}}").replace("'}'", "}'"), "systems.a.software.memory"),
+        (IMAGE + SOFTWARE.replace("}'}}}", "}', memory: much}}}"), "systems.a.software.memory: found 'much'"),
         ("image: {name: x}\n" + SOFTWARE, "image"),
         ("image: {name: x, base: b, atp: [y]}\n" + SOFTWARE, "image: unknown key 'atp': did you mean 'apt'?"),
         (IMAGE + COLLECTED + "simulation: {fresh: {system: s, ros: 1}}", "simulation.fresh"),
         (IMAGE + COLLECTED + "simulation: {fresh: {system: s, backend: docker}}", "docker needs containers"),
         (IMAGE + COLLECTED + CONTAINERS.replace("{containers", "{backend: embedded, containers"), "found embedded"),
         (IMAGE + COLLECTED + CONTAINERS.replace("}}}}", "}}, player: ros2}}"), "simulation.fresh.player"),
+        (IMAGE + COLLECTED + CONTAINERS.replace("command", "comand"), "robot: unknown key 'comand': did you mean"),
     ],
 )
 def test_one_line_about_containers(tmp_path: Path, text: str, expected: str) -> None:

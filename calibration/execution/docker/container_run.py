@@ -180,6 +180,8 @@ class ContainerRun:
             return f"{container} was killed by {self.signal}{said}"
         if self.end == End.EXITED and self.exit_code not in self.container.success:
             hint = f" ({_HINTS[self.exit_code]})" if self.exit_code in _HINTS else ""
+            if not self.container.success:
+                hint += ", before the job was done"
             return f"{container} ended with exit code {self.exit_code}{hint}{said}"
         return None
 

@@ -126,6 +126,8 @@ def collection_job(applications: Applications, name: str, system: str, seed: int
         for container in applications.containers
     ]
     if applications.player is not None:
+        # roslaunch answers 0 when a node has died: whatever it answers, it is too early
+        containers = [replace(container, success=()) for container in containers]
         containers.append(_player(applications, applications.player, mounts))
     [dataset] = fill([applications.dataset], values, "dataset")
     brought = (Artifact(dataset.rstrip("/")), *((Artifact(REPORT, required=False),) if applications.player else ()))

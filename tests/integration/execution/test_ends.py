@@ -34,6 +34,13 @@ EAT = "bytearray(300 * 2**20)"
         (shell("exit 3", success=(0, 3)), End.EXITED, 3, 0, None),
         (shell("exit 143", success=(143,)), End.EXITED, 143, 0, None),
         (shell("exit 0", success=(3,)), End.EXITED, 0, 1, "container 'a' ended with exit code 0"),
+        (
+            shell("exit 0", success=()),
+            End.EXITED,
+            0,
+            1,
+            "container 'a' ended with exit code 0, before the job was done",
+        ),
         (shell("echo boom >&2; exit 3"), End.EXITED, 3, 1, "container 'a' ended with exit code 3: boom"),
         (shell("kill -SEGV $$"), End.SIGNALLED, 139, 1, "container 'a' was killed by SIGSEGV"),
         (shell("kill -KILL $$"), End.SIGNALLED, 137, 1, "container 'a' was killed by SIGKILL"),

@@ -81,6 +81,7 @@ def test_the_containers_and_our_player() -> None:
     player = containers["player"]
     assert set(player.after) == {"master", "simulation", "robot"}
     assert player.image == "robot:1"
+    assert (containers["robot"].success, player.success) == ((), (0,))  # roslaunch answers 0 whatever has died
     assert {mount.target for mount in player.mounts} == {MOTION, PLAYER}
     assert player.artifacts == (Artifact(f"{OUTPUT}/dataset"), Artifact(REPORT, required=False))
     assert all(not mount.writable for container in job.containers for mount in container.mounts)
