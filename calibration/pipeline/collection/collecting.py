@@ -6,7 +6,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from calibration.errors import InputError, WorldError
-from calibration.pipeline.collection.results import CollectionChecks, CollectionResults, write_collection_results
+from calibration.pipeline.collection.results import CollectionChecks, CollectionResults
+from calibration.pipeline.collection.writing import write_collection_results
 
 if TYPE_CHECKING:
     from calibration.simulation.collection.checks import Requirements

@@ -15,7 +15,8 @@ from calibration.execution.outcome import JobOutcome
 from calibration.files import read_bytes
 from calibration.pipeline.collection.applications import REPORT, Applications, collection_job
 from calibration.pipeline.collection.collecting import GENERATE, pose_count, require_opencv
-from calibration.pipeline.collection.results import CollectionChecks, CollectionResults, write_collection_results
+from calibration.pipeline.collection.results import CollectionChecks, CollectionResults
+from calibration.pipeline.collection.writing import write_collection_results
 from calibration.workflow.text import one_line, shorten
 
 if TYPE_CHECKING:

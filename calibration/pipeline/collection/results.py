@@ -2,7 +2,6 @@
 
 import csv
 import io
-import json
 import math
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
@@ -10,7 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from calibration.errors import ExitCode
-from calibration.files import write_atomically
 
 if TYPE_CHECKING:
     from calibration.simulation.collection.proof import Proof
@@ -194,21 +192,6 @@ def _together(errors: "list[CornerErrors]") -> dict[str, Any] | None:
     }
 
 
-def write_collection_results(results: CollectionResults, output: Path) -> None:
-    """Write ``results.json``, ``poses.csv``, ``junit.xml`` and ``summary.md`` into a folder.
-
-    Raises:
-        WorldError: a file cannot be written.
-    """
-    from calibration.pipeline.collection.summary import markdown
-
-    text = json.dumps(collection_document(results), indent=1, allow_nan=False) + "\n"
-    write_atomically(output / FILE, text)
-    write_atomically(output / POSES_FILE, poses_csv(results))
-    write_atomically(output / SUMMARY_FILE, markdown(results))
-    write_atomically(output / "junit.xml", _junit(results))
-
-
 def collection_document(results: CollectionResults) -> dict[str, Any]:
     """The content of ``results.json``. No times: the same input gives the same bytes."""
     return {
@@ -256,7 +239,8 @@ def poses_csv(results: CollectionResults) -> str:
     return text.getvalue()
 
 
-def _junit(results: CollectionResults) -> str:
+def junit(results: CollectionResults) -> str:
+    """The checks as JUnit XML."""
     from calibration.workflow.junit import Case, Suite, junit_xml  # XML is slow to import
 
     calibrates = None if results.proof and results.proof.converged else "\n".join(results.reasons)
