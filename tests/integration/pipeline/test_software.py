@@ -166,3 +166,34 @@ def test_sigterm_leaves_nothing_behind(python_image: str, engine: "DockerClient"
     assert process.returncode == 143
     assert "stopped by SIGTERM" in stderr
     assert containers() == []
+
+
+def test_a_planted_secret_is_in_no_log_result_or_summary(python_image: str, tmp_path: Path) -> None:
+    program = "import os, sys; print('key', os.environ['API_KEY']); sys.exit(os.environ['API_KEY'])"
+    (tmp_path / "calibration.yml").write_text(
+        f"systems:\n  t2rgb:\n    dataset: {DATASET}\n    software:\n      image: {python_image}\n"
+        f"      secrets: [API_KEY]\n      command: [python3, -c, {json.dumps(program)}]\n"
+    )
+    planted, summary = "planted-7f3a9c", tmp_path / "step-summary.md"
+    done = subprocess.run(
+        [sys.executable, "-m", "calibration", "run", "--config", "calibration.yml", "--output", "out"],
+        cwd=tmp_path,
+        env={
+            **os.environ,
+            "PYTHONPATH": str(PROJECT),
+            "API_KEY": planted,
+            "GITHUB_ACTIONS": "true",
+            "GITHUB_STEP_SUMMARY": str(summary),
+        },
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+    assert done.returncode == 1
+    texts = [done.stderr, summary.read_text()]
+    texts += [line for line in done.stdout.splitlines() if not line.startswith("::add-mask::")]
+    texts += [path.read_text() for path in (tmp_path / "out").rglob("*") if path.is_file()]
+    assert not [text for text in texts if planted in text]
+    [log] = (tmp_path / "out").rglob("calibration.log")
+    assert "key ***" in log.read_text()
