@@ -8,7 +8,7 @@ import tempfile
 import time
 import urllib.request
 from collections.abc import Callable, Generator, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -108,6 +108,23 @@ def _registry(folder: Path, auth: str) -> Generator[Registry]:
     finally:
         process.terminate()
         process.wait(10)
+        _forget(f"127.0.0.1:{port}/")
+
+
+def _forget(prefix: str) -> None:
+    """Remove the engine's images that were for a registry which is no more."""
+    try:
+        import docker
+
+        client = docker.from_env(timeout=60)
+    except (ImportError, docker.errors.DockerException):
+        return
+    for image in client.api.images():
+        for tag in image.get("RepoTags") or ():
+            if tag.startswith(prefix):
+                with suppress(docker.errors.APIError):
+                    client.api.remove_image(tag, force=True)
+    client.close()
 
 
 def wait_until(holds: Callable[[], bool], what: str, seconds: float = 20.0) -> None:
