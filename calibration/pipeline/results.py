@@ -44,8 +44,10 @@ class Results:
 
     @property
     def verdict(self) -> Verdict:
-        """Pass when every cell and every collection passed, and there is one."""
-        return "pass" if self.judged and all(each.verdict == "pass" for each in self.judged) else "fail"
+        """Pass when every cell and every collection passed, and there is one; or where only an image was built."""
+        if not self.judged and self.image is None:
+            return "fail"
+        return "pass" if all(each.verdict == "pass" for each in self.judged) else "fail"
 
     @property
     def exit_code(self) -> ExitCode:

@@ -106,10 +106,12 @@ def sentence(results: Results) -> str:
     for things, what, verb in ((results.cells, "cell", "calibrated"), (results.collections, "dataset", "collected")):
         wrong = sum(thing.verdict == "fail" for thing in things)
         count = f"1 {what}" if len(things) == 1 else f"{len(things)} {what}s"
-        if wrong or (what == "cell" and not results.judged):
+        if wrong or (what == "cell" and not results.judged and results.image is None):
             failed.append(f"{wrong} of {count} failed")
         elif things:
             done.append(f"{count} {verb}")
+    if results.image is not None and not results.judged:
+        done.append("the image is built" if results.image.built else "the image is there")
     return f"{results.verdict}: {', '.join((*failed, *done))}"
 
 

@@ -216,3 +216,8 @@ def test_the_image_is_part_of_the_results(tmp_path: Path) -> None:
     jsonschema.validate(json.loads((tmp_path / "results.json").read_text()), json.loads(SCHEMA.read_text()))
     assert read_results(tmp_path).image == image
     assert "Image team/robot:key-1: unchanged, nothing was built; promoted to stable." in markdown(results)
+
+
+def test_only_an_image_is_a_pass_and_nothing_at_all_is_none() -> None:
+    assert sentence(Results((), image=ImageResult("team/robot:key-1", "1" * 64, True))) == "pass: the image is built"
+    assert sentence(Results(())) == "fail: 0 of 0 cells failed"

@@ -73,9 +73,9 @@ Run = Callable[..., tuple[int, dict[str, Any], str]]
 
 @pytest.fixture
 def run(repository: Path, python_image: str, registry: Registry, tmp_path: Path) -> Run:
-    def started(limit: float = 1, *options: str) -> tuple[int, dict[str, Any], str]:
+    def started(limit: float = 1, *options: str, change: tuple[str, str] = ("", "")) -> tuple[int, dict[str, Any], str]:
         path = repository / "calibration.yml"
-        path.write_text(CONFIGURATION.format(registry=registry.address, limit=limit))
+        path.write_text(CONFIGURATION.replace(*change).format(registry=registry.address, limit=limit))
         words = [sys.executable, "-m", "calibration", "run", "--config", str(path), "--output", str(tmp_path), *options]
         done = subprocess.run(
             words, cwd=PROJECT, env=dict(os.environ), capture_output=True, text=True, timeout=120, check=False
@@ -115,6 +115,14 @@ def test_from_a_specification_to_a_promoted_image(run: Run, registry: Registry) 
     assert collected["translation_mm"] < 1
     assert digest(registry, "stable") == digest(registry, "v1") == image["digest"] is not None
     assert "promoted to" in log
+
+
+def test_results_inside_of_what_is_copied_change_nothing(run: Run, repository: Path) -> None:
+    whole = "files: [{{from: robot, to: /opt/robot}}]", "files: [{{from: ., to: /opt/all}}]"
+    options = ("--only", "build", "--output", str(repository / "results"))
+    built = [run(1, *options, change=whole)[2] for _ in range(2)]
+    assert "pass: the image is built" in built[0]
+    assert "pass: the image is there" in built[1]
 
 
 def test_a_verdict_of_this_run_is_needed_to_promote(run: Run) -> None:
