@@ -22,11 +22,7 @@ def _with_local_references(node: Any, path: Path, prefix: str, definitions: dict
         return [_with_local_references(item, path, prefix, definitions) for item in node]
     if not isinstance(node, dict):
         return node
-    changed = {
-        key: _with_local_references(value, path, prefix, definitions)
-        for key, value in node.items()
-        if key != "$schema" or not prefix
-    }
+    changed = {key: _with_local_references(value, path, prefix, definitions) for key, value in node.items()}
     if isinstance(reference := node.get("$ref"), str):
         file, _, pointer = reference.partition("#")
         name = Path(file).name.removesuffix(".schema.json")
