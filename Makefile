@@ -64,6 +64,7 @@ lock: ## resolve requirements/*.txt again after a change in pyproject.toml
 	'$(uv)' $(compile) --extra calibrate --extra opencv --extra figures --extra containers --constraint requirements/dev.txt --output-file requirements/collect.txt
 	'$(uv)' $(compile) --extra containers --extra aws --constraint requirements/dev.txt --output-file requirements/image.txt
 	'$(uv)' $(compile) --extra calibrate --extra opencv --extra figures --extra containers --extra aws --constraint requirements/dev.txt --output-file requirements/run.txt
+	'$(uv)' $(compile) --extra coverage --constraint requirements/dev.txt --output-file requirements/coverage.txt
 	'$(uv)' $(compile) --constraint requirements/dev.txt --output-file requirements/introspect.txt
 
 actions: ## write the inputs of the commands into every action.yml

@@ -39,6 +39,7 @@ ACTIONS = {
     "introspect-csv": ("introspect-csv/main.py", "introspect.txt"),
     "calibrate-matrix": ("calibrate-matrix/main.py", "calibrate.txt"),
     "collect-data-sim": ("collect-data-sim/main.py", "collect.txt"),
+    "coverage-upload": ("coverage-upload/main.py", "coverage.txt"),
     "run": ("run.py", "run.txt"),  # the root action.yml; no folder, because a folder here is a sub-action
 }
 # What an interpreter of the user's own must be able to import. Without OpenCV calibrate.txt lacks some comparisons and
@@ -47,6 +48,7 @@ MODULES = {
     "introspect.txt": ["click", "yaml"],
     "calibrate.txt": ["click", "yaml", "numpy", "jsonschema", "defusedxml", "rich"],
     "collect.txt": ["click", "yaml", "numpy", "jsonschema", "defusedxml", "rich", "cv2"],
+    "coverage.txt": ["click", "yaml", "coverage", "defusedxml", "requests"],
     "image.txt": ["click", "yaml", "jsonschema", "rich", "docker"],
     "run.txt": ["click", "yaml", "numpy", "jsonschema", "defusedxml", "rich"],
 }

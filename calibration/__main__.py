@@ -41,6 +41,9 @@ COMMANDS: Mapping[str, LazyCommand] = {
     "build-image": LazyCommand(
         "calibration.commands.build_image:command", "Build the image with the team's software, if anything changed."
     ),
+    "coverage-upload": LazyCommand(
+        "calibration.commands.coverage_upload:command", "Run tests, judge their coverage, and upload it."
+    ),
     "record-motion": LazyCommand(
         "calibration.commands.record_motion:command", "Record a motion sequence on a page in the browser."
     ),

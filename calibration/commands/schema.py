@@ -15,6 +15,7 @@ SCHEMAS = {
     "results": ("calibration.pipeline", "results.schema.json"),
     "collection": ("calibration.pipeline.collection", "collection.schema.json"),
     "scenario-set": ("calibration.simulation.scenarios", "scenario_set.schema.json"),
+    "coverage": ("calibration.coverage", "results.schema.json"),
     "image-results": ("calibration.image", "results.schema.json"),
     "introspection": ("calibration.introspection", "results.schema.json"),
 }

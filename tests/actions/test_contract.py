@@ -49,7 +49,7 @@ def test_inputs_are_those_of_the_command(name: str, bootstrap: ModuleType) -> No
 
 def test_the_readme_shows_every_input_and_output() -> None:
     text = README.read_text()
-    assert {"build-image", "calibrate-matrix", "collect-data-sim", "introspect-csv"} <= set(
+    assert {"build-image", "calibrate-matrix", "collect-data-sim", "coverage-upload", "introspect-csv"} <= set(
         re.findall(r"<!-- inputs: (\S+) -->", text)
     )
     assert text == with_tables(text), "run `make actions`"
@@ -104,7 +104,9 @@ def test_old_pythons_read_bootstrap_far_enough_to_say_that_they_are_too_old() ->
 
 
 def test_locks_have_hashes_and_no_addresses() -> None:
-    assert LOCKS.keys() == {f"{name}.txt" for name in ("introspect", "calibrate", "collect", "image", "run", "dev")}
+    assert {name.removesuffix(".txt") for name in LOCKS} == {
+        *("introspect", "calibrate", "collect", "coverage", "image", "run", "dev")
+    }
     for text in LOCKS.values():
         assert not re.search(r"://|(?<!\w)/\w|^-", text, re.MULTILINE)
         for requirement in re.split(r"\n(?=\w)", text)[1:]:
@@ -112,14 +114,14 @@ def test_locks_have_hashes_and_no_addresses() -> None:
 
 
 def test_what_is_tested_is_what_the_actions_install(bootstrap: ModuleType) -> None:
-    introspect, calibrate, collect, image, run, dev = (
+    introspect, calibrate, collect, coverage, image, run, dev = (
         bootstrap.pins(PROJECT / "requirements" / f"{name}.txt")
-        for name in ("introspect", "calibrate", "collect", "image", "run", "dev")
+        for name in ("introspect", "calibrate", "collect", "coverage", "image", "run", "dev")
     )
     assert bootstrap.covers(calibrate, introspect)
     assert bootstrap.covers(collect, calibrate)
     assert bootstrap.covers(run, [*collect, *image])
-    assert bootstrap.covers(dev, run)
+    assert bootstrap.covers(dev, [*run, *coverage])
 
 
 @pytest.mark.parametrize(
@@ -128,6 +130,7 @@ def test_what_is_tested_is_what_the_actions_install(bootstrap: ModuleType) -> No
         ("introspect.txt", [], []),
         ("calibrate.txt", ["calibrate", "opencv", "containers"], []),
         ("collect.txt", ["calibrate", "opencv", "figures", "containers"], []),
+        ("coverage.txt", ["coverage"], []),
         ("image.txt", ["containers", "aws"], []),
         ("run.txt", ["calibrate", "opencv", "figures", "containers", "aws"], []),
         ("dev.txt", ["opencv", "figures", "record"], ["dev"]),
@@ -151,7 +154,12 @@ def test_locks_satisfy_pyproject(lock: str, extras: list[str], groups: list[str]
 
 @pytest.mark.parametrize(
     ("lock", "extras"),
-    [("introspect.txt", []), ("calibrate.txt", ["calibrate"]), ("collect.txt", ["calibrate", "opencv"])],
+    [
+        ("introspect.txt", []),
+        ("calibrate.txt", ["calibrate"]),
+        ("collect.txt", ["calibrate", "opencv"]),
+        ("coverage.txt", ["coverage"]),
+    ],
 )
 def test_an_interpreter_of_ones_own_is_asked_for_all_modules(
     bootstrap: ModuleType, lock: str, extras: list[str]
@@ -165,10 +173,10 @@ def test_an_interpreter_of_ones_own_is_asked_for_all_modules(
 
 def test_the_examples_of_the_readme_are_right() -> None:
     blocks = [yaml.safe_load(block) for block in re.findall(r"```yaml\n(.*?)```", README.read_text(), re.DOTALL)]
-    workflow, configuration, simulation, image, software = blocks
-    steps = [step for step in workflow["jobs"]["calibrate"]["steps"] if step["uses"].startswith("OWNER/")]
+    workflow, configuration, simulation, image, software, coverage = blocks
+    steps = [step for step in workflow["jobs"]["calibrate"]["steps"] if step["uses"].startswith("OWNER/")] + coverage
     used = {step["uses"].partition("@")[0].rpartition("/")[2]: step["with"] for step in steps}
-    assert set(used) == {"calibrate-matrix", "introspect-csv"}
+    assert set(used) == {"calibrate-matrix", "introspect-csv", "coverage-upload"}
     for name, given in used.items():
         assert set(given) <= set(options(name))
     schema = bundled(PROJECT / "calibration/pipeline/calibration.schema.json")

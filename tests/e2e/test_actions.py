@@ -255,6 +255,39 @@ def test_a_dataset_that_is_not_there_is_bad_input(repository: Repository) -> Non
     assert "Traceback" not in run.log
 
 
+def test_unit_tests_and_their_coverage(repository: Repository) -> None:
+    step = """
+- id: coverage
+  uses: me/suite/actions/coverage-upload@v1
+  with:
+    run: python3 -m unittest
+    service: none
+    minimum: MINIMUM
+    badge: badge.svg
+- if: always()
+  run: echo "verdict=$VERDICT rate=$RATE"; test -s badge.svg
+  shell: bash
+  env:
+    VERDICT: ${{ steps.coverage.outputs.verdict }}
+    RATE: ${{ steps.coverage.outputs.line-rate }}
+"""
+    files = {
+        "naming.py": "def name(a, b):\n    return f'{a}-{b}'\n\n\ndef unused():\n    return 1\n",
+        "test_naming.py": (
+            "import unittest\n\nimport naming\n\n\nclass Test(unittest.TestCase):\n"
+            "    def test_name(self):\n        self.assertEqual(naming.name(1, 2), '1-2')\n"
+        ),
+    }
+    run = repository.push(step.replace("MINIMUM", "70"), files)
+    assert run.code == 0, run.log
+    assert run.installations == ["coverage"]
+    [line] = [line for line in run.printed if line.startswith("verdict=")]
+    assert line == "verdict=pass rate=75.0"
+    run = repository.push(step.replace("MINIMUM", "90"))
+    assert run.code == 1
+    assert any("75" in line and "90" in line for line in run.annotations), run.annotations
+
+
 def test_the_repositorys_own_pipeline(suite: Path, cache: Path) -> None:
     """The job of push.yml that runs the root action, on the systems that ship."""
     run = Repository(suite, suite, cache).act("push", "--job", "pipeline")

@@ -1,0 +1,66 @@
+"""Which lines of files tests run, and how reports of the same files are combined."""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+
+from calibration.coverage.rate import Rate
+
+
+@dataclass(frozen=True)
+class FileCoverage:
+    """What tests run of a file."""
+
+    hits: Mapping[int, int] = field(default_factory=dict)
+    """How often each line that can be run was run; the first line is 1."""
+    branches: Mapping[int, Rate] = field(default_factory=dict)
+    """Of each line that branches, how many of its branches were taken."""
+
+    @property
+    def line_rate(self) -> Rate:
+        """Of the lines that can be run."""
+        return Rate(sum(count > 0 for count in self.hits.values()), len(self.hits))
+
+    @property
+    def branch_rate(self) -> Rate:
+        """Of all branches."""
+        return sum(self.branches.values(), Rate())
+
+    @property
+    def missing(self) -> list[int]:
+        """The lines that no test runs, in order."""
+        return sorted(line for line, count in self.hits.items() if count == 0)
+
+
+def combined(parts: Iterable[FileCoverage]) -> FileCoverage:
+    """What several reports say of one file together: all their lines, the hits of each summed.
+
+    Of branches a report says only how many were taken, not which, so the most that one report has seen counts.
+    """
+    hits: dict[int, int] = {}
+    branches: dict[int, Rate] = {}
+    for part in parts:
+        for line, count in part.hits.items():
+            hits[line] = hits.get(line, 0) + count
+        for line, rate in part.branches.items():
+            known = branches.get(line, Rate())
+            branches[line] = Rate(max(known.covered, rate.covered), max(known.total, rate.total))
+    return FileCoverage(hits, branches)
+
+
+def ranges(lines: Iterable[int], others: Iterable[int]) -> list[tuple[int, int]]:
+    """Join lines to ranges of first and last, as long as none of the ``others`` lies between.
+
+    What is neither (comments, empty lines) does not keep them apart.
+    """
+    chosen = set(lines)
+    found: list[tuple[int, int]] = []
+    joined = False
+    for line in sorted(chosen.union(others)):
+        if line not in chosen:
+            joined = False
+        elif joined:
+            found[-1] = (found[-1][0], line)
+        else:
+            found.append((line, line))
+            joined = True
+    return found

@@ -1,0 +1,76 @@
+"""Settings for coverage.py: the team's own, with what we need in the place of some."""
+
+import os
+import re
+import warnings
+from collections.abc import Mapping, Sequence
+from contextlib import chdir
+from pathlib import Path
+from typing import Any
+
+from calibration.errors import InputError
+from calibration.workflow.text import one_line, shorten
+
+_KEPT = (
+    *("run:omit", "run:concurrency", "run:plugins", "run:patch", "run:sigterm", "run:core", "run:timid"),
+    *("report:exclude_lines", "report:exclude_also", "report:partial_branches", "report:partial_also"),
+)
+"""The team's settings that say what counts, and how their program has to be measured."""
+
+
+def team_settings(directory: Path) -> dict[str, Any]:
+    """What the team has set for coverage.py, in whichever file it reads in that folder; without what is not set.
+
+    Raises:
+        InputError: coverage.py does not understand the file.
+    """
+    from coverage import Coverage
+    from coverage.exceptions import CoverageException
+
+    with chdir(directory), warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of settings for other versions than ours
+        try:
+            coverage = Coverage(data_file=None)
+        except (CoverageException, ValueError, OSError) as error:  # OSError: a file that may not be read
+            raise InputError(f"{directory}: coverage.py's settings: {shorten(one_line(str(error)), 300)}") from None
+        settings = {name: _option(coverage, name) for name in _KEPT}
+        for plugin in settings["run:plugins"] or ():
+            options = coverage.config.get_plugin_options(plugin)
+            settings |= {f"{plugin}:{key}": value for key, value in options.items()}
+        settings["run:omit"] = [_absolute(pattern) for pattern in settings["run:omit"] or ()]
+    for name, more in (("exclude_lines", "exclude_also"), ("partial_branches", "partial_also")):
+        known, also = settings[f"report:{name}"] or (), settings.pop(f"report:{more}") or ()
+        settings[f"report:{name}"] = list(dict.fromkeys([*known, *also]))  # older versions know no other setting
+    return {name: value for name, value in settings.items() if value not in (None, False, [], "")}
+
+
+def write_settings(path: Path, settings: Mapping[str, Any]) -> None:
+    """Write settings as a file that every version of coverage.py reads."""
+    sections: dict[str, list[str]] = {}
+    for name, value in settings.items():
+        section, _, key = name.rpartition(":")
+        # A $ would begin a variable, and a # or ; at the beginning of an expression a comment.
+        values = [re.sub(r"^[#;]", r"[\g<0>]", str(item).replace("$", "$$")) for item in _items(value)]
+        text = "\n    ".join(values)
+        sections.setdefault(section, []).append(f"{key} = {text if len(values) == 1 else chr(10) + '    ' + text}")
+    lines = [f"[{section}]\n" + "\n".join(keys) for section, keys in sections.items()]
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def _items(value: object) -> Sequence[object]:
+    return value if isinstance(value, list | tuple) else [value]
+
+
+def _option(coverage: Any, name: str) -> Any:
+    """A setting; None too where our version of coverage.py does not have it."""
+    from coverage.exceptions import ConfigError
+
+    try:
+        return coverage.get_option(name)
+    except ConfigError:
+        return None
+
+
+def _absolute(pattern: str) -> str:
+    """A pattern that means the same in every folder, as coverage.py understands it where it is written."""
+    return pattern if pattern.startswith(("*", "?")) else os.path.abspath(pattern)  # noqa: PTH100 (no .. left)

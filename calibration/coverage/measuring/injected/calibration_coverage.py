@@ -1,0 +1,27 @@
+"""Finds a coverage.py: that of this Python, else the one that is brought along.
+
+Runs in the Python of the team's tests, whichever version that is (3.6 and newer; 2.7 reads it and fails politely).
+"""
+
+# mypy: ignore-errors
+
+import os
+import sys
+
+
+def import_coverage():
+    """Import coverage.py; its folder is on the path only meanwhile, so that the tests see no package but their own."""
+    try:
+        import coverage
+    except ImportError:
+        brought = os.environ["CALIBRATION_COVERAGE_BROUGHT"]
+        sys.path.append(brought)
+        try:
+            import coverage
+        except Exception:
+            for name in [name for name in sys.modules if name.partition(".")[0] == "coverage"]:
+                del sys.modules[name]
+            raise
+        finally:
+            sys.path.remove(brought)
+    return coverage

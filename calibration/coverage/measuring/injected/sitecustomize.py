@@ -1,0 +1,54 @@
+"""Starts the measurement in every Python process of the tests, which finds it by PYTHONPATH when it starts.
+
+It leaves a note of what came of it, and then gives way to the sitecustomize that would have run without it.
+Whatever goes wrong here must not change what the tests do.
+"""
+
+# mypy: ignore-errors
+# ruff: noqa: PTH100, PTH110, PTH118, PTH120, PTH123, UP031
+
+import json
+import os
+import sys
+import zlib
+
+_HERE = os.path.dirname(os.path.abspath(__file__))
+
+
+def _start():
+    note = {"python": sys.version.split()[0], "executable": sys.executable}
+    try:
+        from calibration_coverage import import_coverage
+
+        coverage = import_coverage()
+        note["coverage"] = coverage.__version__
+        coverage.process_startup()
+    except Exception as error:
+        note["problem"] = "%s: %s" % (type(error).__name__, error)
+    try:
+        name = "%s-%08x.json" % (note["python"], zlib.crc32(sys.executable.encode("utf-8", "replace")) & 0xFFFFFFFF)
+        path = os.path.join(os.environ["CALIBRATION_COVERAGE_NOTES"], name)
+        if not os.path.exists(path):  # one is enough for all processes of one Python
+            with open(path, "w") as file:
+                json.dump(note, file)
+    except Exception:
+        return
+
+
+def _give_way():
+    """Run the sitecustomize of this Python or of the team, if there is one."""
+    before = sys.modules.pop("sitecustomize", None)
+    path = list(sys.path)
+    sys.path[:] = [entry for entry in path if os.path.abspath(entry) != _HERE]
+    try:
+        __import__("sitecustomize")
+    except ImportError as error:
+        sys.modules["sitecustomize"] = before
+        if getattr(error, "name", "sitecustomize") != "sitecustomize":
+            raise
+    finally:
+        sys.modules.setdefault("sitecustomize", before)
+
+
+_start()
+_give_way()

@@ -1,0 +1,213 @@
+"""The team's tests, run and judged: by their exit code, and by how many ran."""
+
+import json
+import re
+import signal
+import time
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from calibration.coverage.measuring.command import Command
+from calibration.coverage.measuring.configuration import write_settings
+from calibration.coverage.measuring.injection import bring_coverage, measuring
+from calibration.coverage.measuring.process import run
+from calibration.coverage.reports.data_file import measured_names
+from calibration.coverage.reports.junit import Tally, parse_junit
+from calibration.coverage.reports.report import MAX_BYTES
+from calibration.errors import InputError
+from calibration.execution.log_file import LogFile
+from calibration.files import read_bytes
+from calibration.workflow.runner import Runner
+from calibration.workflow.streams import LogDisplay
+from calibration.workflow.text import one_line, shorten
+
+_RAN = re.compile(r"Ran ([0-9]{1,9}) tests? in ")
+_FAILED = re.compile(r"FAILED \((.*)\)")
+_SKIPPED = re.compile(r"(?:OK|FAILED) \(.*?skipped=([0-9]{1,9})")
+_COUNT = re.compile(r"(?:failures|errors)=([0-9]{1,9})")
+
+
+@dataclass(frozen=True)
+class Tests:
+    """What came of the tests."""
+
+    __test__ = False  # pytest takes it for a test
+
+    command: str
+    exit_code: int
+    """Below 0: of the signal that killed them."""
+    seconds: float
+    tally: Tally | None = None
+    """How many there were; None where nothing says so."""
+
+    @property
+    def problem(self) -> str | None:
+        """Why they are no pass; None when they are one."""
+        if self.exit_code < 0:
+            return f"the tests were killed by {_signal_name(-self.exit_code)}"
+        if self.tally is not None and self.tally.ran == 0:  # pytest ends with 5 then, unittest with 0 or 5
+            return f"no test ran{f' ({self.tally.skipped} were skipped)' if self.tally.skipped else ''}"
+        if self.exit_code:
+            counted = f", {self.tally.failed} of {self.tally.ran} failed" if self.tally and self.tally.failed else ""
+            return f"the tests failed: exit code {self.exit_code}{counted}"
+        if self.tally is not None and self.tally.failed:
+            return f"{self.tally.failed} of {self.tally.ran} tests failed, though the exit code is 0"
+        return None
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """What coverage.py has left of a run."""
+
+    files: tuple[Path, ...]
+    """Its data files."""
+    executable: str | None = None
+    """The newest Python that measured."""
+    problems: tuple[str, ...] = field(default=())
+    """What could not be measured, a line for each."""
+
+
+def run_tests(
+    command: Command,
+    directory: Path,
+    environment: Mapping[str, str],
+    seconds: float,
+    runner: Runner,
+    log: Path,
+    secrets: Iterable[str] = (),
+) -> Tests:
+    """Run the tests; their output is shown live, and kept in a file.
+
+    Args:
+        command: what to run.
+        directory: where.
+        environment: all its variables.
+        seconds: that they may take.
+        runner: for the log.
+        log: the file.
+        secrets: what must not get into either.
+
+    Raises:
+        InputError: the command cannot be started, or writes as JUnit what is none.
+        WorldError: they take longer.
+    """
+    if command.junit is not None:
+        command.junit.unlink(missing_ok=True)  # or an earlier result might be taken for this one's
+    display = LogDisplay(runner)
+    stream = display.open(shorten(command.text, 60))
+    count = _Unittest()
+
+    def show(line: str) -> None:
+        count.line(line)
+        stream.line(line)
+
+    begin = time.monotonic()
+    log.parent.mkdir(parents=True, exist_ok=True)
+    try:
+        with LogFile(log, secrets, show) as file:
+            code = run(command.arguments, directory, environment, seconds, file.feed)
+    finally:
+        stream.close()
+    tally = count.tally()
+    if command.junit is not None and command.junit.exists():
+        tally = parse_junit(read_bytes(command.junit, MAX_BYTES, "JUnit XML"), str(command.junit))
+    return Tests(command.text, code, round(time.monotonic() - begin, 3), tally)
+
+
+def measured_environment(
+    environment: Mapping[str, str], settings: Mapping[str, Any], sources: Iterable[str], folder: Path
+) -> dict[str, str]:
+    """Prepare a folder for the measurement, and return the variables that turn it on.
+
+    Args:
+        environment: ours.
+        settings: the team's own, of coverage.py.
+        sources: folders and packages that are measured.
+        folder: an empty one, for all that belongs to the measurement.
+    """
+    for name in ("data", "notes"):
+        (folder / name).mkdir()
+    concurrency = settings.get("run:concurrency")
+    configuration = folder / "settings"
+    write_settings(
+        configuration,
+        {
+            **{name: value for name, value in settings.items() if not name.startswith("report:")},
+            "run:branch": True,
+            "run:parallel": True,
+            "run:data_file": str(folder / "data" / ".coverage"),
+            "run:source": list(sources),
+            "run:concurrency": _with_multiprocessing(concurrency),
+            "run:disable_warnings": ["no-ctracer", "couldnt-parse", "no-sysmon"],
+        },
+    )
+    return measuring(environment, configuration, folder / "notes", bring_coverage(folder))
+
+
+def measurement(folder: Path) -> Measurement:
+    """What the measurement has left in its folder."""
+    notes = []
+    for path in sorted((folder / "notes").glob("*.json")):
+        try:
+            note = json.loads(read_bytes(path, 64 * 1024, "a note"))
+        except (ValueError, InputError):  # cut off when its process was killed
+            continue
+        if isinstance(note, dict):
+            notes.append({key: str(value) for key, value in note.items()})
+    measured = [note for note in notes if "problem" not in note and Path(note.get("executable", "")).is_file()]
+    newest = max(measured, key=lambda note: _version(note.get("python", "")), default=None)
+    problems = [
+        f"{note.get('executable') or 'a Python'} ({note.get('python')}) cannot be measured, neither with a coverage.py "
+        f"of its own nor with ours: {shorten(one_line(note['problem']))}; install it there (pip install coverage)"
+        for note in notes
+        if "problem" in note
+    ]
+    files = []
+    for path in sorted((folder / "data").glob(".coverage*")):
+        try:
+            measured_names([path])
+            files.append(path)
+        except InputError:
+            problems.append("what one process of the tests has run is lost: it was ended while it wrote that down")
+    return Measurement(tuple(files), newest["executable"] if newest else None, tuple(problems))
+
+
+class _Unittest:
+    """Counts tests in the output of unittest, of each time that it runs."""
+
+    def __init__(self) -> None:
+        self._ran: int | None = None
+        self._failed = self._skipped = 0
+
+    def line(self, text: str) -> None:
+        if found := _RAN.match(text):
+            self._ran = (self._ran or 0) + int(found[1])
+        elif self._ran is not None:
+            if found := _SKIPPED.match(text):
+                self._skipped += int(found[1])
+            if found := _FAILED.match(text):
+                self._failed += sum(map(int, _COUNT.findall(found[1])))
+
+    def tally(self) -> Tally | None:
+        if self._ran is None:
+            return None
+        failed = min(self._failed, self._ran)
+        return Tally(max(self._ran - failed - self._skipped, 0), failed, self._skipped)
+
+
+def _with_multiprocessing(concurrency: object) -> list[str]:
+    chosen = [str(name) for name in concurrency] if isinstance(concurrency, list) else []
+    return list(dict.fromkeys([*(chosen or ["thread"]), "multiprocessing"]))
+
+
+def _version(text: str) -> tuple[int, ...]:
+    return tuple(map(int, re.findall(r"[0-9]{1,6}", text)[:3]))
+
+
+def _signal_name(number: int) -> str:
+    try:
+        return signal.Signals(number).name
+    except ValueError:
+        return f"signal {number}"

@@ -1,0 +1,287 @@
+"""Results as people and programs read them: log, Markdown, JSON, JUnit, annotations."""
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from calibration.coverage.lines import FileCoverage, ranges
+from calibration.coverage.rate import Rate
+from calibration.coverage.reading import Found
+from calibration.coverage.results import Results, Uploaded
+from calibration.workflow.annotations import Annotation, Level
+from calibration.workflow.outputs import OutputValue
+from calibration.workflow.summary import escape_markdown, markdown_table
+from calibration.workflow.text import aligned, one_line, shorten
+
+SCHEMA = 1
+"""Number of the form of results.json; ``results.schema.json`` beside this module describes it."""
+TITLE = "coverage-upload"
+MOST_ROWS = 200
+"""Of a table in the log; the summary and results.json have all."""
+MOST_NAMES = 20
+"""Of names in a list that is only told."""
+MOST_ANNOTATIONS = 30
+"""Of each kind, where no runner limits them."""
+_HEADER = ("file", "lines", "branches", "goal", "not run")
+
+
+def sentence(results: Results) -> str:
+    """Say what came of it in one line: ``pass: 81.2 % of lines ..., uploaded to codacy``."""
+    parts = results.problems or [f"{results.lines} of the lines are run"]
+    state = {
+        Uploaded.YES: f"uploaded to {results.service}",
+        Uploaded.SKIPPED: f"not uploaded ({results.upload_reason})",
+        Uploaded.FAILED: "the upload failed",
+        Uploaded.DRY_RUN: "nothing was sent (dry-run)",
+        Uploaded.NONE: "",
+    }[results.uploaded]
+    return one_line(f"{_word(results.passed)}: {'; '.join(parts)}{'; ' if state else ''}{state}")
+
+
+def log(results: Results) -> str:
+    """Write the table of files, the least covered first, and what reports said of no file."""
+    rows = _rows(results, _by_rate(results))
+    text = aligned(_HEADER, [*rows[:MOST_ROWS], _total(results)])
+    if len(rows) > MOST_ROWS:
+        text += f"\n({len(rows) - MOST_ROWS} more files are not shown: see the summary, or results.json)"
+    return "\n".join([text, *remarks(results)])
+
+
+def remarks(results: Results) -> list[str]:
+    """What a reader has to know of the numbers, a line for each."""
+    said = []
+    if results.tests is not None and results.lines.total and not results.lines.covered:
+        said.append("not a line is run: tests that measure themselves (pytest-cov) name their report (reports)")
+    if results.change is not None:
+        said.append(f"change since {results.change.base[:12]}: {results.change.rate} of its lines are run")
+    elif results.no_change:
+        said.append(f"no coverage of the change: {results.no_change}")
+    return said + what_is_left_out(results.found)
+
+
+def what_is_left_out(found: Found) -> list[str]:
+    """What reports say that counts for nothing, and files that no report speaks of, a line for each."""
+    said = []
+    if found.mapped.unmatched:
+        said.append(f"in reports, but no file that git tracks: {_names(found.mapped.unmatched)}")
+    for name, paths in list(found.mapped.ambiguous.items())[:MOST_NAMES]:
+        said.append(f"left out, because it may be several files: {shorten(one_line(name), 200)} ({_names(paths)})")
+    for path, line in list(found.mapped.ill_fitting.items())[:MOST_NAMES]:
+        said.append(f"left out, because a report speaks of line {line}, which it does not have: {one_line(path)}")
+    if found.unreadable:
+        said.append(f"left out, because coverage.py cannot read or parse them: {_names(found.unreadable)}")
+    for language, count in sorted(found.without_report.items()):
+        said.append(f"{count} {language} file{'' if count == 1 else 's'} count for nothing: no report speaks of any")
+    return said
+
+
+def markdown(results: Results) -> str:
+    """Write the summary: the verdict and the totals, then the files below the goal, then all."""
+    text = f"## {TITLE}: {escape_markdown(sentence(results))}\n\n"
+    text += markdown_table(("", "run", "of"), _summary_rows(results)) + "\n"
+    text += "".join(f"- {escape_markdown(remark)}\n" for remark in remarks(results))
+    text += "\n" if remarks(results) else ""
+    below = results.below_goal
+    if below:
+        text += f"{len(below)} of {len(results.files)} files are below the goal of {results.goal:g} %:\n\n"
+        text += markdown_table(_HEADER, _rows(results, below)[:MOST_ROWS]) + "\n"
+    table = markdown_table(_HEADER, [*_rows(results, sorted(results.files)), _total(results)])
+    return f"{text}<details><summary>All {len(results.files)} files</summary>\n\n{table}\n</details>\n"
+
+
+def annotations(results: Results, directory: Path) -> list[Annotation]:
+    """Make an annotation of every test that failed, of every broken limit, and of what no test runs of the change."""
+    found = [
+        Annotation(
+            f"{failure.name}: {failure.message}",
+            file=None if failure.file is None else directory / failure.file,
+            line=failure.line,
+            title="test failed",
+        )
+        for failure in (results.tests.tally.failures if results.tests and results.tests.tally else ())
+    ][:MOST_ANNOTATIONS]
+    found += [Annotation(problem, title=TITLE) for problem in results.problems]
+    if results.uploaded is Uploaded.FAILED:
+        found.append(Annotation(results.upload_reason, title=TITLE))
+    if results.uploaded is Uploaded.SKIPPED:
+        found.append(Annotation(f"not uploaded: {results.upload_reason}", Level.NOTICE, title=TITLE))
+    missing = [] if results.change is None else _missing_of_change(results)
+    found += [
+        Annotation(
+            f"no test runs {_lines(first, last)} of this change", Level.WARNING, path, first, title="not covered"
+        )
+        for path, first, last in missing[:MOST_ANNOTATIONS]
+    ]
+    return found
+
+
+def results_json(results: Results) -> str:
+    """Write everything as JSON in the form of ``results.schema.json``."""
+    tests, change, found = results.tests, results.change, results.found
+    tally = None if tests is None else tests.tally
+    document = {
+        "schema": SCHEMA,
+        "verdict": _word(results.passed),
+        "problems": results.problems,
+        "commit": results.commit,
+        "tests": None
+        if tests is None
+        else {
+            "command": tests.command,
+            "exit_code": tests.exit_code,
+            "seconds": tests.seconds,
+            "passed": None if tally is None else tally.passed,
+            "failed": None if tally is None else tally.failed,
+            "skipped": None if tally is None else tally.skipped,
+        },
+        "lines": _rate_object(results.lines),
+        "branches": _rate_object(results.branches),
+        "change": None
+        if change is None
+        else {
+            "base": change.base,
+            "lines": _rate_object(change.rate),
+            "missing": [
+                {"path": path, "first": first, "last": last} for path, first, last in _missing_of_change(results)
+            ],
+        },
+        "goal": results.goal,
+        "files_below_goal": len(results.below_goal),
+        "limits": [
+            {
+                "name": limit.name,
+                "minimum": limit.minimum,
+                "lines": _rate_object(limit.rate),
+                "verdict": _word(limit.passed),
+            }
+            for limit in results.limits
+        ],
+        "files": [
+            {
+                "path": path,
+                "lines": _rate_object(coverage.line_rate),
+                "branches": _rate_object(coverage.branch_rate),
+                "missing": [list(part) for part in _missing(coverage)],
+            }
+            for path, coverage in sorted(results.files.items())
+        ],
+        "left_out": {
+            "unmatched": list(found.mapped.unmatched),
+            "ambiguous": {name: list(paths) for name, paths in found.mapped.ambiguous.items()},
+            "ill_fitting": dict(found.mapped.ill_fitting),
+            "unreadable": list(found.unreadable),
+            "without_report": dict(found.without_report),
+        },
+        "upload": {"service": results.service, "state": results.uploaded, "reason": results.upload_reason},
+    }
+    return json.dumps(document, indent=2, allow_nan=False) + "\n"
+
+
+def junit(results: Results) -> str:
+    """Write JUnit XML: a case for the tests as a whole, one for each limit, and one for the upload."""
+    from calibration.workflow.junit import Case, Suite, junit_xml  # XML is slow to import, and rarely asked for
+
+    cases = []
+    if results.tests is not None:
+        cases.append(Case("tests", TITLE, failure=results.tests.problem, seconds=results.tests.seconds))
+    for limit in results.limits:
+        failure = None if limit.passed else f"{limit.rate}, {limit.minimum:g} % was expected"
+        cases.append(Case(f"{limit.name} {limit.minimum:g} %", TITLE, failure=failure))
+    failed, skipped = (
+        results.upload_reason if results.uploaded is state else None for state in (Uploaded.FAILED, Uploaded.SKIPPED)
+    )
+    if results.uploaded is not Uploaded.NONE:
+        cases.append(Case(f"upload to {results.service}", TITLE, error=failed, skipped=skipped))
+    return junit_xml([Suite(TITLE, tuple(cases))])
+
+
+def outputs(results: Results) -> dict[str, OutputValue]:
+    """The step's outputs; an empty text for a rate of nothing."""
+    return {
+        "verdict": _word(results.passed),
+        "line-rate": _percent(results.lines),
+        "branch-rate": _percent(results.branches),
+        "change-rate": "" if results.change is None else _percent(results.change.rate),
+        "files-below-goal": len(results.below_goal),
+        "uploaded": results.uploaded.value,
+        "commit": results.commit,
+    }
+
+
+def _summary_rows(results: Results) -> list[tuple[str, str, str]]:
+    rates = [("lines", results.lines), ("branches", results.branches)]
+    if results.change is not None:
+        rates.append(("lines of the change", results.change.rate))
+    rows = [(name, _percent_text(rate), f"{rate.covered} of {rate.total}") for name, rate in rates]
+    tally = results.tests.tally if results.tests is not None else None
+    if tally is not None:
+        skipped = f", {tally.skipped} skipped" if tally.skipped else ""
+        rows.append(("tests", f"{tally.passed} passed", f"{tally.ran} run{skipped}"))
+    return rows
+
+
+def _rows(results: Results, paths: Sequence[str]) -> list[tuple[str, ...]]:
+    below = set(results.below_goal)
+    return [
+        (
+            path,
+            str(results.files[path].line_rate),
+            str(results.files[path].branch_rate),
+            "" if not results.files[path].hits else "below" if path in below else "above",
+            shorten(", ".join(_span(*part) for part in _missing(results.files[path]))),
+        )
+        for path in paths
+    ]
+
+
+def _total(results: Results) -> tuple[str, ...]:
+    below = len(results.below_goal)
+    return "total", str(results.lines), str(results.branches), f"{below} below {results.goal:g} %", ""
+
+
+def _by_rate(results: Results) -> list[str]:
+    rates = results.line_rates()
+    return sorted(rates, key=lambda path: (rates[path].covered / max(rates[path].total, 1), path))
+
+
+def _missing(coverage: FileCoverage) -> list[tuple[int, int]]:
+    missing = set(coverage.missing)
+    return ranges(missing, coverage.hits.keys() - missing)
+
+
+def _missing_of_change(results: Results) -> list[tuple[str, int, int]]:
+    return [
+        (path, first, last)
+        for path, lines in (results.change.missing if results.change else {}).items()
+        for first, last in ranges(lines, results.files[path].hits.keys() - set(lines))
+    ]
+
+
+def _lines(first: int, last: int) -> str:
+    return f"line {first}" if first == last else f"lines {first} to {last}"
+
+
+def _span(first: int, last: int) -> str:
+    return str(first) if first == last else f"{first}-{last}"
+
+
+def _names(names: Sequence[str]) -> str:
+    shown = ", ".join(shorten(one_line(name), 200) for name in names[:MOST_NAMES])
+    return f"{shown} and {len(names) - MOST_NAMES} more" if len(names) > MOST_NAMES else shown
+
+
+def _rate_object(rate: Rate) -> dict[str, Any]:
+    return {"covered": rate.covered, "total": rate.total, "percent": rate.percent}
+
+
+def _percent(rate: Rate) -> float | str:
+    return "" if rate.percent is None else rate.percent
+
+
+def _percent_text(rate: Rate) -> str:
+    return str(rate).partition(" (")[0]
+
+
+def _word(passed: bool) -> str:
+    return "pass" if passed else "fail"

@@ -1,0 +1,144 @@
+"""Data files of coverage.py (``.coverage``): what was run, by line or by jump from line to line.
+
+They do not say which lines could have been run. That takes the sources, and the Python that measured: it writes
+Cobertura XML.
+"""
+
+import os
+import sqlite3
+import subprocess
+from collections.abc import Mapping, Sequence
+from contextlib import closing
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from calibration.coverage.measuring.configuration import write_settings
+from calibration.coverage.measuring.injection import REPORTER, bring_coverage, reporting
+from calibration.coverage.reports.cobertura import parse_cobertura
+from calibration.coverage.reports.report import MAX_BYTES, MAX_LINE, Report
+from calibration.errors import InputError, WorldError
+from calibration.files import read_bytes
+from calibration.workflow.text import one_line, shorten
+
+if TYPE_CHECKING:
+    from coverage import CoverageData
+
+MAGIC = b"SQLite format 3\0"
+SECONDS = 300
+"""That writing the XML may take."""
+
+
+def measured_names(files: Sequence[Path]) -> list[str]:
+    """The names of the files that were measured.
+
+    Raises:
+        InputError: one of the files is no data file of coverage.py.
+    """
+    names: dict[str, None] = {}
+    for file in files:
+        with closing(_opened(file)) as data:
+            names.update(dict.fromkeys(sorted(data.measured_files())))
+    return list(names)
+
+
+def merge(files: Sequence[Path], names: Mapping[str, str], untouched: Sequence[str], folder: Path) -> list[Path]:
+    """Write what data files say of some files as new ones: one of jumps, one of lines, each where there is any.
+
+    Args:
+        files: data files.
+        names: the files that are kept, by the name that they have in the data, and the absolute path they get.
+        untouched: absolute paths of files of which nothing was run.
+        folder: for the new files.
+
+    Raises:
+        InputError: one of the files is no data file of coverage.py.
+    """
+    from coverage import CoverageData
+
+    with (
+        closing(CoverageData(basename=str(folder / "jumps"))) as jumps,
+        closing(CoverageData(basename=str(folder / "lines"))) as lines,
+    ):
+        for file in files:
+            with closing(_opened(file)) as data:
+                for name in sorted(names.keys() & data.measured_files()):
+                    path = names[name]
+                    if data.has_arcs():
+                        jumps.add_arcs({path: data.arcs(name) or []})
+                    else:
+                        lines.add_lines({path: data.lines(name) or []})
+                    (jumps if data.has_arcs() else lines).touch_files([path], data.file_tracer(name) or None)
+        if untouched:
+            jumps.add_arcs({})
+            jumps.touch_files(untouched)
+    return [path for path in (folder / "jumps", folder / "lines") if path.exists()]
+
+
+def report_of(data: Path, name: str, settings: Mapping[str, Any], directory: Path, executable: str) -> Report:
+    """What a data file says, with the lines that could have been run.
+
+    Args:
+        data: with absolute names of files.
+        name: for messages.
+        settings: of coverage.py.
+        directory: that the names in the report are relative to.
+        executable: the Python that measured; other files come to lie beside the data.
+
+    Raises:
+        WorldError: it cannot be written.
+    """
+    configuration, output = data.with_suffix(".rc"), data.with_suffix(".xml")
+    kept = {key: value for key, value in settings.items() if not key.startswith("run:") or key == "run:plugins"}
+    write_settings(configuration, {"run:data_file": str(data), **kept})
+    try:
+        done = subprocess.run(
+            [executable, str(REPORTER), str(configuration), str(data), str(output)],
+            cwd=directory,
+            env=reporting(os.environ, bring_coverage(data.parent)),
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            timeout=SECONDS,
+            check=False,
+        )
+    except (OSError, subprocess.TimeoutExpired) as error:
+        raise WorldError(f"{name}: {executable} cannot write a report of it: {one_line(str(error))}") from None
+    if done.returncode:
+        said = done.stderr.decode("utf-8", "replace").strip().rpartition("\n")[2]
+        raise WorldError(f"{name}: coverage.py cannot report on it: {shorten(one_line(said), 300)}")
+    report = parse_cobertura(read_bytes(output, MAX_BYTES, "coverage.py's report"), name)
+    return Report(name, report.files, (str(directory),))
+
+
+def _opened(file: Path) -> "CoverageData":
+    """The data in a file, which is checked before anything of it is believed."""
+    from coverage import CoverageData
+    from coverage.exceptions import CoverageException
+
+    refused = InputError(f"{file}: a data file of coverage.py was expected, and this is none that it can read")
+    try:
+        with closing(sqlite3.connect(f"{file.absolute().as_uri()}?mode=ro&immutable=1", uri=True)) as database:
+            [(longest,)] = database.execute("SELECT coalesce(max(length(numbits)), 0) FROM line_bits")
+            if not isinstance(longest, int) or longest * 8 > MAX_LINE + 8:
+                raise InputError(f"{file}: it speaks of lines beyond {MAX_LINE}, which no source file has")
+        data = CoverageData(basename=str(file))
+        data.read()
+        data.measured_files()
+    except (sqlite3.Error, ValueError) as error:
+        raise refused from error
+    except CoverageException as error:
+        raise InputError(f"{refused}: {shorten(one_line(str(error)), 200)}") from None
+    return data
+
+
+def copied(files: Sequence[Path], folder: Path) -> list[Path]:
+    """Copies of data files, because coverage.py opens them for writing.
+
+    Raises:
+        InputError: one of them is no data file, or is too large.
+    """
+    copies = []
+    for number, file in enumerate(files):
+        content = read_bytes(file, MAX_BYTES, "a data file of coverage.py")
+        copies.append(folder / f"{number}-{file.name.lstrip('.')}")
+        copies[-1].write_bytes(content)
+    return copies

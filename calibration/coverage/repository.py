@@ -1,0 +1,135 @@
+"""The git repository whose coverage it is: which files it tracks, its commits, what a change touched."""
+
+import os
+import re
+import subprocess
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Self
+
+from calibration.errors import InputError, WorldError
+from calibration.workflow.text import one_line, shorten
+
+SECONDS = 120
+"""That one command of git may take."""
+_SETTINGS = ("core.fsmonitor=false", "core.quotePath=true")
+_CONFIGURATION = Path(__file__).with_name("git.config")
+_REGULAR = ("100644", "100755")
+"""Modes of files; neither links, which may point anywhere, nor submodules."""
+_COMMIT = re.compile(r"[0-9a-f]{40}|[0-9a-f]{64}")
+
+
+def is_commit(text: str) -> bool:
+    """Whether it is the whole hash of a commit."""
+    return _COMMIT.fullmatch(text) is not None
+
+
+@dataclass(frozen=True)
+class Repository:
+    """A checkout."""
+
+    root: Path
+    """Without links in its path."""
+
+    @classmethod
+    def around(cls, directory: Path) -> Self:
+        """The checkout that a folder lies in.
+
+        Raises:
+            InputError: there is none.
+        """
+        code, output, problem = _git(directory, "rev-parse", "--show-toplevel")
+        if code:
+            raise InputError(
+                f"{directory}: a folder in a git repository was expected (check it out before): {_said(problem)}"
+            )
+        return cls(Path(output.decode("utf-8", "surrogateescape").rstrip("\n")).resolve())
+
+    def path(self, path: Path) -> str | None:
+        """A file's or a folder's path in the repository, with ``/``; None outside of it."""
+        whole = Path(os.path.realpath(path))
+        return whole.relative_to(self.root).as_posix() if whole.is_relative_to(self.root) else None
+
+    def tracked(self, exclude: Iterable[str] = ()) -> list[str]:
+        """The tracked files that are on the disk, relative to the root and with ``/``, in order.
+
+        Args:
+            exclude: patterns of files and folders that are left out, as git has them (``**/tests``).
+
+        Raises:
+            WorldError: git fails.
+        """
+        left_out = [f":(exclude,top,glob){pattern}{below}" for pattern in exclude for below in ("", "/**")]
+        code, output, problem = _git(self.root, "ls-files", "-s", "-z", "--", ":(top)", *left_out)
+        if code:
+            raise WorldError(f"git ls-files: {_said(problem)}")
+        files = set()
+        for entry in output.decode("utf-8", "surrogateescape").split("\0"):
+            mode, _, path = entry.partition("\t")
+            if path and mode.split(" ")[0] in _REGULAR and (self.root / path).is_file():
+                files.add(path)
+        return sorted(files)
+
+    def head(self) -> str | None:
+        """The commit that is checked out; None where there is none yet."""
+        return self.commit("HEAD")
+
+    def commit(self, name: str) -> str | None:
+        """The hash of a commit, by any name for it; None where it is not there."""
+        code, output, _ = _git(self.root, "rev-parse", "--verify", "--quiet", "--end-of-options", f"{name}^{{commit}}")
+        return None if code else output.decode("ascii").strip()
+
+    def parents(self, commit: str) -> list[str]:
+        """The hashes of a commit's parents, those too that a shallow checkout does not have."""
+        code, output, _ = _git(self.root, "cat-file", "commit", commit)
+        header = output.partition(b"\n\n")[0].decode("utf-8", "replace")
+        return [] if code else re.findall(r"^parent ([0-9a-f]+)$", header, re.MULTILINE)
+
+    def merge_base(self, one: str, other: str) -> str | None:
+        """The last commit that two have in common; None where there is none, or a shallow checkout lacks it."""
+        code, output, _ = _git(self.root, "merge-base", one, other)
+        return None if code else output.decode("ascii").strip()
+
+    def difference(self, commit: str) -> bytes:
+        """What the files on the disk have and the commit has not, as ``git diff`` without context.
+
+        Raises:
+            WorldError: git fails.
+        """
+        code, output, problem = _git(
+            self.root,
+            *("diff", "--unified=0", "--no-color", "--no-ext-diff", "--no-textconv", "--find-renames"),
+            *("--src-prefix=a/", "--dst-prefix=b/", "--ignore-submodules", commit, "--"),
+        )
+        if code:
+            raise WorldError(f"git diff {commit}: {_said(problem)}")
+        return output
+
+
+def _git(directory: Path, *arguments: str) -> tuple[int, bytes, bytes]:
+    """Run git; its exit code, output and errors. Nothing is started that a configuration may ask it to start."""
+    settings = [part for setting in _SETTINGS for part in ("-c", setting)]
+    variables = {name: value for name, value in os.environ.items() if not name.startswith("GIT_")}
+    variables |= {"GIT_CONFIG_GLOBAL": str(_CONFIGURATION), "GIT_CONFIG_NOSYSTEM": "1", "LC_ALL": "C"}
+    try:
+        done = subprocess.run(
+            ["git", "--no-optional-locks", *settings, *arguments],
+            cwd=directory,
+            env=variables,
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            timeout=SECONDS,
+            check=False,
+        )
+    except subprocess.TimeoutExpired:
+        raise WorldError(f"git {arguments[0]} took longer than {SECONDS} s") from None
+    except OSError as error:
+        if not directory.is_dir():
+            raise InputError(f"{directory}: there is no such folder") from None
+        raise WorldError(f"git cannot be started: {error.strerror}") from None
+    return done.returncode, done.stdout, done.stderr
+
+
+def _said(problem: bytes) -> str:
+    return shorten(one_line(problem.decode("utf-8", "replace")).removeprefix("fatal: ") or "no reason given", 200)

@@ -1,0 +1,1 @@
+"""Services that keep the coverage of commits and show it."""

@@ -1,0 +1,221 @@
+"""Codacy: coverage in its own JSON, one request for each language."""
+
+import json
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import NoReturn
+from urllib.parse import quote, urlsplit
+
+from calibration.coverage.lines import FileCoverage
+from calibration.coverage.services.posting import Answer, Poster
+from calibration.coverage.services.service import Request, Upload
+from calibration.coverage.sources import language_of
+from calibration.errors import InputError, WorldError
+from calibration.workflow.text import one_line, shorten
+
+API_URL = "https://api.codacy.com"
+PROVIDERS = ("gh", "ghe", "gl", "gle", "bb", "bbe", "manual")
+MOST_HITS = 2**31 - 1
+"""What Codacy takes for a line."""
+_LOOPBACK = ("localhost", "127.0.0.1", "::1")
+_NAME = re.compile(r"[A-Za-z0-9._~-]+")
+
+
+@dataclass(frozen=True)
+class Account:
+    """Whoever tells Codacy: a project by its own token, or an account by a token for all its repositories."""
+
+    token: str = field(repr=False)
+    provider: str | None = None
+    """With organisation and repository for an account's token; none of the three for a project's."""
+    organisation: str | None = None
+    repository: str | None = None
+
+    @property
+    def header(self) -> dict[str, str]:
+        """That says who is telling."""
+        return {"project-token" if self.provider is None else "api-token": self.token}
+
+
+@dataclass(frozen=True)
+class Codacy:
+    """The service."""
+
+    account: Account
+    api_url: str = API_URL
+    language: str | None = None
+    """Of all files, in the place of that of their suffixes."""
+    poster: Poster | None = field(default=None, repr=False, compare=False)
+
+    def requests(self, upload: Upload) -> list[Request]:
+        """A report for each language, and an end where there are several or it is asked for.
+
+        Raises:
+            InputError: none of the files is in a language that is known.
+        """
+        languages: dict[str, dict[str, FileCoverage]] = {}
+        for path, coverage in sorted(upload.files.items()):
+            language = self.language or language_of(path)
+            if language is not None and coverage.hits:
+                languages.setdefault(language.lower(), {})[path] = coverage
+        partial = upload.partial or upload.final or len(languages) > 1
+        found = [
+            self._request(
+                f"{len(files)} {language} file{'' if len(files) == 1 else 's'}",
+                self._report_path(upload.commit, language) + f"?partial={'true' if partial else 'false'}",
+                report_body(files),
+            )
+            for language, files in languages.items()
+        ]
+        if upload.final or (partial and not upload.partial):
+            found.append(self._request("nothing more comes", self._final_path(upload.commit), b"{}"))
+        return found
+
+    def send(self, requests: Sequence[Request]) -> None:
+        """Send the requests, all of them, whatever comes of those before.
+
+        Raises:
+            WorldError: Codacy did not take one; the first of these errors.
+        """
+        poster = self.poster or Poster([self.account.token])
+        first: WorldError | None = None
+        for request in requests:
+            try:
+                check_answer(poster.post(request), urlsplit(request.url).netloc, poster)
+            except WorldError as error:
+                first = first or WorldError(f"codacy: {error}")
+        if first is not None:
+            raise first
+
+    def _request(self, what: str, path: str, body: bytes) -> Request:
+        headers = {"Content-Type": "application/json", **self.account.header}
+        return Request(what, self.api_url + path, body, headers)
+
+    def _report_path(self, commit: str, language: str) -> str:
+        language = quote(language, safe="")
+        if self.account.provider is None:
+            return f"/2.0/coverage/{commit}/{language}"
+        return f"/2.0/{self._repository_path()}/commit/{commit}/coverage/{language}"
+
+    def _final_path(self, commit: str) -> str:
+        if self.account.provider is None:
+            return f"/2.0/commit/{commit}/coverageFinal"
+        return f"/2.0/{self._repository_path()}/commit/{commit}/coverageFinal"
+
+    def _repository_path(self) -> str:
+        parts = (self.account.provider, self.account.organisation, self.account.repository)
+        return "/".join(quote(part or "", safe="") for part in parts)
+
+
+def report_body(files: Mapping[str, FileCoverage]) -> bytes:
+    """The JSON of a report: of each file, how often each line was run that can be run."""
+    reports = [
+        {
+            "filename": path,
+            "coverage": {str(line): min(hits, MOST_HITS) for line, hits in sorted(coverage.hits.items())},
+        }
+        for path, coverage in sorted(files.items())
+    ]
+    text = json.dumps({"fileReports": reports}, separators=(",", ":"), ensure_ascii=False)
+    return text.encode("utf-8", "backslashreplace")
+
+
+def check_answer(answer: Answer, host: str, poster: Poster) -> None:
+    """Hold an answer to what Codacy says of itself: its JSON decides, whatever the status.
+
+    Raises:
+        WorldError: it is no success; says what to do.
+    """
+    document = _document(answer.body)
+    if isinstance(document, dict) and "error" not in document and isinstance(document.get("success"), str):
+        return
+    answered = f"{host}: answered {answer.status}"
+    if 300 <= answer.status < 400:
+        target = urlsplit(answer.location)
+        shown = shorten(one_line(f"{target.scheme}://{target.hostname or ''}")) if target.hostname else "elsewhere"
+        raise WorldError(f"{answered}: sends on to {shown}, where no token is sent: name the right address (api-url)")
+    if isinstance(document, dict) and "error" in document:
+        _refused(answered, answer.status, poster.quote(str(document["error"]).encode("utf-8", "replace")))
+    if answer.status in (401, 403, 404):
+        _refused(answered, answer.status, poster.quote(answer.body))
+    if answer.content_type == "text/html" or answer.body.lstrip()[:1] == b"<":
+        raise WorldError(
+            f"{answered} with a page of HTML: something else than Codacy's API is there (api-url, a proxy)"
+        )
+    if document is None:
+        raise WorldError(f"{answered} with something else than JSON{poster.quote(answer.body)}: check api-url")
+    raise WorldError(
+        f"{answered} with JSON that says neither success nor error{poster.quote(answer.body)}: check api-url"
+    )
+
+
+def parse_api_url(text: str) -> str:
+    """Read the address of Codacy's API, such as ``https://api.codacy.com``.
+
+    Raises:
+        InputError: it is none, or a token sent there could be read on the way.
+    """
+    try:
+        parts = urlsplit(text.strip())
+        port = parts.port
+    except ValueError as error:
+        raise InputError(f"api-url: found {shorten(text)!r}, which is no address: {error}") from None
+    if parts.scheme not in ("http", "https") or not parts.hostname:
+        raise InputError(f"api-url: found {shorten(text)!r}, expected an address such as {API_URL}")
+    if parts.username or parts.password:
+        raise InputError("api-url: it names a user or a password, which belong into no address")
+    if parts.path.strip("/") or parts.query or parts.fragment:
+        raise InputError(f"api-url: found {shorten(text)!r}, expected only scheme and host, such as {API_URL}")
+    if parts.scheme == "http" and parts.hostname not in _LOOPBACK:
+        raise InputError(f"api-url: found {shorten(text)!r}, expected https: anyone on the way could read the token")
+    host = f"[{parts.hostname}]" if ":" in parts.hostname else parts.hostname
+    return f"{parts.scheme}://{host}{'' if port is None else f':{port}'}"
+
+
+def parse_account(
+    project_token: str | None,
+    api_token: str | None,
+    provider: str | None,
+    organisation: str | None,
+    repository: str | None,
+) -> Account | None:
+    """Who tells Codacy; a project's token goes before an account's. None where there is no token.
+
+    Raises:
+        InputError: an account's token comes without the repository, or a name or a token cannot be one.
+    """
+    token = project_token or api_token
+    if token is None:
+        return None
+    if not token.isascii() or not token.isprintable() or " " in token:
+        name = "CODACY_PROJECT_TOKEN" if project_token else "CODACY_API_TOKEN"
+        raise InputError(f"{name}: found characters that no token has (white space within it, or beyond ASCII)")
+    if project_token:
+        return Account(token)
+    named = {"provider": provider, "organisation": organisation, "repository": repository}
+    for key, value in named.items():
+        if value is None:
+            raise InputError(
+                f"{key} is not given: CODACY_API_TOKEN is an account's and needs all of {', '.join(named)}"
+            )
+        if not _NAME.fullmatch(value) or value in (".", ".."):
+            raise InputError(f"{key}: found {shorten(value)!r}, expected a name of letters, digits, dots and dashes")
+    if provider not in PROVIDERS:
+        raise InputError(f"provider: found {provider!r}, expected one of {', '.join(PROVIDERS)}")
+    return Account(token, provider, organisation, repository)
+
+
+def _document(body: bytes) -> object:
+    try:
+        return json.loads(body)
+    except (ValueError, RecursionError):
+        return None
+
+
+def _refused(answered: str, status: int, said: str) -> NoReturn:
+    if status in (401, 403) or status == 404 or "not found" in said.lower():
+        advice = "check the token, whether it is of this repository, and provider, organisation and repository"
+    else:
+        advice = "check the commit and the language, and whether Codacy knows the repository"
+    raise WorldError(f"{answered}{said}: {advice}")

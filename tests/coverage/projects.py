@@ -1,0 +1,188 @@
+"""A team's repositories, and a Codacy of our own."""
+
+import os
+import ssl
+import subprocess
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+
+TOKEN = "planted-t0ken/with+signs="  # noqa: S105 (of nobody)
+WHO = {
+    name: "Tester" if name.endswith("NAME") else "tester@example.org"
+    for name in ("GIT_AUTHOR_NAME", "GIT_AUTHOR_EMAIL", "GIT_COMMITTER_NAME", "GIT_COMMITTER_EMAIL")
+}
+NAMING = """def joined(*names):
+    if not names:
+        return ""
+    return "_".join(names)
+
+
+def split(name):
+    return name.split("_")
+"""
+"""Six lines that can be run, and two branches."""
+NAMING_TEST = """import unittest
+
+from robot.naming import joined
+
+
+class NamingTest(unittest.TestCase):
+    def test_joined(self):
+        self.assertEqual(joined("left", "camera"), "left_camera")
+"""
+"""Runs four of the six lines, and one of the two branches."""
+
+
+def git(folder: Path, *arguments: str) -> str:
+    """Run git, and return what it prints."""
+    done = subprocess.run(
+        ["git", "-c", "init.defaultBranch=main", "-c", "commit.gpgsign=false", *arguments],
+        cwd=folder,
+        env={"PATH": os.environ["PATH"], "GIT_CONFIG_GLOBAL": os.devnull, "GIT_CONFIG_NOSYSTEM": "1", **WHO},
+        check=True,
+        capture_output=True,
+    )
+    return done.stdout.decode().strip()
+
+
+def write(folder: Path, files: Mapping[str, str | bytes]) -> None:
+    """Write files below a folder."""
+    for name, content in files.items():
+        path = folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(content.encode() if isinstance(content, str) else content)
+
+
+def commit(folder: Path, files: Mapping[str, str | bytes], message: str = "change") -> str:
+    """Write files and commit all that is there; the commit's hash."""
+    if not (folder / ".git").exists():
+        folder.mkdir(parents=True, exist_ok=True)
+        git(folder, "init", "-q")
+    write(folder, files)
+    git(folder, "add", "-A")
+    git(folder, "commit", "-q", "--allow-empty", "-m", message)
+    return git(folder, "rev-parse", "HEAD")
+
+
+def robot(folder: Path) -> Path:
+    """A project with a module and a test of it."""
+    commit(
+        folder,
+        {
+            "robot/__init__.py": "",
+            "robot/naming.py": NAMING,
+            "tests/test_naming.py": NAMING_TEST,
+            ".gitignore": "out\n",
+        },
+    )
+    return folder
+
+
+@dataclass(frozen=True)
+class Asked:
+    """A request as it came."""
+
+    method: str
+    path: str
+    headers: Mapping[str, str]
+    body: bytes = field(repr=False)
+
+
+@dataclass
+class Codacy:
+    """A server that answers as it is told."""
+
+    url: str
+    asked: list[Asked] = field(default_factory=list)
+    answers: list[tuple[int, str | bytes, Mapping[str, str]]] = field(default_factory=list)
+    """The next answers; when there is none left, success."""
+    fault: Callable[[BaseHTTPRequestHandler], None] | None = None
+    """In the place of an answer."""
+
+    def answer(self, status: int, body: str | bytes, **headers: str) -> None:
+        """Add an answer."""
+        self.answers.append((status, body, {name.replace("_", "-"): value for name, value in headers.items()}))
+
+
+@contextmanager
+def codacy(tls: ssl.SSLContext | None = None, host: str = "127.0.0.1") -> Iterator[Codacy]:
+    """A Codacy on this machine."""
+
+    class Handler(BaseHTTPRequestHandler):
+        protocol_version = "HTTP/1.1"
+
+        def do_POST(self) -> None:
+            body = self.rfile.read(int(self.headers.get("Content-Length", 0)))
+            service.asked.append(Asked(self.command, self.path, dict(self.headers.items()), body))
+            if service.fault is not None:
+                service.fault(self)
+                self.close_connection = True
+                return
+            status, answer, headers = service.answers.pop(0) if service.answers else (200, '{"success": "ok"}', {})
+            content = answer.encode() if isinstance(answer, str) else answer
+            self.send_response(status)
+            for name, value in {"Content-Type": "application/json", **headers}.items():
+                self.send_header(name, value)
+            self.send_header("Content-Length", str(len(content)))
+            self.end_headers()
+            self.wfile.write(content)
+
+        do_GET = do_POST  # noqa: N815 (its caller's name)
+
+        def log_message(self, *_: object) -> None:
+            pass
+
+    class Server(ThreadingHTTPServer):
+        daemon_threads = True
+
+        def handle_error(self, *_: object) -> None:  # a client that hangs up is what some tests want
+            pass
+
+    server = Server((host, 0), Handler)
+    if tls is not None:
+        server.socket = tls.wrap_socket(server.socket, server_side=True)
+    service = Codacy(f"http{'s' if tls else ''}://{host}:{server.server_port}")
+    thread = threading.Thread(target=server.serve_forever, args=(0.02,))
+    thread.start()
+    try:
+        yield service
+    finally:
+        server.shutdown()
+        server.server_close()
+        thread.join()
+
+
+def reset(handler: BaseHTTPRequestHandler) -> None:
+    """Break the connection off."""
+    import socket
+    import struct
+
+    handler.connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+    handler.connection.close()
+
+
+def hang(handler: BaseHTTPRequestHandler) -> None:
+    """Say nothing for longer than anyone in the tests waits."""
+    time.sleep(1.5)
+
+
+def drip(handler: BaseHTTPRequestHandler) -> None:
+    """Say one more byte, again and again."""
+    try:
+        handler.wfile.write(b"HTTP/1.1 200 OK\r\nContent-Length: 100000\r\n\r\n")
+        for _ in range(60):
+            handler.wfile.write(b" ")
+            handler.wfile.flush()
+            time.sleep(0.05)
+    except OSError:
+        pass
+
+
+def cut(handler: BaseHTTPRequestHandler) -> None:
+    """Promise more than is sent."""
+    handler.wfile.write(b"HTTP/1.1 200 OK\r\nContent-Length: 1000\r\n\r\n{")
