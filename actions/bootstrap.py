@@ -42,6 +42,11 @@ ACTIONS = {
     "coverage-upload": ("coverage-upload/main.py", "coverage.txt"),
     "run": ("run.py", "run.txt"),  # the root action.yml; no folder, because a folder here is a sub-action
 }
+# Likewise for the steps of the reusable workflow that are no actions.
+WORKFLOW_STEPS = {
+    "plan-matrix": ("workflow_step.py", "calibrate.txt"),
+    "gather-results": ("workflow_step.py", "calibrate.txt"),
+}
 # What an interpreter of the user's own must be able to import. Without OpenCV calibrate.txt lacks some comparisons and
 # the stage collect, without matplotlib collect.txt lacks a figure, without docker none runs containers: each says so.
 MODULES = {
@@ -93,7 +98,7 @@ def main(arguments: list[str]) -> None:
     """Start the action named by the arguments, or make the environment that they describe."""
     if os.name != "posix":
         raise BootstrapError("Calibration CI runs on Linux and macOS")
-    if len(arguments) == 1 and arguments[0] in ACTIONS:
+    if len(arguments) == 1 and arguments[0] in ACTIONS | WORKFLOW_STEPS:
         start(arguments[0])
     if len(arguments) not in (3, 4) or arguments[0] != "environment":
         raise BootstrapError("usage: bootstrap.py ACTION | environment FOLDER LOCK [PROJECT]", BAD_INPUT)
@@ -103,7 +108,7 @@ def main(arguments: list[str]) -> None:
 
 def start(action: str) -> NoReturn:
     """Replace this process by the action's own, so that exit codes and signals pass straight through."""
-    entry, lock = ACTIONS[action]
+    entry, lock = (ACTIONS | WORKFLOW_STEPS)[action]
     python = sys.executable
     if not os.environ.get("INPUT_PYTHON"):
         python = str(shared_environment(ROOT / "requirements" / lock) / "bin" / "python")
@@ -113,7 +118,7 @@ def start(action: str) -> NoReturn:
             "lists (not with --user), or leave the input empty",
             BAD_INPUT,
         )
-    os.execv(python, [python, "-I", "-u", "-X", "utf8", str(ROOT / "actions" / entry)])  # noqa: S606
+    os.execv(python, [python, "-I", "-u", "-X", "utf8", str(ROOT / "actions" / entry), action])  # noqa: S606
 
 
 def shared_environment(lock: Path) -> Path:

@@ -47,6 +47,10 @@ COMMANDS: Mapping[str, LazyCommand] = {
     "record-motion": LazyCommand(
         "calibration.commands.record_motion:command", "Record a motion sequence on a page in the browser."
     ),
+    "plan-matrix": LazyCommand("calibration.commands.plan_matrix:command", "Plan the jobs of a workflow."),
+    "gather-results": LazyCommand(
+        "calibration.commands.gather_results:command", "Gather what the jobs of a workflow found."
+    ),
     "import-rigelfile": LazyCommand(
         "calibration.commands.import_rigelfile:command", "Convert a Rigelfile to calibration.yml."
     ),

@@ -38,6 +38,14 @@ class Run:
         return re.findall(r"::group::Python environment: installing (\w+)", self.log)
 
     @property
+    def tables(self) -> list[list[list[str]]]:
+        """The cells of the tables in the last summary of calibrations, row by row."""
+        summary = self.log[self.log.rindex("Summary - ## Calibration") :]
+        text = re.findall(r"(?:^\|.*\n)+", summary, re.MULTILINE)
+        tables = [[line.strip("| ").split(" | ") for line in table.splitlines()] for table in text]
+        return [[table[0], *table[2:]] for table in tables if table[0] != ["Job", "Result"]]
+
+    @property
     def outputs(self) -> set[str]:
         """The names of the outputs that were set, inside actions too."""
         return set(re.findall(r"::set-output:: ([\w-]+)=", self.log))
@@ -140,7 +148,7 @@ def suite(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for source in PROJECT.iterdir():
         if source.is_dir() and not source.name.startswith(".") and source.name not in ("build", "dist", "output"):
             shutil.copytree(source, folder / source.name, ignore=shutil.ignore_patterns("__pycache__"))
-        elif source.is_file():
+        elif source.is_file() and source.name != ".git":  # which it is in a worktree: commits would go there
             shutil.copy(source, folder)
     shutil.copytree(PROJECT / ".github", folder / ".github")
     commit(folder)

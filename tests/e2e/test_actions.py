@@ -163,7 +163,7 @@ def test_calibrate_then_check_the_table(repository: Repository) -> None:
         {"my dataset": PROJECT / "datasets" / "t2rgb"},
     )
     assert run.code == 0, run.log
-    assert run.installations == ["run"]  # which serves introspect-csv too
+    assert run.installations == ["calibrate"]  # which serves introspect-csv too
     assert "cells 2" in run.printed
     assert "matrix=pass" in run.printed
     [figures] = [line for line in run.printed if line.startswith("success=")]
@@ -290,7 +290,7 @@ def test_unit_tests_and_their_coverage(repository: Repository) -> None:
 
 def test_the_repositorys_own_pipeline(suite: Path, cache: Path) -> None:
     """The job of push.yml that runs the root action, on the systems that ship."""
-    run = Repository(suite, suite, cache).act("push", "--job", "pipeline")
+    run = Repository(suite, suite, cache).act("push", "--job", "action")
     assert run.code == 0, run.log
     assert run.installations == ["run"]
     assert run.outputs == outputs("action.yml")

@@ -1,0 +1,133 @@
+"""``plan-matrix``: the pipeline as jobs of a workflow; what the reusable workflow's first job runs."""
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from calibration.commands.parameters import (
+    INTEGER_LIST,
+    NON_NEGATIVE_LIST,
+    PATH_LIST,
+    TEXT_LIST,
+    boolean_option,
+    count,
+    path,
+    text,
+)
+from calibration.errors import ExitCode, InputError
+from calibration.workflow import Runner, set_outputs, stop_commands
+
+if TYPE_CHECKING:
+    from calibration.pipeline.configuration import Configuration, NoiseGrid
+    from calibration.pipeline.distribution.plan import Plan
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What ``plan-matrix`` is asked; None where the configuration, or its default, decides."""
+
+    config: Path | None = None
+    datasets: tuple[Path, ...] = ()
+    systems: tuple[str, ...] = ()
+    translation_noise: tuple[float, ...] | None = None
+    rotation_noise: tuple[float, ...] | None = None
+    seeds: int | None = None
+    seed_list: tuple[int, ...] | None = None
+    noise_inside_cells: bool = False
+    image: str | None = None
+    command: str | None = None
+    tests: str | None = None
+    jobs: tuple[str, ...] = ()
+    push: bool = True
+
+
+@click.command("plan-matrix")
+@click.option("--config", type=path, help="The configuration (calibration.yml).")
+@click.option("--datasets", type=PATH_LIST, help="Datasets, each a system; instead of config.")
+@click.option("--systems", type=TEXT_LIST, help="Only these systems.")
+@click.option("--translation-noise", type=NON_NEGATIVE_LIST, help="Errors of the starting translations, m: 0,0.5.")
+@click.option("--rotation-noise", type=NON_NEGATIVE_LIST, help="Errors of the starting Euler angles, rad: 0,0.5.")
+@click.option("--seeds", type=count, help="How many seeds for each pair of noises (1); always inside a job.")
+@click.option("--seed-list", type=INTEGER_LIST, help="The seeds themselves, instead of their number: 3,7.")
+@boolean_option("--noise-inside-cells", help="One job calibrates a system from all its noises.")
+@click.option("--image", type=text, help="Image with the team's own calibration.")
+@click.option("--command", type=text, help="What it runs.")
+@click.option("--tests", type=text, help="The command that runs the unit tests.")
+@click.option("--jobs", type=TEXT_LIST, help="Only these jobs: calibrate, collect-data, unit-tests.")
+@boolean_option("--push", default=True, help="Images may be pushed (yes); not from a fork, which has no secrets.")
+def command(**options: Any) -> ExitCode:
+    """Plan the jobs of a workflow: one for each system and pair of noises, as the matrix of a GitHub job."""
+    settings = Settings(**{name: value for name, value in options.items() if value is not None})
+    return plan_matrix(settings, Runner.from_environment(os.environ))
+
+
+def plan_matrix(settings: Settings, runner: Runner) -> ExitCode:
+    """Plan, show the plan, and set the outputs that the other jobs read.
+
+    Raises:
+        InputError: the configuration is wrong, there is nothing to do, or the matrix is too large.
+        WorldError: the outputs cannot be written.
+    """
+    from calibration.pipeline.distribution.plan_outputs import plan_outputs
+
+    plan = plan_of(settings)
+    outputs = plan_outputs(plan)
+    with stop_commands(runner):  # names of systems are the user's
+        for job, runs in plan.jobs.items():
+            runner.log(f"{job}: {'yes' if runs else 'no'}")
+        for cell in plan.cells:
+            runner.log(f"  {cell.name}")
+    set_outputs(runner, outputs)
+    return ExitCode.PASS
+
+
+def plan_of(settings: Settings) -> "Plan":
+    """The plan of these settings.
+
+    Raises:
+        InputError: the configuration is wrong, there is nothing to do, or the matrix is too large.
+    """
+    from calibration.pipeline.distribution.plan import Wishes, plan_jobs
+
+    if settings.seeds is not None and settings.seed_list is not None:
+        raise InputError("seeds and seed-list exclude each other: a number of seeds, or the seeds themselves")
+    if settings.config is not None and settings.datasets:
+        raise InputError("config and datasets exclude each other: a calibration.yml, or the datasets themselves")
+    configuration = _configuration(settings)
+    wishes = Wishes(
+        settings.jobs,
+        settings.noise_inside_cells,
+        image=bool(settings.image),
+        command=bool(settings.command),
+        tests=bool(settings.tests),
+        push=settings.push,
+    )
+    systems = configuration.only(settings.systems) if configuration else ()
+    return plan_jobs(configuration, systems, _noise(settings, configuration), wishes, by_path=bool(settings.datasets))
+
+
+def _configuration(settings: Settings) -> "Configuration | None":
+    from calibration.pipeline.configuration import DEFAULT_FILE, read_configuration
+    from calibration.pipeline.distribution.plan import datasets_as_configuration
+
+    if settings.datasets:
+        return datasets_as_configuration(settings.datasets)
+    only_tests = settings.jobs == ("unit-tests",) or (settings.tests and not settings.jobs)
+    if settings.config is None and only_tests and not DEFAULT_FILE.exists():
+        return None
+    return read_configuration(settings.config or DEFAULT_FILE)
+
+
+def _noise(settings: Settings, configuration: "Configuration | None") -> "NoiseGrid":
+    from calibration.pipeline.configuration import NoiseGrid, seed_range
+
+    noise = configuration.noise if configuration else NoiseGrid()
+    seeds = settings.seed_list or (seed_range(settings.seeds) if settings.seeds else noise.seeds)
+    return NoiseGrid(
+        tuple(dict.fromkeys(settings.translation_noise or noise.translations)),
+        tuple(dict.fromkeys(settings.rotation_noise or noise.rotations)),
+        tuple(dict.fromkeys(seeds)),
+    )

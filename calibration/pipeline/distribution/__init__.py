@@ -1,0 +1,8 @@
+"""A pipeline spread over the jobs of a workflow, and gathered again.
+
+- ``slug``: names that every system of files and artifacts takes;
+- ``plan``: which jobs run, and what each calibrates;
+- ``plan_outputs``: the plan as outputs of a job, and back;
+- ``needs``: what became of the jobs;
+- ``gathering``: what the jobs left, as one set of results with one verdict.
+"""

@@ -1,0 +1,242 @@
+"""Which jobs a workflow runs for a pipeline, and what each of them calibrates."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, TypeAlias
+
+from calibration.errors import InputError
+from calibration.estimation.starting_noise import StartingNoise
+from calibration.pipeline.collection.in_containers import ContainerRequest
+from calibration.pipeline.configuration import Configuration, NoiseGrid, Simulation, System
+from calibration.pipeline.distribution.slug import number_text, slugs
+from calibration.pipeline.matrix.cell import Cell
+from calibration.workflow.text import did_you_mean
+
+JOBS = ("calibrate", "collect-data", "unit-tests")
+"""The jobs that a user can choose from."""
+MOST_JOBS = 256
+"""GitHub refuses a larger matrix."""
+COLLECTED_DATA, UNIT_TESTS = "collected-data", "unit-tests"
+"""The slugs of what these jobs leave."""
+ImageSource: TypeAlias = Literal["", "own", "built", "given"]
+"""Where the team's software runs: nowhere (our engine calibrates), in the image that the system names, in the one that
+the job builds, in the one that the workflow was given."""
+
+
+@dataclass(frozen=True)
+class JobCell:
+    """What one job of the matrix calibrates: a system from one noise, or from all of them."""
+
+    name: str
+    """What the job is called."""
+    slug: str
+    """What its artifact and its folder are called."""
+    system: str
+    translations: tuple[float, ...]
+    """m."""
+    rotations: tuple[float, ...]
+    """rad."""
+    dataset: str = ""
+    """The dataset's path; empty where the configuration says it."""
+    image: ImageSource = ""
+    collected: bool = False
+    """Whether the job collect-data makes the dataset."""
+
+    def starts(self, seeds: Sequence[int]) -> list[Cell]:
+        """Everything that the job calibrates."""
+        return [
+            Cell(self.system, StartingNoise(t, r, seed))
+            for t in self.translations
+            for r in self.rotations
+            for seed in seeds
+        ]
+
+
+@dataclass(frozen=True)
+class Plan:
+    """The jobs of a run."""
+
+    cells: tuple[JobCell, ...] = ()
+    """Of the job calibrate, and of the job calibrate-collected."""
+    seeds: tuple[int, ...] = (1,)
+    simulations: tuple[str, ...] = ()
+    """What the job collect-data collects."""
+    unit_tests: bool = False
+    image: bool = False
+    """Whether the image is built and pushed before the cells, so that they only fetch it."""
+    push: bool = False
+    """Whether the cells may push the image that they build."""
+
+    @property
+    def at_once(self) -> tuple[JobCell, ...]:
+        """The cells whose dataset is there."""
+        return tuple(cell for cell in self.cells if not cell.collected)
+
+    @property
+    def after_collection(self) -> tuple[JobCell, ...]:
+        """The cells that wait for their dataset."""
+        return tuple(cell for cell in self.cells if cell.collected)
+
+    @property
+    def jobs(self) -> Mapping[str, bool]:
+        """For each job of the workflow whether it is to run."""
+        return {
+            "image": self.image,
+            "calibrate": bool(self.at_once),
+            "collect-data": bool(self.simulations),
+            "calibrate-collected": bool(self.after_collection),
+            "unit-tests": self.unit_tests,
+        }
+
+
+@dataclass(frozen=True)
+class Wishes:
+    """What the workflow's inputs say about the jobs."""
+
+    jobs: tuple[str, ...] = ()
+    """Empty for all that the configuration and the inputs describe."""
+    noise_inside_cells: bool = False
+    image: bool = False
+    """Whether an image is given."""
+    command: bool = False
+    """Whether a command is given, which calibrates in the place of our engine."""
+    tests: bool = False
+    """Whether unit tests are given."""
+    push: bool = True
+    """False where there is nothing to push with: in a fork."""
+
+
+def datasets_as_configuration(datasets: Sequence[Path]) -> Configuration:
+    """The configuration of systems of which only the data are known.
+
+    Raises:
+        InputError: two of them have the same name.
+    """
+    named: dict[str, System] = {}
+    for dataset in datasets:
+        folder = dataset.parent if dataset.suffix == ".json" else dataset
+        name = folder.resolve().name
+        if name in named:
+            raise InputError(
+                f"datasets: {named[name].dataset} and {dataset} are both called '{name}'; rename one, "
+                "or name the systems in a calibration.yml"
+            )
+        named[name] = System(name, dataset)
+    return Configuration(tuple(named.values()))
+
+
+def plan_jobs(
+    configuration: Configuration | None, systems: Sequence[System], noise: NoiseGrid, wishes: Wishes, *, by_path: bool
+) -> Plan:
+    """Choose the jobs, and what each calibrates.
+
+    Args:
+        configuration: what the pipeline is; None where there is only a unit test to run.
+        systems: those of it that are wanted.
+        noise: of all cells.
+        wishes: what the inputs say.
+        by_path: whether the cells name datasets, because there is no file with the systems.
+
+    Raises:
+        InputError: a job is wanted that there is nothing for, or the matrix is too large.
+    """
+    simulations = configuration.simulations if configuration else ()
+    wanted = _wanted(wishes, bool(systems), bool(simulations))
+    calibrated = systems if "calibrate" in wanted else ()
+    waiting = [system.name for system in calibrated if system.collected is not None]
+    if waiting and "collect-data" not in wanted:
+        raise InputError(
+            f"jobs: the dataset of the system '{waiting[0]}' is made by the job collect-data: add that, "
+            "or name other systems"
+        )
+    cells = _cells(calibrated, noise, wishes, by_path)
+    collected = simulations if "collect-data" in wanted else ()
+    section = configuration.image if configuration else None
+    built = next((cell for cell in cells if cell.image == "built"), None)
+    if built is not None and section is None:
+        raise InputError(f"command: the system '{built.system}' has no image to run it in: add the input image")
+    push = section is not None and section.push and wishes.push
+    return Plan(
+        cells,
+        noise.seeds,
+        tuple(simulation.name for simulation in collected),
+        "unit-tests" in wanted,
+        image=push and (built is not None or any(map(_runs_in_built_image, collected))),
+        push=push,
+    )
+
+
+def _runs_in_built_image(simulation: Simulation) -> bool:
+    request = simulation.request
+    return isinstance(request, ContainerRequest) and any(not c.image for c in request.applications.containers)
+
+
+def _wanted(wishes: Wishes, systems: bool, simulations: bool) -> list[str]:
+    possible = {"calibrate": systems, "collect-data": simulations, "unit-tests": wishes.tests}
+    missing = {
+        "calibrate": "the configuration has no systems",
+        "collect-data": "the configuration has no simulation",
+        "unit-tests": "the input tests is empty: name the command that runs them",
+    }
+    for job in wishes.jobs:
+        if job not in JOBS:
+            raise InputError(f"jobs: there is no job '{job}'{did_you_mean(job, JOBS)} (known: {', '.join(JOBS)})")
+        if not possible[job]:
+            raise InputError(f"jobs: there is nothing for {job} to do: {missing[job]}")
+    wanted = [job for job in JOBS if possible[job] and (not wishes.jobs or job in wishes.jobs)]
+    if not wanted:
+        raise InputError("jobs: there is nothing to do: no systems, no simulation, no tests")
+    return wanted
+
+
+def _cells(systems: Sequence[System], noise: NoiseGrid, wishes: Wishes, by_path: bool) -> tuple[JobCell, ...]:
+    grids = _grids(noise, wishes.noise_inside_cells)
+    count = len(systems) * len(grids)
+    if count > MOST_JOBS:
+        advice = (
+            "name fewer systems"
+            if wishes.noise_inside_cells
+            else "set noise-inside-cells: true, and one job calibrates a system from all its noises"
+        )
+        raise InputError(
+            f"the matrix has {count} jobs ({len(systems)} systems x {len(noise.translations)} translation noises x "
+            f"{len(noise.rotations)} rotation noises), GitHub takes {MOST_JOBS}: {advice}"
+        )
+    pairs = [(system, *grid) for system in systems for grid in grids]
+    names = [_name(system.name, t, r) for system, t, r in pairs]
+    found = slugs([name.replace(", ", "_").replace(" ", "") for name in names], (COLLECTED_DATA, UNIT_TESTS))
+    return tuple(
+        JobCell(
+            name,
+            slug,
+            system.name,
+            t,
+            r,
+            dataset=str(system.dataset) if by_path else "",
+            image=_image_source(system, wishes),
+            collected=system.collected is not None,
+        )
+        for (system, t, r), name, slug in zip(pairs, names, found, strict=True)
+    )
+
+
+def _grids(noise: NoiseGrid, inside: bool) -> list[tuple[tuple[float, ...], tuple[float, ...]]]:
+    """The noises of each job of a system."""
+    if inside:
+        return [(noise.translations, noise.rotations)]
+    return [((t,), (r,)) for t in noise.translations for r in noise.rotations]
+
+
+def _name(system: str, translations: tuple[float, ...], rotations: tuple[float, ...]) -> str:
+    if len(translations) > 1 or len(rotations) > 1:
+        return system
+    return f"{system}, {number_text(translations[0])} m, {number_text(rotations[0])} rad"
+
+
+def _image_source(system: System, wishes: Wishes) -> ImageSource:
+    if system.software is None and not wishes.command:
+        return ""
+    if wishes.image:
+        return "given"
+    return "own" if system.software is not None and system.software.container.image else "built"

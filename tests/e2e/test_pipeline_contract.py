@@ -1,0 +1,100 @@
+"""Holds the workflows to what GitHub, and the commands that they run, expect of them."""
+
+import re
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from calibration.__main__ import load_command
+from calibration.pipeline.distribution.plan import Plan
+from calibration.pipeline.distribution.plan_outputs import plan_outputs
+from tests.actions.write_inputs import options
+
+WORKFLOWS = Path(__file__).resolve().parents[2] / ".github" / "workflows"
+PIPELINE: dict[Any, Any] = yaml.safe_load((WORKFLOWS / "pipeline.yml").read_text())
+JOBS: dict[str, dict[str, Any]] = PIPELINE["jobs"]
+CALL: dict[str, dict[str, Any]] = PIPELINE[True]["workflow_call"]  # YAML 1.1 reads `on` as true
+
+
+@pytest.fixture(params=sorted(WORKFLOWS.glob("*.yml")), ids=lambda path: path.name)
+def workflow(request: pytest.FixtureRequest) -> dict[str, Any]:
+    loaded: dict[str, Any] = yaml.safe_load(request.param.read_text())
+    return loaded
+
+
+def test_every_job_ends_and_every_action_of_others_is_pinned(workflow: dict[str, Any]) -> None:
+    for name, job in workflow["jobs"].items():
+        assert "timeout-minutes" in job or "uses" in job, name
+        for step in job.get("steps", []):
+            assert "${{" not in step.get("run", "")
+            used = step.get("uses", "./")
+            assert used.startswith("./") or re.fullmatch(r"actions/[\w-]+@[0-9a-f]{40}", used)
+
+
+def test_every_input_is_described_and_used() -> None:
+    text = (WORKFLOWS / "pipeline.yml").read_text()
+    for kind in ("inputs", "secrets"):
+        for name, entry in CALL[kind].items():
+            assert re.search(r"[.)\]]$", entry["description"]), name
+            assert not entry.get("required"), name
+            assert re.search(rf"\b{kind}\.{name}\b", text), name
+
+
+def test_every_variable_of_a_step_is_an_input_of_its_command() -> None:
+    run = re.compile(r'exec bash "\$RUNNER_TEMP/calibration-ci-suite/actions/bootstrap\.sh" ([\w-]+)')
+    started = set()
+    for job in JOBS.values():
+        for step in job["steps"]:
+            if found := run.search(step.get("run", "")):
+                started.add(found[1])
+                module = f"calibration.commands.{found[1].replace('-', '_')}"
+                if find_spec(module) is None:
+                    continue
+                known = {f"INPUT_{name.upper().replace('-', '_')}" for name in [*options(found[1]), "python"]}
+                given = {name for name in step["env"] if name.startswith("INPUT_")}
+                assert given <= known
+                assert "INPUT_PYTHON" in given
+    assert started == {"plan-matrix", "build-image", "calibrate-matrix", "run", "coverage-upload", "gather-results"}
+
+
+def test_the_plan_hands_on_all_that_it_says() -> None:
+    assert JOBS["plan"]["outputs"] == {name: f"${{{{ steps.plan.outputs.{name} }}}}" for name in plan_outputs(Plan())}
+    wishes = {name for name in options("plan-matrix") if name != "push"}
+    assert wishes <= set(CALL["inputs"])
+
+
+def test_the_verdict_waits_for_every_job_and_is_never_skipped() -> None:
+    verdict = JOBS["verdict"]
+    assert set(verdict["needs"]) == set(JOBS) - {"verdict"}
+    assert verdict["if"] == "${{ always() }}"
+    assert set(Plan().jobs) == set(JOBS) - {"verdict", "plan"}
+    for job in JOBS.values():
+        assert "continue-on-error" not in job
+        assert all("continue-on-error" not in step for step in job["steps"])
+
+
+def test_every_workflow_of_ours_is_one_required_check() -> None:
+    checks = yaml.safe_load((WORKFLOWS / "checks.yml").read_text())["jobs"]
+    assert set(checks["checks"]["needs"]) == set(checks) - {"checks"}
+    assert checks["checks"]["if"] == "${{ always() }}"
+
+
+def test_permissions_are_small() -> None:
+    for path in WORKFLOWS.glob("*.yml"):
+        loaded = yaml.safe_load(path.read_text())
+        assert loaded.get("permissions", {}) == {}
+        asked = {name: job["permissions"] for name, job in loaded["jobs"].items() if "permissions" in job}
+        more = {name for name, permissions in asked.items() if permissions not in ({}, {"contents": "read"})}
+        assert more == ({"release"} if path.name == "release.yml" else set())
+    # These use what the caller gives.
+    assert {name for name, job in JOBS.items() if "permissions" not in job} == {
+        *("image", "calibrate", "collect-data", "calibrate-collected")
+    }
+
+
+def test_the_commands_of_the_workflow_are_there() -> None:
+    for name in ("plan-matrix", "gather-results"):
+        assert load_command(name).name == name

@@ -1,0 +1,237 @@
+"""What the jobs of a workflow left, held against the plan."""
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from calibration.errors import ExitCode, InputError
+from calibration.pipeline.collection.collected import Collected
+from calibration.pipeline.configuration import NoiseGrid
+from calibration.pipeline.distribution.gathering import NO_RESULT, gather
+from calibration.pipeline.distribution.needs import Needs
+from calibration.pipeline.distribution.plan import JobCell, Plan
+from calibration.pipeline.distribution.plan_outputs import plan_outputs
+from calibration.pipeline.image_result import ImageResult
+from calibration.pipeline.matrix.cell import CellResult
+from calibration.pipeline.matrix.matrix import Matrix, run_matrix
+from calibration.pipeline.results import Results, write_results
+from tests.pipeline.conftest import RIWBOT
+from tests.pipeline.matrix.test_judgement import CELL
+
+ONE = JobCell("robot, 0.5 m, 0.3 rad", "one", "robot", (0.5,), (0.3,))
+TWO = JobCell("robot, 0 m, 0.3 rad", "two", "robot", (0.0,), (0.3,))
+LATER = JobCell("fresh", "later", "fresh", (0.0,), (0.0,), image="built", collected=True)
+FRESH = Collected("fresh", poses=4, kept=4, dataset="collected/fresh")
+BOTH = Plan((ONE, TWO))
+WHOLE = Plan((ONE, TWO, LATER), simulations=("fresh",), unit_tests=True, image=True, push=True)
+
+
+def result(job: JobCell, seed: int = 1, **changes: Any) -> CellResult:
+    base = replace(
+        CELL,
+        system=job.system,
+        translation_noise=job.translations[0],
+        rotation_noise=job.rotations[0],
+        seed=seed,
+        converged=True,
+        reasons=(),
+        error=None,
+        table="robot/table.csv",
+        dataset=None,
+    )
+    return replace(base, **changes)
+
+
+def needs(plan: Plan, **results: str) -> Needs:
+    found = {job: "success" if runs else "skipped" for job, runs in plan.jobs.items()}
+    found |= {job.replace("_", "-"): outcome for job, outcome in results.items()}
+    return Needs({"plan": "success", **found}, plan_outputs(plan))
+
+
+@pytest.fixture
+def leave(tmp_path: Path) -> Callable[..., Path]:
+    """Return what a job does: leave its results in a folder of its own."""
+
+    def write(slug: str, *cells: CellResult, **others: Any) -> Path:
+        write_results(Results(cells, **others), tmp_path / slug)
+        return tmp_path / slug / "results.json"
+
+    return write
+
+
+def test_everything_that_was_planned_is_there(leave: Callable[..., Path], tmp_path: Path) -> None:
+    image = ImageResult("ghcr.io/me/robot:key-1", "1", True)
+    shah = result(ONE, method="shah", translation_noise=None, rotation_noise=None, seed=None, start=None, loss=None)
+    ours = [result(job, dataset="a/dataset.json") for job in (ONE, TWO)]
+    for job, slug, our in ((ONE, "one", ours[0]), (TWO, "two", ours[1])):
+        leave(slug, result(job), comparisons=(our, shah))
+    leave("later", result(LATER))
+    leave("collected-data", collections=(FRESH,), image=image)
+
+    found = gather(needs(WHOLE), tmp_path)
+
+    assert found.exit_code == ExitCode.PASS
+    assert found.problems == ()
+    assert [(cell.system, cell.translation_noise) for cell in found.results.cells] == [
+        ("robot", 0.5),
+        ("robot", 0.0),
+        ("fresh", 0.0),
+    ]
+    assert [str(cell.table).partition("/")[::2] for cell in found.results.cells] == [
+        (slug, "robot/table.csv") for slug in ("one", "two", "later")
+    ]
+    assert [cell.method for cell in found.results.comparisons] == ["calibration-ci", "shah", "calibration-ci"]
+    assert found.results.collections == (replace(FRESH, dataset="collected-data/collected/fresh"),)
+    assert found.results.image == image
+    assert set(found.jobs) == {"plan", "image", "calibrate", "collect-data", "calibrate-collected", "unit-tests"}
+
+
+def test_real_results_come_through_unchanged(tmp_path: Path) -> None:
+    """Two jobs and the same matrix in one piece give the same results, up to where the files are."""
+    matrix = Matrix((replace(RIWBOT, compare=("shah",)),), NoiseGrid((0.0, 0.5), (0.3,)))
+    whole = run_matrix(matrix, tmp_path / "whole", 1)
+    for slug, t in (("a", 0.0), ("b", 0.5)):
+        part = run_matrix(replace(matrix, noise=NoiseGrid((t,), (0.3,))), tmp_path / slug, 1)
+        write_results(Results(part.cells, part.comparisons), tmp_path / slug)
+    jobs = (JobCell("", "a", "riwbot", (0.0,), (0.3,)), JobCell("", "b", "riwbot", (0.5,), (0.3,)))
+
+    found = gather(needs(Plan(jobs)), tmp_path).results
+
+    def essence(cells: tuple[CellResult, ...]) -> list[CellResult]:
+        return [replace(cell, details={}, seconds=0, table=None, dataset=None) for cell in cells]
+
+    assert essence(found.cells) == essence(whole.cells)
+    assert essence(found.comparisons) == essence(whole.comparisons)
+    for cell in (*found.cells, *found.comparisons):
+        assert (tmp_path / str(cell.table)).is_file()
+        assert (tmp_path / str(cell.dataset)).is_file()
+
+
+def test_a_cell_that_failed_explains_its_job(leave: Callable[..., Path], tmp_path: Path) -> None:
+    leave("one", result(ONE))
+    leave("two", result(TWO, reasons=("RMS: found 9 px",)))
+    found = gather(needs(BOTH, calibrate="failure"), tmp_path)
+    assert found.exit_code == ExitCode.FAIL
+    assert found.problems == ()
+    assert found.jobs == {"plan": "success", "calibrate": "failure"}
+
+
+@pytest.mark.parametrize("job", ["success", "failure", "cancelled", "skipped"])
+def test_a_missing_result_is_never_a_pass(job: str, leave: Callable[..., Path], tmp_path: Path) -> None:
+    leave("one", result(ONE))
+    found = gather(needs(BOTH, calibrate=job), tmp_path)
+    assert found.exit_code == ExitCode.WORLD
+    assert [cell.reasons for cell in found.results.cells] == [(), (NO_RESULT,)]
+
+
+def test_a_missing_seed_is_a_missing_result(leave: Callable[..., Path], tmp_path: Path) -> None:
+    leave("one", result(ONE, 1))
+    found = gather(needs(Plan((ONE,), seeds=(1, 2))), tmp_path)
+    assert [(cell.seed, cell.verdict) for cell in found.results.cells] == [(1, "pass"), (2, "fail")]
+
+
+def test_nothing_at_all_is_left(tmp_path: Path) -> None:
+    found = gather(needs(WHOLE, image="failure", calibrate="skipped"), tmp_path / "nowhere")
+    assert found.exit_code == ExitCode.WORLD
+    assert all(cell.reasons == (NO_RESULT,) for cell in found.results.cells)
+    assert [cell.method for cell in found.results.cells] == ["calibration-ci", "calibration-ci", "software"]
+    assert found.results.collections == (Collected("fresh", reasons=(NO_RESULT,), error=ExitCode.WORLD),)
+    assert found.problems == ("the job image failed: see its log",)
+
+
+@pytest.mark.parametrize(
+    ("results", "problem"),
+    [
+        ({"calibrate": "failure"}, "the job calibrate failed: see its log"),
+        ({"calibrate": "cancelled"}, "the job calibrate was cancelled: see its log"),
+        ({"calibrate-collected": "failure"}, "the job calibrate-collected failed: see its log"),
+        ({"collect-data": "skipped"}, "the job collect-data did not run: see its log"),
+        ({"unit-tests": "failure"}, "the job unit-tests failed: see its log"),
+        ({"unit-tests": "missing"}, "the job unit-tests is missing: see its log"),
+        ({"image": "cancelled"}, "the job image was cancelled: see its log"),
+    ],
+)
+def test_a_job_that_failed_though_its_results_are_fine_is_red(
+    results: dict[str, str], problem: str, leave: Callable[..., Path], tmp_path: Path
+) -> None:
+    for slug, job in (("one", ONE), ("two", TWO), ("later", LATER)):
+        leave(slug, result(job))
+    leave("collected-data", collections=(FRESH,))
+    found = gather(needs(WHOLE, **results), tmp_path)
+    assert found.problems == (problem,)
+    assert found.exit_code == ExitCode.FAIL
+
+
+def test_a_job_that_nobody_waits_for_is_red(leave: Callable[..., Path], tmp_path: Path) -> None:
+    leave("one", result(ONE))
+    known = needs(Plan((ONE,), unit_tests=True))
+    found = gather(replace(known, results={"plan": "success", "calibrate": "success"}), tmp_path)
+    assert found.problems == ("the job unit-tests is missing: see its log",)
+
+
+def test_a_failed_job_is_not_hidden_by_a_failed_cell_of_another(leave: Callable[..., Path], tmp_path: Path) -> None:
+    leave("one", result(ONE, reasons=("RMS: found 9 px",)))
+    leave("two", result(TWO))
+    leave("later", result(LATER))
+    leave("collected-data", collections=(FRESH,))
+    found = gather(needs(WHOLE, calibrate="failure", calibrate_collected="failure"), tmp_path)
+    assert found.problems == ("the job calibrate-collected failed: see its log",)
+
+
+@pytest.mark.parametrize("outcome", ["failure", "cancelled", "skipped"])
+def test_a_plan_that_failed_is_red(outcome: str, tmp_path: Path) -> None:
+    found = gather(Needs({"plan": outcome}), tmp_path)
+    assert found.exit_code == ExitCode.FAIL
+    assert len(found.problems) == 1
+
+
+def test_only_unit_tests(tmp_path: Path) -> None:
+    plan = Plan(unit_tests=True)
+    assert gather(needs(plan), tmp_path).exit_code == ExitCode.PASS
+    assert gather(needs(plan, unit_tests="failure"), tmp_path).exit_code == ExitCode.FAIL
+
+
+def test_what_was_not_planned_is_refused(leave: Callable[..., Path], tmp_path: Path) -> None:
+    leave("one", result(ONE), result(TWO))
+    with pytest.raises(InputError, match=r"one/results.json: has a result of robot, 0 m, .* which was not"):
+        gather(needs(Plan((ONE,))), tmp_path)
+    leave("collected-data", collections=(FRESH, replace(FRESH, name="more")))
+    with pytest.raises(InputError, match=r"collected-data/results.json: has more, which was not planned"):
+        gather(needs(Plan(simulations=("fresh",))), tmp_path)
+
+
+def edited(path: Path, change: Callable[[dict[str, Any]], object]) -> None:
+    document = json.loads(path.read_text())
+    change(document)
+    path.write_text(json.dumps(document))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda d: d["cells"][0].update(verdict="pass"), "says pass, which its own numbers and reasons deny"),
+        (lambda d: d["cells"][0].update(rms_px=float("nan")), "found NaN, a finite number was expected"),
+        (lambda d: d["cells"][0].pop("converged"), "'converged' is a required property"),
+        (lambda d: d.update(schema=2), "1 was expected"),
+        (lambda d: d["collections"].append({**FRESH.document, "new": 1}), "not results of this version"),
+        (lambda d: d.update(cells={}), "not of type 'array'"),
+    ],
+)
+def test_a_results_file_is_held_to_its_schema(
+    change: Callable[[dict[str, Any]], object], message: str, leave: Callable[..., Path], tmp_path: Path
+) -> None:
+    edited(leave("one", result(ONE, reasons=("too far off",))), change)
+    with pytest.raises(InputError, match=message):
+        gather(needs(Plan((ONE,))), tmp_path)
+
+
+@pytest.mark.parametrize("text", ["", "{", "[" * 100_000, "\xff"])
+def test_what_is_no_results_file(text: str, tmp_path: Path) -> None:
+    (tmp_path / "one").mkdir()
+    (tmp_path / "one" / "results.json").write_text(text, encoding="latin-1")
+    with pytest.raises(InputError, match=r"one/results.json: this is not a results file"):
+        gather(needs(Plan((ONE,))), tmp_path)

@@ -1,0 +1,253 @@
+"""The jobs of a workflow for a configuration and the inputs, and their way through the outputs of a job."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from calibration.errors import InputError
+from calibration.execution.job import Container
+from calibration.image.specification import ImageSpecification, parse_image_specification
+from calibration.pipeline.collection.collecting import CollectionRequest
+from calibration.pipeline.collection.in_containers import ContainerRequest
+from calibration.pipeline.configuration import Configuration, NoiseGrid, Simulation, System, parse_applications
+from calibration.pipeline.distribution.needs import Needs, parse_needs
+from calibration.pipeline.distribution.plan import (
+    MOST_JOBS,
+    JobCell,
+    Plan,
+    Wishes,
+    datasets_as_configuration,
+    plan_jobs,
+)
+from calibration.pipeline.distribution.plan_outputs import MOST_BYTES, plan_of_outputs, plan_outputs
+from calibration.pipeline.matrix.software import Software
+
+ROBOT, ARM = System("robot", Path("data/robot")), System("arm", Path("data/arm"))
+FRESH = Simulation("fresh", CollectionRequest(Path("data/robot")))
+COLLECTED = replace(ROBOT, name="fresh", collected="fresh")
+GRID = NoiseGrid((0.0, 0.5), (0.0, 0.1), (1, 2))
+
+
+def planned(
+    *systems: System,
+    simulations: tuple[Simulation, ...] = (),
+    section: ImageSpecification | None = None,
+    noise: NoiseGrid = GRID,
+    by_path: bool = False,
+    **wishes: object,
+) -> Plan:
+    configuration = Configuration(systems, simulations=simulations, image=section)
+    return plan_jobs(configuration, systems, noise, Wishes(**wishes), by_path=by_path)  # type: ignore[arg-type]
+
+
+def image_section(push: bool, tmp_path: Path) -> ImageSpecification:
+    return parse_image_specification({"name": "ghcr.io/me/robot", "base": "debian", "push": push}, tmp_path, "image")
+
+
+def software(image: str) -> Software:
+    return Software(Container("calibration", image, ("calibrate",)))
+
+
+def test_every_pair_of_noises_of_every_system_is_a_job() -> None:
+    plan = planned(ROBOT, ARM)
+    assert [cell.name for cell in plan.cells] == [
+        f"{name}, {t} m, {r} rad" for name in ("robot", "arm") for t in ("0", "0.5") for r in ("0", "0.1")
+    ]
+    assert plan.cells[1].slug == "robot_0m_0.1rad"
+    assert {
+        (cell.noise.translation, cell.noise.rotation, cell.noise.seed) for cell in plan.cells[1].starts((1, 2))
+    } == {
+        (0.0, 0.1, 1),
+        (0.0, 0.1, 2),
+    }
+    assert dict(plan.jobs) == {
+        "image": False,
+        "calibrate": True,
+        "collect-data": False,
+        "calibrate-collected": False,
+        "unit-tests": False,
+    }
+
+
+def test_noise_inside_cells_makes_a_job_of_each_system() -> None:
+    plan = planned(ROBOT, ARM, noise_inside_cells=True)
+    assert [(cell.name, cell.slug) for cell in plan.cells] == [("robot", "robot"), ("arm", "arm")]
+    assert len(plan.cells[0].starts(plan.seeds)) == 8
+
+
+def test_the_largest_matrix_that_github_takes_and_one_more() -> None:
+    systems = [replace(ROBOT, name=f"robot-{i}") for i in range(MOST_JOBS // 4)]
+    assert len(planned(*systems).cells) == MOST_JOBS
+    with pytest.raises(InputError, match=r"has 260 jobs \(65 systems x 2 .* x 2 .*\), .* 256: set noise-inside"):
+        planned(*systems, ARM)
+    many = [replace(ROBOT, name=f"robot-{i}") for i in range(MOST_JOBS + 1)]
+    with pytest.raises(InputError, match=r"has 257 jobs .*: name fewer systems"):
+        planned(*many, noise_inside_cells=True)
+
+
+def test_systems_whose_dataset_is_collected_wait_for_it() -> None:
+    plan = planned(ROBOT, COLLECTED, simulations=(FRESH,), noise_inside_cells=True, tests=True)
+    assert [cell.system for cell in plan.at_once] == ["robot"]
+    assert [cell.system for cell in plan.after_collection] == ["fresh"]
+    assert plan.simulations == ("fresh",)
+    assert all(runs for job, runs in plan.jobs.items() if job != "image")
+    with pytest.raises(InputError, match="'fresh' is made by the job collect-data: add that"):
+        planned(ROBOT, COLLECTED, simulations=(FRESH,), jobs=("calibrate",))
+    alone = planned(ROBOT, COLLECTED, simulations=(FRESH,), jobs=("collect-data",))
+    assert alone.cells == ()
+
+
+@pytest.mark.parametrize(
+    ("jobs", "message"),
+    [
+        (("calibrat",), "there is no job 'calibrat': did you mean 'calibrate'\\?"),
+        (("collect-data",), "nothing for collect-data to do: the configuration has no simulation"),
+        (("calibrate", "unit-tests"), "nothing for unit-tests to do: the input tests is empty"),
+    ],
+)
+def test_a_job_without_work_is_refused(jobs: tuple[str, ...], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        planned(ROBOT, jobs=jobs)
+
+
+def test_nothing_to_do_is_refused() -> None:
+    with pytest.raises(InputError, match="there is nothing to do"):
+        plan_jobs(None, (), NoiseGrid(), Wishes(), by_path=False)
+    only_tests = plan_jobs(None, (), NoiseGrid(), Wishes(tests=True), by_path=False)
+    assert [job for job, runs in only_tests.jobs.items() if runs] == ["unit-tests"]
+
+
+@pytest.mark.parametrize(
+    ("system", "wishes", "source"),
+    [
+        (ROBOT, {}, ""),
+        (ROBOT, {"image": True}, ""),  # for the other systems, which have software
+        (ROBOT, {"image": True, "command": True}, "given"),
+        (replace(ROBOT, software=software("mine")), {}, "own"),
+        (replace(ROBOT, software=software("mine")), {"image": True}, "given"),
+        (replace(ROBOT, software=software("")), {}, "built"),
+        (replace(ROBOT, software=software("")), {"image": True}, "given"),
+    ],
+)
+def test_where_the_software_runs(system: System, wishes: dict[str, object], source: str, tmp_path: Path) -> None:
+    plan = planned(system, section=image_section(True, tmp_path), **wishes)  # type: ignore[arg-type]
+    assert plan.cells[0].image == source
+    assert plan.image is (source == "built")
+
+
+def test_the_image_is_built_before_only_where_the_cells_can_fetch_it(tmp_path: Path) -> None:
+    system = replace(ROBOT, software=software(""))
+    assert planned(system, section=image_section(True, tmp_path)).push
+    for plan in (
+        planned(system, section=image_section(False, tmp_path)),
+        planned(system, section=image_section(True, tmp_path), push=False),  # a fork
+    ):
+        assert not plan.image
+        assert not plan.push
+    with pytest.raises(InputError, match="'robot' has no image to run it in: add the input image"):
+        planned(ROBOT, command=True)
+
+
+@pytest.mark.parametrize(("image", "built"), [({}, True), ({"image": "mine"}, False)])
+def test_a_simulation_needs_the_image_where_a_container_names_none(
+    image: dict[str, str], built: bool, tmp_path: Path
+) -> None:
+    entry = {"containers": {"sim": {"command": ["simulate"], **image}}, "truth": "none"}
+    applications = parse_applications(entry, tmp_path, "simulation")
+    request = ContainerRequest("fresh", applications, None)
+    plan = planned(ROBOT, simulations=(Simulation("fresh", request),), section=image_section(True, tmp_path))
+    assert plan.image is built
+
+
+def test_datasets_are_systems_with_their_folders_name() -> None:
+    configuration = datasets_as_configuration([Path("a/robot"), Path("b/arm/dataset.json")])
+    assert [system.name for system in configuration.systems] == ["robot", "arm"]
+    plan = planned(*configuration.systems, by_path=True)
+    assert {cell.dataset for cell in plan.cells} == {"a/robot", "b/arm/dataset.json"}
+    with pytest.raises(InputError, match="a/robot and b/robot are both called 'robot'"):
+        datasets_as_configuration([Path("a/robot"), Path("b/robot")])
+
+
+cells = st.builds(
+    JobCell,
+    name=st.text(max_size=20),
+    slug=st.text(max_size=20),
+    system=st.text(max_size=20),
+    translations=st.lists(st.floats(0, 1000), min_size=1, max_size=3).map(tuple),
+    rotations=st.lists(st.floats(0, 1000), min_size=1, max_size=3).map(tuple),
+    dataset=st.text(max_size=20),
+    image=st.sampled_from(["", "own", "built", "given"]),
+)
+
+
+@given(
+    st.lists(cells, max_size=4),
+    st.lists(cells.map(lambda cell: replace(cell, collected=True)), max_size=2),
+    st.lists(st.integers(0, 10), min_size=1, unique=True),
+    st.booleans(),
+)
+def test_a_plan_comes_back_from_its_outputs(
+    now: list[JobCell], later: list[JobCell], seeds: list[int], flag: bool
+) -> None:
+    plan = Plan((*now, *later), tuple(seeds), ("a", "b"), flag, image=flag, push=not flag)
+    outputs = plan_outputs(plan)
+    assert all(value and "\n" not in value and "\r" not in value for value in outputs.values())
+    needs = parse_needs(json.dumps({"plan": {"result": "success", "outputs": outputs}}))
+    assert plan_of_outputs(needs.plan) == plan
+
+
+def test_a_plan_that_cannot_travel_is_refused_and_the_largest_can() -> None:
+    long = [replace(ROBOT, name=f"{i:03}".ljust(64, "x")) for i in range(MOST_JOBS)]
+    outputs = plan_outputs(planned(*long, noise=NoiseGrid((0.123,), (0.123,))))
+    assert len(json.dumps(json.dumps({"plan": {"outputs": outputs}}))) < 128 * 1024
+    many_seeds = NoiseGrid((0.0,), (0.0,), tuple(range(0, 60000, 2)))
+    with pytest.raises(InputError, match=f"{MOST_BYTES} is the limit: set noise-inside-cells: true, or shorten"):
+        plan_outputs(planned(ROBOT, noise=many_seeds))
+    assert plan_outputs(planned(ROBOT, noise=NoiseGrid(seeds=tuple(range(1, 100001)))))["seeds"] == "100000"
+
+
+OUTPUTS = plan_outputs(planned(ROBOT))
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"cells": ""},
+        {"cells": "[1]"},
+        {"cells": "{}"},
+        {"cells": '[{"name": "a"}]'},
+        {"cells": "[]"},  # though calibrate is to run
+        {"seeds": "x"},
+        {"seeds": "null"},
+        {"simulations": '["a"]'},
+        {"calibrate": "false"},
+        {"more": "x"},
+    ],
+)
+def test_outputs_that_are_no_plan_are_refused(change: dict[str, str]) -> None:
+    with pytest.raises(InputError, match="are not those of plan-matrix; GitHub drops an output"):
+        plan_of_outputs({**OUTPUTS, **change})
+
+
+def test_an_output_that_github_dropped_is_noticed() -> None:
+    for name in OUTPUTS:
+        with pytest.raises(InputError, match="secret"):
+            plan_of_outputs({key: value for key, value in OUTPUTS.items() if key != name})
+
+
+NO_NEEDS = ["", "[]", "{}", '{"plan": 1}', '{"plan": {"result": "success"}}', "null", '{"a": {}}']
+
+
+@pytest.mark.parametrize("text", NO_NEEDS)
+def test_needs_that_are_none(text: str) -> None:
+    with pytest.raises(InputError, match="toJSON"):
+        parse_needs(text)
+
+
+def test_needs_of_a_plan_that_failed() -> None:
+    text = '{"plan": {"result": "failure", "outputs": null}, "calibrate": {"result": "skipped", "outputs": {}}}'
+    assert parse_needs(text) == Needs({"plan": "failure", "calibrate": "skipped"}, {})

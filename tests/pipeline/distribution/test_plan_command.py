@@ -1,0 +1,160 @@
+"""The commands plan-matrix and gather-results, as the workflow's jobs run them."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from calibration.__main__ import main, run_action
+from calibration.pipeline.results import Results, write_results
+from tests.pipeline.distribution.test_gathering import ONE, TWO, result
+
+CONFIGURATION = """
+noise: {translation: [0, 0.5], rotation: [0.3], seeds: 2}
+systems: {robot: {dataset: robot}, arm: {dataset: arm}}
+"""
+
+
+@pytest.fixture(autouse=True)
+def _folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name in ("GITHUB_ACTIONS", "GITHUB_OUTPUT", "GITHUB_STEP_SUMMARY"):
+        monkeypatch.delenv(name, raising=False)
+
+
+def outputs(path: Path) -> dict[str, str]:
+    return dict(line.split("=", 1) for line in path.read_text().splitlines())
+
+
+def plan(monkeypatch: pytest.MonkeyPatch, **inputs: str) -> dict[str, str]:
+    """Run plan-matrix as the workflow does, and return its outputs."""
+    file = Path("outputs")
+    file.unlink(missing_ok=True)
+    monkeypatch.setenv("GITHUB_OUTPUT", str(file))
+    for name, value in inputs.items():
+        monkeypatch.setenv(f"INPUT_{name.upper()}", value)
+    assert run_action("plan-matrix") == 0
+    return outputs(file)
+
+
+def test_the_plan_of_a_configuration(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    Path("calibration.yml").write_text(CONFIGURATION)
+    found = plan(monkeypatch, config="", translation_noise="", noise_inside_cells="false", push="true")
+    assert [cell["name"] for cell in json.loads(found["cells"])] == [
+        f"{system}, {t} m, 0.3 rad" for system in ("robot", "arm") for t in ("0", "0.5")
+    ]
+    assert found["seeds"] == "2"
+    out = capsys.readouterr().out
+    assert "calibrate: yes" in out
+    assert "  arm, 0.5 m, 0.3 rad" in out
+
+
+def test_inputs_come_before_the_configuration(monkeypatch: pytest.MonkeyPatch) -> None:
+    Path("calibration.yml").write_text(CONFIGURATION)
+    found = plan(monkeypatch, systems="arm", translation_noise="0.1, 0.1", rotation_noise="0", seed_list="7,3,7")
+    [cell] = json.loads(found["cells"])
+    assert (cell["system"], cell["translation-noise"], cell["rotation-noise"]) == ("arm", "0.1", "0")
+    assert found["seeds"] == "[7,3]"
+
+
+def test_datasets_in_the_place_of_a_configuration(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = plan(monkeypatch, datasets="data/robot\ndata/my arm", seeds="3")
+    assert [(cell["dataset"], cell["slug"]) for cell in json.loads(found["cells"])] == [
+        ("data/robot", "robot_0m_0rad"),
+        ("data/my arm", "myarm_0m_0rad"),
+    ]
+    assert found["seeds"] == "3"
+
+
+def test_unit_tests_need_no_configuration(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = plan(monkeypatch, tests="pytest -q")
+    assert found["unit-tests"] == "true"
+    assert found["calibrate"] == "false"
+    Path("calibration.yml").write_text(CONFIGURATION)
+    assert plan(monkeypatch)["calibrate"] == "true"
+    assert plan(monkeypatch, jobs="unit-tests")["calibrate"] == "false"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ([], "calibration.yml: a pipeline configuration was expected"),
+        (["--config", "a.yml", "--datasets", "b"], "config and datasets exclude each other"),
+        (["--seeds", "2", "--seed-list", "1"], "seeds and seed-list exclude each other"),
+        (["--datasets", "b", "--systems", "c"], "systems: there is no 'c' (known: b)"),
+        (["--datasets", "b", "--jobs", "unit-tests"], "nothing for unit-tests to do"),
+        (["--datasets", "b", "--translation-noise", "-1"], "'-1' is below 0"),
+    ],
+)
+def test_what_cannot_be_planned_is_bad_input(
+    arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["plan-matrix", *arguments]) == 2
+    error = capsys.readouterr().err
+    assert message in error
+    assert error.count("\n") == 1
+
+
+def test_names_of_systems_command_nothing(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setenv("GITHUB_ACTIONS", "true")
+    plan(monkeypatch, datasets="a/::set-output name=x::y")
+    lines = capsys.readouterr().out.splitlines()
+    [token] = [line.removeprefix("::stop-commands::") for line in lines if line.startswith("::stop-commands::")]
+    [named] = [i for i, line in enumerate(lines) if "set-output" in line]
+    assert lines.index(f"::stop-commands::{token}") < named < lines.index(f"::{token}::")
+
+
+def gather(monkeypatch: pytest.MonkeyPatch, results: dict[str, str], planned: dict[str, str]) -> int:
+    jobs = {"plan": {"result": "success", "outputs": planned}}
+    jobs |= {job: {"result": outcome, "outputs": {}} for job, outcome in results.items()}
+    for name, value in {"NEEDS": json.dumps(jobs, indent=2), "FOLDER": "left", "OUTPUT": "of all"}.items():
+        monkeypatch.setenv(f"INPUT_{name}", value)
+    monkeypatch.setenv("GITHUB_OUTPUT", "gathered")
+    monkeypatch.setenv("GITHUB_STEP_SUMMARY", "summary.md")
+    return run_action("gather-results")
+
+
+@pytest.fixture
+def planned(monkeypatch: pytest.MonkeyPatch) -> dict[str, str]:
+    """Return the plan of two cells, of which both have left a result that passes."""
+    found = plan(monkeypatch, datasets="robot", translation_noise="0.5,0", rotation_noise="0.3", tests="pytest")
+    for cell, job in zip(json.loads(found["cells"]), (ONE, TWO), strict=True):
+        write_results(Results((result(job),)), Path("left", cell["slug"]))
+    return found
+
+
+def test_one_table_and_one_verdict(
+    planned: dict[str, str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert gather(monkeypatch, {"calibrate": "success", "unit-tests": "success"}, planned) == 0
+    summary = Path("summary.md").read_text()
+    assert summary.startswith("## Calibration: pass: 2 cells calibrated")
+    assert "| calibrate | success |" in summary
+    assert summary.count("| Start | robot |") == 1
+    assert outputs(Path("gathered"))["verdict"] == "pass"
+    assert {path.name for path in Path("of all").iterdir()} == {"results.json", "cells.csv", "junit.xml", "summary.md"}
+    assert capsys.readouterr().out.endswith("pass: plan success, calibrate success, unit-tests success\n")
+
+
+def test_a_failed_job_beside_good_cells(
+    planned: dict[str, str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("GITHUB_ACTIONS", "true")
+    assert gather(monkeypatch, {"calibrate": "success", "unit-tests": "failure"}, planned) == 1
+    assert outputs(Path("gathered"))["verdict"] == "fail"
+    assert "::error title=gather-results::the job unit-tests failed: see its log" in capsys.readouterr().out
+    assert "| unit-tests | failure |" in Path("summary.md").read_text()
+
+
+def test_results_of_an_earlier_run_do_not_stay(planned: dict[str, str], monkeypatch: pytest.MonkeyPatch) -> None:
+    assert gather(monkeypatch, {"calibrate": "success", "unit-tests": "success"}, planned) == 0
+    monkeypatch.setenv("INPUT_NEEDS", json.dumps({"plan": {"result": "failure", "outputs": {}}}))
+    Path("gathered").unlink()
+    assert run_action("gather-results") == 1
+    assert not Path("of all", "results.json").exists()
+    assert outputs(Path("gathered")) == {"verdict": "fail"}
+
+
+def test_needs_that_are_none_are_bad_input(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["gather-results", "--needs", "x", "--folder", "."]) == 2
+    assert "toJSON(needs)" in capsys.readouterr().err
