@@ -31,6 +31,7 @@ MODULES = {
     "motion": "what a generated motion costs, and how well its poses determine a calibration",
     "collection": "whole collections in simulation, and how near the truth they calibrate",
     "scenarios": "many worlds",
+    "action_start": "how soon an action begins its work",
     "containers": "jobs in containers: many at once, and what one costs over docker run",
     "image_build": "an image whose specification has not changed",
 }

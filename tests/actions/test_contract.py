@@ -173,7 +173,10 @@ def test_an_interpreter_of_ones_own_is_asked_for_all_modules(
 
 def test_the_examples_of_the_readme_are_right() -> None:
     blocks = [yaml.safe_load(block) for block in re.findall(r"```yaml\n(.*?)```", README.read_text(), re.DOTALL)]
-    workflow, configuration, simulation, image, software, coverage = blocks
+    reusable, workflow, configuration, simulation, image, software, coverage = blocks
+    called = yaml.safe_load((PROJECT / ".github" / "workflows" / "pipeline.yml").read_text())[True]["workflow_call"]
+    for given, declared in (("with", "inputs"), ("secrets", "secrets")):
+        assert set(reusable["jobs"]["robot"][given]) <= set(called[declared])
     steps = [step for step in workflow["jobs"]["calibrate"]["steps"] if step["uses"].startswith("OWNER/")] + coverage
     used = {step["uses"].partition("@")[0].rpartition("/")[2]: step["with"] for step in steps}
     assert set(used) == {"calibrate-matrix", "introspect-csv", "coverage-upload"}

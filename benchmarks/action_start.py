@@ -1,0 +1,53 @@
+"""How soon an action begins its work: on a runner that has nothing of it, and for the second action of a job."""
+
+import os
+import statistics
+import subprocess
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+from benchmarks import AS_FOUND
+from benchmarks.rows import Bar, Row
+from benchmarks.shared_data import ROOT
+
+# Each stops at its first look at its inputs, which are missing or name nothing.
+INPUTS = {
+    "build-image": {"INPUT_SPEC": "nowhere.yml"},
+    "calibrate-matrix": {"INPUT_DATASET": "nowhere"},
+    "collect-data-sim": {"INPUT_SYSTEM": "nowhere", "INPUT_OUTPUT": "nowhere/output"},
+    "coverage-upload": {"INPUT_REPORTS": "nowhere.xml"},
+    "introspect-csv": {"INPUT_FILE": "nowhere.csv", "INPUT_COLUMN": "RMS", "INPUT_MAX": "1"},
+}
+
+
+def measure(quick: bool) -> Iterator[Row]:
+    """Each action, cold and warm."""
+    for name, inputs in INPUTS.items():
+        cold, warm = [], []
+        for _ in range(1 if quick else 3):
+            with tempfile.TemporaryDirectory() as folder:
+                cold.append(_start(name, inputs, Path(folder)))
+                warm.append(_start(name, inputs, Path(folder)))
+        note = "its packages installed from the package index, or from an installer's cache that is there"
+        yield Row(f"action_start/{name}, cold", statistics.median(cold), "s", Bar(high=20), note)
+        yield Row(f"action_start/{name}, warm", statistics.median(warm), "s", Bar(high=5), "the environment is there")
+
+
+def _start(name: str, inputs: dict[str, str], folder: Path) -> float:
+    """Seconds until an action has looked at its inputs, with the environments of a runner's job in a folder."""
+    variables = {key: value for key, value in AS_FOUND.items() if not key.startswith(("GITHUB_", "INPUT_"))}
+    variables |= {"RUNNER_TEMP": str(folder), "GITHUB_ACTIONS": "true", **inputs}
+    variables["PATH"] = f"{ROOT / '.venv' / 'bin'}{os.pathsep}{variables['PATH']}"  # its uv, as setup-uv would give
+    begin = time.perf_counter()
+    done = subprocess.run(
+        ["bash", str(ROOT / "actions" / "bootstrap.sh"), name],
+        cwd=folder,
+        env=variables,
+        capture_output=True,
+        text=True,
+    )
+    seconds = time.perf_counter() - begin
+    assert done.returncode == 2, f"{name}: {done.stdout[-500:]}{done.stderr[-500:]}"
+    return seconds
