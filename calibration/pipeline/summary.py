@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from calibration.pipeline.collection.collected import Collected
 from calibration.pipeline.image_result import ImageResult
-from calibration.pipeline.matrix.cell import OUR_METHOD, CellResult
+from calibration.pipeline.matrix.cell import OUR_METHOD, CellResult, noise_text
 from calibration.pipeline.results import Results
 from calibration.workflow.summary import escape_markdown, markdown_table
 
@@ -46,9 +46,9 @@ def grid(results: Results) -> Grid:
 
 
 def _row(cell: CellResult) -> str:
-    if not cell.from_noise:
+    if cell.translation_noise is None or cell.rotation_noise is None:
         return cell.method
-    return f"{cell.translation_noise:g} m, {cell.rotation_noise:g} rad"
+    return noise_text(cell.translation_noise, cell.rotation_noise)
 
 
 def _text(cells: Sequence[CellResult]) -> str:

@@ -5,8 +5,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from calibration.errors import InputError
+from calibration.introspection.numbers import number_text
 from calibration.pipeline.distribution.plan import JobCell, Plan
-from calibration.pipeline.distribution.slug import number_text
 
 MOST_BYTES = 112 * 1024
 """All outputs together travel to the last job in one environment variable, for which Linux has 128 KiB."""

@@ -7,12 +7,6 @@ LONGEST = 80
 _OTHER = re.compile(r"[^A-Za-z0-9._-]+")
 
 
-def number_text(value: float) -> str:
-    """The shortest text that reads back as the same number: "0", "0.5", "1e-05"."""
-    text = f"{value:g}"
-    return text if float(text) == value else repr(value)
-
-
 def slugs(names: Sequence[str], taken: Sequence[str] = ()) -> list[str]:
     """A slug for each name: letters, digits, dots, dashes and underscores, no two alike in any case.
 

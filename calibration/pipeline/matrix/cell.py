@@ -20,6 +20,7 @@ from calibration.evaluation.specification import Evaluation
 from calibration.evaluation.table import Table
 from calibration.evaluation.truth import truth_error
 from calibration.geometry.rotations import to_quaternion
+from calibration.introspection.numbers import number_text
 
 OUR_METHOD = "calibration-ci"
 Verdict = Literal["pass", "fail"]
@@ -50,11 +51,13 @@ class Cell:
     def folder(self) -> str:
         """Where its files go, relative to the output folder."""
         n = self.noise
-        return f"{self.system}/translation-{n.translation:g}_rotation-{n.rotation:g}_seed-{n.seed}"
+        return (
+            f"{self.system}/translation-{number_text(n.translation)}_rotation-{number_text(n.rotation)}_seed-{n.seed}"
+        )
 
     def __str__(self) -> str:
         n = self.noise
-        return f"{self.system}, {n.translation:g} m, {n.rotation:g} rad, seed {n.seed}"
+        return f"{self.system}, {noise_text(n.translation, n.rotation)}, seed {n.seed}"
 
 
 @dataclass(frozen=True)
@@ -112,13 +115,18 @@ class CellResult:
     @property
     def name(self) -> str:
         """What a message calls it."""
-        if not self.from_noise:
+        if self.translation_noise is None or self.rotation_noise is None:
             return f"{self.system}, {self.method}"
-        return f"{self.system}, {self.translation_noise:g} m, {self.rotation_noise:g} rad, seed {self.seed}"
+        return f"{self.system}, {noise_text(self.translation_noise, self.rotation_noise)}, seed {self.seed}"
 
     def failing(self, *reasons: str) -> "CellResult":
         """The same result with more reasons to fail."""
         return replace(self, reasons=(*self.reasons, *reasons))
+
+
+def noise_text(translation: float, rotation: float) -> str:
+    """A pair of noises with all their digits: "0.5 m, 0.1 rad"."""
+    return f"{number_text(translation)} m, {number_text(rotation)} rad"
 
 
 def nothing_yet(cell: Cell, method: str = OUR_METHOD, start: str | None = None) -> CellResult:

@@ -17,6 +17,7 @@ from calibration.execution.job import OUTPUT, Artifact, Container, Job, Mount, N
 from calibration.execution.job_check import check_job
 from calibration.execution.placeholders import fill
 from calibration.execution.ros import RosVersion, with_ros
+from calibration.introspection.numbers import number_text
 from calibration.pipeline.matrix.cell import Cell
 
 SOFTWARE = "software"
@@ -109,8 +110,8 @@ def cell_job(cell: Cell, software: Software, dataset: Path, start: Path) -> Job:
         "start": START,
         "output": OUTPUT,
         "system": cell.system,
-        "translation_noise": f"{noise.translation:g}",
-        "rotation_noise": f"{noise.rotation:g}",
+        "translation_noise": number_text(noise.translation),
+        "rotation_noise": number_text(noise.rotation),
         "seed": str(noise.seed),
     }
     mounts = (Mount(dataset.resolve(), DATASET), Mount(start.resolve(), START))

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calibration.pipeline.distribution.slug import LONGEST, number_text, slugs
+from calibration.pipeline.distribution.slug import LONGEST, slugs
 
 
 @given(st.lists(st.text()), st.lists(st.sampled_from(["taken", "unnamed", "a"])))
@@ -29,15 +29,3 @@ def test_slugs_are_safe_and_no_two_are_alike(names: list[str], taken: list[str])
 )
 def test_slugs(names: list[str], expected: list[str]) -> None:
     assert slugs(names) == expected
-
-
-@given(st.floats(min_value=0, allow_infinity=False))
-def test_a_number_reads_back_as_it_was(value: float) -> None:
-    assert float(number_text(value)) == value
-
-
-@pytest.mark.parametrize(
-    ("value", "text"), [(0.0, "0"), (0.5, "0.5"), (1e-5, "1e-05"), (0.1 + 0.2, "0.30000000000000004")]
-)
-def test_number_text(value: float, text: str) -> None:
-    assert number_text(value) == text

@@ -47,6 +47,15 @@ def test_the_command_is_filled_argument_by_argument() -> None:
     assert container.artifacts == (Artifact(f"{OUTPUT}/*"),)
 
 
+def test_no_digit_of_a_noise_is_lost() -> None:
+    near = Cell("t2rgb", StartingNoise(0.12345671, 1e-5, 7)), Cell("t2rgb", StartingNoise(0.12345672, 1e-5, 7))
+    assert len({cell.folder for cell in near}) == len({str(cell) for cell in near}) == 2
+    [container] = cell_job(
+        near[0], software(command="run {translation_noise} {rotation_noise}"), DATASETS, DATASETS
+    ).containers
+    assert container.command == ("run", "0.12345671", "1e-05")
+
+
 def test_a_ros_master_only_where_it_is_asked_for() -> None:
     assert len(cell_job(CELL, software(), DATASETS, DATASETS).containers) == 1
     names = [c.name for c in cell_job(CELL, software(ros=1), DATASETS, DATASETS).containers]
