@@ -1,15 +1,18 @@
 """``run``: the whole pipeline of ``calibration.yml``, with one verdict."""
 
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from calibration.commands.parameters import TEXT_LIST, count, path
+from calibration.commands.parameters import TEXT_LIST, boolean_option, count, path
 from calibration.errors import ExitCode
 from calibration.workflow import Runner, set_outputs
+
+if TYPE_CHECKING:
+    from calibration.image.specification import ImageSpecification
 
 
 @dataclass(frozen=True)
@@ -21,13 +24,16 @@ class Settings:
     only: tuple[str, ...] = ()
     """The stages; empty for all of them."""
     jobs: int | None = None
+    push: bool | None = None
+    """Whether the image goes to its registry; what the configuration says where None."""
 
 
 @click.command("run")
 @click.option("--config", type=path, help="The configuration (calibration.yml).")
 @click.option("--output", type=path, help="Folder for results, tables and datasets (output).")
 @click.option("--only", type=TEXT_LIST, help="Only these stages: build, collect, calibrate, introspect, promote.")
-@click.option("--jobs", type=count, help="Processes (one a core).")
+@click.option("--jobs", type=count, help="Processes, or containers at once (one a core).")
+@boolean_option("--push", default=None, help="Push the image; without, it is not promoted (what config says).")
 def command(**options: Any) -> ExitCode:
     """Run the pipeline of calibration.yml, stage by stage; the verdict is fail when one of them is."""
     settings = Settings(**{name: value for name, value in options.items() if value is not None})
@@ -56,8 +62,14 @@ def run(settings: Settings, runner: Runner) -> ExitCode:
         settings.jobs,
         stages=stages,
         simulations=configuration.simulations,
-        image=configuration.image,
+        image=_image(configuration.image, settings.push),
     )
     image = results.image
     set_outputs(runner, {"image": image.reference if image else "", "digest": (image.digest if image else None) or ""})
     return results.exit_code
+
+
+def _image(image: "ImageSpecification | None", push: bool | None) -> "ImageSpecification | None":
+    if image is None or push is None:
+        return image
+    return replace(image, push=push, promote=image.promote if push else ())

@@ -125,6 +125,15 @@ def test_results_inside_of_what_is_copied_change_nothing(run: Run, repository: P
     assert "pass: the image is there" in built[1]
 
 
+def test_a_fork_pushes_and_promotes_nothing(run: Run, registry: Registry) -> None:
+    name = "/team/robot\n", "/fork/robot\n"
+    code, document, log = run(1, "--push", "false", change=name)
+    assert code == 0, log
+    assert (document["image"]["digest"], document["image"]["promoted"]) == (None, [])
+    with urllib.request.urlopen(f"http://{registry.address}/v2/_catalog", timeout=5) as answer:
+        assert "fork/robot" not in json.load(answer)["repositories"]
+
+
 def test_a_verdict_of_this_run_is_needed_to_promote(run: Run) -> None:
     code, _, log = run(1, "--only", "build,promote")
     assert code == 2
