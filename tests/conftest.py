@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Generator
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -9,6 +10,12 @@ import pytest
 # As the commands do, before anything imports numpy: the tests' processes are the parallelism.
 for _variable in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
     os.environ.setdefault(_variable, "1")
+
+# Whoever makes a Coverage object, as coverage-upload does, tells the one that measures these tests to save nothing.
+with suppress(ImportError, AttributeError):
+    import coverage
+
+    del coverage.process_startup.coverage  # type: ignore[attr-defined]
 
 pytest_plugins = ["tests.engine"]
 
