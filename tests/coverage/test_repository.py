@@ -7,6 +7,7 @@ from calibration.coverage import repository
 from calibration.coverage.repository import Repository, is_commit
 from calibration.coverage.sources import Sources, find_sources, language_of
 from calibration.errors import InputError, WorldError
+from tests.conftest import NEEDS_ROOT
 
 from .projects import commit, git, robot
 
@@ -48,7 +49,7 @@ def test_the_root_is_found_from_below_and_through_links(tmp_path: Path) -> None:
 def test_a_checkout_of_another_user(tmp_path: Path) -> None:
     root = robot(tmp_path / "theirs")
     if os.getuid() != 0:
-        pytest.skip("only root can give files away")
+        pytest.skip(f"{NEEDS_ROOT}, who can give files away")
     for path in [root, *root.rglob("*")]:
         os.chown(path, 12345, 12345, follow_symlinks=False)
     assert Repository.around(root).tracked() == [

@@ -18,6 +18,7 @@ import pytest
 
 from calibration.execution.docker.labels import new_run
 from calibration.execution.docker.leftovers import find_leftovers
+from tests.conftest import NEEDS_ROOT
 from tests.engine import wait_until
 
 PROJECT = Path(__file__).resolve().parents[3]
@@ -55,8 +56,10 @@ class OwnEngine:
 @pytest.fixture
 def own_engine(monkeypatch: pytest.MonkeyPatch) -> Iterator[OwnEngine]:
     dockerd, unshare = shutil.which("dockerd"), shutil.which("unshare")
-    if dockerd is None or unshare is None or os.geteuid() != 0:
-        pytest.skip("needs dockerd, unshare (util-linux), and root")
+    if dockerd is None or unshare is None:
+        pytest.skip("needs dockerd, and unshare (util-linux)")
+    if os.geteuid() != 0:
+        pytest.skip(f"{NEEDS_ROOT}, to start an engine")
     folder = Path(tempfile.mkdtemp(prefix="lost-engine-"))  # a short path: sockets have short names
     command = [
         unshare,

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.conftest import NEEDS_ROOT
 from tests.engine import wait_until
 from tests.integration.image.builds import Builds, builds
 from tests.integration.image.test_build import buildkit_or_skip
@@ -85,8 +86,10 @@ def test_a_signal_stops_the_build(builds: Builds, builder: str, number: signal.S
 def mortal_engine(builds: Builds) -> Iterator[tuple[str, "subprocess.Popen[bytes]"]]:
     """An engine of our own, with the base, that may be killed."""
     program = shutil.which("dockerd")
-    if program is None or os.geteuid() != 0:
-        pytest.skip("needs dockerd, and root")
+    if program is None:
+        pytest.skip("needs dockerd")
+    if os.geteuid() != 0:
+        pytest.skip(f"{NEEDS_ROOT}, to start an engine")
     folder = Path("/tmp") / f"e{uuid.uuid4().hex[:8]}"  # noqa: S108 (a socket's path is short)
     folder.mkdir(mode=0o700)
     address = f"unix://{folder}/s"
