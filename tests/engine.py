@@ -3,6 +3,7 @@
 import fcntl
 import os
 import shutil
+import signal
 import subprocess
 import tempfile
 import time
@@ -15,7 +16,10 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from tests.conftest import NEEDS_ROOT
+
 if TYPE_CHECKING:
+    import psutil
     from docker import DockerClient
 
 BASE = "debian:bookworm"
@@ -59,6 +63,76 @@ def python_image(engine: "DockerClient", base_image: str) -> str:
             Path(context, "Dockerfile").write_text(_DOCKERFILE)
             engine.images.build(path=context, tag=PYTHON_IMAGE, forcerm=True)
     return PYTHON_IMAGE
+
+
+@dataclass(frozen=True)
+class OwnEngine:
+    """An engine that a test may kill."""
+
+    folder: Path
+    """Of all that is its; a short path, since sockets have short names."""
+    process: "subprocess.Popen[bytes]"
+
+    @property
+    def address(self) -> str:
+        return f"unix://{self.folder}/sock"
+
+    def api(self) -> "DockerClient":
+        """Return a client of it, which the caller closes."""
+        import docker
+
+        return docker.DockerClient(self.address, timeout=60)
+
+    @property
+    def descendants(self) -> "list[psutil.Process]":
+        """All that it started, also what outlives it: they name its folder in their command, or are below who does."""
+        import psutil
+
+        ours = []
+        for process in psutil.process_iter():
+            with suppress(psutil.Error):
+                if str(self.folder) in " ".join(process.cmdline()) and process.pid != os.getpid():
+                    ours += [process, *process.children(recursive=True)]
+        return ours
+
+
+@contextmanager
+def started_engine(*options: str) -> Iterator[OwnEngine]:
+    """Start an engine of its own, without a bridge; nothing of it is left. Skips where none can be started."""
+    psutil = pytest.importorskip("psutil", reason="needs the package psutil")
+    dockerd, unshare = shutil.which("dockerd"), shutil.which("unshare")
+    if dockerd is None or unshare is None:
+        pytest.skip("needs dockerd, and unshare (util-linux)")
+    if os.geteuid() != 0:
+        pytest.skip(f"{NEEDS_ROOT}, to start an engine")
+    folder = Path(tempfile.mkdtemp(prefix="own-engine-"))
+    places = {"data-root": "data", "exec-root": "exec", "pidfile": "pid"}
+    # With a network of its own: an engine without a bridge removes docker0, that of the machine's own engine.
+    command = [unshare, "--net", dockerd, "--bridge=none", "--iptables=false", f"--cgroup-parent=/{folder.name}"]
+    command += [f"--host=unix://{folder}/sock", *(f"--{name}={folder}/{place}" for name, place in places.items())]
+    with (folder / "log").open("wb") as log:
+        process = subprocess.Popen([*command, *options], stdout=log, stderr=log)
+    engine = OwnEngine(folder, process)
+    try:
+        wait_until(lambda: (folder / "sock").exists() or process.poll() is not None, "the engine starts", 60)
+        client = engine.api()
+        wait_until(client.ping, "the engine answers", 30)
+        client.close()
+        yield engine
+    finally:
+        for each in engine.descendants:
+            with suppress(psutil.Error):
+                each.send_signal(signal.SIGCONT)
+                each.kill()
+        process.wait(20)
+        wait_until(lambda: not engine.descendants, "nothing of the engine runs")
+        for line in reversed(Path("/proc/self/mounts").read_text().splitlines()):
+            if str(folder) in line.split()[1]:
+                subprocess.run(["umount", "--lazy", line.split()[1]], check=False)
+        for cgroup in sorted(Path("/sys/fs/cgroup").glob(f"**/{folder.name}/**/"), reverse=True):
+            with suppress(OSError):
+                cgroup.rmdir()
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 @dataclass(frozen=True)

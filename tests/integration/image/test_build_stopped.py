@@ -1,7 +1,6 @@
 """Builds that are stopped, or whose engine is gone: one line, the right exit code, and nothing left."""
 
 import os
-import shutil
 import signal
 import subprocess
 import sys
@@ -13,8 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.conftest import NEEDS_ROOT
-from tests.engine import wait_until
+from tests.engine import started_engine, wait_until
 from tests.integration.image.builds import Builds, builds
 from tests.integration.image.test_build import buildkit_or_skip
 
@@ -82,67 +80,16 @@ def test_a_signal_stops_the_build(builds: Builds, builder: str, number: signal.S
     assert [path.name for path in builds.folder.iterdir()] == ["image.yml"]  # TMPDIR: no secret, no archive
 
 
-@pytest.fixture
-def mortal_engine(builds: Builds) -> Iterator[tuple[str, "subprocess.Popen[bytes]"]]:
-    """An engine of our own, with the base, that may be killed."""
-    program = shutil.which("dockerd")
-    if program is None:
-        pytest.skip("needs dockerd")
-    if os.geteuid() != 0:
-        pytest.skip(f"{NEEDS_ROOT}, to start an engine")
-    folder = Path("/tmp") / f"e{uuid.uuid4().hex[:8]}"  # noqa: S108 (a socket's path is short)
-    folder.mkdir(mode=0o700)
-    address = f"unix://{folder}/s"
-    places = {"data-root": "d", "exec-root": "x", "pidfile": "p"}
-    # With a network of its own: another engine's would lose its bridge to this one.
-    command = ["unshare", "--net", program, "-H", address]
-    command += [f"--{name}={folder}/{place}" for name, place in places.items()]
-    with (folder / "log").open("wb") as log:
-        process = subprocess.Popen([*command, "--iptables=false"], stdout=log, stderr=log)
-    try:
-        wait_until((folder / "s").exists, "the engine answers", 60)
-        docker = ["docker", "-H", address]
-        saved = builds.folder / "base.tar"
-        with saved.open("wb") as file:
-            file.writelines(builds.engine.images.get(BASE).save(named=True))
-        subprocess.run([*docker, "load", "--quiet", "--input", saved], check=True, stdout=subprocess.DEVNULL)
-        saved.unlink()
-        yield address, process
-    finally:
-        process.terminate()
-        try:
-            process.wait(30)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
-        for left in processes_of(str(folder)):  # its containerd and the containers, which a killed engine leaves
-            os.kill(left, signal.SIGKILL)
-        wait_until(lambda: not processes_of(str(folder)), "nothing of the engine runs")
-        for line in reversed(Path("/proc/mounts").read_text().splitlines()):
-            if str(folder) in line:
-                subprocess.run(["umount", "--lazy", line.split()[1]], check=False)
-        shutil.rmtree(folder, ignore_errors=True)
-
-
-def processes_of(folder: str) -> list[int]:
-    """The processes that work in a folder of this test, with those in the containers that they run."""
-    found = []
-    for path in Path("/proc").glob("[0-9]*"):
-        try:
-            if folder in (path / "cmdline").read_text() or folder in (path / "mountinfo").read_text().split("\n")[0]:
-                found.append(int(path.name))
-        except OSError:
-            continue
-    return found
-
-
-def test_an_engine_that_is_killed(builds: Builds, mortal_engine: tuple[str, "subprocess.Popen[bytes]"]) -> None:
-    address, engine = mortal_engine
+def test_an_engine_that_is_killed(builds: Builds) -> None:
     marker = uuid.uuid4().hex
-    with building(builds, "engine", marker, DOCKER_HOST=address) as process:
-        begin = time.monotonic()
-        engine.kill()
-        _, errors = process.communicate(timeout=30)
+    with started_engine() as engine:
+        client = engine.api()
+        client.images.load(b"".join(builds.engine.images.get(BASE).save(named=True)))
+        client.close()
+        with building(builds, "engine", marker, DOCKER_HOST=engine.address) as process:
+            begin = time.monotonic()
+            engine.process.kill()
+            _, errors = process.communicate(timeout=30)
     assert time.monotonic() - begin < 20
     assert process.returncode == 3
     assert errors == f"error: image {builds.name}: the engine broke off the build\n"
