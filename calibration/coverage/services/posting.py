@@ -1,21 +1,17 @@
 """A POST to a service: bounded in time and size, tried again where that helps, with an error that says what to do."""
 
 import queue
-import re
 import threading
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 from urllib.parse import urlsplit
 
 from calibration.coverage.services.service import Request
 from calibration.errors import WorldError
+from calibration.http import innermost_cause, no_other_password, retry_after
 from calibration.workflow import redact
 from calibration.workflow.text import one_line, shorten
-
-if TYPE_CHECKING:
-    import requests
 
 ATTEMPTS = 3
 """In all."""
@@ -140,7 +136,7 @@ class Poster:
                 headers=dict(request.headers),
                 timeout=(self._limits.connect, self._limits.silence),
                 allow_redirects=False,  # the token is for this server alone
-                auth=_as_it_is,
+                auth=no_other_password,
                 stream=True,
             ) as response:
                 content = bytearray()
@@ -153,7 +149,7 @@ class Poster:
                     response.status_code,
                     headers.get("Content-Type", "").partition(";")[0].strip().lower(),
                     bytes(content),
-                    _seconds(headers.get("Retry-After", "")),
+                    retry_after(headers.get("Retry-After", "")),
                     headers.get("Location", ""),
                 )
 
@@ -163,7 +159,7 @@ class Poster:
 
         if isinstance(error, WorldError):
             return error
-        reason = shorten(one_line(redact(_innermost(error), self._secrets)), 200)
+        reason = shorten(one_line(redact(innermost_cause(error), self._secrets)), 200)
         if isinstance(error, requests.exceptions.SSLError):
             return WorldError(
                 f"{host}: its TLS is not trusted: {reason} (a proxy's own certificate: REQUESTS_CA_BUNDLE)"
@@ -177,26 +173,3 @@ class Poster:
         if isinstance(error, requests.ConnectionError):
             return _NoAnswerError(f"no answer: {reason}")
         return WorldError(f"{host}: the request failed: {reason}")
-
-
-def _as_it_is(request: "requests.PreparedRequest") -> "requests.PreparedRequest":
-    """In the place of the password of a .netrc, which is for others."""
-    return request
-
-
-def _seconds(text: str) -> float | None:
-    """What a server asks to wait; None where it asks nothing, or names a date."""
-    text = text.strip()
-    return float(text) if text.isascii() and text.isdigit() and len(text) < 10 else None
-
-
-def _innermost(error: BaseException) -> str:
-    """The innermost cause of a failed request: what the system said, not which classes wrapped it."""
-    seen: BaseException = error
-    while True:
-        inner = getattr(seen, "reason", None) or next((arg for arg in seen.args if isinstance(arg, Exception)), None)
-        if not isinstance(inner, BaseException):
-            break
-        seen = inner
-    text = getattr(seen, "strerror", None) or str(seen).rpartition(": ")[2] or type(seen).__name__
-    return re.sub(r"^\[Errno -?[0-9]+\] ", "", text)

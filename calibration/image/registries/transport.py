@@ -4,16 +4,13 @@ import json
 import time
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 from urllib.parse import urljoin, urlsplit
 
 from calibration.errors import WorldError
+from calibration.http import innermost_cause, no_other_password, retry_after
 from calibration.image.registries.reference import is_loopback
 from calibration.workflow import redact
 from calibration.workflow.text import one_line, shorten
-
-if TYPE_CHECKING:
-    import requests
 
 ATTEMPTS = 4
 FIRST_PAUSE = 0.5
@@ -90,7 +87,7 @@ class Transport:
                 if answer.status != 429 and answer.status < 500:
                     return answer
                 problem = f"answered {answer.status}{self.describe(answer)}"
-                wait = _retry_after(answer) or wait
+                wait = retry_after(answer.headers.get("Retry-After", "")) or wait
                 if wait > LONGEST_PAUSE:
                     raise WorldError(f"{host}: {problem}, and asks to come back in {wait:g} s")
             if attempt + 1 < ATTEMPTS:
@@ -134,7 +131,7 @@ class Transport:
             stream=True,
             allow_redirects=False,
             timeout=self._seconds,
-            auth=_as_it_is,
+            auth=no_other_password,
             proxies=proxies,  # type: ignore[arg-type]  # None: no proxy
         ) as response:
             content = bytearray()
@@ -145,31 +142,13 @@ class Transport:
             return Answer(response.status_code, response.headers, bytes(content))
 
 
-def _as_it_is(request: "requests.PreparedRequest") -> "requests.PreparedRequest":
-    """In the place of the password of a .netrc, which would go to any server that is redirected to."""
-    return request
-
-
-def _retry_after(answer: Answer) -> float:
-    """Seconds that a server asks to wait; 0 where it asks nothing, or a date."""
-    value = answer.headers.get("Retry-After", "").strip()
-    return float(value) if value.isascii() and value.isdigit() else 0.0
-
-
 def _reason(error: BaseException) -> str:
-    """The innermost cause of a failed request: what the system said, not which classes wrapped it."""
+    """Why a request failed, in a line."""
     import requests
 
     if isinstance(error, requests.Timeout):
         return "no answer in time"
-    seen: BaseException = error
-    while True:
-        inner = getattr(seen, "reason", None) or next((arg for arg in seen.args if isinstance(arg, Exception)), None)
-        if not isinstance(inner, BaseException):
-            break
-        seen = inner
-    text = getattr(seen, "strerror", None) or str(seen).rpartition(": ")[2] or type(seen).__name__
-    return shorten(one_line(text), 200)
+    return shorten(one_line(innermost_cause(error)), 200)
 
 
 def _shown(url: str) -> str:

@@ -1,0 +1,33 @@
+"""What rooms that speak HTTP share."""
+
+import pytest
+import requests
+
+from calibration.http import innermost_cause, retry_after
+
+
+def test_the_cause_is_what_the_system_said() -> None:
+    with pytest.raises(requests.ConnectionError) as refused:
+        requests.get("http://127.0.0.1:9", timeout=5)  # nothing listens on the port "discard"
+    assert innermost_cause(refused.value) == "Connection refused"
+
+
+def test_a_cause_without_words_is_named() -> None:
+    assert innermost_cause(requests.ConnectionError(ConnectionResetError())) == "ConnectionResetError"
+
+
+@pytest.mark.parametrize(
+    ("header", "seconds"),
+    [
+        ("", None),
+        (" 12 ", 12.0),
+        ("0", 0.0),
+        ("Wed, 21 Oct 2026 07:28:00 GMT", None),
+        ("-1", None),
+        ("1e9", None),
+        ("\N{SUPERSCRIPT TWO}", None),
+        ("9" * 400, None),
+    ],
+)
+def test_retry_after(header: str, seconds: float | None) -> None:
+    assert retry_after(header) == seconds
