@@ -13,7 +13,7 @@ setup = INPUT_PYTHON='$(PYTHON)' bash actions/bootstrap.sh environment $(venv)
 uv = $(abspath $(or $(shell command -v uv),$(venv)/bin/uv))
 engine_tests = $(wildcard $(addprefix tests/,geometry dataset estimation evaluation comparison labelling simulation/rendering))
 
-.PHONY: help run test lint bench lock test-versions actions clean
+.PHONY: help run test lint bench lock test-versions actions pictures clean
 
 help: ## this list
 	@sed -nE 's/^([a-z-]+):.*## (.*)/\1\t\2/p' Makefile | expand -t 16
@@ -22,15 +22,15 @@ run: ## calibrate the systems in datasets/ and check the tables, as calibration.
 	@$(setup) calibrate.txt
 	@$(python) -m calibration run $(ARGS)
 
-lint: ## ruff, mypy, and the checks of workflows and actions
+lint: ## ruff, mypy, and the checks of workflows, actions, shell, configurations and the README's examples
 	@$(setup) dev.txt .
 	$(python) -m ruff check
 	$(python) -m ruff format --check
 	$(python) -m mypy
 	$(python) -m mypy --strict actions/bootstrap.py
 	$(venv)/bin/zizmor --offline --quiet .github action.yml actions
-	$(venv)/bin/check-jsonschema --builtin-schema vendor.github-workflows .github/workflows/*.yml
-	$(venv)/bin/check-jsonschema --builtin-schema vendor.github-actions action.yml actions/*/action.yml
+	$(python) -m tests.lint.shell
+	$(python) -m tests.lint.documents
 
 test: lint ## lint, then the tests with their coverage
 	$(python) -m coverage erase
@@ -70,6 +70,10 @@ lock: ## resolve requirements/*.txt again after a change in pyproject.toml
 actions: ## write the inputs of the commands into every action.yml
 	@$(setup) dev.txt .
 	$(python) -m tests.actions.write_inputs
+
+pictures: ## draw docs/run.svg, the README's table, from a real run
+	@$(setup) dev.txt .
+	$(python) -m benchmarks.run_picture
 
 clean: ## remove what running and testing leave behind (not .venv)
 	rm -rf output build dist .coverage .coverage.* coverage.xml .pytest_cache .mypy_cache .ruff_cache .hypothesis

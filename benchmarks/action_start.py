@@ -19,27 +19,40 @@ INPUTS = {
     "collect-data-sim": {"INPUT_SYSTEM": "nowhere", "INPUT_OUTPUT": "nowhere/output"},
     "coverage-upload": {"INPUT_REPORTS": "nowhere.xml"},
     "introspect-csv": {"INPUT_FILE": "nowhere.csv", "INPUT_COLUMN": "RMS", "INPUT_MAX": "1"},
+    "run": {"INPUT_CONFIG": "nowhere.yml"},  # the root action
 }
 
 
 def measure(quick: bool) -> Iterator[Row]:
-    """Each action, cold and warm."""
+    """Each action: cold, with the installer uv and with pip alone, and warm."""
     for name, inputs in INPUTS.items():
         cold, warm = [], []
         for _ in range(1 if quick else 3):
             with tempfile.TemporaryDirectory() as folder:
-                cold.append(_start(name, inputs, Path(folder)))
-                warm.append(_start(name, inputs, Path(folder)))
+                cold.append(_start(name, inputs, Path(folder), _with_uv()))
+                warm.append(_start(name, inputs, Path(folder), _with_uv()))
+        with tempfile.TemporaryDirectory() as folder:
+            by_pip = _start(name, inputs, Path(folder), _without_uv())
         note = "its packages installed from the package index, or from an installer's cache that is there"
         yield Row(f"action_start/{name}, cold", statistics.median(cold), "s", Bar(high=20), note)
+        yield Row(f"action_start/{name}, cold, by pip", by_pip, "s", Bar(high=20), "once; no uv")
         yield Row(f"action_start/{name}, warm", statistics.median(warm), "s", Bar(high=5), "the environment is there")
 
 
-def _start(name: str, inputs: dict[str, str], folder: Path) -> float:
+def _with_uv() -> str:
+    """A PATH with our uv, as setup-uv would give."""
+    return f"{ROOT / '.venv' / 'bin'}{os.pathsep}{AS_FOUND['PATH']}"
+
+
+def _without_uv() -> str:
+    """A PATH without any, as on a runner of GitHub."""
+    return os.pathsep.join(place for place in AS_FOUND["PATH"].split(os.pathsep) if not Path(place, "uv").exists())
+
+
+def _start(name: str, inputs: dict[str, str], folder: Path, path: str) -> float:
     """Seconds until an action has looked at its inputs, with the environments of a runner's job in a folder."""
     variables = {key: value for key, value in AS_FOUND.items() if not key.startswith(("GITHUB_", "INPUT_"))}
-    variables |= {"RUNNER_TEMP": str(folder), "GITHUB_ACTIONS": "true", **inputs}
-    variables["PATH"] = f"{ROOT / '.venv' / 'bin'}{os.pathsep}{variables['PATH']}"  # its uv, as setup-uv would give
+    variables |= {"RUNNER_TEMP": str(folder), "GITHUB_ACTIONS": "true", "PATH": path, **inputs}
     begin = time.perf_counter()
     done = subprocess.run(
         ["bash", str(ROOT / "actions" / "bootstrap.sh"), name],

@@ -1,0 +1,83 @@
+"""The README's picture is of a real run, and what the READMEs point to is there."""
+
+import re
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
+import pytest
+import yaml
+
+from benchmarks.run_picture import LINE, PICTURE, drawing, tables
+from calibration.__main__ import main
+
+from .documents import READMES
+from .yaml_lines import PROJECT
+
+TEXT = "{http://www.w3.org/2000/svg}text"
+
+
+@pytest.fixture(scope="module")
+def lines() -> list[str]:
+    """What stands in the picture, with its empty lines."""
+    found = [(int(text.get("y", "")), str(text.text)) for text in ET.parse(PICTURE).iter(TEXT)]  # noqa: S314
+    first, last = found[0][0], found[-1][0]
+    by_place = {(y - first) // LINE: line for y, line in found}
+    return [by_place.get(number, "") for number in range((last - first) // LINE + 1)]
+
+
+def errors(lines: list[str]) -> list[list[float]]:
+    """The numbers of the last system in the rows of our engine: pixels, millimetres, degrees."""
+    rows = [line for line in lines if re.match(r"[\d.]+ m, [\d.]+ rad ", line)]
+    cells = [re.findall(r"([\d.]+) px, ([\d.]+) mm, ([\d.]+) deg", row)[-1] for row in rows]
+    return [[float(number) for number in cell] for cell in cells]
+
+
+def test_the_picture_needs_nothing_from_elsewhere() -> None:
+    text = PICTURE.read_text()
+    assert "://" not in text.replace("http://www.w3.org/2000/svg", "", 1)
+    assert not re.search(r"@import|@font-face|url\(|href|<script|<image|<foreignObject", text)
+
+
+def test_the_picture_is_drawn_not_edited(lines: list[str]) -> None:
+    assert drawing("\n".join(lines)) == PICTURE.read_text()
+
+
+def test_the_picture_shows_every_system_and_the_verdict(lines: list[str]) -> None:
+    configuration = yaml.safe_load((PROJECT / "calibration.yml").read_text())
+    assert lines[0] == "$ calibration run"
+    assert lines[1].split() == ["Start", *configuration["systems"]]
+    for name in configuration["simulation"]:
+        assert any(line.startswith(f"{name} ") for line in lines)
+    assert lines[-1].startswith("pass: ")
+
+
+def test_the_picture_shows_what_a_run_prints(
+    lines: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    configuration = yaml.safe_load((PROJECT / "calibration.yml").read_text())
+    name, system = list(configuration["systems"].items())[-1]
+    (tmp_path / "datasets").symlink_to(PROJECT / "datasets")
+    document = {"noise": configuration["noise"], "systems": {name: {**system, "compare": []}}}
+    (tmp_path / "calibration.yml").write_text(yaml.safe_dump(document))
+    monkeypatch.chdir(tmp_path)
+
+    assert main(["run", "--jobs", "1"]) == 0
+
+    printed = tables(capsys.readouterr().out).splitlines()
+    assert printed[0].split() == ["Start", name]
+    assert len(errors(printed)) == 4
+    assert errors(lines) == [pytest.approx(row, rel=0.05) for row in errors(printed)]
+
+
+def test_what_does_not_fit_into_a_picture_as_it_is_is_escaped() -> None:
+    drawn = drawing("$ a <b> & c\nfail: x < y")
+    assert "a &lt;b&gt; &amp; c" in drawn
+    assert 'class="fail"' in drawn
+
+
+@pytest.mark.parametrize("readme", READMES, ids=lambda path: str(path.relative_to(PROJECT)))
+def test_what_a_readme_points_to_is_there(readme: Path) -> None:
+    links = re.findall(r"\]\(([^)#]+)\)", readme.read_text())
+    assert links
+    for link in links:
+        assert "://" in link or (readme.parent / link).exists(), link
