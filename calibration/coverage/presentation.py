@@ -21,8 +21,6 @@ MOST_ROWS = 200
 """Of a table in the log; the summary and results.json have all."""
 MOST_NAMES = 20
 """Of names in a list that is only told."""
-MOST_ANNOTATIONS = 30
-"""Of each kind, where no runner limits them."""
 _HEADER = ("file", "lines", "branches", "goal", "not run")
 
 
@@ -100,7 +98,7 @@ def annotations(results: Results, directory: Path) -> list[Annotation]:
             title="test failed",
         )
         for failure in (results.tests.tally.failures if results.tests and results.tests.tally else ())
-    ][:MOST_ANNOTATIONS]
+    ]
     found += [Annotation(problem, title=TITLE) for problem in results.problems]
     if results.uploaded is Uploaded.FAILED:
         found.append(Annotation(results.upload_reason, title=TITLE))
@@ -111,7 +109,7 @@ def annotations(results: Results, directory: Path) -> list[Annotation]:
         Annotation(
             f"no test runs {_lines(first, last)} of this change", Level.WARNING, path, first, title="not covered"
         )
-        for path, first, last in missing[:MOST_ANNOTATIONS]
+        for path, first, last in missing
     ]
     return found
 

@@ -5,6 +5,7 @@ from contextlib import contextmanager
 from typing import Protocol
 
 from calibration.workflow.runner import Runner
+from calibration.workflow.text import one_line
 
 LINES = 40
 """With more steps than this a log gets a line only for every part of so many, and for what is worth one."""
@@ -14,7 +15,7 @@ class Advance(Protocol):
     """Called after each step."""
 
     def __call__(self, done: int, total: int, line: str, *, important: bool = False) -> None:
-        """Say how many of how many steps are done, and in one line what the last one brought."""
+        """Say how many of how many steps are done, and in a line, which may quote others, what the last one brought."""
 
 
 @contextmanager
@@ -31,7 +32,7 @@ def _lines(runner: Runner) -> Advance:
     def advance(done: int, total: int, line: str, *, important: bool = False) -> None:
         every = -(-total // LINES)
         if important or done % every == 0 or done == total:
-            runner.log(f"[{done:>{len(str(total))}}/{total}] {line}")
+            runner.log(f"[{done:>{len(str(total))}}/{total}] {one_line(line)}")
 
     return advance
 
@@ -50,6 +51,6 @@ def _bar(runner: Runner, title: str) -> Iterator[Advance]:
         def advance(done: int, total: int, line: str, *, important: bool = False) -> None:
             bar.update(task, completed=done, total=total, refresh=True)
             if important:
-                console.print(line, markup=False, highlight=False)
+                console.print(one_line(line), markup=False, highlight=False)
 
         yield advance

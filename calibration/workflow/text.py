@@ -33,7 +33,7 @@ def did_you_mean(word: str, known: Iterable[str]) -> str:
 
 def aligned(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     """Lay out a table of texts for a log, each column as wide as it needs to be."""
-    table = [header, *([one_line(cell) for cell in row] for row in rows)]
+    table = [[one_line(cell) for cell in row] for row in (header, *rows)]
     widths = [max(map(len, column)) for column in zip(*table, strict=True)]
     lines = ("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)) for row in table)
     return "\n".join(line.rstrip() for line in lines)

@@ -1,3 +1,4 @@
+import io
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -16,6 +17,7 @@ from calibration.coverage.reading import Found
 from calibration.coverage.reports.junit import Failure, Tally
 from calibration.coverage.results import Change, Limit, Results, Uploaded
 from calibration.errors import ExitCode
+from calibration.workflow import Runner, annotate
 from calibration.workflow.annotations import Level
 
 SCHEMA = json.loads(Path(presentation.__file__).with_name("results.schema.json").read_text())
@@ -153,11 +155,15 @@ def test_annotations() -> None:
     ]
 
 
-def test_annotations_are_not_endless() -> None:
+def test_every_line_without_a_test_is_counted_on_github_and_ten_are_shown() -> None:
     lines = {"a.py": list(range(1, 400, 2))}
     files = Found(Mapped({"a.py": FileCoverage({line: line % 2 ^ 1 for line in range(1, 400)})}))
     change = replace(GOOD, found=files, change=Change("b", Rate(0, 200), lines))
-    assert len(presentation.annotations(change, Path())) == presentation.MOST_ANNOTATIONS
+    log = io.StringIO()
+    annotate(Runner(github=True, stdout=log), presentation.annotations(change, Path()))
+    shown = log.getvalue().splitlines()
+    assert len(shown) == 10
+    assert shown[-1] == "::warning::and 191 more: see the log and the summary"
     assert len(json.loads(presentation.results_json(change))["change"]["missing"]) == 200
 
 

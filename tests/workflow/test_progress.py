@@ -20,6 +20,13 @@ def test_a_log_gets_a_line_for_each_step(laptop: Runner) -> None:
     assert printed(laptop).splitlines() == ["[1/3] step 1", "[2/3] step 2", "[3/3] step 3"]
 
 
+def test_a_line_commands_neither_a_runner_nor_a_terminal(laptop: Runner) -> None:
+    with progress(laptop, "calibrating") as advance:
+        advance(1, 1, "a\n::error::pwned ##[error]no \x1b[31mred")
+
+    assert printed(laptop) == "[1/1] a ::error::pwned ## [error]no \\x1b[31mred\n"
+
+
 def test_a_long_run_gets_few_lines_and_what_is_important(laptop: Runner) -> None:
     with progress(laptop, "calibrating") as advance:
         for done in range(1, 1001):
@@ -51,3 +58,12 @@ def test_no_bar_on_a_runner_s_terminal() -> None:
         advance(1, 1, "fine")
 
     assert terminal.getvalue() == "[1/1] fine\n"
+
+
+def test_what_is_important_commands_no_terminal() -> None:
+    terminal = Terminal()
+    with progress(Runner(stdout=terminal), "calibrating") as advance:
+        advance(1, 2, "a\n\x1b]0;title\x07b", important=True)
+
+    assert "\\x1b]0;title\\x07b" in terminal.getvalue()
+    assert "\x1b]0;" not in terminal.getvalue()

@@ -2,7 +2,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calibration.workflow.text import did_you_mean, one_line, shorten
+from calibration.workflow.text import aligned, did_you_mean, one_line, shorten
 
 
 @pytest.mark.parametrize(
@@ -40,3 +40,7 @@ def test_shorten() -> None:
 def test_did_you_mean() -> None:
     assert did_you_mean("colum", ["row", "column"]) == ": did you mean 'column'?"
     assert did_you_mean("xyz", ["row", "column"]) == ""
+
+
+def test_a_table_commands_nothing_in_its_header_and_its_cells() -> None:
+    assert aligned(("a\n::error::x", "b"), [("c", "##[error]d")]) == "a ::error::x  b\nc             ## [error]d"

@@ -12,9 +12,6 @@ from calibration.workflow.text import aligned
 if TYPE_CHECKING:
     from calibration.simulation.collection.record import Record
 
-LOST_ANNOTATED = 5
-"""More lost poses are in the summary only: GitHub shows ten warnings of a step."""
-
 
 def pose_line(record: "Record") -> str:
     """What came of one pose, for the progress."""
@@ -34,7 +31,7 @@ def report_collection(results: CollectionResults, output: Path, runner: Runner, 
         runner.log("")
         runner.log(aligned(table.header, table.rows))
         runner.log("")
-    lost = [Annotation(lost_line(record), Level.WARNING, title=title) for record in results.lost[:LOST_ANNOTATED]]
+    lost = [Annotation(lost_line(record), Level.WARNING, title=title) for record in results.lost]
     annotate(runner, [*(Annotation(reason, title=title) for reason in results.reasons), *lost])
     add_summary(runner, markdown(results))
     set_outputs(runner, outputs(results, output))

@@ -16,9 +16,6 @@ from calibration.workflow.text import aligned
 if TYPE_CHECKING:
     from calibration.simulation.scenarios.result import ScenarioResult
 
-FAILED_ANNOTATED = 5
-"""Of the worlds that fail; GitHub shows ten annotations of a step."""
-
 
 def world_line(result: "ScenarioResult") -> str:
     """What came of one world, for the progress."""
@@ -51,7 +48,7 @@ def report_scenarios(results: ScenarioResults, output: Path, runner: Runner, tit
         runner.log("")
     failed = [f"{each}: {'; '.join(why)}" for each, why in results.failed.items()]
     annotations = [Annotation(reason, title=title) for reason in results.reasons]
-    annotations += [Annotation(line, Level.WARNING, title=title) for line in failed[:FAILED_ANNOTATED]]
+    annotations += [Annotation(line, Level.WARNING, title=title) for line in failed]
     annotations += [Annotation(note, Level.NOTICE, title=title) for note in results.notes]
     annotate(runner, annotations)
     add_summary(runner, scenario_markdown(results))
