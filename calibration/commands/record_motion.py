@@ -68,7 +68,7 @@ def record_motion(settings: Settings, runner: Runner) -> ExitCode:
         WorldError: viser is not installed, the port is taken, or a file cannot be written.
     """
     if find_spec("viser") is None:
-        raise WorldError("record-motion needs viser: pip install 'calibration-ci[record]'")
+        raise WorldError("record-motion needs viser: pip install viser")
     if settings.output.is_dir():
         raise InputError(f"{settings.output}: is a folder, expected a file for the sequence")
     from calibration.recorder.markup import poses

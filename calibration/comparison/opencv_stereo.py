@@ -134,5 +134,5 @@ def _opencv() -> Any:
     try:
         import cv2
     except ImportError:
-        raise WorldError("OpenCV's stereo calibration needs OpenCV: pip install 'calibration-ci[opencv]'") from None
+        raise WorldError("OpenCV's stereo calibration needs OpenCV: pip install opencv-python-headless") from None
     return cv2

@@ -105,7 +105,7 @@ def _decode(data: bytes, camera: Camera) -> NDArray[np.uint16]:
     try:
         import cv2
     except ImportError as error:
-        raise WorldError("reading depth images needs OpenCV: pip install 'calibration-ci[calibrate,opencv]'") from error
+        raise WorldError("reading depth images needs OpenCV: pip install opencv-python-headless") from error
     try:
         image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     except cv2.error:

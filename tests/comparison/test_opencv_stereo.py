@@ -146,5 +146,5 @@ def test_an_answer_that_is_no_number_is_an_error(monkeypatch):
 
 def test_without_opencv_it_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "cv2", None)
-    with pytest.raises(WorldError, match=r"needs OpenCV: pip install 'calibration-ci\[opencv\]'"):
+    with pytest.raises(WorldError, match=r"needs OpenCV: pip install opencv-python-headless"):
         opencv_stereo(two_cameras(n=4)[0])

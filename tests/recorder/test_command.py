@@ -23,7 +23,7 @@ def test_without_viser_one_line_says_how_to_get_it(
     monkeypatch.setattr(record_motion, "find_spec", lambda _: None)
     code, said = run(capsys, *T2RGB)
     assert code == 3
-    assert said == "error: record-motion needs viser: pip install 'calibration-ci[record]'\n"
+    assert said == "error: record-motion needs viser: pip install viser\n"
 
 
 @pytest.mark.parametrize(

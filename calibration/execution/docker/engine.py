@@ -72,7 +72,7 @@ def connect(seconds: int = SECONDS) -> "DockerClient":
         import docker  # slow to import
         import requests
     except ModuleNotFoundError as error:
-        message = f"containers need the package {error.name}: pip install 'calibration-ci[containers]'"
+        message = f"containers need the package {error.name}: pip install {error.name}"
         raise WorldError(message) from None
     try:
         if os.environ.get("DOCKER_HOST", "").startswith(_UNIX):

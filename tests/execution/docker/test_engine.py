@@ -56,7 +56,7 @@ def test_without_the_package(monkeypatch: pytest.MonkeyPatch) -> None:
     for name in [name for name in sys.modules if name == "docker" or name.startswith("docker.")]:
         monkeypatch.delitem(sys.modules, name)
     with pytest.raises(
-        WorldError, match=r"containers need the package docker: pip install 'calibration-ci\[containers\]'"
+        WorldError, match=r"containers need the package docker: pip install docker"
     ):
         connect()
 
