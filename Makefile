@@ -60,8 +60,7 @@ compile := pip compile pyproject.toml --quiet --no-config --universal --python-v
 lock: ## resolve requirements/*.txt again after a change in pyproject.toml
 	@test -x '$(uv)' || { echo "make lock needs uv: pip install uv"; exit 2; }
 	'$(uv)' $(compile) $(UPGRADE) --all-extras --group dev --output-file requirements/dev.txt
-	'$(uv)' $(compile) --extra calibrate --extra opencv --extra containers --constraint requirements/dev.txt --output-file requirements/calibrate.txt
-	'$(uv)' $(compile) --extra calibrate --extra opencv --extra figures --extra containers --constraint requirements/dev.txt --output-file requirements/collect.txt
+	'$(uv)' $(compile) --extra calibrate --extra opencv --extra containers --extra aws --constraint requirements/dev.txt --output-file requirements/calibrate.txt
 	'$(uv)' $(compile) --extra containers --extra aws --constraint requirements/dev.txt --output-file requirements/image.txt
 	'$(uv)' $(compile) --extra calibrate --extra opencv --extra figures --extra containers --extra aws --constraint requirements/dev.txt --output-file requirements/run.txt
 	'$(uv)' $(compile) --extra coverage --constraint requirements/dev.txt --output-file requirements/coverage.txt

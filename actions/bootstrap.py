@@ -38,7 +38,7 @@ ACTIONS = {
     "build-image": ("build-image/main.py", "image.txt"),
     "introspect-csv": ("introspect-csv/main.py", "introspect.txt"),
     "calibrate-matrix": ("calibrate-matrix/main.py", "calibrate.txt"),
-    "collect-data-sim": ("collect-data-sim/main.py", "collect.txt"),
+    "collect-data-sim": ("collect-data-sim/main.py", "run.txt"),
     "coverage-upload": ("coverage-upload/main.py", "coverage.txt"),
     "run": ("run.py", "run.txt"),  # the root action.yml; no folder, because a folder here is a sub-action
 }
@@ -47,12 +47,11 @@ WORKFLOW_STEPS = {
     "plan-matrix": ("workflow_step.py", "calibrate.txt"),
     "gather-results": ("workflow_step.py", "calibrate.txt"),
 }
-# What an interpreter of the user's own must be able to import. Without OpenCV calibrate.txt lacks some comparisons and
-# the stage collect, without matplotlib collect.txt lacks a figure, without docker none runs containers: each says so.
+# What an interpreter of the user's own must be able to import. Without OpenCV some comparisons and all
+# that collects are missing, without matplotlib a figure, without docker or boto3 what runs containers: each says so.
 MODULES = {
     "introspect.txt": ["click", "yaml"],
     "calibrate.txt": ["click", "yaml", "numpy", "jsonschema", "defusedxml", "rich"],
-    "collect.txt": ["click", "yaml", "numpy", "jsonschema", "defusedxml", "rich", "cv2"],
     "coverage.txt": ["click", "yaml", "coverage", "defusedxml", "requests"],
     "image.txt": ["click", "yaml", "jsonschema", "rich", "docker"],
     "run.txt": ["click", "yaml", "numpy", "jsonschema", "defusedxml", "rich"],

@@ -1,15 +1,21 @@
 """What all tests share: the rule for skipped tests in CI, and the data that is not part of the repository."""
 
 import os
+import signal
 from collections.abc import Generator
 from contextlib import suppress
 from pathlib import Path
 
+import hypothesis
 import pytest
 
 # As the commands do, before anything imports numpy: the tests' processes are the parallelism.
 for _variable in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
     os.environ.setdefault(_variable, "1")
+
+# A shell has what it starts in the background ignore it, which all that is started from there inherits: tests send it.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # Whoever makes a Coverage object, as coverage-upload does, tells the one that measures these tests to save nothing.
 with suppress(ImportError, AttributeError):
@@ -17,7 +23,11 @@ with suppress(ImportError, AttributeError):
 
     del coverage.process_startup.coverage  # type: ignore[attr-defined]
 
-pytest_plugins = ["tests.engine"]
+# A slow machine with much else to do is no failure.
+hypothesis.settings.register_profile("patient", deadline=None, suppress_health_check=[hypothesis.HealthCheck.too_slow])
+hypothesis.settings.load_profile("patient")
+
+pytest_plugins = ["tests.engine", "tests.aws.fixtures"]
 
 PROJECT = Path(__file__).resolve().parents[1]
 NO_SHARED_DATA = "needs ../shared/data beside the project"

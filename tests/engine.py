@@ -116,7 +116,7 @@ def started_engine(*options: str) -> Iterator[OwnEngine]:
     try:
         wait_until(lambda: (folder / "sock").exists() or process.poll() is not None, "the engine starts", 60)
         client = engine.api()
-        wait_until(client.ping, "the engine answers", 30)
+        wait_until(lambda: _pings(client), "the engine answers", 60)
         client.close()
         yield engine
     finally:
@@ -124,7 +124,7 @@ def started_engine(*options: str) -> Iterator[OwnEngine]:
             with suppress(psutil.Error):
                 each.send_signal(signal.SIGCONT)
                 each.kill()
-        process.wait(20)
+        process.wait(60)
         wait_until(lambda: not engine.descendants, "nothing of the engine runs")
         for line in reversed(Path("/proc/self/mounts").read_text().splitlines()):
             if str(folder) in line.split()[1]:
@@ -180,8 +180,8 @@ def _registry(folder: Path, auth: str) -> Generator[Registry]:
         wait_until(lambda: _answers(port), "the registry answers")
         yield Registry(f"127.0.0.1:{port}")
     finally:
-        process.terminate()
-        process.wait(10)
+        process.kill()  # which has nothing to finish
+        process.wait(60)
         _forget(f"127.0.0.1:{port}/")
 
 
@@ -201,13 +201,23 @@ def _forget(prefix: str) -> None:
     client.close()
 
 
-def wait_until(holds: Callable[[], bool], what: str, seconds: float = 20.0) -> None:
+def wait_until(holds: Callable[[], bool], what: str, seconds: float = 60.0) -> None:
     """Wait until a condition holds; a failure after so many seconds."""
     deadline = time.monotonic() + seconds
     while not holds():
         if time.monotonic() > deadline:
             pytest.fail(f"not within {seconds:g} s: {what}")
         time.sleep(0.05)
+
+
+def _pings(client: "DockerClient") -> bool:
+    import docker
+    import requests
+
+    try:
+        return bool(client.ping())
+    except (docker.errors.APIError, requests.RequestException):  # its socket is there before it listens
+        return False
 
 
 def _answers(port: int) -> bool:
@@ -257,6 +267,6 @@ def _import_base() -> None:
 @contextmanager
 def _one_at_a_time(name: str) -> Iterator[None]:
     """Several processes run tests at once; only one makes an image."""
-    with Path(tempfile.gettempdir(), f"calibration-test-{name}.lock").open("w") as lock:
+    with Path(tempfile.gettempdir(), f"calibration-test-{os.getuid()}-{name}.lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         yield

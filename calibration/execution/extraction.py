@@ -92,7 +92,7 @@ def extract(
     result = Extraction()
     written: dict[tuple[str, ...], tuple[str, ...]] = {}
     for entry, content in _entries(stream):
-        inside = _parts(entry.name)[1:]
+        inside = path_parts(entry.name)[1:]
         to = landing(inside)
         if to is None:
             _pass_over(entry, source, budget)
@@ -104,7 +104,7 @@ def extract(
         elif entry.issym():
             result.left_out.append(_link_inside(entry, inside, source))
         elif entry.islnk():
-            first = _parts(entry.linkname)[1:]
+            first = path_parts(entry.linkname)[1:]
             if first not in written:
                 raise _refused(entry, f"is a hard link to '{_shown(entry.linkname)}', which is not brought out")
             entry.size = _target(folder, written[first]).stat().st_size
@@ -182,7 +182,7 @@ class _Source:
         return data
 
 
-def _parts(name: str) -> tuple[str, ...]:
+def path_parts(name: str) -> tuple[str, ...]:
     """The parts of an entry's name.
 
     Raises:

@@ -1,5 +1,6 @@
 """What containers need so that ROS works between them: a master only where one is asked for."""
 
+import re
 from dataclasses import replace
 from typing import Literal
 
@@ -10,6 +11,8 @@ RosVersion = Literal["none", "1", "2"]
 MASTER = "master"
 """The name of the container with the ROS master."""
 PORT = 11311
+_LOOPBACK = "127.0.0.1"
+_ADDRESS = re.compile(r"(?P<before>https?://)(?P<host>[^/:]+)(?P<after>.*)")
 
 
 def with_ros(job: Job, version: RosVersion, image: str | None = None) -> Job:
@@ -47,6 +50,25 @@ def with_ros(job: Job, version: RosVersion, image: str | None = None) -> Job:
     )
     nodes = (replace(container, after=(*dict.fromkeys((MASTER, *container.after)),)) for container in job.containers)
     return replace(job, containers=tuple(_as_node(container) for container in (master, *nodes)))
+
+
+def on_one_address(job: Job) -> Job:
+    """Let containers find each other that share one address, as those of a task on AWS Batch or of a pod do.
+
+    Where a ROS variable names a container of the job, it names the address of all of them instead.
+    """
+    names = {container.name for container in job.containers}
+
+    def moved(container: Container) -> Container:
+        environment = dict(container.environment)
+        if environment.get("ROS_HOSTNAME") in names:
+            environment["ROS_HOSTNAME"] = _LOOPBACK
+        master = _ADDRESS.fullmatch(environment.get("ROS_MASTER_URI", ""))
+        if master is not None and master["host"] in names:
+            environment["ROS_MASTER_URI"] = f"{master['before']}{_LOOPBACK}{master['after']}"
+        return replace(container, environment=environment)
+
+    return replace(job, containers=tuple(map(moved, job.containers)))
 
 
 def _as_node(container: Container) -> Container:

@@ -81,6 +81,15 @@ class LogDisplay:
                 self._paused -= 1
                 self._print_what_may()
 
+    def note(self, text: str) -> None:
+        """Print a line of our own between those of the programs."""
+        with self.paused():
+            if not self._broken:
+                try:
+                    self._runner.log(one_line(text))
+                except (OSError, ValueError):
+                    self._broken = True
+
     def show(self, stream: LogStream, lines: list[str]) -> None:
         """Take lines of a stream."""
         with self._lock:

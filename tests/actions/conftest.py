@@ -37,6 +37,13 @@ class Suite:
     folder: Path
     wheels: Path
     variables: dict[str, str]
+    """With uv on PATH, where there is one: pip, the other way, takes several times as long."""
+    uv: Path
+    """The folder of uv, and of nothing else; empty where there is none."""
+
+    @property
+    def path_without_uv(self) -> str:
+        return self.variables["PATH"].removeprefix(f"{self.uv}{os.pathsep}")
 
     @property
     def environments(self) -> list[Path]:
@@ -119,11 +126,15 @@ def suite(tmp_path: Path) -> Suite:
     wheels.mkdir()
     temp = tmp_path / "runner temp"
     temp.mkdir()
+    uv = tmp_path / "uv"
+    uv.mkdir()
+    if found := shutil.which("uv", path=f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"):
+        (uv / "uv").symlink_to(found)
     suite = Suite(
         folder,
         wheels,
         {
-            "PATH": f"{PYTHON.parent}{os.pathsep}/usr/bin{os.pathsep}/bin",
+            "PATH": os.pathsep.join(map(str, (uv, PYTHON.parent, "/usr/bin", "/bin"))),
             "HOME": str(tmp_path),
             "RUNNER_TEMP": str(temp),
             "GITHUB_ACTIONS": "true",
@@ -134,18 +145,8 @@ def suite(tmp_path: Path) -> Suite:
             "UV_FIND_LINKS": str(wheels),
             "UV_CACHE_DIR": str(tmp_path / "uv-cache"),
         },
+        uv,
     )
     suite.lock("introspect.txt", tiny="1.0")
     suite.lock("calibrate.txt", tiny="1.0", larger="2.0")
     return suite
-
-
-@pytest.fixture
-def uv(tmp_path: Path) -> str:
-    """Return the folder of uv, and of nothing else, for PATH."""
-    found = shutil.which("uv", path=f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}")
-    if found is None:
-        pytest.skip("needs uv")
-    (tmp_path / "uv").mkdir()
-    (tmp_path / "uv" / "uv").symlink_to(found)
-    return str(tmp_path / "uv")

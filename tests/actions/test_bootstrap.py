@@ -1,19 +1,19 @@
 """The way from a step of an action to its Python: run as a job runs it, without network."""
 
-import contextlib
 import json
 import os
 import shutil
 import signal
 import subprocess
-import time
 import venv
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-import psutil
 import pytest
+
+from tests.engine import wait_until
+from tests.processes import group_runs
 
 from .conftest import PYTHON, Suite
 
@@ -43,8 +43,14 @@ def test_the_command_runs_isolated_in_an_environment_of_its_own(suite: Suite) ->
     assert not (environment / "bin" / "pip").exists()
 
 
-def test_uv_installs_where_there_is_one(suite: Suite, uv: str) -> None:
-    result = suite.run("introspect-csv", PATH=f"{uv}:{suite.variables['PATH']}")
+def skip_without_uv(suite: Suite) -> None:
+    if not (suite.uv / "uv").exists():
+        pytest.skip("needs uv")
+
+
+def test_uv_installs_where_there_is_one(suite: Suite) -> None:
+    skip_without_uv(suite)
+    result = suite.run("introspect-csv")
     assert result.returncode == 0, result.stdout
     assert "+ tiny==1.0" in result.stdout
     assert facts(result)["prefix"] == str(suite.environments[0])
@@ -53,7 +59,7 @@ def test_uv_installs_where_there_is_one(suite: Suite, uv: str) -> None:
 def test_pip_installs_where_uv_fails(suite: Suite, tmp_path: Path) -> None:
     (tmp_path / "broken").mkdir()
     (tmp_path / "broken" / "uv").symlink_to("/bin/false")
-    result = suite.run("introspect-csv", PATH=f"{tmp_path / 'broken'}:{suite.variables['PATH']}")
+    result = suite.run("introspect-csv", PATH=f"{tmp_path / 'broken'}:{suite.path_without_uv}")
     assert result.returncode == 0, result.stdout
     assert facts(result)["tiny"] == "1.0"
 
@@ -94,28 +100,12 @@ def test_an_interrupted_installation_leaves_nothing(suite: Suite, tmp_path: Path
     (slow / "uv").chmod(0o755)
     with suite.start("introspect-csv", PATH=f"{slow}:{suite.variables['PATH']}") as process:
         started = tmp_path / "started"
-        wait_until(lambda: started.exists() and started.read_text().endswith("\n"))
+        wait_until(lambda: started.exists() and started.read_text().endswith("\n"), "it installs", 30)
         process.send_signal(signal.SIGTERM)
         assert process.wait(30) == 143
     assert suite.environments == []
-    wait_until(lambda: not group_lives(int(started.read_text())))
+    wait_until(lambda: not group_runs(int(started.read_text())), "the installer has ended", 30)
     assert suite.run("introspect-csv").returncode == 0
-
-
-def wait_until(condition: Any, seconds: float = 30) -> None:
-    end = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < end
-        time.sleep(0.01)
-
-
-def group_lives(leader: int) -> bool:
-    """Whether a process of the group runs; one that has ended may wait for its parent for long, in a container."""
-    for process in psutil.process_iter(["status"]):
-        with contextlib.suppress(ProcessLookupError):
-            if os.getpgid(process.pid) == leader and process.info["status"] != psutil.STATUS_ZOMBIE:
-                return True
-    return False
 
 
 def test_two_at_once_share_what_the_first_has_made(suite: Suite) -> None:
@@ -141,7 +131,7 @@ def test_signals_reach_the_command(suite: Suite) -> None:
 def test_a_wrong_hash_ends_in_one_line(suite: Suite) -> None:
     lock = suite.folder / "requirements" / "introspect.txt"
     lock.write_text(lock.read_text().replace("sha256:", "sha256:00")[:-3] + "\n")
-    result = suite.run("introspect-csv")
+    result = suite.run("introspect-csv", PATH=suite.path_without_uv)
     assert result.returncode == 3
     assert result.stdout.splitlines()[-1].startswith("::error::the Python packages could not be installed with ")
     assert "Traceback" not in result.stdout
@@ -168,18 +158,17 @@ HOSTILE = {
 
 
 @pytest.mark.parametrize("installer", ["pip", "uv"])
-def test_settings_of_the_job_do_not_break_the_installation(
-    suite: Suite, installer: str, tmp_path: Path, request: pytest.FixtureRequest
-) -> None:
+def test_settings_of_the_job_do_not_break_the_installation(suite: Suite, installer: str, tmp_path: Path) -> None:
+    path = suite.path_without_uv
+    if installer == "uv":
+        skip_without_uv(suite)
+        path = suite.variables["PATH"]
     folder = tmp_path / "workspace"
     folder.mkdir()
     (folder / "constraints.txt").write_text("tiny==9.9\n")
     (folder / "uv.toml").write_text("no-binary = true\n[pip]\ntarget = 'elsewhere'\n")
     (tmp_path / ".config" / "pip").mkdir(parents=True)
     (tmp_path / ".config" / "pip" / "pip.conf").write_text("[install]\ntarget = elsewhere\nno-deps = true\n")
-    path = suite.variables["PATH"]
-    if installer == "uv":
-        path = f"{request.getfixturevalue('uv')}:{path}"
     result = suite.run("introspect-csv", cwd=folder, **HOSTILE, PATH=path)
     assert result.returncode == 0, result.stdout
     assert facts(result)["tiny"] == "1.0"
@@ -193,14 +182,14 @@ def test_a_mirror_in_pips_configuration_is_used(suite: Suite, tmp_path: Path) ->
     )
     suite.variables["PIP_CONFIG_FILE"] = str(tmp_path / "pip.conf")
     del suite.variables["PIP_NO_INDEX"]
-    result = suite.run("introspect-csv")
+    result = suite.run("introspect-csv", PATH=suite.path_without_uv)
     assert result.returncode == 0, result.stdout
 
 
 def test_files_of_the_workspace_shadow_nothing(suite: Suite, tmp_path: Path) -> None:
     for name in ("yaml.py", "tiny.py", "json.py", "pathlib.py", "calibration.py", "sitecustomize.py", "pip.py"):
         (tmp_path / name).write_text("raise SystemExit('shadowed')\n")
-    result = suite.run("introspect-csv", cwd=tmp_path, PYTHONPATH=str(tmp_path))
+    result = suite.run("introspect-csv", cwd=tmp_path, PYTHONPATH=str(tmp_path), PATH=suite.path_without_uv)
     assert result.returncode == 0, result.stdout
     assert facts(result)["tiny"] == "1.0"
 
@@ -320,7 +309,8 @@ def test_a_newer_python_is_found(suite: Suite, tools: Path, tmp_path: Path, plac
     (tmp_path / place).parent.mkdir(parents=True, exist_ok=True)
     (tmp_path / place).write_text(f"#!{tools}/bash\nexec '{PYTHON}' \"$@\"\n")
     (tmp_path / place).chmod(0o755)
-    result = suite.run("introspect-csv", PATH=str(tools), RUNNER_TOOL_CACHE=str(tmp_path / "cache"))
+    path = f"{suite.uv}{os.pathsep}{tools}"
+    result = suite.run("introspect-csv", PATH=path, RUNNER_TOOL_CACHE=str(tmp_path / "cache"))
     assert result.returncode == 0, result.stdout
 
 

@@ -12,10 +12,12 @@ import jsonschema
 import pytest
 import yaml
 
+from benchmarks.action_start import INPUTS
 from calibration.dataset.document import Node
 from calibration.json_schema import bundled
 from calibration.simulation.scene import read_scene
 from calibration.simulation.sensors import read_camera, read_depth_camera, read_lidar
+from tests.lint.documents import made_whole, yaml_blocks
 
 from .write_inputs import FILES, README, options, with_inputs, with_tables
 
@@ -49,9 +51,7 @@ def test_inputs_are_those_of_the_command(name: str, bootstrap: ModuleType) -> No
 
 def test_the_readme_shows_every_input_and_output() -> None:
     text = README.read_text()
-    assert {"build-image", "calibrate-matrix", "collect-data-sim", "coverage-upload", "introspect-csv"} <= set(
-        re.findall(r"<!-- inputs: (\S+) -->", text)
-    )
+    assert sorted(re.findall(r"<!-- inputs: (\S+) -->", text)) == sorted(FILES)
     assert text == with_tables(text), "run `make actions`"
 
 
@@ -96,6 +96,10 @@ def test_every_action_of_bootstrap_has_its_file(bootstrap: ModuleType) -> None:
     assert set(bootstrap.ACTIONS) == set(FILES)
 
 
+def test_the_start_of_every_action_is_measured() -> None:
+    assert set(INPUTS) == set(FILES)
+
+
 def test_old_pythons_read_bootstrap_far_enough_to_say_that_they_are_too_old() -> None:
     source = (PROJECT / "actions" / "bootstrap.py").read_text()
     ast.parse(source, feature_version=(3, 8))
@@ -105,7 +109,7 @@ def test_old_pythons_read_bootstrap_far_enough_to_say_that_they_are_too_old() ->
 
 def test_locks_have_hashes_and_no_addresses() -> None:
     assert {name.removesuffix(".txt") for name in LOCKS} == {
-        *("introspect", "calibrate", "collect", "coverage", "image", "run", "dev")
+        *("introspect", "calibrate", "coverage", "image", "run", "dev")
     }
     for text in LOCKS.values():
         assert not re.search(r"://|(?<!\w)/\w|^-", text, re.MULTILINE)
@@ -114,13 +118,12 @@ def test_locks_have_hashes_and_no_addresses() -> None:
 
 
 def test_what_is_tested_is_what_the_actions_install(bootstrap: ModuleType) -> None:
-    introspect, calibrate, collect, coverage, image, run, dev = (
+    introspect, calibrate, coverage, image, run, dev = (
         bootstrap.pins(PROJECT / "requirements" / f"{name}.txt")
-        for name in ("introspect", "calibrate", "collect", "coverage", "image", "run", "dev")
+        for name in ("introspect", "calibrate", "coverage", "image", "run", "dev")
     )
     assert bootstrap.covers(calibrate, introspect)
-    assert bootstrap.covers(collect, calibrate)
-    assert bootstrap.covers(run, [*collect, *image])
+    assert bootstrap.covers(run, [*calibrate, *image])
     assert bootstrap.covers(dev, [*run, *coverage])
 
 
@@ -128,8 +131,7 @@ def test_what_is_tested_is_what_the_actions_install(bootstrap: ModuleType) -> No
     ("lock", "extras", "groups"),
     [
         ("introspect.txt", [], []),
-        ("calibrate.txt", ["calibrate", "opencv", "containers"], []),
-        ("collect.txt", ["calibrate", "opencv", "figures", "containers"], []),
+        ("calibrate.txt", ["calibrate", "opencv", "containers", "aws"], []),
         ("coverage.txt", ["coverage"], []),
         ("image.txt", ["containers", "aws"], []),
         ("run.txt", ["calibrate", "opencv", "figures", "containers", "aws"], []),
@@ -157,7 +159,7 @@ def test_locks_satisfy_pyproject(lock: str, extras: list[str], groups: list[str]
     [
         ("introspect.txt", []),
         ("calibrate.txt", ["calibrate"]),
-        ("collect.txt", ["calibrate", "opencv"]),
+        ("run.txt", ["calibrate"]),
         ("coverage.txt", ["coverage"]),
     ],
 )
@@ -171,20 +173,44 @@ def test_an_interpreter_of_ones_own_is_asked_for_all_modules(
     assert {modules[module][0].lower() for module in bootstrap.MODULES[lock]} == names
 
 
-def test_the_examples_of_the_readme_are_right() -> None:
-    blocks = [yaml.safe_load(block) for block in re.findall(r"```yaml\n(.*?)```", README.read_text(), re.DOTALL)]
-    reusable, workflow, configuration, simulation, image, software, coverage = blocks
+@pytest.fixture
+def examples() -> list[Any]:
+    """What the README shows in YAML."""
+    return [yaml.safe_load(text) for _, text in yaml_blocks(README.read_text())]
+
+
+def test_the_readme_calls_the_reusable_workflow_right(examples: list[Any]) -> None:
     called = yaml.safe_load((PROJECT / ".github" / "workflows" / "pipeline.yml").read_text())[True]["workflow_call"]
-    for given, declared in (("with", "inputs"), ("secrets", "secrets")):
-        assert set(reusable["jobs"]["robot"][given]) <= set(called[declared])
-    steps = [step for step in workflow["jobs"]["calibrate"]["steps"] if step["uses"].startswith("OWNER/")] + coverage
-    used = {step["uses"].partition("@")[0].rpartition("/")[2]: step["with"] for step in steps}
-    assert set(used) == {"calibrate-matrix", "introspect-csv", "coverage-upload"}
-    for name, given in used.items():
-        assert set(given) <= set(options(name))
+    jobs = [job for example in examples if "jobs" in example for job in example["jobs"].values() if "uses" in job]
+    assert jobs
+    for job in jobs:
+        assert job["uses"] == "OWNER/calibration-ci/.github/workflows/pipeline.yml@v1"
+        assert set(job.get("with", {})) <= set(called["inputs"])
+        assert set(job.get("secrets", {})) <= set(called["secrets"])
+
+
+def test_the_readme_has_an_example_of_every_action_and_each_is_right(examples: list[Any]) -> None:
+    steps = [step for example in examples if isinstance(example, list) for step in example]
+    steps += [s for e in examples if "jobs" in e for job in e["jobs"].values() for s in job.get("steps", [])]
+    used = set()
+    for step in steps:
+        if step["uses"].startswith("OWNER/"):
+            path, _, tag = step["uses"].partition("@")
+            name = path.partition("/actions/")[2] or "run"
+            assert (path, tag) == ("OWNER/calibration-ci" + (f"/actions/{name}" if name != "run" else ""), "v1")
+            assert set(step.get("with", {})) <= set(options(name))
+            used.add(name)
+    assert used == set(FILES)
+
+
+def test_the_configurations_in_the_readme_are_right(examples: list[Any]) -> None:
     schema = bundled(PROJECT / "calibration/pipeline/calibration.schema.json")
-    for each in (configuration, {**image, **configuration}, software):
-        jsonschema.validate(each, schema)
+    kinds = [(*made_whole(example), example) for example in examples]
+    configurations = [document for kind, document, _ in kinds if kind == "calibration.yml"]
+    assert len(configurations) >= 3
+    for document in configurations:
+        jsonschema.validate(document, schema)
+    [simulation] = [example for example in examples if "sensors" in example]
     node = Node(README, (), simulation)
     assert read_camera(node["sensors"]["left_camera"]).camera.distortion.k1 == -0.1
     assert read_depth_camera(node["sensors"]["depth"]).most_range == 6.5

@@ -5,7 +5,7 @@ import pytest
 from calibration.errors import InputError
 from calibration.execution.job import Container, Job
 from calibration.execution.job_check import check_job, start_order
-from calibration.execution.ros import with_ros
+from calibration.execution.ros import on_one_address, with_ros
 
 JOB = Job(
     "j", (Container("sim", "team:1", environment={"ROS_HOME": "/mine"}), Container("robot", "team:2", after=("sim",)))
@@ -49,3 +49,34 @@ def test_ros_2_has_no_master_and_a_network_of_its_own() -> None:
 def test_what_a_master_cannot_work_with(job: Job, message: str) -> None:
     with pytest.raises(InputError, match=message):
         with_ros(job, "1")
+
+
+def test_on_one_address_everybody_is_here() -> None:
+    job = on_one_address(with_ros(JOB, "1"))
+    check_job(job)
+    for container in job.containers:
+        assert container.environment["ROS_MASTER_URI"] == "http://127.0.0.1:11311"
+        assert container.environment["ROS_HOSTNAME"] == "127.0.0.1"
+    assert job.containers[1].environment["ROS_HOME"] == "/mine"
+    assert [container.after for container in job.containers] == [(), ("master",), ("master", "sim")]
+
+
+@pytest.mark.parametrize(
+    ("environment", "expected"),
+    [
+        ({"ROS_MASTER_URI": "http://b:1/x"}, {"ROS_MASTER_URI": "http://127.0.0.1:1/x"}),
+        ({"ROS_MASTER_URI": "http://b"}, {"ROS_MASTER_URI": "http://127.0.0.1"}),
+        # what names nobody of the job stays as the user said it
+        ({"ROS_MASTER_URI": "http://bb:1"}, {"ROS_MASTER_URI": "http://bb:1"}),
+        ({"ROS_MASTER_URI": "b"}, {"ROS_MASTER_URI": "b"}),
+        ({"ROS_HOSTNAME": "10.0.0.7", "SERVER": "b"}, {"ROS_HOSTNAME": "10.0.0.7", "SERVER": "b"}),
+        ({}, {}),
+    ],
+)
+def test_on_one_address_only_what_names_a_container_changes(
+    environment: dict[str, str], expected: dict[str, str]
+) -> None:
+    job = Job("j", (Container("a", "i", environment=environment), Container("b", "i")))
+    moved = on_one_address(job)
+    assert moved.containers[0].environment == expected
+    assert moved == replace(job, containers=moved.containers)

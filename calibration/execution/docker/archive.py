@@ -7,23 +7,16 @@ import base64
 import json
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
+
+from calibration.execution.bringing_out import Archive, NothingThereError, Opener
+from calibration.execution.docker.engine import engine_errors
 
 if TYPE_CHECKING:
     from docker import APIClient
 
 _CHUNK = 1024**2
 _FACTS = "X-Docker-Container-Path-Stat"
-
-
-@dataclass(frozen=True)
-class Archive:
-    """A file or folder of a container as a tar stream."""
-
-    chunks: Iterator[bytes]
-    link: str
-    """The path that it is a link to; nothing where it is none."""
 
 
 @contextmanager
@@ -50,6 +43,22 @@ def open_archive(api: "APIClient", container: str, path: str) -> Iterator[Archiv
         yield Archive(response.iter_content(_CHUNK), str(facts.get("linkTarget") or ""))
     finally:
         response.close()
+
+
+def opener_of(api: "APIClient", container: str, name: str) -> Opener:
+    """What opens the files of a container, whose name is for messages."""
+    import docker.errors
+
+    @contextmanager
+    def opened(path: str) -> Iterator[Archive]:
+        with engine_errors(f"container '{name}', artifact '{path}'"):  # the engine's errors are OSErrors too
+            try:
+                with open_archive(api, container, path) as archive:
+                    yield archive
+            except docker.errors.NotFound:
+                raise NothingThereError from None
+
+    return opened
 
 
 def exists(api: "APIClient", container: str, path: str) -> bool:

@@ -1,6 +1,5 @@
 """One container of a job on the engine, from its creation to its removal."""
 
-import signal
 import threading
 import time
 from collections.abc import Mapping
@@ -14,9 +13,9 @@ from calibration.execution.docker.labels import new_run
 from calibration.execution.docker.output import attach, pieces
 from calibration.execution.docker.readiness import Probe
 from calibration.execution.job import Container
+from calibration.execution.judging import how_it_ended
 from calibration.execution.log_file import LogFile
 from calibration.execution.outcome import ContainerOutcome, End
-from calibration.execution.sizes import describe_bytes
 
 if TYPE_CHECKING:
     from docker import APIClient, DockerClient
@@ -27,8 +26,6 @@ GRACE = 5
 _TRIES = 5
 _SETTLING = 0.25
 """Seconds; the engine may hear that memory ran out after it has heard of the end."""
-_SIGNALLED = 128
-_HINTS = {126: "its command may not be executed", 127: "its command was not found"}
 
 
 class ContainerRun:
@@ -101,11 +98,6 @@ class ContainerRun:
             raise AssertionError("it has been created")
         return self.id
 
-    @property
-    def running(self) -> bool:
-        """Whether it was started, and its end has not been heard of."""
-        return self.started is not None and self.ended is None
-
     def is_ready(self) -> bool:
         """Whether it is ready, or was; asks the engine. A container that ends meanwhile is not.
 
@@ -156,34 +148,12 @@ class ContainerRun:
                 time.sleep(_SETTLING / 10)
                 state = api.inspect_container(self.identifier)["State"]
         self.exit_code = int(state["ExitCode"])
-        if self.exit_code not in self.container.success:
-            self.signal = signal_of(self.exit_code)
-        if state.get("OOMKilled"):
-            self.end = End.OUT_OF_MEMORY
-        elif ours is not None:
-            self.end = ours
-        elif self.signal == "SIGKILL" and self.container.limits.memory is not None:
-            self.end = End.OUT_OF_MEMORY  # engines lose the event when all ends at once; nobody else sends SIGKILL
-        else:
-            self.end = End.SIGNALLED if self.signal else End.EXITED
+        self.end, self.signal = how_it_ended(self.container, self.exit_code, bool(state.get("OOMKilled")), ours)
 
     @property
-    def failure(self) -> str | None:
-        """Why its end is none of success, by itself; None where it is."""
-        said = f": {self.log.last_line}" if self.log.last_line else ""
-        container = f"container '{self.name}'"
-        if self.end == End.OUT_OF_MEMORY:
-            limit = self.container.limits.memory
-            known = "the machine had no more" if limit is None else f"its limit is {describe_bytes(limit)} (memory)"
-            return f"{container} ran out of memory: {known}{said}"
-        if self.end == End.SIGNALLED:
-            return f"{container} was killed by {self.signal}{said}"
-        if self.end == End.EXITED and self.exit_code not in self.container.success:
-            hint = f" ({_HINTS[self.exit_code]})" if self.exit_code in _HINTS else ""
-            if not self.container.success:
-                hint += ", before the job was done"
-            return f"{container} ended with exit code {self.exit_code}{hint}{said}"
-        return None
+    def last_line(self) -> str:
+        """Of its log."""
+        return self.log.last_line
 
     def outcome(self) -> ContainerOutcome:
         """What came of it."""
@@ -218,11 +188,3 @@ class ContainerRun:
                 self.log.feed(chunk)
             except CalibrationError as error:
                 self._problem = error
-
-
-def signal_of(exit_code: int) -> str | None:
-    """The signal that an exit code tells of, by the shell's convention; None where it tells of none."""
-    try:
-        return signal.Signals(exit_code - _SIGNALLED).name if exit_code > _SIGNALLED else None
-    except ValueError:
-        return None

@@ -1,9 +1,7 @@
 """One job on the engine: started, watched, stopped, brought out, removed."""
 
-import shutil
 import threading
 import time
-from collections.abc import Iterable, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -11,7 +9,8 @@ from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING
 
 from calibration.errors import CalibrationError, ExitCode, WorldError
-from calibration.execution.docker.bringing_out import BringingOut, complete_or_not_at_all
+from calibration.execution.bringing_out import BringingOut, complete_or_not_at_all
+from calibration.execution.docker.archive import opener_of
 from calibration.execution.docker.container_run import GRACE, ContainerRun
 from calibration.execution.docker.copying import copy_in, open_output
 from calibration.execution.docker.engine import Engine, EngineLostError, engine_errors
@@ -22,8 +21,10 @@ from calibration.execution.docker.settings import DEFAULT_BRIDGE, container_sett
 from calibration.execution.extraction import Budget
 from calibration.execution.job import Job
 from calibration.execution.job_check import start_order
+from calibration.execution.job_folder import ARTIFACTS, LOGS, make_job_folder
+from calibration.execution.judging import Judge, is_running
 from calibration.execution.log_file import LogFile
-from calibration.execution.manifest import FILE_NAME, write_manifest
+from calibration.execution.manifest import write_manifest
 from calibration.execution.outcome import BroughtOut, ContainerOutcome, End, JobOutcome
 from calibration.workflow.masks import redact
 from calibration.workflow.streams import LogDisplay
@@ -32,8 +33,6 @@ from calibration.workflow.text import one_line
 if TYPE_CHECKING:
     from docker import APIClient
 
-ARTIFACTS, LOGS = "artifacts", "logs"
-"""Folders in a job's folder."""
 _LOOKING = 0.25
 """Seconds between two looks at whether a container is ready."""
 _SETTLING = GRACE + 15
@@ -72,15 +71,9 @@ class JobRun:
         self._ends: SimpleQueue[ContainerRun] = SimpleQueue()
         self._network: Network | None = None
         self._volume: str | None = None
-        self._reasons: list[str] = []
-        self._exit_code = ExitCode.PASS
+        self._judge = Judge(job, self._clean)
         self._artifacts: list[BroughtOut] = []
         self._left_out: list[str] = []
-        self._began = time.monotonic()
-        self._stopped_for: dict[str, End] = {}
-        """Why we stopped containers."""
-        self._too_early: ContainerRun | None = None
-        """One that others waited for, and that ended before it was ready."""
         self._lost = False
         """Whether the engine went away."""
 
@@ -91,7 +84,7 @@ class JobRun:
             Interrupted: the run is being stopped.
             WorldError: a file of ours cannot be written.
         """
-        self._make_folder()
+        make_job_folder(self._folder)
         client = self._run.engine.client()
         try:
             with ExitStack() as logs:
@@ -100,9 +93,9 @@ class JobRun:
                     self._to_its_end(client.api)
                 except EngineLostError as error:
                     self._lost = True
-                    self._fail(_with_advice(error, self._run), error.exit_code)
+                    self._judge.fail(_with_advice(error, self._run), error.exit_code)
                 except CalibrationError as error:
-                    self._fail(str(error), error.exit_code)
+                    self._judge.fail(str(error), error.exit_code)
                 finally:
                     self._remove(client.api)
         finally:
@@ -115,27 +108,14 @@ class JobRun:
             containers=tuple(container.outcome() for container in self._containers),
             artifacts=tuple(self._artifacts),
             left_out=tuple(self._left_out),
-            reasons=tuple(self._reasons),
-            exit_code=self._exit_code,
-            seconds=time.monotonic() - self._began,
+            reasons=tuple(self._judge.reasons),
+            exit_code=self._judge.exit_code,
+            seconds=time.monotonic() - self._judge.began,
         )
         write_manifest(outcome, self._run.name)
         return outcome
 
     # --- from beginning to end
-
-    def _make_folder(self) -> None:
-        """Make the job's folder; what an earlier run left there must not be taken for this one's."""
-        try:
-            for name in (ARTIFACTS, LOGS, FILE_NAME):
-                place = self._folder / name
-                if place.is_dir() and not place.is_symlink():
-                    shutil.rmtree(place)
-                else:
-                    place.unlink(missing_ok=True)
-            (self._folder / LOGS).mkdir(parents=True)
-        except OSError as error:
-            raise WorldError(f"{self._folder}: cannot be written: {error.strerror or error}") from error
 
     def _prepare(self, logs: ExitStack) -> None:
         """Open the logs, in the order in which the containers start."""
@@ -164,7 +144,7 @@ class JobRun:
             self._stop_all()
             self._go_on()
         self._read_ends(api)
-        self._judge()
+        self._judge.judge(self._containers)
         self._bring_out(api)
 
     def _choose_network(self, api: "APIClient") -> Network | None:
@@ -189,17 +169,15 @@ class JobRun:
         while True:
             self._go_on()
             self._start_those_that_may(api, waiting)
-            ended = [c for c in self._containers if c.ended is not None]
-            if any(c.container.essential for c in ended):
+            if self._judge.is_over(self._containers, waiting):
                 return
-            if self._ends_too_early(ended, waiting) or self._is_too_late(waiting):
-                return
-            unready = [c for c in self._containers if c.running and not c.ready]
+            unready = [c for c in self._containers if is_running(c) and not c.ready]
             for container in unready:
                 if container.is_ready():
                     break  # whoever waits for it starts at once
             else:
-                self._wait(min([*self._times_left(), *([_LOOKING] if unready else [])], default=None))
+                left = self._judge.seconds_left(self._containers)
+                self._wait(min([*left, *([_LOOKING] if unready else [])], default=None))
 
     def _start_those_that_may(self, api: "APIClient", waiting: list[ContainerRun]) -> None:
         by_name = {c.name: c for c in self._containers}
@@ -231,62 +209,12 @@ class JobRun:
 
     # --- when it is over
 
-    def _ends_too_early(self, ended: Iterable[ContainerRun], waiting: Sequence[ContainerRun]) -> bool:
-        """Whether somebody waits for a container that has ended before it was ready."""
-        needed = {name for container in waiting for name in container.container.after}
-        for container in ended:
-            if not container.ready and container.name in needed:
-                self._too_early = container
-                return True
-        return False
-
-    def _is_too_late(self, waiting: Sequence[ContainerRun]) -> bool:
-        now = time.monotonic()
-        if self._job.seconds is not None and now - self._began >= self._job.seconds:
-            running = [c.name for c in self._containers if c.running]
-            self._stopped_for |= dict.fromkeys(running, End.TIMED_OUT)
-            still = f": still running were {', '.join(running)}" if running else ""
-            never = f"; not started were {', '.join(c.name for c in waiting)}" if waiting else ""
-            self._fail(f"the job ran longer than its {self._job.seconds:g} s{still}{never}", ExitCode.WORLD)
-            return True
-        for container in self._containers:
-            if not container.running or container.started is None:
-                continue
-            limit, readiness = container.container.limits.seconds, container.container.readiness
-            said = f": {container.log.last_line}" if container.log.last_line else ""
-            if limit is not None and now - container.started >= limit:
-                self._stopped_for[container.name] = End.TIMED_OUT
-                self._fail(f"container '{container.name}' ran longer than its {limit:g} s{said}", ExitCode.WORLD)
-                return True
-            if readiness is not None and not container.ready and now - container.started >= readiness.seconds:
-                self._stopped_for[container.name] = End.NOT_READY
-                missing = container.not_ready_for()
-                self._fail(
-                    f"container '{container.name}' was not ready within {readiness.seconds:g} s ({missing}){said}",
-                    ExitCode.FAIL,
-                )
-                return True
-        return False
-
-    def _times_left(self) -> list[float]:
-        """Seconds until each limit that is nearest."""
-        now = time.monotonic()
-        left = [] if self._job.seconds is None else [self._began + self._job.seconds - now]
-        for container in self._containers:
-            if container.running and container.started is not None:
-                limits = [container.container.limits.seconds]
-                if container.container.readiness is not None and not container.ready:
-                    limits.append(container.container.readiness.seconds)
-                left += [container.started + limit - now for limit in limits if limit is not None]
-        return left
-
     def _stop_all(self) -> None:
         """Ask all that run to end, at the same time, and wait until they have."""
-        running = [c for c in self._containers if c.running]
         if self._run.stopping.is_set():
             return  # removing kills them
-        for container in running:
-            self._stopped_for.setdefault(container.name, End.STOPPED)
+        running = [c for c in self._containers if is_running(c)]
+        self._judge.stop(running)
         threads = [threading.Thread(target=self._stop, args=(c,), daemon=True) for c in running]
         for thread in threads:
             thread.start()
@@ -308,38 +236,19 @@ class JobRun:
     def _read_ends(self, api: "APIClient") -> None:
         for container in self._containers:
             if container.started is not None:
-                container.read_end(api, self._stopped_for.get(container.name))
-
-    def _judge(self) -> None:
-        """Find out why the job has failed, if it has."""
-        essential = [c for c in self._containers if c.container.essential]
-        for container in essential:
-            if container.failure is not None:
-                self._fail(container.failure, ExitCode.FAIL)
-        if self._too_early is not None and not self._reasons:
-            early = self._too_early
-            how = early.failure or f"container '{early.name}' ended with exit code {early.exit_code}"
-            self._fail(f"{how}; it was not ready yet ({early.not_ready_for()})", ExitCode.FAIL)
-        for container in essential:
-            if container.end == End.NOT_STARTED and not self._reasons:
-                self._fail(f"container '{container.name}' was never started: another ended the job", ExitCode.FAIL)
-        if not self._reasons and not any(c.end == End.EXITED for c in essential):
-            raise AssertionError("a job that nothing essential has ended has failed")
-        if self._reasons:  # what else went wrong may be why
-            others = [c for c in self._containers if not c.container.essential and c is not self._too_early]
-            self._reasons += [self._clean(c.failure) for c in others if c.failure is not None]
+                container.read_end(api, self._judge.stopped_for.get(container.name))
 
     def _bring_out(self, api: "APIClient") -> None:
         began = [c for c in self._containers if c.started is not None]
         with complete_or_not_at_all(self._folder / ARTIFACTS) as folder:
             budget = Budget(self._job.artifact_bytes, self._job.artifact_files)
-            found = BringingOut(api, folder, budget, self._go_on)
+            found = BringingOut(folder, budget, self._go_on)
             for container in began:
-                found.bring_out(container)
+                found.bring_out(container.container, opener_of(api, container.identifier, container.name))
         self._artifacts, self._left_out = found.files, found.left_out
-        if not self._reasons:  # else that is why
+        if not self._judge.reasons:  # else that is why
             for line in found.missing:
-                self._fail(line, ExitCode.FAIL)
+                self._judge.fail(line, ExitCode.FAIL)
 
     def _remove(self, api: "APIClient") -> None:
         """Remove everything of the job; what cannot be removed now, the run tries again at its end."""
@@ -359,11 +268,6 @@ class JobRun:
     def _go_on(self) -> None:
         if self._run.stopping.is_set():
             raise Interrupted
-
-    def _fail(self, reason: str, code: ExitCode) -> None:
-        if not self._reasons:
-            self._exit_code = code
-        self._reasons.append(self._clean(reason))
 
     def _clean(self, reason: str) -> str:
         return one_line(redact(reason, self._secrets))

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 from calibration.execution.docker.archive import exists
 from calibration.execution.job import Readiness
+from calibration.execution.judging import unmet
 
 if TYPE_CHECKING:
     from docker import APIClient
@@ -48,12 +49,7 @@ class Probe:
 
     def missing(self, log_has_line: bool) -> str:
         """What has not held, for a message."""
-        readiness = self._readiness
-        asked = {"port": readiness.port, "file": readiness.file, "command": " ".join(readiness.command)}
-        found = [f"{name} {asked[name]}" for name in sorted(self._open)]
-        if readiness.log and not log_has_line:
-            found.append(f"a line of its log with '{readiness.log}'")
-        return ", ".join(found)
+        return unmet(self._readiness, self._open, log_has_line)
 
     def _port_answers(self) -> bool:
         port = self._readiness.port

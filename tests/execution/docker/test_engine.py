@@ -55,9 +55,7 @@ def test_without_the_package(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "meta_path", [Hidden(), *sys.meta_path])
     for name in [name for name in sys.modules if name == "docker" or name.startswith("docker.")]:
         monkeypatch.delitem(sys.modules, name)
-    with pytest.raises(
-        WorldError, match=r"containers need the package docker: pip install docker"
-    ):
+    with pytest.raises(WorldError, match=r"containers need the package docker: pip install docker"):
         connect()
 
 

@@ -102,7 +102,7 @@ def test_stopped_while_it_pulls(tmp_path: Path, engine: "DockerClient") -> None:
         with program(tmp_path, engine, "pulling", f"127.0.0.1:{hangs.getsockname()[1]}") as (run, process):
             assert asked.wait(30)
             process.send_signal(signal.SIGTERM)
-            process.communicate(timeout=10)
+            process.communicate(timeout=30)
             assert process.returncode == 143
             assert left(engine, run) == []
 

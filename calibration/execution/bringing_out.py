@@ -3,49 +3,59 @@
 import os
 import shutil
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from calibration.errors import InputError, WorldError
-from calibration.execution.docker.archive import open_archive
-from calibration.execution.docker.container_run import ContainerRun
-from calibration.execution.docker.engine import engine_errors
 from calibration.execution.extraction import Budget, Extraction, RefusedError, extract
 from calibration.execution.globs import Glob
-from calibration.execution.job import Artifact
+from calibration.execution.job import Artifact, Container
 from calibration.execution.outcome import BroughtOut
 from calibration.workflow.text import shorten
 
-if TYPE_CHECKING:
-    from docker import APIClient
+
+class NothingThereError(Exception):
+    """A container has no such file or folder."""
+
+
+@dataclass(frozen=True)
+class Archive:
+    """A file or folder of a container as a tar stream."""
+
+    chunks: Iterator[bytes]
+    link: str
+    """The path that it is a link to; nothing where it is none."""
+
+
+Opener = Callable[[str], AbstractContextManager[Archive]]
+"""Opens what lies at an absolute path in a container; raises `NothingThereError`, or WorldError."""
 
 
 class BringingOut:
     """Collects what is brought out of one container after the other."""
 
-    def __init__(self, api: "APIClient", folder: Path, budget: Budget, go_on: Callable[[], None]) -> None:
+    def __init__(self, folder: Path, budget: Budget, go_on: Callable[[], None]) -> None:
         """Make it for a folder that is there and empty; ``go_on`` is asked all the time, and may raise."""
         self.files: list[BroughtOut] = []
         self.left_out: list[str] = []
         self.missing: list[str] = []
         """A line for each required artifact that is not there."""
-        self._api = api
         self._folder = folder
         self._budget = budget
         self._go_on = go_on
 
-    def bring_out(self, container: ContainerRun) -> None:
+    def bring_out(self, container: Container, opener: Opener) -> None:
         """Bring out what a container's artifacts name.
 
         Raises:
             RefusedError: something of it is hostile, or too large.
             InputError: two artifacts would land at the same place.
-            WorldError: the engine does not answer, or a file cannot be written.
+            WorldError: it cannot be read, or a file cannot be written.
         """
-        for artifact in container.container.artifacts:
+        for artifact in container.artifacts:
             try:
-                found = self._extract(container, Glob(artifact.path))
+                found = self._extract(container, opener, Glob(artifact.path))
             except RefusedError as error:
                 raise RefusedError(f"container '{container.name}': {error}") from None
             self.left_out += [f"container '{container.name}': {note}" for note in found.left_out]
@@ -53,26 +63,23 @@ class BringingOut:
             if artifact.required and not found.files:
                 self.missing.append(_missing(container, artifact, found))
 
-    def _extract(self, container: ContainerRun, glob: Glob) -> Extraction:
-        import docker.errors
-
+    def _extract(self, container: Container, opener: Opener, glob: Glob) -> Extraction:
         # On its own at first: what the same artifact brought out before is no clash.
-        where = f"container '{container.name}', artifact '{glob.path}'"
-        with _fresh(self._folder) as fresh, engine_errors(where):  # the engine's errors are OSErrors too
+        with _fresh(self._folder) as fresh:
             try:
-                found = self._read(container, glob, glob.source, fresh)
-            except docker.errors.NotFound:
+                found = self._read(opener, glob, fresh)
+            except NothingThereError:
                 return Extraction()
             self._settle(fresh, found, container)
             return found
 
-    def _read(self, container: ContainerRun, glob: Glob, source: str, fresh: Path) -> Extraction:
-        with open_archive(self._api, container.identifier, source) as archive:
+    def _read(self, opener: Opener, glob: Glob, fresh: Path) -> Extraction:
+        with opener(glob.source) as archive:
             if not archive.link:
-                return extract(self._watched(archive.chunks), glob.landing, source, fresh, self._budget)
+                return extract(self._watched(archive.chunks), glob.landing, glob.source, fresh, self._budget)
             link = archive.link
         # what the artifact itself names may be a link, such as that to the newest folder
-        with open_archive(self._api, container.identifier, link) as archive:
+        with opener(link) as archive:
             return extract(self._watched(archive.chunks), glob.landing, link, fresh, self._budget)
 
     def _watched(self, chunks: Iterator[bytes]) -> Iterator[bytes]:
@@ -80,7 +87,7 @@ class BringingOut:
             self._go_on()
             yield chunk
 
-    def _settle(self, fresh: Path, found: Extraction, container: ContainerRun) -> None:
+    def _settle(self, fresh: Path, found: Extraction, container: Container) -> None:
         """Move what was extracted to the rest."""
         there = {file.path: file for file in self.files}
         for file in found.files:
@@ -100,7 +107,7 @@ class BringingOut:
                 ) from None
             (fresh / file.path).rename(target)
 
-    def _add(self, container: ContainerRun, found: Extraction) -> None:
+    def _add(self, container: Container, found: Extraction) -> None:
         known = {file.path for file in self.files}
         self.files += [
             BroughtOut(file.path, container.name, file.size, file.sha256)
@@ -139,6 +146,6 @@ def _fresh(folder: Path) -> Iterator[Path]:
         shutil.rmtree(fresh, ignore_errors=True)
 
 
-def _missing(container: ContainerRun, artifact: Artifact, found: Extraction) -> str:
+def _missing(container: Container, artifact: Artifact, found: Extraction) -> str:
     there = f"; beside it are {', '.join(found.seen)}" if found.seen else ""
     return shorten(f"container '{container.name}' left no file that is the artifact '{artifact.path}'{there}", 400)

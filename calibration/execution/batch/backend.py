@@ -1,0 +1,144 @@
+"""Jobs as tasks of AWS Batch: submitted as arrays, followed, brought home, and nothing left running."""
+
+from collections.abc import Generator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+from calibration.errors import InputError
+from calibration.execution.backend import Done
+from calibration.execution.batch.costs import Usage, total_size
+from calibration.execution.batch.requests.checks import check_for_batch
+from calibration.execution.batch.requests.shape import group_by_shape, shape_of
+from calibration.execution.batch.run import BatchRun
+from calibration.execution.batch.service.images import with_digests
+from calibration.execution.batch.service.leftovers import find_in_queue, terminate
+from calibration.execution.batch.service.preflight import check_queue
+from calibration.execution.batch.service.session import Aws
+from calibration.execution.batch.settings import BatchSettings
+from calibration.execution.batch.storage.store import Store
+from calibration.execution.batch.wire import check_run_name
+from calibration.execution.docker.labels import new_run
+from calibration.execution.job import Job
+from calibration.execution.job_check import check_jobs
+from calibration.execution.outcome import JobOutcome
+from calibration.execution.ros import on_one_address
+from calibration.workflow.streams import LogDisplay
+
+
+class BatchBackend:
+    """A queue of AWS Batch as a place where jobs run; a context manager, which leaves nothing running there."""
+
+    def __init__(
+        self, settings: BatchSettings, run: str | None = None, show: LogDisplay | None = None, resume: bool = False
+    ) -> None:
+        """Choose a queue; nothing is asked of AWS yet.
+
+        Args:
+            settings: name it, and all else.
+            run: the name of the run, in the tags of everything that is started; a new one unless given.
+            show: where the logs of the containers are shown, and how far the run is.
+            resume: whether results count that an earlier run of this name has left; what is missing runs.
+
+        Raises:
+            InputError: the name cannot be part of others, or a run is resumed without one.
+        """
+        if resume and run is None:
+            raise InputError("resume: name the run that is to be resumed (run)")
+        self.run_name = run if run is not None else new_run()
+        check_run_name(self.run_name)
+        self.usage = Usage()
+        """What has been billed for, as far as it is known."""
+        self.aws = Aws(settings.region)
+        self._settings = settings
+        self._show = show
+        self._resume = resume
+        self._runs: list[BatchRun] = []
+
+    def __enter__(self) -> Self:
+        """Begin; AWS is asked when there are jobs."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        """End what still runs after an interruption of the ending itself.
+
+        Raises:
+            CalibrationError: something cannot be ended; says what else has gone wrong.
+        """
+        try:
+            for run in self._runs:
+                run.end(error)
+        finally:
+            self.aws.close()
+
+    def run(
+        self, jobs: Sequence[Job], folder: Path, workers: int | None = None, done: Done | None = None
+    ) -> Generator[tuple[int, JobOutcome]]:
+        """Run jobs; yields each one's index and what came of it, in the order of completion.
+
+        What is wrong with the jobs is raised by this call; nothing is started before the first is asked for.
+        Closing the iterator, or any exception, ends everything.
+
+        Args:
+            jobs: are submitted by their shape, in their order.
+            folder: each job has its own in it, by its name: ``artifacts/``, ``logs/`` and ``manifest.json``, of
+                which those of an earlier run are removed.
+            workers: is of no use here: the compute environments say how many run at once.
+            done: called before each is yielded.
+
+        Raises:
+            InputError: a job makes no sense or cannot run on Batch, an image is missing, the queue or bucket is not
+                there, or not for us.
+            WorldError: AWS cannot be reached.
+        """
+        check_jobs(jobs)
+        if workers is not None and workers < 1:
+            raise InputError(f"jobs: found {workers}, expected at least 1")
+        check_for_batch(jobs, self._settings)
+        store = Store(self.aws, self._settings.bucket)
+        needs = {total_size(shape_of(job, self._settings), self._settings.platform) for job in jobs}
+        check_queue(self.aws, self._settings, sorted(needs, key=lambda need: need.cpus))
+        store.check()
+        wanted = [self._settings.tools_image, *(c.image for job in jobs for c in job.containers)]
+        images = with_digests(self.aws, wanted)
+        settings = replace(self._settings, tools_image=images[self._settings.tools_image])
+        jobs = [_with_images(on_one_address(job), images) for job in jobs]
+        run = BatchRun(
+            name=self.run_name,
+            aws=self.aws,
+            settings=settings,
+            store=store,
+            jobs=jobs,
+            groups=group_by_shape(jobs, settings),
+            folder=folder,
+            show=self._show,
+            done=done,
+        )
+        self._runs.append(run)
+        return self._outcomes(run)
+
+    def _outcomes(self, run: BatchRun) -> Generator[tuple[int, JobOutcome]]:
+        try:
+            if self._resume:
+                self._end_earlier()
+            yield from run.outcomes(self._resume)
+        except BaseException as error:
+            run.end(error)
+            raise
+        else:
+            run.end(None)
+        finally:
+            self.usage += run.usage
+
+    def _end_earlier(self) -> None:
+        """End what an earlier run of this name may still have in the queue: its client is gone."""
+        found = find_in_queue(self.aws, self._settings.queue, self.run_name)
+        if found:
+            terminate(self.aws, [each.id for each in found], "the run is resumed")
+
+
+def _with_images(job: Job, images: dict[str, str]) -> Job:
+    return replace(job, containers=tuple(replace(c, image=images[c.image]) for c in job.containers))

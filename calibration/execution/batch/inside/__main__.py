@@ -1,0 +1,134 @@
+"""``python -m calibration.execution.batch.inside prepare|watch``: our two containers in a task.
+
+Both answer 0 when they have done their part, whatever the job did; else a line says why not, and the exit code is
+that of `calibration.errors`. A task that is stopped (its job terminated, its host taken away) leaves no outcome.
+"""
+
+import os
+import sys
+import tempfile
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+from calibration.errors import CalibrationError, InputError, WorldError
+from calibration.execution.batch.documents.job_document import MOST_BYTES, TaskJob, read_job
+from calibration.execution.batch.documents.outcome_document import TaskOutcome
+from calibration.execution.batch.inside.neighbours import ended_neighbours
+from calibration.execution.batch.inside.prepare import prepare
+from calibration.execution.batch.inside.signs import Signs
+from calibration.execution.batch.inside.uploading import Results
+from calibration.execution.batch.inside.watch import Watch
+from calibration.execution.batch.service.patience import patiently
+from calibration.execution.batch.service.session import Aws
+from calibration.execution.batch.storage.store import Store
+from calibration.execution.batch.wire import (
+    ATTEMPT,
+    FILES_FOLDER,
+    FIRST,
+    INDEX,
+    JOB_FOLDER,
+    JOBS_PER_FILE,
+    LOCATION,
+    MOUNTS_FOLDER,
+    OUTCOME_FILE,
+    REGION,
+    Location,
+)
+from calibration.execution.job import OUTPUT
+from calibration.execution.outcome import ContainerOutcome, End
+from calibration.workflow.signals import terminate_cleanly
+
+
+@dataclass(frozen=True)
+class Places:
+    """Where the volumes of the task are mounted."""
+
+    job: Path = Path(JOB_FOLDER)
+    mounts: Path = Path(MOUNTS_FOLDER)
+    output: Path = Path(OUTPUT)
+
+
+class Task:
+    """Which job this is, and where its files are."""
+
+    def __init__(self, variables: Mapping[str, str]) -> None:
+        """Read it from the variables that the client and Batch have set.
+
+        Raises:
+            InputError: one is missing or wrong.
+        """
+        try:
+            self.location = Location.parse(variables[LOCATION])
+            self.index = int(variables[FIRST]) + int(variables.get(INDEX, "0"))
+            self.attempt = int(variables.get(ATTEMPT, "1"))
+            region = variables.get(REGION) or variables["AWS_DEFAULT_REGION"]
+        except (KeyError, ValueError) as error:
+            raise InputError(f"the variables of the task are not those of a job: {error}") from None
+        self.aws = Aws(region)
+        self.store = Store(self.aws, self.location.bucket)
+        self.results = Results(self.aws, self.location.bucket, self.location.result_key(self.index, self.attempt))
+
+    def job(self) -> TaskJob:
+        """The job.
+
+        Raises:
+            InputError: the bucket cannot be read.
+            WorldError: there is no such job, or it makes no sense.
+            AwsLostError: AWS does not answer.
+        """
+        key = self.location.jobs_key(self.index)
+        data = patiently(lambda: self.store.get(key, MOST_BYTES))
+        if data is None:
+            raise WorldError(f"s3://{self.location.bucket}/{key}: there is no such object")
+        return read_job(data, self.index % JOBS_PER_FILE, key)
+
+
+def main(arguments: Sequence[str], variables: Mapping[str, str], places: Places = Places()) -> int:
+    """Do the part of one of our containers; returns its exit code."""
+    verbs = {"prepare": _prepare, "watch": _watch}
+    try:
+        if len(arguments) != 1 or arguments[0] not in verbs:
+            raise InputError("expected prepare or watch")
+        with terminate_cleanly():
+            task = Task(variables)
+            verbs[arguments[0]](task, places, variables)
+    except CalibrationError as error:
+        print(f"error: {error}", file=sys.stderr, flush=True)
+        return int(error.exit_code)
+    except KeyboardInterrupt:
+        print("stopped", file=sys.stderr, flush=True)
+        return 143
+    return 0
+
+
+def _prepare(task: Task, places: Places, _: Mapping[str, str]) -> None:
+    described = task.job()
+    try:
+        prepare(described, task.store, Signs(places.job), places.mounts, places.output)
+    except CalibrationError as error:
+        containers = tuple(ContainerOutcome(each.name, End.NOT_STARTED) for each in described.job.containers)
+        reasons = (str(error),)
+        failed = TaskOutcome(described.job.name, task.attempt, error.exit_code, reasons, containers=containers)
+        with suppress(CalibrationError):  # the line in the log has to do
+            task.results.send_outcome(failed, OUTCOME_FILE)
+        raise
+
+
+def _watch(task: Task, places: Places, variables: Mapping[str, str]) -> None:
+    neighbours = partial(ended_neighbours, variables)
+    watch = Watch(task.job().job, Signs(places.job), places.output, neighbours=neighbours)
+    with tempfile.TemporaryDirectory() as folder:
+        files = Path(folder, "artifacts")
+        watch.run(files)
+        try:
+            task.results.send_files(watch.outcome(task.attempt).artifacts, files, FILES_FOLDER)
+        except CalibrationError as error:
+            watch.fail(error)
+        task.results.send_outcome(watch.outcome(task.attempt), OUTCOME_FILE)
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:], os.environ))

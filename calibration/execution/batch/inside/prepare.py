@@ -1,0 +1,89 @@
+"""Before the containers of a job start: their volumes filled with what their mounts hold, their scripts written."""
+
+import os
+import posixpath
+import tarfile
+import tempfile
+from pathlib import Path
+
+from calibration.errors import WorldError
+from calibration.execution.batch.documents.job_document import Input, TaskJob
+from calibration.execution.batch.inside.script import script_of
+from calibration.execution.batch.inside.signs import Signs
+from calibration.execution.batch.storage.store import Store
+from calibration.execution.extraction import RefusedError, path_parts
+from calibration.files import write_atomically
+from calibration.workflow.text import one_line, shorten
+
+
+def prepare(task: TaskJob, store: Store, signs: Signs, mounts: Path, output: Path) -> None:
+    """Prepare a job.
+
+    Args:
+        task: the job.
+        store: has what its mounts hold.
+        signs: the folder that all its containers see.
+        mounts: has the volumes of its mounts, by their numbers.
+        output: the job's own volume.
+
+    Raises:
+        InputError: the job cannot run here, or the bucket not be read.
+        WorldError: an input is not what it should be, or a volume cannot be written.
+        AwsLostError: AWS does not answer.
+    """
+    scripts = {container.name: script_of(container, task.job) for container in task.job.containers}
+    for item in task.inputs:
+        _bring(item, store, mounts / str(item.volume))
+    try:
+        output.chmod(0o1777)  # users of images are anybody
+    except OSError as error:
+        raise WorldError(f"{output}: cannot be written: {error.strerror}") from error
+    signs.make(task.job)
+    for name, script in scripts.items():
+        path = signs.folder / f"{name}.sh"
+        write_atomically(path, script.encode("utf-8", "surrogateescape"))
+        path.chmod(0o644)
+
+
+def _bring(item: Input, store: Store, volume: Path) -> None:
+    where = f"volume {item.volume}: s3 object {item.key}"
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder, "input.tar")
+        found = store.download(item.key, file, item.size)
+        if found != item.sha256:
+            raise WorldError(f"{where}: it is not there, or not what was sent: run the job again")
+        try:
+            with tarfile.open(file, "r:") as archive:
+                # what is checked by Python itself depends on its version
+                archive.extraction_filter = getattr(tarfile, "fully_trusted_filter", None)
+                archive.extractall(volume, members=map(_checked, archive))  # noqa: S202 (each is checked)
+            if item.writable:
+                _open_for_all(volume)
+        except (tarfile.TarError, OSError, RefusedError) as error:
+            raise WorldError(f"{where}: cannot be unpacked: {shorten(one_line(str(error)), 200)}") from error
+
+
+def _checked(entry: tarfile.TarInfo) -> tarfile.TarInfo:
+    """An entry that stays in its folder, and is what the client packs.
+
+    Raises:
+        RefusedError: it is not.
+    """
+    above = path_parts(entry.name)[:-1]
+    if entry.issym():
+        to = posixpath.normpath(posixpath.join(*above, entry.linkname))
+        if to.startswith("/") or to.split("/")[0] == "..":
+            raise RefusedError(f"'{entry.name}' is a link to '{entry.linkname}', which leaves the folder")
+    elif not entry.isreg() and not entry.isdir():
+        raise RefusedError(f"'{entry.name}' is no file, folder or link")
+    return entry
+
+
+def _open_for_all(folder: Path) -> None:
+    """Let every user write to all that is in a folder."""
+    folder.chmod(0o777)
+    for above, folders, files in os.walk(folder):
+        for name in (*folders, *files):
+            path = Path(above, name)
+            if not path.is_symlink():
+                path.chmod(path.stat().st_mode | 0o666 | (0o111 if path.is_dir() else 0))

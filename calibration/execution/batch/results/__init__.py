@@ -1,0 +1,1 @@
+"""What came of jobs: outcomes held against what AWS knows, files checked and landed."""

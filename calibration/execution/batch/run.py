@@ -1,0 +1,319 @@
+"""One run of jobs on AWS Batch, from what they read to what they leave."""
+
+import time
+from collections.abc import Generator, Iterator, Sequence
+from contextlib import nullcontext
+from functools import partial
+from pathlib import Path
+
+from calibration.errors import CalibrationError
+from calibration.execution.backend import Done
+from calibration.execution.batch.costs import Usage, billed, estimate, total_size
+from calibration.execution.batch.requests.definition import job_definition
+from calibration.execution.batch.requests.shape import Group
+from calibration.execution.batch.requests.submission import attempt_seconds, chunks, submission
+from calibration.execution.batch.requests.tags import run_tags
+from calibration.execution.batch.results.no_outcome import host_lost
+from calibration.execution.batch.results.results import Place, Results
+from calibration.execution.batch.service.definitions import ensure
+from calibration.execution.batch.service.following import AT_ONCE, Following, JobEnd, Look, batches, describe
+from calibration.execution.batch.service.leftovers import terminate
+from calibration.execution.batch.service.logs import LiveLogs
+from calibration.execution.batch.service.patience import Patience, patiently
+from calibration.execution.batch.service.session import Aws, AwsLostError
+from calibration.execution.batch.service.stuck import Guard, likely_reasons
+from calibration.execution.batch.service.submitting import Submitting
+from calibration.execution.batch.settings import BatchSettings
+from calibration.execution.batch.storage.earlier import (
+    Result,
+    find_results,
+    group_name,
+    has_verdict,
+    mark_of,
+    submitted_document,
+)
+from calibration.execution.batch.storage.inputs import Inputs, upload_jobs
+from calibration.execution.batch.storage.store import Store
+from calibration.execution.batch.wire import Location
+from calibration.execution.batch.workers import Workers
+from calibration.execution.docker.labels import new_run
+from calibration.execution.job import Job
+from calibration.execution.outcome import JobOutcome
+from calibration.workflow.streams import LogDisplay
+
+FEW = 16
+"""Jobs of a run whose logs are all shown and brought home; of more, only of those that fail."""
+_WORKERS = 12
+_AHEAD = 200
+"""Results that are on their way at most, so that memory does not grow with the jobs."""
+_SAYING = 30.0
+"""Seconds between two lines on how far the run is."""
+_ENDING = 5.0
+
+Answer = tuple[int, JobOutcome]
+
+
+class BatchRun:
+    """Runs some jobs. Everything is done in the thread that asks for the outcomes, but for what waits for S3."""
+
+    def __init__(
+        self,
+        name: str,
+        aws: Aws,
+        settings: BatchSettings,
+        store: Store,
+        jobs: Sequence[Job],
+        groups: Sequence[Group],
+        folder: Path,
+        show: LogDisplay | None,
+        done: Done | None,
+    ) -> None:
+        self.usage = Usage()
+        """What has been billed for, as far as it is known."""
+        self._name = name
+        self._aws = aws
+        self._settings = settings
+        self._store = store
+        self._jobs = jobs
+        self._shapes = {group.name: group for group in groups}
+        self._folder = folder
+        self._show = show
+        self._done = done
+        self._token = new_run()
+        self._places: dict[str, list[int]] = {}
+        """Of each group in S3: the job (its place among all) of each index."""
+        self._submitting = Submitting(aws, settings.queue)
+        self._following = Following(aws)
+        self._bringing: Workers[Answer] = Workers(_WORKERS)
+        self._live = LiveLogs(aws, settings.log_group, show) if show is not None and len(jobs) <= FEW else None
+        self._guard = Guard(settings.stuck)
+        self._given_up = ""
+        """Why we have ended what was left."""
+        self._told_to_end = False
+        self._began = time.monotonic()
+        self._counts = {"done": 0, "failed": 0}
+        self._said: tuple[float, str] = (0.0, "")
+        self._stopping = False
+        self._ended = False
+        """Whether there is nothing left to end, or it cannot be ended."""
+        self._results = Results(
+            aws=aws,
+            settings=settings,
+            store=store,
+            folder=folder,
+            all_logs=len(jobs) <= FEW,
+            go_on=lambda: not self._stopping,
+        )
+
+    def outcomes(self, resume: bool) -> Generator[Answer]:
+        """Run them.
+
+        Raises:
+            InputError: AWS refuses something.
+            WorldError: AWS is away, or a file cannot be written.
+        """
+        inputs = Inputs(self._store, self._location(""), self._settings.memory)
+        inputs.upload(self._jobs, _WORKERS)
+        missing, earlier = self._missing(inputs) if resume else (self._everything(), {})
+        for some in batches(earlier.items(), AT_ONCE):
+            described = describe(self._aws, [result.id for _, result in some if result.id is not None])
+            for place, result in some:
+                found = described.get(result.id or "")
+                self._bring(place, Place(self._location(result.group), result.index, found, result.attempt))
+            yield from self._answers(None)
+        self._say_estimate(missing)
+        self._submit(inputs, missing)
+        yield from self._follow()
+        self._say_end()
+
+    def end(self, error: BaseException | None) -> None:
+        """End what still runs; more than once is no error.
+
+        Args:
+            error: what has gone wrong, if something has.
+
+        Raises:
+            CalibrationError: jobs cannot be ended; says what else has gone wrong.
+        """
+        if self._ended:
+            return
+        self._stopping = True
+        self._bringing.stop()
+        if self._live is not None:
+            self._live.close()
+        ids = [each.id for each in self._submitting.submitted if self._following.may_run(each.id)]
+        try:
+            self._submitting.stop(ids)
+        except CalibrationError as problem:
+            self._ended = True
+            advice = f"what may go on in AWS Batch is ended by: calibration cleanup --cloud --run {self._name}"
+            if isinstance(error, CalibrationError):
+                raise type(error)(f"{error}; {advice}") from None
+            raise type(problem)(f"{problem}; {advice}") from error
+        self._ended = True
+        self._bringing.join(_ENDING)
+
+    # --- before
+
+    def _location(self, group: str) -> Location:
+        return Location(self._settings.bucket, self._settings.prefix, self._name, group)
+
+    def _everything(self) -> dict[str, list[int]]:
+        return {name: list(group.jobs) for name, group in self._shapes.items()}
+
+    def _missing(self, inputs: Inputs) -> tuple[dict[str, list[int]], dict[int, Result]]:
+        """What has no verdict yet, by shape; and the results of the others, by their jobs."""
+        location = self._location("")
+        results = find_results(self._store, location)
+        found: dict[int, Result] = {}
+        for shape, group in self._shapes.items():
+            for place in group.jobs:
+                if (result := results.get(mark_of(shape, inputs.entry(self._jobs[place])))) is not None:
+                    found[place] = result
+
+        def judged(place: int) -> tuple[int, bool]:
+            ask = partial(has_verdict, self._store, location, found[place], self._jobs[place])
+            return place, patiently(ask)
+
+        final = dict(Workers[tuple[int, bool]](_WORKERS).all(partial(judged, place) for place in found))
+        missing = {
+            shape: places
+            for shape, group in self._shapes.items()
+            if (places := [place for place in group.jobs if not final.get(place)])
+        }
+        earlier = {place: result for place, result in found.items() if final[place]}
+        self._say(f"run {self._name} is resumed: {len(earlier)} of {len(self._jobs)} jobs have a verdict already")
+        return missing, earlier
+
+    def _submit(self, inputs: Inputs, missing: dict[str, list[int]]) -> None:
+        tags = run_tags(self._name)
+        for shape, places in missing.items():
+            group = group_name(shape, self._token)
+            location = self._location(group)
+            jobs = [self._jobs[place] for place in places]
+            definition = ensure(self._aws, job_definition(self._shapes[shape].shape, self._settings))
+            upload_jobs(self._store, location, jobs, inputs.entry, _WORKERS)
+            self._places[group] = places
+            seconds = attempt_seconds(jobs)
+            submitted = []
+            for chunk in chunks(range(len(places))):
+                request = submission(chunk, location, definition, self._settings, seconds=seconds, tags=tags)
+                submitted.append(self._submitting.submit(request, group, chunk.first))
+                self._following.add(submitted[-1])
+            patiently(partial(self._store.put, location.submitted_key, submitted_document(submitted)))
+
+    # --- meanwhile
+
+    def _follow(self) -> Iterator[Answer]:
+        patience = Patience()
+        next_look = 0.0
+        self._began = time.monotonic()
+        while self._following.ids or self._bringing.waiting:
+            done = 0
+            for answer in self._answers(max(0.0, next_look - time.monotonic()) if self._following.ids else None):
+                done += 1
+                yield answer
+            if not self._following.ids or time.monotonic() < next_look:
+                continue
+            room = _AHEAD - self._bringing.waiting
+            if room <= 0:  # what has ended stays known to Batch
+                yield from self._answers(None)
+                continue
+            try:
+                look = self._following.look(room)
+                self._take(look)
+                self._watch_time(look, done)
+            except AwsLostError as error:
+                next_look = time.monotonic() + patience.failed(error)
+                continue
+            patience.answered()
+            next_look = time.monotonic() + (0.0 if look.more else self._following.delay)
+
+    def _take(self, look: Look) -> None:
+        """Bring the results of those that have ended; show the logs of those that run."""
+        if self._live is not None:
+            for end in look.running:
+                self._live.running(self._job_of(end), end.description)
+        for end in look.ended:
+            self._count(end)
+            place = Place(self._location(end.group), end.index, end.description, given_up=self._given_up)
+            self._bring(self._places[end.group][end.index], place)
+        self._say_state(look)
+
+    def _watch_time(self, look: Look, done: int) -> None:
+        """Give up what is left where it takes too long, or gets no hosts."""
+        if not self._following.ids or self._told_to_end:
+            return
+        if not self._given_up and (reason := self._too_late(look, done)):
+            self._given_up = reason
+            self._say(f"{sum(1 for _ in self._following.left)} jobs are given up: {reason}")
+        if self._given_up:
+            terminate(self._aws, self._following.ids, self._given_up[:1000])
+            self._told_to_end = True
+
+    def _too_late(self, look: Look, done: int) -> str:
+        """Why what is left is to be given up; empty where it is not."""
+        settings = self._settings
+        if settings.deadline is not None and time.monotonic() - self._began >= settings.deadline:
+            return f"the run took longer than its {settings.deadline:g} s (deadline)"
+        if not self._guard.is_stuck(look, done):
+            return ""
+        why = "; ".join(likely_reasons(self._aws, settings, self._following.oldest))
+        return f"no host for it within {settings.stuck:g} s in queue '{settings.queue}' (stuck); likely reasons: {why}"
+
+    def _bring(self, place: int, found: Place) -> None:
+        self._bringing.give(partial(self._brought, place, found))
+
+    def _brought(self, place: int, found: Place) -> Answer:
+        """In a thread of its own."""
+        job = self._jobs[place]
+        if self._live is not None:
+            self._live.ended(job, found.description)
+        return place, self._results.bring(job, found)
+
+    def _answers(self, seconds: float | None) -> Iterator[Answer]:
+        for place, outcome in self._bringing.take(seconds):
+            self._counts["done" if outcome.verdict == "pass" else "failed"] += 1
+            with self._show.paused() if self._show is not None else nullcontext():
+                if self._done is not None:
+                    self._done(place, outcome)
+                yield place, outcome
+
+    def _job_of(self, end: JobEnd) -> Job:
+        return self._jobs[self._places[end.group][end.index]]
+
+    def _count(self, end: JobEnd) -> None:
+        """Note what a job is billed for, and the hosts that it lost."""
+        attempts = end.description.attempts
+        shape = self._shapes[end.group.partition("-")[0]].shape
+        size = total_size(shape, self._settings.platform)
+        self.usage += billed(((a.started, a.stopped) for a in attempts), size, self._settings.platform)
+        for number, attempt in enumerate(attempts, 1):
+            if host_lost(attempt):
+                name = self._job_of(end).name
+                self._say(f"job '{name}': attempt {number} of {len(attempts)} lost its host: {attempt.status_reason}")
+
+    # --- what is said
+
+    def _say(self, text: str) -> None:
+        if self._show is not None:
+            self._show.note(text)
+
+    def _say_estimate(self, missing: dict[str, list[int]]) -> None:
+        jobs = [(self._jobs[place], self._shapes[shape].shape) for shape, places in missing.items() for place in places]
+        if jobs:
+            cost = estimate(jobs, self._settings).text(self._settings)
+            self._say(f"run {self._name}: {len(jobs)} jobs go to queue '{self._settings.queue}': {cost}")
+
+    def _say_state(self, look: Look) -> None:
+        done, failed = self._counts["done"], self._counts["failed"]
+        line = f"{look.queued_count} queued, {look.running_count} running, {done} done, {failed} failed"
+        if line != self._said[1] and time.monotonic() - self._said[0] >= _SAYING:
+            self._said = (time.monotonic(), line)
+            self._say(f"run {self._name}: {line}")
+
+    def _say_end(self) -> None:
+        said = f"{self._counts['done']} done, {self._counts['failed']} failed"
+        if self.usage.seconds:
+            said += f"; billed: {self.usage.seconds:g} s, {self.usage.text(self._settings.prices)}"
+        self._say(f"run {self._name}: {said}; {sum(self._aws.calls.values())} calls to AWS")

@@ -1,0 +1,287 @@
+"""The way into AWS: who we are, where its services are, and what its errors mean.
+
+boto3 finds credentials as AWS's own tools do; in a GitHub job that may ask for tokens, a role is taken by a fresh token
+each time, so that a run may last longer than one. ``AWS_ENDPOINT_URL`` and ``AWS_ENDPOINT_URL_<SERVICE>`` lead
+elsewhere.
+"""
+
+import os
+import threading
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+from calibration.errors import CalibrationError, InputError, WorldError
+from calibration.workflow.text import one_line, shorten
+
+if TYPE_CHECKING:
+    from botocore.exceptions import ClientError
+
+TRIES = 8
+"""How often a call is made that AWS throttles or fails, with more and more time between."""
+CONNECTIONS = 32
+_AUDIENCE = "sts.amazonaws.com"
+_TOKEN_URL, _TOKEN = "ACTIONS_ID_TOKEN_REQUEST_URL", "ACTIONS_ID_TOKEN_REQUEST_TOKEN"
+_MOST_TOKEN = 64 * 1024
+
+_EXPIRED = ("ExpiredToken", "ExpiredTokenException", "RequestExpired", "TokenRefreshRequired")
+_UNKNOWN = (
+    "UnrecognizedClientException",
+    "InvalidClientTokenId",
+    "InvalidAccessKeyId",
+    "InvalidSignatureException",
+    "SignatureDoesNotMatch",
+    "InvalidToken",
+    "MissingAuthenticationToken",
+    "IncompleteSignature",
+)
+_DENIED = ("AccessDenied", "AccessDeniedException", "UnauthorizedOperation", "NotAuthorized", "Forbidden", "403")
+THROTTLED = (
+    "Throttling",
+    "ThrottlingException",
+    "ThrottledException",
+    "TooManyRequestsException",
+    "RequestLimitExceeded",
+    "RequestThrottled",
+    "SlowDown",
+    "429",
+)
+_ELSEWHERE = (
+    "PermanentRedirect",
+    "AuthorizationHeaderMalformed",
+    "IllegalLocationConstraintException",
+    "MovedPermanently",
+    "301",
+)
+_CLOCK = ("RequestTimeTooSkewed", "RequestInTheFuture")
+_ACTIONS = {
+    "HeadBucket": "s3:ListBucket",
+    "ListObjectsV2": "s3:ListBucket",
+    "HeadObject": "s3:GetObject",
+    "GetObject": "s3:GetObject",
+    "PutObject": "s3:PutObject",
+    "CreateMultipartUpload": "s3:PutObject",
+    "UploadPart": "s3:PutObject",
+    "CompleteMultipartUpload": "s3:PutObject",
+    "AbortMultipartUpload": "s3:AbortMultipartUpload",
+    "GetLogEvents": "logs:GetLogEvents",
+    "DescribeImages": "ecr:DescribeImages",
+    "AssumeRoleWithWebIdentity": "sts:AssumeRoleWithWebIdentity",
+}
+"""What a policy calls the operations whose action is not ``batch:`` and their name."""
+
+
+class AwsLostError(WorldError):
+    """AWS does not answer, or not now: the same call may well succeed later."""
+
+
+class Aws:
+    """Clients of the services of one region. They may be used from any thread."""
+
+    def __init__(self, region: str) -> None:
+        """Nothing is asked of AWS yet."""
+        self.region = region
+        self.calls: Counter[str] = Counter()
+        """How many requests were sent, by ``batch:DescribeJobs``; tries that were repeated count too."""
+        self._lock = threading.RLock()
+        self._clients: dict[str, Any] = {}
+
+    @property
+    def batch(self) -> Any:
+        """AWS Batch."""
+        return self._client("batch")
+
+    @property
+    def submitting(self) -> Any:
+        """AWS Batch for what must not be done twice: nothing is tried again."""
+        return self._client("batch", tries=1)
+
+    @property
+    def s3(self) -> Any:
+        """S3, where results are."""
+        return self._client("s3")
+
+    @property
+    def logs(self) -> Any:
+        """CloudWatch Logs."""
+        return self._client("logs")
+
+    def ecr(self, region: str) -> Any:
+        """The registry of a region."""
+        return self._client("ecr", region=region)
+
+    def close(self) -> None:
+        """Close the connections."""
+        with self._lock:
+            clients, self._clients = self._clients, {}
+        for client in clients.values():
+            client.close()
+
+    def _client(self, service: str, tries: int = TRIES, region: str | None = None) -> Any:
+        key = f"{service} {tries} {region}"
+        with self._lock:
+            if key not in self._clients:
+                self._clients[key] = self._new_client(service, tries, region or self.region)
+            return self._clients[key]
+
+    def _new_client(self, service: str, tries: int, region: str) -> Any:
+        from botocore.config import Config
+
+        config = Config(
+            retries={"mode": "standard", "total_max_attempts": tries},
+            connect_timeout=10,
+            read_timeout=60,
+            max_pool_connections=CONNECTIONS,
+            tcp_keepalive=True,
+            s3={"addressing_style": "path" if _has_own_endpoint() else "auto"},
+        )
+        with aws_errors(f"region {region}"):
+            client: Any = self._session.client(service, region_name=region, config=config)
+        client.meta.events.register("before-send", self._count)
+        return client
+
+    @cached_property
+    def _session(self) -> Any:
+        try:
+            import boto3
+            import botocore.session
+        except ModuleNotFoundError as error:
+            raise WorldError(f"AWS Batch needs the package {error.name}: pip install {error.name}") from None
+        with aws_errors(f"region {self.region}"):
+            session = botocore.session.get_session()
+            _take_role_by_tokens_of_github(session, self.region)
+            return boto3.session.Session(botocore_session=session, region_name=self.region)
+
+    def _count(self, event_name: str, **_: object) -> None:
+        service, operation = event_name.split(".")[1:3]
+        with self._lock:
+            self.calls[f"{service}:{operation}"] += 1
+
+
+@contextmanager
+def aws_errors(where: str) -> Iterator[None]:
+    """Turn what boto3 raises into one line.
+
+    Args:
+        where: what messages begin with.
+
+    Raises:
+        InputError: there are no credentials, they are expired or unknown, may not do this, or it makes no sense.
+        AwsLostError: AWS cannot be reached, throttles, or fails.
+    """
+    import botocore.exceptions as aws
+    from boto3.exceptions import Boto3Error
+
+    try:
+        yield
+    except aws.ClientError as error:
+        raise _answered(where, error) from None
+    except (aws.NoCredentialsError, aws.PartialCredentialsError):
+        hint = "set AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, a profile, or let the workflow assume a role"
+        raise InputError(f"{where}: AWS: there are no credentials: {hint}") from None
+    except (
+        aws.CredentialRetrievalError,
+        aws.ProfileNotFound,
+        aws.ConfigNotFound,
+        aws.ConfigParseError,
+        aws.InvalidRegionError,
+        aws.ParamValidationError,
+        aws.SSOError,
+        aws.TokenRetrievalError,
+        aws.UnknownServiceError,
+    ) as error:
+        raise InputError(f"{where}: AWS: {_short(error)}") from None
+    except aws.EndpointConnectionError as error:
+        raise AwsLostError(f"{where}: AWS: {_short(error)}: check the network, and the region's name") from None
+    except (aws.ConnectionError, aws.HTTPClientError, aws.IncompleteReadError) as error:
+        raise AwsLostError(f"{where}: AWS: {_short(error)}") from None
+    except (aws.BotoCoreError, Boto3Error, ValueError) as error:  # ValueError: no URL, no timestamp
+        raise WorldError(f"{where}: AWS: {_short(error)}") from None
+
+
+def error_code(error: "ClientError") -> str:
+    """The code of what AWS answered: ``NoSuchKey``; of a HEAD it is but a number."""
+    return str(error.response.get("Error", {}).get("Code", "")) or "unknown error"
+
+
+def _answered(where: str, error: "ClientError") -> CalibrationError:
+    """What AWS itself answered."""
+    code = error_code(error)
+    action = _ACTIONS.get(error.operation_name, f"batch:{error.operation_name}")
+    said = f"{where}: AWS: {action}: {one_line(code)}"
+    status = error.response.get("ResponseMetadata", {}).get("HTTPStatusCode", 500)
+    if code in _EXPIRED:
+        return InputError(f"{said}: the credentials are expired: get new ones")
+    if code in _UNKNOWN:
+        return InputError(f"{said}: AWS does not know these credentials: check key, secret and token")
+    if code in _CLOCK:
+        return WorldError(f"{said}: the clock of this machine is wrong")
+    if code in _DENIED:
+        return InputError(f"{said}: the role or user needs this permission (calibration aws-policy prints a policy)")
+    if code in THROTTLED:
+        return AwsLostError(f"{said}: too many requests, also after several tries: try again later")
+    if code in _ELSEWHERE or status == 301:
+        headers = error.response.get("ResponseMetadata", {}).get("HTTPHeaders", {})
+        region = headers.get("x-amz-bucket-region")
+        there = f": it is in {one_line(shorten(region))}" if region else ""
+        return InputError(f"{said}: the bucket is in another region{there}")
+    if code in ("NoSuchBucket", "404") and error.operation_name in ("HeadBucket", "PutObject", "ListObjectsV2"):
+        return InputError(f"{said}: there is no such bucket")
+    line = f"{said}: {_short(error.response.get('Error', {}).get('Message', ''))}"
+    if status >= 500 or code in ("RequestTimeout", "InternalError", "ServerException", "ServiceUnavailable"):
+        return AwsLostError(line)
+    return InputError(line)
+
+
+def _take_role_by_tokens_of_github(session: Any, region: str) -> None:
+    """In a GitHub job with a role: take it by a new token whenever its credentials run out."""
+    url, secret = os.environ.get(_TOKEN_URL), os.environ.get(_TOKEN)
+    scoped = session.get_scoped_config()
+    by_file = scoped.get("role_arn") if "web_identity_token_file" in scoped else None
+    role = os.environ.get("AWS_ROLE_ARN") or by_file
+    if not url or not secret or not role:
+        return
+    from botocore.credentials import AssumeRoleWithWebIdentityCredentialFetcher, DeferredRefreshableCredentials
+
+    def create(service: str, **settings: Any) -> Any:
+        return session.create_client(service, region_name=region, **settings)
+
+    fetcher = AssumeRoleWithWebIdentityCredentialFetcher(
+        client_creator=create,
+        web_identity_token_loader=lambda: _token_of_github(url, secret),
+        role_arn=role,
+        extra_args={"RoleSessionName": os.environ.get("AWS_ROLE_SESSION_NAME") or "calibration-ci"},
+    )
+    session._credentials = DeferredRefreshableCredentials(fetcher.fetch_credentials, "calibration-ci-github")
+
+
+def _token_of_github(url: str, secret: str) -> str:
+    """Ask GitHub's token service for a token that says which job this is.
+
+    Raises:
+        WorldError: it gives none.
+    """
+    import json
+    from urllib.parse import urlsplit
+    from urllib.request import Request, urlopen
+
+    if urlsplit(url).scheme not in ("https", "http"):
+        raise WorldError(f"GitHub's token service: {_TOKEN_URL} is no URL")
+    request = Request(f"{url}&audience={_AUDIENCE}", headers={"Authorization": f"bearer {secret}"})  # noqa: S310
+    try:
+        with urlopen(request, timeout=30) as answer:  # noqa: S310 (checked above)
+            token = json.loads(answer.read(_MOST_TOKEN))["value"]
+    except (OSError, ValueError, LookupError, TypeError) as error:
+        kind = f"{type(error).__name__} {getattr(error, 'code', '')}".strip()
+        raise WorldError(f"GitHub's token service gives no token for a role in AWS ({kind})") from None
+    return str(token)
+
+
+def _has_own_endpoint() -> bool:
+    return bool(os.environ.get("AWS_ENDPOINT_URL_S3") or os.environ.get("AWS_ENDPOINT_URL"))
+
+
+def _short(text: object) -> str:
+    return shorten(one_line(str(text)), 300)

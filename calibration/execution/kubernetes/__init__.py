@@ -1,0 +1,1 @@
+"""Jobs for a Kubernetes cluster: written out, not run."""

@@ -1,0 +1,26 @@
+from functools import cache
+
+import pytest
+
+
+@pytest.fixture
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let the client look more often, and wait less; descriptions of AWS's services are read once."""
+    import botocore.session
+
+    from calibration.execution.batch.service import following, leftovers, logs, patience, submitting
+
+    monkeypatch.setattr(following, "_SHORTEST", 0.05)
+    monkeypatch.setattr(leftovers, "_LOOKING", 0.05)
+    monkeypatch.setattr(logs, "_LOOKING", 0.05)
+    monkeypatch.setattr(logs, "_COMING", 0.0)
+    monkeypatch.setattr(submitting, "_LOOKING", 0.05)
+    monkeypatch.setattr(patience, "_FIRST", 0.05)
+    monkeypatch.setattr(botocore.session, "create_loader", _loader)
+
+
+@cache
+def _loader(search_path: str | None = None) -> object:
+    from botocore.loaders import create_loader
+
+    return create_loader(search_path)

@@ -1,0 +1,213 @@
+import ast
+import fnmatch
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import boto3
+import pytest
+from botocore import xform_name
+from botocore.session import Session
+from moto import mock_aws
+
+from calibration.execution.batch import policy as policy_module
+from calibration.execution.batch.policy import HOLDERS, Holder, policy, trust
+from calibration.execution.batch.requests.definition import definition_name
+from calibration.execution.batch.requests.shape import shape_of
+from calibration.execution.batch.settings import BatchSettings
+from calibration.execution.batch.wire import Location
+from tests.execution.batch.samples import ACCOUNT, SETTINGS, TOKEN_ARN, job
+
+LOCATION = Location(SETTINGS.bucket, SETTINGS.prefix, "ab12", "c07b5b521ae6")
+PARAMETER = f"arn:aws:ssm:eu-west-1:{ACCOUNT}:parameter/team/token"
+
+
+def allowed(holder: Holder, action: str, resource: str, settings: BatchSettings = SETTINGS) -> bool:
+    """Whether a policy allows an action, its conditions left aside."""
+    return any(
+        action in statement["Action"]
+        and any(fnmatch.fnmatchcase(resource, each) for each in as_list(statement["Resource"]))
+        for statement in policy(holder, settings)["Statement"]
+    )
+
+
+def as_list(value: Any) -> list[str]:
+    return value if isinstance(value, list) else [value]
+
+
+def batch(resource: str) -> str:
+    return f"arn:aws:batch:eu-west-1:{ACCOUNT}:{resource}"
+
+
+def s3(key: str) -> str:
+    return f"arn:aws:s3:::{SETTINGS.bucket}/{key}"
+
+
+def test_what_the_caller_may() -> None:
+    definition = definition_name(shape_of(job(), SETTINGS), SETTINGS)
+    for action, resource in [
+        ("batch:RegisterJobDefinition", batch(f"job-definition/{definition}")),
+        ("batch:DeregisterJobDefinition", batch(f"job-definition/{definition}:7")),
+        ("batch:SubmitJob", batch(f"job-definition/{definition}:7")),
+        ("batch:SubmitJob", batch("job-queue/robots")),
+        ("batch:TagResource", batch(f"job-definition/{definition}")),
+        ("batch:TagResource", batch("job/6cf8d4b8-0000-0000-0000-000000000000")),
+        ("batch:TerminateJob", batch("job/6cf8d4b8-0000-0000-0000-000000000000")),
+        ("batch:DescribeJobs", "*"),
+        ("iam:PassRole", SETTINGS.job_role),
+        ("iam:PassRole", str(SETTINGS.execution_role)),
+        ("s3:ListBucket", f"arn:aws:s3:::{SETTINGS.bucket}"),
+        ("s3:PutObject", s3(LOCATION.input_key("a" * 64))),
+        ("s3:GetObject", s3(LOCATION.jobs_key(7))),
+        ("s3:PutObject", s3(LOCATION.jobs_key(7))),
+        ("s3:GetObject", s3(LOCATION.result_key(7, 1, "outcome.json"))),
+        ("logs:GetLogEvents", f"arn:aws:logs:eu-west-1:{ACCOUNT}:log-group:/aws/batch/job:log-stream:calibration/a/b"),
+        ("ecr:DescribeImages", f"arn:aws:ecr:us-east-1:{ACCOUNT}:repository/robot"),
+    ]:
+        assert allowed("caller", action, resource), (action, resource)
+
+
+def test_what_the_caller_may_not() -> None:
+    for action, resource in [
+        ("batch:SubmitJob", batch("job-queue/other")),
+        ("batch:SubmitJob", batch("job-definition/other:1")),
+        ("batch:DeregisterJobDefinition", batch("job-definition/other:1")),
+        ("iam:PassRole", f"arn:aws:iam::{ACCOUNT}:role/admin"),
+        ("s3:PutObject", s3(LOCATION.result_key(7, 1, "outcome.json"))),  # results are the tasks'
+        ("s3:GetObject", s3("other/file")),
+        ("s3:GetObject", s3(LOCATION.input_key("a" * 64))),
+        ("s3:PutObject", "arn:aws:s3:::other/calibration/inputs/x"),
+    ]:
+        assert not allowed("caller", action, resource), (action, resource)
+
+
+def test_the_role_of_a_job_reads_what_is_for_it_and_writes_results() -> None:
+    assert allowed("job", "s3:GetObject", s3(LOCATION.input_key("a" * 64)))
+    assert allowed("job", "s3:GetObject", s3(LOCATION.jobs_key(0)))
+    assert allowed("job", "s3:PutObject", s3(LOCATION.result_key(7, 2, "files/a.csv")))
+    # the team's software has this role too
+    assert not allowed("job", "s3:PutObject", s3(LOCATION.jobs_key(0)))
+    assert not allowed("job", "s3:PutObject", s3(LOCATION.input_key("a" * 64)))
+    assert not allowed("job", "s3:GetObject", s3(LOCATION.result_key(7, 2, "outcome.json")))
+    actions = {action for statement in policy("job", SETTINGS)["Statement"] for action in statement["Action"]}
+    assert actions == {"s3:GetObject", "s3:PutObject", "s3:AbortMultipartUpload"}
+
+
+def test_the_execution_role_reads_only_the_secrets_that_are_named() -> None:
+    settings = replace(SETTINGS, secrets={"A": f"{TOKEN_ARN}:key:AWSCURRENT:", "B": PARAMETER, "C": TOKEN_ARN})
+    found = {statement["Sid"]: statement for statement in policy("execution", settings)["Statement"]}
+    assert found["ReadSecrets"]["Resource"] == [TOKEN_ARN]
+    assert found["ReadParameters"]["Resource"] == [PARAMETER]
+    without = {statement["Sid"] for statement in policy("execution", SETTINGS)["Statement"]}
+    assert without == {"EnterRegistry", "PullImages", "WriteLogs"}
+
+
+def test_only_what_cannot_be_named_is_allowed_for_everything() -> None:
+    unnamed = {
+        (holder, action)
+        for holder in HOLDERS
+        for statement in policy(holder, SETTINGS)["Statement"]
+        if "*" in as_list(statement["Resource"])
+        for action in statement["Action"]
+    }
+    assert unnamed == {
+        ("caller", "batch:DescribeJobQueues"),
+        ("caller", "batch:DescribeComputeEnvironments"),
+        ("caller", "batch:DescribeJobDefinitions"),
+        ("caller", "batch:DescribeJobs"),
+        ("caller", "batch:ListJobs"),
+        ("execution", "ecr:GetAuthorizationToken"),
+    }
+
+
+def test_only_our_jobs_can_be_stopped_and_roles_only_be_given_to_tasks() -> None:
+    found = {statement["Sid"]: statement.get("Condition") for statement in policy("caller", SETTINGS)["Statement"]}
+    assert found["Stop"] == {"Null": {"aws:ResourceTag/ci.calibration.run": "false"}}
+    assert set(found["GiveRoles"]["StringEquals"]["iam:PassedToService"]) == {
+        "batch.amazonaws.com",
+        "ecs-tasks.amazonaws.com",
+    }
+    assert found["FindFiles"] == {"StringLikeIfExists": {"s3:prefix": "calibration/*"}}
+
+
+def test_other_partitions_and_queues_by_arn() -> None:
+    china = replace(
+        SETTINGS,
+        queue=f"arn:aws-cn:batch:cn-north-1:{ACCOUNT}:job-queue/q",
+        region="cn-north-1",
+        job_role=f"arn:aws-cn:iam::{ACCOUNT}:role/j",
+        execution_role=None,
+    )
+    text = json.dumps([policy(holder, china) for holder in HOLDERS])
+    assert "arn:aws:" not in text
+    assert allowed("caller", "batch:SubmitJob", china.queue, china)
+    assert "null" not in text.lower().replace('"null"', "")  # no role that there is not
+
+
+@pytest.mark.parametrize("holder", HOLDERS)
+def test_every_action_is_one(holder: Holder) -> None:
+    """An action is an operation of its service, but for a few names that IAM has for itself."""
+    own = {"s3:ListBucket", "iam:PassRole", "batch:TagResource"}
+    for statement in policy(holder, SETTINGS)["Statement"]:
+        for action in set(statement["Action"]) - own:
+            service, operation = action.split(":")
+            assert operation in Session().get_service_model(service).operation_names, action
+
+
+SERVICES = {
+    f"{xform_name(operation)}": f"{service}:{operation}"
+    for service in ("batch", "s3", "logs", "ecr")
+    for operation in Session().get_service_model(service).operation_names
+}
+"""What the clients' methods do."""
+IN_IAM = {"s3:HeadBucket": "s3:ListBucket", "s3:ListObjectsV2": "s3:ListBucket", "s3:HeadObject": "s3:GetObject"}
+"""Where an action has another name than the operation."""
+
+
+def called(*files: Path) -> set[str]:
+    """The actions that a policy has to allow for what some modules call."""
+    actions = set()
+    for file in files:
+        for node in ast.walk(ast.parse(file.read_text())):
+            if not isinstance(node, ast.Call) or not isinstance(node.func, ast.Attribute):
+                continue
+            name = node.func.attr
+            if name == "get_paginator" and isinstance(node.args[0], ast.Constant):
+                name = str(node.args[0].value)
+            if name == "upload_fileobj":  # in parts, where it is large
+                actions |= {"s3:PutObject", "s3:AbortMultipartUpload"}
+            elif name in SERVICES:
+                actions.add(IN_IAM.get(SERVICES[name], SERVICES[name]))
+    return actions
+
+
+def actions_of(holder: Holder) -> set[str]:
+    return {action for statement in policy(holder, SETTINGS)["Statement"] for action in statement["Action"]}
+
+
+def test_the_caller_may_do_what_the_code_does_and_no_more() -> None:
+    modules = [path for path in Path(policy_module.__file__).parent.rglob("*.py") if "inside" not in path.parts]
+    # tags and roles are part of other requests
+    assert actions_of("caller") == called(*modules) | {"batch:TagResource", "iam:PassRole"}
+
+
+def test_the_job_may_do_what_our_containers_do_and_no_more() -> None:
+    folder = Path(policy_module.__file__).parent / "inside"
+    assert actions_of("job") == called(*folder.glob("*.py")) | {"s3:GetObject"}  # by `Store`
+
+
+@mock_aws
+def test_iam_takes_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("AWS_ACCESS_KEY_ID", "AWS_SECRET_ACCESS_KEY"):
+        monkeypatch.setenv(name, "x")
+    iam = boto3.client("iam", region_name="eu-west-1")
+    settings = replace(SETTINGS, secrets={"A": TOKEN_ARN, "B": PARAMETER})
+    iam.create_role(RoleName="calibration-job", AssumeRolePolicyDocument=json.dumps(trust()))
+    for holder in HOLDERS:
+        document = json.dumps(policy(holder, settings))
+        assert len(document) < 6144  # the most of a managed policy
+        iam.create_policy(PolicyName=holder, PolicyDocument=document)
+        sids = [statement["Sid"] for statement in policy(holder, settings)["Statement"]]
+        assert all(sid.isalnum() for sid in sids)
+        assert len(set(sids)) == len(sids)

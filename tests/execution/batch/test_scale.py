@@ -1,0 +1,49 @@
+"""Many jobs: memory that does not grow with what comes back, and a bounded number of calls for each job."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+from tests.aws.fixtures import Aws
+from tests.execution.batch.client import Did, Tasks
+
+JOBS = 800
+PROGRAM = """
+import json, sys
+from pathlib import Path
+from calibration.execution.batch.backend import BatchBackend
+from tests.execution.batch.client import SETTINGS, jobs
+
+def memory():
+    return int(Path("/proc/self/statm").read_text().split()[1]) * 4096
+
+count = int(sys.argv[1])
+seen, marks = set(), {}
+with BatchBackend(SETTINGS) as backend:
+    for index, outcome in backend.run(jobs(count), Path(sys.argv[2])):
+        assert outcome.verdict == "pass" and outcome.job == f"world/{index}" and index not in seen
+        seen.add(index)
+        if len(seen) in (count // 4, count):
+            marks[len(seen)] = memory()
+    assert len(seen) == count
+    print(json.dumps({"memory": list(marks.values()), "calls": backend.aws.calls, "seconds": backend.usage.seconds}))
+"""
+
+
+def test_many_jobs(batch_emulator: Aws, tmp_path: Path) -> None:
+    Tasks(batch_emulator, lambda task, attempt: Did())
+    done = subprocess.run(
+        [sys.executable, "-c", PROGRAM, str(JOBS), str(tmp_path)], env=os.environ, stdout=subprocess.PIPE, check=True
+    )
+    told = json.loads(done.stdout)
+    early, late = told["memory"]
+    assert late - early < 8 * 1024**2
+    calls = told["calls"]
+    assert calls["s3:GetObject"] == JOBS  # of those without artifacts: the outcome
+    assert calls["s3:PutObject"] == JOBS // 100 + 1
+    assert calls["batch:SubmitJob"] == 1
+    assert calls["batch:DescribeJobs"] < 100
+    assert sum(calls.values()) < 1.2 * JOBS
+    assert told["seconds"] >= 60 * JOBS  # Fargate bills a minute at least

@@ -1,0 +1,168 @@
+from dataclasses import fields
+from typing import Any
+
+import jsonschema
+import pytest
+
+from calibration.errors import InputError
+from calibration.execution.batch.settings import SCHEMA, BatchSettings, Prices, settings_from
+from calibration.json_schema import bundled
+
+ACCOUNT = "123456789012"
+NEEDED: dict[str, Any] = {
+    "region": "eu-west-1",
+    "queue": "robots",
+    "bucket": "team-robots",
+    "tools-image": f"{ACCOUNT}.dkr.ecr.eu-west-1.amazonaws.com/calibration-ci:1",
+    "job-role": f"arn:aws:iam::{ACCOUNT}:role/calibration-job",
+    "execution-role": f"arn:aws:iam::{ACCOUNT}:role/calibration-execution",
+}
+WHERE = "calibration.yml: aws-batch"
+
+
+def refused(**changes: Any) -> str:
+    with pytest.raises(InputError) as caught:
+        settings_from({**NEEDED, **{key.replace("_", "-"): value for key, value in changes.items()}}, WHERE)
+    return str(caught.value)
+
+
+def test_what_is_needed_is_enough() -> None:
+    assert settings_from(NEEDED, WHERE) == BatchSettings(
+        region="eu-west-1",
+        queue="robots",
+        bucket="team-robots",
+        tools_image=NEEDED["tools-image"],
+        job_role=NEEDED["job-role"],
+        execution_role=NEEDED["execution-role"],
+    )
+
+
+def test_every_key() -> None:
+    secret = f"arn:aws:secretsmanager:eu-west-1:{ACCOUNT}:secret:token-AbCdEf"
+    entry = {
+        **NEEDED,
+        "queue": f"arn:aws:batch:eu-west-1:{ACCOUNT}:job-queue/robots",
+        "prefix": "team/calibration",
+        "platform": "fargate",
+        "architecture": "arm64",
+        "spot": True,
+        "attempts": 10,
+        "cpus": 0.5,
+        "memory": "512m",
+        "disk": 200,
+        "public-ip": True,
+        "deadline": "6h",
+        "stuck": 90,
+        "secrets": {"TOKEN": secret},
+        "tags": {"team": "robots"},
+        "priority": 7,
+        "share": "nightly",
+        "log-group": "/team/robots",
+        "prices": {"vcpu-hour": 0.04, "gb-hour": 0.0044, "currency": "EUR"},
+    }
+    settings = settings_from(entry, WHERE)
+    assert settings == BatchSettings(
+        region="eu-west-1",
+        queue=f"arn:aws:batch:eu-west-1:{ACCOUNT}:job-queue/robots",
+        bucket="team-robots",
+        tools_image=NEEDED["tools-image"],
+        job_role=NEEDED["job-role"],
+        execution_role=NEEDED["execution-role"],
+        prefix="team/calibration",
+        architecture="arm64",
+        spot=True,
+        attempts=10,
+        cpus=0.5,
+        memory=512 * 1024**2,
+        disk=200,
+        public_ip=True,
+        deadline=6 * 3600.0,
+        stuck=90.0,
+        secrets={"TOKEN": secret},
+        tags={"team": "robots"},
+        priority=7,
+        share="nightly",
+        log_group="/team/robots",
+        prices=Prices(0.04, 0.0044, "EUR"),
+    )
+    ec2 = settings_from({**NEEDED, "platform": "ec2", "shared-hosts": False}, WHERE)
+    assert (ec2.platform, ec2.shared_hosts) == ("ec2", False)
+    # no field without a key, and no key without a field
+    keys = {*entry, "shared-hosts"}
+    assert {field.name.replace("_", "-") for field in fields(BatchSettings)} == keys
+    assert set(bundled(SCHEMA)["$defs"]["settings"]["properties"]) == keys
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"regoin": "x"}, "unknown key 'regoin': did you mean 'region'?"),
+        ({"region": "Ireland"}, "region: expected the name of a region such as eu-west-1"),
+        ({"queue": "two words"}, "queue: expected the name or the ARN of a job queue"),
+        ({"bucket": "s3://team/robots"}, "bucket: expected the name of an S3 bucket"),
+        ({"prefix": "/a"}, "prefix: expected folders such as team/calibration"),
+        ({"prefix": "a/../b"}, "prefix: expected folders"),
+        ({"prefix": "a//b"}, "prefix: expected folders"),
+        ({"job_role": "calibration"}, "job-role: expected the ARN of a role"),
+        ({"execution_role": f"arn:aws:iam::{ACCOUNT}:user/x"}, "execution-role: expected the ARN of a role"),
+        ({"platform": "eks"}, "platform: 'eks' is not one of ['fargate', 'ec2']"),
+        ({"attempts": 11}, "attempts: 11 is greater than the maximum of 10"),
+        ({"attempts": 0}, "attempts: 0 is less than the minimum of 1"),
+        ({"cpus": 0}, "cpus: 0 is less than or equal to the minimum of 0"),
+        ({"memory": "much"}, "aws-batch.memory: found 'much', expected a size"),
+        ({"disk": 20}, "disk: 20 is less than the minimum of 21"),
+        ({"deadline": "soon"}, "aws-batch.deadline: found 'soon', expected a time"),
+        ({"stuck": 0}, "aws-batch.stuck: found 0, expected a time"),
+        ({"secrets": {"TOKEN": "s3cret"}}, "secrets.TOKEN: expected the ARN of a secret or parameter"),
+        ({"secrets": {"A B": f"arn:aws:ssm:eu-west-1:{ACCOUNT}:parameter/a"}}, "secrets: "),
+        ({"tags": {"aws:x": "1"}}, "tags: expected letters"),
+        ({"tags": {"ci.calibration.run": "1"}}, "tags: expected letters"),
+        ({"tags": {"a": "ü"}}, "tags.a: expected letters"),
+        ({"tags": {"a": "b\n"}}, "aws-batch.tags.a: found 'b\\n', expected one line"),
+        ({"queue": "robots\n"}, "aws-batch.queue: found 'robots\\n', expected one line"),
+        ({"priority": 1}, "priority orders the jobs of a share: say share too"),
+        ({"prices": {"vcpu-hour": 1}}, "prices: 'gb-hour' is a required property"),
+        ({"platform": "ec2", "disk": 30}, "disk: platform ec2 has no such thing: drop it, or say fargate"),
+        ({"platform": "ec2", "public_ip": True}, "public-ip: platform ec2 has no such thing"),
+        ({"shared_hosts": False}, "shared-hosts: platform fargate has no such thing: drop it, or say ec2"),
+        ({"queue": f"arn:aws:batch:us-east-1:{ACCOUNT}:job-queue/q"}, "queue: it is in us-east-1, but region says eu-"),
+        (
+            {"execution_role": "arn:aws:iam::210987654321:role/x"},
+            "it is of another account than job-role: 123456789012",
+        ),
+    ],
+)
+def test_what_is_wrong(changes: dict[str, Any], message: str) -> None:
+    said = refused(**changes)
+    assert message in said
+    assert said.startswith("calibration.yml: aws-batch")
+
+
+def test_a_wrong_secret_is_not_repeated() -> None:
+    assert "s3cret" not in refused(secrets={"TOKEN": "s3cret"})
+
+
+@pytest.mark.parametrize("key", ["region", "queue", "bucket", "tools-image", "job-role"])
+def test_what_is_missing(key: str) -> None:
+    with pytest.raises(InputError, match=f"'{key}' is a required property"):
+        settings_from({name: value for name, value in NEEDED.items() if name != key}, WHERE)
+
+
+def test_the_execution_role_is_missing() -> None:
+    entry = {key: value for key, value in NEEDED.items() if key != "execution-role"}
+    with pytest.raises(InputError, match=r"execution-role: it is missing: fargate pulls images"):
+        settings_from(entry, WHERE)
+    assert settings_from({**entry, "platform": "ec2"}, WHERE).execution_role is None
+    secrets = {"TOKEN": f"arn:aws:ssm:eu-west-1:{ACCOUNT}:parameter/token"}
+    with pytest.raises(InputError, match=r"execution-role: it is missing: secrets are read"):
+        settings_from({**entry, "platform": "ec2", "secrets": secrets}, WHERE)
+
+
+@pytest.mark.parametrize("entry", [None, "fargate", ["region"]])
+def test_no_keys_at_all(entry: object) -> None:
+    with pytest.raises(InputError, match=r"expected keys: region, queue"):
+        settings_from(entry, WHERE)
+
+
+def test_the_schema_is_one() -> None:
+    jsonschema.Draft202012Validator.check_schema(bundled(SCHEMA))

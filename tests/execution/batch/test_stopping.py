@@ -1,0 +1,230 @@
+"""However a run ends, nothing of it goes on in the cloud; and where that cannot be seen to, it is said."""
+
+import io
+import os
+import signal
+import subprocess
+import sys
+import threading
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from calibration.errors import CalibrationError, InputError, WorldError
+from calibration.execution.batch.backend import BatchBackend
+from calibration.execution.batch.documents.job_document import TaskJob
+from calibration.workflow import Runner
+from calibration.workflow.streams import LogDisplay
+from tests.aws.emulator.attempt import Attempt
+from tests.aws.emulator.faults import child, named
+from tests.aws.fixtures import Aws
+from tests.execution.batch.client import SETTINGS, Did, Tasks, job, jobs, run_jobs, running, wait_for
+
+pytestmark = pytest.mark.usefixtures("quick")
+
+
+def hang(task: TaskJob, attempt: Attempt) -> Did | None:
+    """Until somebody ends it; the first of the jobs ends at once."""
+    if task.job.name != "world/0":
+        attempt.stop.wait(30)
+        return None
+    return Did({"dataset/name": b"0"})
+
+
+def test_closing_the_iterator_ends_all(batch_emulator: Aws, tmp_path: Path) -> None:
+    Tasks(batch_emulator, hang)
+    with BatchBackend(SETTINGS) as backend:
+        outcomes = backend.run([*jobs(3), job("other", seconds=7.0)], tmp_path)
+        assert next(outcomes)[0] == 0
+        assert running(batch_emulator)
+        outcomes.close()
+        batch_emulator.batch.wait(10)
+        assert next(backend.run(jobs(1), tmp_path))[1].verdict == "pass"  # and it can be used again
+
+
+def test_an_error_of_who_reads_ends_all(batch_emulator: Aws, tmp_path: Path) -> None:
+    Tasks(batch_emulator, hang)
+
+    def fail(index: int, outcome: object) -> None:
+        raise WorldError("the disk is full")
+
+    with BatchBackend(SETTINGS) as backend, pytest.raises(WorldError, match="the disk is full"):
+        list(backend.run(jobs(3), tmp_path, done=fail))
+    batch_emulator.batch.wait(10)
+
+
+def test_a_context_that_is_left_early_ends_all(batch_emulator: Aws, tmp_path: Path) -> None:
+    Tasks(batch_emulator, hang)
+    with BatchBackend(SETTINGS) as backend:
+        outcomes = backend.run(jobs(3), tmp_path)
+        next(outcomes)
+    batch_emulator.batch.wait(10)
+
+
+PROGRAM = """
+import sys
+from pathlib import Path
+from calibration.execution.batch.backend import BatchBackend
+from calibration.workflow.signals import terminate_cleanly
+from tests.execution.batch.client import SETTINGS, jobs
+
+with terminate_cleanly(), BatchBackend(SETTINGS, "killed") as backend:
+    for index, outcome in backend.run(jobs(3), Path(sys.argv[1])):
+        print(index, flush=True)
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_all(batch_emulator: Aws, tmp_path: Path, number: signal.Signals) -> None:
+    Tasks(batch_emulator, hang)
+    process = subprocess.Popen(
+        [sys.executable, "-c", PROGRAM, str(tmp_path)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=os.environ
+    )
+    try:
+        assert process.stdout is not None
+        assert process.stdout.readline() == b"0\n"
+        process.send_signal(number)
+        _, said = process.communicate(timeout=30)
+        assert process.returncode not in (0, None)
+        assert (b"KeyboardInterrupt" if number == signal.SIGINT else b"Terminated") in said
+        batch_emulator.batch.wait(10)
+    finally:
+        process.kill()
+
+
+def test_what_is_submitted_while_the_answer_is_lost_is_ended_too(
+    batch_emulator: Aws, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from calibration.execution.batch.service import patience
+
+    monkeypatch.setattr(patience, "PATIENCE", 0.0)
+    monkeypatch.setattr(patience.Patience.__init__, "__defaults__", (0.0,))
+    Tasks(batch_emulator, hang)
+    batch_emulator.faults.drop("SubmitJob", answered=True)
+    with BatchBackend(SETTINGS) as backend, pytest.raises(WorldError, match="Connection was closed"):
+        list(backend.run(jobs(2), tmp_path))
+    assert len(batch_emulator.batch.jobs.jobs) == 1
+    batch_emulator.batch.wait(10)
+
+
+@pytest.mark.parametrize("answered", [True, False])
+def test_a_lost_answer_submits_nothing_twice(batch_emulator: Aws, tmp_path: Path, answered: bool) -> None:
+    tasks = Tasks(batch_emulator)
+    batch_emulator.faults.drop("SubmitJob", answered=answered)
+    outcomes, _ = run_jobs(tmp_path, *jobs(3))
+    assert [outcome.verdict for outcome in outcomes] == ["pass"] * 3
+    assert len(tasks.ran) == 3
+
+
+def test_what_has_been_submitted_twice_after_all_is_ended(batch_emulator: Aws, tmp_path: Path) -> None:
+    Tasks(batch_emulator, hang)
+    # the list of jobs is behind: that it was submitted is seen too late
+    batch_emulator.faults.drop("SubmitJob", answered=True)
+    batch = batch_emulator.batch
+    listed = batch._calls.find("ListJobs")
+    assert listed is not None
+    answers = [{"jobSummaryList": []}]
+    find = batch._calls.find
+    batch._calls.find = lambda name: (  # type: ignore[method-assign]
+        (lambda request: answers.pop() if answers else listed(request)) if name == "ListJobs" else find(name)
+    )
+    with BatchBackend(SETTINGS) as backend:
+        outcomes = backend.run(jobs(2), tmp_path)
+        next(outcomes)
+        assert len(running(batch_emulator)) == 1
+        outcomes.close()
+    batch.wait(10)
+
+
+def test_credentials_that_expire_are_one_line_that_says_what_may_go_on(batch_emulator: Aws, tmp_path: Path) -> None:
+    Tasks(batch_emulator, hang)
+    with BatchBackend(SETTINGS, "night") as backend:
+        outcomes = backend.run(jobs(3), tmp_path)
+        next(outcomes)
+        batch_emulator.faults.expire()
+        with pytest.raises(InputError) as caught:
+            list(outcomes)
+    assert str(caught.value) == (
+        "jobs: AWS: batch:DescribeJobs: ExpiredTokenException: the credentials are expired: get new ones; what may "
+        "go on in AWS Batch is ended by: calibration cleanup --cloud --run night"
+    )
+
+
+def test_that_jobs_cannot_be_ended_is_said_though_nothing_else_is_wrong(batch_emulator: Aws, tmp_path: Path) -> None:
+    Tasks(batch_emulator, hang)
+    with BatchBackend(SETTINGS, "night") as backend:
+        outcomes = backend.run(jobs(3), tmp_path)
+        next(outcomes)
+        batch_emulator.faults.deny("TerminateJob")
+        with pytest.raises(
+            InputError, match=r"batch:TerminateJob: AccessDeniedException: .* cleanup --cloud --run night"
+        ):
+            outcomes.close()
+
+
+def test_what_takes_too_long_is_given_up_and_the_rest_is_kept(batch_emulator: Aws, tmp_path: Path) -> None:
+    Tasks(batch_emulator, hang)
+    log = io.StringIO()
+    settings = replace(SETTINGS, deadline=0.5)
+    outcomes, _ = run_jobs(tmp_path, *jobs(3), settings=settings, show=LogDisplay(Runner(stdout=log)))
+    assert [outcome.exit_code for outcome in outcomes] == [0, 3, 3]
+    assert outcomes[1].reasons == ("the run took longer than its 0.5 s (deadline)",)
+    assert "2 jobs are given up: the run took longer" in log.getvalue()
+    assert running(batch_emulator) == []
+
+
+def test_jobs_that_get_no_host_are_given_up_with_likely_reasons(batch_emulator: Aws, tmp_path: Path) -> None:
+    Tasks(batch_emulator)
+    said = "MISCONFIGURATION:COMPUTE_ENVIRONMENT_MAX_RESOURCE - too large"
+    batch_emulator.faults.stick(child(1), said)
+    batch_emulator.faults.stick(child(2))
+    outcomes, _ = run_jobs(tmp_path, *jobs(3), settings=replace(SETTINGS, stuck=0.4, spot=False))
+    assert [outcome.exit_code for outcome in outcomes] == [0, 3, 3]
+    for outcome in outcomes[1:]:
+        [reason] = outcome.reasons
+        assert reason.startswith(
+            "no host for it within 0.4 s in queue 'robots' (stuck); likely reasons: AWS Batch says: "
+        )
+        assert said in reason
+        assert "subnet needs NAT" in reason
+    assert running(batch_emulator) == []
+
+
+def test_what_waits_behind_others_is_not_stuck(batch_emulator: Aws, tmp_path: Path) -> None:
+    gate = threading.Event()
+
+    def slowly(task: TaskJob, attempt: Attempt) -> Did:
+        gate.wait(1.5)
+        return Did()
+
+    Tasks(batch_emulator, slowly)
+    outcomes, _ = run_jobs(tmp_path, *jobs(6), settings=replace(SETTINGS, stuck=0.5))  # four hosts
+    assert [outcome.verdict for outcome in outcomes] == ["pass"] * 6
+
+
+def test_what_somebody_else_ends_is_named(batch_emulator: Aws, tmp_path: Path) -> None:
+    tasks = Tasks(batch_emulator, hang)
+    caught: list[CalibrationError] = []
+
+    def end() -> None:
+        wait_for(lambda: len(tasks.ran) == 2)
+        batch = batch_emulator.client("batch")
+        batch.terminate_job(jobId=running(batch_emulator)[0], reason="too expensive")
+        batch.close()
+
+    thread = threading.Thread(target=end)
+    thread.start()
+    outcomes, _ = run_jobs(tmp_path, *jobs(2))
+    thread.join()
+    assert caught == []
+    assert outcomes[1].exit_code == 3
+    assert outcomes[1].reasons == ("somebody has ended it: too expensive",)
+
+
+def test_a_single_job_that_is_stuck(batch_emulator: Aws, tmp_path: Path) -> None:
+    Tasks(batch_emulator)
+    batch_emulator.faults.stick(lambda job: named(job.name)(job))
+    [outcome], _ = run_jobs(tmp_path, job(), settings=replace(SETTINGS, stuck=0.2))
+    assert outcome.exit_code == 3
+    assert "(stuck)" in outcome.reasons[0]

@@ -1,0 +1,81 @@
+"""Tasks as AWS Batch runs them, without AWS: containers on the engine, volumes that they share, who watches here."""
+
+import uuid
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import docker
+
+from calibration.execution.batch.documents.job_document import TaskJob
+from calibration.execution.batch.documents.outcome_document import TaskOutcome
+from calibration.execution.batch.inside.prepare import prepare
+from calibration.execution.batch.inside.signs import Signs
+from calibration.execution.batch.inside.watch import Patience, Watch
+from calibration.execution.batch.wire import JOB_FOLDER
+from calibration.execution.job import OUTPUT, Container, Job
+from tests.engine import PYTHON_IMAGE
+
+if TYPE_CHECKING:
+    from docker.models.containers import Container as Running
+
+NONE = "none"
+"""The image of a container that cannot be started."""
+PATIENCE = Patience(arrival=60, silence=5, settling=20)
+
+
+@dataclass(frozen=True)
+class Ran:
+    """What came of a task."""
+
+    outcome: TaskOutcome
+    artifacts: Path
+    codes: Mapping[str, int]
+    """Exit codes of the containers, as the engine has them."""
+    logs: Mapping[str, str]
+
+
+def run_task(folder: Path, *containers: Container, patience: Patience = PATIENCE, **settings: Any) -> Ran:
+    """Run a job of some containers; nothing of it is on the engine then.
+
+    ``network_mode`` is the engine's; all else is of the job.
+    """
+    network = settings.pop("network_mode", "none")
+    job = Job(settings.pop("name", "job"), containers, **settings)
+    signs, output = Signs(folder / "signs"), folder / "output"
+    output.mkdir(parents=True)
+    prepare(TaskJob(job), None, signs, folder / "mounts", output)  # type: ignore[arg-type]
+    with started(job, signs.folder, output, network) as running:
+        watch = Watch(job, signs, output, patience)
+        watch.run(folder / "artifacts")
+        codes = {name: each.wait(timeout=60)["StatusCode"] for name, each in running.items()}
+        logs = {name: each.logs().decode() for name, each in running.items()}
+    return Ran(watch.outcome(1), folder / "artifacts", codes, logs)
+
+
+@contextmanager
+def started(job: Job, signs: Path, output: Path, network: str = "none") -> Iterator[dict[str, "Running"]]:
+    """Start the containers of a job as Batch does: at once, each with its script."""
+    client = docker.from_env(timeout=60)
+    running: dict[str, Running] = {}
+    try:
+        for container in (each for each in job.containers if each.image != NONE):
+            running[container.name] = client.containers.run(
+                PYTHON_IMAGE if container.image == "" else container.image,
+                ["/bin/sh", f"{JOB_FOLDER}/{container.name}.sh"],
+                name=f"inside-{uuid.uuid4().hex[:12]}",
+                detach=True,
+                init=True,
+                user=container.user,
+                network_mode=network,
+                mem_limit=container.limits.memory,
+                memswap_limit=container.limits.memory,
+                volumes={str(signs): {"bind": JOB_FOLDER}, str(output): {"bind": OUTPUT}},
+            )
+        yield running
+    finally:
+        for each in running.values():
+            each.remove(force=True)
+        client.close()
