@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from calibration.commands.parameters import TEXT_LIST, boolean_option, path, text
+from calibration.commands.registry_password import password_variable, registry_password_option
 from calibration.errors import ExitCode, InputError, WorldError
 from calibration.files import write_atomically
-from calibration.workflow import Annotation, Runner, add_mask, add_summary, annotate, set_outputs, stop_commands
+from calibration.workflow import Annotation, Runner, add_summary, annotate, set_outputs, stop_commands
 
 if TYPE_CHECKING:
     from calibration.image.builders.failure import BuildFailedError
@@ -19,8 +20,6 @@ if TYPE_CHECKING:
     from calibration.image.specification import ImageSpecification
 
 SPECIFICATION = Path("calibration.yml")
-PASSWORD_VARIABLES = ("CALIBRATION_REGISTRY_PASSWORD", "INPUT_REGISTRY_PASSWORD")
-"""Where a password is read from: the first on the command line, the second in the action."""
 TITLE = "build-image"
 
 
@@ -69,28 +68,14 @@ class Settings:
 @boolean_option("--pull", help="Ask the registry whether there is a newer base.")
 @click.option("--render", type=path, help="Write the Dockerfile and all it copies into this folder, and build nothing.")
 @click.option("--registry-username", type=text, help="User of the registry.")
-@click.option(
-    "--registry-password",
-    envvar=PASSWORD_VARIABLES[0],
-    type=text,
-    help="Password or token of this user; on a command line by the variable CALIBRATION_REGISTRY_PASSWORD instead.",
-)
+@registry_password_option
 @click.option("--output", type=path, help="Folder for results.json and summary.md.")
 @click.pass_context
 def command(click_context: click.Context, /, **options: Any) -> ExitCode:
     """Build an image from a specification or a Dockerfile; nothing is built where nothing has changed."""
     runner = Runner.from_environment(os.environ)
-    password = options.pop("registry_password")
-    if password:
-        add_mask(runner, password)
-    if click_context.get_parameter_source("registry_password") is click.core.ParameterSource.COMMANDLINE:
-        raise InputError(
-            "registry-password: found on the command line, where every process reads it: "
-            f"put it into the environment variable {PASSWORD_VARIABLES[0]}"
-        )
+    options["password_variable"] = password_variable(click_context, options.pop("registry_password"), runner)
     given = {name: value for name, value in options.items() if value not in (None, ())}
-    if password:
-        given["password_variable"] = next(name for name in PASSWORD_VARIABLES if os.environ.get(name))
     return build(Settings(**given), runner)
 
 

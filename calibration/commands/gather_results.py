@@ -1,13 +1,15 @@
 """``gather-results``: what the jobs of a workflow found, as one table and one verdict; its last job runs this."""
 
 import os
+import re
+import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import click
 
-from calibration.commands.parameters import path
+from calibration.commands.parameters import path, text
 from calibration.errors import ExitCode
 from calibration.workflow import Annotation, Runner, add_summary, annotate, set_outputs
 
@@ -21,12 +23,15 @@ class Settings:
     needs: str
     folder: Path
     output: Path = Path("output")
+    began: str | None = None
+    """A text, since a time that is none is no reason to be red."""
 
 
 @click.command(TITLE)
 @click.option("--needs", required=True, help="What became of the jobs: ${{ toJSON(needs) }}.")
 @click.option("--folder", type=path, required=True, help="What the jobs left, each in a folder with its slug.")
 @click.option("--output", type=path, default=Path("output"), help="Folder for the results of all (output).")
+@click.option("--began", type=text, help="When the job that gathers began, in seconds since 1970: date +%s.")
 def command(**options: Any) -> ExitCode:
     """Gather what the jobs of a plan found; the verdict is fail when one failed, or left nothing."""
     return gather_results(Settings(**options), Runner.from_environment(os.environ))
@@ -39,21 +44,35 @@ def gather_results(settings: Settings, runner: Runner) -> ExitCode:
         InputError: the jobs left something else than what was planned.
         WorldError: a result cannot be written.
     """
+    from calibration.pipeline.distribution.cost import cost_of_run, jobs_table, money
     from calibration.pipeline.distribution.gathering import gather
     from calibration.pipeline.distribution.needs import parse_needs
     from calibration.pipeline.report import report
     from calibration.pipeline.results import clear_results, write_results
-    from calibration.workflow.summary import markdown_table
 
     clear_results(settings.output)
-    gathered = gather(parse_needs(settings.needs), settings.folder)
+    needs = parse_needs(settings.needs)
+    gathered = gather(needs, settings.folder)
+    code = gathered.exit_code
+    promotes = bool(gathered.plan.promote) and code == ExitCode.PASS
+    cost = cost_of_run(gathered.plan, needs, settings.folder, _seconds_since(settings.began), promotes=promotes)
     annotate(runner, [Annotation(line, title=TITLE) for line in gathered.problems])
     if gathered.results.judged:
-        write_results(gathered.results, settings.output)
+        write_results(gathered.results, settings.output, {"cost": cost.document})
         report(gathered.results, settings.output, runner, TITLE)
-    add_summary(runner, "\n" + markdown_table(("Job", "Result"), gathered.jobs.items()))
-    code = gathered.exit_code
+    add_summary(runner, f"\n{jobs_table(gathered.jobs, cost)}")
     verdict = "pass" if code == ExitCode.PASS else "fail"
-    set_outputs(runner, {"verdict": verdict})  # of the jobs too, not of the results alone
+    # Of the jobs too, not of the results alone.
+    set_outputs(runner, {"verdict": verdict, "billed-minutes": cost.minutes, "cost": money(cost.amount)})
+    runner.log(cost.sentence)
     runner.log(f"{verdict}: {', '.join(f'{job} {result}' for job, result in gathered.jobs.items())}")
     return code
+
+
+def _seconds_since(began: str | None) -> int | None:
+    """Seconds from a time as ``date +%s`` tells it until now; None where it is none, or lies ahead."""
+    from calibration.pipeline.distribution.clock import parse_seconds
+
+    if began is None or not re.fullmatch("[0-9]{1,12}", began):
+        return None
+    return parse_seconds(str(int(time.time()) - int(began)))

@@ -14,6 +14,7 @@ from calibration.commands.parameters import (
     TEXT_LIST,
     boolean_option,
     count,
+    non_negative,
     path,
     text,
 )
@@ -23,6 +24,9 @@ from calibration.workflow import Runner, set_outputs, stop_commands
 if TYPE_CHECKING:
     from calibration.pipeline.configuration import Configuration, NoiseGrid
     from calibration.pipeline.distribution.plan import Plan
+
+HIGHEST_RATE = 1000.0
+"""Of a minute, in any currency: more is a slip of the pen."""
 
 
 @dataclass(frozen=True)
@@ -42,6 +46,16 @@ class Settings:
     tests: str | None = None
     jobs: tuple[str, ...] = ()
     push: bool = True
+    promote: bool = True
+    minute_rate: float | None = None
+
+
+def minute_rate(value: str | float) -> float:
+    """Read what a minute costs; a usage error for what is no price."""
+    rate = non_negative(value)
+    if rate > HIGHEST_RATE:
+        raise click.BadParameter(f"{value!r} is above {HIGHEST_RATE:g}")
+    return rate
 
 
 @click.command("plan-matrix")
@@ -58,6 +72,8 @@ class Settings:
 @click.option("--tests", type=text, help="The command that runs the unit tests.")
 @click.option("--jobs", type=TEXT_LIST, help="Only these jobs: calibrate, collect-data, unit-tests.")
 @boolean_option("--push", default=True, help="Images may be pushed (yes); not from a fork, which has no secrets.")
+@boolean_option("--promote", default=True, help="An image that passes may get its release tags (yes).")
+@click.option("--minute-rate", type=minute_rate, help="What a minute of a job costs, in your currency: 0.006.")
 def command(**options: Any) -> ExitCode:
     """Plan the jobs of a workflow: one for each system and pair of noises, as the matrix of a GitHub job."""
     settings = Settings(**{name: value for name, value in options.items() if value is not None})
@@ -78,6 +94,7 @@ def plan_matrix(settings: Settings, runner: Runner) -> ExitCode:
     with stop_commands(runner):  # names of systems are the user's
         for job, runs in plan.jobs.items():
             runner.log(f"{job}: {'yes' if runs else 'no'}")
+        runner.log(f"promote: {', '.join(plan.promote) or 'no'}")
         for cell in plan.cells:
             runner.log(f"  {cell.name}")
     set_outputs(runner, outputs)
@@ -104,6 +121,8 @@ def plan_of(settings: Settings) -> "Plan":
         command=bool(settings.command),
         tests=bool(settings.tests),
         push=settings.push,
+        promote=settings.promote,
+        minute_rate=settings.minute_rate,
     )
     systems = configuration.only(settings.systems) if configuration else ()
     return plan_jobs(configuration, systems, _noise(settings, configuration), wishes, by_path=bool(settings.datasets))

@@ -63,13 +63,18 @@ class Results:
         return tuple(dict.fromkeys(cell.system for cell in (*self.cells, *self.comparisons)))
 
 
-def write_results(results: Results, output: Path) -> None:
+def write_results(results: Results, output: Path, more: Mapping[str, Any] | None = None) -> None:
     """Write ``results.json``, ``cells.csv`` and ``junit.xml`` into the output folder, and each cell's own results.
+
+    Args:
+        results: what to write.
+        output: the folder.
+        more: further entries of ``results.json``.
 
     Raises:
         WorldError: a file cannot be written.
     """
-    write_atomically(output / FILE, _json(_document(results)))
+    write_atomically(output / FILE, _json({**_document(results), **(more or {})}))
     write_atomically(output / "cells.csv", cells_csv(results))
     write_atomically(output / "junit.xml", _junit(results))
     for cell in (*results.cells, *results.comparisons):

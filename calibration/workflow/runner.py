@@ -22,6 +22,8 @@ class Runner:
     """The file that takes the step's Markdown summary; none when there is no runner."""
     debug: bool = False
     """Whether the user asked the runner for debug logging."""
+    pull_request: bool = False
+    """Whether it runs for a pull request, of which nothing is merged yet."""
     stdout: TextIO = field(default_factory=lambda: sys.stdout, repr=False, compare=False)
     """The log, and the workflow commands."""
     stderr: TextIO = field(default_factory=lambda: sys.stderr, repr=False, compare=False)
@@ -40,6 +42,7 @@ class Runner:
             output_file=path("GITHUB_OUTPUT"),
             summary_file=path("GITHUB_STEP_SUMMARY"),
             debug=environment.get("RUNNER_DEBUG") == "1",
+            pull_request=environment.get("GITHUB_EVENT_NAME", "").startswith("pull_request"),
         )
 
     def log(self, text: str = "") -> None:

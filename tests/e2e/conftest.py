@@ -4,8 +4,11 @@ act runs the jobs on the host (`-P ubuntu-latest=-self-hosted`), takes the suite
 GitHub, and answers `actions/checkout` with a copy of the user's repository.
 """
 
+import io
+import json
 import os
 import re
+import secrets
 import shutil
 import signal
 import subprocess
@@ -13,11 +16,33 @@ import sys
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
 
+if TYPE_CHECKING:
+    from docker import DockerClient
+
 PROJECT = Path(__file__).resolve().parents[2]
-TIMEOUT = 120
+TIMEOUT = 270
+"""Seconds for one run of act, on a slow machine with much else to do."""
+LARGE = shutil.ignore_patterns("__pycache__", "*.jpg", "*.png")
+"""What is left out of copies: act copies a repository, and the suite for every step that uses an action, twice."""
+FORK = {
+    "pull_request": {
+        "number": 7,
+        "head": {"ref": "better", "sha": "0" * 40, "repo": {"fork": True, "full_name": "stranger/robot"}},
+        "base": {"ref": "main", "repo": {"full_name": "me/robot"}},
+    },
+    "repository": {"full_name": "me/robot", "default_branch": "main"},
+}
+"""The event of a stranger's pull request."""
+
+PLAIN = """FROM {base}
+USER root
+RUN apt-get update -qq && apt-get install -y -qq --no-install-recommends git python3-venv && rm -rf /var/lib/apt/lists/*
+CMD ["bash"]
+"""
 
 
 @dataclass(frozen=True)
@@ -29,8 +54,11 @@ class Run:
 
     @property
     def annotations(self) -> list[str]:
-        """The workflow commands that the runner obeyed as errors, from `::error` on."""
-        return re.findall(r"❗ +(::error.*)", self.log)
+        """The workflow commands that the runner obeyed as errors, from `::error` on.
+
+        Act marks as unknown what has no title, and a second `::` in its text; GitHub knows it.
+        """
+        return re.findall(r"[❗❓] +(::error.*)", self.log)
 
     @property
     def installations(self) -> list[str]:
@@ -43,7 +71,7 @@ class Run:
         summary = self.log[self.log.rindex("Summary - ## Calibration") :]
         text = re.findall(r"(?:^\|.*\n)+", summary, re.MULTILINE)
         tables = [[line.strip("| ").split(" | ") for line in table.splitlines()] for table in text]
-        return [[table[0], *table[2:]] for table in tables if table[0] != ["Job", "Result"]]
+        return [[table[0], *table[2:]] for table in tables if table[0][0] != "Job"]
 
     @property
     def outputs(self) -> set[str]:
@@ -64,27 +92,39 @@ class Repository:
     suite: Path
     cache: Path
 
-    def push(self, steps: str, files: Mapping[str, str | Path] | None = None) -> Run:
+    def push(self, steps: str, files: Mapping[str, str | Path] | None = None, *arguments: str) -> Run:
         """Commit files and a workflow of one job with these steps, and run it."""
-        for name, content in (files or {}).items():
+        self.write(steps, files or {})
+        return self.act("push", *arguments)
+
+    def write(self, steps: str, files: Mapping[str, str | Path]) -> None:
+        """Commit files and a workflow of one job with these steps."""
+        for name, content in files.items():
             target = self.folder / name
+            target.parent.mkdir(parents=True, exist_ok=True)
             if isinstance(content, Path):
-                shutil.copytree(content, target)
+                shutil.copytree(content, target, ignore=LARGE)
             else:
                 target.write_text(content)
         body = "".join(f"      {line}\n" for line in steps.strip("\n").splitlines())
         workflow = self.folder / ".github" / "workflows" / "push.yml"
         workflow.parent.mkdir(parents=True, exist_ok=True)
         workflow.write_text(
-            "on: push\njobs:\n  robot:\n    runs-on: ubuntu-latest\n    steps:\n      - uses: actions/checkout@v7\n"
-            + body
+            "on: [push, pull_request]\n"
+            "jobs:\n  robot:\n    runs-on: ubuntu-latest\n    steps:\n      - uses: actions/checkout@v7\n" + body
         )
         commit(self.folder)
-        return self.act("push")
+
+    def pull_request_from_a_fork(self) -> Run:
+        """Run what was written as GitHub does for a stranger's change: with an event that says so, and no secrets."""
+        event = self.cache / "event.json"
+        event.parent.mkdir(parents=True, exist_ok=True)
+        event.write_text(json.dumps(FORK))
+        return self.act("pull_request", "--eventpath", str(event))
 
     def act(self, *arguments: str) -> Run:
         """Run act here; whatever it has started ends with it."""
-        command = [tool("act"), *arguments, "-P", "ubuntu-latest=-self-hosted"]
+        command = [tool("act"), "-P", "ubuntu-latest=-self-hosted", *arguments]
         command += ["--local-repository", f"me/suite@v1={self.suite}"]
         with subprocess.Popen(
             command,
@@ -98,10 +138,23 @@ class Repository:
         ) as process:
             try:
                 log, _ = process.communicate(timeout=TIMEOUT)
+            except subprocess.TimeoutExpired:
+                process.send_signal(signal.SIGINT)  # which makes it remove its containers
+                log, _ = process.communicate(timeout=20)
+                pytest.fail(f"act was stopped after {TIMEOUT} s:\n{log}")
             finally:
                 if process.poll() is None:
                     os.killpg(process.pid, signal.SIGKILL)
         return Run(process.returncode, log)
+
+    def act_in(self, image: str, *arguments: str) -> Run:
+        """Run a push with its job in a container of an image, beside this machine's engine; uv is brought along."""
+        certificates = os.environ.get("SSL_CERT_FILE", "/etc/ssl/certs/ca-certificates.crt")
+        mounts = f'-v "{tool("uv")}:/usr/local/bin/uv:ro" -v "{certificates}:{certificates}:ro"'
+        return self.act(
+            *("push", "-P", f"ubuntu-latest={image}", "--pull=false", "--container-options", mounts),
+            *("--env", f"SSL_CERT_FILE={certificates}", *arguments),
+        )
 
     def _variables(self) -> dict[str, str]:
         """Return this process's environment without what only tests set; act's own files go to a folder of ours."""
@@ -142,17 +195,15 @@ def commit(folder: Path) -> None:
 
 @pytest.fixture(scope="session")
 def suite(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return a checkout of this repository as it is now, tagged v1."""
+    """Return a checkout of this repository as it is now, tagged v1, without what no action reads."""
     folder = tmp_path_factory.mktemp("github") / "suite"
-    folder.mkdir()
-    for source in PROJECT.iterdir():
-        if source.is_dir() and not source.name.startswith(".") and source.name not in ("build", "dist", "output"):
-            shutil.copytree(source, folder / source.name, ignore=shutil.ignore_patterns("__pycache__"))
-        elif source.is_file() and source.name != ".git":  # which it is in a worktree: commits would go there
-            shutil.copy(source, folder)
-    shutil.copytree(PROJECT / ".github", folder / ".github")
+    for name in (".github", "actions", "calibration", "datasets", "requirements"):
+        shutil.copytree(PROJECT / name, folder / name, ignore=LARGE)
+    for name in ("action.yml", "calibration.yml"):
+        shutil.copy(PROJECT / name, folder)
     commit(folder)
     git(folder, "tag", "v1")
+    git(folder, "gc", "--quiet")  # one file in the place of several hundred to copy
     return folder
 
 
@@ -170,3 +221,12 @@ def repository(suite: Path, cache: Path, tmp_path: Path) -> Repository:
     folder = tmp_path / "my robot"
     folder.mkdir()
     return Repository(folder, suite, cache)
+
+
+@pytest.fixture(scope="session")
+def plain_image(engine: "DockerClient", python_image: str) -> Iterator[str]:
+    """Return an image to run jobs in: Debian with Python and git, and nothing of GitHub's."""
+    name = f"calibration-test:plain-{secrets.token_hex(4)}"
+    engine.images.build(fileobj=io.BytesIO(PLAIN.format(base=python_image).encode()), tag=name, forcerm=True)
+    yield name
+    engine.images.remove(name, force=True)

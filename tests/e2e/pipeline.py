@@ -10,7 +10,8 @@ import yaml
 
 from .conftest import PROJECT, Repository, Run, commit
 
-OUTPUTS = "${{ needs.robot.outputs.verdict }} ${{ needs.robot.outputs.success-rate }}"
+OUTPUTS = ("verdict", "success-rate", "billed-minutes", "cost")
+"""Of the workflow; a job of the caller prints them."""
 STAND_INS = Path(__file__).with_name("stand_ins")
 WORKFLOW = PROJECT / ".github" / "workflows" / "pipeline.yml"
 PINS = sorted(set(re.findall(r"uses: (actions/(?:up|down)load-artifact@[0-9a-f]{40})", WORKFLOW.read_text())))
@@ -24,6 +25,8 @@ class Caller:
     artifacts: Path
     """What the jobs uploaded, a folder each."""
     inputs: Mapping[str, object] = field(default_factory=dict)
+    secrets: Mapping[str, str] = field(default_factory=dict)
+    """What the workflow's secrets are in the caller's repository; a fork has none."""
 
     def write(self, inputs: Mapping[str, object], files: Mapping[str, str | Path], *, reference: str = "@v1") -> None:
         """Write the files and a workflow that calls pipeline.yml of the suite at a reference, and commit."""
@@ -42,7 +45,10 @@ class Caller:
                     "permissions": {"contents": "read"},
                     "uses": f"me/suite/.github/workflows/pipeline.yml{reference}",
                     "with": {**self.inputs, **inputs},
-                    "secrets": {"codacy-project-token": "${{ secrets.CODACY }}"},
+                    "secrets": {
+                        name: f"${{{{ secrets.{name.upper().replace('-', '_')} }}}}"
+                        for name in ("codacy-project-token", "registry-password")
+                    },
                 },
                 "after": {
                     "needs": "robot",
@@ -52,7 +58,7 @@ class Caller:
                         {
                             "run": 'echo "outputs: $OUTPUTS"',
                             "env": {
-                                "OUTPUTS": "${{ needs.robot.outputs.verdict }} ${{ needs.robot.outputs.success-rate }}"
+                                "OUTPUTS": " ".join(f"{name}=${{{{ needs.robot.outputs.{name} }}}}" for name in OUTPUTS)
                             },
                         }
                     ],
@@ -70,6 +76,8 @@ class Caller:
         self.artifacts.mkdir()
         options = [f"--local-repository={pin}={STAND_INS / pin[8:].partition('@')[0]}" for pin in PINS]
         options += [f"--local-repository=me/suite{reference}={self.repository.suite}"]
+        for name, value in self.secrets.items() if "pull_request" not in arguments else ():
+            options += ["--secret", f"{name.upper().replace('-', '_')}={value}"]
         options += ["--env", f"ARTIFACTS={self.artifacts}", "--env", f"GIT_CONFIG_GLOBAL={self._git_configuration()}"]
         return self.repository.act(*(arguments or ("push",)), *options)
 

@@ -1,6 +1,8 @@
 """The reusable workflow, called by another repository."""
 
 import json
+import math
+import re
 import shutil
 import subprocess
 import sys
@@ -9,7 +11,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from .conftest import PROJECT, Repository, commit
+from .conftest import FORK, PROJECT, Repository, commit
 from .pipeline import Caller
 
 DATASETS = PROJECT / "datasets"
@@ -20,26 +22,22 @@ systems:
   two-cameras: {dataset: data of robots/t2rgb, evaluate: "rgb-to-rgb:right_camera:left_camera", limits: {rms-px: 1}}
   arm: {dataset: data of robots/riwbot}
 """
-THREE_WAYS_TO_FAIL = """
+EVERYTHING_FAILS = """
 systems:
   beyond-limit: {dataset: data of robots/riwbot, limits: {rms-px: 0.001}}
   not-there: {dataset: nowhere}
   lost: {dataset: data of robots/riwbot}
+  later: {dataset: "simulation:fresh"}
+simulation:
+  fresh: {system: data of robots/t2rgb, motion: generate:4, limits: {translation-mm: 0.000001}}
 """
+NOTHING_LEFT = ("not-there", "lost", "later")
 COLLECTED = """
 systems:
   fresh: {dataset: "simulation:fresh", evaluate: "rgb-to-rgb:right_camera:left_camera"}
 simulation:
   fresh: {system: data of robots/t2rgb, motion: generate:4, limits: {translation-mm: 5}}
 """
-FORK = {
-    "pull_request": {
-        "number": 7,
-        "head": {"ref": "better", "sha": "0" * 40, "repo": {"fork": True, "full_name": "stranger/robot"}},
-        "base": {"ref": "main", "repo": {"full_name": "me/robot"}},
-    },
-    "repository": {"full_name": "me/robot", "default_branch": "main"},
-}
 
 
 @pytest.fixture
@@ -48,11 +46,10 @@ def caller(repository: Repository, tmp_path: Path) -> Caller:
 
 
 def test_a_matrix_of_jobs_ends_in_one_table(caller: Caller) -> None:
-    caller.write({}, {**DATA, "calibration.yml": TWO_BY_TWO})
+    caller.write({"minute-rate": "0.006"}, {**DATA, "calibration.yml": TWO_BY_TWO})
     run = caller.run()
     assert run.code == 0, run.log
     assert run.annotations == []
-    assert "outputs: pass 1.0" in run.printed
     [table] = run.tables
     assert [row[0] for row in table] == ["Start", "0 m, 0.3 rad", "0.5 m, 0.3 rad"]
     assert table[0][1:] == ["two-cameras", "arm"]
@@ -61,22 +58,89 @@ def test_a_matrix_of_jobs_ends_in_one_table(caller: Caller) -> None:
     assert len(results["cells"]) == 4
     for cell in results["cells"]:  # the paths are those in the folder that all artifacts make together
         assert list(caller.artifacts.glob(f"*/{cell['table']}")), cell["table"]
+    cost = results["cost"]
+    assert cost["complete"]
+    assert [job["job"] for job in cost["jobs"]] == ["plan", *["calibrate"] * 4, "verdict"]
+    minutes = sum(max(1, math.ceil(job["seconds"] / 60)) for job in cost["jobs"])
+    assert f"| all |  | 6 | {sum(job['seconds'] for job in cost['jobs'])} | {minutes} | {cost['cost']} |" in run.log
+    price = f"{minutes * 0.006:.3f}".rstrip("0")
+    assert f"outputs: verdict=pass success-rate=1.0 billed-minutes={minutes} cost={price}" in run.printed
 
 
-def test_everything_that_goes_wrong_in_a_cell_is_red(caller: Caller) -> None:
-    caller.write({}, {**DATA, "calibration.yml": THREE_WAYS_TO_FAIL})
-    run = caller.run("push", "--env", "LOSE=calibration-lost_0m_0rad")
+@pytest.mark.parametrize("event", ["push", "pull_request"])
+def test_everything_that_goes_wrong_is_red_and_says_why(event: str, caller: Caller, tmp_path: Path) -> None:
+    """A broken limit, a dataset that is not there, a lost result, a collection and its system, and the unit tests."""
+    fork = tmp_path / "event.json"
+    fork.write_text(json.dumps(FORK))
+    inputs = {"tests": "python3 -m unittest -q", "coverage-minimum": "90"}
+    robot = {"robot.py": "def still():\n    if False:\n        pass\n    return True\n", "test_robot.py": UNCOVERED}
+    caller.write(inputs, {**DATA, **robot, "calibration.yml": EVERYTHING_FAILS})
+    options = ("-e", str(fork)) if event == "pull_request" else ()
+    run = caller.run(event, *options, "--env", "LOSE=calibration-lost_0m_0rad")
     assert run.code == 1
-    said = [line for line in run.annotations if "title=gather-results" in line]
-    assert len(said) == 3
-    assert "beyond-limit" in said[0]
-    assert "RMS: found 0.0542 px, at most 0.001 px was expected" in said[0]
-    assert "not-there, 0 m, 0 rad, seed 1: its job left no result" in said[1]
-    assert "lost, 0 m, 0 rad, seed 1: its job left no result" in said[2]
-    assert any("nowhere" in line for line in run.annotations)  # the job itself says why
-    [table] = run.tables
-    assert table[1][1:] == ["0.0542 px, 0.00227 mm, 0.00026 deg, FAIL", "FAIL", "FAIL"]
+    title = "::error title=gather-results::"
+    said = [line.removeprefix(title) for line in run.annotations if line.startswith(title)]
+    assert said[0] == "the job unit-tests failed: see its log"
+    assert said[1].startswith("beyond-limit, 0 m, 0 rad, seed 1: ")
+    assert "RMS: found 0.0542 px, at most 0.001 px was expected" in said[1]
+    lost = [f"{name}, 0 m, 0 rad, seed 1: its job left no result: see the job's log" for name in NOTHING_LEFT]
+    assert said[2:5] == lost
+    assert re.match(r"collected fresh: translation error against the truth: found [0-9.e-]+ mm, at most 1e-06", said[5])
+    assert len(said) == 6
+    others = sorted(line for line in run.annotations if not line.startswith(title))  # each job itself says why
+    assert [line.partition("::")[2] for line in others] == [
+        "error title=calibrate-matrix::" + said[1],
+        "error title=calibration run::" + said[5],
+        "error title=coverage-upload::0.0 %25 (0 of 3) of all lines are run, minimum is 90 %25",
+        "error::nowhere: a JSON document was expected, but it cannot be read: No such file or directory",
+    ]
+    table, collected = run.tables
+    assert table[1][1:] == ["0.0542 px, 0.00227 mm, 0.00026 deg, FAIL", *["FAIL"] * 3]
+    assert collected[1][-1].endswith("FAIL")
     assert "Traceback" not in run.log
+    assert "| calibrate | failure | 3 |" in run.log
+    assert "::set-output:: verdict=fail\n" in run.log
+    assert re.search(r"::set-output:: billed-minutes=[0-9]+\n", run.log)
+    results = json.loads((caller.artifacts / "calibration" / "results.json").read_text())
+    assert results["verdict"] == "fail"
+    unknown = [job["name"] for job in results["cost"]["jobs"] if job["seconds"] is None]
+    assert unknown == ["lost, 0 m, 0 rad"]  # what is lost costs too, nobody knows how much
+
+
+@pytest.mark.parametrize(
+    ("inputs", "message"),
+    [
+        ({"minute-rate": "six"}, "::error::Invalid value for '--minute-rate': 'six' is not a finite number"),
+        (
+            {"translation-noise": ",".join(map(str, range(129)))},
+            "::error::the matrix has 258 jobs (2 systems x 129 translation noises x 1 rotation noises), GitHub takes",
+        ),
+        ({"systems": "$(touch pwned)`touch pwned`\n::error::x"}, "::error::systems: there is no '$(touch pwned)`touch"),
+    ],
+)
+def test_what_cannot_be_planned_is_red(inputs: dict[str, object], message: str, caller: Caller) -> None:
+    caller.write(inputs, {"calibration.yml": TWO_BY_TWO})
+    run = caller.run()
+    assert run.code == 1
+    [wrong, gathered] = run.annotations
+    assert wrong.startswith(message)
+    assert "the job plan failed" in gathered
+    assert re.search(r"/plan *\] exit status 2\n", run.log)
+    assert "| all |  | 2 |" in run.log  # plan and verdict are billed
+    assert not list(caller.repository.folder.parent.rglob("pwned*"))
+
+
+def test_names_are_no_code(caller: Caller) -> None:
+    name = "ri$(touch pwned)`touch pwned`;touch pwned #'wbot"
+    caller.write({"datasets": f"my data/{name}", "minute-rate": "0"}, {f"my data/{name}": DATASETS / "riwbot"})
+    run = caller.run()
+    assert run.code == 0, run.log
+    [table] = run.tables
+    assert table[1][1] == "0.0542 px, 0.00227 mm, 0.00026 deg"
+    assert [path.name for path in caller.artifacts.iterdir() if path.name != "calibration"] == [
+        "calibration-ri_touchpwned_touchpwned_touchpwned_wbot_0m_0rad"
+    ]
+    assert not list(caller.repository.folder.parent.rglob("pwned"))
 
 
 def test_a_plan_that_fails_is_red(caller: Caller) -> None:
@@ -137,6 +201,14 @@ def test_this_repositorys_own_pipeline_runs_what_is_checked_out(caller: Caller, 
 
 
 ROBOT = {"robot.py": "def still():\n    return True\n", "calibrated.txt": "yes\n"}
+UNCOVERED = """
+import unittest
+
+
+class Robot(unittest.TestCase):
+    def test_nothing(self):
+        pass
+"""
 UNIT_TEST = """
 import unittest
 

@@ -1,6 +1,6 @@
 """The reusable workflow with jobs in a plain image: Debian with Python, git and curl, and nothing of GitHub's."""
 
-import io
+import json
 import os
 import re
 import secrets
@@ -11,31 +11,21 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from calibration.image.registries.credentials import Credentials
+from calibration.image.registries.reference import parse_reference
+from calibration.image.registries.registry import RegistryClient
 from tests.engine import Registry
 
-from .conftest import PROJECT, Repository, tool
+from .conftest import FORK, PROJECT, Repository, Run, tool
 from .pipeline import Caller
 
 if TYPE_CHECKING:
     from docker import DockerClient
 
-DOCKERFILE = """FROM {base}
-USER root
-RUN apt-get update -qq && apt-get install -y -qq --no-install-recommends git python3-venv && rm -rf /var/lib/apt/lists/*
-CMD ["bash"]
-"""
 EVALUATE = "inter-collection-rgb-to-rgb:rgb_world:rgb_world"
 
 
-@pytest.fixture(scope="module")
-def image(engine: "DockerClient", python_image: str) -> Iterator[str]:
-    name = f"calibration-test:runner-{secrets.token_hex(4)}"
-    engine.images.build(fileobj=io.BytesIO(DOCKERFILE.format(base=python_image).encode()), tag=name, forcerm=True)
-    yield name
-    engine.images.remove(name, force=True)
-
-
-def test_in_a_plain_image(image: str, repository: Repository, tmp_path: Path) -> None:
+def test_in_a_plain_image(plain_image: str, repository: Repository, tmp_path: Path) -> None:
     caller = Caller(repository, tmp_path / "artifacts")
     caller.write(
         {"runner": '["plain"]', "datasets": "my data/riwbot", "evaluate": EVALUATE},
@@ -50,7 +40,7 @@ def test_in_a_plain_image(image: str, repository: Repository, tmp_path: Path) ->
     }
     options = " ".join(f'-v "{path if ":" in path else f"{path}:{path}"}{mode}"' for path, mode in shared.items())
     run = caller.run(
-        *("push", "-P", f"plain={image}", "--pull=false", "--container-daemon-socket", "-"),
+        *("push", "-P", f"plain={plain_image}", "--pull=false", "--container-daemon-socket", "-"),
         *("--container-options", options, "--env", f"SSL_CERT_FILE={certificates}"),
     )
     assert run.code == 0, run.log
@@ -59,42 +49,99 @@ def test_in_a_plain_image(image: str, repository: Repository, tmp_path: Path) ->
     assert run.installations == ["calibrate"] * 3  # in each of the three containers
 
 
+TABLE = "Collection #,RMS (pix)\n000,0.5\nAverages,0.5\n"
 SOFTWARE = """
 image:
-  name: "{registry}/pipeline-test"
+  name: "{name}"
   base: "{base}"
   files: [{{from: table.csv, to: /opt/table.csv}}]
   push: true
-noise: {{translation: [0, 0.5]}}
+  promote: [{tag}]
+noise: {{translation: {noise}}}
 systems:
   arm:
     dataset: data/riwbot
-    software: {{command: [cp, /opt/table.csv, "{{output}}/table.csv"]}}
+    software: {{command: {command}}}
     rules: [{{column: RMS (pix), row: Averages, max: 1}}]
 """
+COPY = '[cp, /opt/table.csv, "{output}/table.csv"]'
 
 
-def test_the_image_is_built_once_and_every_cell_runs_in_it(
-    engine: "DockerClient", python_image: str, registry: Registry, repository: Repository, tmp_path: Path
-) -> None:
-    caller = Caller(repository, tmp_path / "artifacts", {"python": sys.executable})
-    table = "Collection #,RMS (pix)\n000,0.5\nAverages,0.5\n"
-    caller.write(
-        {},
-        {
-            "data/riwbot": PROJECT / "datasets" / "riwbot",
-            "table.csv": table,
-            "calibration.yml": SOFTWARE.format(registry=registry.address, base=python_image),
-        },
-    )
-    try:
-        run = caller.run()
-    finally:
-        for image in engine.images.list(f"{registry.address}/pipeline-test"):
+def in_registry(registry: Registry, name: str) -> str | None:
+    credentials = Credentials(registry.address, registry.user, registry.password)
+    with RegistryClient(credentials) as client:
+        return client.find_manifest(parse_reference(name))
+
+
+class Team:
+    """A team whose image is in a private registry."""
+
+    def __init__(self, caller: Caller, registry: Registry, base: str) -> None:
+        self.caller = caller
+        self.registry = registry
+        self.base = base
+        self.name = f"{registry.address}/team-{secrets.token_hex(4)}/robot"
+
+    def run(self, *arguments: str, tag: str, noise: str = "[0]", command: str = COPY) -> Run:
+        text = SOFTWARE.format(name=self.name, base=self.base, tag=tag, noise=noise, command=command)
+        data = {"data/riwbot": PROJECT / "datasets" / "riwbot", "table.csv": TABLE, "calibration.yml": text}
+        self.caller.write({}, data)
+        run = self.caller.run(*arguments)
+        shown = [line for line in run.log.splitlines() if "::add-mask::" not in line]
+        assert self.registry.password not in "\n".join(shown)
+        return run
+
+    def digest(self, tag: str) -> str | None:
+        return in_registry(self.registry, f"{self.name}:{tag}")
+
+    def forget(self, engine: "DockerClient") -> None:
+        for image in engine.images.list(self.name):
             engine.images.remove(image.id, force=True)
+
+
+@pytest.fixture
+def team(
+    engine: "DockerClient", python_image: str, private_registry: Registry, repository: Repository, tmp_path: Path
+) -> Iterator[Team]:
+    inputs = {"python": sys.executable, "registry-username": private_registry.user}
+    secret = {"registry-password": private_registry.password}
+    caller = Caller(repository, tmp_path / "artifacts", inputs, secret)
+    team = Team(caller, private_registry, python_image)
+    yield team
+    team.forget(engine)
+
+
+def jobs(run: Run) -> set[str]:
+    """Return the jobs that have begun, without what they work on."""
+    return {re.sub(r" *\(.*", "", job) for job in re.findall(r"^\[robot/pipeline/(.*?) *\].*Set up job", run.log, re.M)}
+
+
+def test_the_image_is_built_once_every_cell_runs_in_it_and_then_it_is_promoted(team: Team, tmp_path: Path) -> None:
+    """Built, found by both cells, and promoted by its digest; red or in a fork's pull request, nothing is promoted."""
+    run = team.run(tag="stable", noise="[0, 0.5]")
     assert run.code == 0, run.log
     built = re.findall(r"set-output:: built=(\w+)", run.log)
-    assert built == ["true", "false", "false"]
-    [cells] = run.tables
+    assert built == ["true", "false", "false", "false"]  # the last by the promotion
+    cells, *_ = run.tables  # then comes what the promotion says
     assert cells[0] == ["Start", "arm: software", "arm: calibration-ci"]
     assert [row[1] for row in cells[1:]] == ["0.5000 px", "0.5000 px"]
+    [digest] = set(re.findall(r"set-output:: digest=(sha256:\w+)", run.log))
+    assert team.digest("stable") == digest
+    assert "| promote | to come | 1 | ? | ? |" in run.log
+    assert jobs(run) == {"plan", "image", "calibrate", "verdict", "promote"}
+
+    run = team.run(tag="red", command="[sh, -c, exit 7]")
+    assert run.code == 1
+    crashed = "arm, 0 m, 0 rad, seed 1: container 'calibration' ended with exit code 7; "
+    own, gathered = run.annotations
+    assert own.startswith(f"::error title=calibrate-matrix::{crashed}")
+    assert gathered.startswith(f"::error title=gather-results::{crashed}")
+    assert "promote" not in jobs(run)
+    assert team.digest("red") is None
+
+    event = tmp_path / "event.json"
+    event.write_text(json.dumps(FORK))
+    run = team.run("pull_request", "-e", str(event), tag="strange")
+    assert run.code == 0, run.log
+    assert jobs(run) == {"plan", "calibrate", "verdict"}  # nothing is pushed either
+    assert team.digest("strange") is None

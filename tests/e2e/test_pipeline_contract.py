@@ -9,8 +9,13 @@ import pytest
 import yaml
 
 from calibration.__main__ import load_command
+from calibration.errors import InputError
+from calibration.image.registries.promotion import promote
+from calibration.pipeline.distribution.clock import FILE
+from calibration.pipeline.distribution.needs import SECONDS
 from calibration.pipeline.distribution.plan import Plan
 from calibration.pipeline.distribution.plan_outputs import plan_outputs
+from calibration.workflow import Runner
 from tests.actions.write_inputs import options
 
 WORKFLOWS = Path(__file__).resolve().parents[2] / ".github" / "workflows"
@@ -61,19 +66,81 @@ def test_every_variable_of_a_step_is_an_input_of_its_command() -> None:
 
 
 def test_the_plan_hands_on_all_that_it_says() -> None:
-    assert JOBS["plan"]["outputs"] == {name: f"${{{{ steps.plan.outputs.{name} }}}}" for name in plan_outputs(Plan())}
+    told = {name: f"${{{{ steps.plan.outputs.{name} }}}}" for name in plan_outputs(Plan())}
+    assert JOBS["plan"]["outputs"] == {**told, SECONDS: "${{ steps.seconds.outputs.seconds }}"}
     wishes = {name for name in options("plan-matrix") if name != "push"}
     assert wishes <= set(CALL["inputs"])
 
 
 def test_the_verdict_waits_for_every_job_and_is_never_skipped() -> None:
     verdict = JOBS["verdict"]
-    assert set(verdict["needs"]) == set(JOBS) - {"verdict"}
+    assert set(verdict["needs"]) == set(JOBS) - {"verdict", "promote"}
     assert verdict["if"] == "${{ always() }}"
-    assert set(Plan().jobs) == set(JOBS) - {"verdict", "plan"}
+    assert set(Plan().jobs) == set(JOBS) - {"plan", "verdict", "promote"}
     for job in JOBS.values():
         assert "continue-on-error" not in job
         assert all("continue-on-error" not in step for step in job["steps"])
+
+
+def test_an_image_is_promoted_after_a_verdict_that_is_pass_and_never_in_a_pull_request() -> None:
+    last, plan = JOBS["promote"], JOBS["plan"]
+    assert last["needs"] == ["plan", "image", "verdict"]
+    for condition in ("!failure()", "!cancelled()", "needs.verdict.outputs.verdict == 'pass'"):
+        assert condition in last["if"]
+    [wish] = [step["env"]["INPUT_PROMOTE"] for step in plan["steps"] if "INPUT_PROMOTE" in step.get("env", {})]
+    assert wish == "${{ inputs.promote && !startsWith(github.event_name, 'pull_request') }}"
+
+
+def test_a_promotion_that_lost_the_digest_builds_nothing() -> None:
+    [step] = [step for step in JOBS["promote"]["steps"] if step.get("name") == "Promote"]
+    fallback = re.fullmatch(r"\$\{\{ needs\.image\.outputs\.digest \|\| '(.+)' \}\}", step["env"]["INPUT_DIGEST"])
+    assert fallback is not None
+    with pytest.raises(InputError, match="sha256:unknown"):
+        promote("127.0.0.1:1/robot", fallback[1], ["stable"], None, Runner())
+
+
+def test_every_job_measures_itself() -> None:
+    """From its first step to its last; where the jobs are of a matrix, until it keeps its results."""
+    for name, job in JOBS.items():
+        first, *_, last = job["steps"]
+        if name == "promote":  # nobody waits for it
+            continue
+        assert first["run"] == 'echo "began=$(date +%s)" >>"$GITHUB_OUTPUT"'
+        if name == "verdict":
+            continue
+        if "strategy" in job:
+            [_, read, kept] = job["steps"][-3:]
+            assert kept["uses"].startswith("actions/upload-artifact@")
+            assert read["run"].endswith(f'echo "$(($(date +%s) - BEGAN))" >"$FOLDER/{FILE}"\n')
+            [folder] = [step["env"]["INPUT_OUTPUT"] for step in job["steps"] if "INPUT_OUTPUT" in step.get("env", {})]
+            assert read["env"]["FOLDER"] == folder
+        else:
+            assert last["if"] == "${{ always() }}"
+            assert last["run"] == f'echo "{SECONDS}=$(($(date +%s) - BEGAN))" >>"$GITHUB_OUTPUT"'
+            assert job["outputs"][SECONDS] == "${{ steps.seconds.outputs.seconds }}"
+
+
+def test_a_login_goes_to_the_image_that_it_is_for() -> None:
+    """Our containers are started without a login: what is built is brought to the engine by the step that has one."""
+    [calibrate] = [step for step in JOBS["calibrate"]["steps"] if step.get("name") == "Calibrate"]
+    password, user = "secrets.registry-password", "inputs.registry-username"
+    given = calibrate["env"]
+    assert given["INPUT_REGISTRY_PASSWORD"] == f"${{{{ matrix.image == 'given' && {password} || '' }}}}"
+    assert given["INPUT_REGISTRY_USERNAME"] == f"${{{{ matrix.image == 'given' && {password} && {user} || '' }}}}"
+    for job in ("calibrate", "collect-data"):
+        [build] = [step for step in JOBS[job]["steps"] if step.get("name") == "Build the image"]
+        assert build["env"]["INPUT_LOAD"] is True
+
+
+def test_jobs_have_the_time_that_the_caller_gives_their_kind() -> None:
+    timeouts = {name: job["timeout-minutes"] for name, job in JOBS.items() if isinstance(job["timeout-minutes"], str)}
+    assert timeouts == {
+        "image": "${{ inputs.timeout-minutes }}",
+        "calibrate": "${{ inputs.timeout-minutes }}",
+        "calibrate-collected": "${{ inputs.timeout-minutes }}",
+        "collect-data": "${{ inputs.collect-timeout-minutes || inputs.timeout-minutes }}",
+        "unit-tests": "${{ inputs.tests-timeout-minutes || inputs.timeout-minutes }}",
+    }
 
 
 def test_every_workflow_of_ours_is_one_required_check() -> None:
@@ -91,7 +158,7 @@ def test_permissions_are_small() -> None:
         assert more == ({"release"} if path.name == "release.yml" else set())
     # These use what the caller gives.
     assert {name for name, job in JOBS.items() if "permissions" not in job} == {
-        *("image", "calibrate", "collect-data", "calibrate-collected")
+        *("image", "calibrate", "collect-data", "calibrate-collected", "promote")
     }
 
 

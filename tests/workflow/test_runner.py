@@ -11,14 +11,16 @@ def test_reads_the_runners_variables() -> None:
             "GITHUB_OUTPUT": "/t/out",
             "GITHUB_STEP_SUMMARY": "/t/summary",
             "RUNNER_DEBUG": "1",
+            "GITHUB_EVENT_NAME": "pull_request_target",
         }
     )
-    assert runner == Runner(True, Path("/w"), Path("/t/out"), Path("/t/summary"), True)
+    assert runner == Runner(True, Path("/w"), Path("/t/out"), Path("/t/summary"), True, True)
 
 
 def test_off_github_there_is_nothing() -> None:
     assert Runner.from_environment({}) == Runner()
-    assert Runner.from_environment({"GITHUB_ACTIONS": "false", "GITHUB_OUTPUT": "", "RUNNER_DEBUG": "0"}) == Runner()
+    nothing = {"GITHUB_ACTIONS": "false", "GITHUB_OUTPUT": "", "RUNNER_DEBUG": "0", "GITHUB_EVENT_NAME": "push"}
+    assert Runner.from_environment(nothing) == Runner()
 
 
 def test_names_files_relative_to_the_workspace(github: Runner, workspace: Path, tmp_path: Path) -> None:

@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +32,8 @@ class Gathered:
     """What became of each job that was to run."""
     problems: tuple[str, ...] = ()
     """Jobs that did not succeed, where no result says why."""
+    plan: Plan = field(default_factory=Plan)
+    """Empty where planning failed."""
 
     @property
     def exit_code(self) -> ExitCode:
@@ -66,7 +68,7 @@ def gather(needs: Needs, folder: Path) -> Gathered:
         "collect-data": any(each.verdict == "fail" for each in results.collections),
     }
     problems = [_problem(job, result) for job, result in jobs.items() if result != SUCCESS and not failed.get(job)]
-    return Gathered(results, jobs, tuple(problems))
+    return Gathered(results, jobs, tuple(problems), plan)
 
 
 def _any_failed(parts: Iterable[tuple[JobCell, Results]], *, collected: bool) -> bool:

@@ -6,8 +6,11 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from calibration.errors import InputError
+from calibration.pipeline.distribution.clock import parse_seconds
 
 SUCCESS = "success"
+SECONDS = "seconds"
+"""The output by which a job that is alone in its place tells how long it took."""
 
 
 @dataclass(frozen=True)
@@ -17,7 +20,9 @@ class Needs:
     results: Mapping[str, str] = field(default_factory=dict)
     """For each job success, failure, cancelled or skipped."""
     plan: Mapping[str, Any] = field(default_factory=dict)
-    """The outputs of the job plan; empty where it failed."""
+    """The outputs of plan-matrix; empty where it failed."""
+    seconds: Mapping[str, int] = field(default_factory=dict)
+    """How long the jobs took that say it by an output."""
 
 
 def parse_needs(text: str) -> Needs:
@@ -29,7 +34,10 @@ def parse_needs(text: str) -> Needs:
     try:
         jobs = json.loads(text)
         results = {name: str(job["result"]) for name, job in jobs.items()}
+        outputs = {name: dict(job.get("outputs") or {}) for name, job in jobs.items()}
         plan = dict(jobs["plan"]["outputs"] or {})
-    except (ValueError, KeyError, TypeError, AttributeError):
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
         raise InputError("needs: ${{ toJSON(needs) }} of a job that waits for the job plan was expected") from None
-    return Needs(results, plan)
+    plan.pop(SECONDS, None)
+    told = {name: parse_seconds(found.get(SECONDS)) for name, found in outputs.items()}
+    return Needs(results, plan, {name: seconds for name, seconds in told.items() if seconds is not None})

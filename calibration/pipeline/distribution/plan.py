@@ -66,8 +66,14 @@ class Plan:
     unit_tests: bool = False
     image: bool = False
     """Whether the image is built and pushed before the cells, so that they only fetch it."""
+    collects_in_image: bool = False
+    """Whether a simulation runs in the image that the pipeline builds."""
     push: bool = False
     """Whether the cells may push the image that they build."""
+    promote: tuple[str, ...] = ()
+    """The tags that the image gets after a verdict that is pass."""
+    minute_rate: float | None = None
+    """What a minute of a job costs."""
 
     @property
     def at_once(self) -> tuple[JobCell, ...]:
@@ -81,7 +87,7 @@ class Plan:
 
     @property
     def jobs(self) -> Mapping[str, bool]:
-        """For each job of the workflow whether it is to run."""
+        """For each job of the workflow that the verdict waits for, whether it is to run."""
         return {
             "image": self.image,
             "calibrate": bool(self.at_once),
@@ -106,6 +112,9 @@ class Wishes:
     """Whether unit tests are given."""
     push: bool = True
     """False where there is nothing to push with: in a fork."""
+    promote: bool = True
+    """False where the image is not to get its release tags, whatever the verdict."""
+    minute_rate: float | None = None
 
 
 def datasets_as_configuration(datasets: Sequence[Path]) -> Configuration:
@@ -158,13 +167,18 @@ def plan_jobs(
     if built is not None and section is None:
         raise InputError(f"command: the system '{built.system}' has no image to run it in: add the input image")
     push = section is not None and section.push and wishes.push
+    in_image = any(map(_runs_in_built_image, collected))
+    image = push and (built is not None or in_image)
     return Plan(
         cells,
         noise.seeds,
         tuple(simulation.name for simulation in collected),
         "unit-tests" in wanted,
-        image=push and (built is not None or any(map(_runs_in_built_image, collected))),
+        image=image,
+        collects_in_image=in_image,
         push=push,
+        promote=section.promote if section is not None and image and wishes.promote else (),
+        minute_rate=wishes.minute_rate,
     )
 
 

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from calibration.errors import InputError
-from calibration.introspection.numbers import number_text
+from calibration.introspection.numbers import number_text, parse_number
 from calibration.pipeline.distribution.plan import JobCell, Plan
 
 MOST_BYTES = 112 * 1024
@@ -24,7 +24,10 @@ def plan_outputs(plan: Plan) -> dict[str, str]:
         "collected-cells": _json([_entry(cell) for cell in plan.after_collection]),
         "simulations": _json(plan.simulations),
         "seeds": _json(len(plan.seeds) if plan.seeds == tuple(range(1, len(plan.seeds) + 1)) else plan.seeds),
+        "collects-in-image": "true" if plan.collects_in_image else "false",
         "push": "true" if plan.push else "false",
+        "promote": _json(plan.promote),
+        "minute-rate": _json(plan.minute_rate),
     }
     size = len(_json(outputs).encode())
     if size > MOST_BYTES:
@@ -49,7 +52,10 @@ def plan_of_outputs(outputs: Mapping[str, Any]) -> Plan:
             simulations=tuple(json.loads(outputs["simulations"])),
             unit_tests=outputs["unit-tests"] == "true",
             image=outputs["image"] == "true",
+            collects_in_image=outputs["collects-in-image"] == "true",
             push=outputs["push"] == "true",
+            promote=tuple(json.loads(outputs["promote"])),
+            minute_rate=parse_number(outputs["minute-rate"]),
         )
         if plan_outputs(plan) == dict(outputs):
             return plan

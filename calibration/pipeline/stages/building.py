@@ -35,6 +35,9 @@ def promote_stage(specification: ImageSpecification, results: Results, output: P
     if image is None or results.verdict != "pass":
         runner.log(f"not promoted: the verdict is {results.verdict}")
         return results
+    if runner.pull_request:
+        runner.log("not promoted: a pull request is not merged yet")
+        return results
     if image.digest is None:
         raise WorldError(f"image.promote: {image.reference} is in no registry; add push: true to the section image")
     credentials = registry_login(specification.registry, specification.name, runner)

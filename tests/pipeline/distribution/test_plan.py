@@ -45,7 +45,8 @@ def planned(
 
 
 def image_section(push: bool, tmp_path: Path) -> ImageSpecification:
-    return parse_image_specification({"name": "ghcr.io/me/robot", "base": "debian", "push": push}, tmp_path, "image")
+    entry = {"name": "ghcr.io/me/robot", "base": "debian", "push": push, "promote": ["stable", "v1"]}
+    return parse_image_specification(entry, tmp_path, "image")
 
 
 def software(image: str) -> Software:
@@ -148,8 +149,19 @@ def test_the_image_is_built_before_only_where_the_cells_can_fetch_it(tmp_path: P
     ):
         assert not plan.image
         assert not plan.push
+        assert plan.promote == ()
     with pytest.raises(InputError, match="'robot' has no image to run it in: add the input image"):
         planned(ROBOT, command=True)
+
+
+def test_what_was_tested_gets_its_tags_and_nothing_else(tmp_path: Path) -> None:
+    section = image_section(True, tmp_path)
+    system = replace(ROBOT, software=software(""))
+    assert planned(system, section=section).promote == ("stable", "v1")
+    assert planned(system, section=section, promote=False).promote == ()
+    assert planned(ROBOT, section=section).promote == ()  # nothing has run in it
+    assert planned(system, section=section, image=True).promote == ()  # nor here, where another one is given
+    assert planned(system, section=replace(section, promote=())).promote == ()
 
 
 @pytest.mark.parametrize(("image", "built"), [({}, True), ({"image": "mine"}, False)])
@@ -161,6 +173,9 @@ def test_a_simulation_needs_the_image_where_a_container_names_none(
     request = ContainerRequest("fresh", applications, None)
     plan = planned(ROBOT, simulations=(Simulation("fresh", request),), section=image_section(True, tmp_path))
     assert plan.image is built
+    assert plan.collects_in_image is built
+    fork = planned(simulations=(Simulation("fresh", request),), section=image_section(True, tmp_path), push=False)
+    assert (fork.image, fork.collects_in_image) == (False, built)
 
 
 def test_datasets_are_systems_with_their_folders_name() -> None:
@@ -189,15 +204,27 @@ cells = st.builds(
     st.lists(cells.map(lambda cell: replace(cell, collected=True)), max_size=2),
     st.lists(st.integers(0, 10), min_size=1, unique=True),
     st.booleans(),
+    st.none() | st.floats(0, 1000),
 )
 def test_a_plan_comes_back_from_its_outputs(
-    now: list[JobCell], later: list[JobCell], seeds: list[int], flag: bool
+    now: list[JobCell], later: list[JobCell], seeds: list[int], flag: bool, rate: float | None
 ) -> None:
-    plan = Plan((*now, *later), tuple(seeds), ("a", "b"), flag, image=flag, push=not flag)
+    plan = Plan(
+        (*now, *later),
+        tuple(seeds),
+        ("a", "b"),
+        flag,
+        image=flag,
+        collects_in_image=flag,
+        push=not flag,
+        promote=("stable", "v1") if flag else (),
+        minute_rate=rate,
+    )
     outputs = plan_outputs(plan)
     assert all(value and "\n" not in value and "\r" not in value for value in outputs.values())
-    needs = parse_needs(json.dumps({"plan": {"result": "success", "outputs": outputs}}))
+    needs = parse_needs(json.dumps({"plan": {"result": "success", "outputs": {**outputs, "seconds": "7"}}}))
     assert plan_of_outputs(needs.plan) == plan
+    assert needs.seconds == {"plan": 7}
 
 
 def test_a_plan_that_cannot_travel_is_refused_and_the_largest_can() -> None:
@@ -226,6 +253,9 @@ OUTPUTS = plan_outputs(planned(ROBOT))
         {"simulations": '["a"]'},
         {"calibrate": "false"},
         {"more": "x"},
+        {"minute-rate": "NaN"},
+        {"minute-rate": ""},
+        {"promote": "stable"},
     ],
 )
 def test_outputs_that_are_no_plan_are_refused(change: dict[str, str]) -> None:
@@ -239,7 +269,7 @@ def test_an_output_that_github_dropped_is_noticed() -> None:
             plan_of_outputs({key: value for key, value in OUTPUTS.items() if key != name})
 
 
-NO_NEEDS = ["", "[]", "{}", '{"plan": 1}', '{"plan": {"result": "success"}}', "null", '{"a": {}}']
+NO_NEEDS = ["", "[" * 100_000, "[]", "{}", '{"plan": 1}', '{"plan": {"result": "success"}}', "null", '{"a": {}}']
 
 
 @pytest.mark.parametrize("text", NO_NEEDS)
@@ -251,3 +281,11 @@ def test_needs_that_are_none(text: str) -> None:
 def test_needs_of_a_plan_that_failed() -> None:
     text = '{"plan": {"result": "failure", "outputs": null}, "calibrate": {"result": "skipped", "outputs": {}}}'
     assert parse_needs(text) == Needs({"plan": "failure", "calibrate": "skipped"}, {})
+
+
+def test_needs_whose_seconds_are_none() -> None:
+    jobs = {
+        name: {"result": "success", "outputs": {"seconds": told}}
+        for name, told in {"plan": "x", "image": "-1", "unit-tests": "12", "collect-data": 12}.items()
+    }
+    assert parse_needs(json.dumps(jobs)).seconds == {"unit-tests": 12}

@@ -1,12 +1,14 @@
 """The commands plan-matrix and gather-results, as the workflow's jobs run them."""
 
 import json
+import time
 from pathlib import Path
 
 import pytest
 
 from calibration.__main__ import main, run_action
-from calibration.pipeline.results import Results, write_results
+from calibration.json_schema import check_document
+from calibration.pipeline.results import SCHEMA, Results, write_results
 from tests.pipeline.distribution.test_gathering import ONE, TWO, result
 
 CONFIGURATION = """
@@ -84,6 +86,10 @@ def test_unit_tests_need_no_configuration(monkeypatch: pytest.MonkeyPatch) -> No
         (["--datasets", "b", "--systems", "c"], "systems: there is no 'c' (known: b)"),
         (["--datasets", "b", "--jobs", "unit-tests"], "nothing for unit-tests to do"),
         (["--datasets", "b", "--translation-noise", "-1"], "'-1' is below 0"),
+        (["--datasets", "b", "--minute-rate", "-0.1"], "'-0.1' is below 0"),
+        (["--datasets", "b", "--minute-rate", "nan"], "'nan' is not a finite number"),
+        (["--datasets", "b", "--minute-rate", "0,006"], "'0,006' is not a finite number"),
+        (["--datasets", "b", "--minute-rate", "6e3"], "'6e3' is above 1000"),
     ],
 )
 def test_what_cannot_be_planned_is_bad_input(
@@ -111,16 +117,23 @@ def gather(monkeypatch: pytest.MonkeyPatch, results: dict[str, str], planned: di
         monkeypatch.setenv(f"INPUT_{name}", value)
     monkeypatch.setenv("GITHUB_OUTPUT", "gathered")
     monkeypatch.setenv("GITHUB_STEP_SUMMARY", "summary.md")
+    Path("summary.md").unlink(missing_ok=True)
     return run_action("gather-results")
 
 
 @pytest.fixture
 def planned(monkeypatch: pytest.MonkeyPatch) -> dict[str, str]:
     """Return the plan of two cells, of which both have left a result that passes."""
-    found = plan(monkeypatch, datasets="robot", translation_noise="0.5,0", rotation_noise="0.3", tests="pytest")
+    inputs = {"translation_noise": "0.5,0", "rotation_noise": "0.3", "tests": "pytest", "minute_rate": "0.006"}
+    found = plan(monkeypatch, datasets="robot", **inputs)
     for cell, job in zip(json.loads(found["cells"]), (ONE, TWO), strict=True):
         write_results(Results((result(job),)), Path("left", cell["slug"]))
-    return found
+        Path("left", cell["slug"], "job-seconds.txt").write_text("61\n")
+    return {**found, "seconds": "7"}
+
+
+def ago(seconds: int) -> str:
+    return str(int(time.time()) - seconds)
 
 
 def test_one_table_and_one_verdict(
@@ -129,9 +142,10 @@ def test_one_table_and_one_verdict(
     assert gather(monkeypatch, {"calibrate": "success", "unit-tests": "success"}, planned) == 0
     summary = Path("summary.md").read_text()
     assert summary.startswith("## Calibration: pass: 2 cells calibrated")
-    assert "| calibrate | success |" in summary
+    assert "| calibrate | success | 2 | 122 | 4 | 0.024 |" in summary
     assert summary.count("| Start | robot |") == 1
     assert outputs(Path("gathered"))["verdict"] == "pass"
+    assert json.loads(Path("of all/results.json").read_text())["cost"]["jobs"][0]["seconds"] == 7
     assert {path.name for path in Path("of all").iterdir()} == {"results.json", "cells.csv", "junit.xml", "summary.md"}
     assert capsys.readouterr().out.endswith("pass: plan success, calibrate success, unit-tests success\n")
 
@@ -152,7 +166,45 @@ def test_results_of_an_earlier_run_do_not_stay(planned: dict[str, str], monkeypa
     Path("gathered").unlink()
     assert run_action("gather-results") == 1
     assert not Path("of all", "results.json").exists()
-    assert outputs(Path("gathered")) == {"verdict": "fail"}
+    assert outputs(Path("gathered")) == {"verdict": "fail", "billed-minutes": "0", "cost": ""}
+
+
+def test_what_the_run_costs(planned: dict[str, str], monkeypatch: pytest.MonkeyPatch) -> None:
+    """The plan 7 s, two cells 61 s each, the tests unknown, and this job since a minute and more."""
+    monkeypatch.setenv("INPUT_BEGAN", ago(100))
+    assert gather(monkeypatch, {"calibrate": "success", "unit-tests": "success"}, planned) == 0
+    found = outputs(Path("gathered"))
+    assert (found["billed-minutes"], found["cost"]) == ("7", "0.042")
+    document = json.loads(Path("of all/results.json").read_text())
+    check_document(document, json.loads(SCHEMA.read_text()), "results.json", {})
+    assert document["cost"]["complete"] is False
+    assert [job["billed_minutes"] for job in document["cost"]["jobs"]] == [1, 2, 2, None, 2]
+    assert "| unit-tests | success | 1 | ? | ? | ? |" in Path("summary.md").read_text()
+
+
+@pytest.mark.parametrize("began", ["", "soon", "-1", "9" * 5000, "99999999999", "1", "$(date)"])
+def test_a_wrong_clock_is_not_red(began: str, planned: dict[str, str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("INPUT_BEGAN", began)
+    assert gather(monkeypatch, {"calibrate": "success", "unit-tests": "success"}, planned) == 0
+    assert "| verdict | this job | 1 | ? | ? | ? |" in Path("summary.md").read_text()
+
+
+IMAGE = """
+image: {name: ghcr.io/me/robot, base: debian, push: true, promote: [stable]}
+noise: {translation: [0.5, 0], rotation: [0.3]}
+systems: {robot: {dataset: robot, software: {command: calibrate}}}
+"""
+
+
+@pytest.mark.parametrize("calibrates", ["success", "failure"])
+def test_a_promotion_comes_after_a_verdict_that_is_pass(calibrates: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    Path("calibration.yml").write_text(IMAGE)
+    found = plan(monkeypatch)
+    assert found["promote"] == '["stable"]'
+    for cell, job in zip(json.loads(found["cells"]), (ONE, TWO), strict=True):
+        write_results(Results((result(job),)), Path("left", cell["slug"]))
+    code = gather(monkeypatch, {"image": "success", "calibrate": calibrates}, found)
+    assert (code == 0) is ("| promote | to come |" in Path("summary.md").read_text()) is (calibrates == "success")
 
 
 def test_needs_that_are_none_are_bad_input(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,0 +1,135 @@
+"""What a run of the workflow costs: every job's time, rounded up to a minute as GitHub bills it, times a rate."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from calibration.introspection.numbers import number_text
+from calibration.pipeline.distribution.clock import read_seconds
+from calibration.pipeline.distribution.needs import Needs
+from calibration.pipeline.distribution.plan import Plan
+from calibration.workflow.summary import markdown_table
+
+VERDICT, PROMOTE = "verdict", "promote"
+"""The last jobs: the one that reckons, and the one that runs after it."""
+DIGITS = 6
+"""Decimals of an amount of money; the rest is an error of binary fractions."""
+
+
+@dataclass(frozen=True)
+class JobTime:
+    """One job that has run."""
+
+    job: str
+    """Its place in the workflow: calibrate."""
+    name: str
+    """What it worked on: "robot, 0.5 m, 0 rad"; the place where there is only one."""
+    seconds: int | None = None
+    """None where it is not known: the job was lost or cancelled, or is still to come."""
+
+    @property
+    def minutes(self) -> int | None:
+        """What is billed: begun minutes, at least one."""
+        return None if self.seconds is None else max(1, -(-self.seconds // 60))
+
+
+@dataclass(frozen=True)
+class Cost:
+    """The jobs of a run, or some of them."""
+
+    times: tuple[JobTime, ...]
+    rate: float | None = None
+    """Of a minute, in whatever currency; None where the user named none."""
+
+    @property
+    def known(self) -> tuple[JobTime, ...]:
+        """The jobs whose time is known."""
+        return tuple(time for time in self.times if time.seconds is not None)
+
+    @property
+    def seconds(self) -> int:
+        """Of the jobs that are known, one after the other."""
+        return sum(time.seconds or 0 for time in self.times)
+
+    @property
+    def minutes(self) -> int:
+        """Billed for the jobs that are known."""
+        return sum(time.minutes or 0 for time in self.times)
+
+    @property
+    def amount(self) -> float | None:
+        """What these minutes cost; None without a rate."""
+        return None if self.rate is None else round(self.minutes * self.rate, DIGITS)
+
+    def of(self, job: str) -> "Cost":
+        """The part of one place in the workflow."""
+        return Cost(tuple(time for time in self.times if time.job == job), self.rate)
+
+    @property
+    def document(self) -> dict[str, Any]:
+        """Its entry in ``results.json``."""
+        return {
+            "rate": self.rate,
+            "billed_minutes": self.minutes,
+            "cost": self.amount,
+            "complete": len(self.known) == len(self.times),
+            "jobs": [{**vars(time), "billed_minutes": time.minutes} for time in self.times],
+        }
+
+    @property
+    def sentence(self) -> str:
+        """The sum in one line."""
+        least = "" if len(self.known) == len(self.times) else "at least "
+        price = "" if self.rate is None else f": {money(self.amount)} at {number_text(self.rate)} a minute"
+        return f"{least}{self.minutes} billed minutes{price}"
+
+
+def cost_of_run(plan: Plan, needs: Needs, folder: Path, seconds: int | None, *, promotes: bool) -> Cost:
+    """What a run costs, as far as its jobs have told.
+
+    Args:
+        plan: of the run; an empty one where planning failed.
+        needs: what became of the jobs before this one.
+        folder: what they left, each in a folder with its slug.
+        seconds: of the job that asks, until now.
+        promotes: whether a job runs after it.
+    """
+    times = []
+    for job in ("plan", *plan.jobs):  # what needs has, act sorts by name
+        if needs.results.get(job, "skipped") == "skipped":
+            continue
+        cells = {"calibrate": plan.at_once, "calibrate-collected": plan.after_collection}.get(job)
+        if cells is None:
+            times.append(JobTime(job, job, needs.seconds.get(job)))
+        else:
+            times += [JobTime(job, cell.name, read_seconds(folder / cell.slug)) for cell in cells]
+    times.append(JobTime(VERDICT, VERDICT, seconds))
+    if promotes:
+        times.append(JobTime(PROMOTE, PROMOTE))
+    return Cost(tuple(times), plan.minute_rate)
+
+
+def jobs_table(results: Mapping[str, str], cost: Cost) -> str:
+    """The table of all jobs: what became of each, what it took and what that costs."""
+    results = {**results, VERDICT: "this job", **({PROMOTE: "to come"} if cost.of(PROMOTE).times else {})}
+    rows = [(job, result, *_numbers(cost.of(job))) for job, result in results.items()]
+    header = ("Job", "Result", "Jobs", "Seconds", "Billed minutes")
+    sums = ("all", "", *_numbers(cost))
+    if cost.rate is None:
+        return markdown_table(header, [row[:-1] for row in (*rows, sums)])
+    return markdown_table((*header, f"Cost at {number_text(cost.rate)} a minute"), [*rows, sums])
+
+
+def money(amount: float | None) -> str:
+    """An amount with all its digits; nothing where there is none."""
+    return "" if amount is None else f"{amount:.{DIGITS}f}".rstrip("0").rstrip(".")
+
+
+def _numbers(cost: Cost) -> tuple[str, str, str, str]:
+    """Jobs, seconds, minutes and money; with "+ ?" where more is to be added that is not known."""
+    count = str(len(cost.times))
+    if cost.times and not cost.known:
+        return (count, "?", "?", "?")
+    more = "" if len(cost.known) == len(cost.times) else " + ?"
+    return (count, f"{cost.seconds}{more}", f"{cost.minutes}{more}", f"{money(cost.amount)}{more}")

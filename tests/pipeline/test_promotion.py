@@ -1,0 +1,39 @@
+"""The stage promote, where it leaves the registry alone."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from calibration.errors import WorldError
+from calibration.image.specification import ImageSpecification, OwnDockerfile
+from calibration.pipeline.collection.collected import Collected
+from calibration.pipeline.image_result import ImageResult
+from calibration.pipeline.results import Results
+from calibration.pipeline.stages.building import promote_stage
+from calibration.workflow import Runner
+
+SPECIFICATION = ImageSpecification(
+    OwnDockerfile(Path("Dockerfile"), Path()), name="127.0.0.1:9/team/robot", promote=("stable",)
+)  # where nobody answers
+IMAGE = ImageResult("127.0.0.1:9/team/robot:key-1", "1", built=True, digest="sha256:" + "0" * 64, seconds=1.0)
+PASSED = Results((), (), (Collected("fresh"),), IMAGE)
+
+
+def test_a_pull_request_promotes_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert PASSED.verdict == "pass"
+    assert promote_stage(SPECIFICATION, PASSED, tmp_path, Runner(pull_request=True)) is PASSED
+    assert capsys.readouterr().out == "not promoted: a pull request is not merged yet\n"
+
+
+def test_an_image_that_was_not_pushed_cannot_be_promoted(tmp_path: Path) -> None:
+    results = replace(PASSED, image=replace(IMAGE, digest=None))
+    with pytest.raises(
+        WorldError, match=r"^image\.promote: .* is in no registry; add push: true to the section image$"
+    ):
+        promote_stage(SPECIFICATION, results, tmp_path, Runner())
+
+
+def test_anything_else_asks_the_registry(tmp_path: Path) -> None:
+    with pytest.raises(WorldError, match=r"127\.0\.0\.1:9"):
+        promote_stage(SPECIFICATION, PASSED, tmp_path, Runner())
