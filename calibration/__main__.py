@@ -54,13 +54,18 @@ COMMANDS: Mapping[str, LazyCommand] = {
     "import-rigelfile": LazyCommand(
         "calibration.commands.import_rigelfile:command", "Convert a Rigelfile to calibration.yml."
     ),
+    "aws-policy": LazyCommand(
+        "calibration.commands.aws_policy:command", "Print the IAM policies that jobs on AWS Batch need."
+    ),
     "cleanup": LazyCommand(
-        "calibration.commands.cleanup:command", "Remove what killed runs left in the Docker Engine."
+        "calibration.commands.cleanup:command", "Remove what killed runs left in the Docker Engine or the cloud."
     ),
     "schema": LazyCommand("calibration.commands.schema:command", "Print the JSON Schema of a file."),
     "version": LazyCommand("calibration.commands.version:command", "Print the versions in use."),
 }
 """Every command by its name, in the order of ``--help``."""
+_PACKAGES = {"cv2": "opencv-python-headless", "yaml": "pyyaml"}
+"""What modules are called where they are installed from, if not the same."""
 
 
 class LazyGroup(click.Group):
@@ -161,9 +166,8 @@ def _execute(command: click.Command | str, name: str, arguments: Sequence[str], 
     except ModuleNotFoundError as error:
         if error.name is None or error.name.partition(".")[0] == "calibration":
             return _report_bug(runner)
-        report_error(
-            runner, f"the package {error.name.partition('.')[0]} is not installed: pip install 'calibration-ci[all]'"
-        )
+        module = error.name.partition(".")[0]
+        report_error(runner, f"the package {module} is not installed: pip install {_PACKAGES.get(module, module)}")
         return ExitCode.WORLD
     except Exception:  # whatever was not foreseen is our bug: the traceback is for us
         return _report_bug(runner)

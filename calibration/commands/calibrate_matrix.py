@@ -16,13 +16,17 @@ from calibration.commands.parameters import (
     path,
     text,
 )
+from calibration.commands.place import render_option, run_or_render
+from calibration.commands.registry_password import EVERYWHERE, password_variable, registry_password_option
 from calibration.errors import ExitCode, InputError
 from calibration.workflow import Runner
 
 if TYPE_CHECKING:
+    from calibration.execution.backends import Place
     from calibration.pipeline.configuration import Configuration, System
     from calibration.pipeline.matrix.matrix import Matrix
 
+TITLE = "calibrate-matrix"
 _Value = TypeVar("_Value")
 
 
@@ -52,12 +56,25 @@ class Settings:
     ros: str | None = None
     memory: str | None = None
     timeout: str | None = None
+    registry_username: str | None = None
+    """Who pulls ``image``; nobody, or whom docker knows, where None."""
+    password_variable: str | None = None
+    backend: str | None = None
+    """Where the software's containers run; what the configuration says, or docker, where None."""
+    aws_batch: Path | None = None
+    """The file with the section aws-batch; the configuration, or calibration.yml, where None."""
+    run: str | None = None
+    """The name of the run in the cloud."""
+    resume: bool = False
+    """Whether only what is missing of that run is run."""
+    render: str | None = None
+    """kubernetes where the software is not run, but written down for a cluster."""
     jobs: int | None = None
     fail_fast: bool = False
     output: Path = Path("output")
 
 
-@click.command("calibrate-matrix")
+@click.command(TITLE)
 @click.option("--dataset", type=path, help="A dataset's folder, or its JSON file; instead of config.")
 @click.option("--config", type=path, help="A calibration.yml with the systems; instead of dataset.")
 @click.option("--systems", type=TEXT_LIST, help="Only these systems of the configuration.")
@@ -81,13 +98,23 @@ class Settings:
 @click.option("--ros", type=click.Choice(["none", "1", "2"]), help="1 starts a ROS master beside it (none).")
 @click.option("--memory", type=text, help="The most memory it may use, such as 2g (no limit).")
 @click.option("--timeout", type=text, help="How long it may take, such as 10m (1h).")
+@click.option("--registry-username", type=text, help="User of the registry of image, where it is private.")
+@registry_password_option
+@click.option("--backend", type=text, help="Where its containers run: docker (this machine), or aws-batch (docker).")
+@click.option("--aws-batch", type=path, help="YAML file with the section aws-batch (config, or calibration.yml).")
+@click.option("--run", type=text, help="Name of the run on AWS Batch; a new one unless given.")
+@boolean_option("--resume", help="On AWS Batch: run only what is missing of the run of this name, or into this folder.")
+@render_option
 @click.option("--jobs", type=count, help="Processes, or containers at once (one a core).")
 @boolean_option("--fail-fast", help="The first cell that fails stops the others.")
 @click.option("--output", type=path, default=Path("output"), help="Folder for results, tables and datasets (output).")
-def command(**options: Any) -> ExitCode:
+@click.pass_context
+def command(click_context: click.Context, /, **options: Any) -> ExitCode:
     """Calibrate systems from every noisy start; the verdict is fail when one of them is."""
+    runner = Runner.from_environment(os.environ)
+    options["password_variable"] = password_variable(click_context, options.pop("registry_password"), runner)
     settings = Settings(**{name: value for name, value in options.items() if value is not None})
-    return calibrate_matrix(settings, Runner.from_environment(os.environ))
+    return calibrate_matrix(settings, runner)
 
 
 def calibrate_matrix(settings: Settings, runner: Runner) -> ExitCode:
@@ -99,16 +126,72 @@ def calibrate_matrix(settings: Settings, runner: Runner) -> ExitCode:
     """
     from calibration.pipeline.stages import run_stages  # numpy and the engine, for those who need them
 
-    results = run_stages(
-        matrix_of(settings),
+    matrix = matrix_of(settings)
+    place = _place(settings, matrix, runner)
+    _pull(settings, runner)
+
+    def work() -> ExitCode:
+        results = run_stages(
+            matrix,
+            settings.output,
+            runner,
+            TITLE,
+            settings.jobs,
+            settings.fail_fast,
+            ("calibrate", "introspect"),
+            place=place,
+        )
+        return results.exit_code
+
+    return run_or_render(work, runner)
+
+
+def _place(settings: Settings, matrix: "Matrix", runner: Runner) -> "Place":
+    """Where the team's software runs.
+
+    Raises:
+        InputError: there is no such backend, no software to run in it, or nothing says where in the cloud.
+    """
+    from calibration.commands.place import place
+    from calibration.execution.backends import AWS_BATCH, CONTAINERS, DOCKER, check_backend
+
+    configuration = _configuration(settings)
+    backend = settings.backend or (AWS_BATCH if settings.render else configuration.backend)
+    check_backend(backend, CONTAINERS)
+    in_cloud = backend == AWS_BATCH and bool(matrix.software)
+    if not in_cloud and (settings.backend == AWS_BATCH or settings.render):
+        found = f"backend: found {AWS_BATCH}, which" if settings.backend == AWS_BATCH else "render: a cluster"
+        raise InputError(f"{found} runs the team's own software: give image and command")
+    if not in_cloud and (settings.run is not None or settings.resume):
+        raise InputError(f"{'run' if settings.run is not None else 'resume'}: is for the backend {AWS_BATCH}")
+    if in_cloud and settings.registry_username is not None:
+        raise InputError(f"registry-username: {AWS_BATCH} pulls with its execution role; push the image to ECR")
+    return place(
+        backend if in_cloud else DOCKER,
+        settings.aws_batch,
         settings.output,
+        settings.run,
+        settings.resume,
         runner,
-        "calibrate-matrix",
-        settings.jobs,
-        settings.fail_fast,
-        ("calibrate", "introspect"),
+        configuration.batch,
+        settings.render,
     )
-    return results.exit_code
+
+
+def _pull(settings: Settings, runner: Runner) -> None:
+    """Pull the image that is given with a login; the backend then finds it on the engine."""
+    if settings.registry_username is None and settings.password_variable in (None, EVERYWHERE):
+        return  # nothing was asked: that variable may be there for other commands
+    if settings.registry_username is None or settings.password_variable is None:
+        missing = "registry-username" if settings.registry_username is None else "registry-password"
+        raise InputError(f"{missing} is not given: user and password go together")
+    if settings.image is None:
+        raise InputError("registry-username is given without the image that it is for")
+    from calibration.image.pulling import pull_image
+    from calibration.image.registries.credentials import RegistrySettings
+
+    login = RegistrySettings(username=settings.registry_username, password_variable=settings.password_variable)
+    pull_image(settings.image, login, runner, TITLE)
 
 
 def matrix_of(settings: Settings) -> "Matrix":
@@ -169,8 +252,9 @@ def _adjusted(system: "System", settings: Settings) -> "System":
 
 def _software(settings: Settings) -> dict[str, Any]:
     """The settings about the team's software, as the keys of ``software`` in calibration.yml."""
-    names = ("image", "command", "artifacts", "table", "calibrated", "ros", "memory", "timeout")
-    return {name: value for name in names if (value := getattr(settings, name)) not in (None, ())}
+    names = ("image", "command", "table", "calibrated", "ros", "memory", "timeout")
+    given = {name: value for name in names if (value := getattr(settings, name)) is not None}
+    return given | ({"artifacts": list(settings.artifacts)} if settings.artifacts else {})
 
 
 def _each_once(values: tuple[_Value, ...]) -> tuple[_Value, ...]:

@@ -13,13 +13,16 @@ from calibration.workflow.text import one_line
 
 
 @click.command("import-rigelfile")
-@click.option("--file", type=path, default="Rigelfile", show_default=True, help="Rigelfile to read.")
+@click.option(
+    "--file", type=path, default="Rigelfile", show_default=True, help="Rigelfile to read, or RoboMaker's request."
+)
 @click.option("--output", type=path, default="calibration.yml", show_default=True, help="File to write.")
 @boolean_option("--overwrite", help="Replace the file to write, where there is one.")
 def command(file: Path, output: Path, overwrite: bool) -> ExitCode:
     """Write a calibration.yml from a Rigelfile, and name what could not be carried over.
 
-    Nothing in the Rigelfile is executed. Secrets are not copied: variables take their place.
+    A request of RoboMaker's CreateSimulationJob or StartSimulationJobBatch, as JSON or YAML, is read too.
+    Nothing in the file is executed. Secrets are not copied: variables take their place.
     """
     return import_rigelfile(file, output, Runner.from_environment(os.environ), overwrite=overwrite)
 

@@ -131,13 +131,15 @@ def introspect(settings: Settings, runner: Runner) -> ExitCode:
 def expand(patterns: Sequence[str]) -> list[str]:
     """Return the files that paths and patterns name, each once, those of a pattern in order.
 
-    Raises :class:`InputError` for a pattern that matches no file.
+    Raises :class:`InputError` for a pattern that matches no file, or would search the whole machine.
     """
     files: dict[str, None] = {}
     for pattern in patterns:
         if Path(pattern).exists() or not any(character in pattern for character in "*?["):
             files[pattern] = None
             continue
+        if Path(pattern).is_absolute() and "**" in Path(pattern).parts[1:2]:
+            raise InputError(f"{pattern}: this searches the whole machine: a folder was expected before the first **")
         found = sorted(file for file in glob(pattern, recursive=True) if Path(file).is_file())  # noqa: PTH207
         if not found:
             raise InputError(f"{pattern}: no file matches this pattern")

@@ -9,7 +9,7 @@ from typing import Any
 
 import click
 
-from calibration.commands.collect_data_sim import system_folder
+from calibration.commands.collection_settings import system_folder
 from calibration.commands.parameters import boolean_option, integer, path, text
 from calibration.errors import ExitCode, InputError, WorldError
 from calibration.workflow import Runner, stop_commands

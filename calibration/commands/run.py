@@ -63,6 +63,7 @@ def run(settings: Settings, runner: Runner) -> ExitCode:
         stages=stages,
         simulations=configuration.simulations,
         image=_image(configuration.image, settings.push),
+        place=configuration.place,
     )
     image = results.image
     set_outputs(runner, {"image": image.reference if image else "", "digest": (image.digest if image else None) or ""})

@@ -12,6 +12,7 @@ from calibration.json_schema import bundled
 SCHEMAS = {
     "calibration.yml": ("calibration.pipeline", "calibration.schema.json"),
     "image": ("calibration.image", "image.schema.json"),
+    "aws-batch": ("calibration.execution.batch", "batch.schema.json"),
     "results": ("calibration.pipeline", "results.schema.json"),
     "collection": ("calibration.pipeline.collection", "collection.schema.json"),
     "scenario-set": ("calibration.simulation.scenarios", "scenario_set.schema.json"),

@@ -6,6 +6,8 @@ from pathlib import Path
 from typing import Any
 
 from calibration.errors import InputError
+from calibration.execution.backends import AWS_BATCH, CONTAINERS, DOCKER, EMBEDDED, Place
+from calibration.execution.batch.settings import SECTION, BatchSettings, settings_from
 from calibration.image.specification import ImageSpecification, parse_image_specification
 from calibration.introspection.parsing import parse_rules
 from calibration.introspection.rules import RuleSet
@@ -67,6 +69,8 @@ class Simulation:
     name: str
     request: CollectionRequest | ContainerRequest
     """For our own simulation, or for the team's applications."""
+    backend: str = EMBEDDED
+    """Where it runs."""
 
 
 @dataclass(frozen=True)
@@ -90,6 +94,15 @@ class Configuration:
     loss: Loss = "huber"
     simulations: tuple[Simulation, ...] = ()
     image: ImageSpecification | None = None
+    backend: str = DOCKER
+    """Where the team's software runs, and applications that say nothing else."""
+    batch: BatchSettings | None = None
+    """What AWS Batch has to know."""
+
+    @property
+    def place(self) -> Place:
+        """Where the team's software runs."""
+        return Place(self.backend, self.batch)
 
     def only(self, names: tuple[str, ...]) -> tuple[System, ...]:
         """The systems of these names, or all where there are none.
@@ -116,11 +129,17 @@ def read_configuration(path: Path, environment: Mapping[str, str] | None = None)
         InputError: the file is missing, is no YAML, or does not follow its schema; names file and key.
     """
     document = read_yaml(path, "a pipeline configuration")
+    batch = None
+    if isinstance(document, dict) and SECTION in document:  # first, since it says more of what is wrong
+        document[SECTION] = with_variables(document[SECTION], f"{path}: {SECTION}", environment)
+        batch = settings_from(document[SECTION], f"{path}: {SECTION}")
     check_document(document, bundled(SCHEMA), str(path), ADVICE)
     assert isinstance(document, dict)  # noqa: S101 (the schema says so)
     document = {key: with_variables(value, f"{path}: {key}", environment) for key, value in document.items()}
     common = document.get("limits")
-    simulations = tuple(_simulation(name, entry, path) for name, entry in document.get("simulation", {}).items())
+    backend = document.get("backend", DOCKER)
+    entries = document.get("simulation", {})
+    simulations = tuple(_simulation(name, entry, path, backend) for name, entry in entries.items())
     image = document.get("image")
     configuration = Configuration(
         systems=tuple(_system(name, entry, common, path) for name, entry in document.get("systems", {}).items()),
@@ -129,17 +148,23 @@ def read_configuration(path: Path, environment: Mapping[str, str] | None = None)
         loss=document.get("loss", "huber"),
         simulations=simulations,
         image=parse_image_specification(image, path.parent, f"{path}: image") if image is not None else None,
+        backend=backend,
+        batch=batch,
     )
     _check_references(configuration, path)
     return configuration
 
 
 def _check_references(configuration: Configuration, path: Path) -> None:
-    """Refuse a system whose dataset nothing collects, and a container without an image.
+    """Refuse a system whose dataset nothing collects, a container without an image, and a cloud without a place in it.
 
     Raises:
         InputError: naming it.
     """
+    if configuration.batch is None:
+        wanting = [f"simulation.{each.name}.backend" for each in configuration.simulations if each.backend == AWS_BATCH]
+        for key in ["backend"] if configuration.backend == AWS_BATCH else wanting:
+            raise InputError(f"{path}: {key}: found {AWS_BATCH}, but there is no section {SECTION}")
     collected = {simulation.name for simulation in configuration.simulations}
     for system in configuration.systems:
         where = f"{path}: systems.{system.name}"
@@ -191,14 +216,17 @@ def _system(name: str, entry: Mapping[str, Any], common_limits: Mapping[str, flo
     )
 
 
-def _simulation(name: str, entry: Mapping[str, Any], path: Path) -> Simulation:
+def _simulation(name: str, entry: Mapping[str, Any], path: Path, containers: str) -> Simulation:
     where = f"{path}: simulation.{name}"
     motion = entry.get("motion")
     if motion is not None and not motion.startswith(GENERATE):
         motion = str(path.parent / motion)
-    backend = entry.get("backend", "docker" if "containers" in entry else "embedded")
-    if (backend == "docker") != ("containers" in entry):
-        raise InputError(f"{where}.backend: found {backend}; containers run with docker, and docker needs containers")
+    backend = entry.get("backend", containers if "containers" in entry else EMBEDDED)
+    if (backend in CONTAINERS) != ("containers" in entry):
+        raise InputError(
+            f"{where}.backend: found {backend}; "
+            f"containers run with {' or '.join(CONTAINERS)}, and these need containers"
+        )
     robot = path.parent / entry["robot"] if "robot" in entry else None
     configuration = path.parent / entry["config"] if "config" in entry else None
     system = path.parent / entry["system"] if "system" in entry else None
@@ -209,9 +237,8 @@ def _simulation(name: str, entry: Mapping[str, Any], path: Path) -> Simulation:
         return Simulation(name, CollectionRequest(system, robot, configuration, motion, seed, None, checks))
     applications = applications_from(entry, path.parent, where)
     truth = _truth(entry, path)
-    return Simulation(
-        name, ContainerRequest(name, applications, system, robot, configuration, motion, seed, checks, truth)
-    )
+    request = ContainerRequest(name, applications, system, robot, configuration, motion, seed, checks, truth)
+    return Simulation(name, request, backend)
 
 
 def _checks(entry: Mapping[str, Any]) -> CollectionChecks:

@@ -4,5 +4,6 @@
     text = written(conversion, "Rigelfile")
 
 Forms: 0.3.0 (``application``, ``jobs``, ``sequences`` with stages) and the older ones (``applications``,
-sequences as lists, ``{{ name }}``). Nothing in a Rigelfile is executed, no environment variable is read.
+sequences as lists, ``{{ name }}``); and requests of RoboMaker's ``CreateSimulationJob``. Nothing in a Rigelfile
+is executed, no environment variable is read.
 """

@@ -5,12 +5,14 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from calibration.errors import InputError
+from calibration.rigel.batch_section import merged
 from calibration.rigel.containers import Surroundings
-from calibration.rigel.document import Rigelfile, RigelJob, naming
+from calibration.rigel.document import Rigelfile, RigelJob, naming, text_at
 from calibration.rigel.image import BUILD, DOCKERFILE, image_section
 from calibration.rigel.noise import noise_section, placeholder
 from calibration.rigel.notes import Notes
-from calibration.rigel.robomaker import ROBOMAKER, robomaker_entry
+from calibration.rigel.robomaker import ROBOMAKER, robomaker_job
+from calibration.rigel.substitution import plain
 from calibration.rigel.systems import (
     Converted,
     collection_of,
@@ -41,6 +43,9 @@ class Conversion:
     noise_origin: str = ""
     systems: list[Converted] = field(default_factory=list)
     simulations: list[Converted] = field(default_factory=list)
+    batch: dict[str, Any] = field(default_factory=dict)
+    """Where in AWS the simulations run."""
+    batch_origin: str = ""
 
     @property
     def is_empty(self) -> bool:
@@ -85,9 +90,12 @@ def _add(
     if job.kind in (DOCKERFILE, BUILD) or is_introspection(job):
         return
     if job.kind == ROBOMAKER:
-        entry = robomaker_entry(job, around)
-        if entry:
-            conversion.simulations.append(Converted(named_system(job.name), entry, f"job {job.name}"))
+        simulated = robomaker_job(job, around, _region(rigelfile))
+        if simulated is not None:
+            conversion.simulations.append(Converted(named_system(job.name), simulated.entry, f"job {job.name}"))
+            notes, section = conversion.notes, simulated.section
+            conversion.batch = merged(conversion.batch, section, job.where or job.name, notes)
+            conversion.batch_origin = conversion.batch_origin or f"job {job.name}"
     elif is_compose(job):
         system = system_of(job, judges, rigelfile.distro, around, str(rigelfile.path))
         collection = None if system else collection_of(job, rigelfile.distro, around)
@@ -101,6 +109,12 @@ def _add(
     else:
         why = _ELSEWHERE.get(job.kind, f"there is nothing like {job.plugin} here")
         conversion.notes.lost(job.where.removesuffix(".with"), why)
+
+
+def _region(rigelfile: Rigelfile) -> str:
+    """Where AWS is, as the provider says it; nothing where none does."""
+    given = [p.fields["region_name"] for p in rigelfile.providers.values() if p.fields.get("region_name")]
+    return plain(text_at(given[0], "providers"), rigelfile.notes, "providers") if given else ""
 
 
 def _placeholders(rigelfile: Rigelfile) -> dict[str, str]:

@@ -13,6 +13,7 @@ from calibration.rigel.substitution import Substitution, bounded
 from calibration.workflow.text import shorten
 from calibration.yaml_file import read_yaml
 
+_REQUESTS = "createSimulationJobRequests"
 _KNOWN = ("vars", "application", "applications", "jobs", "sequences", "providers")
 
 
@@ -83,9 +84,39 @@ def naming(path: Path) -> Iterator[None]:
 def _read(path: Path, document: object) -> Rigelfile:
     if not isinstance(document, dict) or not document:
         raise InputError(f"{path}: a Rigelfile was expected: a mapping with the keys application and jobs")
+    if is_simulation(document):
+        return _simulations(path, document)
     if not any(key in document for key in ("application", "applications", "jobs", "packages")):
         raise InputError(f"{path}: found {shorten(', '.join(document))}, the keys application and jobs were expected")
     return _Reader(path, document).rigelfile()
+
+
+def is_simulation(document: Mapping[str, Any]) -> bool:
+    """Whether this is a request of RoboMaker's: ``CreateSimulationJob``, or ``StartSimulationJobBatch``."""
+    return any(key in document for key in (_REQUESTS, "robotApplications", "simulationApplications"))
+
+
+def _simulations(path: Path, document: dict[str, Any]) -> Rigelfile:
+    """Simulation jobs as Boto3 and the AWS CLI took them, as jobs of the plugin."""
+    notes = Notes()
+    substitution = Substitution({}, notes)
+    if document.pop("clientRequestToken", None):
+        notes.lost("clientRequestToken", "a run has a name instead: --run")
+    requests = [mapping_at(each, f"{_REQUESTS}.{i}") for i, each in enumerate(list_at(document.get(_REQUESTS), ""))]
+    tags = mapping_at(document.get("tags"), "tags")
+    common = {key: value for key, value in document.items() if key not in (_REQUESTS, "tags")}
+    if _REQUESTS in document and requests:  # what is said of all of them, the first says
+        requests[0] = {**common, **requests[0]}
+        requests = [{**each, "tags": {**tags, **mapping_at(each.get("tags"), "tags")}} for each in requests]
+    else:
+        requests = [document]
+    several = len(requests) > 1
+    jobs = []
+    for number, request in enumerate(requests):
+        where = f"{_REQUESTS}.{number}" if _REQUESTS in document else ""
+        name = f"simulation-{number + 1}" if several else "simulation"
+        jobs.append(RigelJob(name, "RoboMakerPlugin", substitution.resolved(request, where), where))
+    return Rigelfile(path, None, ".", tuple(jobs), (), {}, notes, substitution.secrets)
 
 
 def mapping_at(value: object, where: str) -> dict[str, Any]:

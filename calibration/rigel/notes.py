@@ -54,7 +54,7 @@ class Notes:
         self._add(Kind.TO_DO, where, what)
 
     def _add(self, kind: Kind, where: str, text: str) -> None:
-        where, text = (MARK.sub(r"${\1}", part) for part in (where, text))
+        where, text = (MARK.sub(r"${\1}", part) for part in (where.removeprefix("."), text))
         note = Note(kind, shorten(one_line(where), 160), shorten(one_line(text), 400))
         if note not in self.found:
             self.found.append(note)

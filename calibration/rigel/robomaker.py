@@ -1,95 +1,278 @@
-"""RoboMaker's jobs, whose service has ended, as containers of a simulation."""
+"""RoboMaker's simulation jobs, whose service has ended, as containers of a simulation on AWS Batch."""
 
 import re
-from dataclasses import replace
+import shlex
+from dataclasses import dataclass, replace
 from typing import Any
 
-from calibration.rigel.containers import Surroundings, component_entry, pair_environment
-from calibration.rigel.document import RigelJob, list_at, mapping_at, text_at
+from calibration.execution.globs import Glob
+from calibration.execution.job import OUTPUT
+from calibration.rigel.batch_section import batch_section
+from calibration.rigel.containers import Surroundings, component_entry, named, pair_environment
+from calibration.rigel.document import RigelJob, list_at, text_at
+from calibration.rigel.fields import Fields
 from calibration.rigel.notes import Notes
+from calibration.rigel.substitution import plain
 
 ROBOMAKER = "RoboMakerPlugin"
 _APPLICATIONS = {"simulation": "simulation_application", "robot": "robot_application"}
 _ADDRESS = re.compile(r"ROBOMAKER_(ROBOT|SIM)_APP_IP")
-_MASTER = re.compile(r"http://robot:(\d+)/?")
+_MASTER = re.compile(r"http://(robot|simulation):(\d+)/?")
+_SUPER = re.compile(r"\*\*(?=[^/])")
+"""RoboMaker's ``**.log``, which finds files in all folders below."""
+_DATA = "/opt/robomaker/datasources"
+"""Where RoboMaker put data sources that name no place."""
+_SCENARIOS = "worlds come from a scenario set here: calibration schema scenario-set"
 _GONE = {
-    "iam_role": "there is no RoboMaker: containers run on this machine",
-    "output_location": "there is no RoboMaker: the dataset is brought out to the output folder",
-    "vpc_config": "there is no RoboMaker: the containers have a private network of their own",
-    "compute": "limit memory and cpus of each container instead",
-    "data_sources": "mount a folder that was downloaded before",
-    "worldforge_exported_job": "worlds come from a scenario set here: calibration schema scenario-set",
+    "worldforge_exported_job": _SCENARIOS,
+    "logging_config": "record a bag in a container of its own, with essential: false, into {output}",
 }
 _OF_AN_APPLICATION = {
-    "ports": "the containers find each other by name; nothing is reachable from outside",
-    "stream_ui": "there is no screen",
-    "world_configs": "worlds come from a scenario set here: calibration schema scenario-set",
+    "stream_ui": "there is no screen: record what is to be seen into {output}",
+    "world_configs": _SCENARIOS,
     "name": "a container is called robot or simulation",
+    "requirements": "requirements on ROS messages are not checked here",
+    "application_version": "an image has a tag",
+    "use_default_tools": "there are none",
+    "use_default_upload_configurations": "name what is to be brought out under artifacts",
 }
+_PORTS = "the containers reach each other; nothing is reachable from outside"
 
 
-def robomaker_entry(job: RigelJob, around: Surroundings) -> dict[str, Any]:
-    """The entry of ``simulation``.
+@dataclass(frozen=True)
+class Simulated:
+    """What a simulation job becomes."""
+
+    entry: dict[str, Any]
+    """Of ``simulation``."""
+    section: dict[str, Any]
+    """``aws-batch``."""
+
+
+def robomaker_job(job: RigelJob, around: Surroundings, region: str = "") -> Simulated | None:
+    """Convert a simulation job; None where it has no application.
+
+    Args:
+        job: of the plugin, or a request of ``CreateSimulationJob``.
+        around: the rest.
+        region: where it ran, if that is known from elsewhere.
 
     Raises:
         InputError: a field is of the wrong kind.
     """
-    notes, where = around.notes, job.where
+    notes = around.notes
     around = replace(around, replaced=_with_names)
-    containers: dict[str, dict[str, Any]] = {}
-    fields = dict(job.fields)
-    for name, key in _APPLICATIONS.items():
-        if fields.get(key):
-            application = mapping_at(fields[key], f"{where}.{key}")
-            containers[name] = _application(application, name, around, f"{where}.{key}")
-        fields.pop(key, None)
-    if not containers:
-        notes.lost(where, "it has neither a robot application nor a simulation application")
-        return {}
+    fields = Fields(job.fields, job.where)
+    applications = {
+        name: _Application(name, found, around) for name, key in _APPLICATIONS.items() if (found := fields.fields(key))
+    }
+    if not applications:
+        notes.lost(job.where or job.name, "it has neither a robot application nor a simulation application")
+        return None
+    containers = {name: application.entry for name, application in applications.items()}
+    gpu = _compute(containers, fields.fields("compute"), notes)
+    _data_sources(containers, fields.several("data_sources"), around)
     _order(containers)
-    duration = fields.pop("simulation_duration", 300)
+    for application in applications.values():
+        containers |= application.tools()
+    for key, why in _GONE.items():
+        if fields.take(key):
+            notes.lost(fields.at(key), why)
+    _failure(fields, notes)
     entry = {
         "containers": containers,
         "ros": "none",
-        "timeout": f"{text_at(duration, where)}s",
+        "backend": "aws-batch",
+        "timeout": f"{fields.text('simulation_duration', '300')}s",
         "dataset": "{output}/dataset",
     }
-    essential = "robot" if "robot" in containers else "simulation"
+    essential = "robot" if "robot" in applications else "simulation"
     notes.changed(
-        f"{where}.simulation_duration",
+        fields.at("simulation_duration"),
         f"a limit: whoever reaches it has failed. The job ends when the container {essential} ends, with exit code 0",
     )
-    notes.to_do(where, "let the collection write its dataset to {output}/dataset, which is brought out")
-    for key in fields:
-        notes.lost(f"{where}.{key}", _GONE.get(key, "there is no such setting here"))
-    return entry
-
-
-def _application(application: dict[str, Any], name: str, around: Surroundings, where: str) -> dict[str, Any]:
-    fields = dict(application)
-    for key, why in _OF_AN_APPLICATION.items():
-        if fields.pop(key, None):
-            around.notes.lost(f"{where}.{key}", why)
-    _tools(list_at(fields.pop("tools", []), f"{where}.tools"), around.notes, f"{where}.tools")
-    fields["image"] = fields.pop("ecr", "")
-    environment = pair_environment(list_at(fields.pop("environment", []), f"{where}.environment"), where)
-    own_address = {"ROBOMAKER_ROBOT_APP_IP": "robot", "ROBOMAKER_SIM_APP_IP": "simulation"}
-    if own_address.get(environment.get("ROS_IP", "")) == name:
-        del environment["ROS_IP"]  # of a network where the address is not known before: the name in its place
-        environment["ROS_HOSTNAME"] = name
-    fields["envs"] = {key: value for key, value in environment.items() if key}
-    for key in ("requirements",):
-        if fields.pop(key, None):
-            around.notes.lost(f"{where}.{key}", "requirements on ROS messages are not checked here")
-    return component_entry(fields, around, where)
-
-
-def _tools(tools: list[Any], notes: Notes, where: str) -> None:
-    for number, tool in enumerate(tools):
-        name = mapping_at(tool, where).get("name", number)
-        notes.lost(
-            f"{where}.{name}", "a tool beside an application: add a container with `essential: false` if it is needed"
+    notes.changed(
+        job.where or job.name, "it runs on AWS Batch (docs/aws-batch.md); with backend: docker on this machine"
+    )
+    if len(containers) > 1:
+        notes.changed(
+            job.where or job.name,
+            "on AWS Batch all its containers have one address, so no two may listen on the same port. Their names lead "
+            "there in containers that run as root, and always in ROS_MASTER_URI and ROS_HOSTNAME: else write 127.0.0.1",
         )
+    notes.to_do(job.where or job.name, "let the collection write its dataset to {output}/dataset, which is brought out")
+    arns = [region_of(application.arn) for application in applications.values()]
+    found_region = region or next(filter(None, arns), "")
+    for secret in sorted({name for entry in containers.values() for name in entry.get("secrets", ())}):
+        why = (
+            f"put {secret} into Secrets Manager or Parameter Store, and its ARN here: its value never passes through us"
+        )
+        notes.to_do(f"aws-batch.secrets.{secret}", why)
+    images = [str(container.get("image", "")) for container in containers.values()]
+    section = batch_section(fields, found_region, gpu=gpu, images=[*images, around.image or ""], notes=notes)
+    for where in fields.left():
+        notes.lost(where, "there is no such setting here")
+    return Simulated(entry, section)
+
+
+def region_of(arn: str) -> str:
+    """The region that an ARN names; nothing where it names none."""
+    parts = arn.split(":")
+    return parts[3] if len(parts) > 5 and parts[0] == "arn" else ""
+
+
+class _Application:
+    def __init__(self, name: str, fields: Fields, around: Surroundings) -> None:
+        self._name, self._fields, self._around = name, fields, around
+        self._notes = around.notes
+        self.arn = fields.text("application")
+        self.entry = component_entry(self._component(), around, fields.where)
+        if self.arn:
+            self.entry = {"image": "TODO", **self.entry}
+            self._notes.to_do(fields.at("application"), f"write the image of {self.arn}: only RoboMaker knew it")
+        if "command" not in self.entry:
+            self._notes.to_do(fields.where, "write its command: on AWS Batch no image is asked for its own")
+        if uploads := list(filter(None, map(self._artifact, fields.several("upload_configurations")))):
+            self.entry["artifacts"] = uploads
+        self._tools = fields.several("tools")
+        for key, why in _OF_AN_APPLICATION.items():
+            if fields.take(key):
+                self._notes.lost(fields.at(key), why)
+        for where in fields.left():
+            self._notes.lost(where, "there is no such setting of a container here")
+
+    def _component(self) -> dict[str, Any]:
+        """As ComposePlugin has it."""
+        fields = self._fields
+        launch = fields.fields("launch_config")
+        environment = pair_environment(list_at(fields.take("environment"), fields.at("environment")), fields.where)
+        for key, value in launch.mapping("environment_variables").items():
+            environment[key] = text_at(value, launch.where)
+        own_address = {"ROBOMAKER_ROBOT_APP_IP": "robot", "ROBOMAKER_SIM_APP_IP": "simulation"}
+        if own_address.get(environment.get("ROS_IP", "")) == self._name:
+            del environment["ROS_IP"]  # of a network where the address is not known before: the name in its place
+            environment["ROS_HOSTNAME"] = self._name
+        command = fields.take("command") or launch.take("command") or self._launched(launch)
+        for found, key in ((fields, "ports"), (launch, "port_forwarding_config")):
+            if found.take(key):
+                self._notes.lost(found.at(key), _PORTS)
+        if launch.take("stream_ui"):
+            self._notes.lost(launch.at("stream_ui"), _OF_AN_APPLICATION["stream_ui"])
+        for where in launch.left():
+            self._notes.lost(where, "there is no such setting here")
+        envs = {key: value for key, value in environment.items() if key}
+        return {"image": fields.take("ecr") or "", "command": command, "envs": envs}
+
+    def _launched(self, launch: Fields) -> list[str]:
+        """The command that RoboMaker made of a package and a launch file."""
+        package, file = launch.text("package_name"), launch.text("launch_file")
+        if not (package and file):
+            return []
+        self._notes.changed(launch.at("launch_file"), "ROS 1 launches it; for ROS 2 write [ros2, launch, ...]")
+        return ["roslaunch", package, file]
+
+    def _artifact(self, upload: Fields) -> dict[str, Any] | None:
+        where = upload.at("path")
+        path = _SUPER.sub("**/*", plain(upload.text("path"), self._notes, where))
+        upload.take("name")  # the folder below the output location: here everything keeps its own path
+        if "ROLLING" in upload.text("upload_behavior"):
+            self._notes.changed(upload.at("upload_behavior"), "everything is brought out when the job has ended")
+        for left in upload.left():
+            self._notes.lost(left, "there is no such setting here")
+        if not path.startswith("/") or ".." in path.split("/") or Glob(path).source == "/":
+            self._notes.lost(where, f"{path}: name an absolute path with a folder, under artifacts")
+            return None
+        if not path.startswith(f"{OUTPUT}/"):
+            self._notes.to_do(where, f"AWS Batch brings out only what lies in {OUTPUT}: let it be written there")
+        return {"path": path, "required": False}
+
+    def tools(self) -> dict[str, dict[str, Any]]:
+        """The containers of the tools beside it: in its image, with its variables and its data."""
+        shared = {key: self.entry[key] for key in ("image", "environment", "secrets", "mounts") if key in self.entry}
+        return {
+            named(f"{self._name}-{tool.text('name', str(number))}"): shared | self._tool(tool)
+            for number, tool in enumerate(self._tools)
+        }
+
+    def _tool(self, tool: Fields) -> dict[str, Any]:
+        command = ["/bin/bash", "-c", tool.text("command")]  # as RoboMaker ran it
+        entry = component_entry({"command": command}, self._around, tool.where)
+        if tool.text("exit_behavior").upper() == "FAIL":
+            entry["success"] = []  # whatever it answers, it is too early
+        else:
+            entry["essential"] = False
+            self._notes.changed(tool.where, "it is not started anew when it has ended: let its command do that")
+        self._notes.changed(
+            tool.where, "a container of its own: of the application it shares the network and {output}, no other files"
+        )
+        if tool.take("stream_ui"):
+            self._notes.lost(tool.at("stream_ui"), _OF_AN_APPLICATION["stream_ui"])
+        if tool.truth("stream_output_to_cloud_watch") is False:
+            self._notes.changed(tool.at("stream_output_to_cloud_watch"), "the logs of all containers go to CloudWatch")
+        for where in tool.left():
+            self._notes.lost(where, "there is no such setting here")
+        entry["after"] = [self._name]
+        return entry
+
+
+def _compute(containers: dict[str, dict[str, Any]], compute: Fields, notes: Notes) -> bool:
+    """Share out processors and memory; whether a GPU is needed."""
+    units = compute.take("simulation_unit_limit")
+    if isinstance(units, int | float) and not isinstance(units, bool) and units > 0:
+        for entry in containers.values():
+            share = units / len(containers)
+            entry["cpus"] = int(share) if share == int(share) else share
+            entry["memory"] = f"{round(share * 2048)}m"
+        notes.changed(
+            compute.at("simulation_unit_limit"),
+            "of each unit one CPU and 2 GiB, shared out evenly: change it as needed",
+        )
+    elif units is not None:
+        notes.lost(compute.at("simulation_unit_limit"), "a number was expected: give cpus and memory of each container")
+    kind, limit = compute.text("compute_type"), compute.take("gpu_unit_limit")
+    gpu = "GPU" in kind.upper() and limit != 0
+    if gpu:
+        chosen = next(name for name in _APPLICATIONS if name in containers)
+        containers[chosen]["gpus"] = True
+        notes.changed(
+            compute.at("compute_type"), f"the GPU is that of {chosen}; a container that needs one too gets another"
+        )
+    for where in compute.left():
+        notes.lost(where, "there is no such setting here")
+    return gpu
+
+
+def _data_sources(containers: dict[str, dict[str, Any]], sources: list[Fields], around: Surroundings) -> None:
+    """Folders that are mounted: they have to be filled before, and go to S3 by their content."""
+    for number, source in enumerate(sources):
+        called, where = source.text("name", f"data-{number}"), source.where
+        name, given = named(called), source.text("destination")
+        target = plain(given, around.notes, where) or f"{_DATA}/{called}"
+        bucket, keys = source.text("s3_bucket", "BUCKET"), source.texts("s3_keys")
+        kind = source.text("type", "File")
+        for left in source.left():
+            around.notes.lost(left, "there is no such setting here")
+        if not target.startswith("/") or ":" in target:
+            around.notes.lost(where, f"{target} is no place in a container: mount the folder by hand")
+            continue
+        for entry in containers.values():
+            entry.setdefault("mounts", []).append(f"data/{name}:{target}")
+        around.notes.to_do(where, _fetching(bucket, keys, kind, f"data/{name}"))
+
+
+def _fetching(bucket: str, keys: list[str], kind: str, folder: str) -> str:
+    """How a data source comes into its folder."""
+    first = shlex.quote(f"s3://{bucket}/{keys[0] if keys else ''}")
+    verb = f"sync {first} {folder}" if kind.lower() == "prefix" else f"cp {first} {folder}/"
+    more = f" (and {len(keys) - 1} more)" if len(keys) > 1 else ""
+    unpack = ", and unpack it there" if kind.lower() == "archive" else ""
+    return f"fill the folder before it is mounted: aws s3 {verb}{more}{unpack}"
+
+
+def _failure(fields: Fields, notes: Notes) -> None:
+    if fields.text("failure_behavior", "Fail").lower() == "continue":
+        why = "a task ends with its job; what a job that failed has left is brought out, and its logs stay"
+        notes.lost(fields.at("failure_behavior"), why)
 
 
 def _order(containers: dict[str, dict[str, Any]]) -> None:
@@ -97,11 +280,12 @@ def _order(containers: dict[str, dict[str, Any]]) -> None:
     if len(containers) < 2:
         return
     containers["simulation"]["essential"] = False
-    master = containers["simulation"].get("environment", {}).get("ROS_MASTER_URI", "")
-    found = _MASTER.fullmatch(master)
-    if found:
-        containers["robot"]["ready"] = {"port": int(found[1])}
-        containers["simulation"]["after"] = ["robot"]
+    for one, other in (("robot", "simulation"), ("simulation", "robot")):
+        found = _MASTER.fullmatch(containers[other].get("environment", {}).get("ROS_MASTER_URI", ""))
+        if found and found[1] == one:
+            containers[one]["ready"] = {"port": int(found[2])}
+            containers[other]["after"] = [one]
+            return
 
 
 def _with_names(text: str) -> str:

@@ -64,6 +64,10 @@ def written(conversion: Conversion, source: str) -> str:
     if conversion.noise:
         parts.append(_comment(f"from {conversion.noise_origin}; m and rad") + _dumped({"noise": conversion.noise}))
     parts += [_section("systems", conversion.systems), _section("simulation", conversion.simulations)]
+    if conversion.batch:
+        parts.append(
+            _comment(f"from the {conversion.batch_origin}") + _dumped({"aws-batch": conversion.batch}, flow=False)
+        )
     parts += [_notes(conversion, Kind.CHANGED), _notes(conversion, Kind.LOST)]
     return _without(conversion.secrets, "\n".join(part for part in parts if part))
 
@@ -98,7 +102,7 @@ def _comment(text: str) -> str:
     return "".join(f"# {line}\n" for line in lines)
 
 
-def _dumped(document: dict[str, Any]) -> str:
+def _dumped(document: dict[str, Any], flow: bool | None = None) -> str:
     return yaml.dump(
-        document, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=2**20, default_flow_style=None
+        document, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=2**20, default_flow_style=flow
     )

@@ -10,7 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from calibration.__main__ import main
+from calibration.__main__ import main, run_action
+from tests.engine import wait_until
+from tests.processes import group_runs
 
 ROOT = Path(__file__).parents[2]
 T2RGB = str(ROOT / "datasets" / "t2rgb")
@@ -79,6 +81,8 @@ def test_rules_from_a_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
         (["--dataset", T2RGB, "--systems", "riwbot"], "riwbot"),
         (["--dataset", T2RGB, "--evaluate", "rgb-to-rgb:a:b"], "no sensor 'a'"),
         (["--dataset", T2RGB, "--sart", "linear"], "--start"),
+        (["--dataset", T2RGB, "--registry-username", "me"], "registry-password is not given"),
+        (["--dataset", T2RGB, "--registry-password", "words"], "put it into the environment variable CALIBRATION_REG"),
     ],
 )
 def test_bad_input_is_one_line_and_exit_code_2(
@@ -90,6 +94,27 @@ def test_bad_input_is_one_line_and_exit_code_2(
     assert expected in error
     assert error.count("\n") == 1
     assert not list(tmp_path.iterdir())
+
+
+def test_a_login_without_the_image_that_it_is_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("CALIBRATION_REGISTRY_PASSWORD", "planted words")
+    arguments = ["calibrate-matrix", "--dataset", T2RGB, "--output", str(tmp_path)]
+    assert main(arguments) == 0  # the variable is there for another command
+    assert main([*arguments, "--registry-username", "me"]) == 2
+    said = capsys.readouterr()
+    assert "registry-username is given without the image that it is for" in said.err
+    assert "planted words" not in said.out + said.err
+
+
+def test_a_password_without_a_user_is_told_in_an_action(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name, value in {"DATASET": T2RGB, "IMAGE": "robot", "COMMAND": "x", "REGISTRY_PASSWORD": "words"}.items():
+        monkeypatch.setenv(f"INPUT_{name}", value)
+    assert run_action("calibrate-matrix") == 2
+    assert "registry-username is not given: user and password go together" in capsys.readouterr().err
 
 
 def test_an_output_folder_that_cannot_be_written_is_the_world_s_fault(
@@ -143,5 +168,4 @@ def test_a_signal_stops_everything_that_was_started(number: signal.Signals, tmp_
 
     assert process.returncode == 128 + number
     assert error.strip().endswith(f"stopped by {number.name}")
-    with pytest.raises(ProcessLookupError):  # no process of its session is left
-        os.killpg(process.pid, 0)
+    wait_until(lambda: not group_runs(process.pid), "no process of its session is left")

@@ -15,6 +15,7 @@ from calibration.dataset.reading import read_dataset
 
 PROJECT = Path(__file__).resolve().parents[2]
 T2RGB = PROJECT / "datasets" / "t2rgb"
+WORLDS = ("--system", "t2rgb", "--scenario-set", "datasets/scenarios.yml", "--scenarios", "2")
 
 
 @pytest.fixture(autouse=True)
@@ -26,10 +27,13 @@ def in_project(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def motion(tmp_path: Path) -> Path:
-    """The first four poses of t2rgb's motion."""
+    return first_poses(4, tmp_path / "four.json")
+
+
+def first_poses(count: int, path: Path) -> Path:
+    """Write the first poses of t2rgb's motion to a file."""
     poses = json.loads((T2RGB / "motion.json").read_text())
-    path = tmp_path / "four.json"
-    path.write_text(json.dumps({str(i): poses[str(i)] for i in range(1, 5)}))
+    path.write_text(json.dumps({str(i): poses[str(i)] for i in range(1, count + 1)}))
     return path
 
 
@@ -110,9 +114,45 @@ def test_red_is_red(motion: Path, tmp_path: Path, capsys: pytest.CaptureFixture[
     [
         (("--system", "t3rgb"), "system: found 't3rgb', expected one of riwbot, rlbot, t2rgb or a folder"),
         (("--system", ""), "system: found '', expected one of riwbot, rlbot, t2rgb or a folder"),
-        (("--system", "t2rgb", "--backend", "doker"), "backend: found 'doker', expected embedded or docker"),
-        (("--system", "t2rgb", "--backend", "docker"), "docker runs the team's applications"),
-        (("--system", "t2rgb", "--image", "robot:1"), "image: needs applications, or simulation-command"),
+        (("--system", "t2rgb", "--backend", "doker"), "backend: found 'doker', expected embedded, docker or aws-batch"),
+        (("--system", "t2rgb", "--backend", "docker"), "backend: found docker; it runs the team's applications"),
+        (("--system", "t2rgb", "--backend", "aws-batch"), "backend: found aws-batch; it runs the team's applications"),
+        (("--system", "t2rgb", "--image", "robot:1"), "image: is for containers: give applications"),
+        (("--system", "t2rgb", "--run", "mine"), "run: is for containers"),
+        (("--system", "t2rgb", "--timeout", "1h"), "timeout: is for containers"),
+        (("--system", "t2rgb", "--resume"), "resume: is for worlds in containers: backend docker or aws-batch"),
+        (("--system", "t2rgb", "--ros", "1"), "ros: needs applications"),
+        (
+            (*WORLDS, "--backend", "docker"),
+            "image: missing: docker runs every world in an image that has calibration-ci",
+        ),
+        (
+            (*WORLDS, "--backend", "aws-batch", "--image", "i", "--aws-batch", "no.yml"),
+            "no.yml: a file with a section aws-batch",
+        ),
+        (
+            (*WORLDS, "--backend", "aws-batch", "--image", "i", "--aws-batch", "datasets/scenarios.yml"),
+            "datasets/scenarios.yml: missing aws-batch: region, queue, bucket, tools-image and job-role",
+        ),
+        ((*WORLDS, "--minimum-coverage", "0.5"), "minimum-coverage: judges one dataset"),
+        (
+            ("--system", "t2rgb", "--robot-command", "run", "--image", "i", "--resume"),
+            "resume: one dataset has no part that could be missing",
+        ),
+        (
+            (
+                *("--system", "t2rgb", "--robot-command", "run", "--image", "i"),
+                "--scenarios",
+                "2",
+                "--scenario",
+                "s1-00000",
+            ),
+            "scenario: give either scenarios (how many) or scenario (the id of one)",
+        ),
+        (
+            ("--system", "t2rgb", "--robot-command", "run", "--image", "i", "--scenario", "7"),
+            "scenario: found '7', expected an id such as s1-00017",
+        ),
         (("--system", "t2rgb", "--robot-command", "run"), "containers.robot: missing image"),
         (
             ("--system", "t2rgb", "--robot-command", "run", "--image", "i", "--backend", "embedded"),
@@ -124,7 +164,7 @@ def test_red_is_red(motion: Path, tmp_path: Path, capsys: pytest.CaptureFixture[
         ),
         (
             ("--system", "t2rgb", "--robot-command", "run", "--image", "i", "--scenario-set", "s", "--scenarios", "2"),
-            "scenario-set: worlds vary in our own simulation only",
+            "scenario-set: worlds vary in our own simulation only; applications are told {scenario}",
         ),
         (
             ("--system", "t2rgb", "--robot-command", "run", "--image", "i", "--player", "ros1"),
@@ -229,6 +269,7 @@ def test_many_worlds_and_one_of_them_again(tmp_path: Path, capsys: pytest.Captur
 def test_a_killed_run_leaves_no_half_dataset_and_goes_on(struck: signal.Signals, tmp_path: Path) -> None:
     output = tmp_path / "output"
     command = [sys.executable, "-m", "calibration", "collect-data-sim", "--system", "t2rgb", "--output", str(output)]
+    command += ["--motion", str(first_poses(12, tmp_path / "twelve.json"))]
     environment = {k: v for k, v in os.environ.items() if not k.startswith("COVERAGE")}
     with subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env=environment
@@ -239,14 +280,14 @@ def test_a_killed_run_leaves_no_half_dataset_and_goes_on(struck: signal.Signals,
                 process.send_signal(struck)
                 break
         rest = process.stdout.read()
-        code = process.wait(30)
+        code = process.wait(60)
     assert code == (-struck if struck == signal.SIGKILL else 128 + struck), rest
     assert "Traceback" not in rest
     assert struck == signal.SIGKILL or " poses are done: the same command goes on from there" in rest
     assert not (output / "dataset.json").exists()
     done = len(list((output / ".collecting").glob("*.record.json")))
     assert done >= 3
-    deadline = time.monotonic() + 10
+    deadline = time.monotonic() + 60
     while time.monotonic() < deadline:  # workers of a killed parent die too, and free the lock
         again = subprocess.run([*command, "--jobs", "2"], capture_output=True, text=True, check=False, env=environment)
         if "another collection into this folder is running" not in again.stderr:

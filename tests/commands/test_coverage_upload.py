@@ -18,6 +18,7 @@ from calibration.commands import coverage_upload
 from calibration.coverage import presentation
 from tests.coverage import projects
 from tests.coverage.projects import NAMING, TOKEN, commit, git, robot, write
+from tests.processes import runs
 
 NAME = "coverage-upload"
 SCHEMA = json.loads(Path(presentation.__file__).with_name("results.schema.json").read_text())
@@ -439,7 +440,7 @@ def test_a_signal_stops_the_tests(root: Path, number: signal.Signals) -> None:
         process.send_signal(number)
         assert f"error: stopped by {number.name}" in process.stderr.read()
     assert process.returncode == 128 + number
-    assert not Path(f"/proc/{pid}").exists()
+    assert not runs(pid)
     assert not Path("out/results.json").exists()
 
 

@@ -170,6 +170,10 @@ def test_files_and_patterns(folder: Path) -> None:
     assert expand(["none.csv"]) == ["none.csv"]
     with pytest.raises(InputError, match=r"a/\*\.txt: no file matches this pattern"):
         expand(["a/*.txt"])
+    with pytest.raises(
+        InputError, match=r"^/\*\*/x\.csv: this searches the whole machine: a folder was expected before"
+    ):
+        expand(["/**/x.csv"])  # such as ${{ steps.calibrate.outputs.output }}/**/x.csv, where that is empty
     with pytest.raises(InputError, match="no file matches"):
         expand(["?"])  # there is the folder a
 

@@ -147,7 +147,7 @@ def test_the_exit_code_is_what_the_command_returns(ends_with: list[object], end:
         (
             ModuleNotFoundError("No module named 'cv2'", name="cv2.x"),
             3,
-            "error: the package cv2 is not installed: pip install 'calibration-ci[all]'\n",
+            "error: the package cv2 is not installed: pip install opencv-python-headless\n",
         ),
     ],
 )
@@ -262,13 +262,16 @@ sys.exit(entry.main(["wait"]))
 
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 def test_signals_stop_cleanly(number: signal.Signals, code: int) -> None:
-    process = subprocess.Popen(
+    with subprocess.Popen(
         [sys.executable, "-c", STOPPABLE], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    )
-    assert process.stdout is not None
-    assert process.stdout.readline() == "ready\n"
-    process.send_signal(number)
-    out, err = process.communicate(timeout=30)
+    ) as process:
+        assert process.stdout is not None
+        try:
+            assert process.stdout.readline() == "ready\n"
+            process.send_signal(number)
+            out, err = process.communicate(timeout=50)
+        finally:
+            process.kill()
     assert process.returncode == code
     assert out == "cleaned\n"
     assert err == f"error: stopped by {number.name}\n"

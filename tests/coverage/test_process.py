@@ -3,7 +3,6 @@ import signal
 import subprocess
 import sys
 import threading
-import time
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +11,8 @@ import pytest
 from calibration.coverage.measuring import process
 from calibration.coverage.measuring.process import run
 from calibration.errors import InputError, WorldError
+from tests.engine import wait_until
+from tests.processes import runs
 
 STUBBORN = """
 import os, signal, subprocess, sys, time
@@ -27,20 +28,10 @@ def execute(code: str, folder: Path, seconds: float = 30.0) -> tuple[int, bytes]
     return run([sys.executable, "-c", code], folder, dict(os.environ), seconds, output.extend), bytes(output)
 
 
-def lives(pid: int) -> bool:
-    """Whether a process is there, and no zombie."""
-    try:
-        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
-    except OSError:
-        return False
-
-
 def gone(pids: list[int]) -> bool:
     """Whether processes are gone, soon."""
-    end = time.monotonic() + 5
-    while any(map(lives, pids)) and time.monotonic() < end:
-        time.sleep(0.02)
-    return not any(map(lives, pids))
+    wait_until(lambda: not any(map(runs, pids)), "they are gone")
+    return True
 
 
 def test_output_and_errors_come_in_order(tmp_path: Path) -> None:

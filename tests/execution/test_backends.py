@@ -1,21 +1,31 @@
 import pytest
 
 from calibration.errors import InputError
-from calibration.execution.backends import check_backend, docker_backend
+from calibration.execution.backends import CONTAINERS, Place, check_backend
 from calibration.execution.docker.backend import DockerBackend
 
 
 def test_by_name() -> None:
     check_backend("embedded")
     check_backend("docker")
-    assert isinstance(docker_backend(run="r"), DockerBackend)
+    check_backend("aws-batch", CONTAINERS)
+    backend = Place(run="r").open()
+    assert isinstance(backend, DockerBackend)
+    assert backend.run_name == "r"
 
 
 def test_unknown() -> None:
     with pytest.raises(
-        InputError, match=r"backend: found 'doker', expected embedded or docker: did you mean 'docker'\?"
+        InputError, match=r"backend: found 'doker', expected embedded, docker or aws-batch: did you mean 'docker'\?"
     ):
         check_backend("doker")
+    with pytest.raises(InputError, match="backend: found 'embedded', expected docker or aws-batch"):
+        check_backend("embedded", CONTAINERS)
+
+
+def test_a_cloud_that_nobody_has_described() -> None:
+    with pytest.raises(InputError, match=r"expected a section aws-batch in calibration\.yml"):
+        Place("aws-batch").open()
 
 
 @pytest.mark.parametrize("name", ["", "a b", "-x", "x" * 62, "a/b"])

@@ -33,11 +33,12 @@ DOCUMENTS = {
 }
 """The files by their schema: a built-in one of check-jsonschema, or one of ``calibration schema``."""
 
-READMES = [PROJECT / "README.md", *PROJECT.glob("examples/*/README.md")]
+READMES = [PROJECT / "README.md", *PROJECT.glob("examples/*/README.md"), *PROJECT.glob("docs/*.md")]
 PARTS = {
     "uses": (WORKFLOW, lambda part: {"on": "push", "jobs": {"job": {"runs-on": "ubuntu-latest", "steps": part}}}),
     "jobs": (WORKFLOW, lambda part: {"on": "push", **part}),
     "image": ("calibration.yml", lambda part: {"systems": {"any": {"dataset": "any"}}, **part}),
+    "aws-batch": ("calibration.yml", lambda part: {"systems": {"any": {"dataset": "any"}}, **part}),
     "systems": ("calibration.yml", lambda part: part),
     "simulation": ("calibration.yml", lambda part: part),
     "sensors": (None, None),  # simulation.yml has no schema: the README's is read in tests/actions/test_contract.py

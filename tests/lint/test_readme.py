@@ -1,5 +1,6 @@
 """The README's picture is of a real run, and what the READMEs point to is there."""
 
+import json
 import re
 import xml.etree.ElementTree as ET
 from pathlib import Path
@@ -9,10 +10,18 @@ import yaml
 
 from benchmarks.run_picture import LINE, PICTURE, drawing, tables
 from calibration.__main__ import main
+from calibration.execution.batch.settings import SCHEMA as BATCH_SCHEMA
 
 from .documents import READMES
 from .yaml_lines import PROJECT
 
+ROBOMAKER = (
+    *("iamRole", "maxJobDurationInSeconds", "failureBehavior", "clientRequestToken", "outputLocation", "loggingConfig"),
+    *("tags", "robotApplications", "simulationApplications", "dataSources", "compute", "vpcConfig", "batchPolicy"),
+    *("launchConfig", "packageName", "environmentVariables", "portForwardingConfig", "streamUI", "tools"),
+    *("uploadConfigurations", "worldConfigs", "createSimulationJobRequests", "assignPublicIp", "maxConcurrency"),
+)
+"""What CreateSimulationJob and StartSimulationJobBatch took."""
 TEXT = "{http://www.w3.org/2000/svg}text"
 
 
@@ -81,3 +90,16 @@ def test_what_a_readme_points_to_is_there(readme: Path) -> None:
     assert links
     for link in links:
         assert "://" in link or (readme.parent / link).exists(), link
+
+
+def test_every_key_of_the_section_for_aws_is_described() -> None:
+    schema = json.loads(BATCH_SCHEMA.read_text())
+    text = (PROJECT / "docs" / "aws-batch.md").read_text()
+    rows = "\n".join(line.split(" | ")[0] for line in text.splitlines() if line.startswith("| `"))
+    assert [key for key in schema["$defs"]["settings"]["properties"] if f"`{key}`" not in rows] == []
+
+
+def test_every_field_of_a_simulation_job_has_its_place_or_a_reason() -> None:
+    text = (PROJECT / "docs" / "aws-batch.md").read_text()
+    table = text.partition("## From RoboMaker")[2].partition("## On Kubernetes")[0]
+    assert [field for field in ROBOMAKER if field not in table] == []

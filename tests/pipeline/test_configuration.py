@@ -157,7 +157,10 @@ def test_what_the_software_says(tmp_path: Path) -> None:
         ("image: {name: x}\n" + SOFTWARE, "image"),
         ("image: {name: x, base: b, atp: [y]}\n" + SOFTWARE, "image: unknown key 'atp': did you mean 'apt'?"),
         (IMAGE + COLLECTED + "simulation: {fresh: {system: s, ros: 1}}", "simulation.fresh"),
-        (IMAGE + COLLECTED + "simulation: {fresh: {system: s, backend: docker}}", "docker needs containers"),
+        (
+            IMAGE + COLLECTED + "simulation: {fresh: {system: s, backend: docker}}",
+            "found docker; containers run with docker or aws-batch",
+        ),
         (IMAGE + COLLECTED + CONTAINERS.replace("{containers", "{backend: embedded, containers"), "found embedded"),
         (IMAGE + COLLECTED + CONTAINERS.replace("}}}}", "}}, player: ros2}}"), "simulation.fresh.player"),
         (IMAGE + COLLECTED + CONTAINERS.replace("command", "comand"), "robot: unknown key 'comand': did you mean"),

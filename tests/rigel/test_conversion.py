@@ -350,49 +350,6 @@ def test_what_is_wrong(converted: Converted, text: str, message: str) -> None:
     assert message in str(caught.value)
 
 
-ROBOMAKER = """
-jobs:
-  run: {{plugin: r.aws.RoboMakerPlugin, with: {{{fields}}}}}
-  build: {{plugin: r.BuildXPlugin, with: {{image: lab/robot}}}}
-"""
-
-
-def test_a_robot_application_alone(converted: Converted) -> None:
-    fields = "iam_role: x, compute: {a: 1}, speed: 2, robot_application: {ecr: lab/robot, command: [run], ports: [], environment: [A=b=c, ROS_IP=1.2.3.4]}"
-    conversion = converted(ROBOMAKER.format(fields=fields))
-    [simulation] = conversion.simulations
-    assert simulation.entry["containers"] == {
-        "robot": {"command": ["run"], "environment": {"A": "b=c", "ROS_IP": "1.2.3.4"}}
-    }
-    assert simulation.entry["timeout"] == "300s"
-    assert noted(conversion)["jobs.run.with.compute"] == "limit memory and cpus of each container instead"
-    assert noted(conversion)["jobs.run.with.speed"] == "there is no such setting here"
-
-
-def test_two_applications_without_a_master_between_them(converted: Converted) -> None:
-    fields = (
-        "robot_application: {ecr: a, command: [x]}, simulation_application: {ecr: b, command: [y], world_configs: [z]}"
-    )
-    [simulation] = converted(ROBOMAKER.format(fields=fields)).simulations
-    assert simulation.entry["containers"] == {
-        "simulation": {"image": "b", "command": ["y"], "essential": False},
-        "robot": {"image": "a", "command": ["x"]},
-    }
-
-
-def test_no_application_at_all(converted: Converted) -> None:
-    conversion = converted(ROBOMAKER.format(fields="iam_role: x"))
-    assert conversion.simulations == []
-    assert "neither a robot application nor a simulation" in noted(conversion)["jobs.run.with"]
-
-
-def test_a_secret_of_the_environment_of_an_application_is_not_copied(converted: Converted) -> None:
-    fields = "robot_application: {ecr: a, command: [x], environment: ['DB_PASSWORD=pl4nted', HOST=db]}"
-    conversion = converted(ROBOMAKER.format(fields=fields))
-    assert conversion.simulations[0].entry["containers"]["robot"]["secrets"] == ["DB_PASSWORD"]
-    assert "pl4nted" not in str(conversion)
-
-
 @pytest.mark.parametrize(
     ("text", "said"),
     [

@@ -16,6 +16,7 @@ from calibration.rigel.document import read_rigelfile
 from calibration.rigel.writing import written
 
 FOLDER = Path(__file__).with_name("rigelfiles")
+NAMES = ["matrix", "older", "robomaker", "simulation-job"]
 VARIABLES = {"LAB_USER": "lab", "API_TOKEN": "x", "DISPLAY": ":1", "TOKEN": "x", "ECR": "a.example.org"}
 
 
@@ -23,7 +24,7 @@ def conversion_of(name: str) -> str:
     return written(convert(read_rigelfile(FOLDER / f"{name}.rigel")), f"{name}.rigel")
 
 
-@pytest.mark.parametrize("name", ["matrix", "older", "robomaker"])
+@pytest.mark.parametrize("name", NAMES)
 def test_what_a_rigelfile_becomes(name: str) -> None:
     text = conversion_of(name)
     golden = FOLDER / f"{name}.calibration.yml"
@@ -33,7 +34,7 @@ def test_what_a_rigelfile_becomes(name: str) -> None:
     assert "pl4nted" not in text.lower()
 
 
-@pytest.mark.parametrize("name", ["matrix", "older", "robomaker"])
+@pytest.mark.parametrize("name", NAMES)
 def test_our_own_reader_takes_it(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """With the variables set, the files there, and a system where there is none."""
     for variable, value in VARIABLES.items():
@@ -42,13 +43,18 @@ def test_our_own_reader_takes_it(name: str, tmp_path: Path, monkeypatch: pytest.
     document.setdefault("systems", {"robot": {"dataset": "TODO"}})
     for system in document["systems"].values():
         system.get("software", {}).pop("mounts", None)  # of folders that are not on this machine
+    for simulation in document.get("simulation", {}).values():
+        for mount in {m for container in simulation["containers"].values() for m in container.get("mounts", ())}:
+            (tmp_path / mount.split(":")[0]).mkdir(parents=True)
     (tmp_path / "robot").mkdir()
     (tmp_path / "robot" / ".rosinstall").write_text("- git: {uri: 'https://example.org/a.git', local-name: a}\n")
     path = tmp_path / "calibration.yml"
     path.write_text(yaml.safe_dump(document))
     configuration = read_configuration(path)
     assert configuration.systems
-    assert parse_image_specification(document["image"], tmp_path, "image").name
+    assert "image" not in document or parse_image_specification(document["image"], tmp_path, "image").name
+    assert (configuration.batch is not None) == (name in ("robomaker", "simulation-job"))
+    assert all(each.backend == "aws-batch" for each in configuration.simulations if configuration.batch)
     if name == "matrix":
         assert configuration.noise.translations == configuration.noise.rotations == (0.0, 0.5)
         assert {system.name for system in configuration.systems} == {"calibrate_stereo", "calibrate_lidar"}

@@ -118,7 +118,7 @@ def test_any_text_comes_back_as_it_was(converted: Converted, text: str) -> None:
 
 
 DOCUMENTS = {name: yaml.safe_load((FOLDER / f"{name}.rigel").read_text().replace("!!python/tuple", "")) for name in
-             ("matrix", "older", "robomaker")}  # fmt: skip
+             ("matrix", "older", "robomaker", "simulation-job")}  # fmt: skip
 scalars = st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=20)
 scalars |= st.sampled_from(
     [
@@ -176,5 +176,5 @@ def test_any_other_document_is_converted_or_refused_in_one_line(tmp_path: Path, 
     else:
         refusal = None
         loaded = yaml.safe_load(text)
-        assert loaded is None or set(loaded) <= {"image", "noise", "systems", "simulation"}
+        assert loaded is None or set(loaded) <= {"image", "noise", "systems", "simulation", "aws-batch"}
     assert refusal is None or (refusal.startswith(str(path)) and refusal.isprintable())

@@ -3,13 +3,14 @@
 The paper's two launch files: a simulation application that publishes what the sensors see and moves
 the pattern, and a robot application that labels and saves collections. A player asks for one pose after
 the other: ours, or one of the team's containers. In their commands ``{output}`` is the folder that all
-of them share, ``{motion}`` the motion sequence, ``{system}`` the name of the system, ``{seed}`` the seed.
+of them share, ``{motion}`` the motion sequence, ``{system}`` the name of the system, ``{seed}`` the seed,
+``{scenario}`` the number of the collection, from 0, where there are several.
 """
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import Any
+from pathlib import Path, PurePosixPath
+from typing import TYPE_CHECKING, Any
 
 from calibration.errors import InputError
 from calibration.execution.document import container_from
@@ -18,12 +19,17 @@ from calibration.execution.job_check import check_job
 from calibration.execution.placeholders import fill
 from calibration.execution.ros import RosVersion, with_ros
 from calibration.execution.sizes import parse_seconds
+from calibration.files import write_atomically
 
-MOTION = "/calibration/motion.json"
-PLAYER = "/calibration/player.py"
+if TYPE_CHECKING:
+    from calibration.simulation.motion.sequence import Motion
+
+INPUTS = "/calibration/in"
+"""A folder that all of them see, read-only."""
+MOTION, PLAYER = f"{INPUTS}/motion.json", f"{INPUTS}/player.py"
 REPORT = f"{OUTPUT}/.player.json"
 """Where our player says what came of each pose."""
-PLACEHOLDERS = ("output", "motion", "system", "seed")
+PLACEHOLDERS = ("output", "motion", "system", "seed", "scenario")
 SECONDS = 3600.0
 
 
@@ -91,7 +97,7 @@ def applications_from(entry: Mapping[str, Any], folder: Path, where: str) -> App
     if applications.player is not None and applications.ros != "1":
         raise InputError(f"{where}.player: ros1 needs a ROS master; add ros: 1")
     try:  # what is wrong is found before anything runs
-        check_job(collection_job(applications.with_image("any"), "applications", "any", 1, None))
+        check_job(collection_job(applications.with_image("any"), "applications", "any", 1))
     except InputError as error:
         raise InputError(f"{where}: {error}") from None
     return applications
@@ -102,7 +108,27 @@ def _ros(entry: Mapping[str, Any]) -> RosVersion:
     return versions[str(entry.get("ros", "none"))]
 
 
-def collection_job(applications: Applications, name: str, system: str, seed: int, motion: Path | None) -> Job:
+def write_inputs(folder: Path, applications: Applications, motion: "Motion | None") -> Path | None:
+    """Write what the containers see as `INPUTS` into a new folder; None where there is nothing to see.
+
+    Raises:
+        WorldError: it cannot be written.
+    """
+    from calibration.dataset.writing import write_document
+    from calibration.simulation.motion.sequence import motion_document
+    from calibration.simulation.players import player_file
+
+    if motion is None:
+        return None
+    write_document(motion_document(motion), folder / PurePosixPath(MOTION).name)
+    if applications.player is not None:
+        write_atomically(folder / PurePosixPath(PLAYER).name, player_file().read_bytes())
+    return folder
+
+
+def collection_job(
+    applications: Applications, name: str, system: str, seed: int, scenario: int = 0, inputs: Path | None = None
+) -> Job:
     """The job that collects one dataset.
 
     Args:
@@ -110,13 +136,14 @@ def collection_job(applications: Applications, name: str, system: str, seed: int
         name: of the job, and of its folder.
         system: the system's name.
         seed: of its noise, for those that make some.
-        motion: the file of the motion sequence, which all containers see; None where the team's player has its own.
+        scenario: the number of the collection among those of the seed.
+        inputs: the folder that `write_inputs` wrote; None where the team's player has its own motion.
 
     Raises:
         InputError: a command has a placeholder that there is not.
     """
-    values = {"output": OUTPUT, "motion": MOTION, "system": system, "seed": str(seed)}
-    mounts = () if motion is None else (Mount(motion.resolve(), MOTION),)
+    values = _values(system, seed, scenario)
+    mounts = () if inputs is None else (Mount(inputs.resolve(), INPUTS),)
     containers = [
         replace(
             container,
@@ -129,15 +156,29 @@ def collection_job(applications: Applications, name: str, system: str, seed: int
         # roslaunch answers 0 when a node has died: whatever it answers, it is too early
         containers = [replace(container, success=()) for container in containers]
         containers.append(_player(applications, applications.player, mounts))
-    [dataset] = fill([applications.dataset], values, "dataset")
-    brought = (Artifact(dataset.rstrip("/")), *((Artifact(REPORT, required=False),) if applications.player else ()))
+    brought = [Artifact(dataset_place(applications, system, seed, scenario))]
+    if applications.player is not None:
+        brought.append(Artifact(REPORT, required=False))
     containers[-1] = replace(containers[-1], artifacts=(*containers[-1].artifacts, *brought))
     return with_ros(Job(name, tuple(containers), applications.network, applications.seconds), applications.ros)
 
 
-def _player(applications: Applications, player: Ros1Player, mounts: tuple[Mount, ...]) -> Container:
-    from calibration.simulation.players import player_file
+def dataset_place(applications: Applications, system: str, seed: int, scenario: int = 0) -> str:
+    """Where the dataset of a `collection_job` is, in its containers.
 
+    Raises:
+        InputError: there is no such placeholder.
+    """
+    [place] = fill([applications.dataset], _values(system, seed, scenario), "dataset")
+    return place.rstrip("/")
+
+
+def _values(system: str, seed: int, scenario: int) -> dict[str, str]:
+    """Of the `PLACEHOLDERS`."""
+    return {"output": OUTPUT, "motion": MOTION, "system": system, "seed": str(seed), "scenario": str(scenario)}
+
+
+def _player(applications: Applications, player: Ros1Player, mounts: tuple[Mount, ...]) -> Container:
     options = {
         "--motion": MOTION,
         "--report": REPORT,
@@ -150,6 +191,6 @@ def _player(applications: Applications, player: Ros1Player, mounts: tuple[Mount,
         name="player",
         image=player.image or applications.containers[0].image,
         command=("python3", "-u", PLAYER, *(part for option in options.items() for part in option)),
-        mounts=(*mounts, Mount(player_file(), PLAYER)),
+        mounts=mounts,
         after=player.after or tuple(container.name for container in applications.containers),
     )

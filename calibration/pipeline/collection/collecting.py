@@ -144,7 +144,7 @@ def require_opencv() -> None:
     try:
         import cv2  # noqa: F401
     except ImportError as error:
-        message = "collecting in simulation needs OpenCV: pip install 'calibration-ci[calibrate,opencv]'"
+        message = "collecting in simulation needs OpenCV: pip install opencv-python-headless"
         raise WorldError(message) from error
 
 

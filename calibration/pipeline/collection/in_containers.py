@@ -11,9 +11,17 @@ from typing import TYPE_CHECKING, Any
 
 from calibration.errors import CalibrationError, ExitCode, InputError, WorldError
 from calibration.execution.backend import Backend
+from calibration.execution.job import Job
+from calibration.execution.job_folder import ARTIFACTS, LOGS
 from calibration.execution.outcome import JobOutcome
 from calibration.files import read_bytes
-from calibration.pipeline.collection.applications import REPORT, Applications, collection_job
+from calibration.pipeline.collection.applications import (
+    REPORT,
+    Applications,
+    collection_job,
+    dataset_place,
+    write_inputs,
+)
 from calibration.pipeline.collection.collecting import GENERATE, pose_count, require_opencv
 from calibration.pipeline.collection.results import CollectionChecks, CollectionResults
 from calibration.pipeline.collection.writing import write_collection_results
@@ -25,7 +33,6 @@ if TYPE_CHECKING:
     from calibration.simulation.motion.sequence import Motion
     from calibration.simulation.system import System
 
-LOGS = "logs"
 NO_FILE = "missing"
 """The name of an image that there is not."""
 MAX_REPORT = 16 * 1024 * 1024
@@ -51,15 +58,31 @@ class ContainerRequest:
 
 
 @dataclass(frozen=True, eq=False)
-class _Plan:
+class Plan:
     """A request with its files read."""
 
+    request: ContainerRequest
     system: "System | None"
     motion: "Motion | None"
 
+    @property
+    def name(self) -> str:
+        """Of the system."""
+        return self.system.name if self.system else self.request.name
+
+    def job(self, name: str, scenario: int, inputs: Path | None) -> Job:
+        """The job of one collection, as `collection_job`."""
+        request = self.request
+        return collection_job(request.applications, name, self.name, request.seed, scenario, inputs)
+
+    def dataset_name(self, scenario: int) -> str:
+        """The name of the dataset's folder among what is brought out."""
+        request = self.request
+        return PurePosixPath(dataset_place(request.applications, self.name, request.seed, scenario)).name
+
 
 def collect_in_containers(
-    request: ContainerRequest, output: Path, backend: Backend, overwrite: bool = False
+    request: ContainerRequest, output: Path, backend: Backend, overwrite: bool = False, scenario: int = 0
 ) -> CollectionResults:
     """Collect a dataset into a folder, with its results and the containers' logs beside it.
 
@@ -70,6 +93,7 @@ def collect_in_containers(
         output: the folder; what it has besides a dataset stays.
         backend: where the containers run.
         overwrite: whether a dataset that it has is replaced.
+        scenario: the number of the collection among those of the seed.
 
     Raises:
         InputError: an input is missing or wrong, or the folder has a dataset and may not be overwritten.
@@ -79,16 +103,19 @@ def collect_in_containers(
     from calibration.simulation.collection.dataset_folder import refuse_existing, replacing_dataset
 
     refuse_existing(output, overwrite)
-    plan = _plan(request)
+    plan = read_plan(request)
     with replacing_dataset(output, overwrite) as new, tempfile.TemporaryDirectory(prefix=".job-", dir=output) as work:
-        outcome = _run(request, plan, Path(work), backend)
+        outcome = _run(plan, scenario, Path(work), backend)
         _keep_logs(outcome, output)
-        results = _results(request, plan, outcome, new)
-        write_collection_results(results, new)
-    return results
+        return judged(plan, outcome, scenario, new)
 
 
-def _plan(request: ContainerRequest) -> _Plan:
+def read_plan(request: ContainerRequest) -> Plan:
+    """Read the system and the motion of a request.
+
+    Raises:
+        InputError: one is missing or wrong.
+    """
     from calibration.simulation.players import check_motion
     from calibration.simulation.system import read_system
 
@@ -98,7 +125,7 @@ def _plan(request: ContainerRequest) -> _Plan:
         if motion is None:
             raise InputError(f"{request.name}: our player needs a motion: a file, or a system with one")
         check_motion(motion)
-    return _Plan(system, motion)
+    return Plan(request, system, motion)
 
 
 def _motion(request: ContainerRequest, system: "System | None") -> "Motion | None":
@@ -118,17 +145,9 @@ def _motion(request: ContainerRequest, system: "System | None") -> "Motion | Non
     return generate_motion(system, pose_count(given), request.seed)
 
 
-def _run(request: ContainerRequest, plan: _Plan, work: Path, backend: Backend) -> JobOutcome:
-    from calibration.dataset.writing import write_document
-    from calibration.simulation.motion.sequence import motion_document
-
-    motion = None
-    if plan.motion is not None:
-        motion = work / "motion.json"
-        write_document(motion_document(plan.motion), motion)
-    system = plan.system.name if plan.system else request.name
-    job = collection_job(request.applications, "collection", system, request.seed, motion)
-    with closing(backend.run([job], work, 1)) as outcomes:
+def _run(plan: Plan, scenario: int, work: Path, backend: Backend) -> JobOutcome:
+    inputs = write_inputs(work / "in", plan.request.applications, plan.motion)
+    with closing(backend.run([plan.job("collection", scenario, inputs)], work, 1)) as outcomes:
         for _, outcome in outcomes:
             return outcome
     raise AssertionError("a backend answers for every job")
@@ -144,18 +163,29 @@ def _keep_logs(outcome: JobOutcome, output: Path) -> None:
         raise WorldError(f"{output / LOGS}: cannot be written: {error.strerror or error}") from error
 
 
-def _results(request: ContainerRequest, plan: _Plan, outcome: JobOutcome, new: Path) -> CollectionResults:
-    """Put what was brought out into a new folder, and say what it is worth."""
+def judged(plan: Plan, outcome: JobOutcome, scenario: int, new: Path) -> CollectionResults:
+    """Put what was brought out into a new folder, with the results beside it.
+
+    Raises:
+        WorldError: a file cannot be written.
+    """
+    results = _results(plan, outcome, scenario, new)
+    write_collection_results(results, new)
+    return results
+
+
+def _results(plan: Plan, outcome: JobOutcome, scenario: int, new: Path) -> CollectionResults:
     from calibration.dataset.reading import read_dataset
     from calibration.simulation.collection.contact_sheet import write_contact_sheet
     from calibration.simulation.collection.proof import prove
 
+    request = plan.request
     dataset, records, proof = None, [], None
     failures, error = outcome.reasons, None
     if outcome.exit_code in (ExitCode.BAD_INPUT, ExitCode.WORLD):
         error = outcome.exit_code
     if outcome.exit_code == ExitCode.PASS:
-        brought = outcome.folder / "artifacts" / PurePosixPath(request.applications.dataset).name
+        brought = outcome.folder / ARTIFACTS / plan.dataset_name(scenario)
         try:
             dataset = read_dataset(brought)
             records = _records(dataset, _report(outcome))
@@ -165,7 +195,7 @@ def _results(request: ContainerRequest, plan: _Plan, outcome: JobOutcome, new: P
     if dataset is not None and not failures:
         for path in sorted(brought.iterdir()):
             path.rename(new / path.name)
-        _describe(request, plan, new)
+        _describe(plan, new)
         proof = prove(new, request.truth)
         if plan.system is not None:
             write_contact_sheet(new, plan.system, records, new)
@@ -184,7 +214,7 @@ def _results(request: ContainerRequest, plan: _Plan, outcome: JobOutcome, new: P
     )
 
 
-def _check_sensors(dataset: "Dataset", plan: _Plan) -> None:
+def _check_sensors(dataset: "Dataset", plan: Plan) -> None:
     """Hold a dataset's sensors to those of the system.
 
     Raises:
@@ -195,7 +225,7 @@ def _check_sensors(dataset: "Dataset", plan: _Plan) -> None:
             raise InputError(f"dataset.json: missing sensor '{name}' (it has {', '.join(dataset.sensors)})")
 
 
-def _describe(request: ContainerRequest, plan: _Plan, new: Path) -> None:
+def _describe(plan: Plan, new: Path) -> None:
     """Put the files of the system, the motion and the truth beside the dataset."""
     from calibration.dataset import truth
     from calibration.dataset.writing import write_document
@@ -211,6 +241,7 @@ def _describe(request: ContainerRequest, plan: _Plan, new: Path) -> None:
         return
     for name, content in plan.system.sources.items():
         write_atomically(new / name, content)
+    request = plan.request
     if plan.motion is not None and request.truth is None:
         write_document(truth_document(play(plan.system, plan.motion, request.seed), ()), new / truth.FILE_NAME)
 
@@ -221,7 +252,7 @@ def _report(outcome: JobOutcome) -> list[dict[str, Any]]:
     Raises:
         InputError: it is not of this form; a container may have written it.
     """
-    path = outcome.folder / "artifacts" / PurePosixPath(REPORT).name
+    path = outcome.folder / ARTIFACTS / PurePosixPath(REPORT).name
     if not path.exists():
         return []
     try:

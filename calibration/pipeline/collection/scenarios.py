@@ -1,7 +1,7 @@
 """Many worlds of one system: each is collected, calibrated and judged, and the report over all of them."""
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -16,7 +16,9 @@ from calibration.pipeline.collection.collecting import (
     read_or_generate,
     require_opencv,
 )
+from calibration.pipeline.collection.in_containers import ContainerRequest
 from calibration.pipeline.collection.results import Check, CollectionChecks, CollectionResults
+from calibration.pipeline.collection.world_file import write_world
 
 if TYPE_CHECKING:
     from calibration.simulation.motion.sequence import Motion
@@ -25,6 +27,8 @@ if TYPE_CHECKING:
     from calibration.simulation.system import System
 
 FILE, TABLE_FILE, SUMMARY_FILE, FIGURE_FILE = "results.json", "worlds.csv", "summary.md", "worlds.png"
+JUNIT_FILE = "junit.xml"
+REPORT_FILES = (FILE, TABLE_FILE, SUMMARY_FILE, FIGURE_FILE, JUNIT_FILE)
 MAX_SCENARIOS = 100_000
 WORST_SHOWN = 5
 
@@ -33,12 +37,36 @@ WORST_SHOWN = 5
 class ScenarioRequest:
     """Which worlds are run."""
 
-    collection: CollectionRequest
+    collection: CollectionRequest | ContainerRequest
     """The system, the seed of the worlds, and what each of them has to keep to; a motion, if all have the same."""
-    scenario_set: Path
+    scenario_set: Path | None
+    """Of our own simulation's worlds; None for the team's applications, which know themselves what varies."""
     count: int
     minimum_success_rate: float = 1.0
     """The share of the worlds that has to pass."""
+    applications: tuple[str, ...] = ()
+    """The options of the command that say what the team's applications are."""
+
+    @property
+    def own(self) -> CollectionRequest:
+        """The collection by our own simulation."""
+        if not isinstance(self.collection, CollectionRequest):
+            raise AssertionError("the team's applications collect")
+        return self.collection
+
+    @property
+    def theirs(self) -> ContainerRequest:
+        """The collection by the team's applications."""
+        if not isinstance(self.collection, ContainerRequest):
+            raise AssertionError("our own simulation collects")
+        return self.collection
+
+    @property
+    def set_file(self) -> Path:
+        """The scenario set of our own simulation."""
+        if self.scenario_set is None:
+            raise AssertionError("the worlds of our own simulation are of a set")
+        return self.scenario_set
 
 
 @dataclass(frozen=True)
@@ -50,6 +78,8 @@ class ScenarioResults:
     report: "Report"
     notes: tuple[str, ...] = field(default=())
     """What could not be made, and why."""
+    errors: Mapping[str, ExitCode] = field(default_factory=dict)
+    """The worlds that could not be run, by id: because of bad input (2) or a failing world (3). They have failed."""
 
     @cached_property
     def failed(self) -> "dict[str, list[str]]":
@@ -75,8 +105,10 @@ class ScenarioResults:
 
     @property
     def exit_code(self) -> ExitCode:
-        """The verdict's."""
-        return ExitCode.PASS if self.verdict == "pass" else ExitCode.FAIL
+        """The verdict's; where it is fail and some could not be run, that of these: who knows what they would be."""
+        if self.verdict == "pass":
+            return ExitCode.PASS
+        return max(self.errors.values(), default=ExitCode.FAIL)
 
     @property
     def title(self) -> str:
@@ -128,9 +160,9 @@ def run_worlds(
     from calibration.simulation.scenarios.scenario_set import read_scenario_set
     from calibration.simulation.system import read_system
 
-    of = request.collection
+    of = request.own
     system = read_system(of.system, of.robot, of.configuration)
-    worlds = read_scenario_set(request.scenario_set, system)
+    worlds = read_scenario_set(request.set_file, system)
     motion = None if of.motion is None else read_or_generate(of, system)
     if begin:
         begin(system.name, request.count)
@@ -151,6 +183,8 @@ def collect_world(
 ) -> CollectionResults:
     """Collect one world alone, with all its images, as `calibration.pipeline.collection.collect_dataset` does.
 
+    What came of it stands in ``world.json`` too, also where no motion is found for it.
+
     Args:
         request: the system, and what the dataset has to keep to; the id says the seed.
         scenario_set: the YAML file.
@@ -165,9 +199,10 @@ def collect_world(
         InputError, WorldError: as `collect_dataset`.
     """
     require_opencv()
+    from calibration.simulation.collection.checks import Requirements
     from calibration.simulation.collection.dataset_folder import refuse_existing
-    from calibration.simulation.scenarios.run import prepare
-    from calibration.simulation.scenarios.scenario import content_hash, parse_id
+    from calibration.simulation.scenarios.run import prepare, seen, unseen
+    from calibration.simulation.scenarios.scenario import parse_id
     from calibration.simulation.scenarios.scenario_set import read_scenario_set
     from calibration.simulation.system import read_system
 
@@ -177,11 +212,18 @@ def collect_world(
     worlds = read_scenario_set(scenario_set, system)
     motion = None if request.motion is None else read_or_generate(replace(request, seed=seed), system)
     world = worlds.scenario(seed, index)
-    played = prepare(worlds, world, motion)
+    result = unseen(worlds, world, motion)
+    stillness = (request.requirements or Requirements()).stillness
+    try:
+        played = prepare(worlds, world, motion)
+    except InputError as error:
+        write_world(replace(result, reasons=(str(error),)), stillness, output)
+        raise
     if begin:
         begin(played.system, played.motion)
-    what = content_hash(system, world, motion)
-    return collect_play(played, request.requirements, request.checks, output, overwrite, jobs, done, what)
+    found = collect_play(played, request.requirements, request.checks, output, overwrite, jobs, done, result.hash)
+    write_world(seen(result, found.records, found.proof), stillness, output)
+    return found
 
 
 def write_scenario_results(results: ScenarioResults, output: Path) -> ScenarioResults:
@@ -198,12 +240,12 @@ def write_scenario_results(results: ScenarioResults, output: Path) -> ScenarioRe
         drawn = figure(results.report, results.title, checks.max_translation_mm, checks.max_rotation_deg)
         write_atomically(output / FIGURE_FILE, drawn)
     except InputError as error:  # what draws it is not installed
-        results = ScenarioResults(results.system, results.request, results.report, (str(error),))
+        results = replace(results, notes=(str(error),))
     text = json.dumps(scenario_document(results), indent=1, allow_nan=False) + "\n"
     write_atomically(output / FILE, text)
     write_atomically(output / TABLE_FILE, table(results.report.results))
     write_atomically(output / SUMMARY_FILE, scenario_markdown(results))
-    write_atomically(output / "junit.xml", _junit(results))
+    write_atomically(output / JUNIT_FILE, _junit(results))
     return results
 
 
@@ -219,6 +261,7 @@ def scenario_document(results: ScenarioResults) -> dict[str, Any]:
         "success_rate": results.success_rate,
         "reasons": results.reasons,
         "failed": results.failed,
+        "errors": dict(results.errors),
         **document(results.report, WORST_SHOWN),
     }
 
@@ -238,18 +281,21 @@ def replay(results: ScenarioResults, scenario: str) -> str:
     import shlex
 
     of, request = results.request.collection, results.request
-    words = ["calibration", "collect-data-sim", "--system", str(of.system)]
-    words += ["--scenario-set", str(request.scenario_set), "--scenario", scenario]
-    for option, value in (("--robot", of.robot), ("--config", of.configuration), ("--motion", of.motion)):
-        words += [option, str(value)] if value is not None else []
+    words = ["calibration", "collect-data-sim", "--system", str(of.system or results.system)]
+    words += [*request.applications, "--scenario", scenario]
+    options = (("scenario-set", request.scenario_set), ("robot", of.robot), ("config", of.configuration))
+    for option, value in (*options, ("motion", of.motion)):
+        words += [f"--{option}", str(value)] if value is not None else []
     return shlex.join([*words, "--output", scenario])
 
 
 def _junit(results: ScenarioResults) -> str:
     from calibration.workflow.junit import Case, Suite, junit_xml  # XML is slow to import
 
-    cases = [
-        Case(result.id, results.system, failure="\n".join(results.failed.get(result.id, ())) or None)
-        for result in results.report.results
-    ]
+    def case(world: str) -> Case:
+        why = "\n".join(results.failed.get(world, ())) or None
+        lost = world in results.errors
+        return Case(world, results.system, failure=None if lost else why, error=why if lost else None)
+
+    cases = [case(result.id) for result in results.report.results]
     return junit_xml([Suite(f"worlds of {results.system}", tuple(cases))])

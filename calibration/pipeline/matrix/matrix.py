@@ -18,7 +18,7 @@ from calibration.dataset.truth import choose_truth
 from calibration.errors import InputError
 from calibration.estimation.starting_noise import StartingNoise
 from calibration.evaluation.specification import parse_evaluation
-from calibration.execution.backends import docker_backend
+from calibration.execution.backends import Place
 from calibration.execution.parallel import in_parallel
 from calibration.pipeline.configuration import NoiseGrid, System
 from calibration.pipeline.matrix.cell import (
@@ -104,6 +104,7 @@ def run_matrix(
     fail_fast: bool = False,
     done: Done | None = None,
     display: "LogDisplay | None" = None,
+    place: Place | None = None,
 ) -> MatrixResults:
     """Run all cells and comparisons, each in its own folder below ``output``.
 
@@ -116,15 +117,19 @@ def run_matrix(
         fail_fast: whether the first cell that fails stops the others.
         done: called after each job.
         display: where the logs of containers are shown.
+        place: where containers run; this machine's engine unless given.
 
     Raises:
         InputError: a dataset, an evaluation, a truth or an image is wrong; nothing has been calibrated then.
         WorldError: a process died, or containers cannot be run.
+        RenderedError: the containers were to be written down only.
     """
     loaded = {system.name: load(system) for system in matrix.systems}
     theirs = [cell for cell in matrix.cells if cell.system in matrix.software]
     ours = [cell for cell in matrix.cells if cell.system not in matrix.software]
     work: list[Job] = [*matrix.comparisons, *ours, *map(Reference, theirs)]  # slow ones first
+    if place is not None and place.render is not None:
+        work = []  # theirs are written down, and nothing is run
     results: dict[Job, CellResult] = {}
     software: dict[Cell, CellResult] = {}
 
@@ -136,16 +141,16 @@ def run_matrix(
 
     with ExitStack() as stack:
         backend = (
-            stack.enter_context(docker_backend(display)) if theirs else None
+            stack.enter_context((place or Place()).open(display)) if theirs else None
         )  # before long work: it may not be there
-        for place, result in in_parallel(partial(_run, loaded=loaded, output=output), work, jobs):
-            results[work[place]] = result
-            if finished(result, isinstance(work[place], Cell)):
+        for number, result in in_parallel(partial(_run, loaded=loaded, output=output), work, jobs):
+            results[work[number]] = result
+            if finished(result, isinstance(work[number], Cell)):
                 return _in_order(matrix, results, software)
         if backend is not None:
             answers = run_software_cells(theirs, loaded, matrix.software, output, backend, jobs)
-            for place, result in stack.enter_context(closing(answers)):
-                software[theirs[place]] = result
+            for number, result in stack.enter_context(closing(answers)):
+                software[theirs[number]] = result
                 if finished(result, True):
                     break
     return _in_order(matrix, results, software)

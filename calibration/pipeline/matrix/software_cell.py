@@ -12,6 +12,7 @@ from calibration.errors import CalibrationError, ExitCode, InputError
 from calibration.estimation.starting_noise import with_starting_noise
 from calibration.evaluation.table import AVERAGES
 from calibration.execution.backend import Backend
+from calibration.execution.job_folder import ARTIFACTS
 from calibration.execution.outcome import JobOutcome
 from calibration.introspection.numbers import parse_number
 from calibration.introspection.selection import KeyedTable, LabelledRow
@@ -19,7 +20,6 @@ from calibration.introspection.table import read_table
 from calibration.pipeline.matrix.cell import Cell, CellResult, LoadedSystem, distance_from_truth, nothing_yet
 from calibration.pipeline.matrix.software import SOFTWARE, Software, cell_job
 
-ARTIFACTS = "artifacts"
 RMS = "RMS (pix)"
 """The column of a table whose average is a cell's ``rms_px``."""
 

@@ -3,6 +3,7 @@
 from dataclasses import replace
 from pathlib import Path
 
+from calibration.execution.backends import Place
 from calibration.pipeline.configuration import System
 from calibration.pipeline.matrix.cell import CellResult
 from calibration.pipeline.matrix.judgement import judge_cells
@@ -21,6 +22,7 @@ def calibrate_stage(
     title: str = "calibrate",
     jobs: int | None = None,
     fail_fast: bool = False,
+    place: Place | None = None,
 ) -> Results:
     """Calibrate every cell; it passes when it converged. Leaves results, tables and datasets in ``output``.
 
@@ -32,6 +34,7 @@ def calibrate_stage(
         title: of the progress.
         jobs: processes, or containers at once; None for as many as the machine holds.
         fail_fast: whether the first cell that fails stops the others.
+        place: where containers run; this machine's engine unless given.
 
     Raises:
         InputError: a dataset, an evaluation or a truth is wrong.
@@ -43,7 +46,7 @@ def calibrate_stage(
             advance(count, total, _line(cell), important=cell.verdict == "fail")
 
         display = LogDisplay(runner) if matrix.software else None
-        found = run_matrix(matrix, output, jobs, fail_fast, done, display)
+        found = run_matrix(matrix, output, jobs, fail_fast, done, display, place)
     results = replace(results, cells=found.cells, comparisons=found.comparisons)
     write_results(results, output)
     return results

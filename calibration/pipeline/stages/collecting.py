@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from calibration.errors import CalibrationError
-from calibration.execution.backends import docker_backend
+from calibration.execution.backends import Place
 from calibration.pipeline.collection.collected import Collected
 from calibration.pipeline.collection.collecting import CollectionRequest, collect_dataset
 from calibration.pipeline.collection.in_containers import ContainerRequest, collect_in_containers
@@ -27,7 +27,12 @@ COLLECTED = "collected"
 
 
 def collect_stage(
-    simulations: Sequence[Simulation], results: Results, output: Path, runner: Runner, jobs: int | None = None
+    simulations: Sequence[Simulation],
+    results: Results,
+    output: Path,
+    runner: Runner,
+    jobs: int | None = None,
+    place: Place | None = None,
 ) -> Results:
     """Collect datasets, each in its folder below ``output``, and calibrate them.
 
@@ -39,22 +44,23 @@ def collect_stage(
         output: the folder between the stages.
         runner: where to show the progress.
         jobs: processes; None for one a core.
+        place: in the cloud, for those that run there.
 
     Raises:
         WorldError: a result cannot be written.
     """
-    collections = tuple(_collected(simulation, output, runner, jobs) for simulation in simulations)
+    collections = tuple(_collected(simulation, output, runner, jobs, place or Place()) for simulation in simulations)
     results = replace(results, collections=collections)
     write_results(results, output)
     return results
 
 
-def _collected(simulation: Simulation, output: Path, runner: Runner, jobs: int | None) -> Collected:
+def _collected(simulation: Simulation, output: Path, runner: Runner, jobs: int | None, place: Place) -> Collected:
     folder, begin = f"{COLLECTED}/{simulation.name}", time.perf_counter()
     try:
         match simulation.request:
             case ContainerRequest() as request:
-                with docker_backend(LogDisplay(runner)) as backend:
+                with replace(place, backend=simulation.backend).open(LogDisplay(runner)) as backend:
                     found = collect_in_containers(request, output / folder, backend, overwrite=True)
             case CollectionRequest() as request:
                 found = _simulated(simulation.name, request, output / folder, runner, jobs)

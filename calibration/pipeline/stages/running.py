@@ -5,6 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from calibration.errors import InputError
+from calibration.execution.backends import Place
 from calibration.image.specification import ImageSpecification
 from calibration.pipeline.collection.in_containers import ContainerRequest
 from calibration.pipeline.configuration import Simulation, System
@@ -30,6 +31,7 @@ def run_stages(
     stages: Sequence[str] = STAGES,
     simulations: Sequence[Simulation] = (),
     image: ImageSpecification | None = None,
+    place: Place | None = None,
 ) -> Results:
     """Run stages, and report what they found.
 
@@ -43,6 +45,7 @@ def run_stages(
         stages: which ones.
         simulations: what the stage collect collects.
         image: what the stage build builds.
+        place: where the team's software runs, and what is known of the cloud; this machine's engine unless given.
 
     Raises:
         InputError: there is no such stage, or an input is wrong.
@@ -61,9 +64,9 @@ def run_stages(
         simulations = [_simulated_in(simulation, built.reference) for simulation in simulations]
         results = replace(results, image=built)
     if "collect" in stages and simulations:
-        results = collect_stage(simulations, results, output, runner, jobs)
+        results = collect_stage(simulations, results, output, runner, jobs, place)
     if "calibrate" in stages:
-        results = calibrate_stage(matrix, results, output, runner, title, jobs, fail_fast)
+        results = calibrate_stage(matrix, results, output, runner, title, jobs, fail_fast, place)
     if "introspect" in stages:
         results = introspect_stage(matrix.systems, results, output)
     if image is not None and image.promote and "promote" in stages:

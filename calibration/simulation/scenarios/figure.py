@@ -42,7 +42,7 @@ def figure(
         from matplotlib import rc_context
         from matplotlib.figure import Figure
     except ImportError as error:
-        message = "the figure needs matplotlib: pip install 'calibration-ci[figures]'"
+        message = "the figure needs matplotlib: pip install matplotlib"
         raise InputError(message) from error
     with rc_context(_STYLE):
         drawing = Figure(figsize=(_WIDTH, _HEIGHT), dpi=_DPI, layout="constrained")
@@ -56,7 +56,7 @@ def figure(
         for number, driver in enumerate(drivers):
             _scatter(lower.add_subplot(1, len(drivers), number + 1), report, driver)
         if not drivers:
-            text = f"What drives the error is not known: {why_unknown(len(report.results))}"
+            text = f"What drives the error is not known: {why_unknown(len(report.ran))}"
             lower.text(0.5, 0.5, text, ha="center", color="#666666")
         png = io.BytesIO()
         drawing.savefig(png, format="png", metadata={"Software": None})

@@ -5,7 +5,7 @@ import io
 import math
 import re
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from typing import Any
@@ -35,6 +35,8 @@ class Report:
     """The results of many worlds of one system; at least one."""
 
     results: Sequence[ScenarioResult]
+    lost: Collection[str] = ()
+    """The ids of those that could not be run: nothing about their worlds is to blame."""
 
     @cached_property
     def calibrated(self) -> list[ScenarioResult]:
@@ -44,7 +46,12 @@ class Report:
     @cached_property
     def drivers(self) -> list[Driver]:
         """What goes with the translation error, the strongest first. A world without a calibration is the worst."""
-        return find_drivers([result.values for result in self.results], [_error(result) for result in self.results])
+        return find_drivers([result.values for result in self.ran], [_error(result) for result in self.ran])
+
+    @property
+    def ran(self) -> list[ScenarioResult]:
+        """The worlds that say something: without those that could not be run."""
+        return [result for result in self.results if result.id not in self.lost]
 
     def worst(self, count: int) -> list[ScenarioResult]:
         """The worlds without a calibration, then those with the largest translation error."""
@@ -80,7 +87,7 @@ def markdown(report: Report, title: str, replay: Replay, worst: int = 5) -> str:
             "",
             *_distribution(report),
             *_worst(report, worst, replay),
-            *_drivers(report.drivers, len(report.results)),
+            *_drivers(report.drivers, len(report.ran)),
             *_losses(report),
         ]
     )

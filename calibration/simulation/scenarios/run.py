@@ -47,17 +47,31 @@ def run_scenario(
     Raises:
         WorldError: no temporary file can be written.
     """
-    result = ScenarioResult(scenario.id, content_hash(worlds.system, scenario, motion), dict(scenario.values))
+    result = unseen(worlds, scenario, motion)
     try:
         played = prepare(worlds, scenario, motion)
     except InputError as error:
         return replace(result, reasons=(str(error),))
     with tempfile.TemporaryDirectory(prefix="calibration-") as folder:
         records = _collect(played, requirements or Requirements(), Path(folder))
-        result = _described(result, records)
-        if not kept(records):
-            return replace(result, reasons=("no pose gave a collection",))
-        return _proven(result, prove(Path(folder)))
+        return seen(result, records, prove(Path(folder)) if kept(records) else None)
+
+
+def unseen(worlds: ScenarioSet, scenario: Scenario, motion: Motion | None = None) -> ScenarioResult:
+    """What is known of a scenario before it is run."""
+    return ScenarioResult(scenario.id, content_hash(worlds.system, scenario, motion), dict(scenario.values))
+
+
+def seen(result: ScenarioResult, records: Sequence[Record], proof: Proof | None) -> ScenarioResult:
+    """The result with what was collected, and what its calibration says.
+
+    Args:
+        result: what is known of the world.
+        records: of all its poses.
+        proof: None where no pose gave a collection.
+    """
+    result = _described(result, records) if records else result
+    return proven(result, proof) if proof else replace(result, reasons=("no pose gave a collection",))
 
 
 def run_scenarios(
@@ -141,7 +155,7 @@ def _described(result: ScenarioResult, records: Sequence[Record]) -> ScenarioRes
     )
 
 
-def _proven(result: ScenarioResult, proof: Proof) -> ScenarioResult:
+def proven(result: ScenarioResult, proof: Proof) -> ScenarioResult:
     """The result with what a calibration says."""
     sigmas = list((proof.sigmas or {}).values())
     return replace(

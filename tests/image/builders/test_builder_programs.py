@@ -16,6 +16,8 @@ from calibration.image.builders.login_file import write_login
 from calibration.image.builders.processes import lines_of
 from calibration.image.builders.programs import Program, find_buildkit
 from calibration.image.registries.credentials import Credentials
+from tests.engine import wait_until
+from tests.processes import runs
 
 
 def program(folder: Path, script: str) -> str:
@@ -63,17 +65,7 @@ def test_whoever_stops_listening_stops_the_program_and_its_children(
         with closing(lines_of(command, stdin, dict(os.environ))) as lines:
             child = int(next(lines))
             assert Path(f"/proc/{child}").exists()
-    deadline = time.monotonic() + 5
-    while _alive(child):
-        assert time.monotonic() < deadline
-        time.sleep(0.02)
-
-
-def _alive(process: int) -> bool:
-    try:
-        return "(zombie)" not in Path(f"/proc/{process}/status").read_text()
-    except OSError:
-        return False
+    wait_until(lambda: not runs(child), "its child has ended")
 
 
 def test_an_interrupt_stops_the_program(tmp_path: Path) -> None:
@@ -92,8 +84,11 @@ with open(os.devnull, "rb") as stdin, closing(lines_of(command, stdin, os.enviro
         assert ours.stdout is not None
         child = int(ours.stdout.readline())
         ours.send_signal(signal.SIGINT)
-        ours.wait(10)
-    assert not _alive(child)
+        try:
+            ours.wait(60)
+        finally:
+            ours.kill()
+    assert not runs(child)
 
 
 def test_a_login_for_the_program(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

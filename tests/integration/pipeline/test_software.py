@@ -154,7 +154,7 @@ def test_sigterm_leaves_nothing_behind(python_image: str, engine: "DockerClient"
     def containers() -> list[Any]:
         return [
             c
-            for c in engine.containers.list(all=True)
+            for c in engine.containers.list(all=True, ignore_removed=True)  # others' come and go
             if c.attrs["Config"]["Cmd"] == ["sleep", "60"]
             and any(str(tmp_path) in mount.get("Source", "") for mount in c.attrs["Mounts"])
         ]

@@ -11,7 +11,14 @@ import pytest
 from calibration.errors import ExitCode, InputError
 from calibration.execution.job import OUTPUT, Artifact, Job
 from calibration.execution.outcome import JobOutcome
-from calibration.pipeline.collection.applications import MOTION, PLAYER, REPORT, applications_from, collection_job
+from calibration.pipeline.collection.applications import (
+    INPUTS,
+    MOTION,
+    PLAYER,
+    REPORT,
+    applications_from,
+    collection_job,
+)
 from calibration.pipeline.collection.collecting import CollectionRequest, collect_dataset
 from calibration.pipeline.collection.in_containers import ContainerRequest, collect_in_containers
 from calibration.pipeline.collection.results import CollectionChecks, CollectionResults
@@ -33,11 +40,18 @@ class LeavesBehind:
 
     def __init__(self, leave: Callable[[Path], None], outcome: dict[str, Any] | None = None) -> None:
         self.leave, self.outcome, self.jobs = leave, outcome or {}, list[Job]()
+        self.seen: list[set[str]] = []
+        """The files of each mount."""
 
     def run(
         self, jobs: Sequence[Job], folder: Path, workers: int | None = None, done: object = None
     ) -> Generator[tuple[int, JobOutcome]]:
         self.jobs += jobs
+        self.seen = [
+            {path.name for path in mount.source.iterdir()}
+            for container in jobs[0].containers
+            for mount in container.mounts
+        ]
         place = folder / jobs[0].name
         (place / "artifacts").mkdir(parents=True)
         (place / "logs").mkdir()
@@ -66,6 +80,18 @@ def copying(dataset: Path, report: object = None) -> Callable[[Path], None]:
     return leave
 
 
+def test_the_number_of_the_collection_is_told(collected: Path, tmp_path: Path) -> None:
+    entry = {**ENTRY, "dataset": "{output}/set-{seed}-{scenario}"}
+
+    def leave(artifacts: Path) -> None:
+        shutil.copytree(collected, artifacts / "set-3-7")
+
+    backend = LeavesBehind(leave)
+    asked = ContainerRequest("fresh", applications_from(entry, Path(), "x"), DATASETS / "t2rgb", seed=3)
+    assert collect_in_containers(asked, tmp_path / "out", backend, scenario=7).verdict == "pass"
+    assert backend.jobs[0].containers[-1].artifacts[0] == Artifact(f"{OUTPUT}/set-3-7")
+
+
 def request(**changes: Any) -> ContainerRequest:
     return ContainerRequest(
         "fresh", applications_from(ENTRY, Path(), "simulation.fresh"), DATASETS / "t2rgb", **{"seed": 3, **changes}
@@ -73,7 +99,7 @@ def request(**changes: Any) -> ContainerRequest:
 
 
 def test_the_containers_and_our_player() -> None:
-    job = collection_job(applications_from(ENTRY, Path(), "x"), "collection", "t2rgb", 3, DATASETS / "t.json")
+    job = collection_job(applications_from(ENTRY, Path(), "x"), "collection", "t2rgb", 3, inputs=DATASETS)
     containers = {container.name: container for container in job.containers}
     assert list(containers) == ["master", "simulation", "robot", "player"]
     assert containers["simulation"].command[-1] == "seed:=3"
@@ -82,7 +108,8 @@ def test_the_containers_and_our_player() -> None:
     assert set(player.after) == {"master", "simulation", "robot"}
     assert player.image == "robot:1"
     assert (containers["robot"].success, player.success) == ((), (0,))  # roslaunch answers 0 whatever has died
-    assert {mount.target for mount in player.mounts} == {MOTION, PLAYER}
+    assert {mount.target for mount in player.mounts} == {INPUTS}
+    assert {PLAYER, MOTION} <= set(player.command)
     assert player.artifacts == (Artifact(f"{OUTPUT}/dataset"), Artifact(REPORT, required=False))
     assert all(not mount.writable for container in job.containers for mount in container.mounts)
 
@@ -90,7 +117,7 @@ def test_the_containers_and_our_player() -> None:
 def test_one_of_the_containers_plays() -> None:
     entry = {**ENTRY, "dataset": "/data/set"}
     del entry["player"]
-    job = collection_job(applications_from(entry, Path(), "x"), "collection", "t2rgb", 3, None)
+    job = collection_job(applications_from(entry, Path(), "x"), "collection", "t2rgb", 3)
     assert [container.name for container in job.containers] == ["master", "simulation", "robot"]
     assert job.containers[-1].artifacts == (Artifact("/data/set"),)
 
@@ -131,6 +158,7 @@ def test_the_dataset_is_checked_and_calibrated(collected: Path, tmp_path: Path) 
     assert (tmp_path / "out" / "logs" / "robot.log").read_text() == "hello\n"
     [job] = backend.jobs
     assert job.seconds == 3600
+    assert backend.seen == 3 * [{"motion.json", "player.py"}]  # a folder, as no cloud mounts files
 
 
 def test_collections_are_named_as_the_dataset_names_them(collected: Path, tmp_path: Path) -> None:

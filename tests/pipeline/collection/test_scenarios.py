@@ -100,7 +100,7 @@ def test_without_what_draws_the_figure_there_is_a_note(tmp_path: Path, monkeypat
     monkeypatch.setitem(__import__("sys").modules, "matplotlib", None)
     monkeypatch.setitem(__import__("sys").modules, "matplotlib.figure", None)
     found = write_scenario_results(results(GOOD), tmp_path)
-    assert found.notes == ("the figure needs matplotlib: pip install 'calibration-ci[figures]'",)
+    assert found.notes == ("the figure needs matplotlib: pip install matplotlib",)
     assert not (tmp_path / "worlds.png").exists()
     assert (tmp_path / "results.json").exists()
 

@@ -52,5 +52,5 @@ def test_without_matplotlib_it_says_what_to_install(monkeypatch: pytest.MonkeyPa
         return real(name, *arguments, **named)
 
     monkeypatch.setattr(builtins, "__import__", refuse)
-    with pytest.raises(InputError, match=r"pip install 'calibration-ci\[figures\]'"):
+    with pytest.raises(InputError, match=r"pip install matplotlib"):
         figure(report(3), "3 worlds")

@@ -147,8 +147,16 @@ def test_a_simulation_that_dies_is_a_failure(ros: "Container") -> None:
     assert err[-1] == "player: nobody listens to /mortal/pose any more: the simulation has ended"
 
 
+PLAYS = """
+import rosgraph, time
+while not any("/calibration_player" in str(nodes) for _, nodes in rosgraph.Master("/test").getSystemState()[0]):
+    time.sleep(0.05)
+"""
+
+
 def test_sigterm_ends_it_at_once(ros: "Container") -> None:
-    command = "python3 player.py --motion motion.json --settle 60 --service /save & sleep 1.5; kill $!; wait $!"
+    player = "python3 player.py --motion motion.json --settle 60 --service /save"
+    command = f"{player} & timeout 60 python3 -c '{PLAYS}'; kill $!; wait $!"
     found = ros.exec_run(["sh", "-c", command], workdir=HOME, demux=True)
     assert found.exit_code == 1
     assert b"player: ROS shut down before the motion was played" in found.output[1]

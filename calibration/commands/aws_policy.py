@@ -1,0 +1,36 @@
+"""``aws-policy``: what whoever runs jobs on AWS Batch has to be allowed, and no more."""
+
+import json
+import sys
+from pathlib import Path
+
+import click
+
+from calibration.commands.parameters import path
+from calibration.errors import ExitCode
+
+_HOLDERS = ("caller", "job", "execution", "trust")
+
+
+@click.command("aws-policy")
+@click.option("--config", type=path, default="calibration.yml", show_default=True, help="File with the key aws-batch.")
+@click.option(
+    "--for",
+    "holder",
+    type=click.Choice(_HOLDERS),
+    default="caller",
+    show_default=True,
+    help="caller: who runs calibration. job, execution: the roles of that name. trust: who may take these two.",
+)
+def command(config: Path, holder: str) -> ExitCode:
+    """Print an IAM policy with the least rights that jobs on AWS Batch need.
+
+    Nothing is asked of AWS, and nothing changed there.
+    """
+    from calibration.execution.batch.policy import HOLDERS, policy, trust
+    from calibration.execution.batch.section import read_section
+
+    settings = read_section(config)
+    found = {each: policy(each, settings) for each in HOLDERS} | {"trust": trust()}
+    sys.stdout.write(json.dumps(found[holder], indent=2) + "\n")
+    return ExitCode.PASS

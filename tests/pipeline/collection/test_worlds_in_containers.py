@@ -1,0 +1,348 @@
+"""Worlds that ran in containers: the same report as here, and what is made of those that were lost or lie."""
+
+import json
+import shutil
+import tempfile
+from collections.abc import Callable, Generator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import jsonschema
+import pytest
+
+from calibration import __version__
+from calibration.__main__ import main
+from calibration.errors import ExitCode, InputError, WorldError
+from calibration.execution.job import OUTPUT, Job
+from calibration.execution.job_check import check_jobs
+from calibration.execution.outcome import JobOutcome
+from calibration.pipeline.collection.applications import INPUTS
+from calibration.pipeline.collection.collecting import CollectionRequest
+from calibration.pipeline.collection.gathering_worlds import Gathering
+from calibration.pipeline.collection.scenarios import ScenarioRequest, ScenarioResults, collect_world, run_worlds
+from calibration.pipeline.collection.world_file import FILE, SCHEMA
+from calibration.pipeline.collection.worlds_in_containers import WorldImage, run_worlds_in_containers
+from calibration.simulation.collection.checks import Requirements
+
+T2RGB = Path(__file__).parents[3] / "datasets" / "t2rgb"
+SET = """
+assembly: {translation_mm: {normal: [0, 3]}}
+motion: {poses: 3}
+"""
+WORLDS = 3
+
+Change = Callable[[Path, dict[str, Any]], None]
+"""Changes what a job left (its folder), and the fields of its outcome."""
+
+
+class RunsHere:
+    """A backend that runs the command of each job in this process, with its folders in the place of a container's."""
+
+    ran: dict[str, tuple[int, Path]] = {}  # noqa: RUF012
+    """What commands left, by all that they were given: the same is not run twice."""
+    kept: Path
+
+    def __init__(self, **changes: Change) -> None:
+        self.changes, self.jobs = changes, list[Job]()
+
+    def run(
+        self, jobs: Sequence[Job], folder: Path, workers: int | None = None, done: object = None
+    ) -> Generator[tuple[int, JobOutcome]]:
+        check_jobs(jobs)
+        self.jobs += jobs
+        return self._outcomes(jobs, folder)
+
+    def _outcomes(self, jobs: Sequence[Job], folder: Path) -> Generator[tuple[int, JobOutcome]]:
+        for number, job in reversed(list(enumerate(jobs))):  # they come in any order
+            place = folder / job.name
+            artifacts = place / "artifacts"
+            artifacts.mkdir(parents=True)
+            (place / "logs").mkdir()
+            [container] = job.containers
+            [mount] = container.mounts
+            code = self._run(container.command, mount.source, artifacts)
+            (place / "logs" / "world.log").write_text(f"began\nended with {code}\n\n")
+            fields: dict[str, Any] = {}
+            if code not in container.success:
+                fields = {"exit_code": ExitCode.FAIL, "reasons": (f"container 'world' ended with exit code {code}",)}
+            self.changes.get(job.name.replace("-", "_"), lambda *_: None)(place, fields)
+            yield number, JobOutcome(job.name, place, **fields)
+
+    def _run(self, command: Sequence[str], inputs: Path, artifacts: Path) -> int:
+        files = [(str(path.relative_to(inputs)), path.read_bytes()) for path in sorted(inputs.rglob("*.*"))]
+        key = repr((command, files))
+        if key not in self.ran:
+            words = [word.replace(INPUTS, str(inputs)).replace(OUTPUT, str(artifacts)) for word in command]
+            assert words[0] == "calibration"
+            code = main(words[1:])
+            self.ran[key] = code, Path(tempfile.mkdtemp(dir=self.kept))
+            shutil.copytree(artifacts, self.ran[key][1], dirs_exist_ok=True)
+        code, left = self.ran[key]
+        shutil.copytree(left, artifacts, dirs_exist_ok=True)
+        return code
+
+
+@pytest.fixture(autouse=True, scope="module")
+def kept(tmp_path_factory: pytest.TempPathFactory) -> None:
+    RunsHere.kept = tmp_path_factory.mktemp("ran")
+
+
+@pytest.fixture(autouse=True)
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Leave the figure out, whose drawing takes longer than a world."""
+    monkeypatch.setattr("calibration.simulation.scenarios.figure.figure", lambda *_: b"a picture")
+
+
+@pytest.fixture
+def asked(tmp_path: Path) -> ScenarioRequest:
+    path = tmp_path / "my worlds.yml"
+    path.write_text(SET)
+    return ScenarioRequest(CollectionRequest(T2RGB, seed=5), path, WORLDS)
+
+
+def run(asked: ScenarioRequest, output: Path, backend: RunsHere | None = None, **how: bool) -> ScenarioResults:
+    gathering = Gathering(backend or RunsHere(), output, **how)
+    return run_worlds_in_containers(asked, WorldImage("robot:1", 60), gathering)
+
+
+def snapshot(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()}
+
+
+def test_the_same_report_and_the_same_datasets_as_here(
+    asked: ScenarioRequest, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    backend, begun, told = RunsHere(), list[tuple[str, int]](), list[str]()
+    gathering = Gathering(backend, tmp_path / "there")
+    found = run_worlds_in_containers(
+        asked, WorldImage("robot:1", 60), gathering, lambda *begin: begun.append(begin), lambda r: told.append(r.id)
+    )
+    run_worlds(asked, tmp_path / "here", 1)
+    assert snapshot(tmp_path / "there") == snapshot(tmp_path / "here")
+    assert (found.exit_code, begun) == (ExitCode.PASS, [("t2rgb", WORLDS)])
+    assert told == ["s5-00002", "s5-00001", "s5-00000"]
+    assert {path.name for path in (tmp_path / "there").iterdir() if path.is_dir()} == {"worlds", "logs"}
+    assert (tmp_path / "there" / "logs" / "s5-00001" / "world.log").read_text() == "began\nended with 0\n\n"
+
+    collect_world(asked.own, asked.set_file, "s5-00001", tmp_path / "one", jobs=1)
+    kept = snapshot(tmp_path / "there" / "worlds" / "s5-00001")
+    assert kept == snapshot(tmp_path / "one")
+    assert {"dataset.json", "ground_truth.json", "contact_sheet.png", FILE} <= kept.keys()
+    jsonschema.validate(json.loads(kept[FILE]), json.loads(SCHEMA.read_text()))
+    assert [job.seconds for job in backend.jobs] == [60, 60, 60]
+    assert capsys.readouterr().err == ""
+
+
+def test_a_robot_a_configuration_a_motion_and_a_requirement_of_its_own(asked: ScenarioRequest, tmp_path: Path) -> None:
+    system = tmp_path / "my robot"
+    shutil.copytree(T2RGB, system, ignore=shutil.ignore_patterns("*.json", "*.jpg"))
+    robot, config = tmp_path / "r.urdf", tmp_path / "c.yml"
+    (system / "robot.urdf").rename(robot)
+    (system / "config.yml").rename(config)
+    poses = json.loads((T2RGB / "motion.json").read_text())
+    motion = tmp_path / "m.json"
+    motion.write_text(json.dumps({str(i): poses[str(i)] for i in range(1, 4)}))
+    collection = CollectionRequest(system, robot, config, str(motion), 5, Requirements(stillness=0.0017))
+    asked = replace(asked, collection=collection, count=1)
+    run(asked, tmp_path / "there")
+    run_worlds(asked, tmp_path / "here", 1)
+    assert snapshot(tmp_path / "there") == snapshot(tmp_path / "here")
+    asked = replace(asked, collection=replace(collection, motion="generate:3"))
+    run(asked, tmp_path / "there", overwrite=True)
+    run_worlds(asked, tmp_path / "here", 1)
+    assert snapshot(tmp_path / "there") == snapshot(tmp_path / "here")
+
+
+def lost(place: Path, outcome: dict[str, Any]) -> None:
+    shutil.rmtree(place / "artifacts")
+    outcome |= {"exit_code": ExitCode.WORLD, "reasons": ("the host i-1 was lost",)}
+
+
+def killed(place: Path, outcome: dict[str, Any]) -> None:
+    outcome |= {"exit_code": ExitCode.FAIL, "reasons": ("container 'world' ran out of memory",)}
+
+
+def test_a_lost_world_loses_no_other_and_is_no_pass(asked: ScenarioRequest, tmp_path: Path) -> None:
+    found = run(asked, tmp_path / "out", RunsHere(s5_00001=lost))
+    assert found.failed == {"s5-00001": ["the host i-1 was lost"]}
+    assert (found.verdict, found.exit_code, found.success_rate) == ("fail", ExitCode.WORLD, 0.666667)
+    assert [each.id for each in found.report.ran] == ["s5-00000", "s5-00002"]
+    document = json.loads((tmp_path / "out" / "results.json").read_text())
+    assert document["errors"] == {"s5-00001": 3}
+    assert [each["converged"] for each in document["scenarios"]] == [True, False, True]
+    assert document["scenarios"][1]["values"].keys() == document["scenarios"][0]["values"].keys()
+    assert 'errors="1"' in (tmp_path / "out" / "junit.xml").read_text()
+    assert sorted(path.name for path in (tmp_path / "out" / "worlds").iterdir()) == ["s5-00000", "s5-00002"]
+    enough = run(replace(asked, minimum_success_rate=0.6), tmp_path / "rate", RunsHere(s5_00001=lost))
+    assert enough.exit_code == ExitCode.PASS
+    assert enough.failed.keys() == {"s5-00001"}
+
+
+def test_only_what_is_missing_is_run_again(asked: ScenarioRequest, tmp_path: Path) -> None:
+    output = tmp_path / "out"
+    run(asked, output, RunsHere(s5_00001=lost, s5_00002=killed))
+    with pytest.raises(InputError, match=r"out/worlds: exists already; --overwrite replaces the worlds, --resume runs"):
+        run(asked, output)
+    again, told = RunsHere(), list[str]()
+    gathering = Gathering(again, output, resume=True)
+    found = run_worlds_in_containers(asked, WorldImage("robot:1"), gathering, done=lambda each: told.append(each.id))
+    assert told == ["s5-00000", "s5-00002", "s5-00001"]  # those that are kept, then those that come
+    assert [job.name for job in again.jobs] == ["s5-00001", "s5-00002"]
+    assert found.exit_code == ExitCode.PASS
+    assert found.report.results == run(asked, tmp_path / "at once").report.results
+    nothing = RunsHere()
+    run(asked, output, nothing, resume=True)
+    assert nothing.jobs == []
+    run(replace(asked, collection=replace(asked.own, seed=6), count=1), output, overwrite=True)
+    assert [path.name for path in (output / "worlds").iterdir()] == ["s6-00000"]
+
+
+def test_what_was_another_world_is_not_kept(asked: ScenarioRequest, tmp_path: Path) -> None:
+    asked = replace(asked, count=1)
+    run(asked, tmp_path / "out")
+    asked.set_file.write_text(SET.replace("3]", "4]"))
+    again = RunsHere()
+    found = run(asked, tmp_path / "out", again, resume=True)
+    assert len(again.jobs) == 1
+    strict = replace(asked, collection=replace(asked.own, requirements=Requirements(stillness=0.001)))
+    run(strict, tmp_path / "out", again, resume=True)
+    assert len(again.jobs) == 2
+    assert found.exit_code == ExitCode.PASS
+
+
+def edited(**changes: object) -> Change:
+    """Change ``world.json``: the fields of the result, or ``_version`` and the like beside it."""
+
+    def change(place: Path, outcome: dict[str, Any]) -> None:
+        path = place / "artifacts" / "dataset" / FILE
+        document = json.loads(path.read_text())
+        for key, value in changes.items():
+            target = document if key.startswith("_") else document["result"]
+            target[key.removeprefix("_")] = value
+        path.write_text(json.dumps(document))
+
+    return change
+
+
+def rewritten(text: str | None) -> Change:
+    def change(place: Path, outcome: dict[str, Any]) -> None:
+        path = place / "artifacts" / "dataset" / FILE
+        path.unlink()
+        if text is not None:
+            path.write_text(text)
+
+    return change
+
+
+def silent(place: Path, outcome: dict[str, Any]) -> None:
+    shutil.rmtree(place)
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        (killed, "container 'world' ran out of memory"),
+        (rewritten(None), "the image left no world.json (it needs calibration-ci): ended with 0"),
+        (silent, "the image left no world.json (it needs calibration-ci)"),
+        (rewritten("{"), "world.json: this is no JSON"),
+        (rewritten("[" * 100_000), "world.json: this is no JSON"),
+        (rewritten('{"schema": NaN}'), "world.json: this is no JSON"),
+        (rewritten("[]"), "world.json: [] is not of type 'object'"),
+        (edited(poses=-1), "world.json: result.poses: -1 is less than the minimum of 0"),
+        (edited(rms_px="x"), "world.json: result.rms_px: 'x' is not of type 'number', 'null'"),
+        (edited(corner_rms_px=float("1e308")), "world.json: result.corner_rms_px: 1e+308 is greater than"),
+        (edited(more=1), "world.json: result: unknown key 'more'"),
+        (edited(id="s5-00007"), "world.json: it is of another world: id: found s5-00007, expected s5-00000"),
+        (edited(hash="0" * 12), "world.json: it is of another world: hash: found 000000000000"),
+        (edited(_stillness_m=1), "world.json: it is of another world: stillness: found 1, expected 0.002"),
+        (
+            edited(_version="0.0.0\n::error::x"),
+            f"made by calibration-ci 0.0.0 ::error::x, this is {__version__}: another version makes other worlds",
+        ),
+    ],
+)
+def test_what_a_container_leaves_is_checked(
+    asked: ScenarioRequest, tmp_path: Path, change: Change, reason: str
+) -> None:
+    found = run(replace(asked, count=1), tmp_path / "out", RunsHere(s5_00000=change))
+    [why] = found.failed["s5-00000"]
+    assert reason in why
+    assert "\n" not in why
+    assert found.exit_code == ExitCode.FAIL
+    assert not (tmp_path / "out" / "worlds").exists()
+
+
+def test_numbers_are_our_own(asked: ScenarioRequest, tmp_path: Path) -> None:
+    lies = edited(translation_mm=0.0, converged=True, rms_px=0.0, values={"assembly.x": 1}, reasons=["fine"])
+
+    def broken(place: Path, outcome: dict[str, Any]) -> None:
+        (place / "artifacts" / "dataset" / "dataset.json").write_text("{}")
+
+    found = run(replace(asked, count=2), tmp_path / "out", RunsHere(s5_00000=lies, s5_00001=broken))
+    first, second = found.report.results
+    assert first == run(replace(asked, count=1), tmp_path / "honest").report.results[0]
+    assert not second.converged
+    assert second.reasons[0].startswith("dataset.json: ")
+
+
+def test_a_world_without_a_collection_is_a_result(asked: ScenarioRequest, tmp_path: Path) -> None:
+    asked.set_file.write_text("motion: {poses: 3, sway_mm: 50}\n")  # nothing is still
+    asked = replace(asked, count=1)
+    found = run(asked, tmp_path / "out")
+    assert found.failed == {"s5-00000": ["no pose gave a collection"]}
+    run_worlds(asked, tmp_path / "here", 1)
+    assert snapshot(tmp_path / "out") == snapshot(tmp_path / "here")
+    again = RunsHere()
+    run(asked, tmp_path / "out", again, resume=True)
+    assert again.jobs == []  # it is none that is missing
+
+    unsaid = RunsHere(s5_00000=edited(reasons=[]))
+    assert run(asked, tmp_path / "unsaid", unsaid).failed == found.failed
+
+
+def test_a_world_in_which_no_motion_is_found_is_a_result(
+    asked: ScenarioRequest, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    asked.set_file.write_text("motion: {poses: 4, nearest_m: 900, farthest_m: 990}\n")
+    asked = replace(asked, count=1)
+    found = run(asked, tmp_path / "out")
+    assert "error" in capsys.readouterr().err
+    run_worlds(asked, tmp_path / "here", 1)
+    assert snapshot(tmp_path / "out") == snapshot(tmp_path / "here")
+    assert (found.exit_code, found.errors) == (ExitCode.FAIL, {})
+    assert [path.name for path in (tmp_path / "out" / "worlds" / "s5-00000").iterdir()] == [FILE]
+
+
+def test_bad_input_before_anything_runs(asked: ScenarioRequest, tmp_path: Path) -> None:
+    backend = RunsHere()
+    sound = asked.set_file.read_text()
+    asked.set_file.write_text("motion: {pose: 4}\n")
+    with pytest.raises(InputError, match="pose"):
+        run(asked, tmp_path / "out", backend)
+    assert backend.jobs == []
+    assert not (tmp_path / "out").exists()
+    (tmp_path / "file").write_text("")
+    asked.set_file.write_text(sound)
+    with pytest.raises(WorldError, match="file: cannot be written: "):
+        run(asked, tmp_path / "file", backend)
+    assert backend.jobs == []
+
+
+def test_a_place_that_cannot_be_written(asked: ScenarioRequest, tmp_path: Path) -> None:
+    output = tmp_path / "out"
+    output.mkdir()
+    (output / "worlds").write_text("in the way")
+    with pytest.raises(WorldError, match="out: cannot be written: File exists"):
+        run(replace(asked, count=1), output, resume=True)
+    assert sorted(path.name for path in output.iterdir()) == ["logs", "worlds"]
+
+
+def test_an_interruption_keeps_what_is_done(asked: ScenarioRequest, tmp_path: Path) -> None:
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run_worlds_in_containers(asked, WorldImage("i"), Gathering(RunsHere(), tmp_path / "out"), done=interrupt)
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {"worlds", "logs"}
+    assert [path.name for path in (tmp_path / "out" / "worlds").iterdir()] == ["s5-00002"]
