@@ -33,6 +33,7 @@ MODULES = {
     "scenarios": "many worlds",
     "action_start": "how soon an action begins its work",
     "containers": "jobs in containers: many at once, and what one costs over docker run",
+    "cloud": "ten thousand jobs on AWS Batch: calls, memory and time for each",
     "image_build": "an image whose specification has not changed",
 }
 
