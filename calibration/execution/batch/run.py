@@ -6,6 +6,7 @@ from contextlib import nullcontext
 from functools import partial
 from pathlib import Path
 
+from calibration.aws_errors import AwsLostError
 from calibration.errors import CalibrationError
 from calibration.execution.backend import Done
 from calibration.execution.batch.costs import Usage, billed, estimate, total_size
@@ -20,7 +21,7 @@ from calibration.execution.batch.service.following import AT_ONCE, Following, Jo
 from calibration.execution.batch.service.leftovers import terminate
 from calibration.execution.batch.service.logs import LiveLogs
 from calibration.execution.batch.service.patience import Patience, patiently
-from calibration.execution.batch.service.session import Aws, AwsLostError
+from calibration.execution.batch.service.session import Aws
 from calibration.execution.batch.service.stuck import Guard, likely_reasons
 from calibration.execution.batch.service.submitting import Submitting
 from calibration.execution.batch.settings import BatchSettings

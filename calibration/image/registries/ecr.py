@@ -2,19 +2,14 @@
 
 import base64
 import re
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from calibration.errors import InputError, WorldError
+from calibration.aws_errors import aws_errors
+from calibration.errors import WorldError
 from calibration.image.registries.credentials import Credentials
 from calibration.image.registries.reference import Reference, parse_reference
 from calibration.workflow import Runner, add_mask
-from calibration.workflow.text import one_line, shorten
-
-if TYPE_CHECKING:
-    from botocore.exceptions import ClientError
 
 PUBLIC = "public.ecr.aws"
 PUBLIC_REGION = "us-east-1"
@@ -24,10 +19,6 @@ _HOST = re.compile(
     r"(?P<account>[0-9]{12})\.dkr[.-]ecr(?P<fips>-fips)?\.(?P<region>[a-z]{2}(?:-[a-z]+)+-[0-9])"
     r"\.(?:amazonaws\.com(?:\.cn)?|on\.aws|on\.amazonwebservices\.com\.cn)"
 )
-_EXPIRED = ("ExpiredToken", "ExpiredTokenException", "RequestExpired")
-_UNKNOWN = ("UnrecognizedClientException", "InvalidClientTokenId", "InvalidSignatureException", "SignatureDoesNotMatch")
-_DENIED = ("AccessDenied", "AccessDeniedException", "UnauthorizedOperation", "NotAuthorized")
-_THROTTLED = ("Throttling", "ThrottlingException", "TooManyRequestsException", "RequestLimitExceeded")
 
 
 @dataclass(frozen=True)
@@ -66,7 +57,7 @@ def ecr_credentials(name: str, runner: Runner, create_repository: bool = False, 
         WorldError: AWS cannot be reached, throttles, or fails.
     """
     reference = parse_reference(name)
-    with _one_line_errors(reference.name):
+    with aws_errors(reference.name, "ecr-public" if reference.registry == PUBLIC else "ecr"):
         client: Any = _client(reference.registry)
         try:
             data = client.get_authorization_token().get("authorizationData")
@@ -112,44 +103,3 @@ def _create_repository(client: Any, reference: Reference, runner: Runner) -> Non
         except client.exceptions.RepositoryAlreadyExistsException:
             return  # somebody else was faster
         runner.log(f"created the repository {reference.name}")
-
-
-@contextmanager
-def _one_line_errors(where: str) -> Iterator[None]:
-    """What boto3 raises, as one line."""
-    import botocore.exceptions as aws
-
-    try:
-        yield
-    except aws.ClientError as error:
-        raise _answered(where, error) from None
-    except aws.NoRegionError:
-        raise InputError(f"{where}: AWS's region is not known: set AWS_REGION") from None
-    except (aws.NoCredentialsError, aws.CredentialRetrievalError, aws.PartialCredentialsError):
-        hint = "set AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, a profile, or let the workflow assume a role"
-        raise InputError(f"{where}: AWS: there are no credentials: {hint}") from None
-    except (aws.ProfileNotFound, aws.TokenRetrievalError, aws.SSOError, ValueError) as error:
-        raise InputError(f"{where}: AWS: {_short(error)}") from None
-    except aws.BotoCoreError as error:
-        raise WorldError(f"{where}: AWS: {_short(error)}") from None
-
-
-def _answered(where: str, error: "ClientError") -> InputError | WorldError:
-    """What AWS itself answered."""
-    code = str(error.response.get("Error", {}).get("Code", "")) or "unknown error"
-    said = f"{where}: AWS: {error.operation_name}: {one_line(code)}"
-    if code in _EXPIRED:
-        return InputError(f"{said}: the credentials are expired: get new ones")
-    if code in _UNKNOWN:
-        return InputError(f"{said}: AWS does not know these credentials: check key and secret")
-    if code in _DENIED:
-        return InputError(f"{said}: the role or user needs this permission")
-    if code in _THROTTLED:
-        return WorldError(f"{said}: too many requests: try again later")
-    status = error.response.get("ResponseMetadata", {}).get("HTTPStatusCode", 500)
-    line = f"{said}: {_short(error.response.get('Error', {}).get('Message', ''))}"
-    return InputError(line) if 400 <= status < 500 else WorldError(line)
-
-
-def _short(text: object) -> str:
-    return shorten(one_line(str(text)), 200)

@@ -12,6 +12,7 @@ from typing import Any
 
 import pytest
 
+from calibration.aws_errors import AwsLostError
 from calibration.errors import ExitCode, WorldError
 from calibration.execution.batch import run as run_module
 from calibration.execution.batch.backend import BatchBackend
@@ -21,7 +22,6 @@ from calibration.execution.batch.service import following
 from calibration.execution.batch.service.leftovers import terminate
 from calibration.execution.batch.service.patience import Patience
 from calibration.execution.batch.service.session import Aws as Client
-from calibration.execution.batch.service.session import AwsLostError
 from calibration.execution.batch.wire import PREPARE
 from calibration.execution.job import Limits, Mount
 from calibration.execution.outcome import End, JobOutcome

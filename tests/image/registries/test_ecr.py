@@ -151,7 +151,11 @@ def reply(status: int, code: str, message: str = "said") -> Reply:
         (reply(400, "AccessDeniedException"), InputError, "GetAuthorizationToken: AccessDeniedException: the role or"),
         (reply(400, "InvalidParameterException", "a\nb"), InputError, "InvalidParameterException: a b"),
         (reply(500, "ServerException", "oops"), WorldError, "ServerException: oops"),
-        (reply(400, "ThrottlingException"), WorldError, "ThrottlingException: too many requests: try again later"),
+        (
+            reply(400, "ThrottlingException"),
+            WorldError,
+            "ThrottlingException: too many requests, also after several tries",
+        ),
         (Reply(502, b"<html>"), WorldError, "GetAuthorizationToken"),
         (Reply(200, b"<html>"), WorldError, "AWS answers without a token"),
         (Reply(200, b"{}"), WorldError, "AWS answers without a token"),

@@ -4,10 +4,11 @@ from collections.abc import Iterable
 from functools import partial
 from pathlib import Path
 
+from calibration.aws_errors import aws_errors
 from calibration.errors import WorldError
 from calibration.execution.batch.documents.outcome_document import TaskOutcome, outcome_document
 from calibration.execution.batch.service.patience import patiently
-from calibration.execution.batch.service.session import Aws, aws_errors
+from calibration.execution.batch.service.session import Aws
 from calibration.execution.batch.workers import Workers
 from calibration.execution.extraction import RefusedError
 from calibration.execution.outcome import BroughtOut

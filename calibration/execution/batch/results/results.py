@@ -6,6 +6,7 @@ from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
+from calibration.aws_errors import AwsLostError
 from calibration.errors import CalibrationError, ExitCode, WorldError
 from calibration.execution.batch.documents.outcome_document import TaskOutcome, most_bytes, read_outcome
 from calibration.execution.batch.results.ends import ends_alone, with_ends
@@ -13,7 +14,7 @@ from calibration.execution.batch.results.no_outcome import why_no_outcome
 from calibration.execution.batch.service.following import ContainerEnd, Description
 from calibration.execution.batch.service.logs import is_ours, secrets_of, streams, write_log
 from calibration.execution.batch.service.patience import patiently
-from calibration.execution.batch.service.session import Aws, AwsLostError
+from calibration.execution.batch.service.session import Aws
 from calibration.execution.batch.settings import BatchSettings
 from calibration.execution.batch.storage.store import Store
 from calibration.execution.batch.wire import FILES_FOLDER, OUTCOME_FILE, Location

@@ -3,8 +3,9 @@
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
+from calibration.aws_errors import aws_errors
 from calibration.execution.batch.requests.definition import DIGEST_TAG
-from calibration.execution.batch.service.session import Aws, aws_errors
+from calibration.execution.batch.service.session import Aws
 
 
 def ensure(aws: Aws, request: Mapping[str, Any]) -> str:

@@ -9,7 +9,8 @@ from dataclasses import dataclass, field
 from itertools import islice
 from typing import Any, TypeVar
 
-from calibration.execution.batch.service.session import Aws, aws_errors
+from calibration.aws_errors import aws_errors
+from calibration.execution.batch.service.session import Aws
 from calibration.workflow.text import one_line, shorten
 
 Item = TypeVar("Item")

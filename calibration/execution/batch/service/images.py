@@ -3,8 +3,9 @@
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
+from calibration.aws_errors import aws_errors, error_code
 from calibration.errors import InputError
-from calibration.execution.batch.service.session import Aws, aws_errors, error_code
+from calibration.execution.batch.service.session import Aws
 from calibration.image.registries.ecr import parse_host
 from calibration.image.registries.reference import Reference, parse_reference
 

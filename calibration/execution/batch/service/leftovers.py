@@ -6,10 +6,11 @@ from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from calibration.aws_errors import aws_errors
 from calibration.errors import CalibrationError, WorldError
 from calibration.execution.batch.requests.tags import owner_of
 from calibration.execution.batch.service.following import AT_ONCE, batches, describe, records
-from calibration.execution.batch.service.session import Aws, aws_errors
+from calibration.execution.batch.service.session import Aws
 from calibration.execution.docker.labels import RUN, Owner
 
 _ENDED = ("SUCCEEDED", "FAILED")

@@ -8,9 +8,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from calibration.aws_errors import AwsLostError, aws_errors, error_code
 from calibration.errors import CalibrationError
 from calibration.execution.batch.service.following import Description
-from calibration.execution.batch.service.session import Aws, AwsLostError, aws_errors, error_code
+from calibration.execution.batch.service.session import Aws
 from calibration.execution.batch.wire import PREPARE, WATCH
 from calibration.execution.job import Job
 from calibration.execution.log_file import MOST_BYTES, LogFile

@@ -5,7 +5,7 @@ import time
 from collections.abc import Callable
 from typing import TypeVar
 
-from calibration.execution.batch.service.session import AwsLostError
+from calibration.aws_errors import AwsLostError
 
 Result = TypeVar("Result")
 

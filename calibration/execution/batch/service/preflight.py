@@ -3,9 +3,10 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from calibration.aws_errors import aws_errors
 from calibration.errors import InputError
 from calibration.execution.batch.requests.task_size import Resources
-from calibration.execution.batch.service.session import Aws, aws_errors
+from calibration.execution.batch.service.session import Aws
 from calibration.execution.batch.settings import BatchSettings
 from calibration.workflow.text import one_line, shorten
 

@@ -8,16 +8,11 @@ elsewhere.
 import os
 import threading
 from collections import Counter
-from collections.abc import Iterator
-from contextlib import contextmanager
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from calibration.errors import CalibrationError, InputError, WorldError
-from calibration.workflow.text import one_line, shorten
-
-if TYPE_CHECKING:
-    from botocore.exceptions import ClientError
+from calibration.aws_errors import aws_errors
+from calibration.errors import WorldError
 
 TRIES = 8
 """How often a call is made that AWS throttles or fails, with more and more time between."""
@@ -25,56 +20,6 @@ CONNECTIONS = 32
 _AUDIENCE = "sts.amazonaws.com"
 _TOKEN_URL, _TOKEN = "ACTIONS_ID_TOKEN_REQUEST_URL", "ACTIONS_ID_TOKEN_REQUEST_TOKEN"
 _MOST_TOKEN = 64 * 1024
-
-_EXPIRED = ("ExpiredToken", "ExpiredTokenException", "RequestExpired", "TokenRefreshRequired")
-_UNKNOWN = (
-    "UnrecognizedClientException",
-    "InvalidClientTokenId",
-    "InvalidAccessKeyId",
-    "InvalidSignatureException",
-    "SignatureDoesNotMatch",
-    "InvalidToken",
-    "MissingAuthenticationToken",
-    "IncompleteSignature",
-)
-_DENIED = ("AccessDenied", "AccessDeniedException", "UnauthorizedOperation", "NotAuthorized", "Forbidden", "403")
-THROTTLED = (
-    "Throttling",
-    "ThrottlingException",
-    "ThrottledException",
-    "TooManyRequestsException",
-    "RequestLimitExceeded",
-    "RequestThrottled",
-    "SlowDown",
-    "429",
-)
-_ELSEWHERE = (
-    "PermanentRedirect",
-    "AuthorizationHeaderMalformed",
-    "IllegalLocationConstraintException",
-    "MovedPermanently",
-    "301",
-)
-_CLOCK = ("RequestTimeTooSkewed", "RequestInTheFuture")
-_ACTIONS = {
-    "HeadBucket": "s3:ListBucket",
-    "ListObjectsV2": "s3:ListBucket",
-    "HeadObject": "s3:GetObject",
-    "GetObject": "s3:GetObject",
-    "PutObject": "s3:PutObject",
-    "CreateMultipartUpload": "s3:PutObject",
-    "UploadPart": "s3:PutObject",
-    "CompleteMultipartUpload": "s3:PutObject",
-    "AbortMultipartUpload": "s3:AbortMultipartUpload",
-    "GetLogEvents": "logs:GetLogEvents",
-    "DescribeImages": "ecr:DescribeImages",
-    "AssumeRoleWithWebIdentity": "sts:AssumeRoleWithWebIdentity",
-}
-"""What a policy calls the operations whose action is not ``batch:`` and their name."""
-
-
-class AwsLostError(WorldError):
-    """AWS does not answer, or not now: the same call may well succeed later."""
 
 
 class Aws:
@@ -160,81 +105,6 @@ class Aws:
             self.calls[f"{service}:{operation}"] += 1
 
 
-@contextmanager
-def aws_errors(where: str) -> Iterator[None]:
-    """Turn what boto3 raises into one line.
-
-    Args:
-        where: what messages begin with.
-
-    Raises:
-        InputError: there are no credentials, they are expired or unknown, may not do this, or it makes no sense.
-        AwsLostError: AWS cannot be reached, throttles, or fails.
-    """
-    import botocore.exceptions as aws
-    from boto3.exceptions import Boto3Error
-
-    try:
-        yield
-    except aws.ClientError as error:
-        raise _answered(where, error) from None
-    except (aws.NoCredentialsError, aws.PartialCredentialsError):
-        hint = "set AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, a profile, or let the workflow assume a role"
-        raise InputError(f"{where}: AWS: there are no credentials: {hint}") from None
-    except (
-        aws.CredentialRetrievalError,
-        aws.ProfileNotFound,
-        aws.ConfigNotFound,
-        aws.ConfigParseError,
-        aws.InvalidRegionError,
-        aws.ParamValidationError,
-        aws.SSOError,
-        aws.TokenRetrievalError,
-        aws.UnknownServiceError,
-    ) as error:
-        raise InputError(f"{where}: AWS: {_short(error)}") from None
-    except aws.EndpointConnectionError as error:
-        raise AwsLostError(f"{where}: AWS: {_short(error)}: check the network, and the region's name") from None
-    except (aws.ConnectionError, aws.HTTPClientError, aws.IncompleteReadError) as error:
-        raise AwsLostError(f"{where}: AWS: {_short(error)}") from None
-    except (aws.BotoCoreError, Boto3Error, ValueError) as error:  # ValueError: no URL, no timestamp
-        raise WorldError(f"{where}: AWS: {_short(error)}") from None
-
-
-def error_code(error: "ClientError") -> str:
-    """The code of what AWS answered: ``NoSuchKey``; of a HEAD it is but a number."""
-    return str(error.response.get("Error", {}).get("Code", "")) or "unknown error"
-
-
-def _answered(where: str, error: "ClientError") -> CalibrationError:
-    """What AWS itself answered."""
-    code = error_code(error)
-    action = _ACTIONS.get(error.operation_name, f"batch:{error.operation_name}")
-    said = f"{where}: AWS: {action}: {one_line(code)}"
-    status = error.response.get("ResponseMetadata", {}).get("HTTPStatusCode", 500)
-    if code in _EXPIRED:
-        return InputError(f"{said}: the credentials are expired: get new ones")
-    if code in _UNKNOWN:
-        return InputError(f"{said}: AWS does not know these credentials: check key, secret and token")
-    if code in _CLOCK:
-        return WorldError(f"{said}: the clock of this machine is wrong")
-    if code in _DENIED:
-        return InputError(f"{said}: the role or user needs this permission (calibration aws-policy prints a policy)")
-    if code in THROTTLED:
-        return AwsLostError(f"{said}: too many requests, also after several tries: try again later")
-    if code in _ELSEWHERE or status == 301:
-        headers = error.response.get("ResponseMetadata", {}).get("HTTPHeaders", {})
-        region = headers.get("x-amz-bucket-region")
-        there = f": it is in {one_line(shorten(region))}" if region else ""
-        return InputError(f"{said}: the bucket is in another region{there}")
-    if code in ("NoSuchBucket", "404") and error.operation_name in ("HeadBucket", "PutObject", "ListObjectsV2"):
-        return InputError(f"{said}: there is no such bucket")
-    line = f"{said}: {_short(error.response.get('Error', {}).get('Message', ''))}"
-    if status >= 500 or code in ("RequestTimeout", "InternalError", "ServerException", "ServiceUnavailable"):
-        return AwsLostError(line)
-    return InputError(line)
-
-
 def _take_role_by_tokens_of_github(session: Any, region: str) -> None:
     """In a GitHub job with a role: take it by a new token whenever its credentials run out."""
     url, secret = os.environ.get(_TOKEN_URL), os.environ.get(_TOKEN)
@@ -281,7 +151,3 @@ def _token_of_github(url: str, secret: str) -> str:
 
 def _has_own_endpoint() -> bool:
     return bool(os.environ.get("AWS_ENDPOINT_URL_S3") or os.environ.get("AWS_ENDPOINT_URL"))
-
-
-def _short(text: object) -> str:
-    return shorten(one_line(str(text)), 300)

@@ -4,9 +4,10 @@ import time
 from collections.abc import Sequence
 from typing import Any
 
+from calibration.aws_errors import aws_errors
 from calibration.errors import CalibrationError
 from calibration.execution.batch.service.following import Look, records
-from calibration.execution.batch.service.session import Aws, aws_errors
+from calibration.execution.batch.service.session import Aws
 from calibration.execution.batch.settings import BatchSettings
 from calibration.workflow.text import one_line, shorten
 

@@ -4,11 +4,12 @@ import time
 from collections.abc import Mapping
 from typing import Any
 
+from calibration.aws_errors import AwsLostError, aws_errors
 from calibration.errors import WorldError
 from calibration.execution.batch.service.following import Submitted
 from calibration.execution.batch.service.leftovers import find_by_name, terminate
 from calibration.execution.batch.service.patience import Patience
-from calibration.execution.batch.service.session import Aws, AwsLostError, aws_errors
+from calibration.execution.batch.service.session import Aws
 
 STOPPED = "the run was stopped"
 """The reason that Batch is given."""

@@ -7,12 +7,12 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
+from calibration.aws_errors import AwsLostError
 from calibration.errors import ExitCode, WorldError
 from calibration.execution.batch.documents.fields import Fields, parse_json
 from calibration.execution.batch.documents.job_document import MOST_BYTES
 from calibration.execution.batch.documents.outcome_document import most_bytes, read_outcome
 from calibration.execution.batch.service.following import Submitted
-from calibration.execution.batch.service.session import AwsLostError
 from calibration.execution.batch.storage.store import Store
 from calibration.execution.batch.wire import JOBS_PER_FILE, OUTCOME_FILE, Location
 from calibration.execution.job import Job

@@ -6,8 +6,9 @@ from contextlib import closing
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
+from calibration.aws_errors import aws_errors, error_code
 from calibration.errors import InputError, WorldError
-from calibration.execution.batch.service.session import Aws, aws_errors, error_code
+from calibration.execution.batch.service.session import Aws
 
 if TYPE_CHECKING:
     from botocore.exceptions import ClientError

@@ -188,8 +188,8 @@ def test_workers() -> None:
 
 
 def test_patience(monkeypatch: pytest.MonkeyPatch) -> None:
+    from calibration.aws_errors import AwsLostError
     from calibration.execution.batch.service import patience
-    from calibration.execution.batch.service.session import AwsLostError
 
     monkeypatch.setattr(patience, "_FIRST", 0.0)
     answers = [AwsLostError("away"), AwsLostError("away"), 7]

@@ -8,11 +8,12 @@ from pathlib import Path
 
 import pytest
 
+from calibration.aws_errors import AwsLostError
 from calibration.errors import ExitCode
 from calibration.execution.batch.documents.job_document import TaskJob
 from calibration.execution.batch.service import logs
 from calibration.execution.batch.service.logs import write_log
-from calibration.execution.batch.service.session import Aws, AwsLostError
+from calibration.execution.batch.service.session import Aws
 from calibration.execution.outcome import End
 from calibration.workflow import Runner
 from calibration.workflow.streams import LogDisplay

@@ -7,9 +7,10 @@ from http.server import BaseHTTPRequestHandler, HTTPServer
 
 import pytest
 
+from calibration.aws_errors import AwsLostError, aws_errors
 from calibration.errors import CalibrationError, InputError, WorldError
 from calibration.execution.batch.service import session
-from calibration.execution.batch.service.session import Aws, AwsLostError, aws_errors
+from calibration.execution.batch.service.session import Aws
 from calibration.execution.batch.storage.store import Store
 from tests.aws.fixtures import BUCKET, REGION
 from tests.aws.fixtures import Aws as FakeAws

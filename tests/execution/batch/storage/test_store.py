@@ -7,8 +7,9 @@ from pathlib import Path
 
 import pytest
 
+from calibration.aws_errors import AwsLostError
 from calibration.errors import InputError, WorldError
-from calibration.execution.batch.service.session import Aws, AwsLostError
+from calibration.execution.batch.service.session import Aws
 from calibration.execution.batch.storage.store import Store
 from tests.aws.fixtures import BUCKET, REGION
 from tests.aws.fixtures import Aws as FakeAws

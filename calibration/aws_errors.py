@@ -1,0 +1,144 @@
+"""What AWS's errors mean, in one line each: who has to do what, or that the same call may succeed later."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+from calibration.errors import CalibrationError, InputError, WorldError
+from calibration.workflow.text import one_line, shorten
+
+if TYPE_CHECKING:
+    from botocore.exceptions import ClientError
+
+_EXPIRED = ("ExpiredToken", "ExpiredTokenException", "RequestExpired", "TokenRefreshRequired")
+_UNKNOWN = (
+    "UnrecognizedClientException",
+    "InvalidClientTokenId",
+    "InvalidAccessKeyId",
+    "InvalidSignatureException",
+    "SignatureDoesNotMatch",
+    "InvalidToken",
+    "MissingAuthenticationToken",
+    "IncompleteSignature",
+)
+_DENIED = ("AccessDenied", "AccessDeniedException", "UnauthorizedOperation", "NotAuthorized", "Forbidden", "403")
+THROTTLED = (
+    "Throttling",
+    "ThrottlingException",
+    "ThrottledException",
+    "TooManyRequestsException",
+    "RequestLimitExceeded",
+    "RequestThrottled",
+    "SlowDown",
+    "429",
+)
+_ELSEWHERE = (
+    "PermanentRedirect",
+    "AuthorizationHeaderMalformed",
+    "IllegalLocationConstraintException",
+    "MovedPermanently",
+    "301",
+)
+_CLOCK = ("RequestTimeTooSkewed", "RequestInTheFuture")
+_ACTIONS = {
+    "HeadBucket": "s3:ListBucket",
+    "ListObjectsV2": "s3:ListBucket",
+    "HeadObject": "s3:GetObject",
+    "GetObject": "s3:GetObject",
+    "PutObject": "s3:PutObject",
+    "CreateMultipartUpload": "s3:PutObject",
+    "UploadPart": "s3:PutObject",
+    "CompleteMultipartUpload": "s3:PutObject",
+    "AbortMultipartUpload": "s3:AbortMultipartUpload",
+    "GetLogEvents": "logs:GetLogEvents",
+    "DescribeImages": "ecr:DescribeImages",
+    "AssumeRoleWithWebIdentity": "sts:AssumeRoleWithWebIdentity",
+}
+"""What a policy calls the operations whose action is not their own name in the service that is asked."""
+
+
+class AwsLostError(WorldError):
+    """AWS does not answer, or not now: the same call may well succeed later."""
+
+
+@contextmanager
+def aws_errors(where: str, service: str = "batch") -> Iterator[None]:
+    """Turn what boto3 raises into one line.
+
+    Args:
+        where: what messages begin with.
+        service: that is asked, as policies call it; those of `_ACTIONS` say it by their operations.
+
+    Raises:
+        InputError: there are no credentials, they are expired or unknown, may not do this, or it makes no sense.
+        AwsLostError: AWS cannot be reached, throttles, or fails.
+    """
+    import botocore.exceptions as aws
+    from boto3.exceptions import Boto3Error
+
+    try:
+        yield
+    except aws.ClientError as error:
+        raise _answered(where, service, error) from None
+    except aws.NoRegionError:
+        raise InputError(f"{where}: AWS's region is not known: set AWS_REGION") from None
+    except (aws.NoCredentialsError, aws.PartialCredentialsError):
+        hint = "set AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, a profile, or let the workflow assume a role"
+        raise InputError(f"{where}: AWS: there are no credentials: {hint}") from None
+    except (
+        aws.CredentialRetrievalError,
+        aws.ProfileNotFound,
+        aws.ConfigNotFound,
+        aws.ConfigParseError,
+        aws.InvalidRegionError,
+        aws.ParamValidationError,
+        aws.SSOError,
+        aws.TokenRetrievalError,
+        aws.UnknownServiceError,
+    ) as error:
+        raise InputError(f"{where}: AWS: {_short(error)}") from None
+    except aws.EndpointConnectionError as error:
+        raise AwsLostError(f"{where}: AWS: {_short(error)}: check the network, and the region's name") from None
+    except (aws.ConnectionError, aws.HTTPClientError, aws.IncompleteReadError) as error:
+        raise AwsLostError(f"{where}: AWS: {_short(error)}") from None
+    except (aws.BotoCoreError, Boto3Error, ValueError) as error:  # ValueError: no URL, no timestamp
+        raise WorldError(f"{where}: AWS: {_short(error)}") from None
+
+
+def error_code(error: "ClientError") -> str:
+    """The code of what AWS answered: ``NoSuchKey``; of a HEAD it is but a number."""
+    return str(error.response.get("Error", {}).get("Code", "")) or "unknown error"
+
+
+def _answered(where: str, service: str, error: "ClientError") -> CalibrationError:
+    """What AWS itself answered."""
+    code = error_code(error)
+    action = _ACTIONS.get(error.operation_name, f"{service}:{error.operation_name}")
+    said = f"{where}: AWS: {action}: {one_line(code)}"
+    status = error.response.get("ResponseMetadata", {}).get("HTTPStatusCode", 500)
+    if code in _EXPIRED:
+        return InputError(f"{said}: the credentials are expired: get new ones")
+    if code in _UNKNOWN:
+        return InputError(f"{said}: AWS does not know these credentials: check key, secret and token")
+    if code in _CLOCK:
+        return WorldError(f"{said}: the clock of this machine is wrong")
+    if code in _DENIED:
+        policy = " (calibration aws-policy prints a policy)" if service == "batch" else ""
+        return InputError(f"{said}: the role or user needs this permission{policy}")
+    if code in THROTTLED:
+        return AwsLostError(f"{said}: too many requests, also after several tries: try again later")
+    if code in _ELSEWHERE or status == 301:
+        headers = error.response.get("ResponseMetadata", {}).get("HTTPHeaders", {})
+        region = headers.get("x-amz-bucket-region")
+        there = f": it is in {one_line(shorten(region))}" if region else ""
+        return InputError(f"{said}: the bucket is in another region{there}")
+    if code in ("NoSuchBucket", "404") and error.operation_name in ("HeadBucket", "PutObject", "ListObjectsV2"):
+        return InputError(f"{said}: there is no such bucket")
+    line = f"{said}: {_short(error.response.get('Error', {}).get('Message', ''))}"
+    if status >= 500 or code in ("RequestTimeout", "InternalError", "ServerException", "ServiceUnavailable"):
+        return AwsLostError(line)
+    return InputError(line)
+
+
+def _short(text: object) -> str:
+    return shorten(one_line(str(text)), 300)
