@@ -65,6 +65,7 @@ lock: ## resolve requirements/*.txt again after a change in pyproject.toml
 	'$(uv)' $(compile) --extra calibrate --extra opencv --extra figures --extra containers --extra aws --constraint requirements/dev.txt --output-file requirements/run.txt
 	'$(uv)' $(compile) --extra coverage --constraint requirements/dev.txt --output-file requirements/coverage.txt
 	'$(uv)' $(compile) --constraint requirements/dev.txt --output-file requirements/introspect.txt
+	'$(uv)' $(subst pip compile pyproject.toml,pip compile --group installer,$(compile)) --constraint requirements/dev.txt --output-file requirements/uv.txt
 
 actions: ## write the inputs of the commands into every action.yml
 	@$(setup) dev.txt .

@@ -5,9 +5,9 @@
                                                     requirements/LOCK, and PROJECT as an editable package
 
 The environment is a venv without pip in RUNNER_TEMP (outside GitHub: in the user's cache folder), so the job's own
-Python, PATH and packages stay as they are. It is filled from outside, by uv if there is one, else by pip, and only with
-wheels whose hashes stand in the lock. It gets its name when it is complete, so an interrupted or simultaneous
-installation leaves nothing half done.
+Python, PATH and packages stay as they are. It is filled from outside, by uv or pip, and only with wheels whose hashes
+stand in the lock; where there is no uv, and much to install, pip first brings one, for this once. It gets its name when
+it is complete, so an interrupted or simultaneous installation leaves nothing half done.
 
 The job's settings for pip and uv are ignored (a PIP_TARGET or a no-binary would break the installation), except those
 that say where packages come from and how to get there: index, mirror, proxy, certificates, time-outs, cache. The hashes
@@ -57,10 +57,21 @@ MODULES = {
     "run.txt": ["click", "yaml", "numpy", "jsonschema", "defusedxml", "rich"],
 }
 
+LOCKED = ["--require-hashes", "--only-binary", ":all:", "-r"]  # for uv and pip, before the lock's path
 PIP_SETTINGS = [
     *("index-url", "extra-index-url", "find-links", "no-index", "trusted-host", "keyring-provider"),
     *("proxy", "cert", "client-cert", "timeout", "default-timeout", "retries", "cache-dir"),
 ]
+# What uv calls them; with any other of them that says where packages come from, pip does it all.
+UV_NAMES = {
+    "PIP_INDEX_URL": "UV_DEFAULT_INDEX",
+    "PIP_EXTRA_INDEX_URL": "UV_INDEX",
+    "PIP_FIND_LINKS": "UV_FIND_LINKS",
+    "PIP_TRUSTED_HOST": "UV_INSECURE_HOST",
+    "PIP_PROXY": "ALL_PROXY",
+    "PIP_CERT": "SSL_CERT_FILE",
+}
+PIP_ONLY = {"PIP_NO_INDEX", "PIP_KEYRING_PROVIDER", "PIP_CLIENT_CERT"}
 UV_SETTINGS = re.compile(
     "UV_(DEFAULT_INDEX|INDEX|INDEX_URL|EXTRA_INDEX_URL|INDEX_.+_(USERNAME|PASSWORD)|FIND_LINKS|INSECURE_HOST|OFFLINE"
     "|KEYRING_PROVIDER|NATIVE_TLS|SYSTEM_CERTS|HTTP_.+|CACHE_DIR)"
@@ -70,6 +81,7 @@ ROOT = Path(__file__).resolve().parents[1]
 BASE_PYTHON: str = getattr(sys, "_base_executable", sys.executable)  # not that of a venv
 MARKER = "calibration-ci.txt"  # in a complete environment: the interpreter it is for, then its packages, a line each
 BAD_INPUT, WORLD = 2, 3  # exit codes, as in calibration/errors.py
+MUCH = 8  # packages that pip installs no sooner than uv and them
 TIMEOUT = 900  # seconds for an installation: steps of a composite action cannot have `timeout-minutes`
 
 
@@ -173,7 +185,7 @@ def create(folder: Path, lock: Path, project: list[Path] | None = None) -> None:
     if not python.exists():
         venv.create(folder, symlinks=True)
     (folder / MARKER).unlink(missing_ok=True)
-    install(python, ["--require-hashes", "--only-binary", ":all:", "-r", str(lock)])
+    install(python, [*LOCKED, str(lock)], much=len(pins(lock)) >= MUCH)
     for path in project or []:
         install(python, ["--no-build-isolation", "--editable", str(path)])
     (folder / MARKER).write_text("\n".join([interpreter(), *sorted(pins(lock) | editables(project or []))]))
@@ -210,10 +222,10 @@ def covers(present: Iterable[str], wanted: Iterable[str]) -> bool:
     return all(pin in present or pin.partition(" ;")[0] in present for pin in wanted)
 
 
-def install(python: Path, arguments: list[str]) -> None:
+def install(python: Path, arguments: list[str], *, much: bool = False) -> None:
     """Install into the environment of `python` with the first installer that succeeds."""
     tried = []
-    for command, variables in installers(python):
+    for command, variables in installers(python, much):
         tried.append(Path(command[0]).name)
         if run([*command, "--no-deps", *arguments], variables):
             return
@@ -227,14 +239,15 @@ def install(python: Path, arguments: list[str]) -> None:
     )
 
 
-def installers(python: Path) -> Iterator[tuple[list[str], dict[str, str]]]:
+def installers(python: Path, much: bool) -> Iterator[tuple[list[str], dict[str, str]]]:
     """Yield the commands that install into the environment of `python`, and the variables to run each with."""
     job = dict(os.environ)
     clean = {name: job[name] for name in job if not re.match("PIP_|UV_|PYTHON|VIRTUAL_ENV$|CONDA_", name)}
-    if uv := shutil.which("uv"):
-        settings = {name: job[name] for name in job if UV_SETTINGS.fullmatch(name)}
-        plain = {"NO_COLOR": "1", "UV_NO_PROGRESS": "1"}  # act gives its steps a terminal
-        yield [uv, "pip", "install", "--python", str(python)], clean | settings | plain
+    for_uv = clean | {name: job[name] for name in job if UV_SETTINGS.fullmatch(name)}
+    for_uv |= {"NO_COLOR": "1", "UV_NO_PROGRESS": "1"}  # act gives its steps a terminal
+    uv = shutil.which("uv")
+    if uv:
+        yield [uv, "pip", "install", "--python", str(python)], for_uv
 
     with contextlib.ExitStack() as stack:
         pip = [BASE_PYTHON, "-I", "-m", "pip"]
@@ -248,6 +261,16 @@ def installers(python: Path) -> Iterator[tuple[list[str], dict[str, str]]]:
             listing = subprocess.run([*pip, "config", "list"], capture_output=True, text=True, timeout=60, check=False)
         settings = pip_settings(listing.stdout) | {"PIP_CONFIG_FILE": os.devnull, "PIP_NO_INPUT": "1"}
         options = ["--disable-pip-version-check", "--progress-bar", "off", "--no-warn-script-location"]
+        if much and not uv and not settings.keys() & PIP_ONLY:
+            folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
+            venv.create(folder, symlinks=True)
+            bring = [*pip, "--python", str(folder / "bin" / "python"), "install", *options, "--no-deps", *LOCKED]
+            brought = run([*bring, str(ROOT / "requirements" / "uv.txt")], clean | settings)
+            if brought and os.access(folder / "bin" / "uv", os.X_OK):  # not where /tmp is mounted noexec
+                same = {UV_NAMES[name]: settings[name] for name in UV_NAMES if name in settings}
+                # As pip: any of the places will do, since the hashes say what is right.
+                command = [str(folder / "bin" / "uv"), "pip", "install", "--index-strategy", "unsafe-best-match"]
+                yield [*command, "--no-cache", "--python", str(python)], for_uv | same
         yield [*pip, "--python", str(python), "install", *options], clean | settings
 
 

@@ -35,7 +35,7 @@ def measure(quick: bool) -> Iterator[Row]:
             by_pip = _start(name, inputs, Path(folder), _without_uv())
         note = "its packages installed from the package index, or from an installer's cache that is there"
         yield Row(f"action_start/{name}, cold", statistics.median(cold), "s", Bar(high=20), note)
-        yield Row(f"action_start/{name}, cold, by pip", by_pip, "s", Bar(high=20), "once; no uv")
+        yield Row(f"action_start/{name}, cold, by pip", by_pip, "s", Bar(high=20), "no uv, as on GitHub")
         yield Row(f"action_start/{name}, warm", statistics.median(warm), "s", Bar(high=5), "the environment is there")
 
 

@@ -51,23 +51,25 @@ class Suite:
         home = Path(self.variables["RUNNER_TEMP"]) / "calibration-ci"
         return sorted(home.iterdir()) if home.is_dir() else []
 
-    def lock(self, name: str, **versions: str) -> None:
-        """Write requirements/NAME with packages of these versions, made for the purpose."""
+    def lock(self, name: str, program: str = "", **versions: str) -> None:
+        """Write requirements/NAME with packages of these versions, made for the purpose, each with the same program."""
         lines = ["# a comment\n"]
         for package, version in versions.items():
-            wheel = self._wheel(package, version)
+            wheel = self._wheel(package, version, program)
             lines.append(
                 f"{package}=={version} \\\n    --hash=sha256:{hashlib.sha256(wheel.read_bytes()).hexdigest()}\n"
             )
         (self.folder / "requirements" / name).write_text("".join(lines))
 
-    def _wheel(self, package: str, version: str) -> Path:
+    def _wheel(self, package: str, version: str, program: str) -> Path:
         info = f"{package}-{version}.dist-info"
         files = {
             f"{package}.py": f"VERSION = {version!r}\n",
             f"{info}/METADATA": f"Metadata-Version: 2.1\nName: {package}\nVersion: {version}\n",
             f"{info}/WHEEL": "Wheel-Version: 1.0\nGenerator: tests\nRoot-Is-Purelib: true\nTag: py3-none-any\n",
         }
+        if program:
+            files[f"{package}-{version}.data/scripts/{package}"] = program
         record = ""
         for name, text in files.items():
             digest = base64.urlsafe_b64encode(hashlib.sha256(text.encode()).digest()).rstrip(b"=").decode()
@@ -76,7 +78,9 @@ class Suite:
         wheel = self.wheels / f"{package}-{version}-py3-none-any.whl"
         with zipfile.ZipFile(wheel, "w") as archive:
             for name, text in files.items():
-                archive.writestr(zipfile.ZipInfo(name), text)  # no time of day: the same bytes every time
+                entry = zipfile.ZipInfo(name)  # no time of day: the same bytes every time
+                entry.external_attr = (0o100755 if "scripts/" in name else 0o100644) << 16
+                archive.writestr(entry, text)
         return wheel
 
     def start(self, *arguments: str, cwd: Path | None = None, **variables: str) -> subprocess.Popen[str]:

@@ -64,6 +64,35 @@ def test_pip_installs_where_uv_fails(suite: Suite, tmp_path: Path) -> None:
     assert facts(result)["tiny"] == "1.0"
 
 
+MANY = {f"part{number}": "1.0" for number in range(8)}
+
+
+@pytest.mark.parametrize("program", ['#!/bin/bash\necho brought >&2\nexec {uv} "$@"\n', "#!/bin/false\n", ""])
+def test_pip_brings_uv_where_there_is_much_to_install(suite: Suite, program: str) -> None:
+    """And installs it all itself where that uv fails, or cannot be brought."""
+    skip_without_uv(suite)
+    suite.lock("introspect.txt", tiny="1.0", **MANY)
+    suite.lock("uv.txt", program.format(uv=f"'{suite.uv / 'uv'}'"), **({"uv": "1.0"} if program else {"absent": "1.0"}))
+    if not program:
+        (suite.wheels / "absent-1.0-py3-none-any.whl").unlink()
+    del suite.variables["PIP_NO_INDEX"]
+    nowhere = f"file://{suite.wheels}/nowhere"
+    result = suite.run("introspect-csv", PATH=suite.path_without_uv, PIP_INDEX_URL=nowhere, PIP_RETRIES="0")
+    assert result.returncode == 0, result.stdout
+    assert facts(result)["tiny"] == "1.0"
+    assert ("brought" in result.stdout) == ("brought" in program), result.stdout
+    assert (f"Installed {len(MANY) + 1} packages" in result.stdout) == ("brought" in program)
+    assert len(suite.environments) == 1
+
+
+def test_pip_does_it_all_where_uv_does_not_know_a_setting(suite: Suite) -> None:
+    suite.lock("introspect.txt", tiny="1.0", **MANY)
+    suite.lock("uv.txt", "#!/bin/false\n", uv="1.0")
+    result = suite.run("introspect-csv", PATH=suite.path_without_uv)  # PIP_NO_INDEX
+    assert result.returncode == 0, result.stdout
+    assert "uv-1.0" not in result.stdout
+
+
 def test_the_second_action_starts_at_once(suite: Suite) -> None:
     first = facts(suite.run("introspect-csv"))
     shutil.rmtree(suite.wheels)  # nothing can be installed any more

@@ -109,7 +109,7 @@ def test_old_pythons_read_bootstrap_far_enough_to_say_that_they_are_too_old() ->
 
 def test_locks_have_hashes_and_no_addresses() -> None:
     assert {name.removesuffix(".txt") for name in LOCKS} == {
-        *("introspect", "calibrate", "coverage", "image", "run", "dev")
+        *("introspect", "calibrate", "coverage", "image", "run", "uv", "dev")
     }
     for text in LOCKS.values():
         assert not re.search(r"://|(?<!\w)/\w|^-", text, re.MULTILINE)
