@@ -80,8 +80,9 @@ def lines(aws: Aws, job: dict[str, Any], name: str) -> list[str]:
 def test_containers_of_a_task_share_an_address_and_volumes(aws: Aws) -> None:
     server = "import http.server; http.server.HTTPServer(('127.0.0.1', 8000), http.server.SimpleHTTPRequestHandler)"
     asking = (
-        "import socket, time\n"
-        "for _ in range(200):\n"
+        "import socket, sys, time\n"
+        "sys.stderr = sys.stdout\n"  # two streams come in no order
+        "for _ in range(1500):\n"
         "    try: socket.create_connection(('localhost', 8000)); break\n"
         "    except OSError: time.sleep(0.02)\n"
         "else: raise SystemExit(9)\n"
