@@ -3,6 +3,8 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
+from calibration.comparison.hand_eye_methods import andreff, daniilidis, horaud, park, tsai
+from calibration.comparison.icp import icp, icp_average, icp_best, why_not_icp
 from calibration.comparison.opencv_stereo import opencv_stereo, opencv_stereo_fixed, why_not_stereo
 from calibration.comparison.robot_world_methods import li, shah, why_not_robot_world
 from calibration.dataset.model import Dataset
@@ -30,6 +32,14 @@ METHODS: Mapping[str, Method] = {
         Method("opencv-stereo-fixed", "OpenCV stereo, intrinsics fixed", why_not_stereo, opencv_stereo_fixed),
         Method("shah", "Shah", why_not_robot_world, shah),
         Method("li", "Li", why_not_robot_world, li),
+        Method("tsai", "Tsai", why_not_robot_world, tsai),
+        Method("park", "Park", why_not_robot_world, park),
+        Method("horaud", "Horaud", why_not_robot_world, horaud),
+        Method("andreff", "Andreff", why_not_robot_world, andreff),
+        Method("daniilidis", "Daniilidis", why_not_robot_world, daniilidis),
+        Method("icp", "ICP, all collections at once", why_not_icp, icp),
+        Method("icp-average", "ICP, average of the collections", why_not_icp, icp_average),
+        Method("icp-best", "ICP, best collection", why_not_icp, icp_best),
     )
 }
 """All methods."""

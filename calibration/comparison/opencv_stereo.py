@@ -9,10 +9,11 @@ from typing import Any
 
 import numpy as np
 
+from calibration.comparison.sensor_pair import why_not_pair, with_pair
 from calibration.dataset.model import CornerLabels, Dataset, Sensor
 from calibration.errors import InputError, UndeterminedError, WorldError
 from calibration.geometry.cameras import Camera
-from calibration.geometry.transforms import distance, inverse, transform
+from calibration.geometry.transforms import inverse, transform
 from calibration.geometry.types import Array
 
 MINIMUM_CORNERS = 6
@@ -42,15 +43,10 @@ def opencv_stereo_fixed(dataset: Dataset) -> Dataset:
 
 def why_not_stereo(dataset: Dataset) -> str | None:
     """One line that says why the method does not apply to a dataset; None if it does."""
-    kinds = [f"'{s.name}' ({s.modality})" for s in dataset.sensors.values()]
-    if len(dataset.sensors) != 2 or any(s.modality != "rgb" for s in dataset.sensors.values()):
-        return f"it needs two cameras and no other sensor, and there are {', '.join(kinds)}"
-    if dataset.additional_transforms:
-        return f"it cannot calibrate additional transforms, such as '{'-'.join(dataset.additional_transforms[0])}'"
+    reason = why_not_pair(dataset, ("rgb",), "two cameras")
+    if reason:
+        return reason
     first, second = dataset.sensors.values()
-    T = dataset.transform(first.frame, second.frame)
-    if max(values.max() for values in distance(T[:1], T)) > 1e-6:
-        return f"it needs cameras that keep their places, and '{second.name}' moves against '{first.name}'"
     views = len(_views(dataset, first, second))
     if views < MINIMUM_VIEWS:
         return (
@@ -84,10 +80,7 @@ def _stereo(dataset: Dataset, *, fixed: bool) -> Dataset:
     if reason:
         raise InputError(f"{dataset.path}: OpenCV's stereo calibration does not apply: {reason}")
     first, second = dataset.sensors.values()
-    T_first_second = inverse(_relative_pose(dataset, first, second, fixed=fixed))
-    if dataset.anchored == second.name:
-        first, second, T_first_second = second, first, inverse(T_first_second)
-    return dataset.with_transforms({second.edge: _edge_transform(dataset, first, second, T_first_second)})
+    return with_pair(dataset, inverse(_relative_pose(dataset, first, second, fixed=fixed)))
 
 
 def _relative_pose(dataset: Dataset, first: Sensor, second: Sensor, *, fixed: bool) -> Array:
@@ -112,15 +105,6 @@ def _relative_pose(dataset: Dataset, first: Sensor, second: Sensor, *, fixed: bo
     T: Array = transform(R, np.ravel(t))
     if not np.isfinite(T).all():
         raise UndeterminedError(f"{dataset.path}: OpenCV's stereo calibration finds no finite pose")
-    return T
-
-
-def _edge_transform(dataset: Dataset, reference: Sensor, sensor: Sensor, T_reference_sensor: Array) -> Array:
-    """The sensor's calibrated transform (4, 4) that puts its data frame there against the reference's."""
-    once = dataset.with_collections([0])
-    T_parent_reference = once.transform(sensor.calibration_parent, reference.frame)[0]
-    T_frame_child = once.transform(sensor.frame, sensor.calibration_child)[0]
-    T: Array = T_parent_reference @ T_reference_sensor @ T_frame_child
     return T
 
 

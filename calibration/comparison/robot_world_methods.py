@@ -1,4 +1,4 @@
-"""Shah's and Li's robot-world solutions: a camera and a pattern on either side of an arm.
+"""A camera and a pattern on either side of an arm: Shah's and Li's robot-world solutions.
 
 The camera may be carried by the arm and look at a pattern in the world (eye in hand), or stand in
 the world and look at a pattern on the arm (eye to hand): with named frames both are the same equation.
@@ -17,6 +17,7 @@ from calibration.geometry.transforms import distance, inverse
 from calibration.geometry.types import Array
 
 Solver = Callable[[Array, Array], RobotWorld]
+"""From A and B (n, 4, 4); see `solve_robot_world`."""
 
 MINIMUM_VIEWS = 3
 """Two relative motions are the least that has rotations about two axes."""
@@ -29,12 +30,12 @@ def shah(dataset: Dataset) -> Dataset:
         InputError: the method does not apply (`why_not_robot_world`).
         UndeterminedError: too few views, or rotations about fewer than two axes.
     """
-    return _solve(dataset, solve_robot_world)
+    return calibrate_arm(dataset, solve_robot_world)
 
 
 def li(dataset: Dataset) -> Dataset:
     """The dataset with the transforms of cameras and pattern by `solve_li`; errors as `shah`."""
-    return _solve(dataset, solve_li)
+    return calibrate_arm(dataset, solve_li)
 
 
 def why_not_robot_world(dataset: Dataset) -> str | None:
@@ -64,7 +65,8 @@ def _moves(T: Array) -> bool:
     return len(T) < 2 or any(float(values.max()) > 1e-6 for values in distance(T[:1], T))
 
 
-def _solve(dataset: Dataset, solve: Solver) -> Dataset:
+def calibrate_arm(dataset: Dataset, solve: Solver) -> Dataset:
+    """The dataset with the transforms of cameras and pattern by a solver of ``A_i = X @ B_i @ Y``; errors as `shah`."""
     reason = why_not_robot_world(dataset)
     if reason:
         raise InputError(f"{dataset.path}: the method does not apply: {reason}")

@@ -10,10 +10,10 @@ Two more columns compare the two cameras' own poses of the pattern, noise of bot
 import numpy as np
 
 from calibration.dataset.model import Dataset
-from calibration.dataset.pattern import Pattern
 from calibration.errors import InputError
+from calibration.evaluation.pairing import require_fixed
 from calibration.evaluation.selection import camera_of, pattern_of
-from calibration.evaluation.table import Table
+from calibration.evaluation.table import COLLECTION, Table
 from calibration.evaluation.views import CornerViews, corner_views
 from calibration.geometry import rotations
 from calibration.geometry.cameras import Camera
@@ -21,7 +21,6 @@ from calibration.geometry.transforms import apply, inverse
 from calibration.geometry.types import Array, IntArray
 
 COLUMNS = ("RMS (pix)", "X err (pix)", "Y err (pix)", "Trans (mm)", "Rot (deg)")
-KEY = "Collection #"
 _CHUNK = 1024  # pairs at a time, to bound the memory
 
 
@@ -64,7 +63,7 @@ def inter_collection_rgb_to_rgb(dataset: Dataset, source: str, target: str, patt
         InputError: also when the pattern is not fixed.
     """
     seen_pattern = pattern_of(dataset, pattern)
-    _require_fixed(dataset, seen_pattern)
+    require_fixed(dataset, seen_pattern)
     a, b = (corner_views(dataset, name, seen_pattern) for name in (source, target))
     i, j = np.meshgrid(a.collections, b.collections, indexing="ij")
     pairs = np.stack(np.nonzero(i < j if source == target else i != j))
@@ -78,13 +77,6 @@ def inter_collection_rgb_to_rgb(dataset: Dataset, source: str, target: str, patt
     keys = dataset.keys
     labels = [f"{keys[a.collections[m]]}-{keys[b.collections[n]]}" for m, n in pairs.T]
     return _table(dataset, (source, target), (a, b), pairs, T_target_source, labels)
-
-
-def _require_fixed(dataset: Dataset, pattern: Pattern) -> None:
-    if not pattern.fixed:
-        raise InputError(
-            f"{dataset.path}: pattern '{pattern.name}' is not fixed: its collections cannot be compared with each other"
-        )
 
 
 def _table(
@@ -109,7 +101,7 @@ def _table(
     rows = np.flatnonzero(shared)
     chunks = (rows[start : start + _CHUNK] for start in range(0, len(rows), _CHUNK))
     values = [_errors(views[0][pairs[0, r]], views[1][pairs[1, r]], T_target_source[r], camera) for r in chunks]
-    return Table(KEY, COLUMNS, tuple(labels[r] for r in rows), np.concatenate(values), tuple(left_out))
+    return Table(COLLECTION, COLUMNS, tuple(labels[r] for r in rows), np.concatenate(values), tuple(left_out))
 
 
 def _errors(source: CornerViews, target: CornerViews, T_target_source: Array, camera: Camera) -> Array:

@@ -25,10 +25,9 @@ def camera_of(dataset: Dataset, name: str) -> tuple[Sensor, Camera]:
     Raises:
         InputError: the dataset has no such sensor, or it is no camera.
     """
-    sensor = sensor_of(dataset, name)
-    if sensor.camera is None or sensor.modality != "rgb":
-        cameras = (s.name for s in dataset.sensors.values() if s.modality == "rgb")
-        raise InputError(f"{dataset.path}: sensor '{name}' is {sensor.modality}, not rgb (rgb: {_names(cameras)})")
+    sensor = _of_modality(dataset, name, "rgb")
+    if sensor.camera is None:
+        raise InputError(f"{dataset.path}: sensor '{name}' has no intrinsics")
     return sensor, sensor.camera
 
 
@@ -38,11 +37,27 @@ def lidar_of(dataset: Dataset, name: str) -> Sensor:
     Raises:
         InputError: the dataset has no such sensor, or it is no LiDAR.
     """
+    return _of_modality(dataset, name, "lidar3d")
+
+
+def depth_of(dataset: Dataset, name: str) -> tuple[Sensor, Camera]:
+    """The depth sensor of this name, and its intrinsics.
+
+    Raises:
+        InputError: the dataset has no such sensor, or it is no depth camera.
+    """
+    sensor = _of_modality(dataset, name, "depth")
+    if sensor.camera is None:
+        raise InputError(f"{dataset.path}: sensor '{name}' has no intrinsics")
+    return sensor, sensor.camera
+
+
+def _of_modality(dataset: Dataset, name: str, modality: str) -> Sensor:
     sensor = sensor_of(dataset, name)
-    if sensor.modality != "lidar3d":
-        lidars = (s.name for s in dataset.sensors.values() if s.modality == "lidar3d")
+    if sensor.modality != modality:
+        others = (s.name for s in dataset.sensors.values() if s.modality == modality)
         raise InputError(
-            f"{dataset.path}: sensor '{name}' is {sensor.modality}, not lidar3d (lidar3d: {_names(lidars)})"
+            f"{dataset.path}: sensor '{name}' is {sensor.modality}, not {modality} ({modality}: {_names(others)})"
         )
     return sensor
 

@@ -1,66 +1,141 @@
 """An evaluation by a short text, such as ``rgb-to-rgb:right_camera:left_camera``."""
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Literal, get_args
+from functools import partial
 
 from calibration.dataset.model import Dataset
 from calibration.dataset.truth import Truth
 from calibration.errors import InputError
-from calibration.evaluation.annotation import annotation_for
-from calibration.evaluation.lidar_to_rgb import lidar_to_rgb
+from calibration.evaluation.annotation import Annotation, annotation_for
+from calibration.evaluation.ground_truth import ground_truth_frame, ground_truth_transform
+from calibration.evaluation.range_to_range import depth_to_depth, lidar_to_depth, lidar_to_lidar
+from calibration.evaluation.range_to_rgb import (
+    depth_to_rgb,
+    inter_collection_depth_to_rgb,
+    inter_collection_lidar_to_rgb,
+    lidar_to_rgb,
+)
 from calibration.evaluation.rgb_to_rgb import inter_collection_rgb_to_rgb, rgb_to_rgb
 from calibration.evaluation.selection import pattern_of
+from calibration.evaluation.single_rgb import single_rgb
 from calibration.evaluation.table import Table
 
-Kind = Literal["rgb-to-rgb", "inter-collection-rgb-to-rgb", "lidar-to-rgb"]
+Names = tuple[str, ...]
 
-_FORMS = tuple(f"{kind}:{'LIDAR:CAMERA' if kind == 'lidar-to-rgb' else 'SOURCE:TARGET'}" for kind in get_args(Kind))
+
+@dataclass(frozen=True)
+class Kind:
+    """A kind of table."""
+
+    needs: Names
+    """What the names of a text stand for."""
+    may: Names
+    """And the names that may follow."""
+    run: Callable[[Dataset, Truth | None, Names], Table]
+    """From the dataset, the truth where there is one, and the names."""
+
+    def sensors(self, names: Names) -> Names:
+        """Those of the names that are sensors."""
+        return tuple(name for name, what in zip(names, self.needs + self.may, strict=False) if what in _SENSORS)
+
+
+_SENSORS = ("SOURCE", "TARGET", "CAMERA", "LIDAR", "DEPTH", "SENSOR")
+Pair = Callable[[Dataset, str, str, str | None], Table]
+ToImage = Callable[[Dataset, str, str, Annotation, str | None], Table]
+
+
+def _pair(table: Pair) -> Callable[[Dataset, Truth | None, Names], Table]:
+    return lambda dataset, _, names: table(dataset, names[0], names[1], _nth(names, 2))
+
+
+def _to_image(table: ToImage) -> Callable[[Dataset, Truth | None, Names], Table]:
+    def run(dataset: Dataset, truth: Truth | None, names: Names) -> Table:
+        pattern = _nth(names, 2)
+        annotation = annotation_for(dataset, names[1], pattern_of(dataset, pattern), truth)
+        return table(dataset, names[0], names[1], annotation, pattern)
+
+    return run
+
+
+def _nth(names: Names, n: int) -> str | None:
+    return names[n] if len(names) > n else None
+
+
+_PATTERN = ("PATTERN",)
+KINDS: Mapping[str, Kind] = {
+    "rgb-to-rgb": Kind(("SOURCE", "TARGET"), _PATTERN, _pair(rgb_to_rgb)),
+    "inter-collection-rgb-to-rgb": Kind(("SOURCE", "TARGET"), _PATTERN, _pair(inter_collection_rgb_to_rgb)),
+    "single-rgb": Kind(
+        (), ("CAMERA", "PATTERN"), lambda dataset, _, names: single_rgb(dataset, _nth(names, 0), _nth(names, 1))
+    ),
+    "lidar-to-rgb": Kind(("LIDAR", "CAMERA"), _PATTERN, _to_image(lidar_to_rgb)),
+    "inter-collection-lidar-to-rgb": Kind(("LIDAR", "CAMERA"), _PATTERN, _to_image(inter_collection_lidar_to_rgb)),
+    "depth-to-rgb": Kind(("DEPTH", "CAMERA"), _PATTERN, _to_image(depth_to_rgb)),
+    "inter-collection-depth-to-rgb": Kind(("DEPTH", "CAMERA"), _PATTERN, _to_image(inter_collection_depth_to_rgb)),
+    "lidar-to-lidar": Kind(("SOURCE", "TARGET"), _PATTERN, _pair(lidar_to_lidar)),
+    "inter-collection-lidar-to-lidar": Kind(
+        ("SOURCE", "TARGET"), _PATTERN, _pair(partial(lidar_to_lidar, between=True))
+    ),
+    "lidar-to-depth": Kind(("LIDAR", "DEPTH"), _PATTERN, _pair(lidar_to_depth)),
+    "inter-collection-lidar-to-depth": Kind(("LIDAR", "DEPTH"), _PATTERN, _pair(partial(lidar_to_depth, between=True))),
+    "depth-to-depth": Kind(("SOURCE", "TARGET"), _PATTERN, _pair(depth_to_depth)),
+    "inter-collection-depth-to-depth": Kind(
+        ("SOURCE", "TARGET"), _PATTERN, _pair(partial(depth_to_depth, between=True))
+    ),
+    "ground-truth-transform": Kind(
+        ("PARENT", "CHILD"), (), lambda dataset, truth, names: ground_truth_transform(dataset, truth, *names)
+    ),
+    "ground-truth-frame": Kind(
+        ("FRAME",), ("SENSOR",), lambda dataset, truth, names: ground_truth_frame(dataset, truth, *names)
+    ),
+}
+"""All tables that ATOM has, by the name of its script."""
 
 
 @dataclass(frozen=True)
 class Evaluation:
     """Which table to make of a dataset."""
 
-    kind: Kind
-    source: str
-    """The camera whose labels are carried over, or the LiDAR."""
-    target: str
-    """The camera whose labels, or whose images' annotation, they are compared with."""
-    pattern: str | None = None
-    """None where there is only one."""
+    kind: str
+    """One of `KINDS`."""
+    names: Names
+    """Sensors, frames and patterns, as its kind wants them."""
 
     def __str__(self) -> str:
         """The text that `parse_evaluation` reads."""
-        return ":".join((self.kind, self.source, self.target, *([] if self.pattern is None else [self.pattern])))
+        return ":".join((self.kind, *self.names))
+
+    @property
+    def sensors(self) -> Names:
+        """Those of the names that must be sensors of the dataset."""
+        return KINDS[self.kind].sensors(self.names)
 
     def run(self, dataset: Dataset, truth: Truth | None = None) -> Table:
         """The table of a dataset as its transforms stand.
 
         Args:
             dataset: with the transforms to evaluate.
-            truth: where the LiDAR's annotation may come from; see `annotation_for`.
+            truth: what the tables ``ground-truth-*`` compare with, and where the annotation of images may come
+                from; see `annotation_for`.
 
         Raises:
-            InputError: the dataset lacks a sensor or pattern, or nothing of it can be compared.
+            InputError: the dataset lacks a sensor, a frame or a pattern, or nothing of it can be compared.
         """
-        if self.kind == "rgb-to-rgb":
-            return rgb_to_rgb(dataset, self.source, self.target, self.pattern)
-        if self.kind == "inter-collection-rgb-to-rgb":
-            return inter_collection_rgb_to_rgb(dataset, self.source, self.target, self.pattern)
-        annotation = annotation_for(dataset, self.target, pattern_of(dataset, self.pattern), truth)
-        return lidar_to_rgb(dataset, self.source, self.target, annotation, self.pattern)
+        return KINDS[self.kind].run(dataset, truth, self.names)
 
 
 def parse_evaluation(text: str) -> Evaluation:
-    """Read ``KIND:SOURCE:TARGET`` or ``KIND:SOURCE:TARGET:PATTERN``.
+    """Read a kind and its names, ``KIND:SOURCE:TARGET`` or ``KIND:SOURCE:TARGET:PATTERN``.
 
     Raises:
-        InputError: the text has another form.
+        InputError: there is no such kind, or it wants other names.
     """
-    kind, *names = (part.strip() for part in text.split(":"))
-    known = next((k for k in get_args(Kind) if k == kind), None)
-    if known is None or len(names) not in (2, 3) or not all(names):
-        raise InputError(
-            f"evaluation '{text}': expected {' or '.join(_FORMS)}, with ':PATTERN' where there are several"
-        )
-    return Evaluation(known, *names)
+    name, *names = (part.strip() for part in text.split(":"))
+    if name not in KINDS:
+        raise InputError(f"evaluation '{text}': there is no table '{name}' (tables: {', '.join(KINDS)})")
+    kind = KINDS[name]
+    if not len(kind.needs) <= len(names) <= len(kind.needs) + len(kind.may) or not all(names):
+        form = ":".join((name, *kind.needs)) + "".join(f"[:{each}]" for each in kind.may)
+        raise InputError(f"evaluation '{text}': expected {form}")
+    return Evaluation(name, tuple(names))

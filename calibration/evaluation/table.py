@@ -8,10 +8,18 @@ from pathlib import Path
 import numpy as np
 
 from calibration.files import write_atomically
-from calibration.geometry.types import Array
+from calibration.geometry.types import Array, BoolArray
 
 AVERAGES = "Averages"
 """The label of the last row."""
+COLLECTION = "Collection #"
+"""ATOM's header of the labels, of single collections and, in some tables, of pairs."""
+COLLECTION_PAIR = "Collection Pair"
+"""ATOM's header of the labels in its other tables of pairs."""
+RMS_PIX = "RMS (pix)"
+"""The column that stands for a table in one number, where there is one."""
+MISSING = "---"
+"""What stands where a sensor saw nothing."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,6 +40,8 @@ class Table:
     """(R, C)."""
     left_out: tuple[str, ...] = field(default=())
     """What has no row, and why; one line each."""
+    missing: BoolArray | None = None
+    """(R, C): where nothing was seen, so that there is no value (it is NaN); None if there is one everywhere."""
 
     def __post_init__(self) -> None:
         if not self.labels or self.values.shape != (len(self.labels), len(self.columns)):
@@ -41,9 +51,13 @@ class Table:
 
     @property
     def averages(self) -> Array:
-        """(C,): the arithmetic mean of each column's *printed* values, as ATOM has it."""
-        mean: Array = np.array([[float(_printed(v)) for v in row] for row in self.values]).mean(0)
-        return mean
+        """(C,): the arithmetic mean of each column's *printed* values, as ATOM has it; NaN where all are missing."""
+        printed = np.array([[float(_printed(v)) for v in row] for row in self.values])
+        if self.missing is None:
+            return np.asarray(printed.mean(0))
+        count = (~self.missing).sum(0)
+        total = np.where(self.missing, 0.0, printed).sum(0)
+        return np.where(count > 0, total / np.maximum(count, 1), np.nan)
 
     def average(self, column: str) -> float:
         """The average of one column, by its header."""
@@ -54,8 +68,12 @@ class Table:
         text = io.StringIO()
         writer = csv.writer(text, lineterminator="\n")
         writer.writerow([self.key, *self.columns])
-        rows = zip((*self.labels, AVERAGES), [*self.values, self.averages], strict=True)
-        writer.writerows([label, *map(_printed, row)] for label, row in rows)
+        missing = np.zeros(self.values.shape, bool) if self.missing is None else self.missing
+        rows = zip(
+            (*self.labels, AVERAGES), [*self.values, self.averages], [*missing, missing.all(axis=0)], strict=True
+        )
+        for label, row, absent in rows:
+            writer.writerow([label, *(MISSING if a else _printed(v) for v, a in zip(row, absent, strict=True))])
         return text.getvalue()
 
     def write(self, path: Path | str) -> None:

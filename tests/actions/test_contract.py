@@ -194,7 +194,7 @@ def test_the_readme_has_an_example_of_every_action_and_each_is_right(examples: l
     steps += [s for e in examples if "jobs" in e for job in e["jobs"].values() for s in job.get("steps", [])]
     used = set()
     for step in steps:
-        if step["uses"].startswith("OWNER/"):
+        if step.get("uses", "").startswith("OWNER/"):
             path, _, tag = step["uses"].partition("@")
             name = path.partition("/actions/")[2] or "run"
             assert (path, tag) == ("OWNER/calibration-ci" + (f"/actions/{name}" if name != "run" else ""), "v1")

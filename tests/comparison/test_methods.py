@@ -7,7 +7,7 @@ import pytest
 
 from calibration.comparison.methods import METHODS, applicable, method_of
 from calibration.errors import InputError
-from tests.evaluation.scene import arm, lidar_and_camera, two_cameras
+from tests.evaluation.scene import arm, lidar_and_camera, range_pair, two_cameras
 
 
 def test_a_method_is_found_by_its_name():
@@ -18,13 +18,17 @@ def test_a_method_is_found_by_its_name():
 
 
 def test_an_unknown_name_is_told_with_the_known_ones():
-    with pytest.raises(InputError, match=r"no comparison method 'tsai' \(methods: opencv-stereo, .*shah, li\)"):
-        method_of("tsai")
+    with pytest.raises(
+        InputError, match=r"no comparison method 'sha' \(methods: opencv-stereo, .*shah, li, tsai, .*icp-best\)"
+    ):
+        method_of("sha")
 
 
 def test_each_system_has_its_methods():
     assert [m.name for m in applicable(two_cameras(n=4)[0])] == ["opencv-stereo", "opencv-stereo-fixed"]
-    assert [m.name for m in applicable(arm(n=4))] == ["shah", "li"]
+    arms = ["shah", "li", "tsai", "park", "horaud", "andreff", "daniilidis"]
+    assert [m.name for m in applicable(arm(n=4))] == arms
+    assert [m.name for m in applicable(range_pair(n=1)[0])] == ["icp", "icp-average", "icp-best"]
     assert applicable(lidar_and_camera()[0]) == []
 
 

@@ -118,7 +118,7 @@ def test_why_it_does_not_apply():
         ),
         (
             dataset.with_transforms({("world", "left_mount"): swaying}),
-            "it needs cameras that keep their places, and 'right' moves against 'left'",
+            "it needs sensors that keep their places, and 'right' moves against 'left'",
         ),
         (
             cut(dataset, "left", [30, 30, 5, 5]),

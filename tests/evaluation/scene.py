@@ -176,3 +176,64 @@ def with_labels(base: Dataset, sensor: str, labels: list[Labels | None]) -> Data
         others = {key: value for key, value in collection.labels.items() if key != (board, sensor)}
         collections.append(replace(collection, labels=others if label is None else {**others, (board, sensor): label}))
     return replace(base, collections=tuple(collections))
+
+
+def depth(name: str, camera: Camera = CAMERA) -> Sensor:
+    """A depth camera whose link hangs under its mount."""
+    return replace(rgb(name, camera), modality="depth")
+
+
+def range_pair(
+    seed: int = 0, n: int = 4, kinds: tuple[str, str] = ("lidar3d", "depth"), *, fixed: bool = False, noise: float = 0.0
+) -> tuple[Dataset, Array]:
+    """Sensors "one" and "two" that see a pattern; noise of the points in m; also ``T_world_pattern``.
+
+    LiDARs see points all over it and on its border, depth cameras every fourth pixel. A fixed pattern is on an arm.
+    """
+    rng = np.random.default_rng(seed)
+    board = pattern(fixed=fixed, parent="flange" if fixed else "world")
+    sensors = [
+        lidar(name) if kind == "lidar3d" else depth(name) for name, kind in zip(("one", "two"), kinds, strict=True)
+    ]
+    T_world_pattern = facing_poses(rng, board, n)
+    transforms = {
+        ("world", "one_mount"): from_xyz_rpy([0, 0.1, 0], [0, 0, -0.05]),
+        ("world", "two_mount"): from_xyz_rpy([0, -0.1, 0.02], [0.03, 0, 0.06]),
+    }
+    for sensor in sensors:
+        transforms[sensor.edge] = from_xyz_rpy([0.015, 0, 0.006], [0, 0.02, 0.03])
+        transforms[sensor.calibration_child, sensor.frame] = (
+            T_LINK_OPTICAL if sensor.modality == "depth" else from_xyz_rpy([0, 0, 0.04], [0, 0, 0])
+        )
+    if fixed:
+        T_flange_pattern = from_xyz_rpy([0.05, -0.06, 0.02], [0.3, 0.1, -0.5])
+        transforms["world", "flange"] = T_world_pattern @ inverse(T_flange_pattern)
+        transforms["flange", board.link] = T_flange_pattern
+    base = dataset(sensors, board, transforms, [{}] * n, anchored="one")
+    for sensor in sensors:
+        T = base.transform(sensor.frame, "world") @ T_world_pattern
+        seen = _depth_points if sensor.modality == "depth" else _lidar_points
+        labels = [seen(rng, sensor, board, t) for t in T]
+        noisy = [replace(label, points=label.points + rng.normal(size=label.points.shape) * noise) for label in labels]
+        base = with_labels(base, sensor.name, list(noisy))
+    return base, T_world_pattern
+
+
+def _lidar_points(rng: np.random.Generator, _: Sensor, board: Pattern, T: Array) -> PointLabels:
+    share, side = rng.random((60, 1)), rng.integers(0, 4, 60)
+    border = (1 - share) * board.outline[side] + share * board.outline[(side + 1) % 4]
+    inside = rng.uniform(board.outline[0], board.outline[2], (200, 2))
+    flat = np.column_stack([np.concatenate([border, inside]), np.zeros(260)])
+    return PointLabels(apply(T, flat), np.arange(60))
+
+
+def _depth_points(_: np.random.Generator, sensor: Sensor, board: Pattern, T: Array) -> PointLabels:
+    assert sensor.camera is not None
+    v, u = np.mgrid[0 : sensor.camera.height : 4, 0 : sensor.camera.width : 4]
+    rays = np.concatenate([sensor.camera.normalise(np.stack([u, v], -1).astype(float)), np.ones((*u.shape, 1))], -1)
+    points = rays * ((T[:3, 2] @ T[:3, 3]) / (rays @ T[:3, 2]))[..., None]
+    flat = apply(inverse(T), points.reshape(-1, 3))[:, :2].reshape(*u.shape, 2)
+    on = ((flat >= board.outline[0]) & (flat <= board.outline[2])).all(-1)
+    padded = np.pad(on, 1)
+    within = padded[:-2, 1:-1] & padded[2:, 1:-1] & padded[1:-1, :-2] & padded[1:-1, 2:]
+    return PointLabels(points[on], np.flatnonzero(~within[on]))

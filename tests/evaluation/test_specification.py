@@ -12,52 +12,72 @@ from calibration.dataset.reading import read_dataset
 from calibration.dataset.truth import Truth, find_truth, truth_of
 from calibration.errors import InputError
 from calibration.evaluation.annotation import annotation_for
-from calibration.evaluation.lidar_to_rgb import lidar_to_rgb
+from calibration.evaluation.range_to_rgb import lidar_to_rgb
 from calibration.evaluation.rgb_to_rgb import inter_collection_rgb_to_rgb, rgb_to_rgb
-from calibration.evaluation.specification import Evaluation, parse_evaluation
+from calibration.evaluation.specification import KINDS, Evaluation, parse_evaluation
 from calibration.geometry.transforms import retract
-from tests.evaluation.scene import arm, lidar_and_camera, two_cameras
+from tests.evaluation.scene import arm, lidar_and_camera, range_pair, two_cameras
 
 
 def test_the_text_names_kind_sensors_and_pattern():
     assert parse_evaluation("rgb-to-rgb:right_camera:left_camera") == Evaluation(
-        "rgb-to-rgb", "right_camera", "left_camera"
+        "rgb-to-rgb", ("right_camera", "left_camera")
     )
     assert parse_evaluation(" lidar-to-rgb : lidar : eye : board ") == Evaluation(
-        "lidar-to-rgb", "lidar", "eye", "board"
+        "lidar-to-rgb", ("lidar", "eye", "board")
     )
 
 
 names = st.text(st.characters(categories=("L", "N"), include_characters="_-"), min_size=1)
 
 
-@given(
-    kind=st.sampled_from(["rgb-to-rgb", "inter-collection-rgb-to-rgb", "lidar-to-rgb"]),
-    source=names,
-    target=names,
-    pattern=st.none() | names,
-)
-def test_what_is_printed_reads_back(kind, source, target, pattern):
-    evaluation = Evaluation(kind, source, target, pattern)
+@given(kind=st.sampled_from(sorted(KINDS)), some=st.data())
+def test_what_is_printed_reads_back(kind, some):
+    least, most = len(KINDS[kind].needs), len(KINDS[kind].needs + KINDS[kind].may)
+    evaluation = Evaluation(kind, tuple(some.draw(st.lists(names, min_size=least, max_size=most))))
     assert parse_evaluation(str(evaluation)) == evaluation
 
 
+@pytest.mark.parametrize("text", ["", "rgb:a:b", "rgb_to_rgb:a:b", "lidar-to-lidars:a:b"])
+def test_an_unknown_table_is_told_those_there_are(text):
+    with pytest.raises(
+        InputError, match=r"there is no table '.*' \(tables: rgb-to-rgb, inter-.*, ground-truth-frame\)"
+    ):
+        parse_evaluation(text)
+
+
 @pytest.mark.parametrize(
-    "text",
+    ("text", "form"),
     [
-        "",
-        "rgb-to-rgb",
-        "rgb-to-rgb:a",
-        "rgb-to-rgb:a:",
-        "rgb-to-rgb::b",
-        "rgb-to-rgb:a:b:c:d",
-        "rgb:a:b",
-        "rgb_to_rgb:a:b",
+        ("rgb-to-rgb", r"rgb-to-rgb:SOURCE:TARGET\[:PATTERN\]"),
+        ("rgb-to-rgb:a", r"rgb-to-rgb:SOURCE:TARGET\[:PATTERN\]"),
+        ("rgb-to-rgb:a:", r"rgb-to-rgb:SOURCE:TARGET\[:PATTERN\]"),
+        ("rgb-to-rgb::b", r"rgb-to-rgb:SOURCE:TARGET\[:PATTERN\]"),
+        ("rgb-to-rgb:a:b:c:d", r"rgb-to-rgb:SOURCE:TARGET\[:PATTERN\]"),
+        ("inter-collection-lidar-to-rgb:a", r"inter-collection-lidar-to-rgb:LIDAR:CAMERA\[:PATTERN\]"),
+        ("single-rgb:a:b:c", r"single-rgb\[:CAMERA\]\[:PATTERN\]"),
+        ("ground-truth-transform:a:b:c", "ground-truth-transform:PARENT:CHILD"),
+        ("ground-truth-frame", r"ground-truth-frame:FRAME\[:SENSOR\]"),
     ],
 )
-def test_another_text_is_told_the_forms(text):
-    with pytest.raises(InputError, match=r"expected rgb-to-rgb:SOURCE:TARGET or inter-.* or lidar-to-rgb:LIDAR:CAMERA"):
+def test_other_names_are_told_the_form(text, form):
+    with pytest.raises(InputError, match=f"evaluation '{text}': expected {form}$"):
         parse_evaluation(text)
+
+
+@pytest.mark.parametrize(
+    ("text", "sensors"),
+    [
+        ("rgb-to-rgb:a:b:board", ("a", "b")),
+        ("lidar-to-depth:a:b", ("a", "b")),
+        ("single-rgb", ()),
+        ("single-rgb:a:board", ("a",)),
+        ("ground-truth-transform:world:link", ()),
+        ("ground-truth-frame:world:a", ("a",)),
+    ],
+)
+def test_which_names_are_sensors(text, sensors):
+    assert parse_evaluation(text).sensors == sensors
 
 
 def test_each_kind_runs_its_table():
@@ -75,6 +95,33 @@ def test_each_kind_runs_its_table():
         parse_evaluation("lidar-to-rgb:scan:eye").run(both).to_csv()
         == lidar_to_rgb(both, "scan", "eye", annotation).to_csv()
     )
+
+
+def test_each_table_of_range_sensors_and_truth_runs():
+    two = (("lidar-to-lidar", ("lidar3d", "lidar3d")), ("lidar-to-depth", ("lidar3d", "depth")))
+    for name, kinds in (*two, ("depth-to-depth", ("depth", "depth"))):
+        for prefix, rows in (("", 2), ("inter-collection-", 4)):
+            base, _ = range_pair(n=2, kinds=kinds, fixed=True)
+            assert len(parse_evaluation(f"{prefix}{name}:one:two:board").run(base).labels) == rows
+    base, _ = range_pair(n=2, kinds=("depth", "depth"), fixed=True)
+    base = replace(base, sensors={**base.sensors, "two": replace(base.sensors["two"], modality="rgb")})
+    truth = truth_of(base)
+    for text, rows in (
+        ("depth-to-rgb:one:two", 2),
+        ("inter-collection-depth-to-rgb:one:two", 4),
+        ("ground-truth-transform:world:one_link", 2),
+        ("ground-truth-frame:world", 1),
+        ("ground-truth-frame:world:two", 2),
+    ):
+        assert len(parse_evaluation(text).run(base, truth).labels) == rows
+    assert len(parse_evaluation("single-rgb:eye:board").run(arm(n=3)).labels) == 3
+    assert parse_evaluation("single-rgb").run(arm(n=3)).columns == ("eye-board [px]", "all [px]")
+
+
+def test_every_table_of_atom_is_there():
+    with_pairs = ("rgb-to-rgb", "lidar-to-rgb", "depth-to-rgb", "lidar-to-lidar", "lidar-to-depth", "depth-to-depth")
+    single = {"single-rgb", "ground-truth-transform", "ground-truth-frame"}
+    assert set(KINDS) == single | {f"{prefix}{name}" for prefix in ("", "inter-collection-") for name in with_pairs}
 
 
 # Where the annotation comes from

@@ -64,3 +64,13 @@ def test_it_is_written_with_unix_line_ends(tmp_path):
     table = Table("k", ("a",), ("000",), np.ones((1, 1)))
     table.write(tmp_path / "results" / "table.csv")
     assert (tmp_path / "results" / "table.csv").read_bytes() == b"k,a\n000,1.0000\nAverages,1.0000\n"
+
+
+def test_what_is_missing_is_told_from_what_is_no_number():
+    values = np.array([[1.0, np.nan, np.nan], [3.0, 4.0, np.nan]])
+    table = Table("k", ("a", "b", "c"), ("0", "1"), values, missing=np.array([[0, 1, 1], [0, 0, 1]], bool))
+    assert table.to_csv().splitlines()[1:] == ["0,1.0000,---,---", "1,3.0000,4.0000,---", "Averages,2.0000,4.0000,---"]
+    assert table.average("b") == 4
+    assert np.isnan(table.average("c"))
+    wrong = Table("k", ("a", "b", "c"), ("0", "1"), values, missing=np.array([[0, 1, 0], [0, 0, 1]], bool))
+    assert wrong.to_csv().splitlines()[-1] == "Averages,2.0000,4.0000,nan"

@@ -17,7 +17,7 @@ from calibration.estimation.result import Calibration
 from calibration.estimation.starting_noise import StartingNoise
 from calibration.evaluation.reprojection import reprojection
 from calibration.evaluation.specification import Evaluation
-from calibration.evaluation.table import Table
+from calibration.evaluation.table import RMS_PIX, Table
 from calibration.evaluation.truth import truth_error
 from calibration.geometry.rotations import to_quaternion
 from calibration.introspection.numbers import number_text
@@ -191,8 +191,9 @@ def _written(
     if table is not None:
         name = f"{system.evaluation.kind.replace('-', '_')}_results.csv" if system.evaluation else "reprojection.csv"
         table.write(output / folder / name)
-        result = replace(result, table=f"{folder}/{name}", rms_px=round(table.average(table.columns[0]), 4))
-    if calibration is not None and (system.evaluation is None or table is None):
+        rms = round(table.average(RMS_PIX), 4) if RMS_PIX in table.columns else None
+        result = replace(result, table=f"{folder}/{name}", rms_px=rms)
+    if calibration is not None and (system.evaluation is None or result.rms_px is None):
         result = replace(result, rms_px=round(calibration.rms_px, 4))
     result = replace(result, truth=distance_from_truth(dataset, system))
     write_dataset(dataset, output / folder, images=False)  # they would weigh more than all the rest

@@ -180,7 +180,7 @@ def load(system: System) -> LoadedSystem:
                 f"(known: {', '.join(METHODS)})"
             )
     evaluation = parse_evaluation(system.evaluate) if system.evaluate else None
-    for sensor in (evaluation.source, evaluation.target) if evaluation else ():
+    for sensor in evaluation.sensors if evaluation else ():
         if sensor not in dataset.sensors:
             raise InputError(
                 f"evaluation '{evaluation}': {dataset.path} has no sensor '{sensor}'"

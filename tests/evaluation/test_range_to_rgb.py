@@ -1,4 +1,4 @@
-"""A LiDAR's border points against the pattern's border in the image."""
+"""Border points of LiDARs and depth cameras against the pattern's border in the image."""
 
 import json
 from dataclasses import replace
@@ -10,9 +10,14 @@ from calibration.dataset.model import Dataset, PointLabels
 from calibration.dataset.reading import read_dataset
 from calibration.errors import InputError
 from calibration.evaluation.annotation import Annotation, annotate, annotate_detections, read_annotation
-from calibration.evaluation.lidar_to_rgb import lidar_to_rgb
+from calibration.evaluation.range_to_rgb import (
+    depth_to_rgb,
+    inter_collection_depth_to_rgb,
+    inter_collection_lidar_to_rgb,
+    lidar_to_rgb,
+)
 from calibration.geometry.transforms import apply, retract
-from tests.evaluation.scene import CAMERA, WIDE, lidar_and_camera, two_cameras, with_labels
+from tests.evaluation.scene import CAMERA, WIDE, corner_labels, lidar_and_camera, range_pair, two_cameras, with_labels
 
 
 def true_annotation(dataset: Dataset, T_world_pattern: np.ndarray) -> Annotation:
@@ -191,3 +196,76 @@ def test_the_synthetic_dataset_agrees_with_the_annotation_that_came_with_it(shar
     assert len(by_given.labels) == 18
     assert by_given.average("RMS (pix)") == pytest.approx(1.9113, abs=1e-4)
     np.testing.assert_allclose(by_made.averages, by_given.averages, atol=0.05)
+
+
+# Depth cameras, and between collections
+
+
+def depth_and_camera(seed=0, n=3):
+    """A depth camera "one", and a camera "two" in the place of the other sensor, before a pattern on an arm."""
+    dataset, T_world_pattern = range_pair(seed, n, ("depth", "depth"), fixed=True)
+    as_camera = replace(dataset.sensors["two"], modality="rgb")
+    dataset = replace(dataset, sensors={**dataset.sensors, "two": as_camera})
+    board, T = dataset.patterns["board"], dataset.transform("two_optical", "world") @ T_world_pattern
+    seen = [corner_labels(CAMERA, board, t, np.zeros((30, 2))) for t in T]
+    return with_labels(dataset, "two", seen), annotate(dataset, "two", board, dict(enumerate(T)))
+
+
+def test_a_depth_cameras_border_pixels_lie_inside_the_border():
+    dataset, annotation = depth_and_camera()
+    table = depth_to_rgb(dataset, "one", "two", annotation)
+    assert (table.key, table.columns, table.labels) == (
+        "Collection #",
+        ("RMS (pix)", "X err (pix)", "Y err (pix)"),
+        dataset.keys,
+    )
+    assert 0.5 < table.average("RMS (pix)") < 4  # every fourth pixel was taken
+    edge = dataset.sensors["one"].edge
+    wrong = retract(dataset.transforms[edge], np.broadcast_to([0, 0.03, 0, 0, 0, 0], (3, 6)))
+    assert depth_to_rgb(dataset.with_transforms({edge: wrong}), "one", "two", annotation).average("RMS (pix)") > 5
+
+
+def test_every_image_shows_the_border_points_of_every_collection():
+    dataset, annotation = depth_and_camera(1)
+    table = inter_collection_depth_to_rgb(dataset, "one", "two", annotation)
+    assert table.key == "Collection #"
+    assert table.labels == tuple(f"{a}-{b}" for a in dataset.keys for b in dataset.keys)
+    np.testing.assert_allclose(table.values[::4], depth_to_rgb(dataset, "one", "two", annotation).values, atol=1e-9)
+    assert table.average("RMS (pix)") < 4
+
+
+def test_with_a_lidar_the_cameras_collection_stands_first():
+    dataset, T_world_pattern = lidar_and_camera(seed=8, n=3)
+    annotation = dict(true_annotation(dataset, T_world_pattern))
+    fixed = replace(dataset.patterns["board"], fixed=True, parent_link="flange")
+    arm = replace(dataset, patterns={"board": fixed}).with_transforms({("world", "flange"): T_world_pattern})
+    table = inter_collection_lidar_to_rgb(arm, "scan", "eye", annotation)
+    assert table.key == "Collection Pair"
+    assert table.labels == tuple(f"{a}-{b}" for a in arm.keys for b in arm.keys)
+    np.testing.assert_allclose(table.values, 0, atol=1e-9)
+    flange = T_world_pattern.copy()
+    flange[1, 0, 3] += 0.2  # the arm lies about collection 001: of its own, image and cloud are wrong alike
+    wrong = inter_collection_lidar_to_rgb(arm.with_transforms({("world", "flange"): flange}), "scan", "eye", annotation)
+    bad = {label for label, row in zip(wrong.labels, wrong.values, strict=True) if row[0] > 0.1}
+    assert bad == {"000-001", "001-000", "001-002", "002-001"}
+    # a collection whose cloud alone is wrong spoils the rows in which it stands second
+    labels = [c.labels["board", "scan"] for c in arm.collections]
+    labels[0] = replace(labels[0], points=labels[0].points + np.array([0, 0.1, 0]))
+    wrong = inter_collection_lidar_to_rgb(with_labels(arm, "scan", labels), "scan", "eye", annotation)
+    assert {label for label, row in zip(wrong.labels, wrong.values, strict=True) if row[0] > 0.1} == {
+        f"{key}-000" for key in arm.keys
+    }
+    with pytest.raises(InputError, match="pattern 'board' is not fixed"):
+        inter_collection_lidar_to_rgb(dataset, "scan", "eye", annotation)
+    with pytest.raises(
+        InputError, match=r"no collection shows border points of 'scan' in an annotated image of 'eye'$"
+    ):
+        inter_collection_lidar_to_rgb(arm, "scan", "eye", {})
+
+
+def test_a_camera_without_intrinsics_is_told():
+    dataset, T_world_pattern = lidar_and_camera(n=1)
+    annotation = true_annotation(dataset, T_world_pattern)
+    blind = replace(dataset, sensors={**dataset.sensors, "eye": replace(dataset.sensors["eye"], camera=None)})
+    with pytest.raises(InputError, match="sensor 'eye' has no intrinsics"):
+        lidar_to_rgb(blind, "scan", "eye", annotation)

@@ -1,0 +1,72 @@
+"""Which view of one sensor is compared with which view of another: of the same moment, or of two."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from calibration.dataset.model import Dataset, Sensor
+from calibration.dataset.pattern import Pattern
+from calibration.errors import InputError
+from calibration.geometry.transforms import inverse
+from calibration.geometry.types import Array, IntArray
+
+
+@dataclass(frozen=True, eq=False)
+class Pairs:
+    """P pairs of views, by their collections' indices."""
+
+    source: IntArray
+    """(P,)."""
+    target: IntArray
+    """(P,)."""
+    T_target_source: Array
+    """(P, 4, 4): between the sensors' data frames."""
+
+
+def same_collection(dataset: Dataset, source: Sensor, target: Sensor, seen: Sequence[int]) -> Pairs:
+    """The views of two sensors in each of these collections.
+
+    Raises:
+        InputError: the sensors are one and the same (nothing would be tested), or a transform is missing.
+    """
+    if source.name == target.name:
+        raise InputError(
+            f"'{source.name}' against itself says nothing in one collection: use an inter-collection table"
+        )
+    index = np.array(seen, int)
+    return Pairs(index, index, dataset.with_collections(list(seen)).transform(target.frame, source.frame))
+
+
+def between_collections(
+    dataset: Dataset, sensors: tuple[Sensor, Sensor], pattern: Pattern, seen: tuple[Sequence[int], Sequence[int]]
+) -> Pairs:
+    """Every view of the first sensor with every view of the second, through the link that the pattern is fixed to.
+
+    As ATOM has it, that includes two views of one collection, but not for a sensor against itself: that
+    is compared once for each unordered pair of different collections.
+
+    Raises:
+        InputError: the pattern is not fixed, or a transform is missing.
+    """
+    require_fixed(dataset, pattern)
+    a, b = (np.array(indices, int) for indices in seen)
+    later = a[:, None] < b[None]
+    i, j = np.nonzero(later if sensors[0].name == sensors[1].name else np.ones_like(later))
+    T_parent_source, T_parent_target = (
+        dataset.with_collections(list(indices)).transform(pattern.parent_link, sensor.frame)
+        for sensor, indices in zip(sensors, seen, strict=True)
+    )
+    return Pairs(a[i], b[j], inverse(T_parent_target)[j] @ T_parent_source[i])
+
+
+def require_fixed(dataset: Dataset, pattern: Pattern) -> None:
+    """Refuse a pattern that moves.
+
+    Raises:
+        InputError: it does.
+    """
+    if not pattern.fixed:
+        raise InputError(
+            f"{dataset.path}: pattern '{pattern.name}' is not fixed: its collections cannot be compared with each other"
+        )

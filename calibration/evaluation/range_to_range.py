@@ -1,0 +1,140 @@
+"""How well LiDARs and depth cameras agree with each other, by the points that they see on a pattern.
+
+ATOM's evaluations ``lidar_to_lidar`` (metres: each of the target's points on the pattern against the nearest
+of the source's), ``lidar_to_depth`` and ``depth_to_depth`` (pixels: the source's border points in the target's
+depth image, each against the nearest of the target's border pixels); each in one collection or between two.
+A point is compared with a sample of the other, so that even exact transforms leave something.
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from calibration.dataset.model import Dataset, PointLabels, Sensor
+from calibration.errors import InputError
+from calibration.evaluation.pairing import Pairs, between_collections, same_collection
+from calibration.evaluation.selection import depth_of, lidar_of, pattern_of
+from calibration.evaluation.table import COLLECTION, COLLECTION_PAIR, Table
+from calibration.geometry.cameras import Camera
+from calibration.geometry.nearest import nearest
+from calibration.geometry.transforms import apply
+from calibration.geometry.types import Array
+
+COLUMNS = ("RMS", "X err", "Y err", "X StDev", "Y StDev")
+"""Each with its unit behind."""
+MARGIN = 0.025
+"""Points nearer to the image's edge than this share of its size do not count: the pattern may go on beyond."""
+
+Errors = Callable[[PointLabels, PointLabels, Array], Array]
+"""From the source's labels, the target's and T_target_source: differences (K, 2 or 3), none where there is nothing."""
+
+
+def lidar_to_lidar(
+    dataset: Dataset, source: str, target: str, pattern: str | None = None, *, between: bool = False
+) -> Table:
+    """Errors between the points of two LiDARs on the pattern.
+
+    Columns (m), in the target's frame: the root of the mean squared distance; the mean absolute difference along
+    x and y, and its standard deviation.
+
+    Args:
+        dataset: with the transforms to evaluate.
+        source: the LiDAR whose points are moved.
+        target: the LiDAR whose points are compared with them.
+        pattern: which one; None where there is only one.
+        between: every collection of the source with every one of the target, the pattern being fixed.
+
+    Raises:
+        InputError: no such sensor or pattern, a transform is missing, nothing is seen by both, or the
+            pattern moves between collections that are to be compared.
+    """
+    sensors = lidar_of(dataset, source), lidar_of(dataset, target)
+    return _table(dataset, sensors, pattern, _in_space, "m", between=COLLECTION_PAIR if between else None)
+
+
+def lidar_to_depth(
+    dataset: Dataset, source: str, target: str, pattern: str | None = None, *, between: bool = False
+) -> Table:
+    """Errors of a LiDAR's border points in a depth image; columns (px), arguments and errors as `lidar_to_lidar`."""
+    depth, camera = depth_of(dataset, target)
+    sensors = lidar_of(dataset, source), depth
+    return _table(dataset, sensors, pattern, _in_image(camera), "pix", between=COLLECTION if between else None)
+
+
+def depth_to_depth(
+    dataset: Dataset, source: str, target: str, pattern: str | None = None, *, between: bool = False
+) -> Table:
+    """Errors of a depth camera's border points in the image of another, as `lidar_to_depth`."""
+    depth, camera = depth_of(dataset, target)
+    sensors = depth_of(dataset, source)[0], depth
+    return _table(dataset, sensors, pattern, _in_image(camera), "pix", between=COLLECTION if between else None)
+
+
+def _in_space(source: PointLabels, target: PointLabels, T_target_source: Array) -> Array:
+    moved = apply(T_target_source, source.points)
+    difference: Array = moved[nearest(target.points, moved)] - target.points
+    return difference
+
+
+def _in_image(camera: Camera) -> Errors:
+    low = np.array([camera.width, camera.height]) * MARGIN
+    high = np.array([camera.width, camera.height]) * (1 - MARGIN)
+
+    def errors(source: PointLabels, target: PointLabels, T_target_source: Array) -> Array:
+        if not len(target.limits):
+            return np.empty((0, 2))
+        border = np.rint(camera.project(target.points[target.limits]))  # labels are whole pixels
+        pixels, visible = camera.project_visible(apply(T_target_source, source.points[source.limits]))
+        with np.errstate(invalid="ignore"):
+            pixels = pixels[visible & ((pixels >= low) & (pixels <= high)).all(-1)]
+        difference: Array = border[nearest(pixels, border)] - pixels
+        return difference
+
+    return errors
+
+
+def _table(
+    dataset: Dataset,
+    sensors: tuple[Sensor, Sensor],
+    pattern: str | None,
+    errors: Errors,
+    unit: str,
+    *,
+    between: str | None,
+) -> Table:
+    """The table in one collection, or with `between`, the labels' header, of every two."""
+    source, target = (_views(dataset, sensor, pattern) for sensor in sensors)
+    if between:
+        pairs = between_collections(dataset, sensors, pattern_of(dataset, pattern), (list(source), list(target)))
+    else:
+        pairs = same_collection(dataset, *sensors, [i for i in source if i in target])
+    labels, rows, left_out = [], [], []
+    for i, j, T, name in _named(dataset, pairs, paired=bool(between)):
+        difference = errors(source[i], target[j], T)
+        if len(difference):
+            labels.append(name)
+            absolute = np.abs(difference[:, :2])
+            rms = np.sqrt((difference * difference).sum(-1).mean())
+            rows.append([rms, *absolute.mean(0), *absolute.std(0)])
+        else:
+            left_out.append(
+                f"{name}: no border point of {sensors[0].name} is on the image beside one of {sensors[1].name}"
+            )
+    if not rows:
+        counts = ", ".join(f"'{s.name}' has {len(v)} views" for s, v in zip(sensors, (source, target), strict=True))
+        raise InputError(f"{dataset.path}: nothing seen by both: {counts}" + "".join(f"; {s}" for s in left_out[:3]))
+    columns = tuple(f"{column} ({unit})" for column in COLUMNS)
+    return Table(between or COLLECTION, columns, tuple(labels), np.array(rows), tuple(left_out))
+
+
+def _named(dataset: Dataset, pairs: Pairs, *, paired: bool) -> list[tuple[int, int, Array, str]]:
+    keys = dataset.keys
+    return [
+        (i, j, T, f"{keys[i]}-{keys[j]}" if paired else keys[i])
+        for i, j, T in zip(pairs.source.tolist(), pairs.target.tolist(), pairs.T_target_source, strict=True)
+    ]
+
+
+def _views(dataset: Dataset, sensor: Sensor, pattern: str | None) -> dict[int, PointLabels]:
+    seen = dataset.detections(pattern_of(dataset, pattern).name, sensor.name)
+    return {i: label for i, label in seen if isinstance(label, PointLabels) and len(label.points)}
