@@ -34,6 +34,7 @@ COMMANDS: Mapping[str, LazyCommand] = {
     "calibrate-matrix": LazyCommand(
         "calibration.commands.calibrate_matrix:command", "Calibrate systems from every noisy start."
     ),
+    "convergence": LazyCommand("calibration.commands.convergence:command", "Map how far a starting guess may be off."),
     "introspect-csv": LazyCommand("calibration.commands.introspect_csv:command", "Check tables against rules."),
     "collect-data-sim": LazyCommand(
         "calibration.commands.collect_data_sim:command", "Collect a dataset in simulation."

@@ -86,7 +86,7 @@ class Settings:
 @click.option("--loss", type=click.Choice(["huber", "linear"]), help="Robust, or plain least squares (huber).")
 @click.option("--evaluate", type=text, help="The table: rgb-to-rgb:SOURCE:TARGET, lidar-to-rgb:LIDAR:CAMERA, ...")
 @click.option("--truth", type=text, help="ground_truth.json's path, dataset or none (the file beside the dataset).")
-@click.option("--compare", type=TEXT_LIST, help="Other methods on the same data: opencv-stereo, shah, li.")
+@click.option("--compare", type=TEXT_LIST, help="Other methods on the same data: opencv-stereo, shah, tsai, icp, ...")
 @click.option("--rules", type=path, help="YAML file of rules for the table of every cell.")
 @click.option("--image", type=text, help="Image with the team's own calibration, which takes the place of our engine.")
 @click.option(
@@ -127,8 +127,8 @@ def calibrate_matrix(settings: Settings, runner: Runner) -> ExitCode:
     from calibration.pipeline.stages import run_stages  # numpy and the engine, for those who need them
 
     matrix = matrix_of(settings)
-    place = _place(settings, matrix, runner)
-    _pull(settings, runner)
+    place = place_of(settings, matrix, runner)
+    pull(settings, runner)
 
     def work() -> ExitCode:
         results = run_stages(
@@ -146,7 +146,7 @@ def calibrate_matrix(settings: Settings, runner: Runner) -> ExitCode:
     return run_or_render(work, runner)
 
 
-def _place(settings: Settings, matrix: "Matrix", runner: Runner) -> "Place":
+def place_of(settings: Settings, matrix: "Matrix", runner: Runner) -> "Place":
     """Where the team's software runs.
 
     Raises:
@@ -178,7 +178,7 @@ def _place(settings: Settings, matrix: "Matrix", runner: Runner) -> "Place":
     )
 
 
-def _pull(settings: Settings, runner: Runner) -> None:
+def pull(settings: Settings, runner: Runner) -> None:
     """Pull the image that is given with a login; the backend then finds it on the engine."""
     if settings.registry_username is None and settings.password_variable in (None, EVERYWHERE):
         return  # nothing was asked: that variable may be there for other commands

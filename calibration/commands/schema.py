@@ -14,6 +14,7 @@ SCHEMAS = {
     "image": ("calibration.image", "image.schema.json"),
     "aws-batch": ("calibration.execution.batch", "batch.schema.json"),
     "results": ("calibration.pipeline", "results.schema.json"),
+    "convergence": ("calibration.pipeline.convergence", "convergence.schema.json"),
     "collection": ("calibration.pipeline.collection", "collection.schema.json"),
     "scenario-set": ("calibration.simulation.scenarios", "scenario_set.schema.json"),
     "coverage": ("calibration.coverage", "results.schema.json"),

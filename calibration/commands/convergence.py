@@ -1,0 +1,188 @@
+"""``convergence``: how far a starting guess may be off, by a sweep of the matrix over start noise."""
+
+import os
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, cast
+
+import click
+
+from calibration.commands.calibrate_matrix import Settings as MatrixSettings
+from calibration.commands.calibrate_matrix import command as calibrate_matrix
+from calibration.commands.calibrate_matrix import matrix_of, place_of, pull
+from calibration.commands.parameters import INTEGER_LIST, TEXT_LIST, count, integer, non_negative, path
+from calibration.commands.registry_password import password_variable
+from calibration.errors import ExitCode, InputError
+from calibration.workflow import Runner
+from calibration.workflow.text import did_you_mean
+
+if TYPE_CHECKING:
+    from calibration.pipeline.matrix.cell import CellResult, Start
+
+TITLE = "convergence"
+STARTS = ("given", "linear")
+SEEDS = 10
+MOST_LEVELS = 50
+"""Of one axis: more cannot be read in a table or a picture."""
+MOST_STARTS = 1_000_000
+"""Of one map."""
+SHARED = frozenset(
+    {
+        *("dataset", "config", "systems", "loss", "evaluate", "truth", "rules", "jobs"),
+        *("image", "command", "artifacts", "table", "calibrated", "ros", "memory", "timeout"),
+        *("registry_username", "registry_password", "backend", "aws_batch", "run", "resume"),
+    }
+)
+"""The options of ``calibrate-matrix`` that mean the same here."""
+
+
+def levels(value: str) -> tuple[float, ...]:
+    """Read noise levels: numbers, and ranges FIRST:LAST:COUNT, separated by commas; they come back sorted, with 0."""
+    found = {0.0, *(level for part in TEXT_LIST(value) for level in _levels(part))}
+    if len(found) > MOST_LEVELS:
+        raise click.BadParameter(f"{len(found)} levels with 0, at most {MOST_LEVELS} were expected")
+    return tuple(sorted(found))
+
+
+levels.__name__ = "levels"
+
+
+def _levels(part: str) -> tuple[float, ...]:
+    if ":" not in part:
+        return (non_negative(part),)
+    try:
+        first, last, steps = part.split(":")
+    except ValueError:
+        raise click.BadParameter(f"{part!r} is no range: FIRST:LAST:COUNT was expected, such as 0:2:9") from None
+    low, high, number = non_negative(first), non_negative(last), integer(steps)
+    if not 2 <= number <= MOST_LEVELS or low >= high:
+        raise click.BadParameter(
+            f"{part!r} is no range: FIRST below LAST, and a COUNT of 2 to {MOST_LEVELS} were expected, such as 0:2:9"
+        )
+    return tuple(float(f"{low + (high - low) * step / (number - 1):.12g}") for step in range(number))
+
+
+def starts(value: str) -> tuple[str, ...]:
+    """Read kinds of start, each once."""
+    found = tuple(dict.fromkeys(TEXT_LIST(value)))
+    for start in found:
+        if start not in STARTS:
+            raise click.BadParameter(f"{start!r} is neither given nor linear{did_you_mean(start, STARTS)}")
+    return found
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What ``convergence`` is asked."""
+
+    matrix: MatrixSettings
+    """With the levels of the noise, and the seeds."""
+    start: tuple[str, ...] = STARTS
+    minimum_translation_noise: float | None = None
+    minimum_rotation_noise: float | None = None
+
+
+@click.command(TITLE, params=[option for option in calibrate_matrix.params if option.name in SHARED])
+@click.option(
+    "--translation-noise",
+    type=levels,
+    default="0:2:9",
+    help="Levels of the errors of the starting translations, m: numbers or FIRST:LAST:COUNT; 0 is always one (0:2:9).",
+)
+@click.option(
+    "--rotation-noise",
+    type=levels,
+    default="0:3:7",
+    help="Levels of the errors of the starting Euler angles, rad, likewise (0:3:7).",
+)
+@click.option("--seeds", type=count, help="How many seeds for each pair of noises (10).")
+@click.option("--seed-list", type=INTEGER_LIST, help="The seeds themselves, instead of their number: 3,7.")
+@click.option(
+    "--start", type=starts, default=",".join(STARTS), help="The noisy guess, own linear start, or both (both)."
+)
+@click.option(
+    "--minimum-translation-noise",
+    type=non_negative,
+    help="Every start has to converge up to this, m, without rotation.",
+)
+@click.option(
+    "--minimum-rotation-noise",
+    type=non_negative,
+    help="Every start has to converge up to this, rad, without translation.",
+)
+@click.option("--output", type=path, default=Path("output"), help="Folder for results, tables and figures (output).")
+@click.pass_context
+def command(click_context: click.Context, /, **options: Any) -> ExitCode:
+    """Sweep the noise of the start, and map the share of starts that converges.
+
+    The verdict is fail where the start without noise does not converge, or a minimum is not reached.
+    """
+    runner = Runner.from_environment(os.environ)
+    options["password_variable"] = password_variable(click_context, options.pop("registry_password"), runner)
+    given = {name: value for name, value in options.items() if value is not None}
+    own = {field.name: given.pop(field.name) for field in fields(Settings) if field.name in given}
+    return convergence(Settings(MatrixSettings(**given), **own), runner)
+
+
+def convergence(settings: Settings, runner: Runner) -> ExitCode:
+    """Sweep, write and report.
+
+    Raises:
+        InputError: the settings contradict each other, or the data are wrong.
+        WorldError: a result cannot be written, a process died, or there is no engine.
+    """
+    from calibration.pipeline.convergence.convergence_map import maps_of  # numpy and the engine, for those who need it
+    from calibration.pipeline.convergence.report import clear_convergence, report_convergence, write_convergence
+    from calibration.pipeline.convergence.results import ConvergenceResults, Minimums
+    from calibration.pipeline.convergence.sweep import run_sweep, sweep_matrices
+    from calibration.workflow.progress import progress
+    from calibration.workflow.streams import LogDisplay
+
+    asked = _with_seeds(settings)
+    matrix = matrix_of(asked)
+    matrices = sweep_matrices(matrix, cast("tuple[Start, ...]", settings.start))
+    place = place_of(asked, matrix, runner)
+    pull(asked, runner)
+    clear_convergence(asked.output)
+    software = bool(matrix.software)
+    with progress(runner, TITLE, bar=not software) as advance:
+
+        def done(number: int, total: int, cell: "CellResult") -> None:
+            failed = "" if cell.verdict == "pass" else f": {'; '.join(cell.reasons) or 'does not converge'}"
+            advance(
+                number,
+                total,
+                f"{cell.name}, {cell.method}, {cell.start}{failed}",
+                important=cell.error == ExitCode.WORLD,
+            )
+
+        display = LogDisplay(runner) if software else None
+        cells = run_sweep(matrices, asked.output, asked.jobs, done, display, place)
+    minimums = Minimums(settings.minimum_translation_noise, settings.minimum_rotation_noise)
+    results = ConvergenceResults(matrix.noise, maps_of(cells, matrix.noise), minimums)
+    results = write_convergence(results, asked.output)
+    report_convergence(results, asked.output, runner, TITLE)
+    return results.exit_code
+
+
+def _with_seeds(settings: Settings) -> MatrixSettings:
+    """What the matrix is asked, complete: the noise of a configuration is of its own matrix.
+
+    Raises:
+        InputError: the sweep is too large, or ends before a minimum.
+    """
+    asked = settings.matrix
+    for axis in ("translation", "rotation"):
+        last = max(getattr(asked, f"{axis}_noise"))
+        minimum = getattr(settings, f"minimum_{axis}_noise")
+        if minimum is not None and minimum > last:
+            raise InputError(f"minimum-{axis}-noise: found {minimum:g}, but the sweep ends at {last:g}")
+    if not settings.start:
+        raise InputError(f"start is empty: expected {' or '.join(STARTS)}, or both")
+    if asked.seeds is None and not asked.seed_list:
+        asked = replace(asked, seeds=SEEDS, seed_list=None)
+    pairs = len(asked.translation_noise or ()) * len(asked.rotation_noise or ())
+    total = pairs * (asked.seeds or len(asked.seed_list or ()))
+    if total > MOST_STARTS:
+        raise InputError(f"found {total} starts for each system, at most {MOST_STARTS} were expected: take fewer seeds")
+    return asked

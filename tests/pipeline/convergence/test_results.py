@@ -1,0 +1,169 @@
+"""The verdict of a sweep, and what is written of it."""
+
+import csv
+import io
+import json
+from dataclasses import replace
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+import jsonschema
+import pytest
+
+from calibration.errors import ExitCode, WorldError
+from calibration.introspection.judge import judge
+from calibration.introspection.parsing import parse_rules
+from calibration.introspection.table import read_table
+from calibration.pipeline.configuration import NoiseGrid
+from calibration.pipeline.convergence.report import clear_convergence, write_convergence
+from calibration.pipeline.convergence.results import (
+    FILES,
+    SCHEMA,
+    ConvergenceResults,
+    Minimums,
+    document,
+    junit,
+    largest_table,
+    least,
+    table,
+)
+from calibration.pipeline.convergence.summary import first_lost, largest_grid, map_grid, markdown, sentence
+
+from .cells import one_map
+
+T, R = (0.0, 0.5, 1.0), (0.0, 1.5)
+NOISE = NoiseGrid(T, R, (1, 2))
+GOOD = one_map(T, R, lambda *_: True, NOISE.seeds)
+LOST = one_map(T, R, lambda t, r, seed: not (t > 0.5 and seed == 2) and not (t == 0.5 and r), NOISE.seeds, "leg")
+NOTHING = one_map(T, R, lambda *_: False, NOISE.seeds, "<b>|arm")
+
+
+def results(*maps, translation: float | None = None, rotation: float | None = None) -> ConvergenceResults:  # type: ignore[no-untyped-def]
+    return ConvergenceResults(NOISE, maps, Minimums(translation, rotation))
+
+
+def test_lost_starts_alone_do_not_fail() -> None:
+    found = results(LOST)
+    assert (found.verdict, found.exit_code, found.reasons) == ("pass", ExitCode.PASS, [])
+
+
+def test_a_minimum_that_is_reached_passes_and_one_that_is_not_fails() -> None:
+    assert results(LOST, translation=0.5, rotation=1.5).verdict == "pass"
+    found = results(GOOD, LOST, translation=0.75, rotation=1.5)
+    assert (found.verdict, found.exit_code) == ("fail", ExitCode.FAIL)
+    assert found.reasons == [
+        "leg, given: largest translation noise that always converges: found 0.5 m, at least 0.75 m was expected"
+    ]
+
+
+def test_a_map_that_does_not_converge_without_noise_fails_without_any_minimum() -> None:
+    found = results(GOOD, NOTHING)
+    assert (found.verdict, found.exit_code) == ("fail", ExitCode.FAIL)
+    assert found.reasons == ["<b>|arm, given: the start without noise does not converge: a false minimum"]
+    assert (found.largest_translation, found.largest_rotation, found.largest_diagonal) == (None, None, None)
+
+
+def test_any_minimum_fails_where_nothing_converges() -> None:
+    assert [check.passed for check in results(NOTHING, translation=0.0, rotation=0.0).checks] == [False, False]
+
+
+def test_what_is_not_judged_has_no_part_in_verdict_and_outputs() -> None:
+    found = results(GOOD, replace(NOTHING, judged=False), translation=1.0)
+    assert (found.verdict, found.largest_translation, found.largest_diagonal) == ("pass", 1.0, (1.0, 1.5))
+    assert "(to compare)" in largest_grid(found).rows[1][0]
+
+
+def test_nothing_judged_is_no_pass() -> None:
+    assert results().verdict == "fail"
+    assert results(replace(GOOD, judged=False)).verdict == "fail"
+
+
+def test_the_outputs_are_the_least_of_the_maps() -> None:
+    found = results(GOOD, LOST)
+    assert (found.largest_translation, found.largest_rotation, found.largest_diagonal) == (0.5, 1.5, (0.5, 0.0))
+    assert least([]) is None
+    assert least([1.0, None]) is None
+
+
+@pytest.mark.parametrize("code", [ExitCode.BAD_INPUT, ExitCode.WORLD])
+def test_what_could_not_be_run_has_its_own_exit_code(code: ExitCode) -> None:
+    found = results(GOOD, one_map(T, R, lambda *_: False, NOISE.seeds, error=code))
+    assert (found.verdict, found.exit_code) == ("fail", code)
+    cases = ET.fromstring(junit(found))  # noqa: S314
+    assert (cases.get("errors"), cases.get("failures")) == ("1", "0")
+
+
+def test_a_noisy_start_that_the_world_failed_is_no_pass() -> None:
+    found = results(one_map(T, R, lambda t, *_: t == 0, NOISE.seeds, error=ExitCode.WORLD))
+    assert (found.verdict, found.exit_code) == ("fail", ExitCode.WORLD)
+    assert found.reasons[0] == "arm, 0.5 m, 0 rad, seed 1: a false minimum"
+    assert 'errors="1"' in junit(found)
+
+
+@pytest.mark.parametrize("found", [results(GOOD), results(LOST, NOTHING, translation=1.0)])
+def test_results_keep_to_their_schema(found: ConvergenceResults) -> None:
+    written = json.loads(json.dumps(document(found), allow_nan=False))
+    jsonschema.validate(written, json.loads(SCHEMA.read_text()), cls=jsonschema.Draft202012Validator)
+    assert len(written["maps"][0]["pairs"]) == len(T) * len(R)
+
+
+def test_the_lost_starts_are_named() -> None:
+    pairs = {(p["translation_noise"], p["rotation_noise"]): p for p in document(results(LOST))["maps"][0]["pairs"]}
+    assert pairs[0.0, 1.5]["share"] == 1
+    assert pairs[1.0, 0.0]["share"] == 0.5
+    assert pairs[1.0, 0.0]["lost"] == [{"seed": 2, "reasons": ["a false minimum"], "error": None}]
+
+
+def test_the_table_has_a_row_for_each_pair_and_can_be_held_by_rules(tmp_path: Path) -> None:
+    found = results(GOOD, LOST)
+    rows = list(csv.DictReader(io.StringIO(table(found))))
+    assert len(rows) == 2 * len(T) * len(R)
+    assert rows[-1]["Cell"] == "leg, given, 1 m, 1.5 rad"
+    assert (rows[-1]["Share"], rows[-1]["Lost seeds"], rows[-1]["First reason"]) == ("0.5", "2", "a false minimum")
+    (tmp_path / "convergence.csv").write_text(table(found))
+    (tmp_path / "largest-noise.csv").write_text(largest_table(results(GOOD, LOST, NOTHING)))
+
+    def passes(file: str, **rule: object) -> bool:
+        rules = parse_rules({"rules": [rule]}, "rules")
+        return judge(read_table(tmp_path / file), rules).passed
+
+    assert passes("convergence.csv", column="Share", row="leg, given, 0.5 m, 0 rad", min=1)
+    assert not passes("convergence.csv", column="Share", row="leg, given, 0.5 m, 1.5 rad", min=1)
+    assert passes("largest-noise.csv", column="Translation noise (m)", row="arm, given", min=1)
+    assert not passes("largest-noise.csv", column="Translation noise (m)", row="leg, given", min=1)
+    assert not passes("largest-noise.csv", column="Rotation noise (rad)", row="<b>|arm, given", min=0)
+
+
+def test_the_summary_shows_maps_and_escapes_names() -> None:
+    assert map_grid(LOST).rows == (("0 m", "100", "100"), ("0.5 m", "100", "0"), ("1 m", "50", "50"))
+    text = markdown(results(LOST, NOTHING))
+    assert text.startswith("## Convergence: fail: the start without noise does not converge")
+    assert "| 0.5 m | 100 | 0 |" in text
+    assert "<b>" not in text
+    assert "calibrate-matrix --translation-noise 0.5 --rotation-noise 1.5 --seed-list 1 --start given" in text.replace(
+        "\\", ""
+    )
+    assert first_lost(GOOD) == ""
+    assert "Starts that do not converge" not in markdown(results(GOOD))
+    assert sentence(results(LOST)).endswith("up to 0.5 m alone, 1.5 rad alone, and 0.5 m, 0 rad together")
+
+
+def test_the_same_results_leave_the_same_files(tmp_path: Path) -> None:
+    for name in ("one", "two"):
+        write_convergence(results(GOOD, LOST, translation=1.0), tmp_path / name)
+    assert sorted(path.name for path in (tmp_path / "one").iterdir()) == sorted(FILES)
+    for file in FILES:
+        assert (tmp_path / "one" / file).read_bytes() == (tmp_path / "two" / file).read_bytes()
+
+
+def test_earlier_files_are_removed_and_nothing_else(tmp_path: Path) -> None:
+    write_convergence(results(GOOD), tmp_path)
+    (tmp_path / "mine.csv").touch()
+    clear_convergence(tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["mine.csv"]
+
+
+def test_an_earlier_file_that_cannot_be_removed_is_an_error(tmp_path: Path) -> None:
+    (tmp_path / "convergence.csv").mkdir()
+    with pytest.raises(WorldError, match=r"convergence\.csv: an earlier result cannot be removed"):
+        clear_convergence(tmp_path)
