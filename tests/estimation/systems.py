@@ -145,6 +145,46 @@ def two_arms(n: int = 14, seed: int = 0, **changes: object) -> Scene:
     return replace(Scene(transforms, [camera("cam", "hand")], [pattern], additional=(("world", "base"),)), **changes)
 
 
+def mobile_base(n: int = 12, seed: int = 0, **changes: object) -> Scene:
+    """Two cameras and a LiDAR on a base whose odometry is to be found in each collection; a pattern in the world."""
+    rig = camera_and_lidar(n, seed)
+    T_base = {s: rig.transforms["world", s] for s in ("cam", "lidar")}
+    T_base["second"] = T_base["cam"] @ pose(0.25, 0.0, 0.05, 0.02, -0.1, 0.05)
+    T_world_board = pose(1.5, 0.4, 0.9, 0.2, 1.4, 0.3)
+    transforms = {("base", s): T for s, T in T_base.items()}
+    transforms["world", "board_link"] = T_world_board
+    transforms["world", "base"] = T_world_board @ inverse(rig.transforms["world", "board_link"])
+    sensors = [camera("cam", "base"), camera("second", "base", PINHOLE), lidar("lidar", "base")]
+    pattern = replace(rig.patterns[0], fixed=True)
+    edge = ("world", "base")
+    scene = Scene(transforms, sensors, [pattern], additional=(edge,), moving=frozenset([edge]))
+    return replace(scene, **changes)
+
+
+def arm_with_patterns(n: int = 14, seed: int = 0, **changes: object) -> Scene:
+    """A static camera before an arm with patterns on its forearm and its flange, and one that stands still."""
+    rng = np.random.default_rng(4000 + seed)
+    base = eye_to_hand(n, seed)
+    T_world_camera, T_base_flange = base.transforms["world", "cam"], base.transforms["base", "flange"]
+    T_flange_board = base.transforms["flange", "board_link"]
+    T_forearm_second = pose(0.1, 0.0, 0.05, 0.2, 0.1, -0.7)
+    seen = T_world_camera @ looks(n, seed + 20) @ inverse(T_forearm_second)
+    transforms = {
+        **{edge: T for edge, T in base.transforms.items() if edge[0] != "base"},
+        ("base", "forearm"): inverse(base.transforms["world", "base"]) @ seen,
+    }
+    transforms["forearm", "flange"] = inverse(transforms["base", "forearm"]) @ T_base_flange
+    transforms["flange", "board_link"] = T_flange_board
+    transforms["forearm", "second_link"] = T_forearm_second
+    transforms["world", "still_link"] = T_world_camera @ looks(1, seed + 30)[0]
+    transforms["world", "loose_link"] = T_world_camera @ looks(n, seed + 40)
+    shown = rng.random((n, 4)) < 0.7
+    names = ["board", "second", "still", "loose"]
+    patterns = [*base.patterns, board("second", "forearm", fixed=True), board("still", fixed=True), board("loose")]
+    scene = replace(base, transforms=transforms, patterns=patterns)
+    return replace(scene, **{"sees": lambda _, pattern, i: bool(shown[i, names.index(pattern)]), **changes})
+
+
 ALL: dict[str, Callable[..., Scene]] = {
     "stereo": stereo,
     "anchored stereo": lambda *a, **k: stereo(*a, **{"anchored": "right", **k}),
@@ -156,6 +196,7 @@ ALL: dict[str, Callable[..., Scene]] = {
     "lidar behind": lambda *a, **k: camera_and_lidar(*a, behind=True, **k),
     "hand and world": hand_and_world,
     "two patterns": two_patterns,
+    "arm with patterns": arm_with_patterns,
 }
 
 

@@ -21,7 +21,7 @@ def parameters(problem: Problem) -> int:
 def moved(problem: Problem, values: Values, step: Array) -> Values:
     """By one long vector: shared blocks first, then collection by collection."""
     S6 = 6 * len(problem.shared)
-    return problem.moved(values, step[:S6].reshape(-1, 6), step[S6:].reshape(COLLECTIONS, -1, 6))
+    return problem.moved(values, step[:S6], step[S6:].reshape(COLLECTIONS, -1))
 
 
 def gradient(equations: NormalEquations) -> Array:
