@@ -163,7 +163,9 @@ def _kind(dataset: Dataset, edge: Edge) -> dict[str, Any]:
     return {
         "parent": edge[0],
         "child": edge[1],
-        "type": "fixed" if is_constant(dataset.transforms[edge]) else "multiple",
+        "type": "multiple"
+        if edge in dataset.moving_transforms or not is_constant(dataset.transforms[edge])
+        else "fixed",
         "is_transformation_calibrated": edge in calibrated,
         "from_bag": False,
         "joint_name": joint.name if joint else "",

@@ -11,6 +11,7 @@ the Schur complement. A Jacobian is never stored.
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -91,15 +92,14 @@ class NormalEquations:
 def assemble(problem: Problem, values: Values, weighting: Weighting) -> NormalEquations:
     """Form the normal equations at some values."""
     N = problem.collections
-    shared, local = problem.shared_parameters, problem.local_parameters
-    S, P = (sum(problem.blocks[i].dimension for i in blocks) for blocks in (shared, local))
+    S, P = (sum(problem.blocks[i].dimension for i in blocks) for blocks in (problem.shared, problem.local))
     equations = NormalEquations(
         np.zeros(N), np.zeros((S, S)), np.zeros((N, S, P)), np.zeros((N, P, P)), np.zeros(S), np.zeros((N, P))
     )
     for group in problem.groups:
         for start in range(0, len(group.collections), VIEWS_AT_A_TIME):
             views = slice(start, min(start + VIEWS_AT_A_TIME, len(group.collections)))
-            _add(equations, problem, group, views, values, weighting, shared, local)
+            _add(equations, problem, group, views, values, weighting)
     _fill_unobserved(equations.H_local)
     return equations
 
@@ -124,50 +124,79 @@ def _add(
     views: slice,
     values: Values,
     weighting: Weighting,
-    shared: Mapping[int, slice],
-    local: Mapping[int, slice],
 ) -> None:
     """Add some views of a group to the equations."""
     collections = group.collections[views]
     T, jacobians = group.chain.jacobians(values, views, collections, problem.held)
     cost, M, g = linearise(group, T, views, weighting)
     equations.cost[collections] += cost
-    for i, (a, J_a) in enumerate(jacobians):
-        gradient = (np.swapaxes(J_a, 1, 2) @ g[..., None])[..., 0]
-        if a in local:
-            equations.g_local[collections, local[a]] += gradient
+    columns = _columns(problem, jacobians)
+    for i, a in enumerate(columns):
+        gradient = (np.swapaxes(a.J, 1, 2) @ g[..., None])[..., 0]
+        if a.local:
+            equations.g_local[collections, a.at] += gradient
         else:
-            equations.g_shared[shared[a]] += gradient.sum(0)
-        MJ = M @ J_a
-        for b, J_b in jacobians[: i + 1]:
-            if a in local or b in local:
-                block = np.swapaxes(J_b, 1, 2) @ MJ  # (v, k_b, k_a): row b, column a
-                _add_local(equations, collections, a, b, block, shared, local)
+            equations.g_shared[a.at] += gradient.sum(0)
+        MJ = M @ a.J
+        for b in columns[: i + 1]:
+            if a.local or b.local:
+                block = np.swapaxes(b.J, 1, 2) @ MJ  # (v, k_b, k_a): row b, column a
+                _add_local(equations, collections, a, b, block)
             else:
-                total = _sum_of_products(J_b, MJ)
-                equations.H_shared[shared[b], shared[a]] += total
-                if a != b:
-                    equations.H_shared[shared[a], shared[b]] += total.T
+                total = _sum_of_products(b.J, MJ)
+                equations.H_shared[b.at, a.at] += total
+                if a is not b:
+                    equations.H_shared[a.at, b.at] += total.T
 
 
-def _add_local(
-    equations: NormalEquations,
-    collections: IntArray,
-    a: int,
-    b: int,
-    block: Array,
-    shared: Mapping[int, slice],
-    local: Mapping[int, slice],
-) -> None:
+class _Columns(NamedTuple):
+    """Some columns of the Jacobian of views: those of a block, or of joints that are neighbours there."""
+
+    J: Array
+    """(v or 1, 6, k)."""
+    at: slice
+    """Where its parameters stand among those of all shared or all local blocks."""
+    local: bool
+
+
+def _columns(problem: Problem, jacobians: list[tuple[int, Array]]) -> list[_Columns]:
+    """The columns of each block, those of joints side by side: a few products do for many joints."""
+    shared, local = problem.shared_parameters, problem.local_parameters
+    columns = [
+        _Columns(J, local[block] if block in local else shared[block], block in local)
+        for block, J in jacobians
+        if not problem.blocks[block].joint
+    ]
+    joints = [(shared[block], J) for block, J in jacobians if problem.blocks[block].joint]
+    joints.sort(key=lambda joint: joint[0].start)
+    run: list[Array] = []
+    for k, (at, J) in enumerate(joints):
+        run.append(J)
+        if k + 1 == len(joints) or joints[k + 1][0].start != at.stop:
+            width = sum(each.shape[-1] for each in run)
+            columns.append(_Columns(_side_by_side(run), slice(at.stop - width, at.stop), False))
+            run = []
+    return columns
+
+
+def _side_by_side(matrices: list[Array]) -> Array:
+    """Jacobians (v or 1, 6, k) as one."""
+    if len(matrices) == 1:
+        return matrices[0]
+    views = max(len(J) for J in matrices)
+    return np.concatenate([np.broadcast_to(J, (views, *J.shape[1:])) for J in matrices], -1)
+
+
+def _add_local(equations: NormalEquations, collections: IntArray, a: _Columns, b: _Columns, block: Array) -> None:
     """Add blocks (v, k_b, k_a) of row b and column a, at least one of them local."""
-    if a in local and b in local:
-        equations.H_local[collections, local[b], local[a]] += block
-        if a != b:
-            equations.H_local[collections, local[a], local[b]] += np.swapaxes(block, 1, 2)
-    elif a in local:
-        equations.H_mixed[collections, shared[b], local[a]] += block
+    if a.local and b.local:
+        equations.H_local[collections, b.at, a.at] += block
+        if a is not b:
+            equations.H_local[collections, a.at, b.at] += np.swapaxes(block, 1, 2)
+    elif a.local:
+        equations.H_mixed[collections, b.at, a.at] += block
     else:
-        equations.H_mixed[collections, shared[a], local[b]] += np.swapaxes(block, 1, 2)
+        equations.H_mixed[collections, a.at, b.at] += np.swapaxes(block, 1, 2)
 
 
 def _sum_of_products(J: Array, MJ: Array) -> Array:

@@ -14,7 +14,9 @@ SINGULAR = 1e-12
 HOPELESS = 0.25
 """A direction with a greater standard deviation than this (in sizes of the pattern, and in rad) is not determined."""
 MOVING = 0.3
-"""Blocks, and parameters of joints, that move by more than this times what moves most are named too."""
+"""Blocks, and parameters of joints, that move by more than this times what moves most are named too,"""
+INVOLVED = 0.02
+"""and by more than this where the direction is not determined: a joint turns little where a pattern far away moves."""
 WEAK = 0.005
 """A direction with a greater standard deviation (m or rad) is reported as weak."""
 
@@ -73,8 +75,9 @@ def open_directions(
     for value, direction in zip(information, directions.T, strict=True):
         singular = value <= SINGULAR * information[-1]
         sigma = np.inf if singular else 1 / np.sqrt(value)
-        named = _named(parts, direction, size, sigma)
-        if singular or sigma > HOPELESS:
+        hopeless = singular or sigma > HOPELESS
+        named = _named(parts, direction, size, sigma, INVOLVED if hopeless else MOVING)
+        if hopeless:
             undetermined.append(named)
         elif named.sigma > WEAK:
             weak.append(named)
@@ -103,15 +106,18 @@ def _parts(problem: Problem) -> list[_Part]:
     return parts
 
 
-def _named(parts: list[_Part], direction: Array, size: float, sigma: float) -> WeakDirection:
-    """Name one direction (S,), its translations in sizes of the pattern, by the block and the axis that move most."""
+def _named(parts: list[_Part], direction: Array, size: float, sigma: float, moving_from: float) -> WeakDirection:
+    """Name one direction (S,), its translations in sizes of the pattern, by the block and the axis that move most.
+
+    Others are named from ``moving_from`` times that motion.
+    """
     pieces = np.split(direction, np.cumsum([part.length for part in parts])[:-1])
     length = np.array([np.linalg.norm(piece) for piece in pieces])
     most = parts[k := int(length.argmax())]
     axis = np.zeros(3)
     axis[: most.length] = pieces[k] / length[k]
     axis = axis * np.sign(axis[np.abs(axis).argmax()])
-    moving = [int(m) for m in np.argsort(-length, kind="stable") if length[m] > MOVING * length[k]]
+    moving = [int(m) for m in np.argsort(-length, kind="stable") if length[m] > moving_from * length[k]]
     blocks = dict.fromkeys(parts[m].block for m in moving)
     parameters = {b: tuple(parts[m].parameter for m in moving if parts[m].block == b) for b in blocks}
     return WeakDirection(

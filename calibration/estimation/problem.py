@@ -18,7 +18,7 @@ from typing import Literal, Protocol
 import numpy as np
 
 from calibration.geometry.joints import JOINT_PARAMETERS, JointModel, JointParameter
-from calibration.geometry.transforms import adjoint, inverse, retract
+from calibration.geometry.transforms import adjoint, inverse, moved_twists, retract
 from calibration.geometry.types import Array, IntArray
 
 NoiseKind = Literal["pixel", "range", "border", "depth_border"]
@@ -115,9 +115,9 @@ class Chain:
             T = _times(T, self._link(link, values, collections))
             if not held[link.block]:
                 prefix = before if link.inverted else T
-                J = adjoint(np.eye(4)[None] if prefix is None else prefix.reshape(-1, 4, 4))
+                prefix = np.eye(4)[None] if prefix is None else prefix.reshape(-1, 4, 4)
+                J = moved_twists(prefix, link.joint.columns(values[link.block])) if link.joint else adjoint(prefix)
                 J = -J if link.inverted else J
-                J = J @ link.joint.columns(values[link.block]) if link.joint else J
                 jacobians[link.block] = jacobians[link.block] + J if link.block in jacobians else J
             T = _times(T, _at(link.after, views))
         return _broadcast(T, collections), list(jacobians.items())

@@ -1,12 +1,13 @@
 """Joints of a robot: the transform from parent to child, and what each of its parameters does to it."""
 
 from dataclasses import dataclass
+from math import cos, sin
 from typing import Literal, get_args
 
 import numpy as np
 
 from calibration.geometry import rotations
-from calibration.geometry.transforms import adjoint, from_xyz_rpy, inverse, transform, translation
+from calibration.geometry.transforms import adjoint, inverse, transform, translation
 from calibration.geometry.types import Array, ArrayLike
 
 JointParameter = Literal[
@@ -39,19 +40,38 @@ class JointModel:
 
     def pose(self, parameters: Array) -> Array:
         """The joint at position 0, (4, 4), from all its parameters (7,) in the order of `JOINT_PARAMETERS`."""
-        origin = from_xyz_rpy(parameters[:3], parameters[3:6])
-        posed: Array = origin @ self.motion(parameters[6])
-        return posed
+        *xyz, roll, pitch, yaw, bias = parameters.tolist()
+        T = np.eye(4)
+        T[:3, :3] = _from_rpy(roll, pitch, yaw)
+        T[:3, 3] = xyz
+        if bias != 0.0:
+            T = T @ self.motion(bias)
+        return T
 
     def columns(self, parameters: Array) -> Array:
         """(6, 7): how each parameter moves `pose`, as a twist in its child frame."""
-        roll, pitch, _ = parameters[3:6]
-        Rx, Ry = rotations.exp([roll, 0.0, 0.0]), rotations.exp([0.0, pitch, 0.0])
+        _, _, _, roll, pitch, yaw, bias = parameters.tolist()
+        cos_roll, sin_roll, cos_pitch, sin_pitch = cos(roll), sin(roll), cos(pitch), sin(pitch)
         columns = np.zeros((6, 7))  # in the frame of the origin
-        columns[:3, :3] = rotations.from_rpy(parameters[3:6]).T
-        columns[3:, 3] = (1.0, 0.0, 0.0)
-        columns[3:, 4] = Rx.T[:, 1]
-        columns[3:, 5] = (Ry @ Rx).T[:, 2]
+        columns[:3, :3] = _from_rpy(roll, pitch, yaw).T
+        columns[3:, 3:6] = (
+            (1.0, 0.0, -sin_pitch),
+            (0.0, cos_roll, cos_pitch * sin_roll),
+            (0.0, -sin_roll, cos_pitch * cos_roll),
+        )
         columns[slice(0, 3) if self.prismatic else slice(3, 6), 6] = self.axis
-        moved: Array = adjoint(inverse(self.motion(parameters[6]))) @ columns
-        return moved
+        if bias != 0.0:
+            columns = adjoint(inverse(self.motion(bias))) @ columns
+        return columns
+
+
+def _from_rpy(roll: float, pitch: float, yaw: float) -> Array:
+    """`calibration.geometry.rotations.from_rpy` of one rotation, in a tenth of the time."""
+    a, b, c, d, e, f = cos(roll), sin(roll), cos(pitch), sin(pitch), cos(yaw), sin(yaw)
+    return np.array(
+        [
+            [e * c, e * d * b - f * a, e * d * a + f * b],
+            [f * c, f * d * b + e * a, f * d * a - e * b],
+            [-d, c * b, c * a],
+        ]
+    )

@@ -5,8 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from calibration.dataset.model import Sensor
+from calibration.dataset.model import Joint, Sensor
 from calibration.geometry import rotations
+from calibration.geometry.joints import JointModel, JointParameter
 from calibration.geometry.transforms import inverse, retract, transform
 from calibration.geometry.types import Array
 from tests.estimation.scenes import AHEAD, PINHOLE, WIDE, Scene, board, camera, lidar, looks, pose
@@ -183,6 +184,48 @@ def arm_with_patterns(n: int = 14, seed: int = 0, **changes: object) -> Scene:
     patterns = [*base.patterns, board("second", "forearm", fixed=True), board("still", fixed=True), board("loose")]
     scene = replace(base, transforms=transforms, patterns=patterns)
     return replace(scene, **{"sees": lambda _, pattern, i: bool(shown[i, names.index(pattern)]), **changes})
+
+
+ARM: dict[str, tuple[bool, tuple[float, float, float], tuple[float, ...]]] = {
+    "j1": (False, (0.0, 0.0, 1.0), (0.0, 0.0, 0.18, 0.0, 0.0, 0.1)),
+    "j2": (False, (0.0, 0.6, 0.8), (0.0, 0.1, 0.1, np.pi / 2, 0.0, 0.0)),
+    "j3": (False, (0.0, 0.0, 1.0), (-0.4, 0.0, 0.0, 0.0, 0.1, 0.0)),
+    "slide": (True, (0.0, 0.0, 1.0), (-0.1, 0.0, 0.1, 0.0, 0.4, -0.2)),
+    "j4": (False, (1.0, 0.0, 0.0), (-0.2, 0.0, 0.1, 0.2, 0.0, 0.3)),
+    "j5": (False, (0.0, 0.0, 1.0), (0.0, -0.1, 0.0, np.pi / 2, 0.0, 0.0)),
+    "j6": (False, (0.0, 1.0, 0.0), (0.0, 0.1, 0.05, 0.3, 0.2, 0.0)),
+}
+"""Joints in a row: prismatic or not, the axis, the origin."""
+
+
+def jointed_arm(
+    n: int = 20, seed: int = 0, free: dict[str, tuple[JointParameter, ...]] | None = None, **changes: object
+) -> Scene:
+    """A camera in the hand of an arm of seven joints, some parameters of which are free, and a pattern that stands
+    still. The joints move by up to half a radian or 0.15 m."""
+    rng = np.random.default_rng(5000 + seed)
+    free = {"j3": ("origin_yaw",)} if free is None else free
+    transforms: dict[tuple[str, str], Array] = {}
+    joints, T, parent = [], pose(0.3, 0.2, 0.5), "world"
+    transforms["world", "base"] = T
+    parent = "base"
+    for name, (prismatic, axis, origin) in ARM.items():
+        positions = rng.uniform(-1, 1, n) * (0.15 if prismatic else 0.5)
+        joint = Joint(
+            name, (parent, name), JointModel(prismatic, axis), free.get(name, ()), np.array([*origin, 0.0]), positions
+        )
+        T, parent = T @ joint.transform, name
+        if name in free:
+            joints.append(joint)
+        else:
+            transforms[joint.edge] = joint.transform
+    T_hand_cam = pose(0.05, 0.02, 0.1, 0.1, 0.2, -0.4)
+    transforms["j6", "cam"] = T_hand_cam
+    still = T @ T_hand_cam
+    middle = transform(rotations.nearest(still[:, :3, :3].mean(0)), still[:, :3, 3].mean(0))
+    transforms["world", "board_link"] = middle @ pose(0.0, 0.0, 2.5, 0.3, -0.2, 0.1)
+    scene = Scene(transforms, [camera("cam", "j6")], [board(fixed=True, square=0.12)], joints=tuple(joints))
+    return replace(scene, **changes)
 
 
 ALL: dict[str, Callable[..., Scene]] = {
