@@ -11,7 +11,7 @@ the centre turns the pattern without moving it, which keeps rotation and transla
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal, Protocol
 
@@ -19,7 +19,7 @@ import numpy as np
 
 from calibration.geometry.joints import JOINT_PARAMETERS, JointModel, JointParameter
 from calibration.geometry.transforms import adjoint, inverse, moved_twists, retract
-from calibration.geometry.types import Array, IntArray
+from calibration.geometry.types import Array, BoolArray, IntArray
 
 NoiseKind = Literal["pixel", "range", "border", "depth_border"]
 """What a residual is measured in: corners in px, ranges of LiDARs and depth cameras in m, the pattern's border in rad,
@@ -122,6 +122,11 @@ class Chain:
             T = _times(T, _at(link.after, views))
         return _broadcast(T, collections), list(jacobians.items())
 
+    def take(self, views: IntArray) -> "Chain":
+        """That of only some of the views."""
+        links = tuple(replace(link, after=_at(link.after, views)) for link in self.links)
+        return Chain(_at(self.before, views), links)
+
     @staticmethod
     def _link(link: Link, values: Values, collections: IntArray) -> Array:
         value = values[link.block]
@@ -146,6 +151,9 @@ class Term(Protocol):
     def counts(self) -> IntArray:
         """(V,): the labels of each view."""
 
+    def take(self, views: IntArray | slice) -> "Term":
+        """Only some of the views."""
+
     def linearise(self, T: Array, views: slice, scale: float, huber: float | None) -> tuple[Array, Array, Array]:
         """Cost (v,), Hessian (v, 6, 6) and gradient (v, 6) for a twist in the sensor's frame.
 
@@ -168,6 +176,11 @@ class ViewGroup:
     """(V,): the collection of each view, ascending, each once."""
     chain: Chain
     terms: tuple[Term, ...]
+
+    def take(self, views: IntArray) -> "ViewGroup":
+        """Only some of the views."""
+        terms = tuple(term.take(views) for term in self.terms)
+        return replace(self, collections=self.collections[views], chain=self.chain.take(views), terms=terms)
 
 
 @dataclass(frozen=True, eq=False)
@@ -212,6 +225,11 @@ class Problem:
         """How many residuals all labels make."""
         return sum(int(term.counts.sum()) * term.dimension for group in self.groups for term in group.terms)
 
+    def seen_in(self, which: BoolArray) -> "Problem":
+        """The problem with only the views of some of its collections (N,)."""
+        groups = (group.take(np.flatnonzero(which[group.collections])) for group in self.groups)
+        return replace(self, groups=tuple(group for group in groups if len(group.collections)))
+
     def poses(self, group: ViewGroup, values: Values) -> Array:
         """``T_sensor_pattern`` (V, 4, 4) of all views of a group."""
         return group.chain.poses(values, slice(None), group.collections)
@@ -227,7 +245,7 @@ class Problem:
         return tuple(out)
 
 
-def _at(constant: Array | None, views: slice) -> Array | None:
+def _at(constant: Array | None, views: slice | IntArray) -> Array | None:
     return constant[views] if constant is not None and constant.ndim == 3 else constant
 
 

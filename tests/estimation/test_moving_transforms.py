@@ -10,6 +10,8 @@ from calibration.errors import UndeterminedError
 from calibration.estimation.build import build
 from calibration.estimation.calibrate import Options, calibrate
 from calibration.estimation.linear_start import linear_start
+from calibration.estimation.noise_levels import NoiseLevels
+from calibration.estimation.optimisation import optimise
 from calibration.estimation.starting_noise import StartingNoise, perturb, with_starting_noise
 from calibration.geometry.transforms import distance, inverse, local
 from tests.estimation.scenes import board, looks, pose, relabelled, sigmas_apart, true_values
@@ -85,6 +87,22 @@ def test_errors_are_as_large_as_is_said():
             d = local(result.transforms[edge], dataset.transforms[edge][0])
             scores.append(d @ np.linalg.solve(covariance, d) / 6)
     assert 0.75 < np.mean(scores) < 1.3  # 60 blocks of 6: a standard deviation of 0.075
+
+
+@pytest.mark.parametrize("seed", [1, 21, 22, 24, 32])
+def test_a_base_is_not_left_where_a_small_pattern_is_mirrored(seed):
+    """Both poses of it fit each image alone; both images together tell, by less than any threshold of a bad fit."""
+    scene = mobile_base(seed=seed, pixel_noise=0.5)
+    small = replace(scene, sensors=scene.sensors[:2], patterns=[board(fixed=True, square=0.03)])
+    dataset = small.dataset(seed)
+    hold, levels = ("board", "cam"), NoiseLevels(pixel=0.5)
+    result = calibrate(dataset, Options(hold=hold, noise_levels=levels))
+    setup = build(dataset, hold)
+    best = optimise(setup.problem, true_values(setup), levels, robust=True).optimum
+    assert result.converged
+    assert result.cost <= best.cost + 1e-3
+    _, turned = distance(result.dataset.transforms[BASE], dataset.transforms[BASE])
+    assert turned.max() < 0.3
 
 
 def test_where_no_camera_sees_the_pattern_the_given_guess_is_taken_and_it_is_said():
