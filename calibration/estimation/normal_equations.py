@@ -20,6 +20,9 @@ from calibration.geometry.types import Array, IntArray
 
 VIEWS_AT_A_TIME = 1024
 """Bounds the temporaries: 1024 views of 50 corners pass through in about 10 MB."""
+ONE_THREAD = 1 << 18
+"""Multiplications in a product of matrices up to which BLAS starts no threads, which wait for each other on a busy
+machine."""
 
 
 @dataclass(frozen=True)
@@ -150,7 +153,7 @@ def _add(
 
 
 class _Columns(NamedTuple):
-    """Some columns of the Jacobian of views: those of a block, or of joints that are neighbours there."""
+    """Some columns of the Jacobian of views: those of a block, or of shared blocks that are neighbours."""
 
     J: Array
     """(v or 1, 6, k)."""
@@ -160,19 +163,17 @@ class _Columns(NamedTuple):
 
 
 def _columns(problem: Problem, jacobians: list[tuple[int, Array]]) -> list[_Columns]:
-    """The columns of each block, those of joints side by side: a few products do for many joints."""
+    """The columns of each block; where there are joints all shared ones side by side: a few products do for many."""
     shared, local = problem.shared_parameters, problem.local_parameters
-    columns = [
-        _Columns(J, local[block] if block in local else shared[block], block in local)
-        for block, J in jacobians
-        if not problem.blocks[block].joint
-    ]
-    joints = [(shared[block], J) for block, J in jacobians if problem.blocks[block].joint]
-    joints.sort(key=lambda joint: joint[0].start)
+    if not any(problem.blocks[block].joint for block, _ in jacobians):
+        return [_Columns(J, local[i] if i in local else shared[i], i in local) for i, J in jacobians]
+    columns = [_Columns(J, local[block], True) for block, J in jacobians if block in local]
+    parts = [(shared[block], J) for block, J in jacobians if block in shared]
+    parts.sort(key=lambda part: part[0].start)
     run: list[Array] = []
-    for k, (at, J) in enumerate(joints):
+    for k, (at, J) in enumerate(parts):
         run.append(J)
-        if k + 1 == len(joints) or joints[k + 1][0].start != at.stop:
+        if k + 1 == len(parts) or parts[k + 1][0].start != at.stop:
             width = sum(each.shape[-1] for each in run)
             columns.append(_Columns(_side_by_side(run), slice(at.stop - width, at.stop), False))
             run = []
@@ -200,12 +201,16 @@ def _add_local(equations: NormalEquations, collections: IntArray, a: _Columns, b
 
 
 def _sum_of_products(J: Array, MJ: Array) -> Array:
-    """The sum over views of ``J^T M J``, as one product of tall matrices."""
+    """The sum over views of ``J^T M J``, as few products of tall matrices."""
     if len(J) == 1:
         single: Array = J[0].T @ MJ.sum(0)
         return single
-    tall: Array = J.reshape(-1, J.shape[-1]).T @ MJ.reshape(-1, MJ.shape[-1])
-    return tall
+    left, right = J.reshape(-1, J.shape[-1]), MJ.reshape(-1, MJ.shape[-1])
+    rows = max(1, ONE_THREAD // (left.shape[1] * right.shape[1]))
+    total: Array = left[:rows].T @ right[:rows]
+    for start in range(rows, len(left), rows):
+        total += left[start : start + rows].T @ right[start : start + rows]
+    return total
 
 
 def _damped(H: Array, damping: float | Array) -> Array:
