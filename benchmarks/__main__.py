@@ -21,6 +21,7 @@ MODULES = {
     "peers": "against mrcal and scipy from the same start",
     "growth": "time and memory from 2000 to 20 000 collections",
     "consistency": "errors against their stated covariance",
+    "robots": "joints, several patterns and a moving base: truth, error bars, cost, what is refused",
     "outliers": "errors with wrong corners among the labels",
     "paper": "the t2rgb dataset of the paper from 400 noisy starts",
     "synthetic": "three synthetic systems from 100 noisy starts each",

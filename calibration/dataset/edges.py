@@ -75,6 +75,12 @@ def transform_documents(edge: Edge, T: Array) -> list[dict[str, Any]]:
     ]
 
 
+def is_constant(T: Array) -> bool:
+    """Whether a transform (N, 4, 4) is the same in all collections that have it."""
+    present = T[~np.isnan(T[:, 0, 0])]
+    return bool((abs(present - present[:1]) <= 1e-9).all())
+
+
 def _slots(entries: Sequence[dict[str, dict[str, object]]], slots: dict[Edge, int]) -> list[int]:
     """Number the edges in ``slots``, in order of appearance; the number of every transform's edge.
 

@@ -24,6 +24,7 @@ def check_frames(dataset: Dataset, root: Node, collections: Sequence[Node]) -> N
         **_sensor_chains(dataset, root["sensors"], world),
         **_pattern_chains(dataset, config, world),
         **_additional(dataset, config),
+        **_joints(dataset, config),
     }
     for (parent, child), reason in needed.items():
         missing = np.isnan(dataset.transforms[parent, child][:, 0, 0])
@@ -101,6 +102,21 @@ def _additional(dataset: Dataset, config: Node) -> dict[Edge, str]:
         if edge not in dataset.transforms:
             raise node[name].fault(f"'{'-'.join(edge)}' is none of the collections' transforms")
     return dict.fromkeys(dataset.additional_transforms, "additional_tfs")
+
+
+def _joints(dataset: Dataset, config: Node) -> dict[Edge, str]:
+    """The transforms of the joints to calibrate, each with what needs it."""
+    taken = {sensor.edge: f"sensor '{sensor.name}'" for sensor in dataset.sensors.values()}
+    taken |= dict.fromkeys(dataset.additional_transforms, "additional_tfs")
+    needed: dict[Edge, str] = {}
+    for name, joint in dataset.joints.items():
+        node, key = config["joints"][name], "-".join(joint.edge)
+        if joint.edge not in dataset.transforms:
+            raise node.fault(f"its transform, '{key}', is none of the collections' transforms")
+        if other := {**taken, **needed}.get(joint.edge):
+            raise node.fault(f"its transform, '{key}', is calibrated by {other} already")
+        needed[joint.edge] = f"joint '{name}'"
+    return needed
 
 
 def _known(tree: FrameTree, node: Node) -> None:

@@ -4,7 +4,7 @@ A `Dataset` is never changed; `Dataset.with_transforms` gives a new one.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
@@ -15,6 +15,7 @@ from calibration.dataset.pattern import Pattern
 from calibration.errors import InputError
 from calibration.geometry.cameras import Camera
 from calibration.geometry.frames import FrameTree
+from calibration.geometry.joints import JointModel, JointParameter
 from calibration.geometry.transforms import inverse
 from calibration.geometry.types import Array, IntArray
 
@@ -40,6 +41,28 @@ class Sensor:
     def edge(self) -> Edge:
         """The calibrated transform, parent -> child; it lies somewhere on the way to `frame`."""
         return (self.calibration_parent, self.calibration_child)
+
+
+@dataclass(frozen=True, eq=False)
+class Joint:
+    """A joint of the robot of which some parameters are calibrated."""
+
+    name: str
+    edge: Edge
+    """Its parent link and its child link."""
+    model: JointModel
+    parameters: tuple[JointParameter, ...]
+    """To calibrate, in the order of `calibration.geometry.joints.JOINT_PARAMETERS`."""
+    values: Array
+    """(7,): all parameters, m and rad, in that order."""
+    positions: Array
+    """(N,): in each collection as the encoder has it, rad or m."""
+
+    @property
+    def transform(self) -> Array:
+        """``T_parent_child`` (N, 4, 4)."""
+        T: Array = self.model.pose(self.values) @ self.model.motion(self.positions)
+        return T
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,6 +122,10 @@ class Dataset:
     """(N, 4, 4) for each edge: ``T_parent_child`` in each collection; NaN where a collection lacks it."""
     document: Mapping[str, Any]
     """The parsed JSON document, as it was read."""
+    moving_transforms: frozenset[Edge] = frozenset()
+    """Those of the additional transforms that each collection has its own of."""
+    joints: Mapping[str, Joint] = field(default_factory=dict)
+    """Joints of which parameters are calibrated, by name."""
 
     @property
     def name(self) -> str:
@@ -142,6 +169,12 @@ class Dataset:
         changed = {edge: np.broadcast_to(T, shape) for edge, T in transforms.items()}
         return replace(self, transforms={**self.transforms, **changed})
 
+    def with_joints(self, values: Mapping[str, Array]) -> "Dataset":
+        """A new dataset with the parameters (7,) of some joints replaced, and their transforms with them."""
+        joints = {**self.joints, **{name: replace(self.joints[name], values=each) for name, each in values.items()}}
+        moved = self.with_transforms({joints[name].edge: joints[name].transform for name in values})
+        return replace(moved, joints=joints)
+
     def with_collections(self, keep: Sequence[int]) -> "Dataset":
         """A new dataset with only the collections of these indices, in this order."""
         index = list(keep)
@@ -149,4 +182,5 @@ class Dataset:
             self,
             collections=tuple(self.collections[i] for i in index),
             transforms={edge: T[index] for edge, T in self.transforms.items()},
+            joints={name: replace(joint, positions=joint.positions[index]) for name, joint in self.joints.items()},
         )

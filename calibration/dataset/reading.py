@@ -2,19 +2,21 @@
 
 import gc
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
 from calibration.dataset.configuration import Configuration, parse_configuration
 from calibration.dataset.document import Node, read_json, shown
-from calibration.dataset.edges import read_transforms
+from calibration.dataset.edges import is_constant, read_transforms
 from calibration.dataset.frames import check_frames
+from calibration.dataset.joints import read_joints
 from calibration.dataset.labels import read_labels
-from calibration.dataset.model import Dataset
+from calibration.dataset.model import Dataset, Edge
 from calibration.dataset.pattern import Pattern
 from calibration.dataset.pattern_document import with_explicit_geometry
 from calibration.dataset.sensors import read_sensors
+from calibration.geometry.types import Array
 
 FILE_NAME = "dataset.json"
 
@@ -59,6 +61,8 @@ def _read(path: Path) -> Dataset:
         described.mapping()
     patterns = _patterns(root, configuration, version)
     collections = _collections(root["collections"])
+    transforms = read_transforms(collections)
+    additional = tuple(configuration.additional_tfs.values())
     dataset = Dataset(
         path=path,
         version=version,
@@ -66,15 +70,27 @@ def _read(path: Path) -> Dataset:
         sensors=sensors,
         patterns=patterns,
         anchored=configuration.anchored_sensor,
-        additional_transforms=tuple(configuration.additional_tfs.values()),
-        transforms=read_transforms(collections),
+        additional_transforms=additional,
+        transforms=transforms,
         collections=read_labels(collections, sensors, patterns, version),
         document=root.value,
+        moving_transforms=frozenset(edge for edge in additional if _moves(edge, transforms, described)),
+        joints=read_joints(root["calibration_config"], collections),
     )
     if not any(collection.labels for collection in dataset.collections):
         raise root["collections"].fault(f"none of the {len(collections)} collections has a detected pattern")
     check_frames(dataset, root, collections)
     return dataset
+
+
+def _moves(edge: Edge, transforms: Mapping[Edge, Array], described: Node | None) -> bool:
+    """Whether an additional transform differs between collections: as the file says, else as it stands there."""
+    entry = described.get("-".join(edge)) if described else None
+    if kind := entry and entry.get("type"):
+        if kind.text() not in ("fixed", "multiple"):
+            raise kind.unexpected("'fixed' or 'multiple'")
+        return bool(kind.value == "multiple")
+    return edge in transforms and not is_constant(transforms[edge])
 
 
 def _version(node: Node) -> str:

@@ -103,7 +103,7 @@ def truth_of(dataset: Dataset) -> Truth:
     """
     sensors = {name: sensor.edge for name, sensor in dataset.sensors.items()}
     constant = {}
-    for edge in (*sensors.values(), *dataset.additional_transforms):
+    for edge in (*sensors.values(), *(e for e in dataset.additional_transforms if e not in dataset.moving_transforms)):
         T = dataset.transforms[edge]
         different = (abs(T - T[0]) > 1e-9).any((1, 2))
         if different.any():

@@ -9,7 +9,8 @@ import numpy as np
 
 from calibration.dataset.configuration import FIRST_PATTERN
 from calibration.dataset.document import Node
-from calibration.dataset.edges import read_transforms, transform_documents
+from calibration.dataset.edges import is_constant, read_transforms, transform_documents
+from calibration.dataset.joints import joint_document
 from calibration.dataset.json_text import json_text
 from calibration.dataset.model import Dataset, Edge
 from calibration.dataset.pattern import Pattern
@@ -18,7 +19,6 @@ from calibration.dataset.payload import locate
 from calibration.dataset.reading import FILE_NAME
 from calibration.errors import InputError
 from calibration.files import place, write_atomically
-from calibration.geometry.types import Array
 
 
 def write_document(document: Mapping[str, Any], path: Path | str) -> None:
@@ -111,6 +111,9 @@ def _collection(dataset: Dataset, i: int, changed: Mapping[Edge, list[dict[str, 
             key: {**entry, "parent": f"{entry['parent']}_ini", "child": f"{entry['child']}_ini"}
             for key, entry in read["transforms"].items()
         }
+    if dataset.joints:
+        joints = {name: joint_document(joint, read["joints"][name], i) for name, joint in dataset.joints.items()}
+        collection["joints"] = {**read["joints"], **joints}
     if dataset.version == "2.0":
         collection["labels"] = {next(iter(dataset.patterns)): read["labels"]}
     return collection
@@ -156,21 +159,19 @@ def _initial_poses(dataset: Dataset, pattern: Pattern) -> dict[str, Any]:
 def _kind(dataset: Dataset, edge: Edge) -> dict[str, Any]:
     """What ATOM says of a transform: whether it is calibrated, and the same in all collections."""
     calibrated = {*(sensor.edge for sensor in dataset.sensors.values()), *dataset.additional_transforms}
+    joint = next((joint for joint in dataset.joints.values() if joint.edge == edge), None)
     return {
         "parent": edge[0],
         "child": edge[1],
-        "type": "fixed" if _is_constant(dataset.transforms[edge]) else "multiple",
+        "type": "multiple"
+        if edge in dataset.moving_transforms or not is_constant(dataset.transforms[edge])
+        else "fixed",
         "is_transformation_calibrated": edge in calibrated,
         "from_bag": False,
-        "joint_name": "",
-        "joint_params_calibrated": [],
+        "joint_name": joint.name if joint else "",
+        "joint_params_calibrated": list(joint.parameters) if joint else [],
         "weight": 1,
     }
-
-
-def _is_constant(T: Array) -> bool:
-    present = T[~np.isnan(T[:, 0, 0])]
-    return bool((abs(present - present[:1]) <= 1e-9).all())
 
 
 def _bring_payload(dataset: Dataset, folder: Path, images: bool) -> None:

@@ -1,6 +1,7 @@
 """A dataset as a least-squares problem: which transforms are unknown, and how the labels depend on them."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -8,11 +9,14 @@ from calibration.dataset.model import CornerLabels, Dataset, Edge, Labels, Point
 from calibration.dataset.pattern import Pattern
 from calibration.errors import InputError, UndeterminedError
 from calibration.estimation.depth_border import depth_border_rays
-from calibration.estimation.problem import Block, Chain, Link, NoiseKind, Problem, Term, ViewGroup
+from calibration.estimation.gauge import free_gauge
+from calibration.estimation.holding import held_blocks
+from calibration.estimation.problem import Block, Chain, FreeJoint, Link, NoiseKind, Problem, Term, ViewGroup
 from calibration.estimation.residuals import BorderTerm, RangeTerm
 from calibration.estimation.scan import border_rays
 from calibration.estimation.single_views import corner_term
 from calibration.estimation.usable_labels import usable_labels
+from calibration.geometry.transforms import inverse
 from calibration.geometry.types import Array, BoolArray, IntArray
 
 
@@ -24,9 +28,11 @@ class Setup:
     """Only the collections that count."""
     problem: Problem
     edges: tuple[Edge, ...]
-    """The edge of each block: those of sensors and additional transforms first, then the patterns."""
+    """The edge of each block: those of sensors and additional transforms first, then joints, then the patterns."""
     gauge: str | None
     """The sensor that is held because nothing else fixes the world; None where something does."""
+    gauge_patterns: tuple[str, ...]
+    """Fixed patterns that are held for the same reason: only poses relative to them can be known."""
     ignored: tuple[str, ...]
     """Views that do not count, and why."""
 
@@ -40,23 +46,28 @@ class Setup:
         return (p.parent_link, p.link)
 
 
-def build(dataset: Dataset) -> Setup:
+def build(dataset: Dataset, hold: Sequence[str] = ()) -> Setup:
     """State the problem of a dataset.
 
+    Args:
+        dataset: the labels and the transforms.
+        hold: what stays as the dataset has it (see `calibration.estimation.holding`).
+
     Raises:
-        InputError: no labels count, or a sensor has none.
+        InputError: no labels count, or a sensor has none; what is to be held is not there.
         UndeterminedError: sensors are not linked to each other, nothing is left to calibrate, or no label
             depends on a transform.
     """
     dataset, ignored = usable_labels(dataset)
     blocks, edges = _blocks(dataset)
-    groups = tuple(_groups(dataset, edges))
-    gauge = _free_gauge(dataset, groups)
-    if gauge is not None:
-        held = edges.index(dataset.sensors[gauge].edge)
-        blocks = tuple(Block(b.name, b.per_collection, b.held or i == held) for i, b in enumerate(blocks))
+    blocks = held_blocks(dataset, blocks, edges, hold)
+    groups = tuple(_groups(dataset, blocks, edges))
+    gauge = free_gauge(dataset, groups, blocks, edges)
+    fixing = [dataset.sensors[gauge.sensor].edge] if gauge.sensor else []
+    fixing += [(p.parent_link, p.link) for p in (dataset.patterns[name] for name in gauge.patterns)]
+    blocks = tuple(replace(b, held=b.held or edge in fixing) for b, edge in zip(blocks, edges, strict=True))
     problem = Problem(blocks, groups, len(dataset.collections))
-    if not problem.shared or all(blocks[i].name in dataset.patterns for i in problem.shared):
+    if all(blocks[i].name in dataset.patterns for i in (*problem.shared, *problem.local)):
         raise UndeterminedError(
             f"{dataset.path}: nothing to calibrate: the only transforms that could change are held "
             f"({', '.join(b.name for b in blocks if b.held)}); "
@@ -68,7 +79,7 @@ def build(dataset: Dataset) -> Setup:
             f"{dataset.path}: '{idle[0]}' does not lie between any sensor and a pattern that it sees, so no label "
             f"tells it; leave it out, or add the sensor that needs it"
         )
-    return Setup(dataset, problem, edges, gauge, ignored)
+    return Setup(dataset, problem, edges, gauge.sensor, gauge.patterns, ignored)
 
 
 def _blocks(dataset: Dataset) -> tuple[tuple[Block, ...], tuple[Edge, ...]]:
@@ -77,28 +88,41 @@ def _blocks(dataset: Dataset) -> tuple[tuple[Block, ...], tuple[Edge, ...]]:
         held = sensor.name == dataset.anchored or (sensor.edge in blocks and blocks[sensor.edge].held)
         blocks[sensor.edge] = Block("-".join(sensor.edge), held=held)
     for edge in dataset.additional_transforms:
-        blocks.setdefault(edge, Block("-".join(edge)))
+        blocks.setdefault(edge, Block("-".join(edge), per_collection=edge in dataset.moving_transforms))
+    for joint in dataset.joints.values():
+        blocks[joint.edge] = Block(f"joint-{joint.name}", joint=FreeJoint(joint.model, joint.parameters))
     for pattern in dataset.patterns.values():
         blocks[pattern.parent_link, pattern.link] = Block(pattern.name, per_collection=not pattern.fixed)
     return tuple(blocks.values()), tuple(blocks)
 
 
-def _groups(dataset: Dataset, edges: tuple[Edge, ...]) -> list[ViewGroup]:
+def _groups(dataset: Dataset, blocks: tuple[Block, ...], edges: tuple[Edge, ...]) -> list[ViewGroup]:
     groups = []
     for pattern in dataset.patterns.values():
         for sensor in dataset.sensors.values():
             detections = dataset.detections(pattern.name, sensor.name)
             if detections:
                 collections = np.array([i for i, _ in detections])
-                chain = _chain(dataset, sensor, pattern, edges, collections)
+                chain = _chain(dataset, sensor, pattern, blocks, edges, collections)
                 labels = [label for _, label in detections]
                 terms = _terms(sensor, pattern, labels)
                 groups.append(ViewGroup(sensor.name, pattern.name, collections, chain, terms))
     return groups
 
 
-def _chain(dataset: Dataset, sensor: Sensor, pattern: Pattern, edges: tuple[Edge, ...], collections: IntArray) -> Chain:
-    """``T_sensor_pattern`` as constants and blocks; neighbouring constants are multiplied out."""
+def _chain(
+    dataset: Dataset,
+    sensor: Sensor,
+    pattern: Pattern,
+    blocks: tuple[Block, ...],
+    edges: tuple[Edge, ...],
+    collections: IntArray,
+) -> Chain:
+    """``T_sensor_pattern`` as constants and blocks; neighbouring constants are multiplied out.
+
+    What the encoder of a joint tells is a constant: it follows the joint's block.
+    """
+    motions = {joint.edge: joint.model.motion(joint.positions)[collections] for joint in dataset.joints.values()}
     before: Array | None = None
     links: list[Link] = []
 
@@ -107,7 +131,7 @@ def _chain(dataset: Dataset, sensor: Sensor, pattern: Pattern, edges: tuple[Edge
         if not links:
             before = constant
         else:
-            links[-1] = Link(links[-1].block, links[-1].inverted, constant)
+            links[-1] = replace(links[-1], after=constant)
 
     others = {(p.parent_link, p.link): p.name for p in dataset.patterns.values()}
     constant: Array | None = None
@@ -119,9 +143,13 @@ def _chain(dataset: Dataset, sensor: Sensor, pattern: Pattern, edges: tuple[Edge
                 f"'{others[edge]}', expected a frame of the robot or the world"
             )
         if edge in edges:
+            motion = motions.get(edge)
+            if motion is not None and step.inverted:
+                constant = inverse(motion) if constant is None else constant @ inverse(motion)
             follow_with(_simplified(constant))
-            links.append(Link(edges.index(edge), step.inverted))
-            constant = None
+            block = edges.index(edge)
+            links.append(Link(block, step.inverted, joint=blocks[block].joint))
+            constant = None if step.inverted else motion
         else:
             T = dataset.transform(*(edge if not step.inverted else edge[::-1]))[collections]
             constant = T if constant is None else constant @ T
@@ -184,49 +212,3 @@ def _padded(points: list[Array]) -> tuple[Array, BoolArray, Array]:
         rays[v][:, at] = (p[at] / lengths[v, at, None]).T
         present[v, at] = True
     return lengths, present, rays
-
-
-def _free_gauge(dataset: Dataset, groups: tuple[ViewGroup, ...]) -> str | None:
-    """The sensor to hold where the whole of sensors and patterns could move together; None where it can't.
-
-    Sensors are linked where they see the same pattern: a fixed one ever, a moving one in the same
-    collection. Linked sensors can move together, each with its own constant motion, when nothing that
-    moves lies between the parents of their transforms (and of the fixed patterns): the patterns, one
-    pose a collection, make up for it. An anchored sensor stops that.
-    """
-    parts = _linked(dataset, groups)
-    free = [part for part in parts if dataset.anchored not in part and _moves_as_one(dataset, part, groups)]
-    if free and len(parts) > 1:
-        listed = " and ".join("{" + ", ".join(part) + "}" for part in parts)
-        raise UndeterminedError(
-            f"{dataset.path}: the sensors {listed} share no collection of a pattern, so their relative pose is not "
-            f"determined; add collections in which they see the pattern together"
-        )
-    return free[0][0] if free else None
-
-
-def _linked(dataset: Dataset, groups: tuple[ViewGroup, ...]) -> list[list[str]]:
-    """The sensors, in groups that are linked, in the dataset's order."""
-    witnesses: dict[str, set[tuple[str, int]]] = {}
-    for group in groups:
-        fixed = dataset.patterns[group.pattern].fixed
-        seen = {(group.pattern, -1)} if fixed else {(group.pattern, int(c)) for c in group.collections}
-        witnesses.setdefault(group.sensor, set()).update(seen)
-    parts: list[tuple[list[str], set[tuple[str, int]]]] = []
-    for sensor in (s for s in dataset.sensors if s in witnesses):
-        names, seen = [sensor], set(witnesses[sensor])
-        for part in [p for p in parts if p[1] & seen]:
-            parts.remove(part)
-            names, seen = part[0] + names, part[1] | seen
-        parts.append((names, seen))
-    return [sorted(names, key=list(dataset.sensors).index) for names, _ in parts]
-
-
-def _moves_as_one(dataset: Dataset, sensors: list[str], groups: tuple[ViewGroup, ...]) -> bool:
-    """Whether nothing that moves lies between the parents of these sensors and of the fixed patterns they see."""
-    origin = dataset.sensors[sensors[0]].calibration_parent
-    parents = {dataset.sensors[s].calibration_parent for s in sensors}
-    patterns = {dataset.patterns[g.pattern] for g in groups if g.sensor in sensors}
-    parents |= {p.parent_link for p in patterns if p.fixed}
-    relative = [dataset.transform(origin, parent) for parent in sorted(parents)]
-    return all(np.abs(T - T[0]).max() < 1e-9 for T in relative)

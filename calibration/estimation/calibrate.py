@@ -1,5 +1,6 @@
 """Calibrate a dataset: from its labels to transforms, their error bars, and what to think of them."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -9,12 +10,12 @@ from calibration.dataset.model import Dataset, Edge, PointLabels
 from calibration.errors import UndeterminedError
 from calibration.estimation.build import Setup, build
 from calibration.estimation.least_squares import minimise
-from calibration.estimation.linear_start import linear_start, pattern_poses
+from calibration.estimation.linear_start import free_patterns, linear_start, pattern_poses, place_gauge_patterns
 from calibration.estimation.noise_levels import NoiseLevels
 from calibration.estimation.observability import covariances, open_directions
 from calibration.estimation.optimisation import WeightedOptimum, optimise, unflipped
 from calibration.estimation.problem import Values
-from calibration.estimation.result import Calibration, RejectedLabel, ViewResiduals
+from calibration.estimation.result import CalibratedJoint, Calibration, RejectedLabel, ViewResiduals
 from calibration.estimation.starting_noise import StartingNoise, perturb
 from calibration.geometry.transforms import distance, inverse, translation
 from calibration.geometry.types import Array, IntArray
@@ -34,6 +35,9 @@ class Options:
     """Robust, or plain least squares."""
     noise_levels: NoiseLevels = field(default_factory=NoiseLevels)
     """Standard deviations of the labels; those not given are estimated."""
+    hold: tuple[str, ...] = ()
+    """What stays as the dataset has it: names of sensors, transforms, patterns, joints and their parameters (see
+    `calibration.estimation.holding`)."""
 
 
 def calibrate(dataset: Dataset, options: Options | None = None, noise: StartingNoise | None = None) -> Calibration:
@@ -49,7 +53,7 @@ def calibrate(dataset: Dataset, options: Options | None = None, noise: StartingN
         InputError: the labels cannot be used.
     """
     options = options or Options()
-    setup = build(dataset)
+    setup = build(dataset, options.hold)
     exact = _initial_values(setup)
     guess = perturb(setup, exact, noise or StartingNoise())
     robust = options.loss == "huber"
@@ -60,7 +64,7 @@ def calibrate(dataset: Dataset, options: Options | None = None, noise: StartingN
         else:
             # as ATOM: the patterns stand where the cameras see them from the guess without noise
             seen_from_guess = pattern_poses(setup, exact)
-            patterns = {setup.block(setup.pattern_edge(p)) for p in setup.dataset.patterns}
+            patterns = free_patterns(setup)
             values = tuple(seen_from_guess[i] if i in patterns else T for i, T in enumerate(guess))
             result = optimise(setup.problem, values, options.noise_levels, robust)
             reason = _false_minimum(setup, result, start.values)
@@ -68,15 +72,23 @@ def calibrate(dataset: Dataset, options: Options | None = None, noise: StartingN
 
 
 def _initial_values(setup: Setup) -> Values:
-    """The transforms as they stand in the first collection; patterns without a place yet."""
+    """The transforms as they stand in the first collection, joints at their nominal parameters.
+
+    Patterns have no place yet, unless they are held at it.
+    """
+    joints = {joint.edge: joint.values for joint in setup.dataset.joints.values()}
     values = []
     for block, edge in zip(setup.problem.blocks, setup.edges, strict=True):
-        if block.name in setup.dataset.patterns:
+        pattern = setup.dataset.patterns.get(block.name)
+        if pattern and (not block.held or pattern.name in setup.gauge_patterns):
             shape = (setup.problem.collections, 4, 4) if block.per_collection else (4, 4)
             values.append(np.broadcast_to(np.eye(4), shape).copy())
+        elif edge in joints:
+            values.append(joints[edge])
         else:
-            values.append(setup.dataset.transform(*edge)[0])
-    return tuple(values)
+            T = setup.dataset.transforms[edge] if block.per_collection else setup.dataset.transform(*edge)[0]
+            values.append(T @ translation(pattern.centre) if pattern else T)
+    return place_gauge_patterns(setup, tuple(values))
 
 
 def _from_linear_start(setup: Setup, start: Values, options: Options) -> tuple[WeightedOptimum, str]:
@@ -141,19 +153,26 @@ def _result(
     problem, optimum, weighting = setup.problem, result.optimum, result.weighting
     names = [block.name for block in problem.blocks]
     warnings = [f"no equation gives '{name}' a linear start; it starts from its guess" for name in guessed]
+    warnings += [
+        f"pattern '{name}' is held where the guess puts it: only poses relative to it can be known"
+        for name in setup.gauge_patterns
+    ]
     weak: tuple[str, ...] = ()
+    by_block: Mapping[int, Array] = {}
     covariance: dict[Edge, Array] = {}
     if not reason:
         size = max(pattern.size for pattern in setup.dataset.patterns.values())
         undetermined, weakly = open_directions(problem, optimum.equations, size)
         if undetermined:
             named = "; ".join(direction.describe(names) for direction in undetermined[:3])
+            hold = ", or hold one of them" if setup.dataset.joints or setup.dataset.additional_transforms else ""
             raise UndeterminedError(
                 f"{setup.dataset.path}: the labels do not determine {named}; "
-                f"add collections with other rotations of the pattern or the robot"
+                f"add collections with other rotations of the pattern or the robot{hold}"
             )
         weak = tuple(direction.describe(names) for direction in weakly)
-        covariance = {setup.edges[i]: C for i, C in covariances(problem, optimum.equations).items()}
+        by_block = covariances(problem, optimum.equations)
+        covariance = {setup.edges[i]: C for i, C in by_block.items() if not problem.blocks[i].joint}
         warnings += _far_guesses(setup, optimum.values, guess)
     return Calibration(
         dataset=_calibrated(setup, optimum.values, dataset),
@@ -170,7 +189,26 @@ def _result(
         weak_directions=weak,
         warnings=(*setup.ignored, *warnings),
         gauge=setup.gauge,
+        joints=_joints(setup, optimum.values, by_block),
     )
+
+
+def _joints(setup: Setup, values: Values, covariance: Mapping[int, Array]) -> dict[str, CalibratedJoint]:
+    """The joints of which parameters were free; ``covariance`` by block, none where it has not converged."""
+    joints = {}
+    for name, joint in setup.dataset.joints.items():
+        i = setup.block(joint.edge)
+        block = setup.problem.blocks[i]
+        if block.joint and not block.held:
+            free = block.joint.free
+            joints[name] = CalibratedJoint(
+                name=name,
+                parameters=free,
+                values=values[i][block.joint.at],
+                units=tuple(joint.model.unit(parameter) for parameter in free),
+                covariance=covariance.get(i, np.full((len(free), len(free)), np.nan)),
+            )
+    return joints
 
 
 def _far_guesses(setup: Setup, values: Values, guess: Values) -> list[str]:
@@ -199,22 +237,29 @@ def _transforms(setup: Setup, values: Values) -> dict[Edge, Array]:
 
 
 def _calibrated(setup: Setup, values: Values, dataset: Dataset) -> Dataset:
-    """The whole dataset with the new transforms; moving patterns where a view of them counts, NaN elsewhere."""
+    """The whole dataset with the new transforms and joints.
+
+    Moving patterns stand where a view of them counts, NaN elsewhere; other moving transforms keep their guess there.
+    """
     moving = {}
     kept = set(setup.dataset.keys)
     used = np.array([i for i, key in enumerate(dataset.keys) if key in kept])
-    for name, pattern in setup.dataset.patterns.items():
-        edge = setup.pattern_edge(name)
-        value = values[setup.block(edge)]
-        if value.ndim == 3:
-            seen = np.zeros(len(used), bool)
-            for group in setup.problem.groups:
-                if group.pattern == name:
-                    seen[group.collections] = True
+    for i, (block, edge) in enumerate(zip(setup.problem.blocks, setup.edges, strict=True)):
+        if not block.per_collection or block.held:
+            continue
+        seen = np.zeros(len(used), bool)
+        for group in setup.problem.groups:
+            if any(link.block == i for link in group.chain.links):
+                seen[group.collections] = True
+        if pattern := setup.dataset.patterns.get(block.name):
             poses = np.full((len(dataset.collections), 4, 4), np.nan)
-            poses[used[seen]] = value[seen] @ inverse(translation(pattern.centre))
-            moving[edge] = poses
-    return dataset.with_transforms({**_transforms(setup, values), **moving})
+            poses[used[seen]] = values[i][seen] @ inverse(translation(pattern.centre))
+        else:
+            poses = dataset.transforms[edge].copy()
+            poses[used[seen]] = values[i][seen]
+        moving[edge] = poses
+    joints = {name: values[setup.block(joint.edge)] for name, joint in setup.dataset.joints.items()}
+    return dataset.with_transforms({**_transforms(setup, values), **moving}).with_joints(joints)
 
 
 def _residuals(setup: Setup, values: Values) -> tuple[ViewResiduals, ...]:

@@ -100,7 +100,7 @@ def settle(
     damping = np.full(problem.collections, 1e-3)
     active = which.copy()
     for _ in range(until.iterations):
-        trial = problem.moved(values, np.zeros((len(problem.shared), 6)), equations.local_step(damping))
+        trial = problem.moved(values, np.zeros_like(equations.g_shared), equations.local_step(damping))
         trial = choose(problem, active, trial, values)
         trial_equations = assemble(problem, trial, weighting)
         decrease = equations.cost - trial_equations.cost

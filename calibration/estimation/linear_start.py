@@ -6,10 +6,11 @@ equations for the unknown transforms, linear ones: a chain with one unknown give
 each view, to be averaged; one with two, such as a camera's mount and a pattern on an arm, is a
 robot-world problem.
 So the unknowns are found one after the other, like a spanning tree: always the one that most views
-speak for. Where the equations leave something open, the given guess is taken and it is said.
+speak for. Where the equations leave something open, the given guess is taken and it is said. Joints
+start from their nominal parameters: they are small corrections, and no equation is linear in them.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -49,7 +50,7 @@ def linear_start(setup: Setup, guess: Values) -> LinearStart:
         UndeterminedError: a robot's motion is too poor to tell a sensor's mount from the pattern's.
     """
     search = _Search(setup, [np.array(value) for value in guess])
-    search.know([i for i, block in enumerate(setup.problem.blocks) if block.held])
+    search.know([i for i, block in enumerate(setup.problem.blocks) if block.held or block.joint])
     while search.find() or search.take_guess():
         pass
     search.require_all()
@@ -63,12 +64,28 @@ def pattern_poses(setup: Setup, values: Values) -> Values:
         InputError: no camera sees a fixed pattern.
     """
     search = _Search(setup, [np.array(value) for value in values])
-    patterns = {setup.block(setup.pattern_edge(pattern)) for pattern in setup.dataset.patterns}
+    patterns = free_patterns(setup)
     search.know([i for i in range(len(values)) if i not in patterns])
     while search.find():
         pass
     search.require_all()
     return tuple(search.values)
+
+
+def free_patterns(setup: Setup) -> set[int]:
+    """The blocks of the patterns that are not held."""
+    patterns = {setup.block(setup.pattern_edge(pattern)) for pattern in setup.dataset.patterns}
+    return {i for i in patterns if not setup.problem.blocks[i].held}
+
+
+def place_gauge_patterns(setup: Setup, values: Values) -> Values:
+    """The values with the patterns that are held as the origin where the cameras see them, all else being right."""
+    held = {setup.block(setup.pattern_edge(pattern)) for pattern in setup.gauge_patterns}
+    if not held:
+        return values
+    blocks = tuple(replace(b, held=b.held and i not in held) for i, b in enumerate(setup.problem.blocks))
+    placed = pattern_poses(replace(setup, problem=replace(setup.problem, blocks=blocks)), values)
+    return tuple(placed[i] if i in held else value for i, value in enumerate(values))
 
 
 @dataclass
@@ -94,17 +111,12 @@ class _Search:
 
     def find(self) -> bool:
         """Find one more unknown by linear algebra; False when nothing follows any more."""
-        return self._moving_patterns() or self._averaged() or self._robot_world() or self._planes()
+        return self._moving() or self._averaged() or self._robot_world() or self._planes()
 
     def require_all(self) -> None:
         """Refuse when a pattern's pose is not known in a collection that counts, or never."""
-        problem = self.setup.problem
-        observed = {i: np.zeros(problem.collections, bool) for i in range(len(problem.blocks))}
-        for group in problem.groups:
-            for link in group.chain.links:
-                observed[link.block][group.collections] = True
-        for i, block in enumerate(problem.blocks):
-            missing = observed[i] & ~self.known[i]
+        for i, block in enumerate(self.setup.problem.blocks):
+            missing = self._missing(i)
             if missing.any():
                 key = self.setup.dataset.keys[int(missing.argmax())]
                 raise InputError(
@@ -112,8 +124,20 @@ class _Search:
                     f"label more corners there, or leave the collection out"
                 )
 
-    def _moving_patterns(self) -> bool:
-        """The poses of moving patterns that a camera sees through a known chain; the fullest view decides."""
+    def _missing(self, block: int) -> BoolArray:
+        """The collections (N,) whose views depend on a block that is not known there."""
+        observed = np.zeros(self.setup.problem.collections, bool)
+        for group in self.setup.problem.groups:
+            if any(link.block == block for link in group.chain.links):
+                observed[group.collections] = True
+        missing: BoolArray = observed & ~self.known[block]
+        return missing
+
+    def _moving(self) -> bool:
+        """The moving patterns, and whatever each collection has its own of, that a camera sees through a known chain.
+
+        The fullest view decides.
+        """
         problem = self.setup.problem
         found = False
         for local in problem.local:
@@ -183,16 +207,16 @@ class _Search:
 
     def take_guess(self) -> bool:
         """Nothing follows: take the guess of one more block, an additional transform first."""
-        unknown = self._unknown_shared()
+        patterns = self.setup.dataset.patterns
+        names = [block.name for block in self.setup.problem.blocks]
+        moving = [b for b in self.setup.problem.local if names[b] not in patterns and self._missing(b).any()]
+        unknown = [*self._unknown_shared(), *moving]
         if not unknown:
             return False
         sensors = {sensor.edge for sensor in self.setup.dataset.sensors.values()}
-        patterns = self.setup.dataset.patterns
-        rank = [
-            (e in sensors) + 2 * (self.setup.problem.blocks[i].name in patterns) for i, e in enumerate(self.setup.edges)
-        ]
+        rank = [(e in sensors) + 2 * (names[i] in patterns) for i, e in enumerate(self.setup.edges)]
         block = min(unknown, key=lambda b: (rank[b], b))
-        self.guessed.append(self.setup.problem.blocks[block].name)
+        self.guessed.append(names[block])
         self._set(block, self.values[block])
         return True
 

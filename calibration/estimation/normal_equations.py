@@ -1,15 +1,17 @@
 """The normal equations of all views, with the blocks of each collection eliminated.
 
 A view's Hessian M (6x6, from `calibration.estimation.residuals`) becomes the block (a, b) of the
-normal equations as ``J_a^T M J_b``, where J maps a block's twist to the view's: chain length costs
-products of 6x6 matrices per view, never work per label. Blocks that each collection has its own of
-(moving patterns) are eliminated collection by collection in one batched solve, and what remains is
-one small dense matrix for the shared blocks, the Schur complement. A Jacobian is never stored.
+normal equations as ``J_a^T M J_b``, where J maps a block's parameters (the six of a twist, or those
+of a joint) to the view's twist: chain length costs products of 6x6 matrices per view, never work per
+label. Blocks that each collection has its own of (moving patterns) are eliminated collection by
+collection in one batched solve, and what remains is one small dense matrix for the shared blocks,
+the Schur complement. A Jacobian is never stored.
 """
 
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,6 +20,9 @@ from calibration.geometry.types import Array, IntArray
 
 VIEWS_AT_A_TIME = 1024
 """Bounds the temporaries: 1024 views of 50 corners pass through in about 10 MB."""
+ONE_THREAD = 1 << 18
+"""Multiplications in a product of matrices up to which BLAS starts no threads, which wait for each other on a busy
+machine."""
 
 
 @dataclass(frozen=True)
@@ -32,75 +37,72 @@ class Weighting:
 
 @dataclass(frozen=True, eq=False)
 class NormalEquations:
-    """``H step = -g``, in blocks: S shared blocks, P local ones in each of N collections."""
+    """``H step = -g``: S parameters of shared blocks, P of local ones in each of N collections."""
 
     cost: Array
     """(N,): the cost of each collection; the sum of squared residuals in standard deviations."""
     H_shared: Array
-    """(6S, 6S)."""
+    """(S, S)."""
     H_mixed: Array
-    """(N, 6S, 6P)."""
+    """(N, S, P)."""
     H_local: Array
-    """(N, 6P, 6P)."""
+    """(N, P, P)."""
     g_shared: Array
-    """(6S,)."""
+    """(S,)."""
     g_local: Array
-    """(N, 6P)."""
+    """(N, P)."""
 
     def step(self, damping: float) -> tuple[Array, Array, float]:
-        """The damped step: shared (S, 6), local (N, P, 6), and the decrease of the cost that it predicts.
+        """The damped step: shared (S,), local (N, P), and the decrease of the cost that it predicts.
 
         Levenberg's damping, scaled by the diagonal (Marquardt). A singular system gives NaN.
         """
-        N, P6 = self.g_local.shape
+        N, P = self.g_local.shape
         diagonal = np.diagonal(self.H_local, axis1=1, axis2=2)
         H_local = _damped(self.H_local, damping)
         H_shared = _damped(self.H_shared, damping)
         try:
             right = np.concatenate([np.swapaxes(self.H_mixed, 1, 2), self.g_local[..., None]], -1)
             solved: Array = np.asarray(np.linalg.solve(H_local, right), float)
-            reduced = self._mixed @ solved.reshape(N * P6, len(self.g_shared) + 1)
+            reduced = self._mixed @ solved.reshape(N * P, len(self.g_shared) + 1)
             shared = -np.asarray(np.linalg.solve(H_shared - reduced[:, :-1], self.g_shared - reduced[:, -1]), float)
         except np.linalg.LinAlgError:
-            return np.full((self.g_shared.size // 6, 6), np.nan), np.full((N, P6 // 6, 6), np.nan), np.nan
+            return np.full_like(self.g_shared, np.nan), np.full_like(self.g_local, np.nan), np.nan
         local = -(solved[..., -1] + solved[..., :-1] @ shared)
         penalty = (np.diagonal(self.H_shared) * shared**2).sum() + (diagonal * local**2).sum()
         predicted = -(self.g_shared @ shared) - (self.g_local * local).sum() + damping * penalty
-        return shared.reshape(-1, 6), local.reshape(N, -1, 6), float(predicted)
+        return shared, np.asarray(local, float), float(predicted)
 
     def local_step(self, damping: Array) -> Array:
-        """The step of the local blocks alone, (N, P, 6), each collection with its own damping (N,)."""
+        """The step of the local blocks alone, (N, P), each collection with its own damping (N,)."""
         H = _damped(self.H_local, damping[:, None])
-        step = -np.linalg.solve(H, self.g_local[..., None])[..., 0]
-        return np.asarray(step.reshape(len(step), H.shape[-1] // 6, 6), float)
+        return -np.asarray(np.linalg.solve(H, self.g_local[..., None])[..., 0], float)
 
     @cached_property
     def schur(self) -> Array:
-        """(6S, 6S): the information of the data on the shared blocks, the local ones being free."""
+        """(S, S): the information of the data on the shared blocks, the local ones being free."""
         solved = np.linalg.solve(self.H_local, np.swapaxes(self.H_mixed, 1, 2))
         schur: Array = self.H_shared - self._mixed @ solved.reshape(self._mixed.T.shape)
         return 0.5 * (schur + schur.T)
 
     @property
     def _mixed(self) -> Array:
-        """`H_mixed` with the collections side by side, (6S, 6P N)."""
-        N, S6, P6 = self.H_mixed.shape
-        return np.swapaxes(self.H_mixed, 0, 1).reshape(S6, N * P6)
+        """`H_mixed` with the collections side by side, (S, P N)."""
+        N, S, P = self.H_mixed.shape
+        return np.swapaxes(self.H_mixed, 0, 1).reshape(S, N * P)
 
 
 def assemble(problem: Problem, values: Values, weighting: Weighting) -> NormalEquations:
     """Form the normal equations at some values."""
     N = problem.collections
-    shared = {block: slice(6 * k, 6 * k + 6) for k, block in enumerate(problem.shared)}
-    local = {block: slice(6 * k, 6 * k + 6) for k, block in enumerate(problem.local)}
-    S6, P6 = 6 * len(shared), 6 * len(local)
+    S, P = (sum(problem.blocks[i].dimension for i in blocks) for blocks in (problem.shared, problem.local))
     equations = NormalEquations(
-        np.zeros(N), np.zeros((S6, S6)), np.zeros((N, S6, P6)), np.zeros((N, P6, P6)), np.zeros(S6), np.zeros((N, P6))
+        np.zeros(N), np.zeros((S, S)), np.zeros((N, S, P)), np.zeros((N, P, P)), np.zeros(S), np.zeros((N, P))
     )
     for group in problem.groups:
         for start in range(0, len(group.collections), VIEWS_AT_A_TIME):
             views = slice(start, min(start + VIEWS_AT_A_TIME, len(group.collections)))
-            _add(equations, problem, group, views, values, weighting, shared, local)
+            _add(equations, problem, group, views, values, weighting)
     _fill_unobserved(equations.H_local)
     return equations
 
@@ -125,59 +127,90 @@ def _add(
     views: slice,
     values: Values,
     weighting: Weighting,
-    shared: Mapping[int, slice],
-    local: Mapping[int, slice],
 ) -> None:
     """Add some views of a group to the equations."""
     collections = group.collections[views]
     T, jacobians = group.chain.jacobians(values, views, collections, problem.held)
     cost, M, g = linearise(group, T, views, weighting)
     equations.cost[collections] += cost
-    for i, (a, J_a) in enumerate(jacobians):
-        gradient = (np.swapaxes(J_a, 1, 2) @ g[..., None])[..., 0]
-        if a in local:
-            equations.g_local[collections, local[a]] += gradient
+    columns = _columns(problem, jacobians)
+    for i, a in enumerate(columns):
+        gradient = (np.swapaxes(a.J, 1, 2) @ g[..., None])[..., 0]
+        if a.local:
+            equations.g_local[collections, a.at] += gradient
         else:
-            equations.g_shared[shared[a]] += gradient.sum(0)
-        MJ = M @ J_a
-        for b, J_b in jacobians[: i + 1]:
-            if a in local or b in local:
-                block = np.swapaxes(J_b, 1, 2) @ MJ  # (v, 6, 6): row b, column a
-                _add_local(equations, collections, a, b, block, shared, local)
+            equations.g_shared[a.at] += gradient.sum(0)
+        MJ = M @ a.J
+        for b in columns[: i + 1]:
+            if a.local or b.local:
+                block = np.swapaxes(b.J, 1, 2) @ MJ  # (v, k_b, k_a): row b, column a
+                _add_local(equations, collections, a, b, block)
             else:
-                total = _sum_of_products(J_b, MJ)
-                equations.H_shared[shared[b], shared[a]] += total
-                if a != b:
-                    equations.H_shared[shared[a], shared[b]] += total.T
+                total = _sum_of_products(b.J, MJ)
+                equations.H_shared[b.at, a.at] += total
+                if a is not b:
+                    equations.H_shared[a.at, b.at] += total.T
 
 
-def _add_local(
-    equations: NormalEquations,
-    collections: IntArray,
-    a: int,
-    b: int,
-    block: Array,
-    shared: Mapping[int, slice],
-    local: Mapping[int, slice],
-) -> None:
-    """Add blocks (v, 6, 6) of row b and column a, at least one of them local."""
-    if a in local and b in local:
-        equations.H_local[collections, local[b], local[a]] += block
-        if a != b:
-            equations.H_local[collections, local[a], local[b]] += np.swapaxes(block, 1, 2)
-    elif a in local:
-        equations.H_mixed[collections, shared[b], local[a]] += block
+class _Columns(NamedTuple):
+    """Some columns of the Jacobian of views: those of a block, or of shared blocks that are neighbours."""
+
+    J: Array
+    """(v or 1, 6, k)."""
+    at: slice
+    """Where its parameters stand among those of all shared or all local blocks."""
+    local: bool
+
+
+def _columns(problem: Problem, jacobians: list[tuple[int, Array]]) -> list[_Columns]:
+    """The columns of each block; where there are joints all shared ones side by side: a few products do for many."""
+    shared, local = problem.shared_parameters, problem.local_parameters
+    if not any(problem.blocks[block].joint for block, _ in jacobians):
+        return [_Columns(J, local[i] if i in local else shared[i], i in local) for i, J in jacobians]
+    columns = [_Columns(J, local[block], True) for block, J in jacobians if block in local]
+    parts = [(shared[block], J) for block, J in jacobians if block in shared]
+    parts.sort(key=lambda part: part[0].start)
+    run: list[Array] = []
+    for k, (at, J) in enumerate(parts):
+        run.append(J)
+        if k + 1 == len(parts) or parts[k + 1][0].start != at.stop:
+            width = sum(each.shape[-1] for each in run)
+            columns.append(_Columns(_side_by_side(run), slice(at.stop - width, at.stop), False))
+            run = []
+    return columns
+
+
+def _side_by_side(matrices: list[Array]) -> Array:
+    """Jacobians (v or 1, 6, k) as one."""
+    if len(matrices) == 1:
+        return matrices[0]
+    views = max(len(J) for J in matrices)
+    return np.concatenate([np.broadcast_to(J, (views, *J.shape[1:])) for J in matrices], -1)
+
+
+def _add_local(equations: NormalEquations, collections: IntArray, a: _Columns, b: _Columns, block: Array) -> None:
+    """Add blocks (v, k_b, k_a) of row b and column a, at least one of them local."""
+    if a.local and b.local:
+        equations.H_local[collections, b.at, a.at] += block
+        if a is not b:
+            equations.H_local[collections, a.at, b.at] += np.swapaxes(block, 1, 2)
+    elif a.local:
+        equations.H_mixed[collections, b.at, a.at] += block
     else:
-        equations.H_mixed[collections, shared[a], local[b]] += np.swapaxes(block, 1, 2)
+        equations.H_mixed[collections, a.at, b.at] += np.swapaxes(block, 1, 2)
 
 
 def _sum_of_products(J: Array, MJ: Array) -> Array:
-    """The sum over views of ``J^T M J``, as one product of tall matrices."""
+    """The sum over views of ``J^T M J``, as few products of tall matrices."""
     if len(J) == 1:
         single: Array = J[0].T @ MJ.sum(0)
         return single
-    tall: Array = J.reshape(-1, 6).T @ MJ.reshape(-1, 6)
-    return tall
+    left, right = J.reshape(-1, J.shape[-1]), MJ.reshape(-1, MJ.shape[-1])
+    rows = max(1, ONE_THREAD // (left.shape[1] * right.shape[1]))
+    total: Array = left[:rows].T @ right[:rows]
+    for start in range(rows, len(left), rows):
+        total += left[start : start + rows].T @ right[start : start + rows]
+    return total
 
 
 def _damped(H: Array, damping: float | Array) -> Array:

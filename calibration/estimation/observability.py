@@ -1,7 +1,7 @@
 """What the data say about the unknowns: their covariance, and the directions that they leave open."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -13,6 +13,10 @@ SINGULAR = 1e-12
 """Information in one direction relative to the best one, below which rounding has made it."""
 HOPELESS = 0.25
 """A direction with a greater standard deviation than this (in sizes of the pattern, and in rad) is not determined."""
+MOVING = 0.3
+"""Blocks, and parameters of joints, that move by more than this times what moves most are named too,"""
+INVOLVED = 0.02
+"""and by more than this where the direction is not determined: a joint turns little where a pattern far away moves."""
 WEAK = 0.005
 """A direction with a greater standard deviation (m or rad) is reported as weak."""
 
@@ -30,16 +34,24 @@ class WeakDirection:
     sigma: float
     """The standard deviation of that motion, m or rad; infinite where nothing determines it."""
     others: tuple[int, ...]
-    """Blocks that move along."""
+    """Blocks that move along, those that move most first."""
+    parameters: Mapping[int, tuple[str, ...]] = field(default_factory=dict)
+    """Of each joint among the blocks, the parameters that change; the one that changes most first."""
 
     def describe(self, names: list[str]) -> str:
-        """One phrase that names transform and axis."""
+        """One phrase that names transform and axis, or joint and parameters."""
+        unit = "mm" if self.kind == "translation" else "mrad"
+        size = f"{1e3 * self.sigma:.3g} {unit}" if np.isfinite(self.sigma) else "without bound"
+        along = f" together with {_listed([self._name(other, names) for other in self.others])}" if self.others else ""
+        if self.block in self.parameters:
+            return f"{self._name(self.block, names)}{along}: {size}"
         x, y, z = np.round(self.axis, 2) + 0.0
         what = "moving along" if self.kind == "translation" else "turning about"
-        unit = "mm" if self.kind == "translation" else "mrad"
-        along = f" together with '{names[self.others[0]]}'" if self.others else ""
-        size = f"{1e3 * self.sigma:.3g} {unit}" if np.isfinite(self.sigma) else "without bound"
         return f"'{names[self.block]}' {what} ({x:g}, {y:g}, {z:g}) of its frame{along}: {size}"
+
+    def _name(self, block: int, names: list[str]) -> str:
+        parameters = self.parameters.get(block)
+        return f"'{names[block]}' ({', '.join(parameters)})" if parameters else f"'{names[block]}'"
 
 
 def open_directions(
@@ -56,47 +68,84 @@ def open_directions(
         size: the pattern's (see `calibration.dataset.pattern.Pattern.size`), m.
     """
     S = equations.schur
-    unit = np.tile(np.repeat([size, 1.0], 3), len(problem.shared))
+    parts = _parts(problem)
+    unit = np.concatenate([np.full(part.length, size if part.kind == "translation" else 1.0) for part in parts])
     information, directions = np.linalg.eigh(unit[:, None] * S * unit)
     undetermined, weak = [], []
     for value, direction in zip(information, directions.T, strict=True):
         singular = value <= SINGULAR * information[-1]
         sigma = np.inf if singular else 1 / np.sqrt(value)
-        named = _named(problem, direction, unit, sigma)
-        if singular or sigma > HOPELESS:
+        hopeless = singular or sigma > HOPELESS
+        named = _named(parts, direction, size, sigma, INVOLVED if hopeless else MOVING)
+        if hopeless:
             undetermined.append(named)
         elif named.sigma > WEAK:
             weak.append(named)
     return undetermined, weak
 
 
-def _named(problem: Problem, direction: Array, unit: Array, sigma: float) -> WeakDirection:
-    """Name one direction (6S,), scaled by ``unit``, by the block and the axis that move most."""
-    parts = direction.reshape(-1, 2, 3)  # shared block, translation or rotation, axis
-    length = np.linalg.norm(parts, axis=-1)
-    k, i = np.unravel_index(int(length.argmax()), length.shape)
-    axis = parts[k, i] / length[k, i]
+@dataclass(frozen=True)
+class _Part:
+    """Parameters that make one motion: a block's translation or rotation, or one parameter of a joint."""
+
+    block: int
+    kind: str
+    length: int
+    parameter: str = ""
+
+
+def _parts(problem: Problem) -> list[_Part]:
+    """The parts of the shared blocks, in the order of their parameters."""
+    parts: list[_Part] = []
+    for i in problem.shared:
+        if joint := problem.blocks[i].joint:
+            kinds = ["translation" if joint.model.unit(p) == "m" else "rotation" for p in joint.free]
+            parts += [_Part(i, kind, 1, parameter) for kind, parameter in zip(kinds, joint.free, strict=True)]
+        else:
+            parts += [_Part(i, "translation", 3), _Part(i, "rotation", 3)]
+    return parts
+
+
+def _named(parts: list[_Part], direction: Array, size: float, sigma: float, moving_from: float) -> WeakDirection:
+    """Name one direction (S,), its translations in sizes of the pattern, by the block and the axis that move most.
+
+    Others are named from ``moving_from`` times that motion.
+    """
+    pieces = np.split(direction, np.cumsum([part.length for part in parts])[:-1])
+    length = np.array([np.linalg.norm(piece) for piece in pieces])
+    most = parts[k := int(length.argmax())]
+    axis = np.zeros(3)
+    axis[: most.length] = pieces[k] / length[k]
     axis = axis * np.sign(axis[np.abs(axis).argmax()])
-    moving = np.flatnonzero(length.max(-1) > 0.3 * length.max())
+    moving = [int(m) for m in np.argsort(-length, kind="stable") if length[m] > moving_from * length[k]]
+    blocks = dict.fromkeys(parts[m].block for m in moving)
+    parameters = {b: tuple(parts[m].parameter for m in moving if parts[m].block == b) for b in blocks}
     return WeakDirection(
-        block=problem.shared[int(k)],
-        kind="translation" if i == 0 else "rotation",
+        block=most.block,
+        kind=most.kind,
         axis=axis,
-        sigma=float(sigma * length[k, i] * unit.reshape(-1, 2, 3)[k, i, 0]),
-        others=tuple(problem.shared[int(m)] for m in moving if m != k),
+        sigma=float(sigma * length[k] * (size if most.kind == "translation" else 1.0)),
+        others=tuple(block for block in blocks if block != most.block),
+        parameters={block: each for block, each in parameters.items() if each[0]},
     )
 
 
-def covariances(problem: Problem, equations: NormalEquations) -> dict[int, Array]:
-    """The covariance (6, 6) of each shared block: of its twist (translation, rotation), m and rad.
+def _listed(names: list[str]) -> str:
+    """The first three names, and how many more there are."""
+    more = [f"{len(names) - 3} more"] if len(names) > 3 else []
+    return " and ".join([*names[:3], *more])
 
+
+def covariances(problem: Problem, equations: NormalEquations) -> dict[int, Array]:
+    """The covariance of each shared block.
+
+    (6, 6) of its twist (translation, rotation), m and rad, or (k, k) of a joint's free parameters.
     The inverse of the Schur complement; held blocks have none. By Cramer and Rao no unbiased
     estimate can be better than this.
     """
     inverse = np.linalg.inv(equations.schur)
     blocks = {}
-    for k, block in enumerate(problem.shared):
-        part = slice(6 * k, 6 * k + 6)
+    for block, part in problem.shared_parameters.items():
         blocks[block] = 0.5 * (inverse[part, part] + inverse[part, part].T)
     return blocks
 
@@ -112,7 +161,7 @@ def determined_parameters(
     kinds = {term.kind for group in problem.groups for term in group.terms}
     if len(kinds) == 1:
         observed = sum(np.count_nonzero(np.bincount(_collections_of(problem, block))) for block in problem.local)
-        return {kinds.pop(): 6.0 * (len(problem.shared) + observed)}
+        return {kinds.pop(): sum(problem.blocks[i].dimension for i in problem.shared) + 6.0 * observed}
     shares = dict.fromkeys(kinds, 0.0)
     pose_covariance = _PoseCovariance(problem, equations)
     for group in problem.groups:
@@ -128,16 +177,15 @@ class _PoseCovariance:
     """The covariance of views' poses from that of the blocks on their chain."""
 
     def __init__(self, problem: Problem, equations: NormalEquations) -> None:
-        self._shared = {block: slice(6 * k, 6 * k + 6) for k, block in enumerate(problem.shared)}
-        self._local = {block: slice(6 * k, 6 * k + 6) for k, block in enumerate(problem.local)}
+        self._shared, self._local = problem.shared_parameters, problem.local_parameters
         self._schur_inverse = np.linalg.inv(equations.schur)
-        self._gain = np.linalg.solve(equations.H_local, np.swapaxes(equations.H_mixed, 1, 2))  # (N, 6P, 6S)
+        self._gain = np.linalg.solve(equations.H_local, np.swapaxes(equations.H_mixed, 1, 2))  # (N, P, S)
         self._local_inverse = np.linalg.inv(equations.H_local)
 
     def of(self, collections: IntArray, jacobians: list[tuple[int, Array]]) -> Array:
         """(v, 6, 6), for a twist in the sensor's frame; jacobians as `Chain.jacobians` gives them."""
-        v, S6, P6 = len(collections), len(self._schur_inverse), self._local_inverse.shape[-1]
-        J_shared, J_local = np.zeros((v, 6, S6)), np.zeros((v, 6, P6))
+        v, S, P = len(collections), len(self._schur_inverse), self._local_inverse.shape[-1]
+        J_shared, J_local = np.zeros((v, 6, S)), np.zeros((v, 6, P))
         for block, J in jacobians:
             if block in self._local:
                 J_local[:, :, self._local[block]] = J

@@ -11,10 +11,10 @@ from calibration.estimation.noise_levels import FLOORS, NoiseLevels, estimate_sc
 from calibration.estimation.normal_equations import NormalEquations, Weighting
 from calibration.estimation.observability import determined_parameters
 from calibration.estimation.planar_pose import mirrored_poses
-from calibration.estimation.problem import NoiseKind, Problem, Values, ViewGroup
+from calibration.estimation.problem import Chain, NoiseKind, Problem, Values, ViewGroup
 from calibration.estimation.residuals import CornerTerm
 from calibration.geometry.transforms import inverse
-from calibration.geometry.types import Array, BoolArray, IntArray
+from calibration.geometry.types import Array, BoolArray
 
 HUBER = 2.5
 """Threshold of the robust loss in standard deviations: 4 % of good corners lie beyond, which costs about
@@ -95,16 +95,20 @@ def _rescaled(equations: NormalEquations, factor: float) -> NormalEquations:
 
 SUSPICIOUS = 1.5
 """Collections whose cost per residual is greater than this times the median are tried with the pattern flipped."""
+AMBIGUOUS = 4.0
+"""So are collections whose labels, seen by whichever camera, would miss by less than this on average (squared, in
+standard deviations) if the pattern were mirrored for that camera: few and far ones."""
 BETTER = 0.1
 """A flipped pose lowers its collection's cost by so much (and by 1 %): less is rounding, as with exact labels."""
 
 
 def unflipped(problem: Problem, values: Values, weighting: Weighting, cost: Array) -> tuple[Values, BoolArray]:
-    """Moving patterns that sit in the mirrored pose put right, the shared blocks held.
+    """Moving patterns, or bases, that sit in the mirrored pose put right, the shared blocks held.
 
     A planar pattern has nearly the same image in two poses; a solver that starts on the wrong side
-    stays there, and the other collections bend to it. So collections that fit badly are solved again from
-    the mirror image of their pattern in each camera.
+    stays there, and the other collections bend to it. So collections that fit badly, or where both poses
+    could be meant, are solved again from the mirror image of their pattern in each camera, made by what
+    moves in its chain.
 
     Args:
         problem: the problem.
@@ -121,14 +125,16 @@ def unflipped(problem: Problem, values: Values, weighting: Weighting, cost: Arra
             np.add.at(expected, group.collections, term.counts * term.dimension)
     ratio = cost / np.maximum(expected, 1)
     suspicious = ratio > SUSPICIOUS * median(ratio[expected > 0])
+    suspicious |= _ambiguous(problem, values, weighting)
     flipped = np.zeros(problem.collections, bool)
     if not problem.local or not suspicious.any():
         return values, flipped
-    for group in problem.groups:
+    part = problem.seen_in(suspicious)
+    for group in part.groups:
         if isinstance(group.terms[0], CornerTerm):
-            mirrored = _mirrored(problem, group, values, suspicious)
+            mirrored = _mirrored(problem, group, values)
             if mirrored is not None:
-                settled, settled_cost = settle(problem, mirrored, weighting, suspicious)
+                settled, settled_cost = settle(part, mirrored, weighting, suspicious)
                 better = suspicious & (settled_cost < 0.99 * cost - BETTER)
                 values = choose(problem, better, settled, values)
                 cost = np.where(better, settled_cost, cost)
@@ -136,15 +142,33 @@ def unflipped(problem: Problem, values: Values, weighting: Weighting, cost: Arra
     return values, flipped
 
 
-def _mirrored(problem: Problem, group: ViewGroup, values: Values, which: BoolArray) -> Values | None:
-    """The values with the moving pattern at the end of a group's chain mirrored in some collections."""
-    link = group.chain.links[-1]
-    if link.block not in problem.local or link.inverted or link.after is not None:
+def _ambiguous(problem: Problem, values: Values, weighting: Weighting) -> BoolArray:
+    """The collections (N,) in which every camera sees nearly the same when the pattern is mirrored for it."""
+    worst = np.zeros(problem.collections)
+    seen = np.zeros(problem.collections, bool)
+    for group in problem.groups:
+        term = group.terms[0]
+        mirrored = _mirrored(problem, group, values) if isinstance(term, CornerTerm) else None
+        if mirrored is not None:
+            magnitudes = term.magnitudes(problem.poses(group, mirrored)) / weighting.scales[term.kind]
+            cost = np.nansum(magnitudes**2, -1) / (term.counts * term.dimension)
+            worst[group.collections] = np.maximum(worst[group.collections], cost)
+            seen[group.collections] = True
+    ambiguous: BoolArray = seen & (worst < AMBIGUOUS)
+    return ambiguous
+
+
+def _mirrored(problem: Problem, group: ViewGroup, values: Values) -> Values | None:
+    """The values with what moves in a group's chain put such that the pattern is mirrored in each of its views."""
+    moving = [k for k, link in enumerate(group.chain.links) if link.block in problem.local]
+    if len(moving) != 1:
         return None
-    T = problem.poses(group, values)
-    before = T @ inverse(values[link.block][group.collections])
-    poses = values[link.block].copy()
-    chosen: BoolArray = which[group.collections]
-    at: IntArray = group.collections[chosen]
-    poses[at] = inverse(before[chosen]) @ mirrored_poses(T[chosen], np.zeros(3))
-    return tuple(poses if i == link.block else value for i, value in enumerate(values))
+    (k,) = moving
+    links = group.chain.links
+    mirrored = mirrored_poses(problem.poses(group, values), np.zeros(3))
+    before = Chain(group.chain.before, links[:k]).poses(values, slice(None), group.collections)
+    after = Chain(links[k].after, links[k + 1 :]).poses(values, slice(None), group.collections)
+    moved = inverse(before) @ mirrored @ inverse(after)
+    poses = values[links[k].block].copy()
+    poses[group.collections] = inverse(moved) if links[k].inverted else moved
+    return tuple(poses if i == links[k].block else value for i, value in enumerate(values))

@@ -1,7 +1,8 @@
 """What is unknown, and how it makes up the pose of every view.
 
 A *view* is one sensor seeing one pattern in one collection. All that its labels depend on is the
-pose ``T_sensor_pattern``, a product of constants and of unknown transforms, the *blocks*. Views of
+pose ``T_sensor_pattern``, a product of constants and of unknown transforms, the *blocks*. A block is
+a pose with its six parameters, or a joint of which some parameters are free. Views of
 the same sensor and pattern share the same chain of blocks and form a *group*; all arrays of a
 group have its views as their first axis.
 
@@ -10,13 +11,15 @@ the centre turns the pattern without moving it, which keeps rotation and transla
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Literal, Protocol
 
 import numpy as np
 
-from calibration.geometry.transforms import adjoint, inverse, retract
-from calibration.geometry.types import Array, IntArray
+from calibration.geometry.joints import JOINT_PARAMETERS, JointModel, JointParameter
+from calibration.geometry.transforms import adjoint, inverse, moved_twists, retract
+from calibration.geometry.types import Array, BoolArray, IntArray
 
 NoiseKind = Literal["pixel", "range", "border", "depth_border"]
 """What a residual is measured in: corners in px, ranges of LiDARs and depth cameras in m, the pattern's border in rad,
@@ -24,17 +27,48 @@ which a depth camera finds more finely than a LiDAR."""
 
 
 @dataclass(frozen=True)
+class FreeJoint:
+    """A joint some of whose parameters are unknown."""
+
+    model: JointModel
+    free: tuple[JointParameter, ...]
+    """In the order of `JOINT_PARAMETERS`."""
+
+    @cached_property
+    def at(self) -> list[int]:
+        """Where the free parameters stand among all."""
+        return [JOINT_PARAMETERS.index(parameter) for parameter in self.free]
+
+    def columns(self, value: Array) -> Array:
+        """(6, k): how each free parameter moves the joint's pose, as a twist in its child frame."""
+        columns: Array = self.model.columns(value)[:, self.at]
+        return columns
+
+    def moved(self, value: Array, step: Array) -> Array:
+        """The parameters (7,) after a step (k,)."""
+        out = value.copy()
+        out[self.at] += step
+        return out
+
+
+@dataclass(frozen=True)
 class Block:
-    """An unknown transform: six parameters, or six for each collection."""
+    """An unknown transform: six parameters, or six for each collection; or a joint's free parameters."""
 
     name: str
     per_collection: bool = False
     held: bool = False
     """Kept at its start: an anchored sensor, or the one that fixes a free gauge."""
+    joint: FreeJoint | None = None
+
+    @property
+    def dimension(self) -> int:
+        """How many parameters it has, in each collection if it is per collection."""
+        return len(self.joint.free) if self.joint else 6
 
 
 Values = tuple[Array, ...]
-"""One array for each block: (4, 4), or (N, 4, 4) when it is per collection."""
+"""One array for each block: (4, 4), or (N, 4, 4) when it is per collection; (7,) all parameters of a joint."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,6 +79,8 @@ class Link:
     inverted: bool
     after: Array | None = None
     """(4, 4), or (V, 4, 4) when it differs between collections; None for the identity."""
+    joint: FreeJoint | None = None
+    """The block's, where it is one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +105,8 @@ class Chain:
 
         The Jacobian of a block maps its twist (in its child frame) to the twist of the pose in the
         sensor's frame: (1, 6, 6) where it is the same for all views, else (v, 6, 6). It is the
-        adjoint of the chain up to the block; minus that, up to before it, when it is inverted.
+        adjoint of the chain up to the block; minus that, up to before it, when it is inverted. A
+        joint's, (1 or v, 6, k), is that of the twists which its k free parameters make.
         """
         T = _at(self.before, views)
         jacobians: dict[int, Array] = {}
@@ -78,15 +115,23 @@ class Chain:
             T = _times(T, self._link(link, values, collections))
             if not held[link.block]:
                 prefix = before if link.inverted else T
-                J = adjoint(np.eye(4)[None] if prefix is None else prefix.reshape(-1, 4, 4))
+                prefix = np.eye(4)[None] if prefix is None else prefix.reshape(-1, 4, 4)
+                J = moved_twists(prefix, link.joint.columns(values[link.block])) if link.joint else adjoint(prefix)
                 J = -J if link.inverted else J
                 jacobians[link.block] = jacobians[link.block] + J if link.block in jacobians else J
             T = _times(T, _at(link.after, views))
         return _broadcast(T, collections), list(jacobians.items())
 
+    def take(self, views: IntArray) -> "Chain":
+        """That of only some of the views."""
+        links = tuple(replace(link, after=_at(link.after, views)) for link in self.links)
+        return Chain(_at(self.before, views), links)
+
     @staticmethod
     def _link(link: Link, values: Values, collections: IntArray) -> Array:
         value = values[link.block]
+        if link.joint:
+            value = link.joint.model.pose(value)
         T = value[collections] if value.ndim == 3 else value
         return inverse(T) if link.inverted else T
 
@@ -105,6 +150,9 @@ class Term(Protocol):
     @property
     def counts(self) -> IntArray:
         """(V,): the labels of each view."""
+
+    def take(self, views: IntArray | slice) -> "Term":
+        """Only some of the views."""
 
     def linearise(self, T: Array, views: slice, scale: float, huber: float | None) -> tuple[Array, Array, Array]:
         """Cost (v,), Hessian (v, 6, 6) and gradient (v, 6) for a twist in the sensor's frame.
@@ -129,6 +177,11 @@ class ViewGroup:
     chain: Chain
     terms: tuple[Term, ...]
 
+    def take(self, views: IntArray) -> "ViewGroup":
+        """Only some of the views."""
+        terms = tuple(term.take(views) for term in self.terms)
+        return replace(self, collections=self.collections[views], chain=self.chain.take(views), terms=terms)
+
 
 @dataclass(frozen=True, eq=False)
 class Problem:
@@ -138,41 +191,61 @@ class Problem:
     groups: tuple[ViewGroup, ...]
     collections: int
 
-    @property
+    @cached_property
     def held(self) -> list[bool]:
         """For each block, whether it is held."""
         return [block.held for block in self.blocks]
 
-    @property
+    @cached_property
     def shared(self) -> list[int]:
         """The free blocks that all collections share."""
         return [i for i, b in enumerate(self.blocks) if not b.held and not b.per_collection]
 
-    @property
+    @cached_property
     def local(self) -> list[int]:
         """The free blocks that each collection has its own of."""
         return [i for i, b in enumerate(self.blocks) if not b.held and b.per_collection]
+
+    @cached_property
+    def shared_parameters(self) -> dict[int, slice]:
+        """Where the parameters of each shared block stand among those of all shared blocks."""
+        return self._placed(self.shared)
+
+    @cached_property
+    def local_parameters(self) -> dict[int, slice]:
+        """Where the parameters of each local block stand among those of all local blocks of a collection."""
+        return self._placed(self.local)
+
+    def _placed(self, blocks: list[int]) -> dict[int, slice]:
+        ends = np.cumsum([0, *(self.blocks[i].dimension for i in blocks)]).tolist()
+        return {block: slice(*ends[k : k + 2]) for k, block in enumerate(blocks)}
 
     @property
     def residuals(self) -> int:
         """How many residuals all labels make."""
         return sum(int(term.counts.sum()) * term.dimension for group in self.groups for term in group.terms)
 
+    def seen_in(self, which: BoolArray) -> "Problem":
+        """The problem with only the views of some of its collections (N,)."""
+        groups = (group.take(np.flatnonzero(which[group.collections])) for group in self.groups)
+        return replace(self, groups=tuple(group for group in groups if len(group.collections)))
+
     def poses(self, group: ViewGroup, values: Values) -> Array:
         """``T_sensor_pattern`` (V, 4, 4) of all views of a group."""
         return group.chain.poses(values, slice(None), group.collections)
 
     def moved(self, values: Values, shared: Array, local: Array) -> Values:
-        """The values after a step: shared (S, 6) and local (N, P, 6) twists."""
+        """The values after a step of all S shared parameters (S,) and the P local ones of each collection (N, P)."""
         out = list(values)
-        for k, block in enumerate(self.shared):
-            out[block] = retract(values[block], shared[k])
-        for k, block in enumerate(self.local):
-            out[block] = retract(values[block], local[:, k])
+        for block, at in self.shared_parameters.items():
+            joint = self.blocks[block].joint
+            out[block] = joint.moved(values[block], shared[at]) if joint else retract(values[block], shared[at])
+        for block, at in self.local_parameters.items():
+            out[block] = retract(values[block], local[:, at])
         return tuple(out)
 
 
-def _at(constant: Array | None, views: slice) -> Array | None:
+def _at(constant: Array | None, views: slice | IntArray) -> Array | None:
     return constant[views] if constant is not None and constant.ndim == 3 else constant
 
 

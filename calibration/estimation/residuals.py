@@ -172,6 +172,10 @@ class RangeTerm:
         """(V,): points in each view."""
         return np.asarray(np.count_nonzero(self.present, axis=-1))
 
+    def take(self, views: IntArray | slice) -> "RangeTerm":
+        """Only some of the views."""
+        return replace(self, rays=self.rays[views], ranges=self.ranges[views], present=self.present[views])
+
     def linearise(self, T: Array, views: slice, scale: float, huber: float | None) -> Linearised:
         """See `calibration.estimation.problem.Term`."""
         rays, ranges, present = self.rays[views], self.ranges[views], self.present[views]
@@ -217,6 +221,10 @@ class BorderTerm:
     def counts(self) -> IntArray:
         """(V,): rays in each view."""
         return np.asarray(np.count_nonzero(self.present, axis=-1))
+
+    def take(self, views: IntArray | slice) -> "BorderTerm":
+        """Only some of the views."""
+        return replace(self, rays=self.rays[views], ranges=self.ranges[views], present=self.present[views])
 
     def linearise(self, T: Array, views: slice, scale: float, huber: float | None) -> Linearised:
         """See `calibration.estimation.problem.Term`."""

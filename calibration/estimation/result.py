@@ -1,14 +1,16 @@
 """What a calibration says: transforms, how sure they are, what is left of the residuals."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Literal
 
 import numpy as np
 
 from calibration.dataset.model import Dataset, Edge
 from calibration.estimation.noise_levels import NoiseLevels
 from calibration.estimation.problem import NoiseKind
+from calibration.geometry.joints import JointParameter
 from calibration.geometry.types import Array
 
 
@@ -41,6 +43,25 @@ class RejectedLabel:
 
 
 @dataclass(frozen=True, eq=False)
+class CalibratedJoint:
+    """A joint of which parameters were calibrated."""
+
+    name: str
+    parameters: tuple[JointParameter, ...]
+    """Those that were free."""
+    values: Array
+    """(k,): m or rad, as `units` says."""
+    units: tuple[Literal["m", "rad"], ...]
+    covariance: Array
+    """(k, k); NaN where the calibration has not converged."""
+
+    @property
+    def sigmas(self) -> Array:
+        """(k,): the standard deviation of each parameter, m or rad."""
+        return np.asarray(np.sqrt(np.diagonal(self.covariance)))
+
+
+@dataclass(frozen=True, eq=False)
 class Calibration:
     """The result."""
 
@@ -67,6 +88,8 @@ class Calibration:
     warnings: tuple[str, ...]
     gauge: str | None
     """The sensor that was held because the data determine only relative poses; None where nothing had to be."""
+    joints: Mapping[str, CalibratedJoint] = field(default_factory=dict)
+    """The joints of which parameters were free, by name."""
 
     @cached_property
     def rms_px(self) -> float:

@@ -3,7 +3,8 @@
 Every additional transform and then every sensor's transform (in the dataset's order; not the
 anchored sensor's, not the patterns') is moved by a translation of fixed length, in a direction
 drawn uniformly from the cube and normalised, and turned by plus or minus a fixed angle about each of
-its three fixed Euler axes.
+its three fixed Euler axes. Additional transforms that each collection has its own of are moved in each by
+a draw of its own.
 """
 
 from dataclasses import dataclass
@@ -31,10 +32,16 @@ class StartingNoise:
 
 
 def perturb(setup: Setup, values: Values, noise: StartingNoise) -> Values:
-    """The values with noise on the transforms to calibrate; the same draws for every size of noise."""
+    """The values with noise on the transforms to calibrate; the same draws for every size of noise.
+
+    What a user holds stays where it is.
+    """
     out = list(values)
+    gauge = setup.dataset.sensors[setup.gauge].edge if setup.gauge else None
     for edge, T in _noisy_transforms(setup.dataset, noise).items():
-        out[setup.block(edge)] = T
+        block = setup.block(edge)
+        if edge == gauge or not setup.problem.blocks[block].held:
+            out[block] = T
     return tuple(out)
 
 
@@ -44,15 +51,28 @@ def with_starting_noise(dataset: Dataset, noise: StartingNoise) -> Dataset:
     Raises:
         InputError: the labels cannot be used.
     """
-    return dataset.with_transforms(_noisy_transforms(usable_labels(dataset)[0], noise))
+    usable, _ = usable_labels(dataset)
+    noisy = _noisy_transforms(usable, noise)
+    kept = set(usable.keys)
+    used = [i for i, key in enumerate(dataset.keys) if key in kept]
+    for edge in dataset.moving_transforms & noisy.keys():
+        everywhere = dataset.transforms[edge].copy()
+        everywhere[used] = noisy[edge]
+        noisy[edge] = everywhere
+    return dataset.with_transforms(noisy)
 
 
 def _noisy_transforms(dataset: Dataset, noise: StartingNoise) -> dict[Edge, Array]:
-    """``T_parent_child`` (4, 4) of the first collection with noise, for every edge that gets some."""
+    """``T_parent_child`` with noise for every edge that gets some: (4, 4), or (N, 4, 4) of one that moves."""
     if noise.translation == noise.rotation == 0.0:
         return {}
     rng = np.random.default_rng(noise.seed)
-    return {edge: _moved(dataset.transform(*edge)[0], noise, rng) for edge in _noisy_edges(dataset)}
+    noisy = {}
+    for edge in _noisy_edges(dataset):
+        T = dataset.transform(*edge)
+        moving = edge in dataset.moving_transforms
+        noisy[edge] = np.stack([_moved(each, noise, rng) for each in T]) if moving else _moved(T[0], noise, rng)
+    return noisy
 
 
 def _noisy_edges(dataset: Dataset) -> list[Edge]:

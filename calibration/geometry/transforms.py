@@ -61,6 +61,20 @@ def adjoint(T: Array) -> Array:
     return A
 
 
+def moved_twists(T: Array, columns: Array) -> Array:
+    """``adjoint(T) @ columns`` (n, 6, k), of a few twists (6, k) of the child frame, without the adjoints (n, 4, 4)."""
+    k = columns.shape[-1]
+    turned = T[:, :3, :3] @ np.concatenate([columns[:3], columns[3:]], -1)
+    dt, dw = turned[..., :k], turned[..., k:]
+    x, y, z = T[:, 0, 3, None], T[:, 1, 3, None], T[:, 2, 3, None]
+    out = np.empty((len(T), 6, k))
+    out[:, 3:] = dw
+    out[:, 0] = dt[:, 0] + y * dw[:, 2] - z * dw[:, 1]
+    out[:, 1] = dt[:, 1] + z * dw[:, 0] - x * dw[:, 2]
+    out[:, 2] = dt[:, 2] + x * dw[:, 1] - y * dw[:, 0]
+    return out
+
+
 def retract(T: Array, twist: Array) -> Array:
     """Move each transform by a twist (..., 6) in its own child frame: ``T @ [exp(dw), dt]``.
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calibration.dataset.model import Collection, CornerLabels, Dataset, Edge, Labels, PointLabels, Sensor
+from calibration.dataset.model import Collection, CornerLabels, Dataset, Edge, Joint, Labels, PointLabels, Sensor
 from calibration.dataset.pattern import Pattern, grid, outline
 from calibration.estimation.build import Setup
 from calibration.estimation.problem import Values
@@ -41,6 +41,10 @@ class Scene:
     patterns: Sequence[Pattern]
     anchored: str | None = None
     additional: tuple[Edge, ...] = ()
+    moving: frozenset[Edge] = frozenset()
+    """Those of the additional transforms that each collection has its own of."""
+    joints: tuple[Joint, ...] = ()
+    """With their true values; their transforms need not be among `transforms`."""
     sees: Callable[[str, str, int], bool] = lambda sensor, pattern, collection: True
     """Whether a sensor sees a pattern in a collection."""
     pixel_noise: float = 0.0
@@ -53,8 +57,11 @@ class Scene:
     def dataset(self, seed: int = 0) -> Dataset:
         """Labels of the true scene; the transforms of the dataset are the truth."""
         rng = np.random.default_rng(seed)
-        N = max(len(T) for T in self.transforms.values() if T.ndim == 3)
-        edges = {edge: np.broadcast_to(T, (N, 4, 4)).copy() for edge, T in self.transforms.items()}
+        N = max(
+            [len(T) for T in self.transforms.values() if T.ndim == 3] + [len(joint.positions) for joint in self.joints]
+        )
+        given = {**self.transforms, **{joint.edge: joint.transform for joint in self.joints}}
+        edges = {edge: np.broadcast_to(T, (N, 4, 4)).copy() for edge, T in given.items()}
         labels: list[dict[tuple[str, str], Labels]] = [{} for _ in range(N)]
         dataset = Dataset(
             path=Path("scene/dataset.json"),
@@ -67,6 +74,8 @@ class Scene:
             collections=tuple(Collection(f"{i:03}", labels[i]) for i in range(N)),
             transforms=edges,
             document={},
+            moving_transforms=self.moving,
+            joints={joint.name: joint for joint in self.joints},
         )
         for pattern in self.patterns:
             for sensor in self.sensors:
@@ -149,9 +158,12 @@ def looks(n: int, seed: int = 0, tilt: float = 0.6, pattern: Pattern | None = No
 
 def true_values(setup: Setup) -> Values:
     """The truth of all blocks, the dataset's transforms being true; patterns about their centre."""
+    joints = {joint.edge: joint.values for joint in setup.dataset.joints.values()}
     centres = {setup.pattern_edge(name): translation(p.centre) for name, p in setup.dataset.patterns.items()}
     return tuple(
-        (setup.dataset.transforms[edge] if block.per_collection else setup.dataset.transforms[edge][0])
+        joints[edge]
+        if edge in joints
+        else (setup.dataset.transforms[edge] if block.per_collection else setup.dataset.transforms[edge][0])
         @ centres.get(edge, np.eye(4))
         for edge, block in zip(setup.edges, setup.problem.blocks, strict=True)
     )

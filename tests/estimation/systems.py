@@ -5,8 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from calibration.dataset.model import Sensor
+from calibration.dataset.model import Joint, Sensor
 from calibration.geometry import rotations
+from calibration.geometry.joints import JointModel, JointParameter
 from calibration.geometry.transforms import inverse, retract, transform
 from calibration.geometry.types import Array
 from tests.estimation.scenes import AHEAD, PINHOLE, WIDE, Scene, board, camera, lidar, looks, pose
@@ -145,6 +146,88 @@ def two_arms(n: int = 14, seed: int = 0, **changes: object) -> Scene:
     return replace(Scene(transforms, [camera("cam", "hand")], [pattern], additional=(("world", "base"),)), **changes)
 
 
+def mobile_base(n: int = 12, seed: int = 0, **changes: object) -> Scene:
+    """Two cameras and a LiDAR on a base whose odometry is to be found in each collection; a pattern in the world."""
+    rig = camera_and_lidar(n, seed)
+    T_base = {s: rig.transforms["world", s] for s in ("cam", "lidar")}
+    T_base["second"] = T_base["cam"] @ pose(0.25, 0.0, 0.05, 0.02, -0.1, 0.05)
+    T_world_board = pose(1.5, 0.4, 0.9, 0.2, 1.4, 0.3)
+    transforms = {("base", s): T for s, T in T_base.items()}
+    transforms["world", "board_link"] = T_world_board
+    transforms["world", "base"] = T_world_board @ inverse(rig.transforms["world", "board_link"])
+    sensors = [camera("cam", "base"), camera("second", "base", PINHOLE), lidar("lidar", "base")]
+    pattern = replace(rig.patterns[0], fixed=True)
+    edge = ("world", "base")
+    scene = Scene(transforms, sensors, [pattern], additional=(edge,), moving=frozenset([edge]))
+    return replace(scene, **changes)
+
+
+def arm_with_patterns(n: int = 14, seed: int = 0, **changes: object) -> Scene:
+    """A static camera before an arm with patterns on its forearm and its flange, and one that stands still."""
+    rng = np.random.default_rng(4000 + seed)
+    base = eye_to_hand(n, seed)
+    T_world_camera, T_base_flange = base.transforms["world", "cam"], base.transforms["base", "flange"]
+    T_flange_board = base.transforms["flange", "board_link"]
+    T_forearm_second = pose(0.1, 0.0, 0.05, 0.2, 0.1, -0.7)
+    seen = T_world_camera @ looks(n, seed + 20) @ inverse(T_forearm_second)
+    transforms = {
+        **{edge: T for edge, T in base.transforms.items() if edge[0] != "base"},
+        ("base", "forearm"): inverse(base.transforms["world", "base"]) @ seen,
+    }
+    transforms["forearm", "flange"] = inverse(transforms["base", "forearm"]) @ T_base_flange
+    transforms["flange", "board_link"] = T_flange_board
+    transforms["forearm", "second_link"] = T_forearm_second
+    transforms["world", "still_link"] = T_world_camera @ looks(1, seed + 30)[0]
+    transforms["world", "loose_link"] = T_world_camera @ looks(n, seed + 40)
+    shown = rng.random((n, 4)) < 0.7
+    names = ["board", "second", "still", "loose"]
+    patterns = [*base.patterns, board("second", "forearm", fixed=True), board("still", fixed=True), board("loose")]
+    scene = replace(base, transforms=transforms, patterns=patterns)
+    return replace(scene, **{"sees": lambda _, pattern, i: bool(shown[i, names.index(pattern)]), **changes})
+
+
+ARM: dict[str, tuple[bool, tuple[float, float, float], tuple[float, ...]]] = {
+    "j1": (False, (0.0, 0.0, 1.0), (0.0, 0.0, 0.18, 0.0, 0.0, 0.1)),
+    "j2": (False, (0.0, 0.6, 0.8), (0.0, 0.1, 0.1, np.pi / 2, 0.0, 0.0)),
+    "j3": (False, (0.0, 0.0, 1.0), (-0.4, 0.0, 0.0, 0.0, 0.1, 0.0)),
+    "slide": (True, (0.0, 0.0, 1.0), (-0.1, 0.0, 0.1, 0.0, 0.4, -0.2)),
+    "j4": (False, (1.0, 0.0, 0.0), (-0.2, 0.0, 0.1, 0.2, 0.0, 0.3)),
+    "j5": (False, (0.0, 0.0, 1.0), (0.0, -0.1, 0.0, np.pi / 2, 0.0, 0.0)),
+    "j6": (False, (0.0, 1.0, 0.0), (0.0, 0.1, 0.05, 0.3, 0.2, 0.0)),
+}
+"""Joints in a row: prismatic or not, the axis, the origin."""
+
+
+def jointed_arm(
+    n: int = 20, seed: int = 0, free: dict[str, tuple[JointParameter, ...]] | None = None, **changes: object
+) -> Scene:
+    """A camera in the hand of an arm of seven joints, some parameters of which are free, and a pattern that stands
+    still. The joints move by up to half a radian or 0.15 m."""
+    rng = np.random.default_rng(5000 + seed)
+    free = {"j3": ("origin_yaw",)} if free is None else free
+    transforms: dict[tuple[str, str], Array] = {}
+    joints, T, parent = [], pose(0.3, 0.2, 0.5), "world"
+    transforms["world", "base"] = T
+    parent = "base"
+    for name, (prismatic, axis, origin) in ARM.items():
+        positions = rng.uniform(-1, 1, n) * (0.15 if prismatic else 0.5)
+        joint = Joint(
+            name, (parent, name), JointModel(prismatic, axis), free.get(name, ()), np.array([*origin, 0.0]), positions
+        )
+        T, parent = T @ joint.transform, name
+        if name in free:
+            joints.append(joint)
+        else:
+            transforms[joint.edge] = joint.transform
+    T_hand_cam = pose(0.05, 0.02, 0.1, 0.1, 0.2, -0.4)
+    transforms["j6", "cam"] = T_hand_cam
+    still = T @ T_hand_cam
+    middle = transform(rotations.nearest(still[:, :3, :3].mean(0)), still[:, :3, 3].mean(0))
+    transforms["world", "board_link"] = middle @ pose(0.0, 0.0, 2.5, 0.3, -0.2, 0.1)
+    scene = Scene(transforms, [camera("cam", "j6")], [board(fixed=True, square=0.12)], joints=tuple(joints))
+    return replace(scene, **changes)
+
+
 ALL: dict[str, Callable[..., Scene]] = {
     "stereo": stereo,
     "anchored stereo": lambda *a, **k: stereo(*a, **{"anchored": "right", **k}),
@@ -156,6 +239,7 @@ ALL: dict[str, Callable[..., Scene]] = {
     "lidar behind": lambda *a, **k: camera_and_lidar(*a, behind=True, **k),
     "hand and world": hand_and_world,
     "two patterns": two_patterns,
+    "arm with patterns": arm_with_patterns,
 }
 
 

@@ -2,16 +2,17 @@
 
 import numpy as np
 
-from calibration.estimation.problem import Block, Chain, Link, Problem, Values, ViewGroup
+from calibration.estimation.problem import Block, Chain, FreeJoint, Link, Problem, Values, ViewGroup
 from calibration.estimation.residuals import CornerTerm, RangeTerm
 from calibration.geometry import rotations
+from calibration.geometry.joints import JOINT_PARAMETERS, JointModel
 from calibration.geometry.transforms import apply, inverse, transform
 from calibration.geometry.types import Array
 from tests.estimation.scenes import PINHOLE, WIDE, board, looks
 
 COLLECTIONS = 6
 CORNERS = board().corners - board().centre
-A, HELD, P, F, Q, C = range(6)
+A, HELD, P, F, Q, C, J1, J2, J3 = range(9)
 BLOCKS = (
     Block("a"),
     Block("held", held=True),
@@ -19,6 +20,9 @@ BLOCKS = (
     Block("fixed"),
     Block("other moving", per_collection=True),
     Block("c"),
+    Block("joint-1", joint=FreeJoint(JointModel(False, (0.0, 0.6, 0.8)), JOINT_PARAMETERS[:4] + JOINT_PARAMETERS[6:])),
+    Block("joint-2", joint=FreeJoint(JointModel(True, (0.6, 0.8, 0.0)), ("origin_y", "origin_yaw", "position_bias"))),
+    Block("joint-3", joint=FreeJoint(JointModel(False, (0.0, 0.0, 1.0)), ("origin_roll",))),
 )
 
 
@@ -29,8 +33,14 @@ def random_poses(rng: np.random.Generator, *shape: int) -> Array:
 def tangled(noise: float = 0.0, seed: int = 0) -> tuple[Problem, Values]:
     """Chains of inverted and straight links with constants between, and values at which labels have this noise (px)."""
     rng = np.random.default_rng(seed)
-    values = tuple(random_poses(rng, COLLECTIONS) if b.per_collection else random_poses(rng) for b in BLOCKS)
+    values = tuple(random_poses(rng, COLLECTIONS) if b.per_collection else random_poses(rng) for b in BLOCKS[:J1])
+    values += tuple(np.random.default_rng(seed + 1).normal(size=7) for _ in BLOCKS[J1:])
+    joints = {k: BLOCKS[k].joint for k in (J1, J2, J3)}
     one, many = random_poses(rng), random_poses(rng, COLLECTIONS)
+
+    def joint(k: int, after: Array | None = None, inverted: bool = False) -> Link:
+        return Link(k, inverted, after, joints[k])
+
     plan = [
         ("left", "moving", [0, 1, 2, 3], (Link(A, True, many[:4]), Link(P, False))),
         ("right", "moving", [0, 2, 3, 4], (Link(HELD, True), Link(C, True, one), Link(P, False))),
@@ -38,6 +48,8 @@ def tangled(noise: float = 0.0, seed: int = 0) -> tuple[Problem, Values]:
         ("right", "other", [0, 3, 4], (Link(HELD, False, many[:3]), Link(C, False), Link(Q, False))),
         ("lidar", "moving", [1, 3], (Link(A, False), Link(P, True, one), Link(F, True, many[2:4]))),
         ("left", "other", [3, 4], (Link(P, False, one), Link(Q, False))),
+        ("arm", "fixed", [0, 1, 5], (joint(J2), joint(J1, many[:3]), Link(C, False), joint(J3), Link(F, False))),
+        ("arm", "moving", [0, 2], (joint(J3, one), Link(A, True), joint(J1, one, inverted=True), Link(P, False))),
     ]
     groups = []
     for k, (sensor, pattern, which, links) in enumerate(plan):

@@ -59,7 +59,7 @@ def test_the_optimum_is_a_minimum_and_its_equations_are_those_there():
     for k, axis in enumerate(np.eye(6)):
         for sign in (1, -1):
             step = 0.1 * sign * sigma[k] * axis
-            moved = setup.problem.moved(result.values, step[None], np.zeros((8, 1, 6)))
+            moved = setup.problem.moved(result.values, step, np.zeros((8, 6)))
             assert assemble(setup.problem, moved, ROBUST).cost.sum() > result.cost
 
 

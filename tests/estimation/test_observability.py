@@ -122,7 +122,7 @@ def test_the_kinds_of_labels_share_all_parameters_between_them(huber):
     weighting = Weighting({"pixel": 0.5, "range": 0.005, "border": 0.005}, huber)
     problem, values = tangled(noise=0.5)
     shares = determined_parameters(problem, values, assemble(problem, values, weighting), weighting)
-    seen = 6 * (3 + 5 + 3)  # three shared blocks; one pattern in five collections, the other in three
+    seen = 6 * (3 + 5 + 3) + 9  # three shared blocks; a pattern in five collections, one in three; joints
     assert sum(shares.values()) == pytest.approx(seen)
     assert 0 < shares["range"] < shares["pixel"]
 

@@ -65,9 +65,9 @@ def test_held_blocks_are_neither_shared_nor_local_and_do_not_move():
     rng = np.random.default_rng(1)
     values = tuple(random_poses(rng, N) if b.per_collection else random_poses(rng) for b in blocks)
     before = [v.copy() for v in values]
-    shared, own = rng.normal(size=(2, 6)), rng.normal(size=(N, 1, 6))
+    shared, own = rng.normal(size=12), rng.normal(size=(N, 6))
     moved = problem.moved(values, shared, own)
-    for i, step in ((0, shared[0]), (4, shared[1]), (2, own[:, 0])):
+    for i, step in ((0, shared[:6]), (4, shared[6:]), (2, own)):
         np.testing.assert_allclose(moved[i], retract(values[i], step))
     assert moved[1] is values[1]
     assert moved[3] is values[3]

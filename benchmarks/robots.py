@@ -1,0 +1,135 @@
+"""Robots with joints, several patterns and a base that moves: what they cost, and whether their error bars are honest.
+
+The systems are those of the tests: a few lines each.
+"""
+
+import statistics
+from collections.abc import Iterator
+
+import numpy as np
+
+from benchmarks.rows import Bar, Row
+from benchmarks.timing import interleaved
+from calibration.dataset.model import Dataset
+from calibration.errors import UndeterminedError
+from calibration.estimation.build import build
+from calibration.estimation.calibrate import Options, calibrate
+from calibration.estimation.least_squares import minimise
+from calibration.estimation.linear_start import linear_start
+from calibration.estimation.normal_equations import Weighting
+from calibration.estimation.problem import Problem, Values
+from calibration.estimation.starting_noise import StartingNoise
+from calibration.geometry.joints import JOINT_PARAMETERS, JointParameter
+from calibration.geometry.transforms import distance
+from tests.estimation.scenes import true_values
+from tests.estimation.systems import arm_with_patterns, jointed_arm, mobile_base, stereo, two_patterns
+
+Free = dict[str, tuple[JointParameter, ...]]
+JOINT: Free = {"j3": ("origin_yaw",)}
+ENCODERS: Free = dict.fromkeys(("j2", "j3", "slide", "j4", "j5"), ("position_bias",))
+WEIGHTS = Weighting({"pixel": 0.3}, 2.5)
+NOISES = ((0.0, 0.0), (0.0, 0.5), (0.5, 0.0), (0.5, 0.5))
+
+
+def measure(quick: bool) -> Iterator[Row]:
+    """Truth, error bars, cost, and what is refused."""
+    yield from _truth()
+    yield from _error_bars(30 if quick else 100)
+    yield from _cost(20 if quick else 60)
+    yield _refusals()
+
+
+def _truth() -> Iterator[Row]:
+    systems = {
+        "a joint": jointed_arm(free=JOINT).dataset(),
+        "five encoders": jointed_arm(free=ENCODERS).dataset(),
+        "a whole origin": jointed_arm(free={"j3": JOINT_PARAMETERS[:6]}).dataset(),
+        "four patterns": arm_with_patterns().dataset(),
+        "a moving base": mobile_base(border=False).dataset(),
+    }
+    for name, dataset in systems.items():
+        hold = ("board", "cam") if dataset.moving_transforms else ()
+        errors = []
+        for noise in NOISES:
+            result = calibrate(_off(dataset, 0.05), Options(hold=hold), StartingNoise(*noise))
+            apart = [distance(dataset.transforms[edge][0], T) for edge, T in result.transforms.items()]
+            errors += [float(each) for both in apart for each in both]
+            errors += [float(np.abs(_error(result.joints[j].values, dataset, j)).max()) for j in result.joints]
+        note = "m or rad, the worst of all transforms and joints, exact labels, every starting noise"
+        yield Row(f"robots/truth, {name}", max(errors), "", Bar(high=1e-6), note)
+
+
+def _error_bars(scenes: int) -> Iterator[Row]:
+    for name, free in (("a joint", JOINT), ("five encoders", ENCODERS)):
+        scores: dict[str, list[float]] = {}
+        for seed in range(scenes):
+            dataset = jointed_arm(20, free=free, pixel_noise=0.3).dataset(seed)
+            result = calibrate(_off(dataset, 0.02), Options(loss="linear"))
+            for joint in result.joints.values():
+                e = _error(joint.values, dataset, joint.name)
+                scores.setdefault(joint.name, []).append(float(e @ np.linalg.solve(joint.covariance, e)) / len(e))
+        mean = float(np.mean([each for block in scores.values() for each in block]))
+        spread = ", ".join(f"{block} {np.mean(each):.2f}" for block, each in scores.items())
+        yield Row(f"robots/NEES, {name}", mean, "", Bar(0.8, 1.2), f"of its expectation, {scenes} scenes: {spread}")
+
+
+def _cost(rounds: int) -> Iterator[Row]:
+    for collections in (24, 200):
+        arms = {
+            name: jointed_arm(collections, free=free, pixel_noise=0.3).dataset(1)
+            for name, free in (("none", {}), ("joint", JOINT))
+        }
+        yield _ratio("a joint on the chain", {k: _solve(d) for k, d in arms.items()}, collections, rounds)
+        several = two_patterns(collections, pixel_noise=0.3)
+        one = stereo(collections, pixel_noise=0.3, anchored="left")
+        boards = {"none": one.dataset(1), "pattern": several.dataset(1)}
+        yield _ratio("a pattern more", {k: _solve(d) for k, d in boards.items()}, collections, rounds)
+
+
+def _solve(dataset: Dataset) -> tuple[Problem, Values]:
+    setup = build(dataset)
+    return setup.problem, linear_start(setup, true_values(setup)).values
+
+
+def _ratio(what: str, problems: dict[str, tuple[Problem, Values]], collections: int, rounds: int) -> Row:
+    """How much longer the least squares take with it, from the linear start, each in its own iterations."""
+    works = {name: (lambda p=p, v=v: minimise(p, v, WEIGHTS)) for name, (p, v) in problems.items()}
+    times = interleaved(works, rounds)
+    without, with_it = times.values()
+    more = statistics.median(b / a for a, b in zip(without, with_it, strict=True)) - 1
+    iterations = " and ".join(str(minimise(p, v, WEIGHTS).iterations) for p, v in problems.values())
+    note = f"{1e3 * statistics.median(without):.2f} ms without, {iterations} iterations"
+    # with few collections numpy's calls are most of the time, and every group of views makes as many
+    bar = None if what == "a pattern more" and collections < 100 else Bar(high=20)
+    return Row(f"robots/{what}, N={collections}", 100 * more, "% more", bar, note)
+
+
+def _refusals() -> Row:
+    """Systems that leave two parameters to make up for each other, and are not refused with both names."""
+    cases: dict[str, tuple[Free, tuple[str, str]]] = {
+        "joint and mount": ({"j6": ("position_bias",)}, ("joint-j6", "j6-cam")),
+        "joint and pattern": ({"j1": ("origin_yaw",)}, ("joint-j1", "board")),
+        "angle and encoder": ({"j5": JOINT_PARAMETERS[3:]}, ("position_bias", "origin_pitch")),
+    }
+    silent = []
+    for case, (free, names) in cases.items():
+        try:
+            calibrate(jointed_arm(free=free, pixel_noise=0.3).dataset())
+            silent.append(case)
+        except UndeterminedError as error:
+            silent += [case] if not all(name in str(error) for name in names) else []
+    return Row(
+        "robots/not named", float(len(silent)), "", Bar(high=0), f"of {len(cases)}: {', '.join(silent) or 'none'}"
+    )
+
+
+def _off(dataset: Dataset, size: float) -> Dataset:
+    """The dataset with all free parameters of joints off by so much (m, rad)."""
+    joints = dataset.joints.values()
+    return dataset.with_joints({j.name: j.values + size * np.isin(JOINT_PARAMETERS, j.parameters) for j in joints})
+
+
+def _error(found: np.ndarray, dataset: Dataset, joint: str) -> np.ndarray:
+    true = dataset.joints[joint]
+    error: np.ndarray = found - true.values[np.isin(JOINT_PARAMETERS, true.parameters)]
+    return error

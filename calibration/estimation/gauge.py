@@ -1,0 +1,145 @@
+"""What could move together without changing any label, and so has to be held somewhere.
+
+Cut the tree of frames at the unknown transforms, and it falls into bodies. One that holds neither a
+sensor's frame nor a pattern is never seen itself: with its unknown edges it can be anywhere. Only
+what moves inside it, an arm between two of its unknown edges, tells it; an edge that each collection
+has its own of makes up for any motion.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from calibration.dataset.model import Dataset, Edge
+from calibration.errors import UndeterminedError
+from calibration.estimation.problem import Block, ViewGroup
+
+RIGID = 1e-9
+"""Transforms that differ by less (m, and elements of rotations) are the same in all collections."""
+
+
+@dataclass(frozen=True)
+class Gauge:
+    """What is held because the data determine only relative poses."""
+
+    sensor: str | None = None
+    """Its calibrated transform stays at its guess."""
+    patterns: tuple[str, ...] = ()
+    """Fixed patterns that stay where their first views put them by the guess."""
+
+
+def free_gauge(dataset: Dataset, groups: Sequence[ViewGroup], blocks: Sequence[Block], edges: Sequence[Edge]) -> Gauge:
+    """What to hold.
+
+    A free body is held by a sensor, or by a fixed pattern where no sensor is fixed to it: only the
+    choice of an origin. It is not where an additional transform that is the same in all collections
+    stands at it: then that one and its neighbour make up for each other, which the data cannot tell and
+    `calibration.estimation.observability` will say; unless the motion of that body is unknown in each
+    collection, as of a mobile base.
+
+    Raises:
+        UndeterminedError: sensors are not linked to each other, or two transforms that each collection has
+            its own of make up for each other.
+    """
+    parts = _linked(dataset, groups, blocks)
+    free = [bodies for part in parts if (bodies := _free_bodies(dataset, part, groups, blocks, edges))]
+    if free and len(parts) > 1:
+        listed = " and ".join("{" + ", ".join(part) + "}" for part in parts)
+        raise UndeterminedError(
+            f"{dataset.path}: the sensors {listed} share no collection of a pattern, so their relative pose is not "
+            f"determined; add collections in which they see the pattern together"
+        )
+    gauge = Gauge()
+    for attached in (body for bodies in free for body in bodies):
+        additional = any(edges[b] in dataset.additional_transforms for b in attached)
+        if not additional or any(blocks[b].per_collection for b in attached):
+            gauge = _held(dataset, gauge, attached, blocks, edges)
+    return gauge
+
+
+def _held(
+    dataset: Dataset, gauge: Gauge, attached: Sequence[int], blocks: Sequence[Block], edges: Sequence[Edge]
+) -> Gauge:
+    """The gauge with one more body held, by one of the blocks attached to it."""
+    constant = [edges[b] for b in attached if not blocks[b].per_collection]
+    for sensor in dataset.sensors.values():
+        if gauge.sensor is None and sensor.edge in constant:
+            return Gauge(sensor.name, gauge.patterns)
+    for pattern in dataset.patterns.values():
+        if (pattern.parent_link, pattern.link) in constant:
+            return Gauge(gauge.sensor, (*gauge.patterns, pattern.name))
+    names = " and ".join(f"'{blocks[b].name}'" for b in attached)
+    raise UndeterminedError(
+        f"{dataset.path}: {names} make up for each other, so no label tells them; hold one of them or leave it out"
+    )
+
+
+def _linked(dataset: Dataset, groups: Sequence[ViewGroup], blocks: Sequence[Block]) -> list[list[str]]:
+    """The sensors, in groups that are linked, in the dataset's order.
+
+    Two sensors are linked where they see the same pattern: a fixed one ever, a moving one in the same
+    collection; or where the same unknown motion carries both in the same collection.
+    """
+    witnesses: dict[str, set[tuple[str, int]]] = {}
+    for group in groups:
+        fixed = dataset.patterns[group.pattern].fixed
+        seen = {(group.pattern, -1)} if fixed else {(group.pattern, int(c)) for c in group.collections}
+        moving = {blocks[link.block].name for link in group.chain.links if blocks[link.block].per_collection}
+        seen |= {(name, int(c)) for name in moving for c in group.collections}
+        witnesses.setdefault(group.sensor, set()).update(seen)
+    parts: list[tuple[list[str], set[tuple[str, int]]]] = []
+    for sensor in (s for s in dataset.sensors if s in witnesses):
+        names, seen = [sensor], set(witnesses[sensor])
+        for part in [p for p in parts if p[1] & seen]:
+            parts.remove(part)
+            names, seen = part[0] + names, part[1] | seen
+        parts.append((names, seen))
+    return [sorted(names, key=list(dataset.sensors).index) for names, _ in parts]
+
+
+def _free_bodies(
+    dataset: Dataset,
+    sensors: Sequence[str],
+    groups: Sequence[ViewGroup],
+    blocks: Sequence[Block],
+    edges: Sequence[Edge],
+) -> list[list[int]]:
+    """The bodies that these sensors' views leave anywhere: of each, the blocks attached to it."""
+    views = [group for group in groups if group.sensor in sensors]
+    used = sorted({link.block for group in views for link in group.chain.links if not blocks[link.block].joint})
+    bodies = _Bodies(dataset, [edge for edge, block in zip(edges, blocks, strict=True) if not block.joint])
+    seen = {bodies.of(dataset.sensors[group.sensor].frame) for group in views}
+    seen |= {bodies.of(dataset.patterns[group.pattern].link) for group in views}
+    attached: dict[str, list[tuple[int, str]]] = {}
+    for block in used:
+        for frame in edges[block]:
+            attached.setdefault(bodies.of(frame), []).append((block, frame))
+    free = []
+    for body, ends in attached.items():
+        constant = [frame for block, frame in ends if not blocks[block].per_collection]
+        if body not in seen and not any(blocks[block].held for block, _ in ends) and _rigid(dataset, constant):
+            free.append([block for block, _ in ends])
+    return free
+
+
+def _rigid(dataset: Dataset, frames: Sequence[str]) -> bool:
+    """Whether frames of one body keep their places to each other."""
+    relative = [dataset.transform(frames[0], frame) for frame in dict.fromkeys(frames[1:])]
+    return all(np.abs(T - T[0]).max() < RIGID for T in relative)
+
+
+class _Bodies:
+    """The frames of a dataset, put together along all edges but some."""
+
+    def __init__(self, dataset: Dataset, cut: Sequence[Edge]) -> None:
+        self._body: dict[str, str] = {}
+        for parent, child in dataset.transforms:
+            if (parent, child) not in cut:
+                self._body[self.of(child)] = self.of(parent)
+
+    def of(self, frame: str) -> str:
+        """A name for the body of a frame."""
+        while (parent := self._body.get(frame, frame)) != frame:
+            frame = parent
+        return frame

@@ -1,0 +1,142 @@
+"""Joints to calibrate, and transforms that move: read with their checks; what is written reads back the same."""
+
+import json
+
+import numpy as np
+import pytest
+
+from calibration.dataset.reading import read_dataset
+from calibration.dataset.truth import truth_of
+from calibration.dataset.writing import dataset_document, write_dataset
+from calibration.errors import InputError
+from calibration.geometry.joints import JOINT_PARAMETERS
+from tests.dataset import documents
+from tests.dataset.documents import MISSING, changed
+
+ELBOW = {
+    "transform_key": "mount-cam_link",
+    "position": 0.25,
+    **dict(zip(JOINT_PARAMETERS[:6], [0.1, 0.0, 0.05, 0.0, 0.2, 0.3], strict=True)),
+    "axis_x": 0.0,
+    "axis_y": 0.0,
+    "axis_z": 2.0,
+    "parent_link": "world",
+    "child_link": "mount",
+    "joint_type": "revolute",
+}
+CONFIG = "calibration_config/joints"
+
+
+def document(**changes: object) -> documents.Document:
+    """The dataset of `documents` whose mount is a joint."""
+    content = changed(
+        documents.document(),
+        {
+            "calibration_config/additional_tfs": None,
+            CONFIG: {"elbow": {"params_to_calibrate": ["position_bias", "origin_x"]}},
+            "collections/000/joints": {"elbow": dict(ELBOW), "other": {"position": 1.0}},
+            "collections/002/joints": {"elbow": {**ELBOW, "position": -0.5}},
+        },
+    )
+    return changed(content, {path.replace("__", "/"): value for path, value in changes.items()})
+
+
+def read(folder, content):
+    return read_dataset(documents.write(folder, content))
+
+
+def test_a_joint(tmp_path):
+    dataset = read(tmp_path, document())
+    (joint,) = dataset.joints.values()
+    assert (joint.name, joint.edge, joint.parameters) == ("elbow", ("world", "mount"), ("origin_x", "position_bias"))
+    assert (joint.model.prismatic, joint.model.axis) == (False, (0.0, 0.0, 1.0))
+    np.testing.assert_array_equal(joint.values, [0.1, 0.0, 0.05, 0.0, 0.2, 0.3, 0.0])
+    np.testing.assert_array_equal(joint.positions, [0.25, -0.5])
+    np.testing.assert_array_equal(dataset.with_collections([1]).joints["elbow"].positions, [-0.5])
+
+
+@pytest.mark.parametrize("nothing", [None, {}, MISSING])
+def test_no_joints(tmp_path, nothing):
+    assert read(tmp_path, changed(documents.document(), {CONFIG: nothing})).joints == {}
+
+
+def test_what_was_calibrated_reads_back(tmp_path):
+    dataset = read(tmp_path, document())
+    values = dataset.joints["elbow"].values + np.array([0.01, 0, 0, 0, 0, 0, 0.02])
+    moved = dataset.with_joints({"elbow": values})
+    np.testing.assert_allclose(moved.transforms["world", "mount"], moved.joints["elbow"].transform)
+    path = write_dataset(moved, tmp_path / "out")
+    again = read_dataset(path)
+    np.testing.assert_array_equal(again.joints["elbow"].values, values)
+    np.testing.assert_array_equal(again.joints["elbow"].positions, [0.25, -0.5])
+    np.testing.assert_allclose(again.transforms["world", "mount"], moved.transforms["world", "mount"], atol=1e-12)
+    written = json.loads(path.read_text())
+    assert written["collections"]["000"]["joints"]["other"] == {"position": 1.0}
+    assert written["collections"]["002"]["joints"]["elbow"]["position_bias"] == 0.02
+    described = written["transforms"]["world-mount"]
+    assert described["joint_name"] == "elbow"
+    assert described["joint_params_calibrated"] == ["origin_x", "position_bias"]
+
+
+def test_what_has_not_changed_is_written_as_it_was_read(tmp_path):
+    content = document()
+    written = dataset_document(read(tmp_path, content))
+    assert written["collections"]["000"]["joints"] == content["collections"]["000"]["joints"]
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"collections__002__joints": {}}, "collections/002/joints: missing key 'elbow'"),
+        ({"collections__002__joints": MISSING}, "collections/002: missing key 'joints'"),
+        ({"collections__000__joints__elbow__joint_type": "fixed"}, "expected a joint that moves: revolute or"),
+        ({"collections__000__joints__elbow__axis_z": 0.0}, r"found the axis \(0, 0, 0\), expected a direction"),
+        ({"collections__000__joints__elbow__position": "far"}, "joints/elbow/position"),
+        ({"collections__002__joints__elbow__origin_x": 0.2}, "differs from collection 000; only the position"),
+        ({"collections__002__joints__elbow__joint_type": "prismatic"}, "differs from collection 000"),
+        ({"calibration_config__joints__elbow__params_to_calibrate": ["origin_w"]}, "expected one of origin_x, "),
+        ({"calibration_config__joints__elbow__params_to_calibrate": []}, "expected at least one parameter"),
+        ({"collections__000__joints__elbow__child_link": "hand", "collections__002__joints__elbow__child_link": "hand"},
+         "joints/elbow: its transform, 'world-hand', is none of the collections' transforms"),
+        ({"calibration_config__additional_tfs": {"mast": {"parent_link": "world", "child_link": "mount"}}},
+         "joints/elbow: its transform, 'world-mount', is calibrated by additional_tfs already"),
+        ({f"collections__{c}__joints__elbow__{k}": v for c in ("000", "002")
+          for k, v in (("parent_link", "mount"), ("child_link", "cam_link"))},
+         "is calibrated by sensor 'cam' already"),
+        ({"calibration_config__joints__twin": {"params_to_calibrate": ["origin_x"]},
+          "collections__000__joints__twin": ELBOW, "collections__002__joints__twin": ELBOW},
+         "joints/twin: its transform, 'world-mount', is calibrated by joint 'elbow' already"),
+    ],
+)  # fmt: skip
+def test_what_is_wrong_is_said(tmp_path, changes, message):
+    with pytest.raises(InputError, match=message):
+        read(tmp_path, document(**changes))
+
+
+@pytest.mark.parametrize(
+    ("described", "shift", "moves"),
+    [
+        (None, 0.0, False),
+        (None, 0.1, True),
+        ({"world-mount": {"type": "fixed"}}, 0.1, False),
+        ({"world-mount": {"type": "multiple"}}, 0.0, True),
+        ({"mount-cam_link": {"type": "multiple"}}, 0.0, False),
+        ({"world-mount": {}}, 0.1, True),
+    ],
+)
+def test_an_additional_transform_moves_as_the_file_says_or_else_as_it_stands(tmp_path, described, shift, moves):
+    content = changed(documents.document(), {"collections/002/transforms/world-mount/trans": [shift, 0.0, 1.0]})
+    dataset = read(tmp_path, {**content, "transforms": described} if described else content)
+    assert dataset.moving_transforms == ({("world", "mount")} if moves else set())
+    again = read_dataset(write_dataset(dataset, tmp_path / "out"))
+    assert again.moving_transforms == dataset.moving_transforms
+    if moves:
+        assert ("world", "mount") not in truth_of(dataset).transforms
+
+
+def test_a_type_that_is_none(tmp_path):
+    content = {**documents.document(), "transforms": {"world-mount": {"type": "floating"}}}
+    with pytest.raises(
+        InputError, match=r"transforms/world-mount/type: found 'floating', expected 'fixed' or 'multiple'"
+    ):
+        read(tmp_path, content)
