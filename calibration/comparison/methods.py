@@ -24,6 +24,16 @@ class Method:
     run: Callable[[Dataset], Dataset]
     """The dataset with the method's transforms; `CalibrationError` where it does not apply or fails."""
 
+    def calibrate(self, dataset: Dataset) -> Dataset:
+        """The dataset with the method's transforms.
+
+        Raises:
+            CalibrationError: it does not apply, or fails.
+        """
+        if dataset.joints:
+            raise InputError(f"{self.title} calibrates no joints, and the dataset asks for {', '.join(dataset.joints)}")
+        return self.run(dataset)
+
 
 METHODS: Mapping[str, Method] = {
     method.name: method
@@ -58,4 +68,4 @@ def method_of(name: str) -> Method:
 
 def applicable(dataset: Dataset) -> list[Method]:
     """The methods that apply to a dataset."""
-    return [method for method in METHODS.values() if method.why_not(dataset) is None]
+    return [] if dataset.joints else [method for method in METHODS.values() if method.why_not(dataset) is None]

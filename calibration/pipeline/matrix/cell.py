@@ -1,5 +1,6 @@
 """One cell of the matrix: one system calibrated from one noisy start, and what is left in files."""
 
+import math
 import time
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -170,7 +171,7 @@ def run_comparison(method: str, system: LoadedSystem, output: Path) -> CellResul
     begin = time.perf_counter()
     result = CellResult(system.name, method, None, None, None, None, None, False, None, None, None, None, 0.0)
     try:
-        dataset = method_of(method).run(system.dataset)
+        dataset = method_of(method).calibrate(system.dataset)
         result = replace(result, converged=True)
         result = _written(result, dataset, system, output, f"{system.name}/{method}", None)
     except CalibrationError as error:
@@ -231,9 +232,23 @@ def _described(result: CellResult, calibration: Calibration) -> CellResult:
         }
         for edge, T in calibration.transforms.items()
     ]
+    joints = [
+        {
+            "name": joint.name,
+            "parameter": parameter,
+            "value": value,
+            "unit": unit,
+            "sigma": sigma if math.isfinite(sigma) else None,
+        }
+        for joint in calibration.joints.values()
+        for parameter, value, unit, sigma in zip(
+            joint.parameters, joint.values.tolist(), joint.units, joint.sigmas.tolist(), strict=True
+        )
+    ]
     levels = calibration.noise_levels
     details = {
         "transforms": transforms,
+        "joints": joints,
         "iterations": calibration.iterations,
         "cost": calibration.cost,
         "degrees_of_freedom": calibration.degrees_of_freedom,
