@@ -207,16 +207,25 @@ class Ros:  # pragma: no cover (runs where ROS is: tests/integration/simulation/
         self.pose.header.stamp = self.rospy.Time.now()
         p, q = self.pose.pose.position, self.pose.pose.orientation
         p.x, p.y, p.z, q.x, q.y, q.z, q.w = pose
-        self.publisher.publish(self.pose)
+        try:
+            self.publisher.publish(self.pose)
+        except self.rospy.ROSException as error:
+            self.go_on()
+            raise PlayError(f"{self.topic}: the pose cannot be published: {error}") from error
         if not self.publisher.get_num_connections():
+            self.go_on()  # a shutdown ends the connections too
             raise PlayError(f"nobody listens to {self.topic} any more: the simulation has ended")
 
+    def go_on(self) -> None:
+        """Do nothing, unless ROS shuts down, as it does at SIGTERM."""
+        if self.rospy.is_shutdown():
+            raise PlayError("ROS shut down before the motion was played")
+
     def wait(self, seconds: float) -> None:
-        """Wait, unless ROS shuts down, as it does at SIGTERM."""
+        """Wait, unless ROS shuts down."""
         end = time.time() + seconds
         while time.time() < end:
-            if self.rospy.is_shutdown():
-                raise PlayError("ROS shut down before the motion was played")
+            self.go_on()
             time.sleep(min(0.05, max(0.0, end - time.time())))
 
     def save(self) -> Answer:
@@ -224,6 +233,7 @@ class Ros:  # pragma: no cover (runs where ROS is: tests/integration/simulation/
         try:
             return as_answer(within(self.timeout, self.call, self.service))
         except self.rospy.ServiceException as error:
+            self.go_on()
             raise PlayError(f"{self.service} failed: {error}") from error
 
 
