@@ -34,7 +34,7 @@ lint: ## ruff, mypy, and the checks of workflows, actions, shell, configurations
 
 test: lint ## lint, then the tests with their coverage
 	$(python) -m coverage erase
-	COVERAGE_PROCESS_START='$(CURDIR)/pyproject.toml' COVERAGE_FILE='$(CURDIR)/.coverage' $(python) -m pytest -n 3 --dist worksteal $(ARGS)
+	COVERAGE_PROCESS_START='$(CURDIR)/pyproject.toml' COVERAGE_FILE='$(CURDIR)/.coverage' $(python) -m pytest -n 2 --dist worksteal $(ARGS)
 	$(python) -m coverage combine --quiet
 	$(python) -m coverage report
 

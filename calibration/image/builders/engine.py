@@ -3,7 +3,7 @@
 import re
 import tempfile
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Any
 
 from calibration.errors import CalibrationError, WorldError
@@ -16,7 +16,14 @@ if TYPE_CHECKING:
     from docker import DockerClient
 
 _STEP = re.compile(r"^Step (\d+)/(\d+) : (.*)", re.DOTALL)
+_LAYER_GONE = "unknown parent image ID"
+"""What the engine says where a layer of its cache went in the midst, with an image that somebody else removed."""
+_ATTEMPTS = 3
 _CONTROL = re.compile(r"^ ---> |^Removing intermediate container|^Successfully (built|tagged) ")
+
+
+class _LayerGoneError(Exception):
+    """The same build may well succeed."""
 
 
 def build_by_engine(client: "DockerClient", request: BuildRequest, log: BuildLog) -> str:
@@ -26,6 +33,14 @@ def build_by_engine(client: "DockerClient", request: BuildRequest, log: BuildLog
         BuildFailedError: a step failed, or the Dockerfile is wrong.
         WorldError: the engine, its disk or the network failed.
     """
+    for _ in range(_ATTEMPTS):
+        with suppress(_LayerGoneError):
+            return _build(client, request, log)
+    raise WorldError(f"image {request.name}: others remove images that this build is made of: run it again")
+
+
+def _build(client: "DockerClient", request: BuildRequest, log: BuildLog) -> str:
+    """Build once."""
     import docker
     import requests
     import urllib3
@@ -98,4 +113,6 @@ def _failure(event: Mapping[str, Any], request: BuildRequest, log: BuildLog) -> 
     detail = detail if isinstance(detail, Mapping) else {}
     code = detail.get("code")
     message = f"exit code {code}" if code else str(detail.get("message") or event.get("error"))
+    if message.startswith(_LAYER_GONE):
+        raise _LayerGoneError
     return build_problem(request.name, log.step_name, message, log)

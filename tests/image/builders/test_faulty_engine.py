@@ -23,10 +23,12 @@ def log() -> BuildLog:
     return BuildLog(Runner(github=True), lambda *_, **__: None)
 
 
-def build(reply: Reply) -> str:
+def build(*replies: Reply) -> str:
+    """Build with an engine that gives these answers; the last of them again and again."""
     context = Context()
     context.add_bytes("Dockerfile", b"FROM x")
-    with serve(lambda _: reply) as server:
+    left = list(replies)
+    with serve(lambda _: left.pop(0) if len(left) > 1 else left[0]) as server:
         client = docker.DockerClient(base_url=f"tcp://{server.address}", version="1.41", timeout=5)
         try:
             return build_by_engine(client, BuildRequest("robot", context, "Dockerfile"), log())
@@ -57,6 +59,18 @@ def test_a_build(reply: Reply, kind: type[Exception], said: str) -> None:
     with pytest.raises(kind, match=said) as error:
         build(reply)
     assert str(error.value).isprintable()
+
+
+GONE = Reply(body=json.dumps({"errorDetail": {"message": f"unknown parent image ID sha256:{'0' * 64}"}}).encode())
+
+
+def test_a_layer_that_somebody_else_removes_in_the_midst() -> None:
+    built = Reply(body=json.dumps({"aux": {"ID": "sha256:1"}}).encode())
+    assert build(GONE, GONE, built) == "sha256:1"
+    with pytest.raises(
+        WorldError, match=r"^image robot: others remove images that this build is made of: run it again$"
+    ):
+        build(GONE)
 
 
 def test_a_pull_that_the_engine_refuses() -> None:
