@@ -1,6 +1,9 @@
 """Other calibration methods on the same dataset, for rows beside the built-in engine's.
 
 ``methods`` names them; each takes a dataset and gives a new one with its own transforms:
-``opencv_stereo`` (two cameras), ``icp`` (two LiDARs or depth cameras), ``robot_world_methods`` and
-``hand_eye_methods`` (a camera, an arm, a fixed pattern).
+
+- ``opencv_stereo``: two cameras;
+- ``icp``: two LiDARs or depth cameras;
+- ``arm_methods``: cameras, an arm, fixed patterns (``arm``), by OpenCV (``opencv_arm``) or by ``hand_eye_solvers``
+  and the robot-world solutions of the estimation.
 """

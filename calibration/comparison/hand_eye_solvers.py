@@ -1,8 +1,8 @@
 """Five solutions of the hand-eye problem ``A X = X B``, from relative motions of hand and eye.
 
-OpenCV 4 has the same five in `calibrateHandEye`, with equal results (newer ones leave out some motions for Tsai);
-OpenCV 5 has none. Each is written from its paper and takes `relative_motions`; a motion that cannot
-determine X gives some finite transform.
+They run where OpenCV does not have them: OpenCV 4 has the same five in `calibrateHandEye`, with equal results
+(newer ones leave out some motions for Tsai), OpenCV 5 none. Each is written from its paper and takes
+`relative_motions`; a motion that cannot determine X gives some finite transform.
 """
 
 import numpy as np

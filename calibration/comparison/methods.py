@@ -2,11 +2,12 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 
-from calibration.comparison.hand_eye_methods import andreff, daniilidis, horaud, park, tsai
+from calibration.comparison.arm import why_not_arm
+from calibration.comparison.arm_methods import HAND_EYE, ROBOT_WORLD, by_arm, described
 from calibration.comparison.icp import icp, icp_average, icp_best, why_not_icp
-from calibration.comparison.opencv_stereo import opencv_stereo, opencv_stereo_fixed, why_not_stereo
-from calibration.comparison.robot_world_methods import li, shah, why_not_robot_world
+from calibration.comparison.opencv_stereo import opencv_stereo, opencv_stereo_fixed, opencv_version, why_not_stereo
 from calibration.dataset.model import Dataset
 from calibration.errors import InputError
 
@@ -23,6 +24,10 @@ class Method:
     """One line that says why it does not apply to a dataset; None if it does."""
     run: Callable[[Dataset], Dataset]
     """The dataset with the method's transforms; `CalibrationError` where it does not apply or fails."""
+    describe: Callable[[Dataset], str]
+    """Whose implementation has run on a dataset, and by what of it where there is a choice."""
+    from_start: bool = False
+    """Whether it starts from the dataset's transforms, so that it answers otherwise to every starting guess."""
 
     def calibrate(self, dataset: Dataset) -> Dataset:
         """The dataset with the method's transforms.
@@ -35,21 +40,27 @@ class Method:
         return self.run(dataset)
 
 
+def _stereo(name: str, title: str, run: Callable[[Dataset], Dataset]) -> Method:
+    return Method(name, title, why_not_stereo, run, opencv_version)
+
+
+def _arm(name: str) -> Method:
+    return Method(name, name.capitalize(), why_not_arm, partial(by_arm, name), partial(described, name))
+
+
+def _icp(name: str, title: str, run: Callable[[Dataset], Dataset]) -> Method:
+    return Method(name, title, why_not_icp, run, lambda _: "built in", from_start=True)
+
+
 METHODS: Mapping[str, Method] = {
     method.name: method
     for method in (
-        Method("opencv-stereo", "OpenCV stereo", why_not_stereo, opencv_stereo),
-        Method("opencv-stereo-fixed", "OpenCV stereo, intrinsics fixed", why_not_stereo, opencv_stereo_fixed),
-        Method("shah", "Shah", why_not_robot_world, shah),
-        Method("li", "Li", why_not_robot_world, li),
-        Method("tsai", "Tsai", why_not_robot_world, tsai),
-        Method("park", "Park", why_not_robot_world, park),
-        Method("horaud", "Horaud", why_not_robot_world, horaud),
-        Method("andreff", "Andreff", why_not_robot_world, andreff),
-        Method("daniilidis", "Daniilidis", why_not_robot_world, daniilidis),
-        Method("icp", "ICP, all collections at once", why_not_icp, icp),
-        Method("icp-average", "ICP, average of the collections", why_not_icp, icp_average),
-        Method("icp-best", "ICP, best collection", why_not_icp, icp_best),
+        _stereo("opencv-stereo", "OpenCV stereo", opencv_stereo),
+        _stereo("opencv-stereo-fixed", "OpenCV stereo, intrinsics fixed", opencv_stereo_fixed),
+        *map(_arm, (*ROBOT_WORLD, *HAND_EYE)),
+        _icp("icp", "ICP, all collections at once", icp),
+        _icp("icp-average", "ICP, average of the collections", icp_average),
+        _icp("icp-best", "ICP, best collection", icp_best),
     )
 }
 """All methods."""

@@ -41,6 +41,11 @@ def opencv_stereo_fixed(dataset: Dataset) -> Dataset:
     return _stereo(dataset, fixed=True)
 
 
+def opencv_version(_: Dataset) -> str:
+    """Whose implementation it is."""
+    return f"OpenCV {_opencv().__version__}"
+
+
 def why_not_stereo(dataset: Dataset) -> str | None:
     """One line that says why the method does not apply to a dataset; None if it does."""
     reason = why_not_pair(dataset, ("rgb",), "two cameras")

@@ -33,7 +33,7 @@ def report(results: Results, output: Path, runner: Runner, title: str) -> None:
             runner.log(aligned(table.header, table.rows))
         runner.log("")
     failed = [Annotation(line, title=title) for line in failures(results)]
-    notes = [Annotation(f"{c.name}: {'; '.join(c.reasons)}", Level.WARNING) for c in without_result(results)]
+    notes = [Annotation(line, Level.WARNING) for line in without_result(results)]
     annotate(runner, [*failed, *notes])
     add_summary(runner, text)
     numbers = summarise(results)

@@ -22,7 +22,7 @@ SCHEMA = Path(__file__).with_name("results.schema.json")
 FILE = "results.json"
 _PLAIN = (
     *("system", "translation_noise", "rotation_noise", "seed", "method", "start", "loss"),
-    *("converged", "rms_px", "table", "dataset", "seconds"),
+    *("converged", "rms_px", "table", "dataset", "seconds", "detail"),
 )
 """The fields of a cell that stand in the file as they are."""
 
@@ -165,7 +165,7 @@ def cells_csv(results: Results) -> str:
         truth = (f"{cell.truth.translation_mm:.4f}", f"{cell.truth.rotation_deg:.5f}") if cell.truth else ("", "")
         rms = "" if cell.rms_px is None else f"{cell.rms_px:.4f}"
         noise = ["" if v is None else f"{v:g}" for v in (cell.translation_noise, cell.rotation_noise, cell.seed)]
-        verdict = cell.verdict if cell.from_noise else ""
+        verdict = "" if cell.by_other_method else cell.verdict
         writer.writerow([cell.name, cell.system, cell.method, *noise, verdict, rms, *truth])
     return text.getvalue()
 

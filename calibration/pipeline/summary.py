@@ -33,7 +33,7 @@ def grid(results: Results) -> Grid:
     def column(cell: CellResult) -> str:
         if cell.system not in software:
             return cell.system
-        return f"{cell.system}: {cell.method if cell.from_noise else OUR_METHOD}"
+        return f"{cell.system}: {OUR_METHOD if cell.by_other_method else cell.method}"
 
     everything = sorted((*results.cells, *results.comparisons), key=lambda c: results.systems.index(c.system))
     columns = list(dict.fromkeys(map(column, everything)))
@@ -48,7 +48,8 @@ def grid(results: Results) -> Grid:
 def _row(cell: CellResult) -> str:
     if cell.translation_noise is None or cell.rotation_noise is None:
         return cell.method
-    return noise_text(cell.translation_noise, cell.rotation_noise)
+    start = noise_text(cell.translation_noise, cell.rotation_noise)
+    return f"{cell.method}, {start}" if cell.by_other_method else start
 
 
 def _text(cells: Sequence[CellResult]) -> str:
@@ -64,7 +65,7 @@ def _text(cells: Sequence[CellResult]) -> str:
         parts.append(f"{max(t.translation_mm for t in truths):.3g} mm")
         parts.append(f"{max(t.rotation_deg for t in truths):.2g} deg")
     passed = sum(cell.verdict == "pass" for cell in cells)
-    if not cells[0].from_noise:
+    if cells[0].by_other_method:
         return ", ".join(parts) or "no result"
     if passed < len(cells):
         parts.append("FAIL" if len(cells) == 1 else f"FAIL: {passed}/{len(cells)} pass")
@@ -117,7 +118,7 @@ def sentence(results: Results) -> str:
 
 def failures(results: Results) -> list[str]:
     """A line for everything that failed, with its first reasons; results.json has all of them."""
-    references = {cell.start_of_cell: cell for cell in results.comparisons if cell.from_noise}
+    references = {cell.start_of_cell: cell for cell in results.comparisons if not cell.by_other_method}
     cells = [
         f"{cell.name}: {_first(cell.reasons)}{_whose_fault(references.get(cell.start_of_cell))}"
         for cell in results.cells
@@ -141,9 +142,24 @@ def _first(reasons: Sequence[str]) -> str:
     return "; ".join(reasons[:REASONS_SHOWN]) + (f"; and {more} more" if more > 0 else "")
 
 
-def without_result(results: Results) -> list[CellResult]:
-    """The other methods that have found nothing; our engine beside a team's software is part of the table."""
-    return [cell for cell in results.comparisons if cell.reasons and not cell.from_noise]
+def without_result(results: Results) -> list[str]:
+    """Why other methods have found nothing, once for all starts; our engine beside a team's software is no such one."""
+    return list(
+        dict.fromkeys(
+            f"{cell.system}, {cell.method}: {'; '.join(cell.reasons)}"
+            for cell in results.comparisons
+            if cell.reasons and cell.by_other_method
+        )
+    )
+
+
+def other_methods(results: Results) -> list[str]:
+    """Whose implementation of the other methods has run, and by what of the data where there is a choice."""
+    found: dict[str, dict[str, None]] = {}
+    for cell in results.comparisons:
+        if cell.detail is not None:
+            found.setdefault(f"{cell.system}: {cell.detail}", {})[cell.method] = None
+    return [f"{', '.join(methods)} on {detail}" for detail, methods in found.items()]
 
 
 def image_line(image: ImageResult) -> str:
@@ -174,6 +190,8 @@ def markdown(results: Results) -> str:
             "RMS of the evaluation table, and, where it is known, the worst error of a calibrated sensor.",
             "",
         ]
+    if by := other_methods(results):
+        lines += [*(f"- {escape_markdown(line)}" for line in by), ""]
     if results.collections:
         table = collections_grid(results)
         lines += [
@@ -191,7 +209,7 @@ def markdown(results: Results) -> str:
         lines += ["### To look at", "", *(f"- {escape_markdown(line)}" for line in notes), ""]
     if results.image is not None:
         lines += [f"{escape_markdown(image_line(results.image))}.", ""]
-    left_out = [f"{c.name}: {'; '.join(c.reasons)}" for c in without_result(results)]
+    left_out = without_result(results)
     if left_out:
         lines += ["### Methods without a result", "", *(f"- {escape_markdown(line)}" for line in left_out), ""]
     return "\n".join(lines)

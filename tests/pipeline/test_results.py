@@ -89,6 +89,46 @@ def test_the_table_has_noise_down_and_systems_across() -> None:
     )
 
 
+def icp_rows() -> Results:
+    found = replace(CELL, method="icp", rms_px=None, loss=None, start="given", detail="built in")
+    lost = replace(found, rotation_noise=0.5, truth=None, converged=False, reasons=("no points near",), detail=None)
+    return Results((CELL, FAILED), (found, lost, replace(lost, seed=2)))
+
+
+def test_a_method_that_depends_on_the_start_has_a_row_for_each_noise() -> None:
+    table = grid(icp_rows())
+
+    assert [row[0] for row in table.rows] == [
+        "0.5 m, 0 rad",
+        "0.5 m, 0.5 rad",
+        "icp, 0.5 m, 0 rad",
+        "icp, 0.5 m, 0.5 rad",
+    ]
+    assert [row[1] for row in table.rows[2:]] == ["0.5 mm, 0.02 deg", "no result"]
+
+
+def test_a_method_that_depends_on_the_start_is_neither_our_engine_nor_judged(tmp_path: Path) -> None:
+    results = icp_rows()
+    write_results(results, tmp_path)
+
+    assert read_results(tmp_path) == results
+    jsonschema.validate(json.loads((tmp_path / "results.json").read_text()), json.loads(SCHEMA.read_text()))
+    rows = list(csv.DictReader((tmp_path / "cells.csv").read_text().splitlines()))
+    assert [row["Verdict"] for row in rows] == ["pass", "fail", "", "", ""]
+    assert len({row["Cell"] for row in rows}) == 5
+    assert "Our engine" not in failures(results)[0]
+
+
+def test_the_summary_says_whose_the_other_methods_are() -> None:
+    others = [replace(CELL, method=name, detail="OpenCV 4.14.0") for name in ("shah", "li")]
+    results = icp_rows()
+
+    text = markdown(replace(results, comparisons=(*results.comparisons, *others)))
+
+    assert "- icp on robot: built in\n- shah, li on robot: OpenCV 4.14.0\n" in text
+    assert text.count("robot, icp: no points near") == 1
+
+
 def test_a_method_without_a_result_does_not_look_like_a_failure() -> None:
     missing = replace(BROKEN, method="opencv-stereo", translation_noise=None, reasons=("OpenCV is not installed",))
 

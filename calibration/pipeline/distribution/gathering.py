@@ -164,6 +164,7 @@ def _result(entry: Mapping[str, Any], slug: str, path: Path) -> CellResult:
         reasons=tuple(entry["reasons"]),
         error=None if entry["error"] is None else ExitCode(entry["error"]),
         warnings=tuple(entry["warnings"]),
+        detail=entry["detail"],
     )
     if result.verdict != entry["verdict"]:
         raise InputError(f"{path}: {result.name}: says {entry['verdict']}, which its own numbers and reasons deny")

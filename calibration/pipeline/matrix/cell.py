@@ -8,14 +8,14 @@ from typing import Any, Literal
 
 import numpy as np
 
-from calibration.comparison.methods import method_of
+from calibration.comparison.methods import METHODS, method_of
 from calibration.dataset.model import Dataset
 from calibration.dataset.truth import Truth
 from calibration.dataset.writing import write_dataset
 from calibration.errors import CalibrationError, ExitCode
 from calibration.estimation.calibrate import Options, calibrate
 from calibration.estimation.result import Calibration
-from calibration.estimation.starting_noise import StartingNoise
+from calibration.estimation.starting_noise import StartingNoise, with_starting_noise
 from calibration.evaluation.reprojection import reprojection
 from calibration.evaluation.specification import Evaluation
 from calibration.evaluation.table import RMS_PIX, Table
@@ -51,14 +51,27 @@ class Cell:
     @property
     def folder(self) -> str:
         """Where its files go, relative to the output folder."""
-        n = self.noise
-        return (
-            f"{self.system}/translation-{number_text(n.translation)}_rotation-{number_text(n.rotation)}_seed-{n.seed}"
-        )
+        return f"{self.system}/{noise_folder(self.noise)}"
 
     def __str__(self) -> str:
         n = self.noise
         return f"{self.system}, {noise_text(n.translation, n.rotation)}, seed {n.seed}"
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Another method on a system's data."""
+
+    system: str
+    method: str
+    noise: StartingNoise | None
+    """The starting guess of a method that takes one; None for one that takes none."""
+
+    @property
+    def folder(self) -> str:
+        """Where its files go, relative to the output folder."""
+        folder = f"{self.system}/{self.method}"
+        return folder if self.noise is None else f"{folder}/{noise_folder(self.noise)}"
 
 
 @dataclass(frozen=True)
@@ -76,7 +89,7 @@ class CellResult:
     system: str
     method: str
     translation_noise: float | None
-    """m; None for a method that takes no start."""
+    """m; None for another method that takes no start."""
     rotation_noise: float | None
     """rad."""
     seed: int | None
@@ -97,6 +110,8 @@ class CellResult:
     warnings: tuple[str, ...] = ()
     details: dict[str, Any] = field(default_factory=dict)
     """Transforms with their standard deviations, noise levels, rejected labels: for the cell's own results."""
+    detail: str | None = None
+    """Of another method: whose implementation it is, and by what of the data it calibrates."""
 
     @property
     def verdict(self) -> Verdict:
@@ -104,9 +119,9 @@ class CellResult:
         return "pass" if self.converged and not self.reasons else "fail"
 
     @property
-    def from_noise(self) -> bool:
-        """Whether it started from a cell's noisy guess; other methods take no start."""
-        return self.translation_noise is not None
+    def by_other_method(self) -> bool:
+        """Whether one of the methods that only compare has made it; it is not judged."""
+        return self.method in METHODS
 
     @property
     def start_of_cell(self) -> tuple[str, float | None, float | None, int | None]:
@@ -118,11 +133,17 @@ class CellResult:
         """What a message calls it."""
         if self.translation_noise is None or self.rotation_noise is None:
             return f"{self.system}, {self.method}"
-        return f"{self.system}, {noise_text(self.translation_noise, self.rotation_noise)}, seed {self.seed}"
+        who = f"{self.system}, {self.method}" if self.by_other_method else self.system
+        return f"{who}, {noise_text(self.translation_noise, self.rotation_noise)}, seed {self.seed}"
 
     def failing(self, *reasons: str) -> "CellResult":
         """The same result with more reasons to fail."""
         return replace(self, reasons=(*self.reasons, *reasons))
+
+
+def noise_folder(noise: StartingNoise) -> str:
+    """The name of the folder of what starts from there."""
+    return f"translation-{number_text(noise.translation)}_rotation-{number_text(noise.rotation)}_seed-{noise.seed}"
 
 
 def noise_text(translation: float, rotation: float) -> str:
@@ -166,17 +187,38 @@ def run_cell(cell: Cell, system: LoadedSystem, output: Path, folder: str | None 
     return replace(result, seconds=round(time.perf_counter() - begin, 4))
 
 
-def run_comparison(method: str, system: LoadedSystem, output: Path) -> CellResult:
+def run_comparison(comparison: Comparison, system: LoadedSystem, output: Path) -> CellResult:
     """Calibrate with another method, and evaluate it as a cell."""
     begin = time.perf_counter()
-    result = CellResult(system.name, method, None, None, None, None, None, False, None, None, None, None, 0.0)
+    result = _nothing_by_other_method(comparison)
     try:
-        dataset = method_of(method).calibrate(system.dataset)
-        result = replace(result, converged=True)
-        result = _written(result, dataset, system, output, f"{system.name}/{method}", None)
+        method = method_of(comparison.method)
+        start = with_starting_noise(system.dataset, comparison.noise) if comparison.noise else system.dataset
+        dataset = method.calibrate(start)
+        result = replace(result, converged=True, detail=method.describe(start))
+        result = _written(result, dataset, system, output, comparison.folder, None)
     except CalibrationError as error:
         result = replace(result.failing(str(error)), converged=False, error=error.exit_code)
     return replace(result, seconds=round(time.perf_counter() - begin, 4))
+
+
+def _nothing_by_other_method(comparison: Comparison) -> CellResult:
+    noise = comparison.noise
+    return CellResult(
+        system=comparison.system,
+        method=comparison.method,
+        translation_noise=noise.translation if noise else None,
+        rotation_noise=noise.rotation if noise else None,
+        seed=noise.seed if noise else None,
+        start="given" if noise else None,
+        loss=None,
+        converged=False,
+        rms_px=None,
+        table=None,
+        dataset=None,
+        truth=None,
+        seconds=0.0,
+    )
 
 
 def _written(

@@ -12,7 +12,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from calibration.comparison.methods import METHODS
+from calibration.comparison.methods import METHODS, method_of
 from calibration.dataset.reading import read_dataset
 from calibration.dataset.truth import choose_truth
 from calibration.errors import InputError
@@ -25,9 +25,11 @@ from calibration.pipeline.matrix.cell import (
     OUR_METHOD,
     Cell,
     CellResult,
+    Comparison,
     LoadedSystem,
     Loss,
     Start,
+    noise_folder,
     run_cell,
     run_comparison,
 )
@@ -48,12 +50,11 @@ class Reference:
     @property
     def folder(self) -> str:
         """Where its files go: beside those of the cells."""
-        system, _, start = self.cell.folder.partition("/")
-        return f"{system}/{OUR_METHOD}/{start}"
+        return f"{self.cell.system}/{OUR_METHOD}/{noise_folder(self.cell.noise)}"
 
 
-Job = Cell | Reference | tuple[str, str]
-"""A cell, our engine's answer to compare it with, or (system, other method)."""
+Job = Cell | Reference | Comparison
+"""A cell, our engine's answer to compare it with, or another method on the same data."""
 Done = Callable[[int, int, CellResult], None]
 """Called after each job with how many are done, how many there are, and its result."""
 
@@ -70,13 +71,7 @@ class Matrix:
     @property
     def cells(self) -> list[Cell]:
         """Every combination, system by system."""
-        return [
-            Cell(system.name, StartingNoise(t, r, seed), self.start, self.loss)
-            for system in self.systems
-            for t in self.noise.translations
-            for r in self.noise.rotations
-            for seed in self.noise.seeds
-        ]
+        return [Cell(system.name, noise, self.start, self.loss) for system in self.systems for noise in self._starts]
 
     @property
     def software(self) -> dict[str, Software]:
@@ -84,9 +79,23 @@ class Matrix:
         return {system.name: system.software for system in self.systems if system.software is not None}
 
     @property
-    def comparisons(self) -> list[tuple[str, str]]:
-        """Every (system, other method)."""
-        return [(system.name, method) for system in self.systems for method in system.compare]
+    def comparisons(self) -> list[Comparison]:
+        """Every other method on every system; one that depends on the start from every start.
+
+        Raises:
+            InputError: there is no such method.
+        """
+        return [
+            Comparison(system.name, method, noise)
+            for system in self.systems
+            for method in system.compare
+            for noise in (self._starts if method_of(method).from_start else [None])
+        ]
+
+    @property
+    def _starts(self) -> list[StartingNoise]:
+        n = self.noise
+        return [StartingNoise(t, r, seed) for t in n.translations for r in n.rotations for seed in n.seeds]
 
 
 @dataclass(frozen=True)
@@ -194,5 +203,4 @@ def _run(job: Job, loaded: dict[str, LoadedSystem], output: Path) -> CellResult:
         return run_cell(job, loaded[job.system], output)
     if isinstance(job, Reference):
         return run_cell(job.cell, loaded[job.cell.system], output, job.folder)
-    system, method = job
-    return run_comparison(method, loaded[system], output)
+    return run_comparison(job, loaded[job.system], output)

@@ -55,7 +55,7 @@ def calibrate_stage(
 def _line(cell: CellResult) -> str:
     rms = "" if cell.rms_px is None else f", {cell.rms_px:.4f} px"
     converged = "calibrated" if cell.converged else "not converged"
-    method = f", {cell.method}" if cell.from_noise else ""
+    method = "" if cell.by_other_method else f", {cell.method}"  # whose name says it
     return f"{cell.name}{method}: {converged}{rms} ({cell.seconds:.2f} s)"
 
 
@@ -76,8 +76,8 @@ def introspect_stage(systems: tuple[System, ...], results: Results, output: Path
     names = {system.name for system in systems}
     found = read_results(output)
     cells = [cell for cell in found.cells if cell.system in names]
-    references = [cell for cell in found.comparisons if cell.system in names and cell.from_noise]
-    others = [cell for cell in found.comparisons if cell.system in names and not cell.from_noise]
+    references = [cell for cell in found.comparisons if cell.system in names and not cell.by_other_method]
+    others = [cell for cell in found.comparisons if cell.system in names and cell.by_other_method]
     results = replace(
         found,
         cells=judge_cells(cells, systems, output),

@@ -93,6 +93,19 @@ def test_other_methods_stand_beside_the_cells(tmp_path: Path) -> None:
     assert all(c.rms_px is not None and ours < c.rms_px < 10 * ours for c in found.comparisons)
 
 
+def test_a_method_that_depends_on_the_start_is_compared_from_every_start(matrix: Matrix) -> None:
+    systems = tuple(replace(system, compare=("icp", "shah")) for system in matrix.systems)
+    jobs = replace(matrix, systems=systems).comparisons
+
+    starts = [cell.noise for cell in matrix.cells if cell.system == "t2rgb"]
+    assert [(job.method, job.noise) for job in jobs if job.system == "t2rgb"] == [
+        *(("icp", start) for start in starts),
+        ("shah", None),
+    ]
+    assert len(jobs) == len({job.folder for job in jobs}) == 2 * (4 + 1)
+    assert not {job.folder for job in jobs} & {cell.folder for cell in matrix.cells}
+
+
 def test_a_method_that_does_not_apply_says_why(tmp_path: Path) -> None:
     found = run_matrix(Matrix((replace(T2RGB, compare=("shah",)),), NoiseGrid()), tmp_path, 1)
 
