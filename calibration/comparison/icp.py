@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calibration.comparison.sensor_pair import why_not_pair, with_pair
+from calibration.comparison.sensor_pair import RANGE_SENSORS, pair_of, why_not_pair, with_pair
 from calibration.dataset.model import Dataset, PointLabels
 from calibration.errors import InputError, UndeterminedError
 from calibration.geometry import rotations
@@ -66,7 +66,7 @@ def icp_best(dataset: Dataset) -> Dataset:
 
 def why_not_icp(dataset: Dataset) -> str | None:
     """One line that says why the method does not apply to a dataset; None if it does."""
-    reason = why_not_pair(dataset, ("lidar3d", "depth"), "two LiDARs or depth cameras")
+    reason = why_not_pair(dataset, RANGE_SENSORS, "LiDARs or depth cameras")
     if reason is None and not _views(dataset):
         return f"it needs a view of {MINIMUM_POINTS} points by both sensors, and there is none"
     return reason
@@ -116,12 +116,12 @@ def _views_and_start(dataset: Dataset) -> tuple[list[Clouds], Array]:
     reason = why_not_icp(dataset)
     if reason:
         raise InputError(f"{dataset.path}: ICP does not apply: {reason}")
-    first, second = dataset.sensors.values()
+    first, second = pair_of(dataset, RANGE_SENSORS)
     return _views(dataset), dataset.transform(first.frame, second.frame)[0]
 
 
 def _views(dataset: Dataset) -> list[Clouds]:
-    names = list(dataset.sensors)
+    names = [sensor.name for sensor in pair_of(dataset, RANGE_SENSORS)]
     views = []
     for collection in dataset.collections:
         for pattern in dataset.patterns:
@@ -150,5 +150,5 @@ def _placed(dataset: Dataset, alignments: list[Alignment], *, average: bool) -> 
         )
     if average:
         T = np.stack([alignment.T_first_second for alignment in good]).mean(0)
-        return with_pair(dataset, transform(rotations.nearest(T[:3, :3]), T[:3, 3]))
-    return with_pair(dataset, min(good, key=lambda alignment: alignment.rms).T_first_second)
+        return with_pair(dataset, RANGE_SENSORS, transform(rotations.nearest(T[:3, :3]), T[:3, 3]))
+    return with_pair(dataset, RANGE_SENSORS, min(good, key=lambda alignment: alignment.rms).T_first_second)

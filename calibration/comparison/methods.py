@@ -8,6 +8,7 @@ from calibration.comparison.arm import why_not_arm
 from calibration.comparison.arm_methods import HAND_EYE, ROBOT_WORLD, by_arm, described
 from calibration.comparison.icp import icp, icp_average, icp_best, why_not_icp
 from calibration.comparison.opencv_stereo import opencv_stereo, opencv_stereo_fixed, opencv_version, why_not_stereo
+from calibration.comparison.sensor_pair import CAMERAS, RANGE_SENSORS, only_pair
 from calibration.dataset.model import Dataset
 from calibration.errors import InputError
 
@@ -26,6 +27,8 @@ class Method:
     """The dataset with the method's transforms; `CalibrationError` where it does not apply or fails."""
     describe: Callable[[Dataset], str]
     """Whose implementation has run on a dataset, and by what of it where there is a choice."""
+    part: Callable[[Dataset], Dataset] = lambda dataset: dataset
+    """A dataset with nothing but the sensors that it calibrates: by those it is to be judged."""
     from_start: bool = False
     """Whether it starts from the dataset's transforms, so that it answers otherwise to every starting guess."""
 
@@ -41,7 +44,7 @@ class Method:
 
 
 def _stereo(name: str, title: str, run: Callable[[Dataset], Dataset]) -> Method:
-    return Method(name, title, why_not_stereo, run, opencv_version)
+    return Method(name, title, why_not_stereo, run, opencv_version, partial(only_pair, modalities=CAMERAS))
 
 
 def _arm(name: str) -> Method:
@@ -49,7 +52,8 @@ def _arm(name: str) -> Method:
 
 
 def _icp(name: str, title: str, run: Callable[[Dataset], Dataset]) -> Method:
-    return Method(name, title, why_not_icp, run, lambda _: "built in", from_start=True)
+    part = partial(only_pair, modalities=RANGE_SENSORS)
+    return Method(name, title, why_not_icp, run, lambda _: "built in", part, from_start=True)
 
 
 METHODS: Mapping[str, Method] = {

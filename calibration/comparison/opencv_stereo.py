@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from calibration.comparison.sensor_pair import why_not_pair, with_pair
+from calibration.comparison.sensor_pair import CAMERAS, pair_of, why_not_pair, with_pair
 from calibration.dataset.model import CornerLabels, Dataset, Sensor
 from calibration.errors import InputError, UndeterminedError, WorldError
 from calibration.geometry.cameras import Camera
@@ -48,10 +48,10 @@ def opencv_version(_: Dataset) -> str:
 
 def why_not_stereo(dataset: Dataset) -> str | None:
     """One line that says why the method does not apply to a dataset; None if it does."""
-    reason = why_not_pair(dataset, ("rgb",), "two cameras")
+    reason = why_not_pair(dataset, CAMERAS, "cameras")
     if reason:
         return reason
-    first, second = dataset.sensors.values()
+    first, second = pair_of(dataset, CAMERAS)
     views = len(_views(dataset, first, second))
     if views < MINIMUM_VIEWS:
         return (
@@ -84,8 +84,8 @@ def _stereo(dataset: Dataset, *, fixed: bool) -> Dataset:
     reason = why_not_stereo(dataset)
     if reason:
         raise InputError(f"{dataset.path}: OpenCV's stereo calibration does not apply: {reason}")
-    first, second = dataset.sensors.values()
-    return with_pair(dataset, inverse(_relative_pose(dataset, first, second, fixed=fixed)))
+    first, second = pair_of(dataset, CAMERAS)
+    return with_pair(dataset, CAMERAS, inverse(_relative_pose(dataset, first, second, fixed=fixed)))
 
 
 def _relative_pose(dataset: Dataset, first: Sensor, second: Sensor, *, fixed: bool) -> Array:

@@ -1,30 +1,52 @@
-"""Two sensors that keep their places against each other, and nothing else to calibrate."""
+"""Two sensors of a kind that keep their places against each other; whatever else there is stays where it is."""
+
+from dataclasses import replace
 
 from calibration.dataset.model import Dataset, Sensor
 from calibration.geometry.transforms import distance, inverse
 from calibration.geometry.types import Array
 
+Modalities = tuple[str, ...]
+CAMERAS: Modalities = ("rgb",)
+RANGE_SENSORS: Modalities = ("lidar3d", "depth")
 
-def why_not_pair(dataset: Dataset, modalities: tuple[str, ...], wanted: str) -> str | None:
-    """One line that says why the dataset is no such pair of these modalities; None if it is."""
-    kinds = [f"'{s.name}' ({s.modality})" for s in dataset.sensors.values()]
-    if len(dataset.sensors) != 2 or any(s.modality not in modalities for s in dataset.sensors.values()):
-        return f"it needs {wanted} and no other sensor, and there are {', '.join(kinds)}"
+
+def pair_of(dataset: Dataset, modalities: Modalities) -> tuple[Sensor, Sensor]:
+    """The two sensors of these modalities, in the dataset's order; `why_not_pair` says whether there are two."""
+    first, second = _of_kind(dataset, modalities)
+    return first, second
+
+
+def only_pair(dataset: Dataset, modalities: Modalities) -> Dataset:
+    """The dataset without the other sensors: what is calibrated is the pose between the two."""
+    pair = {sensor.name: sensor for sensor in pair_of(dataset, modalities)}
+    return replace(dataset, sensors=pair, anchored=dataset.anchored if dataset.anchored in pair else None)
+
+
+def why_not_pair(dataset: Dataset, modalities: Modalities, wanted: str) -> str | None:
+    """One line that says why the dataset has no such pair; None if it has."""
+    if len(_of_kind(dataset, modalities)) != 2:
+        kinds = ", ".join(f"'{s.name}' ({s.modality})" for s in dataset.sensors.values())
+        return f"it needs two {wanted}, and there are {kinds}"
     if dataset.additional_transforms:
         return f"it cannot calibrate additional transforms, such as '{'-'.join(dataset.additional_transforms[0])}'"
-    first, second = dataset.sensors.values()
+    first, second = pair_of(dataset, modalities)
     T = dataset.transform(first.frame, second.frame)
     if max(values.max() for values in distance(T[:1], T)) > 1e-6:
         return f"it needs sensors that keep their places, and '{second.name}' moves against '{first.name}'"
     return None
 
 
-def with_pair(dataset: Dataset, T_first_second: Array) -> Dataset:
-    """The dataset with the pose (4, 4) between its sensors; the second one moves, unless it is anchored."""
-    first, second = dataset.sensors.values()
+def with_pair(dataset: Dataset, modalities: Modalities, T_first_second: Array) -> Dataset:
+    """The dataset with the pose (4, 4) between the two sensors; the second one moves, unless it is anchored."""
+    first, second = pair_of(dataset, modalities)
     if dataset.anchored == second.name:
         first, second, T_first_second = second, first, inverse(T_first_second)
     return dataset.with_transforms({second.edge: _edge_transform(dataset, first, second, T_first_second)})
+
+
+def _of_kind(dataset: Dataset, modalities: Modalities) -> list[Sensor]:
+    return [sensor for sensor in dataset.sensors.values() if sensor.modality in modalities]
 
 
 def _edge_transform(dataset: Dataset, reference: Sensor, sensor: Sensor, T_reference_sensor: Array) -> Array:

@@ -11,6 +11,7 @@ from calibration.introspection.parsing import parse_rules
 from calibration.introspection.rigelfile import COLUMNS_KEY, translate
 from calibration.rigel.containers import Surroundings, component_entry, named
 from calibration.rigel.document import Rigelfile, RigelJob, list_at, mapping_at, text_at
+from calibration.rigel.evaluations import evaluation_in
 from calibration.rigel.notes import Notes
 from calibration.rigel.substitution import plain
 
@@ -20,10 +21,6 @@ _ROS_2 = (
 )
 _EARLIER = "columns_to_verify"
 """A key of an earlier form of the file introspection."""
-_EVALUATIONS = (
-    ("rgb-to-rgb", r"rgb_to_rgb_evaluation\b.*?--sensor_source\s+([\w.-]+).*?--sensor_target\s+([\w.-]+)"),
-    ("lidar-to-rgb", r"lidar_to_rgb_evaluation\b.*?\s-rs\s+([\w.-]+).*?\s-cs\s+([\w.-]+)"),
-)
 
 
 @dataclass(frozen=True)
@@ -109,7 +106,7 @@ def system_of(
         f"{where}.{chosen.get('name', 0)}",
         "dataset: name the folder of the dataset in the repository; {start} in the command stands for it with noise",
     )
-    evaluate = _evaluation(" ".join(map(str, software["command"])))
+    evaluate = evaluation_in(" ".join(map(str, software["command"])), around.notes, where)
     if evaluate:
         entry["evaluate"] = evaluate
     entry["software"] = software
@@ -180,15 +177,6 @@ def _calibrating(components: list[dict[str, Any]], judged: bool) -> dict[str, An
 
     with_table = [component for component in components if has_table(component)]
     return with_table[-1] if with_table else components[-1] if judged and components else None
-
-
-def _evaluation(command: str) -> str | None:
-    """The table that ATOM's evaluation in a command makes, so that our engine makes the same beside it."""
-    for kind, pattern in _EVALUATIONS:
-        found = re.search(pattern, command, re.DOTALL)
-        if found:
-            return f"{kind}:{found[1]}:{found[2]}"
-    return None
 
 
 def _rules(judge: RigelJob, software: dict[str, Any], notes: Notes, path: str) -> list[dict[str, Any]]:

@@ -106,9 +106,9 @@ def test_why_it_does_not_apply():
     for other, reason in (
         (
             two_cameras(n=2)[0],
-            r"it needs two LiDARs or depth cameras and no other sensor, and there are 'left' \(rgb\)",
+            r"it needs two LiDARs or depth cameras, and there are 'left' \(rgb\)",
         ),
-        (lidar_and_camera(n=2)[0], "it needs two LiDARs or depth cameras and no other sensor"),
+        (lidar_and_camera(n=2)[0], "it needs two LiDARs or depth cameras, and there are"),
         (replace(dataset, additional_transforms=(("a", "b"),)), "it cannot calibrate additional transforms"),
         (few, "it needs a view of 10 points by both sensors, and there is none"),
     ):

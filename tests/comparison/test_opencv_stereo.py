@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from calibration.comparison.methods import METHODS
 from calibration.comparison.opencv_stereo import opencv_stereo, opencv_stereo_fixed, why_not_stereo
 from calibration.dataset.model import CornerLabels, Dataset
 from calibration.dataset.reading import read_dataset
@@ -103,14 +104,14 @@ def test_why_it_does_not_apply():
     assert why_not_stereo(dataset) is None
     swaying = np.stack([from_xyz_rpy([0, 0.15, 0], [0, 0, yaw]) for yaw in (0, 0.1, 0.2, 0.3)])
     for other, reason in (
-        (arm(n=3), r"it needs two cameras and no other sensor, and there are 'eye' \(rgb\)"),
+        (arm(n=3), r"it needs two cameras, and there are 'eye' \(rgb\)"),
         (
             replace(dataset, sensors={"left": dataset.sensors["left"], "scan": lidar("scan")}),
-            r"it needs two cameras and no other sensor, and there are 'left' \(rgb\), 'scan' \(lidar3d\)",
+            r"it needs two cameras, and there are 'left' \(rgb\), 'scan' \(lidar3d\)",
         ),
         (
             replace(dataset, sensors={**dataset.sensors, "right": replace(dataset.sensors["right"], modality="depth")}),
-            r"it needs two cameras and no other sensor, and there are .*'right' \(depth\)",
+            r"it needs two cameras, and there are .*'right' \(depth\)",
         ),
         (
             replace(dataset, additional_transforms=(("a", "b"),)),
@@ -127,6 +128,18 @@ def test_why_it_does_not_apply():
     ):
         with pytest.raises(InputError, match=f"dataset.json: OpenCV's stereo calibration does not apply: {reason}$"):
             opencv_stereo(other)
+
+
+def test_other_sensors_stay_where_they_are():
+    dataset, _ = two_cameras(seed=6, n=12)
+    with_scan = replace(dataset, sensors={"scan": lidar("scan"), **dataset.sensors}, anchored="scan")
+    with_scan = with_scan.with_transforms({("scan_mount", "scan_base"): np.eye(4)})
+    found = opencv_stereo_fixed(disturbed(with_scan, RIGHT))
+    np.testing.assert_allclose(found.transforms[RIGHT], dataset.transforms[RIGHT], atol=1e-5)
+    part = METHODS["opencv-stereo"].part(found)
+    assert (list(part.sensors), part.anchored) == (["left", "right"], None)
+    assert METHODS["opencv-stereo"].part(replace(found, anchored="left")).anchored == "left"
+    assert METHODS["opencv-stereo"].describe(found) == f"OpenCV {cv2.__version__}"
 
 
 def test_what_opencv_refuses_is_told_in_one_line(monkeypatch):

@@ -196,7 +196,10 @@ def run_comparison(comparison: Comparison, system: LoadedSystem, output: Path) -
         start = with_starting_noise(system.dataset, comparison.noise) if comparison.noise else system.dataset
         dataset = method.calibrate(start)
         result = replace(result, converged=True, detail=method.describe(start))
-        result = _written(result, dataset, system, output, comparison.folder, None)
+        part = method.part(dataset)
+        if system.evaluation and not set(system.evaluation.sensors) <= part.sensors.keys():
+            system = replace(system, evaluation=None)  # of a sensor that the method leaves where it is
+        result = _written(result, dataset, system, output, comparison.folder, None, part)
     except CalibrationError as error:
         result = replace(result.failing(str(error)), converged=False, error=error.exit_code)
     return replace(result, seconds=round(time.perf_counter() - begin, 4))
@@ -228,9 +231,14 @@ def _written(
     output: Path,
     folder: str,
     calibration: Calibration | None,
+    part: Dataset | None = None,
 ) -> CellResult:
-    """The result with its table, truth error and dataset; both files written."""
-    table = _table(dataset, system, calibration)
+    """The result with its table, truth error and dataset; both files written.
+
+    The table and the error are of the sensors of a part of the dataset, by default of all.
+    """
+    judged = dataset if part is None else part
+    table = _table(judged, system, calibration)
     if table is not None:
         name = f"{system.evaluation.kind.replace('-', '_')}_results.csv" if system.evaluation else "reprojection.csv"
         table.write(output / folder / name)
@@ -238,7 +246,7 @@ def _written(
         result = replace(result, table=f"{folder}/{name}", rms_px=rms)
     if calibration is not None and (system.evaluation is None or result.rms_px is None):
         result = replace(result, rms_px=round(calibration.rms_px, 4))
-    result = replace(result, truth=distance_from_truth(dataset, system))
+    result = replace(result, truth=distance_from_truth(judged, system))
     write_dataset(dataset, output / folder, images=False)  # they would weigh more than all the rest
     return replace(result, dataset=f"{folder}/dataset.json")
 

@@ -13,10 +13,11 @@ from calibration.dataset.truth import truth_of
 from calibration.errors import ExitCode, InputError
 from calibration.estimation.calibrate import calibrate
 from calibration.estimation.starting_noise import StartingNoise
+from calibration.evaluation.specification import parse_evaluation
 from calibration.pipeline.matrix import cell as cells
 from calibration.pipeline.matrix.cell import CellResult, Comparison, LoadedSystem, run_comparison
 from tests.estimation.systems import jointed_arm
-from tests.evaluation.scene import arm, range_pair
+from tests.evaluation.scene import T_LINK_OPTICAL, arm, range_pair, rgb, with_corners
 from tests.pipeline.matrix.test_judgement import CELL
 
 
@@ -49,8 +50,16 @@ def loaded(name: str, dataset: Dataset) -> LoadedSystem:
 
 
 def lidars() -> LoadedSystem:
-    """Two LiDARs that see a pattern."""
-    return loaded("pair", range_pair(n=4, kinds=("lidar3d", "lidar3d"))[0])
+    """Two LiDARs and a camera that see a pattern; LiDAR "one" is anchored."""
+    dataset, T_world_pattern = range_pair(n=4, kinds=("lidar3d", "lidar3d"))
+    eye = rgb("eye")
+    still = {
+        ("world", eye.calibration_parent): np.eye(4),
+        eye.edge: np.eye(4),
+        ("eye_link", "eye_optical"): T_LINK_OPTICAL,
+    }
+    dataset = replace(dataset, sensors={"eye": eye, **dataset.sensors}).with_transforms(still)
+    return loaded("pair", with_corners(dataset, T_world_pattern, np.random.default_rng(1), 0.0))
 
 
 def compared(system: LoadedSystem, output: Path, *noise: float, method: str = "icp") -> CellResult:
@@ -60,7 +69,7 @@ def compared(system: LoadedSystem, output: Path, *noise: float, method: str = "i
 
 def test_a_method_that_depends_on_the_start_starts_from_the_noise(tmp_path: Path) -> None:
     system = lidars()
-    here, near, far = (compared(system, tmp_path, *noise) for noise in ((0.0, 0.0), (0.02, 0.02), (0.5, 0.0)))
+    here, near, far = (compared(system, tmp_path, *noise) for noise in ((0.0, 0.0), (0.02, 0.02), (3.0, 0.0)))
     assert here.truth is not None
     assert near.truth is not None
     assert here.truth.translation_mm < near.truth.translation_mm + 1e-3
@@ -70,7 +79,21 @@ def test_a_method_that_depends_on_the_start_starts_from_the_noise(tmp_path: Path
     assert near.name == "pair, icp, 0.02 m, 0.02 rad, seed 1"
     assert near.dataset == "pair/icp/translation-0.02_rotation-0.02_seed-1/dataset.json"
     assert (tmp_path / near.dataset).is_file()
-    assert not far.converged or (far.truth is not None and far.truth.translation_mm > 100)  # a false minimum, or none
+    assert not far.converged
+    assert "starts from the dataset's transforms, which lie too far off" in far.reasons[0]
+
+
+def test_a_pair_is_judged_without_the_other_sensors(tmp_path: Path) -> None:
+    """From 0.02 m of noise the camera stays 20 mm off; the row has the error of the LiDARs only."""
+    system = lidars()
+    table = compared(replace(system, evaluation=parse_evaluation("lidar-to-lidar:one:two")), tmp_path, 0.02, 0.0)
+    assert table.table is not None
+    assert (tmp_path / table.table).is_file()
+    none = compared(replace(system, evaluation=parse_evaluation("lidar-to-rgb:one:eye")), tmp_path, 0.02, 0.0)
+    assert (none.converged, none.table, none.rms_px) == (True, None, None)
+    assert none.truth == table.truth
+    assert none.truth is not None
+    assert none.truth.translation_mm < 15
 
 
 def test_a_method_that_takes_no_start_has_one_row(tmp_path: Path) -> None:
