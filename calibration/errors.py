@@ -1,6 +1,7 @@
 """The errors that a user sees: one line each, and the exit code that goes with it."""
 
 import enum
+from collections.abc import Iterable
 
 
 class ExitCode(enum.IntEnum):
@@ -14,6 +15,11 @@ class ExitCode(enum.IntEnum):
     """An input, a configuration or a data file is wrong."""
     WORLD = 3
     """The world failed: engine, network, disk, timeout."""
+
+
+def exit_code_of(passed: bool, errors: Iterable[ExitCode | None]) -> ExitCode:
+    """The worst of the errors, 2 or 3, where something could not be done at all; else what the verdict says."""
+    return max((error for error in errors if error is not None), default=ExitCode.PASS if passed else ExitCode.FAIL)
 
 
 class CalibrationError(Exception):

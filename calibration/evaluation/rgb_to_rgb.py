@@ -11,7 +11,7 @@ import numpy as np
 
 from calibration.dataset.model import Dataset
 from calibration.errors import InputError
-from calibration.evaluation.pairing import require_fixed
+from calibration.evaluation.pairing import between_collections
 from calibration.evaluation.selection import camera_of, pattern_of
 from calibration.evaluation.table import COLLECTION, Table
 from calibration.evaluation.views import CornerViews, corner_views
@@ -56,27 +56,20 @@ def inter_collection_rgb_to_rgb(dataset: Dataset, source: str, target: str, patt
     """Errors between a view of one camera in one collection and a view of the other in another.
 
     The pattern is fixed to its parent link, through which the two views are related. There is a row
-    for every ordered pair of different collections, labelled ``000-001``; a camera is compared with
-    itself once for each unordered pair. Columns, arguments and errors as `rgb_to_rgb`.
+    for every pair of `between_collections`, labelled ``000-001``. Columns, arguments and errors as `rgb_to_rgb`.
 
     Raises:
         InputError: also when the pattern is not fixed.
     """
     seen_pattern = pattern_of(dataset, pattern)
-    require_fixed(dataset, seen_pattern)
     a, b = (corner_views(dataset, name, seen_pattern) for name in (source, target))
-    i, j = np.meshgrid(a.collections, b.collections, indexing="ij")
-    pairs = np.stack(np.nonzero(i < j if source == target else i != j))
-    T_parent_source, T_parent_target = (
-        dataset.with_collections(views.collections.tolist()).transform(
-            seen_pattern.parent_link, camera_of(dataset, name)[0].frame
-        )
-        for name, views in ((source, a), (target, b))
-    )
-    T_target_source = inverse(T_parent_target)[pairs[1]] @ T_parent_source[pairs[0]]
+    sensors = camera_of(dataset, source)[0], camera_of(dataset, target)[0]
+    seen = a.collections.tolist(), b.collections.tolist()
+    found = between_collections(dataset, sensors, seen_pattern, seen)
+    pairs = np.stack([np.searchsorted(a.collections, found.source), np.searchsorted(b.collections, found.target)])
     keys = dataset.keys
-    labels = [f"{keys[a.collections[m]]}-{keys[b.collections[n]]}" for m, n in pairs.T]
-    return _table(dataset, (source, target), (a, b), pairs, T_target_source, labels)
+    labels = [f"{keys[m]}-{keys[n]}" for m, n in zip(found.source, found.target, strict=True)]
+    return _table(dataset, (source, target), (a, b), pairs, found.T_target_source, labels)
 
 
 def _table(

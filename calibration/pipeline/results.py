@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from calibration.errors import ExitCode, InputError, WorldError
+from calibration.errors import ExitCode, InputError, WorldError, exit_code_of
 from calibration.files import write_atomically
 from calibration.pipeline.collection.collected import Collected
 from calibration.pipeline.image_result import ImageResult
@@ -52,10 +52,7 @@ class Results:
     @property
     def exit_code(self) -> ExitCode:
         """2 or 3 where something could not be done because of bad input or a failing world, else the verdict's."""
-        errors = [each.error for each in self.judged if each.error is not None]
-        if errors:
-            return max(errors)
-        return ExitCode.PASS if self.verdict == "pass" else ExitCode.FAIL
+        return exit_code_of(self.verdict == "pass", (each.error for each in self.judged))
 
     @property
     def systems(self) -> tuple[str, ...]:

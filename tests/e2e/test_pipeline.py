@@ -197,7 +197,7 @@ def test_this_repositorys_own_pipeline_runs_what_is_checked_out(caller: Caller, 
     assert run.code == 0, run.log
     assert "the code of this checkout" in run.printed
     [table] = run.tables
-    assert len(table) == 5 + 2  # all noises, and the two methods to compare with
+    assert len(table) == 5 + 7  # all noises, and the seven methods to compare with
 
 
 ROBOT = {"robot.py": "def still():\n    return True\n", "calibrated.txt": "yes\n"}

@@ -1,6 +1,9 @@
 """Evaluations by their text."""
 
+import csv
+import io
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -16,7 +19,7 @@ from calibration.evaluation.range_to_rgb import lidar_to_rgb
 from calibration.evaluation.rgb_to_rgb import inter_collection_rgb_to_rgb, rgb_to_rgb
 from calibration.evaluation.specification import KINDS, Evaluation, parse_evaluation
 from calibration.geometry.transforms import retract
-from tests.evaluation.scene import arm, lidar_and_camera, range_pair, two_cameras
+from tests.evaluation.scene import T_LINK_OPTICAL, arm, lidar_and_camera, range_pair, rgb, two_cameras, with_corners
 
 
 def test_the_text_names_kind_sensors_and_pattern():
@@ -122,6 +125,69 @@ def test_every_table_of_atom_is_there():
     with_pairs = ("rgb-to-rgb", "lidar-to-rgb", "depth-to-rgb", "lidar-to-lidar", "lidar-to-depth", "depth-to-depth")
     single = {"single-rgb", "ground-truth-transform", "ground-truth-frame"}
     assert set(KINDS) == single | {f"{prefix}{name}" for prefix in ("", "inter-collection-") for name in with_pairs}
+
+
+PIXELS = "RMS (pix),X err (pix),Y err (pix)"
+SPREAD = "X StDev (pix),Y StDev (pix)"
+METRES = "RMS (m),X err (m),Y err (m),X StDev (m),Y StDev (m)"
+ERRORS = "Trans (m),Rot (rad),X (m),Y (m),Z (m),Roll (rad),Pitch (rad),Yaw (rad)"
+HEADERS = {
+    "rgb-to-rgb:one:two": f"Collection #,{PIXELS},Trans (mm),Rot (deg)",
+    "inter-collection-rgb-to-rgb:one:two": f"Collection #,{PIXELS},Trans (mm),Rot (deg)",
+    "single-rgb": "Collection,one-board [px],two-board [px],all [px]",
+    "lidar-to-rgb:one:two": f"Collection #,{PIXELS}",
+    "inter-collection-lidar-to-rgb:one:two": f"Collection Pair,{PIXELS}",
+    "depth-to-rgb:one:two": f"Collection #,{PIXELS}",
+    "inter-collection-depth-to-rgb:one:two": f"Collection #,{PIXELS}",
+    "lidar-to-lidar:one:two": f"Collection #,{METRES}",
+    "inter-collection-lidar-to-lidar:one:two": f"Collection Pair,{METRES}",
+    "lidar-to-depth:one:two": f"Collection #,{PIXELS},{SPREAD}",
+    "inter-collection-lidar-to-depth:one:two": f"Collection #,{PIXELS},{SPREAD}",
+    "depth-to-depth:one:two": f"Collection #,{PIXELS},{SPREAD}",
+    "inter-collection-depth-to-depth:one:two": f"Collection #,{PIXELS},{SPREAD}",
+    "ground-truth-transform:world:one_link": f"Collection #,{ERRORS}",
+    "ground-truth-frame:world": f"Transformation #,{ERRORS}",
+}
+"""Of ATOM's files, by their tables."""
+
+
+def test_the_headers_are_those_of_all_tables():
+    assert {parse_evaluation(text).kind for text in HEADERS} == set(KINDS)
+
+
+@pytest.mark.parametrize("text", HEADERS)
+def test_the_file_is_as_atoms(text):
+    """Its header, its rows in order, four decimals, and below them the means of what is printed."""
+    kinds = [kind.replace("lidar", "lidar3d") for kind in re.findall("rgb|lidar|depth", text)] or ["rgb"]
+    base, truth = seen_by((kinds * 2)[0], (kinds * 2)[1])
+    header, *rows = csv.reader(io.StringIO(parse_evaluation(text).run(base, truth).to_csv()))
+    assert ",".join(header) == HEADERS[text]
+    pairs = [f"{a}-{b}" for a in base.keys for b in base.keys]
+    alone = ["one", "two"] if text.startswith("ground-truth-frame") else list(base.keys)
+    assert [row[0] for row in rows] == [*(pairs if text.startswith("inter-") else alone), "Averages"]
+    assert all(re.fullmatch(r"-?\d+\.\d{4}", cell) for row in rows for cell in row[1:])
+    assert "-0.0000" not in {cell for row in rows for cell in row}
+    values = np.array([[float(cell) for cell in row[1:]] for row in rows])
+    np.testing.assert_allclose(values[-1], values[:-1].mean(0), atol=5.1e-5)
+    assert np.abs(values).max() > 0
+
+
+def seen_by(*kinds):
+    """Two sensors that see a fixed pattern, with noise on their labels, and their true transforms."""
+    seen = ["lidar3d" if kind == "rgb" else kind for kind in kinds]
+    base, T_world_pattern = range_pair(3, n=3, kinds=(seen[0], seen[1]), fixed=True, noise=2e-3)
+    base = replace(base, anchored=None)
+    rng = np.random.default_rng(3)
+    for name in (name for name, kind in zip(("one", "two"), kinds, strict=True) if kind == "rgb"):
+        camera = rgb(name)
+        alone = replace(base, sensors={name: camera}).with_transforms(
+            {camera.edge: np.eye(4), (camera.calibration_child, camera.frame): T_LINK_OPTICAL}
+        )
+        alone = with_corners(alone, T_world_pattern, rng, 0.3)
+        base = replace(alone, sensors={**base.sensors, name: camera})
+    edge = base.sensors["one"].edge
+    off = np.broadcast_to([0.01, -0.02, 0.01, 0.01, 0.01, -0.01], (3, 6))
+    return base.with_transforms({edge: retract(base.transforms[edge], off)}), truth_of(base)
 
 
 # Where the annotation comes from

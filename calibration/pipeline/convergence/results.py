@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from calibration.errors import ExitCode
+from calibration.errors import ExitCode, exit_code_of
 from calibration.introspection.numbers import number_text
 from calibration.pipeline.collection.results import Check
 from calibration.pipeline.configuration import NoiseGrid
@@ -70,10 +70,7 @@ class ConvergenceResults:
     @property
     def exit_code(self) -> ExitCode:
         """2 or 3 where something could not be done because of bad input or a failing world, else the verdict's."""
-        errors = [each.error for each in self.judged if each.error is not None]
-        if errors:
-            return max(errors)
-        return ExitCode.PASS if self.verdict == "pass" else ExitCode.FAIL
+        return exit_code_of(self.verdict == "pass", (each.error for each in self.judged))
 
     @property
     def largest_translation(self) -> float | None:
