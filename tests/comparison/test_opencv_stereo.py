@@ -8,12 +8,12 @@ import pytest
 
 from calibration.comparison.methods import METHODS
 from calibration.comparison.opencv_stereo import opencv_stereo, opencv_stereo_fixed, why_not_stereo
-from calibration.dataset.model import CornerLabels, Dataset
+from calibration.dataset.model import Dataset
 from calibration.dataset.reading import read_dataset
 from calibration.errors import InputError, UndeterminedError, WorldError
 from calibration.evaluation.rgb_to_rgb import rgb_to_rgb
 from calibration.geometry.transforms import distance, from_xyz_rpy, retract
-from tests.evaluation.scene import WIDE, arm, lidar, two_cameras, with_labels
+from tests.evaluation.scene import WIDE, arm, cut, lidar, two_cameras
 
 cv2 = pytest.importorskip("cv2")
 
@@ -78,16 +78,6 @@ def test_without_complete_detections_the_common_corners_count(shared_data):
     )
     assert fixed == pytest.approx(0.6002, abs=5e-4)
     assert free > 3 * fixed  # as in the paper: its intrinsics are not those of the table
-
-
-def cut(dataset: Dataset, sensor: str, counts: list[int]) -> Dataset:
-    """The dataset with only so many corners of a sensor in each collection."""
-    labels = []
-    for collection, count in zip(dataset.collections, counts, strict=True):
-        label = collection.labels["board", sensor]
-        assert isinstance(label, CornerLabels)
-        labels.append(CornerLabels(label.ids[:count], label.pixels[:count]))
-    return with_labels(dataset, sensor, labels)
 
 
 def test_partial_views_are_left_out_where_there_are_enough_complete_ones():

@@ -237,3 +237,14 @@ def _depth_points(_: np.random.Generator, sensor: Sensor, board: Pattern, T: Arr
     padded = np.pad(on, 1)
     within = padded[:-2, 1:-1] & padded[2:, 1:-1] & padded[1:-1, :-2] & padded[1:-1, 2:]
     return PointLabels(points[on], np.flatnonzero(~within[on]))
+
+
+def cut(base: Dataset, sensor: str, counts: list[int]) -> Dataset:
+    """The dataset with only so many corners of a camera in each collection."""
+    board = next(iter(base.patterns))
+    labels: list[Labels | None] = []
+    for collection, count in zip(base.collections, counts, strict=True):
+        label = collection.labels[board, sensor]
+        assert isinstance(label, CornerLabels)
+        labels.append(CornerLabels(label.ids[:count], label.pixels[:count]))
+    return with_labels(base, sensor, labels)

@@ -12,7 +12,7 @@ from calibration.errors import InputError
 from calibration.evaluation.rgb_to_rgb import inter_collection_rgb_to_rgb, rgb_to_rgb
 from calibration.geometry.transforms import apply, from_xyz_rpy, inverse, retract
 from calibration.geometry.types import Array
-from tests.evaluation.scene import WIDE, arm, two_cameras, with_labels
+from tests.evaluation.scene import WIDE, arm, cut, two_cameras, with_labels
 
 
 def moved(dataset: Dataset, edge: tuple[str, str], twist: list[float]) -> Dataset:
@@ -107,18 +107,9 @@ def test_rows_are_the_collections_that_both_saw():
     assert rgb_to_rgb(with_labels(dataset, "left", labels), "left", "right").labels == ("001", "004", "006")
 
 
-def few(dataset: Dataset, sensor: str, counts: list[int]) -> Dataset:
-    labels = []
-    for collection, count in zip(dataset.collections, counts, strict=True):
-        label = collection.labels["board", sensor]
-        assert isinstance(label, CornerLabels)
-        labels.append(CornerLabels(label.ids[:count], label.pixels[:count]))
-    return with_labels(dataset, sensor, labels)
-
-
 def test_a_view_that_gives_no_pose_is_left_out_and_said():
     dataset, _ = two_cameras(seed=6, n=3)
-    table = rgb_to_rgb(few(dataset, "right", [30, 3, 6]), "left", "right")  # six corners are one row of the pattern
+    table = rgb_to_rgb(cut(dataset, "right", [30, 3, 6]), "left", "right")  # six corners are one row of the pattern
     assert table.labels == ("000",)
     assert table.left_out == (
         "001: the 3 corners that right sees do not give a pose",
@@ -131,7 +122,7 @@ def test_no_row_is_an_error_that_says_why():
     with pytest.raises(
         InputError, match=r"nothing seen by both: 'left' has 2 views, 'right' has 0 views; 000: the 2 corners"
     ):
-        rgb_to_rgb(few(dataset, "right", [2, 2]), "left", "right")
+        rgb_to_rgb(cut(dataset, "right", [2, 2]), "left", "right")
     first = dataset.collections[0].labels["board", "left"]
     apart = with_labels(
         with_labels(dataset, "left", [first, None]), "right", [None, dataset.collections[1].labels["board", "right"]]
