@@ -10,14 +10,21 @@ from calibration.dataset import pointcloud
 from calibration.dataset.corners import read_corners
 from calibration.dataset.depth_image import DepthImage, read_depth_image
 from calibration.dataset.document import Node, NotNumbersError, integers
-from calibration.dataset.model import Collection, CornerLabels, Labels, PointLabels, Sensor
+from calibration.dataset.laser_scan import read_scan
+from calibration.dataset.model import Collection, CornerLabels, Labels, Modality, PointLabels, Sensor
 from calibration.dataset.pattern import Pattern
 from calibration.dataset.payload import locate
 from calibration.errors import InputError
 from calibration.geometry.types import Array, BoolArray, IntArray
 
 MAX_POINTS = 1 << 40
-"""More points than any cloud or depth image has."""
+"""More points than any cloud, scan or depth image has."""
+_POINTS: Mapping[Modality, tuple[str, str]] = {
+    "lidar3d": ("cloud's {} points", "point {} of the cloud is not finite; a labelled point must be"),
+    "lidar2d": ("scan's {} rays", "ray {} of the scan has no range; a labelled ray must"),
+    "depth": ("image's {} pixels", "pixel {} of the image has no depth (or no ray); a labelled pixel must"),
+}
+"""By modality, in the words of error messages: what an index counts, and that there is nothing at one."""
 
 
 class _Detection(NamedTuple):
@@ -36,7 +43,7 @@ def read_labels(
     """The collections with their labels, in the same order.
 
     Raises:
-        InputError: something in the labels or in a labelled point cloud or depth image is missing or wrong.
+        InputError: something in the labels or in a labelled point cloud, scan or depth image is missing or wrong.
         WorldError: OpenCV, which decodes depth images, is missing.
     """
     corners: list[_Detection] = []
@@ -96,11 +103,12 @@ def _read_points(
     if not detections:
         return
     batch, index = _read_indices([detection.idxs for detection in detections])
-    limit_batch, limits = _read_indices([detection.label["idxs_limit_points"] for detection in detections])
+    limit_lists = [_limits(detection.label, sensors[detection.sensor]) for detection in detections]
+    limit_batch, limits = _read_indices(limit_lists)
     positions, missing = batch.find(index, limit_batch, limits)
     if missing is not None:
         i, position = missing
-        raise _element(detections[i].label["idxs_limit_points"], position).unexpected("one of 'idxs'")
+        raise _element(limit_lists[i], position).unexpected("one of 'idxs'")
     points = np.empty((len(index), 3))
     clouds: dict[str, pointcloud.Cloud | DepthImage] = {}  # of one collection; more need not fit into memory
     collection = None
@@ -115,23 +123,28 @@ def _read_points(
             points[part] = cloud.take(index[part]) if isinstance(cloud, DepthImage) else cloud.take(index[part], axis=0)
         except IndexError:
             wrong = _element(detection.idxs, int((index[part] >= len(cloud)).argmax()))
-            what = f"image's {len(cloud)} pixels" if isinstance(cloud, DepthImage) else f"cloud's {len(cloud)} points"
-            raise wrong.unexpected(f"the index of one of the {what}") from None
+            what, _ = _POINTS[sensors[detection.sensor].modality]
+            raise wrong.unexpected(f"the index of one of the {what.format(len(cloud))}") from None
     if not np.isfinite(points).all():
         i, position = batch.place(int(np.isfinite(points).all(-1).argmin()))
-        number, depth = index[batch.parts[i]][position], sensors[detections[i].sensor].modality == "depth"
-        raise _element(detections[i].idxs, position).fault(
-            f"pixel {number} of the image has no depth (or no ray); a labelled pixel must"
-            if depth
-            else f"point {number} of the cloud is not finite; a labelled point must be"
-        )
+        _, nothing = _POINTS[sensors[detections[i].sensor].modality]
+        raise _element(detections[i].idxs, position).fault(nothing.format(index[batch.parts[i]][position]))
     points.flags.writeable = positions.flags.writeable = False
     for part, limit_part in zip(batch.parts, limit_batch.parts, strict=True):
         yield PointLabels(points[part], positions[limit_part])
 
 
+def _limits(label: Node, sensor: Sensor) -> Node:
+    """The limit points; ATOM has another key for those of a 2D LiDAR."""
+    if sensor.modality == "lidar2d":
+        return label.get("idxs_limit_points") or label["edge_idxs"]
+    return label["idxs_limit_points"]
+
+
 def _read_cloud(data: Node, sensor: Sensor) -> pointcloud.Cloud | DepthImage:
-    """What a sensor measured in a collection: a cloud's inline ``data``, else the file."""
+    """What a sensor measured in a collection: a scan's ranges, a cloud's inline ``data``, else the file."""
+    if sensor.modality == "lidar2d":
+        return read_scan(data)
     if sensor.camera is None and data.get("data"):
         return pointcloud.decode_message(data)
     name = data["data_file"]

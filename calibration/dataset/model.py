@@ -19,7 +19,7 @@ from calibration.geometry.joints import JointModel, JointParameter
 from calibration.geometry.transforms import inverse
 from calibration.geometry.types import Array, IntArray
 
-Modality = Literal["rgb", "lidar3d", "depth"]
+Modality = Literal["rgb", "lidar3d", "lidar2d", "depth"]
 Edge = tuple[str, str]
 """(parent, child); in a file it is the key ``parent-child``."""
 
@@ -80,9 +80,9 @@ class PointLabels:
     """The points of a LiDAR or a depth camera that lie on the pattern in one collection."""
 
     points: Array
-    """(N, 3): in the sensor's frame, m."""
+    """(N, 3): in the sensor's frame, m; of a 2D LiDAR in its plane z = 0."""
     limits: IntArray
-    """(L,): which of `points` lie on the pattern's physical border."""
+    """(L,): which of `points` lie on the pattern's physical border: of a 2D LiDAR the ends of its cut."""
 
 
 Labels = CornerLabels | PointLabels

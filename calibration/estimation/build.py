@@ -1,11 +1,11 @@
 """A dataset as a least-squares problem: which transforms are unknown, and how the labels depend on them."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calibration.dataset.model import CornerLabels, Dataset, Edge, Labels, PointLabels, Sensor
+from calibration.dataset.model import CornerLabels, Dataset, Edge, Labels, Modality, PointLabels, Sensor
 from calibration.dataset.pattern import Pattern
 from calibration.errors import InputError, UndeterminedError
 from calibration.estimation.depth_border import depth_border_rays
@@ -175,9 +175,18 @@ def _terms(sensor: Sensor, pattern: Pattern, labels: list[Labels]) -> tuple[Term
     return (corner_term(sensor.camera, pattern, corners),)
 
 
+_KINDS: Mapping[Modality, tuple[NoiseKind, NoiseKind]] = {
+    "lidar3d": ("range", "border"),
+    "lidar2d": ("lidar2d_range", "lidar2d_border"),
+    "depth": ("range", "depth_border"),
+}
+"""How the ranges and the border points of a modality err."""
+
+
 def _point_terms(sensor: Sensor, pattern: Pattern, labels: list[PointLabels]) -> tuple[Term, ...]:
     ranges, present, rays = _padded([label.points for label in labels])
-    terms: list[Term] = [RangeTerm(rays, ranges, present)]
+    range_kind, border_kind = _KINDS[sensor.modality]
+    terms: list[Term] = [RangeTerm(rays, ranges, present, range_kind)]
     ranges, present, rays = _padded([_border_rays(sensor, label) for label in labels])
     if present.any():
         corners = pattern.outline - pattern.centre[:2]
@@ -185,8 +194,7 @@ def _point_terms(sensor: Sensor, pattern: Pattern, labels: list[PointLabels]) ->
         # outward, because the outline runs from the top left to the top right
         normals = np.stack([along[:, 1], -along[:, 0]], -1) / np.linalg.norm(along, axis=-1, keepdims=True)
         offsets = (normals * corners).sum(-1)
-        kind: NoiseKind = "depth_border" if sensor.modality == "depth" else "border"
-        terms.append(BorderTerm(rays, ranges, present, normals, offsets, kind))
+        terms.append(BorderTerm(rays, ranges, present, normals, offsets, border_kind))
     return tuple(terms)
 
 

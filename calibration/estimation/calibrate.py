@@ -14,7 +14,7 @@ from calibration.estimation.linear_start import free_patterns, linear_start, pat
 from calibration.estimation.noise_levels import NoiseLevels
 from calibration.estimation.observability import covariances, open_directions
 from calibration.estimation.optimisation import WeightedOptimum, optimise, unflipped
-from calibration.estimation.problem import Values
+from calibration.estimation.problem import BORDERS, Values
 from calibration.estimation.result import CalibratedJoint, Calibration, RejectedLabel, ViewResiduals
 from calibration.estimation.starting_noise import StartingNoise, perturb
 from calibration.geometry.transforms import distance, inverse, translation
@@ -285,6 +285,6 @@ def _rejected(setup: Setup, result: WeightedOptimum) -> tuple[RejectedLabel, ...
         limit = 2 * huber * result.weighting.scales[r.kind]
         for v, k in zip(*np.nonzero(np.nan_to_num(r.magnitudes) > limit), strict=True):
             view, magnitude = labels[r.collections[v]][r.pattern, r.sensor], float(r.magnitudes[v, k])
-            label = int(view.limits[k] if isinstance(view, PointLabels) and r.kind in ("border", "depth_border") else k)
+            label = int(view.limits[k] if isinstance(view, PointLabels) and r.kind in BORDERS else k)
             rejected.append(RejectedLabel(r.collections[v], r.sensor, r.pattern, r.kind, label, magnitude))
     return tuple(sorted(rejected, key=lambda label: (label.collection, label.sensor, label.label, label.kind)))

@@ -1,16 +1,17 @@
 """A start for the least squares that needs no guess.
 
 Every camera view gives the pose of its pattern by itself (`planar_pose`), every view of a LiDAR or a
-depth camera the plane it lies on. Seen through a chain ``T_sensor_pattern = ... X ... Y ...`` these are
-equations for the unknown transforms, linear ones: a chain with one unknown gives it directly, once for
-each view, to be averaged; one with two, such as a camera's mount and a pattern on an arm, is a
-robot-world problem.
+depth camera the plane it lies on, every view of a 2D LiDAR a line in that plane. Seen through a chain
+``T_sensor_pattern = ... X ... Y ...`` these are equations for the unknown transforms, linear ones: a chain
+with one unknown gives it directly, once for each view, to be averaged; one with two, such as a camera's
+mount and a pattern on an arm, is a robot-world problem.
 So the unknowns are found one after the other, like a spanning tree: always the one that most views
 speak for. Where the equations leave something open, the given guess is taken and it is said. Joints
 start from their nominal parameters: they are small corrections, and no equation is linear in them.
 """
 
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -21,6 +22,7 @@ from calibration.estimation.plane_alignment import align_planes, fit_planes
 from calibration.estimation.problem import Chain, Values, ViewGroup
 from calibration.estimation.residuals import CornerTerm, RangeTerm
 from calibration.estimation.robot_world import RobotWorld, solve_robot_world_robustly
+from calibration.estimation.scan_alignment import align_scans, scan_equations
 from calibration.estimation.single_views import robust_poses
 from calibration.geometry.transforms import inverse
 from calibration.geometry.types import Array, BoolArray
@@ -99,6 +101,8 @@ class _Search:
     """By group: ``T_sensor_pattern`` (V, 4, 4) of a camera's views; NaN where a view gives none."""
     known: dict[int, BoolArray] = field(default_factory=dict)
     """By block: in which collections its value is known, (N,)."""
+    too_poor: list[str] = field(default_factory=list)
+    """Why the robot-world problems that are left tell nothing."""
 
     def know(self, blocks: list[int]) -> None:
         """Begin: with these blocks known, and with what the cameras see."""
@@ -110,8 +114,21 @@ class _Search:
                 self.poses[i] = robust_poses(group.terms[0])
 
     def find(self) -> bool:
-        """Find one more unknown by linear algebra; False when nothing follows any more."""
-        return self._moving() or self._averaged() or self._robot_world() or self._planes()
+        """Find one more unknown by linear algebra; False when nothing follows any more.
+
+        Raises:
+            UndeterminedError: all that is left is a robot whose motion is too poor.
+        """
+        found = (
+            self._moving()
+            or self._averaged()
+            or self._robot_world()
+            or self._planes()
+            or self._planes_over_a_moving_pattern()
+        )
+        if not found and self.too_poor:
+            raise UndeterminedError(self.too_poor[0])
+        return found
 
     def require_all(self) -> None:
         """Refuse when a pattern's pose is not known in a collection that counts, or never."""
@@ -177,9 +194,7 @@ class _Search:
     def _robot_world(self) -> bool:
         """Two unknowns at once: of one chain, or of two chains that share the poses of a moving pattern."""
         pairs = [pair for pair in (*self._pairs_in_one_chain(), *self._pairs_over_a_moving_pattern()) if len(pair[2])]
-        if not pairs:
-            return False
-        problems = []
+        self.too_poor = []
         for a, b, A, B in sorted(pairs, key=lambda pair: -len(pair[2])):
             solution = solve_robot_world_robustly(A, B)
             problem = self._too_poor(a, b, solution, len(A))
@@ -187,23 +202,66 @@ class _Search:
                 for (block, inverted), T in ((a, solution.X), (b, solution.Y)):
                     self._set(block, inverse(T) if inverted else T)
                 return True
-            problems.append(problem)
-        raise UndeterminedError(problems[0])
+            self.too_poor.append(problem)
+        return False
 
     def _planes(self) -> bool:
-        """A LiDAR's or a depth camera's transform from the planes it sees and the pattern's poses, known by now."""
-        problem = self.setup.problem
-        for group in problem.groups:
-            term = group.terms[0]
+        """What stands before a LiDAR or a depth camera, from the planes it sees and the pattern's poses, known by now.
+
+        All views that speak for the same block count together.
+        """
+        views: dict[tuple[int, bool, bool], list[_RangeViews]] = {}
+        for group, term in self._range_groups():
             for block in self._unknown_shared():
-                if isinstance(term, RangeTerm) and self._only_unknown(group, block):
-                    before, link_inverted, after, usable = self._around(group, block)
-                    normals, offsets = fit_planes(term.rays * term.ranges[:, None], term.present)
-                    guess = inverse(self.values[block]) if link_inverted else self.values[block]
-                    X = align_planes(normals[usable], offsets[usable], before[usable], after[usable], guess)
-                    self._set(block, inverse(X) if link_inverted else X)
-                    return True
-        return False
+                if self._only_unknown(group, block):
+                    before, inverted, after, usable = self._around(group, block)
+                    found = _RangeViews(term.take(np.flatnonzero(usable)), before[usable], after[usable])
+                    views.setdefault((block, inverted, self._is_2d(group)), []).append(found)
+        return any(self._aligned(*key, found) for key, found in views.items())
+
+    def _planes_over_a_moving_pattern(self) -> bool:
+        """What stands before a camera that sees a moving pattern with a LiDAR or a depth camera, known by now.
+
+        From ``T1 = U X C P`` of the camera and ``T2 = H P`` of the other the pattern drops out:
+        ``T2 = (H inverse(C)) inverse(X) (inverse(U) T1)``.
+        """
+        views: dict[tuple[int, bool, bool], list[_RangeViews]] = {}
+        for camera, (block, inverted), after, C in self._halves():
+            for group, term in self._range_groups():
+                if group.pattern == camera.pattern:
+                    H, _, _, known = self._around(group, group.chain.links[-1].block)
+                    _, at, own = np.intersect1d(camera.collections, group.collections, return_indices=True)
+                    usable = known[own] & np.isfinite(after[at, 0, 0])
+                    at, own = at[usable], own[usable]
+                    found = _RangeViews(term.take(own), H[own] @ inverse(C[at]), after[at])
+                    if len(own):
+                        views.setdefault((block, not inverted, self._is_2d(group)), []).append(found)
+        return any(self._aligned(*key, found) for key, found in views.items())
+
+    def _range_groups(self) -> list[tuple[ViewGroup, RangeTerm]]:
+        groups = self.setup.problem.groups
+        return [(group, group.terms[0]) for group in groups if isinstance(group.terms[0], RangeTerm)]
+
+    def _is_2d(self, group: ViewGroup) -> bool:
+        return self.setup.dataset.sensors[group.sensor].modality == "lidar2d"
+
+    def _aligned(self, block: int, inverted: bool, cuts: bool, views: list["_RangeViews"]) -> bool:
+        """Whether views ``T_sensor_pattern = before X after``, X a block or its inverse, have given the block."""
+        before, after = (np.concatenate(parts) for parts in zip(*((v.before, v.after) for v in views), strict=True))
+        if cuts:
+            points = [view.term.points.swapaxes(1, 2)[view.term.present] for view in views]
+            view = np.repeat(np.arange(len(before)), np.concatenate([view.term.counts for view in views]))
+            back = align_scans(*scan_equations(np.concatenate(points), before[view], after[view]))  # inverse(X)
+            if back is None:
+                return False
+            self._set(block, back if inverted else inverse(back))
+            return True
+        planes = [fit_planes(view.term.points, view.term.present) for view in views]
+        normals, offsets = (np.concatenate(parts) for parts in zip(*planes, strict=True))
+        guess = inverse(self.values[block]) if inverted else self.values[block]
+        X = align_planes(normals, offsets, before, after, guess)
+        self._set(block, inverse(X) if inverted else X)
+        return True
 
     def take_guess(self) -> bool:
         """Nothing follows: take the guess of one more block, an additional transform first."""
@@ -284,16 +342,7 @@ class _Search:
         From ``T1 = U1 X C1 P`` and ``T2 = U2 Y C2 P`` the pattern drops out:
         ``inverse(U1) T1 inverse(T2) U2 = X (C1 inverse(C2)) inverse(Y)``.
         """
-        problem = self.setup.problem
-        halves = []
-        for i, T in self.poses.items():
-            group = problem.groups[i]
-            links, unknown = group.chain.links, self._unknown(group)
-            moving = [problem.blocks[links[k].block].per_collection for k in unknown]
-            if moving == [False, True] and unknown[1] == len(links) - 1 and links[-1].after is None:
-                first = unknown[0]
-                U, C = self._between(group, -1, first), self._between(group, first, len(links) - 1)
-                halves.append((group, _unknown_of(group, first), inverse(U) @ T, C))
+        halves = self._halves()
         pairs: list[_Pair] = []
         for i, (one, x, Z1, C1) in enumerate(halves):
             for two, y, Z2, C2 in halves[i + 1 :]:
@@ -303,6 +352,20 @@ class _Search:
                     usable = np.isfinite(A[:, 0, 0])
                     pairs.append((x, (y[0], not y[1]), A[usable], (C1[at1] @ inverse(C2[at2]))[usable]))
         return pairs
+
+    def _halves(self) -> list["_Half"]:
+        """The cameras' chains that end in a moving pattern, with one unknown shared block X before it: ``U X C P``."""
+        problem = self.setup.problem
+        halves: list[_Half] = []
+        for i, T in self.poses.items():
+            group = problem.groups[i]
+            links, unknown = group.chain.links, self._unknown(group)
+            moving = [problem.blocks[links[k].block].per_collection for k in unknown]
+            if moving == [False, True] and unknown[1] == len(links) - 1 and links[-1].after is None:
+                first = unknown[0]
+                U, C = self._between(group, -1, first), self._between(group, first, len(links) - 1)
+                halves.append((group, _unknown_of(group, first), inverse(U) @ T, C))
+        return halves
 
     def _too_poor(self, a: "_Unknown", b: "_Unknown", solution: RobotWorld, views: int) -> str | None:
         """Why a motion cannot tell the two unknowns apart; None when it can."""
@@ -328,6 +391,16 @@ _Unknown = tuple[int, bool]
 """A block, and whether it stands inverted in its chain."""
 _Pair = tuple[_Unknown, _Unknown, Array, Array]
 """Two unknowns X and Y with ``A_i = X B_i Y``, and the poses A and B (n, 4, 4)."""
+_Half = tuple[ViewGroup, _Unknown, Array, Array]
+"""Views with ``T = U X C P``: the unknown X, ``inverse(U) T`` and C (V, 4, 4)."""
+
+
+class _RangeViews(NamedTuple):
+    """Views of a LiDAR or a depth camera with ``T_sensor_pattern = before X after``, (V, 4, 4)."""
+
+    term: RangeTerm
+    before: Array
+    after: Array
 
 
 def _unknown_of(group: ViewGroup, position: int) -> _Unknown:

@@ -9,8 +9,15 @@ from calibration.estimation.median import median
 from calibration.estimation.problem import NoiseKind, Problem, Values
 from calibration.geometry.types import Array
 
-FLOORS: dict[NoiseKind, float] = {"pixel": 1e-6, "range": 1e-8, "border": 1e-8, "depth_border": 1e-8}
-"""Nothing is labelled better than this (px, m, rad, rad); keeps exact data from weighing infinitely much."""
+FLOORS: dict[NoiseKind, float] = {
+    "pixel": 1e-6,
+    "range": 1e-8,
+    "border": 1e-8,
+    "depth_border": 1e-8,
+    "lidar2d_range": 1e-8,
+    "lidar2d_border": 1e-8,
+}
+"""Nothing is labelled better than this (px, m or rad); keeps exact data from weighing infinitely much."""
 INLIERS = 3.0
 """Labels within so many standard deviations make the estimate."""
 # For a squared Gaussian residual of 1 or 2 dimensions: its median, and its mean below INLIERS^2
@@ -26,12 +33,16 @@ class NoiseLevels:
     pixel: float | None = None
     """Of each image coordinate of a corner, px."""
     range: float | None = None
-    """Of the range of a LiDAR or a depth camera, m."""
+    """Of the range of a 3D LiDAR or a depth camera, m."""
     border: float | None = None
     """Of the direction in which a LiDAR finds a pattern's border, across it, rad: its step over the root of 12,
     where nothing else errs."""
     depth_border: float | None = None
     """The same of a depth camera, whose step is the angle of a pixel, rad."""
+    lidar2d_range: float | None = None
+    """Of the range of a 2D LiDAR, m."""
+    lidar2d_border: float | None = None
+    """Of the direction in which a 2D LiDAR finds the end of its cut, rad."""
 
     def given(self) -> dict[NoiseKind, float]:
         """Those that are set."""
@@ -40,6 +51,8 @@ class NoiseLevels:
             "range": self.range,
             "border": self.border,
             "depth_border": self.depth_border,
+            "lidar2d_range": self.lidar2d_range,
+            "lidar2d_border": self.lidar2d_border,
         }
         return {kind: level for kind, level in levels.items() if level is not None}
 

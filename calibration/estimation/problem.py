@@ -21,9 +21,10 @@ from calibration.geometry.joints import JOINT_PARAMETERS, JointModel, JointParam
 from calibration.geometry.transforms import adjoint, inverse, moved_twists, retract
 from calibration.geometry.types import Array, BoolArray, IntArray
 
-NoiseKind = Literal["pixel", "range", "border", "depth_border"]
+NoiseKind = Literal["pixel", "range", "border", "depth_border", "lidar2d_range", "lidar2d_border"]
 """What a residual is measured in: corners in px, ranges of LiDARs and depth cameras in m, the pattern's border in rad,
-which a depth camera finds more finely than a LiDAR."""
+which a depth camera finds more finely than a LiDAR. A 2D LiDAR has its own: it is another device with another step."""
+BORDERS: frozenset[NoiseKind] = frozenset({"border", "depth_border", "lidar2d_border"})
 
 
 @dataclass(frozen=True)

@@ -172,6 +172,11 @@ class RangeTerm:
         """(V,): points in each view."""
         return np.asarray(np.count_nonzero(self.present, axis=-1))
 
+    @property
+    def points(self) -> Array:
+        """(V, 3, L): in the sensor's frame, m; anything where there is no point."""
+        return self.rays * self.ranges[:, None]
+
     def take(self, views: IntArray | slice) -> "RangeTerm":
         """Only some of the views."""
         return replace(self, rays=self.rays[views], ranges=self.ranges[views], present=self.present[views])

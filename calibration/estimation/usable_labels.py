@@ -5,14 +5,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from calibration.dataset.model import CornerLabels, Dataset, Labels
+from calibration.dataset.model import CornerLabels, Dataset, Labels, Modality
 from calibration.errors import InputError, UndeterminedError
 from calibration.estimation.planar_pose import planar_poses
 
 MINIMUM_CORNERS = 4
 """Fewer corners do not determine a pattern's pose, and would add flipped ones."""
 MINIMUM_POINTS = 10
-"""Fewer points of a LiDAR or a depth camera hardly make a plane (ATOM's rule too)."""
+"""Fewer points of a 3D LiDAR or a depth camera hardly make a plane (ATOM's rule too)."""
+MINIMUM_SCAN_POINTS = 3
+"""Two points of a 2D LiDAR make a line, with nothing to check them by."""
 
 
 def usable_labels(dataset: Dataset) -> tuple[Dataset, tuple[str, ...]]:
@@ -31,7 +33,10 @@ def usable_labels(dataset: Dataset) -> tuple[Dataset, tuple[str, ...]]:
     on_lines = _on_lines(dataset)
     kept: list[dict[tuple[str, str], Labels]] = []
     for i, collection in enumerate(dataset.collections):
-        faults = {key: _too_few(label) or on_lines.get((i, *key), "") for key, label in collection.labels.items()}
+        faults = {
+            key: _too_few(label, dataset.sensors[key[1]].modality) or on_lines.get((i, *key), "")
+            for key, label in collection.labels.items()
+        }
         kept.append({key: label for key, label in collection.labels.items() if not faults[key]})
         ignored += [f"collection {collection.key}, {key[1]}: {fault}" for key, fault in faults.items() if fault]
     fixed = {p for labels in kept for p in _seen_by_cameras(labels) if dataset.patterns[p].fixed}
@@ -66,11 +71,13 @@ def _seen_by_cameras(labels: Mapping[tuple[str, str], Labels]) -> set[str]:
     return {pattern for (pattern, _), label in labels.items() if isinstance(label, CornerLabels)}
 
 
-def _too_few(label: Labels) -> str:
-    """Why labels are too few to determine a view, or nothing."""
-    corners = isinstance(label, CornerLabels)
-    count = len(label.ids if isinstance(label, CornerLabels) else label.points)
-    minimum, what = (MINIMUM_CORNERS, "corners") if corners else (MINIMUM_POINTS, "points")
+def _too_few(label: Labels, modality: Modality) -> str:
+    """Why labels are too few to tell what a view of a sensor can tell, or nothing."""
+    if isinstance(label, CornerLabels):
+        count, minimum, what = len(label.ids), MINIMUM_CORNERS, "corners"
+    else:
+        minimum = MINIMUM_SCAN_POINTS if modality == "lidar2d" else MINIMUM_POINTS
+        count, what = len(label.points), "points"
     return f"{count} {what}, at least {minimum} are needed" if count < minimum else ""
 
 

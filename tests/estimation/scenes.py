@@ -27,6 +27,7 @@ from calibration.geometry.types import Array
 
 PINHOLE = Camera(800.0, 790.0, 640.0, 480.0, 1280, 960)
 WIDE = replace(PINHOLE, distortion=PlumbBob(-0.10, 0.05, 0.001, -0.0005, 0.01))
+DEPTH = Camera(160.0, 160.0, 160.0, 120.0, 320, 240)
 # A LiDAR's frame (x ahead, z up) in a camera's axes (z ahead, y down).
 AHEAD = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
 
@@ -86,6 +87,10 @@ class Scene:
         return dataset
 
     def _label(self, sensor: Sensor, pattern: Pattern, T: Array, rng: np.random.Generator) -> Labels:
+        if sensor.modality == "lidar2d":
+            return cut(pattern, T, rng, self.range_noise, self.border)
+        if sensor.modality == "depth":
+            return depth_pixels(pattern, T, sensor.camera or DEPTH, rng, self.range_noise)
         if sensor.camera is None:
             return scan(pattern, T, rng, self.range_noise, self.border)
         pixels = sensor.camera.project(apply(T, pattern.corners))
@@ -128,6 +133,39 @@ def scan(
     return PointLabels(points, np.unique(limits).astype(int))
 
 
+def cut(
+    pattern: Pattern, T: Array, rng: np.random.Generator, noise: float = 0.0, border: bool = True, step: float = 0.5
+) -> PointLabels:
+    """The points of a 2D LiDAR, a ray every `step` degrees, on a pattern at ``T_sensor_pattern``; the ends of the cut.
+
+    The scan begins at any angle, so that the border lies anywhere between two rays.
+    """
+    azimuth = np.radians(np.arange(-180, 180, step) + step * rng.random())
+    rays = np.stack([np.cos(azimuth), np.sin(azimuth), 0 * azimuth], -1)
+    with np.errstate(divide="ignore"):
+        distance = (T[:3, 2] @ T[:3, 3]) / (rays @ T[:3, 2])
+    at = (rays * distance[:, None] - T[:3, 3]) @ T[:3, :2]
+    hit = np.flatnonzero((distance > 0) & ((at >= pattern.outline.min(0)) & (at <= pattern.outline.max(0))).all(-1))
+    points = rays[hit] * (distance[hit] + rng.normal(size=len(hit)) * noise)[:, None]
+    around = np.mod(azimuth[hit] - np.arctan2(T[1, 3], T[0, 3]) + np.pi, 2 * np.pi)
+    ends = [around.argmin(), around.argmax()] if border and len(hit) else []
+    return PointLabels(points, np.unique(ends).astype(int))
+
+
+def depth_pixels(
+    pattern: Pattern, T: Array, model: Camera, rng: np.random.Generator, noise: float = 0.0
+) -> PointLabels:
+    """Every fourth row and column of a depth camera's pixels on a pattern, none of them labelled as its border."""
+    low, high = pattern.outline.min(0), pattern.outline.max(0)
+    x, y = np.meshgrid(np.arange(0, model.width, 4.0), np.arange(0, model.height, 4.0))
+    rays = np.append(model.normalise(np.stack([x, y], -1)), np.ones((*x.shape, 1)), -1)
+    depth = (T[:3, 2] @ T[:3, 3]) / (rays @ T[:3, 2])
+    at = (rays * depth[..., None] - T[:3, 3]) @ T[:3, :2]
+    hit = (depth > 0) & (at >= low).all(-1) & (at <= high).all(-1)
+    points = rays[hit] * (depth[hit] + rng.normal(size=hit.sum()) * noise)[:, None]
+    return PointLabels(points, np.zeros(0, int))
+
+
 def board(name: str = "board", parent: str = "world", fixed: bool = False, square: float = 0.06) -> Pattern:
     """6 x 5 corners in a border of half a square."""
     border = outline(6, 5, square, (square / 2, square / 2), (0.0, 0.0))
@@ -140,6 +178,14 @@ def camera(name: str, parent: str = "world", model: Camera = WIDE) -> Sensor:
 
 def lidar(name: str, parent: str = "world") -> Sensor:
     return Sensor(name, "lidar3d", name, parent, name)
+
+
+def lidar2d(name: str, parent: str = "world") -> Sensor:
+    return Sensor(name, "lidar2d", name, parent, name)
+
+
+def depth_camera(name: str, parent: str = "world") -> Sensor:
+    return Sensor(name, "depth", name, parent, name, DEPTH)
 
 
 def pose(x: float, y: float, z: float, roll: float = 0.0, pitch: float = 0.0, yaw: float = 0.0) -> Array:

@@ -10,7 +10,19 @@ from calibration.geometry import rotations
 from calibration.geometry.joints import JointModel, JointParameter
 from calibration.geometry.transforms import inverse, retract, transform
 from calibration.geometry.types import Array
-from tests.estimation.scenes import AHEAD, PINHOLE, WIDE, Scene, board, camera, lidar, looks, pose
+from tests.estimation.scenes import (
+    AHEAD,
+    PINHOLE,
+    WIDE,
+    Scene,
+    board,
+    camera,
+    depth_camera,
+    lidar,
+    lidar2d,
+    looks,
+    pose,
+)
 
 STEREO = {("world", "left"): pose(0.1, 0.2, 0.3, -1.6, 0.1, -1.5), ("world", "right"): np.eye(4)}
 STEREO["world", "right"] = STEREO["world", "left"] @ pose(0.3, 0.02, 0.05, 0.02, -0.2, 0.05)
@@ -99,6 +111,70 @@ def camera_and_lidar(n: int = 12, seed: int = 0, behind: bool = False, **changes
         ("world", "board_link"): T_world_cam @ T_cam_board,
     }
     return replace(Scene(transforms, [camera("cam"), lidar("lidar")], [pattern], anchored="cam"), **changes)
+
+
+def camera_and_lidar2d(n: int = 14, seed: int = 0, **changes: object) -> Scene:
+    """An anchored camera, a 2D LiDAR below it that looks up a little, a big moving pattern that it always cuts."""
+    pattern = board(square=0.12)
+    T_world_cam = pose(0.0, 0.0, 0.5, -np.pi / 2, 0.0, -np.pi / 2)
+    T_cam_board = looks(n, seed, tilt=0.9, pattern=pattern)
+    T_cam_board[:, 2, 3] += 0.6
+    transforms = {
+        ("world", "cam"): T_world_cam,
+        ("world", "scan"): T_world_cam @ transform(AHEAD, (0.1, 0.25, 0.02)) @ pose(0, 0, 0, 0.1, -0.1, -0.1),
+        ("world", "board_link"): T_world_cam @ T_cam_board,
+    }
+    return replace(Scene(transforms, [camera("cam"), lidar2d("scan")], [pattern], anchored="cam"), **changes)
+
+
+def tripod(n: int = 14, seed: int = 0, **changes: object) -> Scene:
+    """An anchored camera, a depth camera, a LiDAR and a 2D LiDAR: every modality."""
+    base = camera_and_lidar2d(n, seed)
+    T_world_cam = base.transforms["world", "cam"]
+    transforms = {
+        **base.transforms,
+        ("world", "lidar"): T_world_cam @ transform(AHEAD, (0.15, -0.1, 0.02)) @ pose(0, 0, 0, 0.02, 0.05, -0.1),
+        ("world", "depth"): T_world_cam @ pose(-0.1, 0.05, 0.0, 0.05, 0.1, -0.03),
+    }
+    return replace(
+        base, transforms=transforms, sensors=[*base.sensors, lidar("lidar"), depth_camera("depth")], **changes
+    )
+
+
+def tripod_with_gaps(n: int = 40, seed: int = 0, **changes: object) -> Scene:
+    """The tripod, of whose sensors each sees a random half."""
+    seen = np.random.default_rng(6000 + seed).random((n, 4)) < 0.5
+    names = ["cam", "scan", "lidar", "depth"]
+    sees = {"sees": lambda sensor, _, i: bool(seen[i, names.index(sensor)])}
+    return tripod(n, seed, **{**sees, **changes})
+
+
+def linked_by_an_arm(n: int = 16, seed: int = 0, **changes: object) -> Scene:
+    """Two static cameras of which neither sees what the other sees: an arm shows the pattern to one, then the other."""
+    base = eye_to_hand(n, seed)
+    T_world_second = pose(-0.8, 0.4, 1.0, -1.7, -0.1, -0.9)
+    T_base_flange = base.transforms["base", "flange"].copy()
+    second = np.arange(n) >= n // 2
+    T_base_flange[second] = (
+        inverse(base.transforms["world", "base"])
+        @ T_world_second
+        @ looks(n, seed)[second]
+        @ inverse(base.transforms["flange", "board_link"])
+    )
+    transforms = {**base.transforms, ("base", "flange"): T_base_flange, ("world", "second"): T_world_second}
+    scene = replace(base, transforms=transforms, sensors=[*base.sensors, camera("second")])
+    return replace(scene, **{"sees": lambda sensor, _, i: (sensor == "second") == bool(second[i]), **changes})
+
+
+def linked_by_a_lidar(n: int = 24, seed: int = 0, flat: bool = False, **changes: object) -> Scene:
+    """Two static cameras that never see the pattern together; a LiDAR (or a 2D one) sees it with either of them."""
+    base = camera_and_lidar2d(n, seed) if flat else camera_and_lidar(n, seed)
+    between = base.sensors[1].name
+    T_cam_second = pose(0.4, 0.1, 0.05, 0.05, -0.3, 0.1)
+    transforms = {**base.transforms, ("world", "second"): base.transforms["world", "cam"] @ T_cam_second}
+    scene = replace(base, transforms=transforms, sensors=[*base.sensors, camera("second")])
+    sees = lambda sensor, _, i: sensor == between or (sensor == "second") == (i % 2 == 0)  # noqa: E731
+    return replace(scene, **{"sees": sees, **changes})
 
 
 def hand_and_world(n: int = 12, seed: int = 0, **changes: object) -> Scene:

@@ -1,0 +1,120 @@
+"""Transforms from cuts: a 2D LiDAR sees, of each plane whose place is known, the points of one line.
+
+One view is no plane, so nothing can be fitted to it by itself; all points of all views make one problem.
+"""
+
+import numpy as np
+
+from calibration.estimation.median import median
+from calibration.geometry import rotations
+from calibration.geometry.transforms import apply, inverse, transform
+from calibration.geometry.types import Array
+
+FLAT = 1e-6
+"""Points whose spread across a plane is less than this times that along it lie in the plane."""
+SINGULAR = 1e-7
+"""A singular value of the equations relative to the greatest one, below which rounding has made it."""
+UNIT = (0.5, 2.0)
+"""Between these the columns of what shall be a rotation have their lengths; else the equations told nothing."""
+OBLIQUE = 0.7
+"""Their cosines are below this."""
+REWEIGHTED = 15
+"""Times that the equations are solved, with less weight on what does not fit."""
+
+
+def align_scans(points: Array, normals: Array, offsets: Array) -> Array | None:
+    """The transform that puts points on known planes: ``normal . (R point + t) = offset``.
+
+    Linear in t and in R's columns. Points of a LiDAR that is fixed in their frame all lie in one plane,
+    ``o + x e1 + y e2``: then the unknowns are nine, ``R e1``, ``R e2`` and ``R o + t`` (the equations of Q. Zhang and
+    R. Pless, "Extrinsic calibration of a camera and laser range finder", IROS 2004), else twelve. Two equations come
+    from the line of each view, so nine unknowns need 5 planes of different tilts; 3 would do for the pose, with up to
+    8 solutions (F. Vasconcelos et al., "A minimal solution for the extrinsic calibration of a camera and a
+    laser-rangefinder", PAMI 2012), which are not told apart here.
+
+    There is no mirror image to choose: a sensor upside down sees its ``e2`` with the other sign, so it has another
+    linear solution; and of the two third columns that fit all points alike, ``R e1 x R e2`` and its negative, only
+    the first makes a rotation. Nor does the side of a plane matter.
+
+    The nearest rotation is refined by Gauss-Newton on the distances to the planes. All is reweighted to the sum of
+    absolute distances: a fifth of the points off their planes, or of the views with a wrong plane, do little harm.
+
+    Args:
+        points: (n, 3), m.
+        normals: (n, 3), of the plane that each point lies on, unit vectors.
+        offsets: (n,), their distances from the origin, m.
+
+    Returns:
+        (4, 4); None where the planes are too few or too much alike.
+    """
+    if len(points) < 9:
+        return None
+    middle = points.mean(axis=0)
+    _, spread, axes = np.linalg.svd(points - middle, full_matrices=False)
+    axes[2] *= np.sign(np.linalg.det(axes))
+    T_local_points = transform(axes, -axes @ middle)
+    columns = 2 if spread[2] <= FLAT * spread[0] else 3
+    T_planes_local = _linear(apply(T_local_points, points), normals, offsets, columns)
+    if T_planes_local is None:
+        return None
+    return _refined(T_planes_local @ T_local_points, points, normals, offsets)
+
+
+def scan_equations(points: Array, before: Array, after: Array) -> tuple[Array, Array, Array]:
+    """What `align_scans` wants, for the inverse of an X in ``T_sensor_pattern = before @ X @ after``.
+
+    Args:
+        points: (n, 3), in the sensor's frame.
+        before: (n, 4, 4), of each point's view: sensor to X's parent.
+        after: (n, 4, 4), X's child to the pattern.
+
+    Returns:
+        Points (n, 3) in X's parent frame; normals (n, 3) and offsets (n,) of the pattern's plane in X's child frame.
+    """
+    back, normals = inverse(before), after[:, :3, 2]
+    moved = np.einsum("nij,nj->ni", back[:, :3, :3], points) + back[:, :3, 3]
+    return moved, normals, (normals * after[:, :3, 3]).sum(-1)
+
+
+def _linear(points: Array, normals: Array, offsets: Array, columns: int) -> Array | None:
+    """The transform without the refinement, from points about their middle whose last axes may be zero."""
+    scale = float(np.sqrt((points**2).sum(-1).mean()))
+    factors = [points[:, k, None] / scale * normals for k in range(columns)]
+    A = np.concatenate([*factors, normals], -1)  # (n, 9 or 12)
+    singular = np.linalg.svd(A, compute_uv=False)
+    if singular[-1] <= SINGULAR * singular[0]:
+        return None
+    weight = np.ones(len(A))
+    for _ in range(REWEIGHTED):
+        root = np.sqrt(weight)
+        solution = np.linalg.lstsq(A * root[:, None], offsets * root, rcond=None)[0]
+        weight = _weight(A @ solution - offsets)
+    R = solution[:-3].reshape(columns, 3).T / scale
+    lengths = np.linalg.norm(R, axis=0)
+    if not (lengths.min() > UNIT[0] and lengths.max() < UNIT[1]):
+        return None
+    cosines = np.abs((R / lengths).T @ (R / lengths) - np.eye(columns))
+    if cosines.max() > OBLIQUE:
+        return None
+    if columns == 2:
+        R = np.column_stack([R, np.cross(R[:, 0], R[:, 1])])
+    return transform(rotations.nearest(R), solution[-3:])
+
+
+def _refined(T: Array, points: Array, normals: Array, offsets: Array) -> Array:
+    """Gauss-Newton on the distances of the points to their planes, reweighted to their absolute values."""
+    for _ in range(REWEIGHTED):
+        miss = (normals * apply(T, points)).sum(-1) - offsets
+        root = np.sqrt(_weight(miss))
+        back = normals @ T[:3, :3]
+        J = np.concatenate([back, np.cross(points, back)], -1) * root[:, None]
+        step = np.linalg.lstsq(J, -miss * root, rcond=None)[0]
+        T = T @ transform(rotations.exp(step[3:]), step[:3])
+    return T
+
+
+def _weight(miss: Array) -> Array:
+    """Weights (n,) that make squared distances count as their absolute values, down to half their median."""
+    size = np.abs(miss)
+    weight: Array = 1.0 / np.maximum(size, 0.5 * median(size) + 1e-9)
+    return weight
