@@ -18,6 +18,9 @@ UNIT = (0.5, 2.0)
 """Between these the columns of what shall be a rotation have their lengths; else the equations told nothing."""
 OBLIQUE = 0.7
 """Their cosines are below this."""
+ALIKE = 0.01
+"""Where a motion of the points changes their distances to the planes by less than this times what another does, the
+planes are known too badly to tell it: they hardly differ in their tilt (rad)."""
 REWEIGHTED = 15
 """Times that the equations are solved, with less weight on what does not fit."""
 
@@ -57,7 +60,8 @@ def align_scans(points: Array, normals: Array, offsets: Array) -> Array | None:
     T_planes_local = _linear(apply(T_local_points, points), normals, offsets, columns)
     if T_planes_local is None:
         return None
-    return _refined(T_planes_local @ T_local_points, points, normals, offsets)
+    T = _refined(T_planes_local, apply(T_local_points, points), normals, offsets)
+    return None if T is None else T @ T_local_points
 
 
 def scan_equations(points: Array, before: Array, after: Array) -> tuple[Array, Array, Array]:
@@ -101,16 +105,25 @@ def _linear(points: Array, normals: Array, offsets: Array, columns: int) -> Arra
     return transform(rotations.nearest(R), solution[-3:])
 
 
-def _refined(T: Array, points: Array, normals: Array, offsets: Array) -> Array:
+def _refined(T: Array, points: Array, normals: Array, offsets: Array) -> Array | None:
     """Gauss-Newton on the distances of the points to their planes, reweighted to their absolute values."""
+    J = _jacobian(T, points, normals)
+    J[:, 3:] /= np.sqrt((points**2).sum(-1).mean())
+    singular = np.linalg.svd(J, compute_uv=False)
+    if singular[-1] < ALIKE * singular[0]:
+        return None
     for _ in range(REWEIGHTED):
         miss = (normals * apply(T, points)).sum(-1) - offsets
         root = np.sqrt(_weight(miss))
-        back = normals @ T[:3, :3]
-        J = np.concatenate([back, np.cross(points, back)], -1) * root[:, None]
-        step = np.linalg.lstsq(J, -miss * root, rcond=None)[0]
+        step = np.linalg.lstsq(_jacobian(T, points, normals) * root[:, None], -miss * root, rcond=None)[0]
         T = T @ transform(rotations.exp(step[3:]), step[:3])
     return T
+
+
+def _jacobian(T: Array, points: Array, normals: Array) -> Array:
+    """(n, 6): how a twist of the points' frame changes their distances to the planes."""
+    back = normals @ T[:3, :3]
+    return np.concatenate([back, np.cross(points, back)], -1)
 
 
 def _weight(miss: Array) -> Array:

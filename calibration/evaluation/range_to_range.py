@@ -3,7 +3,9 @@
 ATOM's evaluations ``lidar_to_lidar`` (metres: each of the target's points on the pattern against the nearest
 of the source's), ``lidar_to_depth`` and ``depth_to_depth`` (pixels: the source's border points in the target's
 depth image, each against the nearest of the target's border pixels); each in one collection or between two.
-A point is compared with a sample of the other, so that even exact transforms leave something.
+A point is compared with a sample of the other, so that even exact transforms leave something. Two cuts of 2D
+LiDARs lie apart on the pattern, and most of a 3D LiDAR's points lie off a cut: neither would say anything of the
+transforms. So the points of a 2D LiDAR are compared with those of a 3D one, never the other way round.
 """
 
 from collections.abc import Callable
@@ -13,7 +15,7 @@ import numpy as np
 from calibration.dataset.model import Dataset, PointLabels, Sensor
 from calibration.errors import InputError
 from calibration.evaluation.pairing import Pairs, between_collections, same_collection
-from calibration.evaluation.selection import depth_of, lidar_of, pattern_of
+from calibration.evaluation.selection import depth_of, lidar3d_of, lidar_of, pattern_of
 from calibration.evaluation.table import COLLECTION, COLLECTION_PAIR, Table
 from calibration.geometry.cameras import Camera
 from calibration.geometry.nearest import nearest
@@ -39,8 +41,8 @@ def lidar_to_lidar(
 
     Args:
         dataset: with the transforms to evaluate.
-        source: the LiDAR whose points are moved.
-        target: the LiDAR whose points are compared with them.
+        source: the LiDAR whose points are moved; a 3D one.
+        target: the LiDAR, 3D or 2D, whose points are compared with them.
         pattern: which one; None where there is only one.
         between: every collection of the source with every one of the target, the pattern being fixed.
 
@@ -48,7 +50,7 @@ def lidar_to_lidar(
         InputError: no such sensor or pattern, a transform is missing, nothing is seen by both, or the
             pattern moves between collections that are to be compared.
     """
-    sensors = lidar_of(dataset, source), lidar_of(dataset, target)
+    sensors = lidar3d_of(dataset, source), lidar_of(dataset, target)
     return _table(dataset, sensors, pattern, _in_space, "m", between=COLLECTION_PAIR if between else None)
 
 

@@ -32,10 +32,19 @@ def camera_of(dataset: Dataset, name: str) -> tuple[Sensor, Camera]:
 
 
 def lidar_of(dataset: Dataset, name: str) -> Sensor:
-    """The lidar3d sensor of this name.
+    """The LiDAR of this name, 2D or 3D.
 
     Raises:
         InputError: the dataset has no such sensor, or it is no LiDAR.
+    """
+    return _of_modality(dataset, name, "lidar3d", "lidar2d")
+
+
+def lidar3d_of(dataset: Dataset, name: str) -> Sensor:
+    """The 3D LiDAR of this name.
+
+    Raises:
+        InputError: the dataset has no such sensor, or it is no 3D LiDAR.
     """
     return _of_modality(dataset, name, "lidar3d")
 
@@ -52,12 +61,13 @@ def depth_of(dataset: Dataset, name: str) -> tuple[Sensor, Camera]:
     return sensor, sensor.camera
 
 
-def _of_modality(dataset: Dataset, name: str, modality: str) -> Sensor:
+def _of_modality(dataset: Dataset, name: str, *modalities: str) -> Sensor:
     sensor = sensor_of(dataset, name)
-    if sensor.modality != modality:
-        others = (s.name for s in dataset.sensors.values() if s.modality == modality)
+    if sensor.modality not in modalities:
+        others = (s.name for s in dataset.sensors.values() if s.modality in modalities)
+        wanted = " or ".join(modalities)
         raise InputError(
-            f"{dataset.path}: sensor '{name}' is {sensor.modality}, not {modality} ({modality}: {_names(others)})"
+            f"{dataset.path}: sensor '{name}' is {sensor.modality}, not {wanted} ({wanted}: {_names(others)})"
         )
     return sensor
 

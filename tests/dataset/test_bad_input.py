@@ -158,9 +158,10 @@ CASES = [
     ),
     (
         {"sensors/cam/modality": "radar"},
-        "sensors/cam/modality: found 'radar', expected a known modality of sensor 'cam': rgb, lidar3d, depth",
+        "sensors/cam/modality: found 'radar', expected a known modality of sensor 'cam': rgb, lidar3d, lidar2d, depth",
     ),
-    ({"sensors/lidar/modality": "lidar2d"}, "sensors/lidar/modality: found 'lidar2d', expected a known modality"),
+    ({"sensors/lidar/modality": "lidar2d"}, "sensors/lidar/modality: found 'lidar2d', expected 'lidar3d' as in cali"),
+    ({"sensors/lidar/modality": "sonar"}, "sensors/lidar/modality: found 'sonar', expected a known modality"),
     (
         {"sensors/cam/modality": "lidar3d"},
         "sensors/cam/modality: found 'lidar3d', expected 'rgb' as in calibration_config/",

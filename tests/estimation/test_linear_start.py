@@ -12,11 +12,21 @@ from calibration.estimation.linear_start import LinearStart, linear_start, patte
 from calibration.estimation.normal_equations import Weighting, assemble
 from calibration.estimation.single_views import robust_poses
 from calibration.estimation.starting_noise import StartingNoise, perturb
-from calibration.geometry.transforms import distance
-from tests.estimation.scenes import Scene, board, errors, pose, relabelled, shaken, true_values
-from tests.estimation.systems import ALL, eye_in_hand, eye_to_hand, hand_and_world, ring, rotating, stereo, two_bodies
+from calibration.geometry.transforms import distance, transform
+from tests.estimation.scenes import AHEAD, Scene, board, errors, lidar2d, pose, relabelled, shaken, true_values
+from tests.estimation.systems import (
+    ALL,
+    camera_and_lidar2d,
+    eye_in_hand,
+    eye_to_hand,
+    hand_and_world,
+    ring,
+    rotating,
+    stereo,
+    two_bodies,
+)
 
-EXACT = Weighting({"pixel": 1.0, "range": 0.01, "border": 0.01}, None)
+EXACT = Weighting({"pixel": 1.0, "range": 0.01, "border": 0.01, "lidar2d_range": 0.01}, None)
 
 
 def start_of(setup: Setup, noise: StartingNoise | None = None) -> LinearStart:
@@ -52,6 +62,51 @@ def test_a_lidar_on_either_side_of_the_pattern_is_found_from_noisy_guesses(scene
     moved, turned = shared_errors(setup, start)
     assert moved < 0.05
     assert turned < 0.03
+
+
+@pytest.mark.parametrize("scene", ["camera and 2D lidar", "tripod", "linked by a lidar", "linked by a 2D lidar"])
+@pytest.mark.parametrize("seed", range(4))
+def test_noisy_cuts_and_planes_give_a_start_from_guesses_that_say_nothing(scene, seed):
+    setup = build(ALL[scene](seed=seed, border=False, pixel_noise=0.3, range_noise=0.01).dataset(seed))
+    start = start_of(setup, StartingNoise(3, 1.5, seed))
+    assert start.guessed == ()
+    moved, turned = shared_errors(setup, start)
+    assert moved < 0.15
+    assert turned < 0.08
+
+
+def test_a_2d_lidar_whose_planes_are_too_few_starts_from_its_guess():
+    setup = build(camera_and_lidar2d(4).dataset())
+    guess = perturb(setup, true_values(setup), StartingNoise(0.1, 0.1))
+    start = linear_start(setup, guess)
+    assert start.guessed == ("world-scan",)
+    scan = setup.block(("world", "scan"))
+    np.testing.assert_array_equal(start.values[scan], guess[scan])
+
+
+def test_the_views_of_several_patterns_count_together_for_a_2d_lidar():
+    """Four planes of each of two patterns: eight are enough, four are not."""
+    scene = camera_and_lidar2d(8)
+    other = replace(board("other", square=0.12))
+    transforms = {**scene.transforms, ("world", "other_link"): scene.transforms["world", "board_link"]}
+    both = replace(scene, patterns=[*scene.patterns, other], transforms=transforms)
+    setup = build(replace(both, border=False, sees=lambda _, p, i: (i < 4) == (p == "board")).dataset())
+    start = start_of(setup, StartingNoise(3, 1.5))
+    assert start.guessed == ()
+    assert max(shared_errors(setup, start)) < 1e-9
+
+
+def test_a_2d_lidar_in_the_hand_of_an_arm():
+    """A camera and a 2D LiDAR on the flange, a pattern that stands still."""
+    scene = eye_in_hand(14, border=False)
+    big = board(fixed=True, square=0.2)
+    beside = scene.transforms["flange", "mount"] @ scene.transforms["mount", "cam"] @ transform(AHEAD, (0.05, 0.0, 0.0))
+    sensors = [*scene.sensors, lidar2d("scan", "flange")]
+    scene = replace(scene, sensors=sensors, patterns=[big], transforms={**scene.transforms, ("flange", "scan"): beside})
+    setup = build(scene.dataset())
+    start = start_of(setup, StartingNoise(3, 1.5))
+    assert start.guessed == ()
+    assert max(shared_errors(setup, start)) < 1e-8
 
 
 def test_five_cameras_whose_neighbours_only_share_collections():

@@ -130,7 +130,8 @@ def test_the_kinds_of_labels_share_all_parameters_between_them(huber):
 @pytest.mark.parametrize("scene", ALL)
 def test_one_kind_of_label_determines_all_parameters(scene):
     setup = build(ALL[scene](8, pixel_noise=0.3, range_noise=0.01).dataset())
-    weighting = Weighting({"pixel": 0.3, "range": 0.01, "border": 0.005}, None)
+    scales = {"pixel": 0.3, "range": 0.01, "border": 0.005, "lidar2d_range": 0.01, "lidar2d_border": 0.005}
+    weighting = Weighting(scales, None)
     values = true_values(setup)
     result = assemble(setup.problem, values, weighting)
     shares = determined_parameters(setup.problem, values, result, weighting)

@@ -105,11 +105,22 @@ def test_a_lidar_is_compared_with_itself_once_for_each_pair():
         lidar_to_lidar(dataset, "one", "one")
 
 
+def test_a_2d_lidar_is_compared_with_a_3d_one_and_not_the_other_way_round():
+    """A cut lies near the points of a whole pattern; they do not lie near it."""
+    dataset, _ = range_pair(2, 3, ("lidar3d", "lidar3d"))
+    cut = [PointLabels(label.points[60:70], np.arange(2)) for _, label in dataset.detections("board", "two")]
+    flat = replace(dataset.sensors["two"], modality="lidar2d")
+    dataset = replace(with_labels(dataset, "two", cut), sensors={**dataset.sensors, "two": flat})
+    assert lidar_to_lidar(dataset, "one", "two").average("RMS (m)") < 0.05
+    with pytest.raises(InputError, match=r"sensor 'two' is lidar2d, not lidar3d \(lidar3d: one\)"):
+        lidar_to_lidar(dataset, "two", "one")
+
+
 def test_what_cannot_be_compared_is_told():
     dataset, _ = range_pair(4, 2)
     with pytest.raises(InputError, match="pattern 'board' is not fixed"):
         lidar_to_depth(dataset, "one", "two", between=True)
-    with pytest.raises(InputError, match=r"sensor 'two' is depth, not lidar3d \(lidar3d: one\)"):
+    with pytest.raises(InputError, match=r"sensor 'two' is depth, not lidar3d or lidar2d \(lidar3d or lidar2d: one\)"):
         lidar_to_lidar(dataset, "one", "two")
     with pytest.raises(InputError, match=r"sensor 'one' is lidar3d, not depth \(depth: two\)"):
         depth_to_depth(dataset, "two", "one")

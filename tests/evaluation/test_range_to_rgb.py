@@ -116,17 +116,26 @@ def test_no_row_is_an_error_that_says_why():
         lidar_to_rgb(with_labels(dataset, "scan", [None]), "scan", "eye", {})
 
 
+def test_the_ends_of_a_2d_lidars_cuts_are_seen_in_the_image():
+    dataset, T_world_pattern = lidar_and_camera(seed=2)
+    ends = [PointLabels(label.points, label.limits[:2]) for _, label in dataset.detections("board", "scan")]
+    scanner = replace(dataset.sensors["scan"], modality="lidar2d")
+    flat = replace(with_labels(dataset, "scan", ends), sensors={**dataset.sensors, "scan": scanner})
+    table = lidar_to_rgb(flat, "scan", "eye", true_annotation(dataset, T_world_pattern))
+    np.testing.assert_allclose(table.values, 0, atol=1e-9)
+
+
 def test_sensors_of_the_wrong_kind_are_told():
     dataset, T_world_pattern = lidar_and_camera(seed=6, n=1)
     annotation = true_annotation(dataset, T_world_pattern)
-    with pytest.raises(InputError, match=r"sensor 'eye' is rgb, not lidar3d \(lidar3d: scan\)"):
+    with pytest.raises(InputError, match=r"sensor 'eye' is rgb, not lidar3d or lidar2d \(lidar3d or lidar2d: scan\)"):
         lidar_to_rgb(dataset, "eye", "scan", annotation)
     with pytest.raises(InputError, match=r"sensor 'scan' is lidar3d, not rgb \(rgb: eye\)"):
         lidar_to_rgb(dataset, "scan", "scan", annotation)
     depth = replace(dataset, sensors={**dataset.sensors, "eye": replace(dataset.sensors["eye"], modality="depth")})
     with pytest.raises(InputError, match=r"sensor 'eye' is depth, not rgb \(rgb: none\)"):
         lidar_to_rgb(depth, "scan", "eye", annotation)
-    with pytest.raises(InputError, match=r"sensor 'left' is rgb, not lidar3d \(lidar3d: none\)"):
+    with pytest.raises(InputError, match=r"sensor 'left' is rgb, not lidar3d or lidar2d \(lidar3d or lidar2d: none\)"):
         lidar_to_rgb(two_cameras(n=2)[0], "left", "right", annotation)
 
 
