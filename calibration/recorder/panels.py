@@ -35,7 +35,7 @@ class ViewsPanel:
             self._pictures: dict[str, viser.GuiImageHandle] = {}
             for name in system.sensors:
                 self._findings[name] = gui.add_html(markup.finding(name, None))
-                if name not in system.lidars:
+                if name not in (*system.lidars, *system.lidars2d):
                     self._pictures[name] = gui.add_image(_blank(system, name), jpeg_quality=85)
         self._blanks = {name: handle.image for name, handle in self._pictures.items()}
         panel.dock_left()

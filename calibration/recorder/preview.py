@@ -17,6 +17,7 @@ from calibration.labelling.points import PatternPoints
 from calibration.simulation.collection.capture import Capture, capture
 from calibration.simulation.collection.checks import Requirements, reasons_to_lose
 from calibration.simulation.collection.play import play
+from calibration.simulation.collection.stored_scan import scan_points
 from calibration.simulation.motion.sequence import Motion
 from calibration.simulation.system import System
 
@@ -77,16 +78,21 @@ def _view(system: System, captured: Capture, sensor: str) -> View:
     )
     detected = not all(isinstance(found, NotDetected) for found in seen.values())
     labelled = [found.on_pattern for found in points.values() if isinstance(found, PatternPoints)]
-    if sensor in captured.clouds:
-        cloud = captured.clouds[sensor]
+    if sensor in captured.clouds or sensor in captured.scans:
+        cloud = captured.clouds[sensor] if sensor in captured.clouds else _scan(system, captured, sensor)
         on_pattern = np.zeros(len(cloud), bool)
         for indices in labelled:
             on_pattern[indices] = True
-        return View(finding, detected, points=cloud, on_pattern=on_pattern)
+        returned = np.isfinite(cloud).all(-1)
+        return View(finding, detected, points=cloud[returned], on_pattern=on_pattern[returned])
     if sensor in captured.depths:
         return View(finding, detected, draw_depth(captured.depths[sensor], labelled))
     labels = [found for found in corners.values() if isinstance(found, CornerLabels)]
     return View(finding, detected, draw_corners(captured.images[sensor], labels))
+
+
+def _scan(system: System, captured: Capture, sensor: str) -> Array:
+    return scan_points(system.lidars2d[sensor], captured.scans[sensor])
 
 
 def _words(found: CornerLabels | PatternPoints | NotDetected, corners: int) -> str:

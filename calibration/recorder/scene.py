@@ -19,7 +19,6 @@ from calibration.recorder.preview import View
 from calibration.simulation.placement import Placement
 from calibration.simulation.rendering.texture import WHITE, texture
 from calibration.simulation.robot import compose
-from calibration.simulation.sensors import SimulatedLidar
 from calibration.simulation.system import System
 
 KEPT, LOST, UNKNOWN = (47, 158, 68), (224, 49, 49), (134, 142, 150)
@@ -57,7 +56,7 @@ class RobotScene:
             axes_radius=0.002 * self.size,
         )
         self._frusta = {name: self._add_frustum(name) for name in (*system.cameras, *system.depth_cameras)}
-        self._lidars = {name: self._add_lidar(name) for name in system.lidars}
+        self._lidars = {name: self._add_lidar(name) for name in (*system.lidars, *system.lidars2d)}
         self._boards = {name: self._add_board(name) for name in system.patterns}
         self._saved: dict[int, viser.LineSegmentsHandle] = {}
         self.gizmo: viser.TransformControlsHandle | None = None
@@ -166,8 +165,6 @@ class RobotScene:
         )
 
     def _add_lidar(self, sensor: str) -> viser.CylinderHandle:
-        lidar = self._system.sensors[sensor]
-        assert isinstance(lidar, SimulatedLidar)  # noqa: S101 (asked of the LiDARs only)
         return self._scene.add_cylinder(_name(sensor), radius=0.035 * self.size, height=0.05 * self.size, color=_LIDAR)
 
     def _add_board(self, name: str) -> viser.FrameHandle:

@@ -8,6 +8,8 @@ A depth camera: its size and lens as a camera's; ``range_m``, ``noise_m``, ``noi
 
 A LiDAR: ``rings`` and ``vertical_deg``, or the ``elevations_deg`` of every ring; ``azimuths`` in one
 revolution; ``range_m``, ``noise_m``, ``resolution_m``; ``margin_deg`` that is stored around the pattern.
+
+A 2D LiDAR: ``rays`` over the angles ``angle_deg``, its first and its last; ``range_m``, ``noise_m``, ``resolution_m``.
 """
 
 import math
@@ -88,7 +90,35 @@ class SimulatedLidar:
         return np.stack([x, y, np.broadcast_to(np.sin(elevation), shape)], -1)
 
 
-SimulatedSensor = SimulatedCamera | SimulatedDepthCamera | SimulatedLidar
+@dataclass(frozen=True)
+class SimulatedLidar2d:
+    """A LiDAR whose rays lie in the plane z = 0 of its frame; x is angle 0, y a quarter of a revolution."""
+
+    angle_min: float
+    """Of the first ray, rad."""
+    angle_max: float
+    """Of the last ray, rad."""
+    rays: int
+    least_range: float = 0.1
+    """m; a surface nearer than that gives no return."""
+    most_range: float = 30.0
+    noise: float = 0.01
+    """The standard deviation of a range, m."""
+    resolution: float = 0.001
+    """Ranges are multiples of it, m; 0 for none."""
+
+    @property
+    def step(self) -> float:
+        """The angle between two rays, rad."""
+        return (self.angle_max - self.angle_min) / (self.rays - 1)
+
+    def directions(self) -> Array:
+        """(1, rays, 3): unit vectors in the sensor's frame, a single ring."""
+        angle = self.angle_min + self.step * np.arange(self.rays)
+        return np.stack([np.cos(angle), np.sin(angle), np.zeros(self.rays)], -1)[None]
+
+
+SimulatedSensor = SimulatedCamera | SimulatedDepthCamera | SimulatedLidar | SimulatedLidar2d
 
 
 _LENS = ("width", "height", "hfov_deg", "principal_point", "K", "distortion")
@@ -174,6 +204,30 @@ def read_lidar(node: Node) -> SimulatedLidar:
         noise=number(node, "noise_m", 0.008, least=0, most=10),
         resolution=number(node, "resolution_m", 0.001, least=0, most=10),
         margin=math.radians(number(node, "margin_deg", 5.0, least=0, most=360)),
+    )
+
+
+def read_lidar2d(node: Node) -> SimulatedLidar2d:
+    """Read a 2D LiDAR's description.
+
+    Raises:
+        InputError: a key is missing, unknown, or its value out of range.
+    """
+    only(node, "rays", "angle_deg", "range_m", "noise_m", "resolution_m")
+    first, last = interval(node, "angle_deg", (-135.0, 135.0), least=-360, most=360)
+    if last - first > 360:
+        raise node["angle_deg"].unexpected("at most one revolution, 360 degrees")
+    if first == last:
+        raise node["angle_deg"].unexpected("two different angles")
+    least_range, most_range = interval(node, "range_m", (0.1, 30.0), least=0)
+    return SimulatedLidar2d(
+        angle_min=math.radians(first),
+        angle_max=math.radians(last),
+        rays=whole(node, "rays", 8, 100_000),
+        least_range=least_range,
+        most_range=most_range,
+        noise=number(node, "noise_m", 0.01, least=0, most=10),
+        resolution=number(node, "resolution_m", 0.001, least=0, most=10),
     )
 
 

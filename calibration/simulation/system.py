@@ -35,10 +35,12 @@ from calibration.simulation.sensors import (
     SimulatedCamera,
     SimulatedDepthCamera,
     SimulatedLidar,
+    SimulatedLidar2d,
     SimulatedSensor,
     read_camera,
     read_depth_camera,
     read_lidar,
+    read_lidar2d,
 )
 from calibration.yaml_file import read_yaml
 
@@ -103,8 +105,13 @@ class System:
 
     @property
     def lidars(self) -> dict[str, SimulatedLidar]:
-        """The LiDARs among the sensors."""
+        """The 3D LiDARs among the sensors."""
         return {name: sensor for name, sensor in self.sensors.items() if isinstance(sensor, SimulatedLidar)}
+
+    @property
+    def lidars2d(self) -> dict[str, SimulatedLidar2d]:
+        """The 2D LiDARs among the sensors."""
+        return {name: sensor for name, sensor in self.sensors.items() if isinstance(sensor, SimulatedLidar2d)}
 
     def boards(self, T_world_pattern: Mapping[str, Array]) -> list[Board]:
         """The patterns at poses (4, 4) in the world, in the order of the configuration."""
@@ -185,8 +192,10 @@ def _sensor(node: Node, sensor: SensorConfiguration, configuration: Path) -> Sim
             return read_depth_camera(node)
         case "lidar3d":
             return read_lidar(node)
+        case "lidar2d":
+            return read_lidar2d(node)
     where = f"{configuration}: sensors/{sensor.name}/modality"
-    raise InputError(f"{where}: found '{sensor.modality}', expected 'rgb', 'depth' or 'lidar3d'")
+    raise InputError(f"{where}: found '{sensor.modality}', expected 'rgb', 'depth', 'lidar3d' or 'lidar2d'")
 
 
 def _bow(node: Node) -> tuple[float, float]:

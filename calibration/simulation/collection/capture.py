@@ -18,9 +18,11 @@ from calibration.labelling.corners import CornerDetector, corner_detector
 from calibration.labelling.depth import label_depth
 from calibration.labelling.detection import DepthImage, Image, NotDetected
 from calibration.labelling.points import PatternPoints, label_points
+from calibration.labelling.scan_line import label_scan_line
 from calibration.simulation.board import Board
 from calibration.simulation.collection.play import Play
 from calibration.simulation.collection.stored_cloud import stored_cloud
+from calibration.simulation.collection.stored_scan import scan_points, stored_ranges
 from calibration.simulation.random_streams import stream
 from calibration.simulation.rendering.depth import render_depth
 from calibration.simulation.rendering.image import render_image
@@ -41,7 +43,9 @@ class Capture:
     images: Mapping[str, Image]
     depths: Mapping[str, DepthImage]
     clouds: Mapping[str, Array]
-    """(N, 3) in the frame of each LiDAR, m."""
+    """(N, 3) in the frame of each 3D LiDAR, m."""
+    scans: Mapping[str, Array]
+    """(rays,): the ranges of each 2D LiDAR, m; 0 where nothing came back."""
     corners: Mapping[Key, CornerLabels | NotDetected]
     points: Mapping[Key, PatternPoints | NotDetected]
     """Of LiDARs and depth cameras."""
@@ -67,7 +71,7 @@ def capture(play: Play, number: int) -> Capture:
     system, scene = play.system, play.system.scene
     patterns = system.configuration.patterns
     boards = {name: _boards(play, number, name) for name in system.sensors}
-    images, depths, clouds = {}, {}, {}
+    images, depths, clouds, scans = {}, {}, {}, {}
     corners: dict[Key, CornerLabels | NotDetected] = {}
     estimates: dict[Key, Array] = {}
     for name, camera in system.cameras.items():
@@ -96,7 +100,15 @@ def capture(play: Play, number: int) -> Capture:
             points[pattern, name] = label_depth(
                 depths[name], depth_camera.camera, system.patterns[pattern], T_camera_world @ T_world_pattern
             )
-    return Capture(number, boards, images, depths, clouds, corners, points, estimates)
+    for name, lidar2d in system.lidars2d.items():
+        T_world_lidar = play.true.sensors[name][number]
+        measured = scan(lidar2d, T_world_lidar, scene, boards[name], stream(play.seed, number, name))
+        scans[name] = stored_ranges(lidar2d, measured)
+        seen = scan_points(lidar2d, scans[name])
+        T_lidar_world = inverse(play.nominal.sensors[name][number])
+        for pattern, T_world_pattern in guesses.items():
+            points[pattern, name] = label_scan_line(seen, system.patterns[pattern], T_lidar_world @ T_world_pattern)
+    return Capture(number, boards, images, depths, clouds, scans, corners, points, estimates)
 
 
 @lru_cache

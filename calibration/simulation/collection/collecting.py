@@ -36,7 +36,7 @@ def collect_pose(
     files = {
         data_file(sensor, collection_key(number)): encode(seen, sensor.name)
         for sensor in play.system.configuration.sensors.values()
-        if images or _is_labelled_by_index(sensor)
+        if sensor.name not in seen.scans and (images or _is_labelled_by_index(sensor))
     }
     return record(play, seen, reasons_to_lose(play.system, seen, requirements)), files
 

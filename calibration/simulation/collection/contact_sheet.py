@@ -9,10 +9,12 @@ import numpy as np
 from calibration.dataset.depth_image import NO_RETURN, read_depth_image
 from calibration.dataset.pointcloud import read_points
 from calibration.errors import InputError
+from calibration.estimation.median import median
 from calibration.files import write_atomically
 from calibration.geometry.types import Array
 from calibration.labelling.detection import DepthImage, Image
 from calibration.simulation.collection.record import Record
+from calibration.simulation.collection.stored_scan import scan_points
 from calibration.simulation.system import System
 
 FILE = "contact_sheet.png"
@@ -58,6 +60,7 @@ def _tile(system: System, record: Record, files: Path) -> Image:
     """One pose: its pictures side by side, each under a line that says what it shows; what was lost is framed."""
     pictures = [(_camera(system, record, name, files), name, "corners") for name in system.cameras]
     pictures += [(_cloud(record, name, files), name, "points") for name in system.lidars]
+    pictures += [(_scan(system, record, name), name, "rays") for name in system.lidars2d]
     pictures += [(_depth(system, record, name, files), name, "pixels") for name in system.depth_cameras]
     parts = []
     for picture, name, what in pictures:
@@ -123,6 +126,28 @@ def _cloud(record: Record, name: str, files: Path) -> Image:
             ]
         for indices, colour, radius in groups:
             for at in place[list(indices)]:
+                cv2.circle(picture, _fine(at), radius << _SHIFT, colour, -1, cv2.LINE_AA, _SHIFT)
+    return picture
+
+
+def _scan(system: System, record: Record, name: str) -> Image:
+    """A 2D LiDAR's scan from above, the sensor at the bottom, x up; as far as twice the pattern's distance."""
+    picture = np.full((HEIGHT, 2 * HEIGHT, 3), (45, 40, 35), np.uint8)
+    ranges = record.collection["data"][name].get("ranges")
+    if ranges is None:  # of applications in containers, whose scans are not drawn
+        return picture
+    points = scan_points(system.lidars2d[name], np.array(ranges))[:, :2]
+    labels = [by_sensor[name] for by_sensor in record.collection["labels"].values()]
+    shown = [index for label in labels for index in label["idxs"]] or np.flatnonzero(np.isfinite(points[:, 0])).tolist()
+    if shown:
+        reach = 2 * median(np.linalg.norm(points[shown], axis=-1))
+        place = np.array([HEIGHT, HEIGHT - 1]) - HEIGHT / reach * points[:, ::-1]
+        inside = np.flatnonzero(((place >= 0) & (place < [2 * HEIGHT, HEIGHT])).all(-1))
+        groups = [(inside.tolist(), (150, 140, 130), 1)]
+        for label in labels:
+            groups += [(label["idxs"], _ON_PATTERN, 1), (label["idxs_limit_points"], _ON_BORDER, 2)]
+        for indices, colour, radius in groups:
+            for at in place[indices]:
                 cv2.circle(picture, _fine(at), radius << _SHIFT, colour, -1, cv2.LINE_AA, _SHIFT)
     return picture
 

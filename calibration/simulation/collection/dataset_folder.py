@@ -37,8 +37,9 @@ def write_dataset(new: Path, play: Play, kept: Sequence[Record], files: Path) ->
         write_atomically(new / name, content)
     for record in kept:
         for message in record.collection["data"].values():
-            if (files / message["data_file"]).exists():
-                place(files / message["data_file"], new / message["data_file"])
+            name = message.get("data_file")  # a 2D LiDAR's ranges stand in the dataset itself
+            if name and (files / name).exists():
+                place(files / name, new / name)
     write_document(motion_document(play.motion), new / MOTION_FILE)
     write_document(truth_document(play, kept), new / truth.FILE_NAME)
     write_document(dataset_document(play.system, kept), new / FILE_NAME)

@@ -23,7 +23,7 @@ USER = "calibration-ci"
 DATE = "Thu Jan  1 00:00:00 1970"
 TIMESTAMP = "0.0"
 """A simulated dataset is of no day: the same input gives the same bytes."""
-_MESSAGES = {"rgb": "Image", "depth": "Image", "lidar3d": "PointCloud2"}
+_MESSAGES = {"rgb": "Image", "depth": "Image", "lidar3d": "PointCloud2", "lidar2d": "LaserScan"}
 
 
 def dataset_document(system: System, kept: Sequence[Record]) -> dict[str, Any]:
@@ -59,6 +59,7 @@ def truth_document(play: Play, kept: Sequence[Record]) -> dict[str, Any]:
     def constant(edge: Edge) -> dict[str, Any]:
         return pose_document(edge, play.true.transforms[edge][0])
 
+    noises = [lidar.noise for lidar in system.lidars.values()] + [lidar.noise for lidar in system.lidars2d.values()]
     fixed = [(pattern.parent_link, pattern.link) for pattern in system.patterns.values() if pattern.fixed]
     errors = [error for record in kept for error in record.errors.values()]
     corners = sum(error.count for error in errors)
@@ -69,7 +70,7 @@ def truth_document(play: Play, kept: Sequence[Record]) -> dict[str, Any]:
         "transforms": [constant(edge) for edge in (*config.additional_tfs.values(), *fixed)],
         "seed": play.seed,
         "corner_rms_px": round((sum(e.count * e.rms**2 for e in errors) / corners) ** 0.5, 4) if corners else None,
-        "lidar_sigma": max((lidar.noise for lidar in system.lidars.values()), default=0.0),
+        "lidar_sigma": max([0.0, *noises]),
     }
 
 

@@ -21,8 +21,9 @@ from calibration.simulation.collection.capture import Capture
 from calibration.simulation.collection.payload import data_file
 from calibration.simulation.collection.play import Play
 from calibration.simulation.collection.pose_document import pose_document
+from calibration.simulation.collection.stored_scan import scan_message
 from calibration.simulation.robot import compose
-from calibration.simulation.sensors import SimulatedCamera, SimulatedDepthCamera, SimulatedLidar
+from calibration.simulation.sensors import SimulatedCamera, SimulatedDepthCamera, SimulatedLidar, SimulatedLidar2d
 
 ESTIMATE_DECIMALS = 5
 """Of estimated poses: 10 micrometres and microradians."""
@@ -203,7 +204,7 @@ def _collection(play: Play, capture: Capture) -> dict[str, Any]:
                 **{name: _corner_labels(capture.corners[pattern, name]) for name in system.cameras},
                 **{
                     name: _point_labels(capture.points[pattern, name])
-                    for name in (*system.lidars, *system.depth_cameras)
+                    for name in (*system.lidars, *system.lidars2d, *system.depth_cameras)
                 },
             }
             for pattern in system.patterns
@@ -216,12 +217,13 @@ def _collection(play: Play, capture: Capture) -> dict[str, Any]:
 
 
 def _message(play: Play, capture: Capture, sensor: SensorConfiguration) -> dict[str, Any]:
-    """The ROS message of a sensor without its data, which are in a file."""
-    common = {
-        "data_file": data_file(sensor, collection_key(capture.number)),
-        "header": message_header(sensor.link, capture.number),
-    }
-    match play.system.sensors[sensor.name]:
+    """The ROS message of a sensor: of a 2D LiDAR with its ranges, of others without their data, which are in a file."""
+    header = message_header(sensor.link, capture.number)
+    simulated = play.system.sensors[sensor.name]
+    if isinstance(simulated, SimulatedLidar2d):
+        return scan_message(simulated, capture.scans[sensor.name], header)
+    common = {"data_file": data_file(sensor, collection_key(capture.number)), "header": header}
+    match simulated:
         case SimulatedCamera(camera):
             image = {"height": camera.height, "width": camera.width, "is_bigendian": 0}
             return {**common, **image, "encoding": "bgr8", "step": 3 * camera.width}

@@ -10,7 +10,13 @@ from calibration.geometry.types import Array, BoolArray
 from calibration.simulation.motion.clearance import is_clear
 from calibration.simulation.motion.drawing import draw_motion
 from calibration.simulation.motion.sequence import Motion, joined
-from calibration.simulation.motion.views import camera_views, centred, depth_camera_detects, lidar_detects
+from calibration.simulation.motion.views import (
+    camera_views,
+    centred,
+    depth_camera_detects,
+    lidar2d_detects,
+    lidar_detects,
+)
 from calibration.simulation.placement import Placement, place
 from calibration.simulation.random_streams import stream
 from calibration.simulation.system import System
@@ -72,6 +78,8 @@ def _seen(system: System, pattern: Pattern, motion: Motion) -> Candidates:
     motion, placement = _only(system, motion, is_clear(system, pattern, placement))
     for lidar in system.lidars:
         motion, placement = _only(system, motion, lidar_detects(system, lidar, pattern.name, placement))
+    for lidar in system.lidars2d:
+        motion, placement = _only(system, motion, lidar2d_detects(system, lidar, pattern.name, placement))
     for depth_camera in system.depth_cameras:
         motion, placement = _only(system, motion, depth_camera_detects(system, depth_camera, pattern.name, placement))
     views = {name: camera_views(system, name, pattern.name, placement) for name in system.cameras}

@@ -10,10 +10,16 @@ from calibration.dataset.pattern import Pattern
 from calibration.geometry.transforms import apply, inverse
 from calibration.geometry.types import Array
 from calibration.simulation.motion.expected_depth import pixels_on
-from calibration.simulation.motion.views import camera_views, depth_camera_detects, lidar_detects
+from calibration.simulation.motion.views import camera_views, depth_camera_detects, lidar2d_detects, lidar_detects
 from calibration.simulation.placement import Placement
 from calibration.simulation.scene import Scene
-from calibration.simulation.sensors import SimulatedCamera, SimulatedDepthCamera, SimulatedLidar, SimulatedSensor
+from calibration.simulation.sensors import (
+    SimulatedCamera,
+    SimulatedDepthCamera,
+    SimulatedLidar,
+    SimulatedLidar2d,
+    SimulatedSensor,
+)
 from calibration.simulation.system import System
 
 
@@ -51,7 +57,7 @@ def _sensor(system: System, sensor: SensorConfiguration) -> Sensor:
         frame=sensor.link,
         calibration_parent=sensor.parent_link,
         calibration_child=sensor.child_link,
-        camera=None if isinstance(simulated, SimulatedLidar) else simulated.camera,
+        camera=None if isinstance(simulated, SimulatedLidar | SimulatedLidar2d) else simulated.camera,
     )
 
 
@@ -75,6 +81,16 @@ def _points(system: System, sensor: str, pattern: str, placement: Placement) -> 
     }
 
 
+def _cuts(system: System, sensor: str, pattern: str, placement: Placement) -> dict[int, Labels]:
+    """By the number of the pose."""
+    lidar, board = system.lidars2d[sensor], system.patterns[pattern]
+    T_lidar_pattern, T_world_lidar = placement.pattern_in(sensor, pattern), placement.sensors[sensor]
+    return {
+        number: points_on(lidar, board, T_lidar_pattern[number], system.scene, T_world_lidar[number])
+        for number in np.flatnonzero(lidar2d_detects(system, sensor, pattern, placement)).tolist()
+    }
+
+
 def _pixels(system: System, sensor: str, pattern: str, placement: Placement) -> dict[int, Labels]:
     """By the number of the pose."""
     depth_camera, board = system.depth_cameras[sensor], system.patterns[pattern]
@@ -85,16 +101,26 @@ def _pixels(system: System, sensor: str, pattern: str, placement: Placement) -> 
     }
 
 
-_LABELS = {SimulatedCamera: _corners, SimulatedDepthCamera: _pixels, SimulatedLidar: _points}
+_LABELS = {
+    SimulatedCamera: _corners,
+    SimulatedDepthCamera: _pixels,
+    SimulatedLidar: _points,
+    SimulatedLidar2d: _cuts,
+}
 _MODALITIES: dict[type[SimulatedSensor], Modality] = {
     SimulatedCamera: "rgb",
     SimulatedDepthCamera: "depth",
     SimulatedLidar: "lidar3d",
+    SimulatedLidar2d: "lidar2d",
 }
 
 
 def points_on(
-    lidar: SimulatedLidar, pattern: Pattern, T_lidar_pattern: Array, scene: Scene, T_world_lidar: Array
+    lidar: SimulatedLidar | SimulatedLidar2d,
+    pattern: Pattern,
+    T_lidar_pattern: Array,
+    scene: Scene,
+    T_world_lidar: Array,
 ) -> PointLabels:
     """Where the rays of one scan meet a pattern, and which are the outermost of their rings.
 
@@ -105,7 +131,7 @@ def points_on(
         scene: what may stand before the pattern.
         T_world_lidar: (4, 4).
     """
-    rays = _rays_towards(lidar, pattern, T_lidar_pattern)
+    rays = _rays_towards(lidar, pattern, T_lidar_pattern) if isinstance(lidar, SimulatedLidar) else lidar.directions()
     normal, origin = T_lidar_pattern[:3, 2], T_lidar_pattern[:3, 3]
     with np.errstate(divide="ignore"):
         distance = (normal @ origin) / (rays @ normal)

@@ -83,7 +83,7 @@ def informations(problem: Problem, values: Values, weighting: Weighting) -> Arra
 
 def expected_noise(system: System) -> Weighting:
     """The standard deviations that the labels of a system's sensors will have."""
-    lidars, depth_cameras = system.lidars.values(), system.depth_cameras.values()
+    lidars, flat, depth_cameras = system.lidars.values(), system.lidars2d.values(), system.depth_cameras.values()
     ranges = [np.hypot(lidar.noise, lidar.resolution / np.sqrt(12)) for lidar in lidars]
     distance = np.mean(system.motion.distance or _USUAL_DISTANCE)
     ranges += [sensor.noise + sensor.noise_growth * distance**2 for sensor in depth_cameras]
@@ -91,6 +91,10 @@ def expected_noise(system: System) -> Weighting:
         "pixel": CORNER_NOISE,
         "range": max([*map(float, ranges), _LEAST_RANGE_NOISE]),
         "border": max([lidar.step for lidar in lidars], default=1.0) / np.sqrt(12),
+        "lidar2d_range": max(
+            [*(np.hypot(each.noise, each.resolution / np.sqrt(12)) for each in flat), _LEAST_RANGE_NOISE]
+        ),
+        "lidar2d_border": max([each.step for each in flat], default=1.0) / np.sqrt(12),
         "depth_border": max([1 / each.camera.fx for each in depth_cameras], default=1.0) / np.sqrt(12),
     }
     return Weighting(scales, None)

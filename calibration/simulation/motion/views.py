@@ -13,6 +13,7 @@ from calibration.dataset.pattern import Pattern, grid
 from calibration.geometry.cameras import Camera
 from calibration.geometry.transforms import apply
 from calibration.geometry.types import Array, BoolArray
+from calibration.labelling.cut import cut_ends
 from calibration.simulation.placement import Placement
 from calibration.simulation.system import System
 from calibration.simulation.visibility import MAX_VIEW_ANGLE, corners_in_image, facing
@@ -26,6 +27,8 @@ LEAST_SQUARE = 14.0
 on 3/4 of a square, blur 0.65 px), at 10 it finds 60 %."""
 LEAST_RINGS = 4
 """Of a LiDAR that cross the pattern."""
+LEAST_CUT = 0.5
+"""The length of a 2D LiDAR's cut, in the pattern's smaller side: a corner cut off says little."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,6 +130,28 @@ def lidar_detects(system: System, sensor: str, pattern: str, placement: Placemen
         & (_hidden(system, sensor, pattern, placement).mean(-1) < 1 - LEAST_SHARE)
     )
     return crossed
+
+
+def lidar2d_detects(system: System, sensor: str, pattern: str, placement: Placement) -> BoolArray:
+    """At which poses (N,) a 2D LiDAR cuts a pattern well."""
+    lidar, board = system.lidars2d[sensor], system.patterns[pattern]
+    T_lidar_pattern = placement.pattern_in(sensor, pattern)
+    ends = cut_ends(board, T_lidar_pattern)
+    with np.errstate(invalid="ignore"):
+        length, distance = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=-1), np.linalg.norm(ends, axis=-1)
+        after_first = np.mod(np.arctan2(ends[..., 1], ends[..., 0]) - lidar.angle_min, 2 * np.pi)
+        within = (after_first > lidar.step) & (after_first < lidar.angle_max - lidar.angle_min - lidar.step)
+        nearest = np.abs(ends[:, 0, 0] * ends[:, 1, 1] - ends[:, 0, 1] * ends[:, 1, 0]) / length  # the line's distance
+        middle = np.linalg.norm(ends.mean(1), axis=-1)
+        cut: BoolArray = (
+            (length > LEAST_CUT * np.ptp(board.outline, axis=0).min())
+            & (nearest > lidar.least_range)
+            & (distance.max(-1) < lidar.most_range)
+            & within.all(-1)
+            & (nearest > np.cos(MAX_VIEW_ANGLE) * middle)
+            & (_hidden(system, sensor, pattern, placement).mean(-1) < 1 - LEAST_SHARE)
+        )
+    return cut
 
 
 def depth_camera_detects(system: System, sensor: str, pattern: str, placement: Placement) -> BoolArray:

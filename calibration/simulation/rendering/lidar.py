@@ -8,12 +8,12 @@ import numpy as np
 from calibration.geometry.types import Array, BoolArray, IntArray
 from calibration.simulation.board import Board
 from calibration.simulation.scene import Scene
-from calibration.simulation.sensors import SimulatedLidar
+from calibration.simulation.sensors import SimulatedLidar, SimulatedLidar2d
 
 
 @dataclass(frozen=True, eq=False)
 class Scan:
-    """One revolution; every array is (rings, azimuths)."""
+    """One revolution; every array is (rings, azimuths), of a 2D LiDAR (1, rays)."""
 
     ranges: Array
     """As measured, m; NaN where nothing comes back."""
@@ -29,7 +29,7 @@ class Scan:
 
 
 def scan(
-    lidar: SimulatedLidar,
+    lidar: SimulatedLidar | SimulatedLidar2d,
     T_world_lidar: Array,
     scene: Scene,
     boards: Sequence[Board],

@@ -1,0 +1,107 @@
+"""The rays of a 2D LiDAR that end on a pattern, and those at the ends of the cut."""
+
+import numpy as np
+
+from calibration.dataset.pattern import Pattern
+from calibration.estimation.median import median
+from calibration.geometry.types import Array, BoolArray, IntArray
+from calibration.labelling.board_plane import CLEAR, INLIER, LEAST_SIGMA, SEE_THROUGH
+from calibration.labelling.cut import cut_ends
+from calibration.labelling.detection import NotDetected
+from calibration.labelling.points import TOLERANCE, PatternPoints
+
+LEAST_POINTS = 5
+"""On a pattern."""
+LEAST_LENGTH = 0.1
+"""Of a cut, m: a shorter one may be gone at the pattern's true place."""
+GAP = 3
+"""The points on a pattern are those of one run of rays, of which fewer than so many in a row are missing."""
+
+
+def label_scan_line(
+    points: Array, pattern: Pattern, T_sensor_pattern: Array, tolerance: float = TOLERANCE
+) -> PatternPoints | NotDetected:
+    """The rays of a scan that end on a pattern, found by a search for its line.
+
+    The first and the last of them are the ends of the cut, unless the scan ends there, something nearer hides what
+    comes beyond, or the line goes on.
+
+    Args:
+        points: (N, 3) in the sensor's frame, m, in the order of the rays; NaN where nothing came back.
+        pattern: its geometry.
+        T_sensor_pattern: (4, 4), where the pattern is expected.
+        tolerance: how far, at most, any place of the pattern is from where it is expected, m.
+    """
+    ends = cut_ends(pattern, T_sensor_pattern)
+    length = float(np.linalg.norm(ends[1] - ends[0]))
+    if not length > LEAST_LENGTH:
+        return NotDetected("the scan does not cut the pattern where it is expected")
+    along = (ends[1] - ends[0]) / length
+    away = np.array([-along[1], along[0]])
+    away *= -1.0 if away @ ends[0] < 0 else 1.0
+    place, height = (points[:, :2] - ends.mean(0)) @ along, (points[:, :2] - ends.mean(0)) @ away
+    with np.errstate(invalid="ignore"):
+        near = (np.abs(place) < length / 2 + tolerance) & (np.abs(height) < tolerance)
+    if near.sum() < LEAST_POINTS:
+        return NotDetected(f"{near.sum()} points where the pattern is expected, at least {LEAST_POINTS} are needed")
+    offset, slope, sigma = _line(place[near], height[near], length, tolerance)
+    behind = (height - offset - slope * place) / np.hypot(1.0, slope)
+    with np.errstate(invalid="ignore"):
+        on = (np.abs(behind) <= INLIER * sigma) & (np.abs(place) < length / 2 + tolerance)
+        past = ~(behind <= CLEAR + INLIER * sigma)  # a ray that does not come back has gone past
+        inner = np.abs(_crossing(points, ends.mean(0), along, away, offset, slope)) < length / 2 - tolerance
+    run = _longest_run(on)
+    if len(run) < LEAST_POINTS:
+        return NotDetected(f"{len(run)} points on a line, at least {LEAST_POINTS} are needed")
+    if (past & inner).sum() > SEE_THROUGH * inner.sum():
+        return NotDetected("what is seen where the pattern is expected is no board of its size: rays go past it")
+    limits = [
+        end for end, beyond in ((run[0], run[0] - 1), (run[-1], run[-1] + 1)) if 0 <= beyond < len(on) and past[beyond]
+    ]
+    return PatternPoints(run, np.unique(np.array(limits, np.int64)))
+
+
+def _line(place: Array, height: Array, length: float, tolerance: float) -> tuple[float, float, float]:
+    """The line ``height = offset + slope * place`` with most points, and the standard deviation of those about it.
+
+    Tukey's weights with a width that shrinks, from several heights at once, as for planes.
+    """
+    scale = length / 2
+    basis = np.stack([np.ones_like(place), place / scale], -1)
+    products = (basis[:, :, None] * basis[:, None]).reshape(-1, 4)
+    lines = np.zeros((9, 2))
+    lines[:, 0] = np.linspace(-0.8, 0.8, 9) * tolerance
+    width = tolerance / 2
+    for _ in range(12):
+        residual = height - lines @ basis.T
+        weight = np.clip(1 - (residual / width) ** 2, 0, None) ** 2
+        moments = (weight @ products).reshape(9, 2, 2) + np.diag([1e-9, 1e-3])
+        lines = lines + np.linalg.solve(moments, ((weight * residual) @ basis)[..., None])[..., 0]
+        width = max(0.8 * width, tolerance / 6)
+    agreeing = (np.clip(1 - ((height - lines @ basis.T) / width) ** 2, 0, None) ** 2).sum(-1)
+    line = lines[agreeing.argmax()]
+    sigma = width / INLIER
+    for _ in range(5):
+        residual = height - basis @ line
+        on = np.abs(residual) <= INLIER * sigma
+        if on.sum() < LEAST_POINTS:
+            break
+        sigma = min(max(1.4826 * median(np.abs(residual[on])), LEAST_SIGMA), tolerance / INLIER)
+        line = line + np.linalg.lstsq(basis[on], residual[on], rcond=None)[0]
+    return float(line[0]), float(line[1] / scale), sigma
+
+
+def _crossing(points: Array, middle: Array, along: Array, away: Array, offset: float, slope: float) -> Array:
+    """Where along the line the rays to points cross it (N,); NaN where nothing came back, or none does."""
+    x, y = points[:, :2] @ along, points[:, :2] @ away
+    x0, y0 = -middle @ along, -middle @ away  # the sensor
+    with np.errstate(divide="ignore", invalid="ignore"):
+        reach = (offset + slope * x0 - y0) / (y - slope * x)
+        crossing: Array = np.where(reach > 0, x0 + reach * x, np.nan)
+    return crossing
+
+
+def _longest_run(on: BoolArray) -> IntArray:
+    """The indices that are set, of the run with most of them; see `GAP`."""
+    index = np.flatnonzero(on)
+    return max(np.split(index, np.flatnonzero(np.diff(index) > GAP) + 1), key=len)
