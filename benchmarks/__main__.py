@@ -22,6 +22,7 @@ MODULES = {
     "growth": "time and memory from 2000 to 20 000 collections",
     "consistency": "errors against their stated covariance",
     "robots": "joints, several patterns and a moving base: truth, error bars, cost, what is refused",
+    "mixtures": "every modality together, with gaps, and cameras that only others link: truth and error bars",
     "outliers": "errors with wrong corners among the labels",
     "paper": "the t2rgb dataset of the paper from 400 noisy starts",
     "synthetic": "three synthetic systems from 100 noisy starts each",

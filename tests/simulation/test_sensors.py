@@ -1,4 +1,5 @@
 import math
+import re
 from pathlib import Path
 from typing import Any
 
@@ -7,7 +8,13 @@ import pytest
 
 from calibration.dataset.document import Node
 from calibration.errors import InputError
-from calibration.simulation.sensors import SimulatedCamera, SimulatedDepthCamera, read_camera, read_depth_camera
+from calibration.simulation.sensors import (
+    SimulatedCamera,
+    SimulatedDepthCamera,
+    read_camera,
+    read_depth_camera,
+    read_lidar2d,
+)
 
 
 def node(**entries: Any) -> Node:
@@ -68,3 +75,34 @@ def test_what_is_wrong_with_a_depth_camera_is_named(entries: dict[str, Any], mes
     with pytest.raises(InputError) as error:
         read_depth_camera(node(**entries))
     assert message in str(error.value)
+
+
+def flat(**keys: Any) -> Node:
+    return Node(Path("simulation.yml"), ("sensors", "scan"), {"rays": 541, **keys})
+
+
+def test_a_2d_lidar() -> None:
+    usual = read_lidar2d(flat())
+    assert usual.step == pytest.approx(math.radians(0.5))
+    directions, half = usual.directions(), 0.5**0.5
+    assert directions.shape == (1, 541, 3)
+    np.testing.assert_allclose(directions[0, [0, 270, 540], :2], [[-half, -half], [1, 0], [-half, half]], atol=1e-12)
+    assert not directions[..., 2].any()
+    lidar = read_lidar2d(flat(angle_deg=[0, 180], range_m=[0.2, 10], noise_m=0.03, resolution_m=0))
+    assert (lidar.least_range, lidar.most_range, lidar.noise, lidar.resolution) == (0.2, 10, 0.03, 0)
+
+
+@pytest.mark.parametrize(
+    ("entries", "message"),
+    [
+        ({"rays": 1}, "sensors/scan/rays: found 1, expected a whole number from 8 to 100000"),
+        ({"rings": 16}, "sensors/scan: found the key 'rings', expected one of rays, angle_deg"),
+        ({"angle_deg": [-200, 200]}, "sensors/scan/angle_deg: found a list of 2, expected at most one revolution"),
+        ({"angle_deg": [5, 5]}, "sensors/scan/angle_deg: found "),
+        ({"angle_deg": [5]}, "sensors/scan/angle_deg: found a list of 1"),
+        ({"noise_m": -1}, "sensors/scan/noise_m: found -1"),
+    ],
+)
+def test_what_is_wrong_with_a_2d_lidar_is_named(entries: dict[str, Any], message: str) -> None:
+    with pytest.raises(InputError, match=f"^simulation.yml: {re.escape(message)}"):
+        read_lidar2d(flat(**entries))

@@ -161,7 +161,7 @@ def test_a_depth_camera(system_copy: Path) -> None:
         ),
         ("simulation.yml", "distance_m: [1.2, 3.0]", "distance_m: [1.2]", "motion/distance_m: found a list of 1"),
         ("simulation.yml", "tilt_deg: 50", "partial: 2", "motion/partial: found 2, expected a number from 0 to 1"),
-        ("config.yml", "modality: lidar3d", "modality: lidar2d", "sensors/lidar_right/modality: found 'lidar2d', exp"),
+        ("config.yml", "modality: lidar3d", "modality: radar", "sensors/lidar_right/modality: found 'radar', expected"),
         (
             "simulation.yml",
             "scene:",

@@ -1,0 +1,136 @@
+"""A 2D LiDAR, collected in simulation and calibrated."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from calibration.dataset.reading import read_dataset
+from calibration.dataset.truth import find_truth
+from calibration.estimation.calibrate import Options, calibrate
+from calibration.estimation.starting_noise import StartingNoise
+from calibration.evaluation.specification import parse_evaluation
+from calibration.geometry.transforms import inverse
+from calibration.pipeline.collection.collecting import CollectionRequest, collect_dataset
+from calibration.pipeline.collection.results import CollectionResults
+from calibration.recorder.preview import preview
+from calibration.simulation.motion.expected import expected_dataset
+from calibration.simulation.motion.information import expected_noise
+from calibration.simulation.motion.sequence import read_motion
+from calibration.simulation.motion.views import lidar2d_detects
+from calibration.simulation.placement import place
+from calibration.simulation.random_streams import stream
+from calibration.simulation.rendering.lidar import scan
+from calibration.simulation.scene import Scene
+from calibration.simulation.system import System, read_system
+from tests.simulation.conftest import DATASETS
+
+POSES = 12
+LIDAR = "lidar_right"
+
+
+def scanner(folder: Path) -> Path:
+    """rlbot with a 2D LiDAR in the place of its LiDAR."""
+    source = DATASETS / "rlbot"
+    simulation = (source / "simulation.yml").read_text()
+    start, end = simulation.index("    rings: 16"), simulation.index("scene:")
+    flat = "    rays: 1081\n    angle_deg: [-135, 135]\n    range_m: [0.1, 30]\n    noise_m: 0.01\n"
+    (folder / "robot.urdf").write_bytes((source / "robot.urdf").read_bytes())
+    (folder / "config.yml").write_text((source / "config.yml").read_text().replace("lidar3d", "lidar2d"))
+    (folder / "simulation.yml").write_text(simulation[:start] + flat + simulation[end:])
+    return folder
+
+
+@pytest.fixture(scope="module")
+def system(tmp_path_factory: pytest.TempPathFactory) -> System:
+    return read_system(scanner(tmp_path_factory.mktemp("system")))
+
+
+@pytest.fixture(scope="module")
+def collected(tmp_path_factory: pytest.TempPathFactory) -> tuple[CollectionResults, Path]:
+    folder, output = scanner(tmp_path_factory.mktemp("system")), tmp_path_factory.mktemp("output")
+    return collect_dataset(CollectionRequest(folder, motion=f"generate:{POSES}"), output), output
+
+
+def test_it_calibrates_to_the_truth_as_well_as_it_says(collected: tuple[CollectionResults, Path]) -> None:
+    results, folder = collected
+    assert results.verdict == "pass"
+    assert len(results.kept) == POSES
+    dataset = read_dataset(folder)
+    assert dataset.sensors[LIDAR].modality == "lidar2d"
+    truth, found = find_truth(dataset), calibrate(dataset, Options(), StartingNoise(3, 1.5))
+    ((edge, covariance),) = found.covariances.items()
+    D = inverse(found.transforms[edge]) @ truth.transforms[edge]
+    error = np.concatenate([D[:3, 3], 0.5 * np.array([D[2, 1] - D[1, 2], D[0, 2] - D[2, 0], D[1, 0] - D[0, 1]])])
+    assert error @ np.linalg.solve(covariance, error) < 22.5  # one in a thousand is more
+    assert np.linalg.norm(error[:3]) < 0.01
+    assert found.noise_levels.lidar2d_range == pytest.approx(0.01, rel=0.1)
+    assert found.noise_levels.lidar2d_border == pytest.approx(np.radians(0.25) / 12**0.5, rel=0.35)
+
+
+def test_its_dataset_holds_whole_scans_and_no_file_of_it(collected: tuple[CollectionResults, Path]) -> None:
+    _, folder = collected
+    document = json.loads((folder / "dataset.json").read_text(), parse_constant=pytest.fail)  # no NaN, no Infinity
+    assert document["sensors"][LIDAR]["msg_type"] == "LaserScan"
+    message = document["collections"]["000"]["data"][LIDAR]
+    assert len(message["ranges"]) == 1081
+    assert message["angle_increment"] == pytest.approx(np.radians(0.25))
+    assert not list(folder.glob(f"{LIDAR}*"))
+    label = document["collections"]["000"]["labels"]["pattern_1"][LIDAR]
+    assert set(label["idxs_limit_points"]) <= {label["idxs"][0], label["idxs"][-1]}
+    assert cv2.imread(str(folder / "contact_sheet.png")) is not None
+
+
+def test_its_ends_are_evaluated_in_the_cameras_images(collected: tuple[CollectionResults, Path]) -> None:
+    dataset = calibrate(read_dataset(collected[1])).dataset
+    table = parse_evaluation(f"lidar-to-rgb:{LIDAR}:rgb_left").run(dataset, find_truth(dataset))
+    assert 0 < table.average("RMS (pix)") < 6
+
+
+def test_the_expected_cuts_are_those_of_the_simulated_scans(system: System) -> None:
+    exact = replace(system.lidars2d[LIDAR], noise=0.0, resolution=0.0)
+    system = replace(system, sensors={**system.sensors, LIDAR: exact}, scene=Scene())
+    placement = place(system, read_motion(DATASETS / "rlbot" / "motion.json"))
+    cuts = lidar2d_detects(system, LIDAR, "pattern_1", placement)
+    assert 3 < cuts.sum() < len(cuts)
+    dataset = expected_dataset(system, placement)
+    assert dataset.sensors[LIDAR].camera is None
+    for number, labels in dataset.detections("pattern_1", LIDAR):
+        boards = system.boards({name: T[number] for name, T in placement.patterns.items()})
+        seen = scan(exact, placement.sensors[LIDAR][number], system.scene, boards, stream(0))
+        on = np.flatnonzero(seen.board[0] == 0)
+        np.testing.assert_allclose(labels.points, exact.directions()[0, on] * seen.ranges[0, on, None], atol=1e-9)
+        assert labels.limits.tolist() == [0, len(on) - 1]
+    assert {i for i, _ in dataset.detections("pattern_1", LIDAR)} == set(np.flatnonzero(cuts))
+
+
+def test_a_cut_needs_range_and_angle_and_sight(system: System) -> None:
+    placement = place(system, read_motion(DATASETS / "rlbot" / "motion.json"))
+    usual = lidar2d_detects(system, LIDAR, "pattern_1", placement)
+    lidar = system.lidars2d[LIDAR]
+    for changed in (
+        replace(lidar, most_range=1.0),
+        replace(lidar, least_range=5.0),
+        replace(lidar, angle_min=2.0, angle_max=3.0),
+    ):
+        other = replace(system, sensors={**system.sensors, LIDAR: changed})
+        assert usual.any()
+        assert not lidar2d_detects(other, LIDAR, "pattern_1", placement).any()
+
+
+def test_its_expected_noise_is_its_own(system: System) -> None:
+    scales = expected_noise(system).scales
+    assert scales["lidar2d_range"] == pytest.approx(np.hypot(0.01, 0.001 / 12**0.5))
+    assert scales["lidar2d_border"] == pytest.approx(np.radians(0.25) / 12**0.5)
+
+
+def test_the_recorder_shows_its_points(system: System) -> None:
+    motion = read_motion(DATASETS / "rlbot" / "motion.json")
+    cuts = lidar2d_detects(system, LIDAR, "pattern_1", place(system, motion))
+    view = preview(system, motion.take([int(cuts.argmax())])).views[LIDAR]
+    assert view.detected
+    assert np.isfinite(view.points).all()
+    assert 10 < view.on_pattern.sum() < len(view.points)
