@@ -76,8 +76,11 @@ def _few_cuts(scenes: int) -> Row:
         except UndeterminedError:
             refused += 1
             continue
+        if not near.converged:
+            refused += 1
+            continue
         edge = ("world", "scan")
         apart = local(near.transforms[edge], far.transforms[edge])
         failed += not far.converged or bool(apart @ np.linalg.solve(near.covariances[edge], apart) > 0.1)
-    note = f"of {scenes} scenes with {FEWEST} collections; {refused} refused as not determined"
+    note = f"of {scenes} scenes with {FEWEST} collections; {refused} too poor even from the truth"
     return Row("mixtures/2D LiDAR, another optimum", float(failed), "", Bar(high=0.02 * scenes), note)
