@@ -95,10 +95,8 @@ def _linear(points: Array, normals: Array, offsets: Array, columns: int) -> Arra
         weight = _weight(A @ solution - offsets)
     R = solution[:-3].reshape(columns, 3).T / scale
     lengths = np.linalg.norm(R, axis=0)
-    if not (lengths.min() > UNIT[0] and lengths.max() < UNIT[1]):
-        return None
-    cosines = np.abs((R / lengths).T @ (R / lengths) - np.eye(columns))
-    if cosines.max() > OBLIQUE:
+    cosines = (R.T @ R) / (lengths[:, None] * lengths) - np.eye(columns)
+    if not (lengths.min() > UNIT[0] and lengths.max() < UNIT[1] and np.abs(cosines).max() < OBLIQUE):
         return None
     if columns == 2:
         R = np.column_stack([R, np.cross(R[:, 0], R[:, 1])])
