@@ -39,7 +39,7 @@ def _errors(name: str, system: System, seeds: int) -> Iterator[Row]:
     stated = []
     for seed in range(seeds):
         motion = generate_motion(system, POSES, seed)
-        candidates = find_candidates(system, next(iter(system.patterns.values())), POSES, seed)
+        candidates = find_candidates(system, POSES, seed)
         ours = _error(system, predicted_sigmas(system, motion), motion)
         for other, error in _others(system, candidates, seed).items():
             ratios[other].append(ours / error)

@@ -11,9 +11,11 @@ from calibration.dataset.document import Node, read_json
 from calibration.dataset.edges import read_transform, transform_documents
 from calibration.dataset.model import Dataset, Edge
 from calibration.dataset.writing import write_document
+from calibration.geometry.joints import JOINT_PARAMETERS, JointParameter
 from calibration.geometry.types import Array
 
 FILE_NAME = "ground_truth.json"
+_KEYS = ("sensors", "pattern", "patterns", "transforms", "joints")
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,16 +29,19 @@ class Truth:
     transforms: Mapping[Edge, Array]
     """Those that are the same in all collections: of sensors, fixed patterns, additional transforms."""
     patterns: Mapping[str, Mapping[Edge, Array]]
-    """The poses of patterns in each collection, by its key."""
+    """The poses of patterns in each collection, by its key, and of what else differs between collections."""
     notes: Mapping[str, Any] = field(default_factory=dict)
     """What else the file says, such as the noise of the labels."""
+    joints: Mapping[str, Mapping[JointParameter, float]] = field(default_factory=dict)
+    """The calibrated parameters of each joint, by its name, m and rad."""
 
 
 def read_truth(path: Path | str) -> Truth:
     """The truth in a file: ``sensors`` by name, ``patterns`` by collection, ``pattern`` if it is fixed.
 
     A file may also have ``transforms``, a list of further transforms that are the same in all
-    collections, and in ``patterns`` a list for each collection if there are several.
+    collections; in ``patterns`` a list for each collection if there are several, other transforms that
+    differ between collections among them; and ``joints``, by name the parameters that are calibrated.
 
     Raises:
         InputError: the file cannot be read, or something in it is missing or wrong.
@@ -59,8 +64,17 @@ def read_truth(path: Path | str) -> Truth:
         sensors={name: edge for name, (edge, _) in sensors.items()},
         transforms=constant,
         patterns=patterns,
-        notes={k: v for k, v in root.value.items() if k not in ("sensors", "pattern", "patterns", "transforms")},
+        notes={k: v for k, v in root.value.items() if k not in _KEYS},
+        joints={name: _parameters(node) for name, node in joints.items()} if (joints := root.get("joints")) else {},
     )
+
+
+def _parameters(node: Node) -> dict[JointParameter, float]:
+    values = {name: value.number() for name, value in node.items()}
+    for name in values:
+        if name not in JOINT_PARAMETERS:
+            raise node[name].fault(f"there is no parameter '{name}', expected one of {', '.join(JOINT_PARAMETERS)}")
+    return {parameter: values[parameter] for parameter in JOINT_PARAMETERS if parameter in values}
 
 
 def choose_truth(dataset: Dataset, choice: str | None) -> Truth | None:
@@ -92,11 +106,15 @@ def find_truth(dataset: Dataset) -> Truth | None:
         if sensor.edge not in truth.transforms:
             expected = f"that of '{'-'.join(sensor.edge)}', which sensor '{name}' calibrates"
             raise Node(path, ("sensors",), None).fault(f"missing transform, expected {expected}")
+    for name, joint in dataset.joints.items():
+        missing = [parameter for parameter in joint.parameters if parameter not in truth.joints.get(name, {})]
+        if missing:
+            raise Node(path, ("joints", name), None).fault(f"missing '{missing[0]}', which the dataset calibrates")
     return truth
 
 
 def truth_of(dataset: Dataset) -> Truth:
-    """The transforms in a dataset as the truth, as in ATOM's simulations.
+    """The transforms and joints in a dataset as the truth, as in ATOM's simulations.
 
     Raises:
         InputError: a calibrated transform differs between collections.
@@ -119,7 +137,11 @@ def truth_of(dataset: Dataset) -> Truth:
                 patterns[key][edge] = T
                 if pattern.fixed:
                     constant.setdefault(edge, T)
-    return Truth(dataset.path, sensors, constant, patterns)
+    joints = {
+        name: {p: float(joint.values[JOINT_PARAMETERS.index(p)]) for p in joint.parameters}
+        for name, joint in dataset.joints.items()
+    }
+    return Truth(dataset.path, sensors, constant, patterns, joints=joints)
 
 
 def write_truth(truth: Truth, path: Path | str) -> None:
@@ -135,6 +157,7 @@ def write_truth(truth: Truth, path: Path | str) -> None:
             "sensors": {name: _pose_document(edge, truth.transforms[edge]) for name, edge in truth.sensors.items()},
             "transforms": [_pose_document(edge, T) for edge, T in truth.transforms.items() if edge not in of_sensors],
             "patterns": {key: _pose_documents(poses) for key, poses in truth.patterns.items()},
+            **({"joints": truth.joints} if truth.joints else {}),
         },
         path,
     )

@@ -1,13 +1,17 @@
 """Calibrated transforms against the true ones, where those are known."""
 
+import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import combinations
+from typing import Literal
 
 import numpy as np
 
-from calibration.dataset.model import Dataset, Sensor
+from calibration.dataset.model import Dataset, Joint, Sensor
 from calibration.dataset.truth import Truth
 from calibration.errors import InputError
+from calibration.geometry.joints import JOINT_PARAMETERS, JointParameter
 from calibration.geometry.transforms import distance, inverse
 from calibration.geometry.types import Array
 
@@ -25,10 +29,23 @@ class PoseError:
 
 
 @dataclass(frozen=True)
+class JointError:
+    """How far one parameter of a joint is from the true one."""
+
+    joint: str
+    parameter: JointParameter
+    error: float
+    """The size of the difference, rad or m."""
+    unit: Literal["m", "rad"]
+
+
+@dataclass(frozen=True)
 class TruthError:
     """The errors of a calibration: of each calibrated sensor, or of each pair where only pairs are determined."""
 
     poses: tuple[PoseError, ...]
+    joints: tuple[JointError, ...] = ()
+    """Of each calibrated parameter of a joint."""
 
     @property
     def translation_mm(self) -> float:
@@ -40,17 +57,27 @@ class TruthError:
         """The largest of all, not necessarily of the same pose."""
         return max(pose.rotation_deg for pose in self.poses)
 
+    @property
+    def joint_mm(self) -> float | None:
+        """The largest of the joints' parameters that are lengths; None where none is."""
+        return max((1000 * each.error for each in self.joints if each.unit == "m"), default=None)
+
+    @property
+    def joint_deg(self) -> float | None:
+        """The largest of the joints' parameters that are angles; None where none is."""
+        return max((float(np.degrees(each.error)) for each in self.joints if each.unit == "rad"), default=None)
+
 
 def truth_error(dataset: Dataset, truth: Truth) -> TruthError:
     """The errors of the calibrated transforms, without what no calibration can know.
 
     Two or more sensors of which none is anchored may all have moved together: the pose between the
     data frames of every two of them is compared, seen from either, the worse of the two. Otherwise it is
-    the calibrated transform of each sensor but the anchored one. Of collections that have labels,
-    the worst counts, should a chain differ between them.
+    the calibrated transform of each sensor but the anchored one, unless that is the only one and joints are
+    calibrated. Of collections that have labels, the worst counts, should a chain differ between them.
 
     Raises:
-        InputError: the truth lacks a sensor, a transform is missing or not finite, or nothing is calibrated.
+        InputError: the truth lacks a sensor or a joint, something is missing or not finite, or nothing is calibrated.
     """
     sensors = list(dataset.sensors.values())
     missing = [s for s in sensors if s.edge not in truth.transforms]
@@ -60,13 +87,37 @@ def truth_error(dataset: Dataset, truth: Truth) -> TruthError:
     if not labelled:
         raise InputError(f"{dataset.path}: no collection has labels: nothing is calibrated")
     found = dataset.with_collections(labelled)
-    true = found.with_transforms({s.edge: truth.transforms[s.edge] for s in sensors})
+    joints = {name: _true_values(joint, truth) for name, joint in found.joints.items()}
+    true = found.with_transforms({s.edge: truth.transforms[s.edge] for s in sensors}).with_joints(joints)
+    of_joints = tuple(error for name in joints for error in _of_joint(found.joints[name], joints[name]))
     if dataset.anchored is None and len(sensors) > 1:
-        return TruthError(tuple(_between(a, b, found, true) for a, b in combinations(sensors, 2)))
-    calibrated = [s for s in sensors if s.name != dataset.anchored]
+        return TruthError(tuple(_between(a, b, found, true) for a, b in combinations(sensors, 2)), of_joints)
+    calibrated = [s for s in sensors if s.name != dataset.anchored] or (sensors if joints else [])
     if not calibrated:
         raise InputError(f"{dataset.path}: only sensor '{dataset.anchored}', and it is anchored: nothing is calibrated")
-    return TruthError(tuple(_worst(s.name, true.transform(*s.edge), found.transform(*s.edge)) for s in calibrated))
+    poses = tuple(_worst(s.name, true.transform(*s.edge), found.transform(*s.edge)) for s in calibrated)
+    return TruthError(poses, of_joints)
+
+
+def _true_values(joint: Joint, truth: Truth) -> Array:
+    """All parameters (7,) of a joint, the calibrated ones as they are in truth."""
+    values, true = joint.values.copy(), truth.joints.get(joint.name, {})
+    for parameter in joint.parameters:
+        if parameter not in true:
+            raise InputError(f"{truth.path}: joint '{joint.name}': no true '{parameter}'")
+        values[JOINT_PARAMETERS.index(parameter)] = true[parameter]
+    return values
+
+
+def _of_joint(joint: Joint, true: Array) -> Iterator[JointError]:
+    """The errors of the calibrated parameters, all true ones (7,) being given."""
+    for parameter in joint.parameters:
+        at, unit = JOINT_PARAMETERS.index(parameter), joint.model.unit(parameter)
+        difference = float(joint.values[at] - true[at])
+        error = abs(difference if unit == "m" else math.remainder(difference, math.tau))
+        if not math.isfinite(error):
+            raise InputError(f"'{parameter}' of joint '{joint.name}' is not finite: its error cannot be told")
+        yield JointError(joint.name, parameter, error, unit)
 
 
 def _between(a: Sensor, b: Sensor, found: Dataset, true: Dataset) -> PoseError:

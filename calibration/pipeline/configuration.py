@@ -41,6 +41,8 @@ class Limits:
     rms_px: float | None = None
     translation_mm: float | None = None
     rotation_deg: float | None = None
+    joint_mm: float | None = None
+    joint_deg: float | None = None
 
 
 @dataclass(frozen=True)

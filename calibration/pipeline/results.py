@@ -200,7 +200,7 @@ def _object(cell: CellResult) -> dict[str, Any]:
     return {
         **{name: getattr(cell, name) for name in _PLAIN},
         "verdict": cell.verdict,
-        "truth": vars(cell.truth) if cell.truth else None,
+        "truth": cell.truth.document if cell.truth else None,
         "reasons": list(cell.reasons),
         "error": cell.error,
         "warnings": list(cell.warnings),

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from calibration.pipeline.collection.collected import Collected
 from calibration.pipeline.image_result import ImageResult
-from calibration.pipeline.matrix.cell import OUR_METHOD, CellResult, noise_text
+from calibration.pipeline.matrix.cell import OUR_METHOD, CellResult, TruthDistance, noise_text
 from calibration.pipeline.results import Results
 from calibration.workflow.summary import escape_markdown, markdown_table
 
@@ -64,6 +64,7 @@ def _text(cells: Sequence[CellResult]) -> str:
     if truths:
         parts.append(f"{max(t.translation_mm for t in truths):.3g} mm")
         parts.append(f"{max(t.rotation_deg for t in truths):.2g} deg")
+        parts += _joints(truths)
     passed = sum(cell.verdict == "pass" for cell in cells)
     if cells[0].by_other_method:
         return ", ".join(parts) or "no result"
@@ -72,6 +73,15 @@ def _text(cells: Sequence[CellResult]) -> str:
     elif len(cells) > 1:
         parts.append(f"{passed}/{len(cells)} pass")
     return ", ".join(parts) or "no result"
+
+
+def _joints(truths: Sequence[TruthDistance]) -> list[str]:
+    """The worst of the joints: "joints 0.01 mm, 0.002 deg"; nothing where none is calibrated."""
+    lengths = [t.joint_mm for t in truths if t.joint_mm is not None]
+    angles = [t.joint_deg for t in truths if t.joint_deg is not None]
+    shown = [f"{max(lengths):.3g} mm"] if lengths else []
+    shown += [f"{max(angles):.2g} deg"] if angles else []
+    return [f"joints {', '.join(shown)}"] if shown else []
 
 
 def collections_grid(results: Results) -> Grid:

@@ -17,7 +17,7 @@ from calibration.simulation.system import System
 
 @dataclass(frozen=True, eq=False)
 class Placement:
-    """The true poses at each of N poses of a motion; every array is (N, 4, 4)."""
+    """The true poses at each of N poses of a motion; arrays are (N, 4, 4) where nothing else is said."""
 
     transforms: Mapping[Edge, Array]
     """The robot's, by (parent, child)."""
@@ -25,6 +25,8 @@ class Placement:
     """``T_world_sensor``, to the frame of the sensor's data."""
     patterns: Mapping[str, Array]
     """``T_world_pattern``."""
+    joints: Mapping[str, Array]
+    """The positions (N,) of the joints that move, by name, rad or m."""
 
     def pattern_in(self, sensor: str, pattern: str) -> Array:
         """``T_sensor_pattern``."""
@@ -65,4 +67,8 @@ def place(system: System, motion: Motion) -> Placement:
     if moved is not None and model_poses is not None:
         patterns[moved.name] = pose(moved.parent_link) @ model_poses @ system.T_model_pattern
     sensors = {name: pose(sensor.link) for name, sensor in system.configuration.sensors.items()}
-    return Placement(transforms, sensors, patterns)
+    positions = {
+        name: np.asarray(motion.joints.get(name, np.full(len(motion), joint.rest)), float)
+        for name, joint in system.robot.movable.items()
+    }
+    return Placement(transforms, sensors, patterns, positions)

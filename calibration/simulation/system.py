@@ -6,7 +6,8 @@ A system is a folder with
 - ``config.yml``: ATOM's calibration configuration;
 - ``simulation.yml``: what the two do not say. Under ``sensors``, one entry for each of the
   configuration's (`calibration.simulation.sensors`); under ``patterns``, how a pattern differs from a
-  flat one of the usual layout (``bow_mm``, ``legacy_layout``); under ``scene``, ``ground_m`` and
+  flat one of the usual layout (``bow_mm``, ``legacy_layout``); under ``joints``, by how much the true robot
+  differs from its description (`calibration.simulation.joints`); under ``scene``, ``ground_m`` and
   ``boxes`` of ``centre``, ``size``, ``rpy``; under ``motion``, ``pattern_in_model`` (``xyz`` and
   ``rpy`` of the moved pattern on the model that a motion sequence moves), ``sway_mm`` and what a
   generated motion keeps to (`MotionRanges`). Lengths are metres, angles radians unless the key says
@@ -22,6 +23,7 @@ import numpy as np
 
 from calibration.dataset.configuration import Configuration, SensorConfiguration, read_configuration
 from calibration.dataset.document import Node
+from calibration.dataset.model import Edge
 from calibration.dataset.pattern import Pattern
 from calibration.errors import InputError
 from calibration.files import read_bytes
@@ -29,6 +31,7 @@ from calibration.geometry.transforms import from_xyz_rpy
 from calibration.geometry.types import Array
 from calibration.simulation.board import Board
 from calibration.simulation.description import MAX_BYTES, interval, number, numbers, only
+from calibration.simulation.joints import JointErrors, check_calibrated_joints, read_joint_errors, with_errors
 from calibration.simulation.robot import Robot, read_robot
 from calibration.simulation.scene import Scene, read_scene
 from calibration.simulation.sensors import (
@@ -92,6 +95,8 @@ class System:
     """The charuco patterns that are laid out as OpenCV did before 4.6."""
     sway: float = 0.0
     """The standard deviation of a moved pattern's place, each axis, between what two sensors see of it, m."""
+    joint_errors: JointErrors = field(default_factory=dict)
+    """By how much the joints of `robot` differ from those of `nominal`."""
 
     @property
     def cameras(self) -> dict[str, SimulatedCamera]:
@@ -127,6 +132,12 @@ class System:
         ]
 
     @property
+    def unknown_motions(self) -> frozenset[Edge]:
+        """The additional transforms that each collection has its own of: those of joints that move, as a base does."""
+        additional = set(self.configuration.additional_tfs.values())
+        return frozenset(joint.edge for joint in self.robot.movable.values() if joint.edge in additional)
+
+    @property
     def moved_pattern(self) -> Pattern | None:
         """The pattern that a motion sequence moves; None where all are fixed."""
         return next((pattern for pattern in self.patterns.values() if not pattern.fixed), None)
@@ -150,9 +161,10 @@ def read_system(folder: Path, robot: Path | None = None, configuration: Path | N
     }
     config = read_configuration(configuration_path)
     simulation = Node(simulation_path, (), read_yaml(simulation_path, "the description of a simulation"))
-    only(simulation, "sensors", "patterns", "scene", "motion")
+    only(simulation, "sensors", "patterns", "joints", "scene", "motion")
     only(simulation["sensors"], *config.sensors)
     urdf, empty = read_robot(robot_path), _empty(simulation)
+    joint_errors = read_joint_errors(simulation.get("joints"), urdf)
     scene, motion, printed = (simulation.get(key) or empty for key in ("scene", "motion", "patterns"))
     only(printed, *config.patterns)
     only(motion, "pattern_in_model", "sway_mm", "distance_m", "tilt_deg", "roll_deg", "partial")
@@ -161,7 +173,7 @@ def read_system(folder: Path, robot: Path | None = None, configuration: Path | N
     system = System(
         name=folder.resolve().name,
         configuration=config,
-        robot=urdf,
+        robot=with_errors(urdf, joint_errors),
         nominal=urdf,
         patterns={name: pattern.pattern() for name, pattern in config.patterns.items()},
         sensors={
@@ -175,6 +187,7 @@ def read_system(folder: Path, robot: Path | None = None, configuration: Path | N
         bows={name: _bow(entry) for name, entry in printed.items()},
         legacy_layouts=frozenset(name for name, entry in printed.items() if _has_legacy_layout(entry)),
         sway=number(motion, "sway_mm", 0.0, least=0, most=1000) / 1000,
+        joint_errors=joint_errors,
     )
     _check(system, configuration_path)
     return system
@@ -256,8 +269,12 @@ def _check(system: System, path: Path) -> None:
     for name, edge in config.additional_tfs.items():
         if edge not in edges:
             raise fault(f"additional_tfs/{name}", f"no joint from '{edge[0]}' to '{edge[1]}' in {system.robot.path}")
-    if config.joints:
-        raise fault("joints", "joint parameters cannot be calibrated in simulation yet; expected none")
+    check_calibrated_joints(config.joints, system.robot, f"{path}: joints")
+    whole = {*config.additional_tfs.values(), *((s.parent_link, s.child_link) for s in config.sensors.values())}
+    for name in config.joints:
+        edge = system.robot.movable[name].edge
+        if edge in whole:
+            raise fault(f"joints/{name}", f"the whole transform from '{edge[0]}' to '{edge[1]}' is calibrated already")
     for name, pattern in system.patterns.items():
         key = f"calibration_patterns/{name}"
         check_frame(f"{key}/parent_link", pattern.parent_link)

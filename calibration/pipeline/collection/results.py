@@ -205,13 +205,20 @@ def collection_document(results: CollectionResults) -> dict[str, Any]:
         "lost": [{"pose": record.number + 1, "reasons": list(record.lost)} for record in results.lost],
         "sensors": {name: asdict(numbers) for name, numbers in results.sensors.items()},
         "corner_rms_px": results.corner_rms,
-        "calibration": asdict(results.proof) if results.proof else None,
+        "calibration": _calibration(results.proof) if results.proof else None,
         "checks": [{**asdict(check), "passed": check.passed} for check in results.checks],
         "reasons": results.reasons,
         "dataset": "dataset.json" if results.kept else None,
         "contact_sheet": CONTACT_SHEET if results.contact_sheet else None,
         "made_with": _made_with(),
     }
+
+
+def _calibration(proof: "Proof") -> dict[str, Any]:
+    document = asdict(proof)
+    if not proof.joints:
+        del document["joints"]
+    return document
 
 
 def _made_with() -> dict[str, str]:

@@ -157,9 +157,7 @@ def _result(entry: Mapping[str, Any], slug: str, path: Path) -> CellResult:
         rms_px=entry["rms_px"],
         table=_below(slug, entry["table"]),
         dataset=_below(slug, entry["dataset"]),
-        truth=TruthDistance(entry["truth"]["translation_mm"], entry["truth"]["rotation_deg"])
-        if entry["truth"]
-        else None,
+        truth=TruthDistance(**entry["truth"]) if entry["truth"] else None,
         seconds=entry["seconds"],
         reasons=tuple(entry["reasons"]),
         error=None if entry["error"] is None else ExitCode(entry["error"]),

@@ -80,6 +80,15 @@ class TruthDistance:
 
     translation_mm: float
     rotation_deg: float
+    joint_mm: float | None = None
+    """The worst of the joints' parameters that are lengths; None where none is calibrated."""
+    joint_deg: float | None = None
+    """The worst of those that are angles."""
+
+    @property
+    def document(self) -> dict[str, float]:
+        """The numbers that there are, by name."""
+        return {name: value for name, value in vars(self).items() if value is not None}
 
 
 @dataclass(frozen=True)
@@ -260,7 +269,12 @@ def distance_from_truth(dataset: Dataset, system: LoadedSystem) -> TruthDistance
     if system.truth is None:
         return None
     error = truth_error(dataset, system.truth)
-    return TruthDistance(round(error.translation_mm, 6), round(error.rotation_deg, 8))
+    return TruthDistance(
+        round(error.translation_mm, 6),
+        round(error.rotation_deg, 8),
+        None if error.joint_mm is None else round(error.joint_mm, 6),
+        None if error.joint_deg is None else round(error.joint_deg, 8),
+    )
 
 
 def _table(dataset: Dataset, system: LoadedSystem, calibration: Calibration | None) -> Table | None:

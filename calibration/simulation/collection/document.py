@@ -13,9 +13,11 @@ from calibration.dataset.configuration import SensorConfiguration
 from calibration.dataset.model import Edge
 from calibration.dataset.pattern_document import pattern_document
 from calibration.geometry.cameras import Camera
+from calibration.geometry.joints import JOINT_PARAMETERS
 from calibration.simulation.collection.play import Play
-from calibration.simulation.collection.pose_document import pose_document
+from calibration.simulation.collection.pose_document import POSE_DECIMALS, pose_document
 from calibration.simulation.collection.record import Record, message_header
+from calibration.simulation.joints import joint_values
 from calibration.simulation.sensors import SimulatedCamera, SimulatedDepthCamera
 from calibration.simulation.system import System
 
@@ -60,6 +62,7 @@ def truth_document(play: Play, kept: Sequence[Record]) -> dict[str, Any]:
         return pose_document(edge, play.true.transforms[edge][0])
 
     noises = [lidar.noise for lidar in system.lidars.values()] + [lidar.noise for lidar in system.lidars2d.values()]
+    constants = [edge for edge in config.additional_tfs.values() if edge not in system.unknown_motions]
     fixed = [(pattern.parent_link, pattern.link) for pattern in system.patterns.values() if pattern.fixed]
     errors = [error for record in kept for error in record.errors.values()]
     corners = sum(error.count for error in errors)
@@ -67,11 +70,22 @@ def truth_document(play: Play, kept: Sequence[Record]) -> dict[str, Any]:
         "sensors": {name: constant((s.parent_link, s.child_link)) for name, s in config.sensors.items()},
         "patterns": {r.key: list(r.truth) if len(r.truth) > 1 else r.truth[0] for r in kept},
         **({"pattern": constant(fixed[0])} if len(fixed) == 1 else {}),
-        "transforms": [constant(edge) for edge in (*config.additional_tfs.values(), *fixed)],
+        "transforms": [constant(edge) for edge in (*constants, *fixed)],
+        **({"joints": _true_joints(system)} if config.joints else {}),
         "seed": play.seed,
         "corner_rms_px": round((sum(e.count * e.rms**2 for e in errors) / corners) ** 0.5, 4) if corners else None,
         "lidar_sigma": max([0.0, *noises]),
     }
+
+
+def _true_joints(system: System) -> dict[str, dict[str, float]]:
+    """What the parameters under calibration are in truth, m and rad."""
+    joints = {}
+    for name, parameters in system.configuration.joints.items():
+        values = joint_values(system.nominal.movable[name], system.joint_errors.get(name)).tolist()
+        by_name = dict(zip(JOINT_PARAMETERS, values, strict=True))
+        joints[name] = {p: round(value, POSE_DECIMALS) + 0.0 for p, value in by_name.items() if p in parameters}
+    return joints
 
 
 def _sensor(system: System, sensor: SensorConfiguration) -> dict[str, Any]:
@@ -121,8 +135,8 @@ def _transforms(system: System) -> dict[str, Any]:
             "child": joint.child,
             "type": "multiple" if joint.is_movable else "fixed",
             "joint_name": joint.name,
-            "joint_params_calibrated": [],
-            "is_transformation_calibrated": joint.edge in calibrated,
+            "joint_params_calibrated": list(system.configuration.joints.get(joint.name, ())),
+            "is_transformation_calibrated": joint.edge in calibrated or joint.name in system.configuration.joints,
             "from_bag": joint.is_movable,
             "weight": 1,
         }

@@ -1,5 +1,6 @@
 """The proof of a dataset: does it calibrate, and to the truth?"""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,7 +11,8 @@ from calibration.dataset.reading import read_dataset
 from calibration.dataset.truth import choose_truth
 from calibration.errors import CalibrationError
 from calibration.estimation.calibrate import calibrate
-from calibration.evaluation.truth import truth_error
+from calibration.estimation.result import Calibration
+from calibration.evaluation.truth import TruthError, truth_error
 
 
 @dataclass(frozen=True)
@@ -19,6 +21,19 @@ class SensorSigma:
 
     translation_mm: float
     rotation_deg: float
+
+
+@dataclass(frozen=True)
+class JointProof:
+    """What a calibration found of one parameter of a joint, m or rad."""
+
+    joint: str
+    parameter: str
+    unit: str
+    value: float
+    sigma: float
+    error: float | None
+    """Its size against the truth, where that is known."""
 
 
 @dataclass(frozen=True)
@@ -36,6 +51,8 @@ class Proof:
     sigmas: dict[str, SensorSigma] | None = None
     """By sensor, of the transforms that were free."""
     weak_directions: tuple[str, ...] = ()
+    joints: tuple[JointProof, ...] = ()
+    """The parameters of joints that were free."""
 
 
 def prove(folder: Path, truth: str | None = None) -> Proof:
@@ -72,7 +89,19 @@ def prove_dataset(dataset: Dataset, choice: str | None = None) -> Proof:
         if found.converged
         else None,
         weak_directions=found.weak_directions,
+        joints=tuple(_joints(found, error)) if found.converged else (),
     )
+
+
+def _joints(found: Calibration, error: TruthError | None) -> Iterator[JointProof]:
+    errors = {(each.joint, each.parameter): each.error for each in error.joints} if error else {}
+    for name, joint in found.joints.items():
+        numbers = zip(joint.parameters, joint.units, joint.values.tolist(), joint.sigmas.tolist(), strict=True)
+        for parameter, unit, value, sigma in numbers:
+            off = errors.get((name, parameter))
+            yield JointProof(
+                name, parameter, unit, round(value, 6), round(sigma, 8), None if off is None else round(off, 8)
+            )
 
 
 def _rounded(value: float, decimals: int) -> float | None:

@@ -18,6 +18,7 @@ from calibration.geometry.types import Array
 from calibration.labelling.detection import NotDetected
 from calibration.labelling.points import PatternPoints
 from calibration.simulation.collection.capture import Capture
+from calibration.simulation.collection.joint_document import joint_document
 from calibration.simulation.collection.payload import data_file
 from calibration.simulation.collection.play import Play
 from calibration.simulation.collection.pose_document import pose_document
@@ -61,7 +62,7 @@ class Record:
     initial: Mapping[str, Mapping[str, Any]]
     """By pattern: the entry of its ``transforms_initial``."""
     truth: tuple[Mapping[str, Any], ...]
-    """The true poses of the patterns in the world."""
+    """The true poses of the patterns in the world, and the transforms that each collection has its own of."""
     named: str | None = None
     """The collection's key where others than we have given it one."""
 
@@ -130,11 +131,18 @@ def record(play: Play, capture: Capture, lost: tuple[str, ...]) -> Record:
         },
         collection=_collection(play, capture),
         initial={name: _initial(play, capture, name) for name in system.patterns},
-        truth=tuple(
-            pose_document((system.configuration.world_link, pattern.link), play.true.patterns[name][number])
-            for name, pattern in system.patterns.items()
-        ),
+        truth=_truth(play, number),
     )
+
+
+def _truth(play: Play, number: int) -> tuple[Mapping[str, Any], ...]:
+    system = play.system
+    patterns = {
+        (system.configuration.world_link, pattern.link): play.true.patterns[name]
+        for name, pattern in system.patterns.items()
+    }
+    moving = {edge: play.true.transforms[edge] for edge in sorted(system.unknown_motions)}
+    return tuple(pose_document(edge, T[number]) for edge, T in {**patterns, **moving}.items())
 
 
 def _count(answer: CornerLabels | PatternPoints | NotDetected) -> int:
@@ -198,7 +206,7 @@ def _collection(play: Play, capture: Capture) -> dict[str, Any]:
     return {
         "additional_data": {},
         "data": {name: _message(play, capture, sensor) for name, sensor in system.configuration.sensors.items()},
-        "joints": {},
+        "joints": _joints(play, number),
         "labels": {
             pattern: {
                 **{name: _corner_labels(capture.corners[pattern, name]) for name in system.cameras},
@@ -214,6 +222,12 @@ def _collection(play: Play, capture: Capture) -> dict[str, Any]:
             for (parent, child), T in play.nominal.transforms.items()
         },
     }
+
+
+def _joints(play: Play, number: int) -> dict[str, Any]:
+    """The joints under calibration, as the robot was designed."""
+    joints = {name: play.system.nominal.movable[name] for name in play.system.configuration.joints}
+    return {name: joint_document(joint, float(play.nominal.joints[name][number])) for name, joint in joints.items()}
 
 
 def _message(play: Play, capture: Capture, sensor: SensorConfiguration) -> dict[str, Any]:

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calibration.dataset.pattern import Pattern
 from calibration.geometry.types import Array, BoolArray
 from calibration.simulation.motion.clearance import is_clear
 from calibration.simulation.motion.drawing import draw_motion
@@ -34,7 +33,7 @@ class Candidates:
     motion: Motion
     """Through all of them."""
     partial: Array
-    """(N,): the share of the cameras that see only a part of the pattern."""
+    """(N,): the share of the cameras that see only a part of a pattern."""
     cells: BoolArray
     """(N, C): in which cells of the cameras' images, one camera's after the other's, there are corners."""
 
@@ -42,7 +41,7 @@ class Candidates:
         return len(self.partial)
 
 
-def find_candidates(system: System, pattern: Pattern, count: int, seed: int) -> Candidates:
+def find_candidates(system: System, count: int, seed: int) -> Candidates:
     """Poses for a motion of so many to choose from, of those seen whole and of those seen in part as it needs them.
 
     Poses are drawn in rounds until there are enough. There may be fewer, or none.
@@ -51,12 +50,12 @@ def find_candidates(system: System, pattern: Pattern, count: int, seed: int) -> 
         InputError: nothing moves the pattern before a camera.
     """
     wanted = max(_FOR_EACH * count, _AT_LEAST)
-    share = 0.0 if pattern.kind == "chessboard" else system.motion.partial  # which is found whole or not at all
+    whole = all(pattern.kind == "chessboard" for pattern in system.patterns.values())  # or not found at all
+    share = 0.0 if whole else system.motion.partial
     found: list[Candidates] = []
     missing = {True: math.ceil(share * wanted), False: math.ceil((1 - share) * wanted)}  # seen in part, or not
     for number in range(_ROUNDS):
-        drawn = draw_motion(system, pattern, max(_DRAWN * count, _AT_LEAST), stream(seed, "motion", number))
-        seen = _seen(system, pattern, drawn)
+        seen = _seen(system, _drawn(system, max(_DRAWN * count, _AT_LEAST), seed, number))
         kept: list[int] = []
         for in_part in missing:
             some = np.flatnonzero((seen.partial > 0) == in_part)[: missing[in_part]]
@@ -72,23 +71,42 @@ def find_candidates(system: System, pattern: Pattern, count: int, seed: int) -> 
     )
 
 
-def _seen(system: System, pattern: Pattern, motion: Motion) -> Candidates:
-    """The poses of a motion that every sensor sees and that run into nothing; what is quick to tell goes first."""
-    motion, placement = _only(system, motion, centred(system, pattern.name, place(system, motion)))
-    motion, placement = _only(system, motion, is_clear(system, pattern, placement))
-    for lidar in system.lidars:
-        motion, placement = _only(system, motion, lidar_detects(system, lidar, pattern.name, placement))
-    for lidar in system.lidars2d:
-        motion, placement = _only(system, motion, lidar2d_detects(system, lidar, pattern.name, placement))
-    for depth_camera in system.depth_cameras:
-        motion, placement = _only(system, motion, depth_camera_detects(system, depth_camera, pattern.name, placement))
-    views = {name: camera_views(system, name, pattern.name, placement) for name in system.cameras}
-    seen = Candidates(
-        motion,
-        np.mean([view.partial for view in views.values()], axis=0),
-        np.concatenate([view.cells(system.cameras[name].camera) for name, view in views.items()], -1),
-    )
-    return _take(seen, np.flatnonzero(np.all([view.detectable for view in views.values()], axis=0)).tolist())
+def _drawn(system: System, count: int, seed: int, number: int) -> Motion:
+    """A round of poses, as many before the cameras of each pattern that may be looked at: the moved one, or all."""
+    patterns = [system.moved_pattern] if system.moved_pattern else list(system.patterns.values())
+    each = -(-count // len(patterns))
+    streams = [stream(seed, "motion", number, *([pattern.name] if k else [])) for k, pattern in enumerate(patterns)]
+    return joined([draw_motion(system, pattern, each, r) for pattern, r in zip(patterns, streams, strict=True)])
+
+
+def _seen(system: System, motion: Motion) -> Candidates:
+    """The poses of a motion at which every sensor sees a pattern and nothing runs into anything.
+
+    What is quick to tell goes first.
+    """
+    motion, placement = _only(system, motion, centred(system, place(system, motion)))
+    for pattern in system.patterns.values():
+        motion, placement = _only(system, motion, is_clear(system, pattern, placement))
+    for detects, sensors in (
+        (lidar_detects, system.lidars),
+        (lidar2d_detects, system.lidars2d),
+        (depth_camera_detects, system.depth_cameras),
+    ):
+        for sensor in sensors:
+            some = np.any([detects(system, sensor, pattern, placement) for pattern in system.patterns], axis=0)
+            motion, placement = _only(system, motion, some)
+    seen, partial, cells = zip(*(_image(system, name, placement) for name in system.cameras), strict=True)
+    candidates = Candidates(motion, np.mean(partial, axis=0), np.concatenate(cells, -1))
+    return _take(candidates, np.flatnonzero(np.all(seen, axis=0)).tolist())
+
+
+def _image(system: System, camera: str, placement: Placement) -> tuple[BoolArray, BoolArray, BoolArray]:
+    """At which poses (N,) a camera detects a pattern, and one of which it sees only a part; and the cells (N, C)."""
+    views = [camera_views(system, camera, pattern, placement) for pattern in system.patterns]
+    detected = np.stack([view.detectable for view in views])
+    partial = detected & np.stack([view.partial for view in views])
+    cells = detected[..., None] & np.stack([view.cells(system.cameras[camera].camera) for view in views])
+    return np.any(detected, axis=0), np.any(partial, axis=0), np.any(cells, axis=0)
 
 
 def _only(system: System, motion: Motion, which: BoolArray) -> tuple[Motion, Placement]:

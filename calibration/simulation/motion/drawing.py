@@ -1,4 +1,11 @@
-"""Random poses of a pattern in front of the cameras, reached by the model that moves or by the joints."""
+"""Random poses of a pattern in front of the cameras, reached by the model that moves or by the joints.
+
+Where fewer than six joints lie between a camera and the pattern, as in a mobile base or a SCARA arm, they
+reach next to none of these poses: there the joints themselves are drawn, and what shows the camera
+the pattern is kept.
+"""
+
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -6,16 +13,19 @@ from calibration.dataset.pattern import Pattern
 from calibration.errors import InputError
 from calibration.geometry import rotations
 from calibration.geometry.cameras import Camera
-from calibration.geometry.transforms import inverse, transform
-from calibration.geometry.types import Array
+from calibration.geometry.transforms import apply, inverse, transform
+from calibration.geometry.types import Array, BoolArray
 from calibration.simulation.inverse_kinematics import joints_between, reach
 from calibration.simulation.motion.sequence import Motion, moving_joints, moving_model
-from calibration.simulation.robot import compose
+from calibration.simulation.robot import Joint, compose
 from calibration.simulation.system import MotionRanges, System
+
+_REACH_ANY_POSE = 6  # joints
+_TRIES = 20  # positions of fewer joints for each pose that is asked for
 
 
 def draw_motion(system: System, pattern: Pattern, count: int, random: np.random.Generator) -> Motion:
-    """A motion through random poses, as many in front of each camera; those that joints do not reach are left out.
+    """A motion through random poses, about as many in front of each camera; joints reach some of them only.
 
     Raises:
         InputError: nothing moves the pattern before a camera.
@@ -30,11 +40,16 @@ def draw_motion(system: System, pattern: Pattern, count: int, random: np.random.
         if not pattern.fixed:
             T_parent_camera = compose(system.robot.tree, at_rest, pattern.parent_link, link)
             models.append(T_parent_camera @ T_camera_pattern @ inverse(system.T_model_pattern))
-        elif joints_between(system.robot, link, pattern.link):
-            positions, reached = reach(system.robot, link, pattern.link, T_camera_pattern, random)
+        elif between := joints_between(system.robot, link, pattern.link):
+            if len(between) >= _REACH_ANY_POSE:
+                positions, kept = reach(system.robot, link, pattern.link, T_camera_pattern, random)
+            else:
+                positions = _draw_positions(between, _TRIES * each, random)
+                at = compose(system.robot.tree, system.robot.transforms(positions), link, pattern.link)
+                kept = within_ranges(at, sensor.camera, pattern, system.motion)
             for joint, values in joints.items():
-                rest = np.full(each, system.robot.movable[joint].rest)
-                values.append(positions.get(joint, rest)[reached])
+                rest = np.full(len(kept), system.robot.movable[joint].rest)
+                values.append(positions.get(joint, rest)[kept])
     if models:
         return moving_model(np.concatenate(models))
     if not any(joints.values()):
@@ -43,6 +58,28 @@ def draw_motion(system: System, pattern: Pattern, count: int, random: np.random.
             "lies between it and a camera"
         )
     return moving_joints({name: np.concatenate(values) for name, values in joints.items()})
+
+
+def _draw_positions(joints: Sequence[Joint], count: int, random: np.random.Generator) -> dict[str, Array]:
+    """Positions (count,) of joints between their limits, at most half a turn."""
+    low = {joint.name: max(joint.lower, -np.pi) if joint.kind != "prismatic" else joint.lower for joint in joints}
+    high = {joint.name: min(joint.upper, np.pi) if joint.kind != "prismatic" else joint.upper for joint in joints}
+    return {name: low[name] + (high[name] - low[name]) * random.random(count) for name in low}
+
+
+def within_ranges(T_camera_pattern: Array, camera: Camera, pattern: Pattern, ranges: MotionRanges) -> BoolArray:
+    """Which poses (N, 4, 4) are such as `draw_poses` draws: before the camera, as near, tilted and turned."""
+    low, high = ranges.distance or filling_distances(camera, pattern)
+    centre = apply(T_camera_pattern, pattern.centre[None])[:, 0]
+    distance = np.linalg.norm(centre, axis=-1)
+    ahead: BoolArray = (centre[:, 2] > 0) & (distance >= low) & (distance <= high)
+    sight = np.where(ahead[:, None], centre / np.maximum(distance, 1e-300)[:, None], [0.0, 0.0, 1.0])
+    # tilt and roll, the one after the other: R = tilt about an axis in the image * roll about the line of sight
+    R = np.swapaxes(_towards(sight), -1, -2) @ T_camera_pattern[:, :3, :3]
+    tilt = np.arccos(np.clip(R[:, 2, 2], -1.0, 1.0))
+    roll = np.arctan2(R[:, 1, 0] - R[:, 0, 1], R[:, 0, 0] + R[:, 1, 1])
+    kept: BoolArray = ahead & (tilt <= ranges.tilt) & (np.abs(roll) <= ranges.roll)
+    return kept
 
 
 def draw_poses(

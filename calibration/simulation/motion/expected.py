@@ -5,10 +5,12 @@ from pathlib import Path
 import numpy as np
 
 from calibration.dataset.configuration import SensorConfiguration
-from calibration.dataset.model import Collection, CornerLabels, Dataset, Labels, Modality, PointLabels, Sensor
+from calibration.dataset.model import Collection, CornerLabels, Dataset, Joint, Labels, Modality, PointLabels, Sensor
 from calibration.dataset.pattern import Pattern
+from calibration.geometry.joints import JOINT_PARAMETERS
 from calibration.geometry.transforms import apply, inverse
 from calibration.geometry.types import Array
+from calibration.simulation.joints import joint_model, joint_values
 from calibration.simulation.motion.expected_depth import pixels_on
 from calibration.simulation.motion.views import camera_views, depth_camera_detects, lidar2d_detects, lidar_detects
 from calibration.simulation.placement import Placement
@@ -26,7 +28,7 @@ from calibration.simulation.system import System
 def expected_dataset(system: System, placement: Placement) -> Dataset:
     """The exact labels of all views that a detector would find, one collection for each of N poses.
 
-    The transforms are the true ones. The collections' keys are the numbers of the poses, from "0".
+    The transforms and joints are the true ones. The collections' keys are the numbers of the poses, from "0".
     """
     config = system.configuration
     poses = next(iter(placement.transforms.values()))
@@ -46,6 +48,20 @@ def expected_dataset(system: System, placement: Placement) -> Dataset:
         collections=tuple(Collection(str(number), found) for number, found in enumerate(labels)),
         transforms=placement.transforms,
         document={},
+        moving_transforms=system.unknown_motions,
+        joints={name: _joint(system, name, placement) for name in config.joints},
+    )
+
+
+def _joint(system: System, name: str, placement: Placement) -> Joint:
+    nominal, asked = system.nominal.movable[name], system.configuration.joints[name]
+    return Joint(
+        name=name,
+        edge=nominal.edge,
+        model=joint_model(nominal),
+        parameters=tuple(parameter for parameter in JOINT_PARAMETERS if parameter in asked),
+        values=joint_values(nominal, system.joint_errors.get(name)),
+        positions=placement.joints[name],
     )
 
 

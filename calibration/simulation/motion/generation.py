@@ -26,9 +26,8 @@ def generate_motion(system: System, count: int, seed: int) -> Motion:
     """
     if not system.cameras:
         raise InputError(f"a motion of {system.name} cannot be generated: it has no camera")
-    pattern = system.moved_pattern or next(iter(system.patterns.values()))
-    candidates = find_candidates(system, pattern, count, seed)
-    best = _best(system, pattern.name, candidates, count) if len(candidates) >= count else range(len(candidates))
+    candidates = find_candidates(system, count, seed)
+    best = _best(system, candidates, count) if len(candidates) >= count else range(len(candidates))
     if len(best) < count:
         raise InputError(
             f"found {len(best)} poses of {system.name} that every sensor sees, expected {count}; "
@@ -37,7 +36,7 @@ def generate_motion(system: System, count: int, seed: int) -> Motion:
     return candidates.motion.take(best)
 
 
-def _best(system: System, pattern: str, candidates: Candidates, count: int) -> list[int]:
+def _best(system: System, candidates: Candidates, count: int) -> list[int]:
     """The indices of the candidates that make the motion.
 
     Where the engine can calibrate nothing of the system, they cover the images and are random otherwise.
@@ -48,7 +47,7 @@ def _best(system: System, pattern: str, candidates: Candidates, count: int) -> l
     except UndeterminedError:
         nothing = np.zeros((len(candidates), 1, 1))
         return choose(nothing, 1, candidates.partial, system.motion.partial, candidates.cells, count)
-    unit = np.tile(np.repeat([_distance(system, pattern, placement), 1.0], 3), found.each.shape[-1] // 6)
+    unit = found.units(_distance(system, placement))
     chosen = choose(
         unit[:, None] * found.each * unit,
         found.calibrated,
@@ -61,9 +60,11 @@ def _best(system: System, pattern: str, candidates: Candidates, count: int) -> l
     return best
 
 
-def _distance(system: System, pattern: str, placement: Placement) -> float:
-    """The mean distance of the pattern from the cameras, m: what an angle moves by its sine, a translation moves."""
+def _distance(system: System, placement: Placement) -> float:
+    """The mean distance of patterns from the cameras, m: what an angle moves by its sine, a translation moves."""
     distances: list[Array] = [
-        np.linalg.norm(placement.pattern_in(camera, pattern)[:, :3, 3], axis=-1) for camera in system.cameras
+        np.linalg.norm(placement.pattern_in(camera, pattern)[:, :3, 3], axis=-1)
+        for pattern in system.patterns
+        for camera in system.cameras
     ]
     return float(np.mean(distances))

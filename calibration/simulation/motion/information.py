@@ -11,7 +11,7 @@ import numpy as np
 
 from calibration.estimation.build import Setup, build
 from calibration.estimation.normal_equations import Weighting, linearise
-from calibration.estimation.problem import NoiseKind, Problem, Values
+from calibration.estimation.problem import Block, NoiseKind, Problem, Values
 from calibration.geometry.transforms import inverse, translation
 from calibration.geometry.types import Array, IntArray
 from calibration.simulation.motion.expected import expected_dataset
@@ -28,21 +28,33 @@ _USUAL_DISTANCE = 2.0  # m, to the pattern: the noise of a depth grows with it
 
 @dataclass(frozen=True, eq=False)
 class Information:
-    """What each of N poses tells about S transforms that all poses share."""
+    """What each of N poses tells about S parameters that all poses share."""
 
     setup: Setup
     """What is calibrated."""
     poses: IntArray
     """(N,): the poses of the motion that tell anything."""
     each: Array
-    """(N, 6S, 6S): the information matrices on the twists of `Problem.shared` (translation in m, rotation in
-    rad, each in its child frame), the pattern's own pose at each moment eliminated. They add up."""
+    """(N, S, S): the information matrices on the parameters of `Problem.shared` (twists, translation in m and
+    rotation in rad, each in its child frame; or what is free of a joint), what each pose has its own of eliminated.
+    They add up."""
 
     @property
     def calibrated(self) -> int:
-        """How many of the 6S parameters belong to what is calibrated; a fixed pattern's own come after them."""
-        setup = self.setup
-        return 6 * sum(setup.problem.blocks[i].name not in setup.dataset.patterns for i in setup.problem.shared)
+        """How many of the S parameters belong to what is calibrated; a fixed pattern's own come after them."""
+        problem, patterns = self.setup.problem, self.setup.dataset.patterns
+        return sum(problem.blocks[i].dimension for i in problem.shared if problem.blocks[i].name not in patterns)
+
+    def units(self, length: float) -> Array:
+        """(S,): what each parameter is measured in so that all compare: lengths in ``length`` (m), angles in rad."""
+        problem = self.setup.problem
+        return np.concatenate([_units(problem.blocks[i], length) for i in problem.shared])
+
+
+def _units(block: Block, length: float) -> Array:
+    if block.joint is None:
+        return np.repeat([length, 1.0], 3)
+    return np.array([length if block.joint.model.unit(parameter) == "m" else 1.0 for parameter in block.joint.free])
 
 
 def information(system: System, placement: Placement) -> Information:
@@ -60,19 +72,21 @@ def information(system: System, placement: Placement) -> Information:
 
 
 def informations(problem: Problem, values: Values, weighting: Weighting) -> Array:
-    """(N, 6S, 6S): the information of each collection on the shared blocks, its local ones being free.
+    """(N, S, S): the information of each collection on the S shared parameters, its local ones being free.
 
     Their sum is `calibration.estimation.normal_equations.NormalEquations.schur`.
     """
-    shared, free = 6 * len(problem.shared), [*problem.shared, *problem.local]
-    H = np.zeros((problem.collections, 6 * len(free), 6 * len(free)))
+    shared, local = (sum(problem.blocks[i].dimension for i in blocks) for blocks in (problem.shared, problem.local))
+    at = problem.shared_parameters | {
+        block: slice(shared + own.start, shared + own.stop) for block, own in problem.local_parameters.items()
+    }
+    H = np.zeros((problem.collections, shared + local, shared + local))
     for group in problem.groups:
         T, jacobians = group.chain.jacobians(values, slice(None), group.collections, problem.held)
         _, M, _ = linearise(group, T, slice(None), weighting)
-        J = np.zeros((len(T), 6, 6 * len(free)))
+        J = np.zeros((len(T), 6, shared + local))
         for block, J_block in jacobians:
-            at = 6 * free.index(block)
-            J[:, :, at : at + 6] = J_block
+            J[:, :, at[block]] = J_block
         H[group.collections] += np.swapaxes(J, 1, 2) @ M @ J
     H_local, H_mixed = H[:, shared:, shared:], H[:, :shared, shared:]
     index = np.arange(H_local.shape[-1])
@@ -102,6 +116,7 @@ def expected_noise(system: System) -> Weighting:
 
 def _truth(system: System, setup: Setup, placement: Placement, poses: IntArray) -> Values:
     """The true value of every block; patterns at the centre of their corners, as the engine has them."""
+    joints = {joint.edge: joint.values for joint in setup.dataset.joints.values()}
     patterns = {setup.pattern_edge(name): pattern for name, pattern in setup.dataset.patterns.items()}
     world, tree = system.configuration.world_link, system.robot.tree
     values = []
@@ -111,6 +126,9 @@ def _truth(system: System, setup: Setup, placement: Placement, poses: IntArray) 
             T_world_parent = compose(tree, placement.transforms, world, pattern.parent_link)
             T = inverse(T_world_parent) @ placement.patterns[pattern.name] @ translation(pattern.centre)
             values.append(T[poses] if block.per_collection else T[0])
+        elif edge in joints:
+            values.append(joints[edge])
         else:
-            values.append(placement.transforms[edge][0])
+            T = placement.transforms[edge]
+            values.append(T[poses] if block.per_collection else T[0])
     return tuple(values)

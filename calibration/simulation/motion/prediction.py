@@ -36,19 +36,22 @@ def predicted_sigmas(system: System, motion: Motion) -> Mapping[str, tuple[float
     except InputError:  # poses that calibrate nothing
         return {sensor.name: (np.inf, np.inf) for sensor in sensors}
     sigmas = _sigmas(found, system)
-    shared, block = found.setup.problem.shared, found.setup.block
-    held = (0.0, 0.0)
-    at = {sensor.name: block((sensor.parent_link, sensor.child_link)) for sensor in sensors}
-    return {name: sigmas[shared.index(i)] if i in shared else held for name, i in at.items()}
+    setup, held = found.setup, (0.0, 0.0)
+    blocks = {sensor.name: setup.block((sensor.parent_link, sensor.child_link)) for sensor in sensors}
+    return {name: sigmas.get(block, held) for name, block in blocks.items()}
 
 
-def _sigmas(found: Information, system: System) -> list[tuple[float, float]]:
-    """Translation (m) and rotation (rad) of each shared block."""
-    size = max(pattern.size for pattern in system.patterns.values())
-    unit = np.tile(np.repeat([size, 1.0], 3), len(found.setup.problem.shared))
+def _sigmas(found: Information, system: System) -> dict[int, tuple[float, float]]:
+    """Translation (m) and rotation (rad) of each shared block that is a pose."""
+    problem = found.setup.problem
+    unit = found.units(max(pattern.size for pattern in system.patterns.values()))
     variance = _variances(unit[:, None] * found.each.sum(0) * unit) * unit**2
-    translation, rotation = np.sqrt(variance.reshape(-1, 2, 3).sum(-1)).T
-    return list(zip(translation.tolist(), rotation.tolist(), strict=True))
+    sigmas = {}
+    for block, at in problem.shared_parameters.items():
+        if problem.blocks[block].joint is None:
+            translation, rotation = np.sqrt(variance[at].reshape(2, 3).sum(-1)).tolist()
+            sigmas[block] = (translation, rotation)
+    return sigmas
 
 
 def _variances(information: Array) -> Array:

@@ -100,15 +100,18 @@ def _widths(pixels: Array) -> Array:
     return width
 
 
-def centred(system: System, pattern: str, placement: Placement) -> BoolArray:
-    """At which poses (N,) the pattern's centre is on every camera's image and turned to it: few others are seen."""
-    shown = np.ones(len(placement.patterns[pattern]), bool)
-    centre = system.patterns[pattern].centre
-    for name, sensor in system.cameras.items():
-        T_camera_pattern = placement.pattern_in(name, pattern)
-        _, visible = corners_in_image(sensor.camera, apply(T_camera_pattern, centre[None]))
-        shown &= visible[:, 0] & facing(T_camera_pattern, centre)
-    return shown
+def centred(system: System, placement: Placement) -> BoolArray:
+    """At which poses (N,) a pattern's centre is on every camera's image and turned to it: few others are seen."""
+
+    def shown(camera: str, pattern: str) -> BoolArray:
+        T_camera_pattern, centre = placement.pattern_in(camera, pattern), system.patterns[pattern].centre
+        _, visible = corners_in_image(system.cameras[camera].camera, apply(T_camera_pattern, centre[None]))
+        return visible[:, 0] & facing(T_camera_pattern, centre)
+
+    found: BoolArray = np.all(
+        [np.any([shown(camera, pattern) for pattern in system.patterns], axis=0) for camera in system.cameras], axis=0
+    )
+    return found
 
 
 def lidar_detects(system: System, sensor: str, pattern: str, placement: Placement) -> BoolArray:

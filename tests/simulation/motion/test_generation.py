@@ -82,7 +82,7 @@ def test_the_calibration_is_better_determined_than_by_other_choices(systems: dic
     system = systems[name]
     for count, seed in ((8, 1), (24, 2)):
         ours = error(system, generate_motion(system, count, seed))
-        candidates = find_candidates(system, system.patterns[PATTERN], count, seed)
+        candidates = find_candidates(system, count, seed)
         random = [error(system, candidates.motion.take(at_random(candidates, count, i))) for i in range(9)]
         assert ours < 0.85 * np.median(random)
         assert ours < min(random)

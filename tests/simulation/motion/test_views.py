@@ -156,7 +156,7 @@ def test_cells(rlbot: System) -> None:
 def test_the_centre_on_the_image(rlbot: System) -> None:
     edge = 2.0 * 600 / rlbot.cameras[CAMERA].camera.fx
     for right, tilt, shown in ((0.98 * edge, 0.0, True), (1.02 * edge, 0.0, False), (0.0, 2.0, False)):
-        assert centred(rlbot, PATTERN, in_front(rlbot, right, tilt)).all() == shown
+        assert centred(rlbot, in_front(rlbot, right, tilt)).all() == shown
 
 
 def test_a_lidar_needs_rings_range_and_sight(rlbot: System) -> None:

@@ -1,0 +1,86 @@
+"""The joints of a robot by ATOM's parameters: as its description has them, and as the true robot has them.
+
+``joints`` in ``simulation.yml`` says by how much the true robot differs from its description: by joint
+and parameter, in m or rad, such as ``{elbow: {origin_yaw: 0.02, position_bias: 0.01}}``.
+"""
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from calibration.dataset.document import Node
+from calibration.errors import InputError
+from calibration.geometry import rotations
+from calibration.geometry.joints import JOINT_PARAMETERS, JointModel, JointParameter
+from calibration.geometry.types import Array
+from calibration.simulation.description import number, only
+from calibration.simulation.robot import Joint, Robot
+
+JointErrors = Mapping[str, Mapping[JointParameter, float]]
+"""By the name of a joint: what its parameters have on top of the description's, m and rad."""
+MAX_ERROR = 1.0
+"""m and rad: a joint that is further off is another robot's."""
+
+
+def joint_model(joint: Joint) -> JointModel:
+    """What moves when the joint's position changes."""
+    x, y, z = joint.axis.tolist()
+    return JointModel(joint.kind == "prismatic", (x, y, z))
+
+
+def joint_values(joint: Joint, errors: Mapping[JointParameter, float] | None = None) -> Array:
+    """All parameters (7,) of a joint in the order of `JOINT_PARAMETERS`, those of its description and the errors."""
+    origin, rpy = joint.T_parent_joint[:3, 3], rotations.to_rpy(joint.T_parent_joint[:3, :3])
+    values = np.concatenate([origin, rpy, [0.0]])
+    for parameter, error in (errors or {}).items():
+        values[JOINT_PARAMETERS.index(parameter)] += error
+    return values
+
+
+def with_errors(robot: Robot, errors: JointErrors) -> Robot:
+    """The robot whose joints have errors; the same object where there are none.
+
+    The bias of a joint's position goes into its origin: both stand before what the position moves.
+    """
+
+    def moved(joint: Joint) -> Joint:
+        own = errors.get(joint.name)
+        return replace(joint, T_parent_joint=joint_model(joint).pose(joint_values(joint, own))) if own else joint
+
+    return replace(robot, joints=tuple(moved(joint) for joint in robot.joints)) if any(errors.values()) else robot
+
+
+def read_joint_errors(node: Node | None, robot: Robot) -> dict[str, dict[JointParameter, float]]:
+    """Read ``joints`` of a simulation's description; none where it is absent.
+
+    Raises:
+        InputError: a joint is not one of the robot that moves, a parameter is unknown, an error is out of range.
+    """
+    if node is None:
+        return {}
+    only(node, *robot.movable)
+    errors: dict[str, dict[JointParameter, float]] = {}
+    for name, own in node.items():
+        only(own, *JOINT_PARAMETERS)
+        own_errors = {p: number(own, p, 0.0, least=-MAX_ERROR, most=MAX_ERROR) for p in JOINT_PARAMETERS}
+        errors[name] = {parameter: error for parameter, error in own_errors.items() if error}
+    return errors
+
+
+def check_calibrated_joints(joints: Mapping[str, tuple[str, ...]], robot: Robot, where: str) -> None:
+    """Check that the joints and parameters that a configuration calibrates are the robot's.
+
+    Raises:
+        InputError: beginning with ``where``; a joint is not one that moves, a parameter is unknown, or there is none.
+    """
+    for name, parameters in joints.items():
+        if name not in robot.movable:
+            known = ", ".join(robot.movable) or "none"
+            raise InputError(f"{where}/{name}: {robot.path} has no joint '{name}' that moves (there are: {known})")
+        unknown = [parameter for parameter in parameters if parameter not in JOINT_PARAMETERS]
+        if unknown or not parameters:
+            found = f"found '{unknown[0]}'" if unknown else "found no parameter"
+            raise InputError(
+                f"{where}/{name}/params_to_calibrate: {found}, expected one or more of {', '.join(JOINT_PARAMETERS)}"
+            )
