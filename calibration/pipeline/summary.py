@@ -79,7 +79,7 @@ def _joints(truths: Sequence[TruthDistance]) -> list[str]:
     """The worst of the joints: "joints 0.01 mm, 0.002 deg"; nothing where none is calibrated."""
     lengths = [t.joint_mm for t in truths if t.joint_mm is not None]
     angles = [t.joint_deg for t in truths if t.joint_deg is not None]
-    shown = [f"{max(lengths):.3g} mm"] if lengths else []
+    shown = [f"{max(lengths):.2g} mm"] if lengths else []
     shown += [f"{max(angles):.2g} deg"] if angles else []
     return [f"joints {', '.join(shown)}"] if shown else []
 

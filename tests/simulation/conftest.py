@@ -5,7 +5,7 @@ import pytest
 from calibration.simulation.system import System, read_system
 
 DATASETS = Path(__file__).resolve().parents[2] / "datasets"
-SYSTEMS = ("t2rgb", "rlbot", "riwbot")
+SYSTEMS = ("t2rgb", "rlbot", "riwbot", "softbot", "spjbot")
 
 
 @pytest.fixture(scope="session")

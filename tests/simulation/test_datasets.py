@@ -21,7 +21,7 @@ from calibration.simulation.system import System
 from .conftest import DATASETS, SYSTEMS
 
 SEED = 1
-POSES = {"t2rgb": 26, "rlbot": 24, "riwbot": 24}
+POSES = {"t2rgb": 26, "rlbot": 24, "riwbot": 24, "softbot": 14, "spjbot": 20}
 """What the commands of the README say."""
 
 
