@@ -5,7 +5,9 @@ import pytest
 from calibration.simulation.system import System, read_system
 
 DATASETS = Path(__file__).resolve().parents[2] / "datasets"
-SYSTEMS = ("t2rgb", "rlbot", "riwbot", "softbot", "spjbot")
+FREE = ("t2rgb", "rlbot", "riwbot")
+"""The systems in which a pattern can be brought to any pose before a sensor."""
+SYSTEMS = (*FREE, "softbot", "spjbot")
 
 
 @pytest.fixture(scope="session")

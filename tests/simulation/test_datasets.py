@@ -10,7 +10,11 @@ import pytest
 from calibration.dataset.model import CornerLabels, Dataset, PointLabels
 from calibration.dataset.reading import read_dataset
 from calibration.dataset.truth import find_truth
+from calibration.estimation.calibrate import calibrate
+from calibration.estimation.starting_noise import StartingNoise
+from calibration.evaluation.truth import truth_error
 from calibration.geometry import transforms
+from calibration.geometry.joints import JOINT_PARAMETERS
 from calibration.geometry.transforms import apply, inverse
 from calibration.labelling.corners import corner_detector
 from calibration.pipeline.collection.collecting import CollectionRequest, collect_dataset
@@ -18,7 +22,7 @@ from calibration.simulation.motion.generation import generate_motion
 from calibration.simulation.motion.sequence import read_motion
 from calibration.simulation.system import System
 
-from .conftest import DATASETS, SYSTEMS
+from .conftest import DATASETS, FREE, SYSTEMS
 
 SEED = 1
 POSES = {"t2rgb": 26, "rlbot": 24, "riwbot": 24, "softbot": 14, "spjbot": 20}
@@ -43,6 +47,17 @@ def true_patterns(dataset: Dataset) -> np.ndarray:
     truth = find_truth(dataset)
     assert truth is not None
     return np.array([truth.patterns[key]["world", "pattern_link"] for key in dataset.keys])
+
+
+def as_it_is(dataset: Dataset) -> Dataset:
+    """The dataset with the joints that the robot has in truth."""
+    truth = find_truth(dataset)
+    assert truth is not None
+    values = {name: joint.values.copy() for name, joint in dataset.joints.items()}
+    for name, joint in truth.joints.items():
+        for parameter, value in joint.items():
+            values[name][JOINT_PARAMETERS.index(parameter)] = value
+    return dataset.with_joints(values)
 
 
 @pytest.mark.parametrize("name", SYSTEMS)
@@ -76,7 +91,9 @@ def test_they_are_complete(datasets: dict[str, Dataset], name: str) -> None:
 
 
 def test_they_are_small() -> None:
-    assert sum(path.stat().st_size for name in SYSTEMS for path in (DATASETS / name).iterdir()) < 15_000_000
+    sizes = {name: sum(path.stat().st_size for path in (DATASETS / name).iterdir()) for name in SYSTEMS}
+    assert sum(sizes.values()) < 21_000_000
+    assert max(sizes["softbot"], sizes["spjbot"]) < 4_000_000
 
 
 @pytest.mark.parametrize("name", SYSTEMS)
@@ -103,14 +120,14 @@ def test_corners_are_where_the_images_show_them(
             again = detector.detect(np.asarray(image, np.uint8))
             assert isinstance(again, CornerLabels)
             _, here, there = np.intersect1d(labels.ids, again.ids, return_indices=True)
-            assert len(here) > 0.95 * len(labels.ids)
+            assert len(here) > 0.9 * len(labels.ids)
             distance = np.linalg.norm(labels.pixels[here] - again.pixels[there], axis=-1)
             assert np.sqrt((distance**2).mean()) < 0.15
 
 
 @pytest.mark.parametrize("name", SYSTEMS)
 def test_corners_reproject_on_the_truth(datasets: dict[str, Dataset], name: str) -> None:
-    dataset = datasets[name]
+    dataset = as_it_is(datasets[name])
     corners = dataset.patterns["pattern_1"].corners
     T_world_pattern = true_patterns(dataset)
     for sensor in (s for s in dataset.sensors.values() if s.camera):
@@ -155,11 +172,69 @@ def test_the_transforms_in_the_file_are_the_truth(datasets: dict[str, Dataset], 
         "t2rgb": {"left_camera": (0, -0.045, 0), "right_camera": (0, -0.045, 0)},
         "rlbot": {"rgb_left": (0.015, 0, 0.012), "lidar_right": (0.015, 0, 0.006)},
         "riwbot": {"rgb_world": (0, 0, 0.03)},
+        "softbot": {
+            "front_left_camera": (0, -0.045, 0),
+            "front_right_camera": (0, -0.045, 0),
+            "lidar3d": (0, 0, 0.01),
+        },
+        "spjbot": {"rgb_hand": (0.06, 0.02, 0.04)},
     }[name]
     for sensor_name, xyz in expected.items():
         np.testing.assert_allclose(truth.transforms[truth.sensors[sensor_name]][:3, 3], xyz)
     if name == "riwbot":
         np.testing.assert_allclose(truth.transforms["flange", "pattern_link"][:3, 3], [0.06, -0.06, 0])
+
+
+def test_the_joints_in_the_file_are_those_of_the_description(datasets: dict[str, Dataset]) -> None:
+    """The truth has what the simulation put on top; each joint's transform is that of what the file says of it."""
+    dataset = datasets["spjbot"]
+    truth = find_truth(dataset)
+    assert truth is not None
+    assert truth.joints == {
+        "j2_joint": {"origin_yaw": 0.02},
+        "j3_joint": {"origin_z": 0.105},
+        "j4_joint": {"origin_yaw": -0.015},
+    }
+    for joint in dataset.joints.values():
+        np.testing.assert_allclose(joint.transform, dataset.transforms[joint.edge], atol=2e-9)
+    assert [float(joint.values[5]) for joint in dataset.joints.values()] == [0, 0, 0]
+    assert dataset.joints["j3_joint"].values[2] == 0.1
+    assert dataset.joints["j3_joint"].model.prismatic
+    assert dataset.joints["j2_joint"].positions.std() > 0.3
+
+
+def test_where_a_base_stood_is_part_of_the_truth(datasets: dict[str, Dataset]) -> None:
+    dataset = datasets["softbot"]
+    truth = find_truth(dataset)
+    assert truth is not None
+    edge = ("odometry_y", "base_footprint")
+    assert dataset.moving_transforms == {edge}
+    assert edge not in truth.transforms
+    found = np.array([truth.patterns[key][edge] for key in dataset.keys])
+    np.testing.assert_allclose(found, dataset.transforms[edge], atol=1e-9)
+
+
+@pytest.mark.parametrize("name", ["softbot", "spjbot"])
+@pytest.mark.parametrize("noise", [(0.0, 0.0), (0.5, 0.5)])
+def test_errors_are_within_what_the_calibration_states(
+    datasets: dict[str, Dataset], name: str, noise: tuple[float, float]
+) -> None:
+    dataset = datasets[name]
+    truth = find_truth(dataset)
+    assert truth is not None
+    found = calibrate(dataset, None, StartingNoise(*noise))
+    assert found.converged
+    free = [sensor for sensor in dataset.sensors.values() if sensor.edge in found.covariances]
+    assert len(free) == len(dataset.sensors) - (dataset.anchored is not None)
+    for sensor in free:
+        translation, angle = transforms.distance(truth.transforms[sensor.edge], found.transforms[sensor.edge])
+        assert 1e3 * translation < 3 * found.sigma_mm(sensor.edge)
+        assert 1e3 * angle < 3 * found.sigma_mrad(sensor.edge)
+    error = truth_error(found.dataset, truth)
+    assert len(error.joints) == (3 if name == "spjbot" else 0)
+    sigmas = {(j.name, p): s for j in found.joints.values() for p, s in zip(j.parameters, j.sigmas, strict=True)}
+    for each in error.joints:
+        assert each.error < 3 * sigmas[each.joint, each.parameter] < 2e-4
 
 
 def test_the_cameras_of_t2rgb_are_as_far_apart_as_the_papers(datasets: dict[str, Dataset]) -> None:
@@ -178,11 +253,12 @@ def test_initial_pattern_poses_are_estimates_near_the_truth(datasets: dict[str, 
         [transforms.from_quaternion(initial[key]["trans"], initial[key]["quat"]) for key in dataset.keys]
     )
     translation, angle = transforms.distance(true, estimated)
-    assert 1e-5 < translation.max() < 0.01
-    assert 1e-5 < np.median(angle) < angle.max() < 0.01
+    most = 0.03 if dataset.joints else 0.01  # through the joints as they were designed
+    assert 1e-5 < translation.max() < most
+    assert 1e-5 < np.median(angle) < angle.max() < most
 
 
-@pytest.mark.parametrize("name", SYSTEMS)
+@pytest.mark.parametrize("name", FREE)
 def test_shape_of_the_document(datasets: dict[str, Dataset], shared_data: Path, name: str) -> None:
     """Every key of an independently made dataset of the same system, and nothing of this machine."""
     ours = datasets[name].document

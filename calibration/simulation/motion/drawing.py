@@ -68,11 +68,12 @@ def _draw_positions(joints: Sequence[Joint], count: int, random: np.random.Gener
 
 
 def within_ranges(T_camera_pattern: Array, camera: Camera, pattern: Pattern, ranges: MotionRanges) -> BoolArray:
-    """Which poses (N, 4, 4) are such as `draw_poses` draws: before the camera, as near, tilted and turned."""
+    """Which poses (N, 4, 4) are such as `draw_poses` draws: on the image, as near, tilted and turned."""
     low, high = ranges.distance or filling_distances(camera, pattern)
     centre = apply(T_camera_pattern, pattern.centre[None])[:, 0]
     distance = np.linalg.norm(centre, axis=-1)
-    ahead: BoolArray = (centre[:, 2] > 0) & (distance >= low) & (distance <= high)
+    pixels, ahead = camera.project_visible(centre)
+    ahead &= camera.contains(pixels) & (distance >= low) & (distance <= high)
     sight = np.where(ahead[:, None], centre / np.maximum(distance, 1e-300)[:, None], [0.0, 0.0, 1.0])
     # tilt and roll, the one after the other: R = tilt about an axis in the image * roll about the line of sight
     R = np.swapaxes(_towards(sight), -1, -2) @ T_camera_pattern[:, :3, :3]

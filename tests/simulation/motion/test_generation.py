@@ -20,7 +20,7 @@ from calibration.simulation.placement import place
 from calibration.simulation.scene import Box, Scene
 from calibration.simulation.sensors import SimulatedDepthCamera
 from calibration.simulation.system import System, read_system
-from tests.simulation.conftest import DATASETS, SYSTEMS
+from tests.simulation.conftest import DATASETS, FREE, SYSTEMS
 from tests.simulation.motion.other_choices import at_random, spread
 
 PATTERN = "pattern_1"
@@ -47,7 +47,7 @@ def test_a_lidar_that_needs_distance_sees_every_pose(systems: dict[str, System])
     assert lidar_detects(system, "lidar_right", PATTERN, placement).all()
 
 
-@pytest.mark.parametrize("name", SYSTEMS)
+@pytest.mark.parametrize("name", [*FREE, "spjbot"])
 def test_every_cell_of_every_image_is_covered(
     systems: dict[str, System], motions: dict[str, Motion], name: str
 ) -> None:
@@ -86,10 +86,11 @@ def test_the_calibration_is_better_determined_than_by_other_choices(systems: dic
         random = [error(system, candidates.motion.take(at_random(candidates, count, i))) for i in range(9)]
         assert ours < 0.85 * np.median(random)
         assert ours < min(random)
-        assert ours < 0.95 * error(system, candidates.motion.take(spread(system, candidates, count)))
+        room = 0.95 if name in FREE else 1.0
+        assert ours < room * error(system, candidates.motion.take(spread(system, candidates, count)))
 
 
-@pytest.mark.parametrize("name", SYSTEMS)
+@pytest.mark.parametrize("name", FREE)
 def test_the_pattern_leans_every_way(systems: dict[str, System], motions: dict[str, Motion], name: str) -> None:
     placement = place(systems[name], motions[name])
     for camera in systems[name].cameras:
