@@ -44,7 +44,8 @@ def draw_motion(system: System, pattern: Pattern, count: int, random: np.random.
             if len(between) >= _REACH_ANY_POSE:
                 positions, kept = reach(system.robot, link, pattern.link, T_camera_pattern, random)
             else:
-                positions = _draw_positions(between, _TRIES * each, random)
+                others = [joint for joint in system.robot.movable.values() if joint not in between]
+                positions = _draw_positions([*between, *others], _TRIES * each, random)
                 at = compose(system.robot.tree, system.robot.transforms(positions), link, pattern.link)
                 kept = within_ranges(at, sensor.camera, pattern, system.motion)
             for joint, values in joints.items():

@@ -10,7 +10,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from calibration.dataset.document import Node
+from calibration.geometry.joints import JOINT_PARAMETERS
 from calibration.simulation.description import only
+from calibration.simulation.joints import joint_model
 from calibration.simulation.scenarios.distributions import Distribution, read_distribution
 from calibration.simulation.sensors import SimulatedDepthCamera
 from calibration.simulation.system import System
@@ -49,6 +51,10 @@ ASSEMBLY = {  # a twist of the calibrated transform, in its child frame
     "translation_mm": Kind(-1000, 1000, axes="xyz"),
     "rotation_deg": Kind(-90, 90, axes="xyz"),
 }
+JOINTS = {  # of each parameter under calibration, in place of what the simulation's description says of it
+    "translation_mm": Kind(-1000, 1000),  # of those that are lengths
+    "rotation_deg": Kind(-45, 45),  # of those that are angles
+}
 PATTERN = {"bow_mm": Kind(-100, 100, axes="xy")}  # how far the middle stands out towards the viewer
 LIGHT = {
     "ambient": Kind(0, 10),
@@ -72,7 +78,7 @@ MOTION = {
 
 _OF_SENSORS = {"cameras": CAMERA, "lidars": LIDAR, "depth_cameras": DEPTH_CAMERA, "assembly": ASSEMBLY}
 _OF_THE_WORLD = {"light": LIGHT, "occluders": OCCLUDERS, "motion": MOTION}
-GROUPS = (*_OF_THE_WORLD, "pattern", *_OF_SENSORS, "sensors")
+GROUPS = (*_OF_THE_WORLD, "pattern", "joints", *_OF_SENSORS, "sensors")
 """The keys of a scenario set that hold parameters."""
 _TOGETHER = (
     ("occluders", "count", "size_m"),
@@ -113,16 +119,22 @@ def read_parameters(root: Node, system: System) -> Parameters:
             return
         only(node, *kinds)
         for key, value in node.items():
-            kind = kinds[key]
-            distribution = read_distribution(value, kind.low, kind.high, whole=kind.whole)
-            for thing in things:
-                names = [f"{thing}.{each}" for each in kind.keys(key)]
-                distributions.update(dict.fromkeys(names, distribution))
-                groups.setdefault(f"{group}.{key}", []).extend(names)
+            add(value, kinds[key], group, key, things)
+
+    def add(value: Node, kind: Kind, group: str, key: str, things: list[str]) -> None:
+        distribution = read_distribution(value, kind.low, kind.high, whole=kind.whole)
+        for thing in things:
+            names = [f"{thing}.{each}" for each in kind.keys(key)]
+            distributions.update(dict.fromkeys(names, distribution))
+            groups.setdefault(f"{group}.{key}", []).extend(names)
 
     for group, kinds in _OF_THE_WORLD.items():
         read(root.get(group), kinds, group, [group])
     read(root.get("pattern"), PATTERN, "pattern", list(system.patterns))
+    if joints := root.get("joints"):
+        only(joints, *JOINTS)
+        for key, value in joints.items():
+            add(value, JOINTS[key], "joints", key, _joint_parameters(system, key))
     for group, kinds in _OF_SENSORS.items():
         read(root.get(group), kinds, group, _members(system)[group])
     own = root.get("sensors")
@@ -138,6 +150,17 @@ def read_parameters(root: Node, system: System) -> Parameters:
         if missing and len(missing) < len(keys):
             raise root[group].fault(f"missing key '{missing[0]}', expected {' and '.join(keys)} together")
     return Parameters(distributions, {name: tuple(dict.fromkeys(names)) for name, names in groups.items()})
+
+
+def _joint_parameters(system: System, key: str) -> list[str]:
+    """The parameters under calibration that a key of `JOINTS` speaks of: "elbow.origin_yaw"."""
+    unit = "m" if key == "translation_mm" else "rad"
+    return [
+        f"{name}.{parameter}"
+        for name, parameters in system.configuration.joints.items()
+        for parameter in JOINT_PARAMETERS
+        if parameter in parameters and joint_model(system.nominal.movable[name]).unit(parameter) == unit
+    ]
 
 
 def _members(system: System) -> dict[str, list[str]]:

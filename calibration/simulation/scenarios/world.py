@@ -8,8 +8,10 @@ import numpy as np
 
 from calibration.errors import InputError
 from calibration.geometry import rotations
+from calibration.geometry.joints import JOINT_PARAMETERS, JointParameter
 from calibration.geometry.transforms import apply, from_xyz_rpy, inverse, transform
 from calibration.geometry.types import Array
+from calibration.simulation.joints import with_errors
 from calibration.simulation.motion.drawing import filling_distances
 from calibration.simulation.motion.generation import generate_motion
 from calibration.simulation.motion.sequence import Motion
@@ -41,9 +43,12 @@ def build_world(system: System, scenario: Scenario) -> System:
     """
     values = scenario.values
     motion = _motion(system.motion, values)
+    joint_errors = _joint_errors(system, values)
+    same = joint_errors == system.joint_errors
     return replace(
         system,
-        robot=_assembled(system, values),
+        robot=_assembled(system, system.robot if same else with_errors(system.nominal, joint_errors), values),
+        joint_errors=joint_errors,
         sensors={name: _sensor(sensor, _of(values, name)) for name, sensor in system.sensors.items()},
         scene=_scene(system, motion, scenario),
         motion=motion,
@@ -89,8 +94,19 @@ def _rest_pose(system: System, sensor: str) -> Array:
     return T_world_sensor
 
 
-def _assembled(system: System, values: Values) -> Robot:
-    """The robot with the errors of its assembly: the calibrated transforms moved by twists in their child frames."""
+def _joint_errors(system: System, values: Values) -> dict[str, dict[JointParameter, float]]:
+    """By how much the joints differ from their description: what the system says, or the values in its place."""
+    errors = {name: dict(own) for name, own in system.joint_errors.items()}
+    for name in system.configuration.joints:
+        for parameter in JOINT_PARAMETERS:
+            for key, value in _of(values, f"{name}.{parameter}").items():
+                error = value / 1000 if key == "translation_mm" else math.radians(value)
+                errors.setdefault(name, {})[parameter] = error
+    return errors
+
+
+def _assembled(system: System, robot: Robot, values: Values) -> Robot:
+    """A robot with the errors of its assembly: the calibrated transforms moved by twists in their child frames."""
     errors = {}
     for name, sensor in system.configuration.sensors.items():
         own = _of(values, name)
@@ -103,9 +119,7 @@ def _assembled(system: System, values: Values) -> Robot:
         error = errors.get(joint.edge)
         return joint if error is None else replace(joint, T_parent_joint=joint.T_parent_joint @ error)
 
-    return (
-        replace(system.robot, joints=tuple(moved(joint) for joint in system.robot.joints)) if errors else system.robot
-    )
+    return replace(robot, joints=tuple(moved(joint) for joint in robot.joints)) if errors else robot
 
 
 def _sensor(sensor: SimulatedSensor, own: Values) -> SimulatedSensor:

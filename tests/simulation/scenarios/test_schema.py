@@ -34,6 +34,7 @@ def test_it_has_the_keys_that_are_read() -> None:
         "lidars": parameters.LIDAR,
         "depth_cameras": parameters.DEPTH_CAMERA,
         "assembly": parameters.ASSEMBLY,
+        "joints": parameters.JOINTS,
     }
     for name, kinds in groups.items():
         assert list(properties[name]["properties"]) == list(kinds)
