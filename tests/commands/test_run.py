@@ -31,12 +31,15 @@ def test_the_shipped_pipeline_is_green(repository: Path, capsys: pytest.CaptureF
     assert main(["run"]) == 0
 
     found = json.loads((repository / "output" / "results.json").read_text())
-    assert len(found["cells"]) == 12
+    assert len(found["cells"]) == 20
     assert {cell["method"] for cell in found["comparisons"]} == {
         *("opencv-stereo", "shah", "li", "tsai", "park", "horaud", "andreff", "daniilidis")
     }
     assert all(cell["truth"] for cell in found["cells"])
-    assert "pass: 12 cells calibrated, 1 dataset collected" in capsys.readouterr().out
+    with_joints = [cell for cell in found["cells"] if "joint_mm" in cell["truth"]]
+    assert [cell["system"] for cell in with_joints] == ["spjbot"] * 4
+    assert all(0 < cell["truth"]["joint_deg"] < 0.01 for cell in with_joints)
+    assert "pass: 20 cells calibrated, 1 dataset collected" in capsys.readouterr().out
 
 
 def test_a_lowered_limit_is_red_and_names_the_cells(repository: Path, capsys: pytest.CaptureFixture[str]) -> None:

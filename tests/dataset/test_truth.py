@@ -9,6 +9,7 @@ from calibration.errors import ExitCode, InputError
 from calibration.geometry.transforms import from_quaternion
 from tests.dataset import documents
 from tests.dataset.documents import MISSING, changed, edge
+from tests.dataset.test_joints import document as jointed
 
 CAM, LIDAR, BOARD = ("mount", "cam_link"), ("mount", "lidar_base"), ("world", "board_link")
 
@@ -136,3 +137,44 @@ def test_the_synthetic_datasets_hold_their_truth(shared_data, name):
         np.testing.assert_allclose(inside.transforms[key], T, atol=1e-12)
     assert set(beside.patterns) == set(dataset.keys)
     assert beside.notes["px_sigma"] == 0.3
+
+
+JOINTS = {"elbow": {"origin_z": 0.105, "position_bias": -0.02}, "wrist": {"origin_yaw": 0.01}}
+
+
+def test_joints_read_back_equal(tmp_path):
+    truth = read(tmp_path, {**DOCUMENT, "joints": JOINTS})
+    assert truth.joints == JOINTS
+    assert truth.notes == {"seed": 100, "px_sigma": 0.3}
+    write_truth(truth, tmp_path / "again.json")
+    assert read_truth(tmp_path / "again.json").joints == JOINTS
+    assert read(tmp_path, DOCUMENT).joints == {}
+    write_truth(read(tmp_path, DOCUMENT), tmp_path / "none.json")
+    assert "joints" not in json.loads((tmp_path / "none.json").read_text())
+
+
+@pytest.mark.parametrize(
+    ("joints", "message"),
+    [
+        ({"elbow": {"yaw": 0.1}}, "joints/elbow/yaw: there is no parameter 'yaw', expected one of origin_x, "),
+        ({"elbow": {"origin_x": "far"}}, "joints/elbow/origin_x: found 'far'"),
+        ({"elbow": {"origin_x": True}}, "joints/elbow/origin_x: found "),
+        ({"elbow": 0.1}, "joints/elbow: "),
+        ([1], "joints: "),
+    ],
+)
+def test_wrong_joints(tmp_path, joints, message):
+    with pytest.raises(InputError, match=message):
+        read(tmp_path, {**DOCUMENT, "joints": joints})
+
+
+def test_the_truth_beside_a_dataset_has_its_joints(tmp_path):
+    dataset = read_dataset(documents.write(tmp_path, jointed()))
+    beside = {**DOCUMENT, "joints": {"elbow": {"origin_x": 0.11}}}
+    (dataset.path.parent / "ground_truth.json").write_text(json.dumps(beside))
+    with pytest.raises(InputError, match=r"ground_truth\.json: joints/elbow: missing 'position_bias'"):
+        find_truth(dataset)
+    beside["joints"]["elbow"]["position_bias"] = 0.0
+    (dataset.path.parent / "ground_truth.json").write_text(json.dumps(beside))
+    assert find_truth(dataset).joints["elbow"] == {"origin_x": 0.11, "position_bias": 0.0}
+    assert truth_of(dataset).joints == {"elbow": {"origin_x": 0.1, "position_bias": 0.0}}

@@ -6,11 +6,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calibration.dataset.model import Dataset
+from calibration.dataset.model import Dataset, Joint
 from calibration.dataset.reading import read_dataset
 from calibration.dataset.truth import Truth, find_truth, truth_of
 from calibration.errors import InputError
-from calibration.evaluation.truth import PoseError, TruthError, truth_error
+from calibration.evaluation.truth import JointError, PoseError, TruthError, truth_error
+from calibration.geometry.joints import JointModel, JointParameter
 from calibration.geometry.transforms import from_xyz_rpy, inverse, retract, translation
 from tests.evaluation.scene import T_LINK_OPTICAL, arm, dataset, lidar_and_camera, pattern, rgb, two_cameras
 
@@ -157,3 +158,67 @@ def test_the_synthetic_datasets_hold_their_truth(shared_data, name, poses):
     assert len(error.poses) == poses
     assert error.translation_mm < 1e-6
     assert error.rotation_deg < 1e-5
+
+
+def bent(kind: str = "revolute", anchored: str | None = None) -> Dataset:
+    """The arm of `arm` with a joint above its camera, of which two parameters are calibrated."""
+    base = arm(n=2)
+    model = JointModel(kind == "prismatic", (0.0, 0.0, 1.0))
+    values = np.array([0.05, 0.02, 0.1, 0.0, 0.0, 3.0, 0.1])
+    asked: tuple[JointParameter, ...] = ("origin_yaw", "position_bias")
+    elbow = Joint("elbow", ("world", "elbow"), model, asked, values, np.array([0.1, 0.4]))
+    transforms = {edge: T for edge, T in base.transforms.items() if edge != ("world", "eye_mount")}
+    transforms[elbow.edge] = elbow.transform
+    transforms["elbow", "eye_mount"] = base.transforms["world", "eye_mount"]
+    return replace(base, transforms=transforms, joints={"elbow": elbow}, anchored=anchored)
+
+
+def off(base: Dataset, *errors: float) -> Dataset:
+    """The dataset whose joint has these errors in its parameters."""
+    return base.with_joints({"elbow": np.add(base.joints["elbow"].values, errors)})
+
+
+def test_a_joint_is_held_against_its_true_parameters():
+    base = bent()
+    truth = truth_of(base)
+    assert truth_error(base, truth).joints == (
+        JointError("elbow", "origin_yaw", 0.0, "rad"),
+        JointError("elbow", "position_bias", 0.0, "rad"),
+    )
+    error = truth_error(off(base, 0.5, 0, 0, 0, 0, 0.01, -0.02), truth)  # the first is not calibrated
+    assert [each.error for each in error.joints] == pytest.approx([0.01, 0.02])
+    assert (error.joint_mm, error.joint_deg) == (None, pytest.approx(np.degrees(0.02)))
+    assert error.translation_mm == pytest.approx(0, abs=1e-9)
+
+
+def test_an_angle_is_the_same_after_a_whole_turn():
+    base = bent()
+    error = truth_error(off(base, 0, 0, 0, 0, 0, 2 * np.pi + 0.01, 0), truth_of(base))
+    assert error.joint_deg == pytest.approx(np.degrees(0.01))
+
+
+def test_a_slide_errs_in_millimetres():
+    base = bent("prismatic")
+    error = truth_error(off(base, 0, 0, 0, 0, 0, 0.01, -7.0), truth_of(base))
+    assert error.joint_mm == pytest.approx(7000)
+    assert error.joint_deg == pytest.approx(np.degrees(0.01))
+    assert TruthError(error.poses).joint_mm is None
+    assert TruthError(error.poses).joint_deg is None
+
+
+def test_an_anchored_camera_may_be_all_but_the_joints():
+    base = bent(anchored="eye")
+    truth = truth_of(base)
+    assert truth_error(base, truth).translation_mm == pytest.approx(0, abs=1e-9)
+    elsewhere = moved(base, ("eye_mount", "eye_link"), [0.002, 0, 0, 0, 0, 0])
+    assert truth_error(elsewhere, truth).translation_mm == pytest.approx(2)
+
+
+def test_a_joint_that_the_truth_lacks_or_that_is_not_finite():
+    base = bent()
+    truth = truth_of(base)
+    with pytest.raises(InputError, match="joint 'elbow': no true 'origin_yaw'"):
+        truth_error(base, replace(truth, joints={}))
+    broken = np.add(base.joints["elbow"].values, [0, 0, 0, 0, 0, 0, np.nan])
+    with pytest.raises(InputError, match="'position_bias' of joint 'elbow' is not finite"):
+        truth_error(replace(base, joints={"elbow": replace(base.joints["elbow"], values=broken)}), truth)

@@ -20,7 +20,7 @@ def write(folder: Path, text: str) -> Path:
 def test_the_repository_s_own_configuration_is_valid() -> None:
     configuration = read_configuration(ROOT / "calibration.yml")
 
-    assert [system.name for system in configuration.systems] == ["t2rgb", "rlbot", "riwbot"]
+    assert [system.name for system in configuration.systems] == ["t2rgb", "rlbot", "riwbot", "softbot", "spjbot"]
     assert configuration.noise.translations == (0.0, 0.5)
     assert configuration.noise.rotations == (0.0, 0.5)
     assert all(system.rules and system.limits.translation_mm for system in configuration.systems)

@@ -88,3 +88,16 @@ def test_an_error_keeps_its_exit_code(output: Path) -> None:
 def test_a_rule_that_names_no_column_of_the_table_is_bad_input(output: Path) -> None:
     with pytest.raises(InputError, match="RMS"):
         judged(CELL, output, [{"column": "RMSE", "max": 1}])
+
+
+def test_joints_have_limits_of_their_own(output: Path) -> None:
+    cell = replace(CELL, truth=TruthDistance(0.5, 0.02, joint_mm=0.03, joint_deg=0.004))
+
+    assert judged(cell, output, joint_mm=0.03, joint_deg=0.004).verdict == "pass"
+    assert judged(cell, output, joint_mm=0.02, joint_deg=0.003).reasons == (
+        "joint error against the truth: found 0.03 mm, at most 0.02 mm was expected",
+        "joint error against the truth: found 0.004 deg, at most 0.003 deg was expected",
+    )
+    assert judged(CELL, output, joint_mm=1).reasons == (
+        "joint error against the truth: no value, at most 1 mm was expected",
+    )

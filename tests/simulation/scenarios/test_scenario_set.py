@@ -42,6 +42,16 @@ def test_an_anchored_sensor_is_where_it_was_designed_to_be(read_set: ReadSet) ->
     }
 
 
+def test_joints_vary_by_the_unit_of_their_parameters(read_set: ReadSet) -> None:
+    worlds = read_set("joints: {translation_mm: 2, rotation_deg: {normal: [0, 1]}}", "spjbot")
+    values = worlds.scenario(1, 0).values
+    assert values["j3_joint.origin_z.translation_mm"] == 2
+    angles = {"j2_joint.origin_yaw.rotation_deg", "j4_joint.origin_yaw.rotation_deg"}
+    assert set(values) == {"j3_joint.origin_z.translation_mm", *angles}
+    assert len({values[name] for name in angles}) == 2
+    assert set(read_set("joints: {rotation_deg: 1}", "riwbot").scenario(1, 0).values) == set()
+
+
 def test_what_is_said_of_one_sensor_stands_before_what_is_said_of_all(read_set: ReadSet) -> None:
     worlds = read_set("cameras: {exposure: 1.5, k1: 0.1}\nsensors: {right_camera: {exposure: 2, translation_mm: 1}}")
     values = worlds.scenario(1, 0).values
@@ -143,7 +153,7 @@ def test_the_set_that_ships_fits_every_system(systems: dict[str, System]) -> Non
         ("[]", "scenarios.yml: found an empty list, expected an object"),
         ("light: [", "this is not valid YAML"),
         ("light: 1", "light: found 1, expected an object"),
-        ("lihgt: {}", "found the key 'lihgt', expected one of light, occluders, motion, pattern, cameras, lidars"),
+        ("lihgt: {}", "found the key 'lihgt', expected one of light, occluders, motion, pattern, joints, cameras, lidars"),
         ("1: {}", "found the key 1, expected text"),
         ("light: {brightness: 1}", "light: found the key 'brightness', expected one of ambient, intensity"),
         ("light: {ambient: 1, ambient: 2}", "the key 'ambient' stands twice"),

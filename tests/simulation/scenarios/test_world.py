@@ -162,3 +162,24 @@ def test_the_clearance_is_the_least_distance_to_a_box(systems: dict[str, System]
         scene=replace(many.scene, boxes=(replace(many.scene.boxes[0], T_world_box=np.eye(4), size=np.full(3, 9.0)),)),
     )
     assert clearance(inside) == 0
+
+
+def test_joints_differ_from_their_description(systems: dict[str, System]) -> None:
+    """What a scenario says of a parameter stands in place of what the simulation says; what it leaves out stays."""
+    system = systems["spjbot"]
+    assert world(system).robot is system.robot
+    values = {"j2_joint.origin_yaw.rotation_deg": -1.0, "j3_joint.origin_z.translation_mm": 4.0}
+    bent = build_world(system, Scenario(1, 0, values))
+    assert bent.joint_errors == {
+        "j2_joint": {"origin_yaw": np.radians(-1.0)},
+        "j3_joint": {"origin_z": 0.004},
+        "j4_joint": {"origin_yaw": -0.015},
+    }
+    assert bent.nominal is system.nominal
+    T = bent.robot.movable["j3_joint"].T_parent_joint
+    np.testing.assert_allclose(T[:3, 3], [0, 0, 0.104], atol=1e-15)
+    moved = build_world(system, Scenario(1, 0, {**values, "rgb_hand.translation_x_mm": 1.0}))
+    np.testing.assert_array_equal(moved.robot.movable["j3_joint"].T_parent_joint, T)
+    mount = ("end_effector_link", "rgb_hand_link")
+    shift = local(bent.robot.transforms({})[mount], moved.robot.transforms({})[mount])[0]
+    np.testing.assert_allclose(shift, [0.001, 0, 0, 0, 0, 0], atol=1e-15)
