@@ -9,6 +9,7 @@ from calibration.pipeline.summary import (
     failures,
     grid,
     image_line,
+    in_parts,
     markdown,
     sentence,
     without_result,
@@ -23,7 +24,7 @@ def report(results: Results, output: Path, runner: Runner, title: str) -> None:
     Raises:
         WorldError: a file cannot be written.
     """
-    tables = [grid(results)] if results.cells or results.comparisons else []
+    tables = in_parts(grid(results)) if results.cells or results.comparisons else []
     tables += [collections_grid(results)] if results.collections else []
     text = markdown(results)
     write_atomically(output / "summary.md", text)

@@ -12,6 +12,8 @@ from calibration.workflow.summary import escape_markdown, markdown_table
 FAILURES_SHOWN = 50
 REASONS_SHOWN = 4
 NOTES_SHOWN = 30
+SIDE_BY_SIDE = 3
+"""Systems beside each other in a log."""
 
 
 @dataclass(frozen=True)
@@ -43,6 +45,19 @@ def grid(results: Results) -> Grid:
         ("Start", *columns),
         tuple((row, *(_text(found.get(column, ())) for column in columns)) for row, found in rows.items()),
     )
+
+
+def in_parts(table: Grid) -> list[Grid]:
+    """A table as several that are narrow enough for a terminal, of `SIDE_BY_SIDE` columns each.
+
+    A row is left out where it has nothing.
+    """
+    parts = []
+    for first in range(1, max(len(table.header), 2), SIDE_BY_SIDE):
+        columns = slice(first, first + SIDE_BY_SIDE)
+        rows = [(row[0], *row[columns]) for row in table.rows if set(row[columns]) - {"-"}]
+        parts.append(Grid((table.header[0], *table.header[columns]), tuple(rows)))
+    return parts
 
 
 def _row(cell: CellResult) -> str:

@@ -112,7 +112,10 @@ def test_red_is_red(motion: Path, tmp_path: Path, capsys: pytest.CaptureFixture[
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("--system", "t3rgb"), "system: found 't3rgb', expected one of riwbot, rlbot, softbot, spjbot, t2rgb or a folder"),
+        (
+            ("--system", "t3rgb"),
+            "system: found 't3rgb', expected one of riwbot, rlbot, softbot, spjbot, t2rgb or a folder",
+        ),
         (("--system", ""), "system: found '', expected one of riwbot, rlbot, softbot, spjbot, t2rgb or a folder"),
         (("--system", "t2rgb", "--backend", "doker"), "backend: found 'doker', expected embedded, docker or aws-batch"),
         (("--system", "t2rgb", "--backend", "docker"), "backend: found docker; it runs the team's applications"),

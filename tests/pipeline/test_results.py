@@ -12,9 +12,10 @@ import pytest
 from calibration.errors import ExitCode, InputError
 from calibration.pipeline.configuration import NoiseGrid
 from calibration.pipeline.image_result import ImageResult
+from calibration.pipeline.matrix.cell import TruthDistance
 from calibration.pipeline.matrix.matrix import Matrix, run_matrix
 from calibration.pipeline.results import SCHEMA, Results, clear_results, read_results, summarise, write_results
-from calibration.pipeline.summary import failures, grid, markdown, sentence
+from calibration.pipeline.summary import failures, grid, in_parts, markdown, sentence
 from tests.pipeline.conftest import RIWBOT
 from tests.pipeline.matrix.test_judgement import CELL
 
@@ -127,6 +128,42 @@ def test_the_summary_says_whose_the_other_methods_are() -> None:
 
     assert "- icp on robot: built in\n- shah, li on robot: OpenCV 4.14.0\n" in text
     assert text.count("robot, icp: no points near") == 1
+
+
+def test_joints_stand_in_the_table_and_in_the_results(tmp_path: Path) -> None:
+    both = replace(CELL, truth=TruthDistance(0.5, 0.02, joint_mm=0.03, joint_deg=0.004))
+    turning = replace(CELL, system="turning", truth=TruthDistance(0.5, 0.02, joint_deg=0.004))
+    results = Results((both, replace(both, seed=2, truth=TruthDistance(0.5, 0.02, 0.04, 0.001)), turning))
+
+    (row,) = grid(results).rows
+    assert row[1:] == (
+        "0.6000 px, 0.5 mm, 0.02 deg, joints 0.04 mm, 0.004 deg, 2/2 pass",
+        "0.6000 px, 0.5 mm, 0.02 deg, joints 0.004 deg",
+    )
+    write_results(results, tmp_path)
+    document = json.loads((tmp_path / "results.json").read_text())
+    jsonschema.validate(document, json.loads(SCHEMA.read_text()))
+    assert document["cells"][0]["truth"] == {
+        "translation_mm": 0.5,
+        "rotation_deg": 0.02,
+        "joint_mm": 0.03,
+        "joint_deg": 0.004,
+    }
+    assert "joint_mm" not in document["cells"][2]["truth"]
+    assert [cell.truth for cell in read_results(tmp_path).cells] == [cell.truth for cell in results.cells]
+
+
+@pytest.mark.parametrize(("count", "widths"), [(1, [2]), (3, [4]), (4, [4, 2]), (7, [4, 4, 2])])
+def test_many_systems_stand_in_several_tables(count: int, widths: list[int]) -> None:
+    """A method that only one of them has is a row where that one is."""
+    cells = tuple(replace(CELL, system=f"robot{k}") for k in range(count))
+    whole = grid(Results(cells, (replace(cells[-1], method="shah", translation_noise=None),)))
+    parts = in_parts(whole)
+    assert [len(part.header) for part in parts] == widths
+    assert [name for part in parts for name in part.header[1:]] == list(whole.header[1:])
+    assert all(part.header[0] == "Start" for part in parts)
+    assert [len(part.rows) for part in parts] == [1] * (len(parts) - 1) + [2]
+    assert all(len(row) == len(part.header) for part in parts for row in part.rows)
 
 
 def test_a_method_without_a_result_does_not_look_like_a_failure() -> None:

@@ -153,7 +153,10 @@ def test_the_set_that_ships_fits_every_system(systems: dict[str, System]) -> Non
         ("[]", "scenarios.yml: found an empty list, expected an object"),
         ("light: [", "this is not valid YAML"),
         ("light: 1", "light: found 1, expected an object"),
-        ("lihgt: {}", "found the key 'lihgt', expected one of light, occluders, motion, pattern, joints, cameras, lidars"),
+        (
+            "lihgt: {}",
+            "found the key 'lihgt', expected one of light, occluders, motion, pattern, joints, cameras, lidars",
+        ),
         ("1: {}", "found the key 1, expected text"),
         ("light: {brightness: 1}", "light: found the key 'brightness', expected one of ambient, intensity"),
         ("light: {ambient: 1, ambient: 2}", "the key 'ambient' stands twice"),
