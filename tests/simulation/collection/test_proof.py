@@ -45,3 +45,21 @@ def test_what_cannot_be_calibrated_is_an_answer(tmp_path: Path) -> None:
     assert not proof.converged
     assert proof.reason.startswith("dataset.json: ")
     assert str(tmp_path) not in proof.reason
+
+
+def test_joints_are_proven_too(tmp_path: Path) -> None:
+    proof, found = prove(DATASETS / "spjbot"), calibrate(read_dataset(DATASETS / "spjbot"))
+    assert [(joint.joint, joint.parameter, joint.unit) for joint in proof.joints] == [
+        ("j2_joint", "origin_yaw", "rad"),
+        ("j3_joint", "origin_z", "m"),
+        ("j4_joint", "origin_yaw", "rad"),
+    ]
+    for joint, true in zip(proof.joints, (0.02, 0.105, -0.015), strict=True):
+        assert joint.error is not None
+        assert abs(abs(joint.value - true) - joint.error) < 1e-6
+        assert 0 < joint.error < 3 * joint.sigma
+        assert abs(joint.sigma - found.joints[joint.joint].sigmas[0]) < 1e-8
+    shutil.copy(DATASETS / "spjbot" / "dataset.json", tmp_path)
+    alone = prove(tmp_path)
+    assert [joint.error for joint in alone.joints] == [None, None, None]
+    assert [joint.value for joint in alone.joints] == [joint.value for joint in proof.joints]

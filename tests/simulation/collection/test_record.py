@@ -101,3 +101,49 @@ def test_numbers_are_rounded(rlbot_records: list[Record]) -> None:
     check(document["collection"]["transforms"], 9)
     check(document["initial"], 5)
     check(document["errors"], 6)
+
+
+def test_joints_stand_in_a_collection_as_they_were_designed(systems: dict[str, System]) -> None:
+    system = systems["spjbot"]
+    played = play(system, own_motion(system).take([3]), seed=1)
+    one = record(played, capture(played, 0), ())
+    assert list(one.collection["joints"]) == ["j2_joint", "j3_joint", "j4_joint"]
+    assert one.collection["joints"]["j3_joint"] == {
+        "transform_key": "quill_link-j3_link",
+        "position": played.motion.joints["j3_joint"][0],
+        "origin_x": 0,
+        "origin_y": 0,
+        "origin_z": 0.1,
+        "origin_roll": 0,
+        "origin_pitch": 0,
+        "origin_yaw": 0,
+        "axis_x": 0,
+        "axis_y": 0,
+        "axis_z": 1,
+        "parent_link": "quill_link",
+        "child_link": "j3_link",
+        "joint_type": "prismatic",
+    }
+    position = played.motion.joints["j3_joint"][0]
+    assert one.collection["transforms"]["quill_link-j3_link"]["trans"] == [
+        0,
+        0,
+        pytest.approx(0.1 + position, abs=1e-9),
+    ]
+    assert played.true.transforms["quill_link", "j3_link"][0, 2, 3] == pytest.approx(0.105 + position)
+    document = truth_document(played, [one])
+    assert document["joints"]["j3_joint"] == {"origin_z": 0.105}
+    assert "joints" not in truth_document(play(systems["riwbot"], own_motion(systems["riwbot"]), 1), [one])
+
+
+def test_the_pose_of_a_base_is_true_of_one_collection(systems: dict[str, System]) -> None:
+    system = systems["softbot"]
+    played = play(system, own_motion(system).take([3]), seed=1)
+    one = record(played, capture(played, 0), ())
+    assert [(pose["parent"], pose["child"]) for pose in one.truth] == [
+        ("world", "pattern_link"),
+        ("odometry_y", "base_footprint"),
+    ]
+    document = truth_document(played, [one])
+    assert document["patterns"]["000"] == list(one.truth)
+    assert [(pose["parent"], pose["child"]) for pose in document["transforms"]] == [("world", "pattern_link")]
