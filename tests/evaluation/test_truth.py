@@ -11,6 +11,7 @@ from calibration.dataset.reading import read_dataset
 from calibration.dataset.truth import Truth, find_truth, truth_of
 from calibration.errors import InputError
 from calibration.evaluation.truth import JointError, PoseError, TruthError, truth_error
+from calibration.geometry import rotations
 from calibration.geometry.joints import JointModel, JointParameter
 from calibration.geometry.transforms import from_xyz_rpy, inverse, retract, translation
 from tests.evaluation.scene import T_LINK_OPTICAL, arm, dataset, lidar_and_camera, pattern, rgb, two_cameras
@@ -222,3 +223,16 @@ def test_a_joint_that_the_truth_lacks_or_that_is_not_finite():
     broken = np.add(base.joints["elbow"].values, [0, 0, 0, 0, 0, 0, np.nan])
     with pytest.raises(InputError, match="'position_bias' of joint 'elbow' is not finite"):
         truth_error(replace(base, joints={"elbow": replace(base.joints["elbow"], values=broken)}), truth)
+
+
+def test_a_joint_between_two_cameras_moves_one_against_the_other():
+    base, _ = two_cameras(n=2)
+    mount = base.transforms["world", "right_mount"][0]
+    values = np.array([*mount[:3, 3], *rotations.to_rpy(mount[:3, :3]), 0.0])
+    neck = Joint(
+        "neck", ("world", "right_mount"), JointModel(True, (0.0, 0.0, 1.0)), ("origin_z",), values, np.zeros(2)
+    )
+    base = replace(base, joints={"neck": neck})
+    error = truth_error(base.with_joints({"neck": np.add(values, [0, 0, 0.004, 0, 0, 0, 0])}), truth_of(base))
+    assert error.translation_mm == pytest.approx(4)
+    assert error.joint_mm == pytest.approx(4)

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from calibration.errors import UndeterminedError
-from calibration.estimation.normal_equations import assemble
+from calibration.estimation.build import build
+from calibration.estimation.normal_equations import Weighting, assemble
 from calibration.simulation.motion.information import (
     CORNER_NOISE,
     _truth,
@@ -16,6 +17,8 @@ from calibration.simulation.motion.sequence import Motion
 from calibration.simulation.placement import place
 from calibration.simulation.sensors import SimulatedDepthCamera
 from calibration.simulation.system import System
+from tests.estimation.scenes import board, looks, true_values
+from tests.estimation.systems import STEREO, stereo
 from tests.simulation.conftest import SYSTEMS
 
 
@@ -37,6 +40,19 @@ def test_the_poses_add_up_to_what_the_engine_knows(
     assert (np.linalg.eigvalsh(found.each) > -1e-9 * np.abs(found.each).max((1, 2))[:, None]).all()
     if not system.lidars:  # rays do not meet the border exactly
         assert equations.cost.max() < 1e-12
+
+
+def test_what_each_collection_has_its_own_of_may_be_several() -> None:
+    """Two patterns that move on their own: the collections still add up to what the engine knows."""
+    scene = stereo(6)
+    moving = STEREO["world", "left"] @ looks(6, 9)
+    transforms = {**scene.transforms, ("world", "other_link"): moving}
+    setup = build(replace(scene, transforms=transforms, patterns=[*scene.patterns, board("other")]).dataset())
+    assert len(setup.problem.local) == 2
+    values, weighting = true_values(setup), Weighting({"pixel": 0.1}, None)
+    each = informations(setup.problem, values, weighting)
+    schur = assemble(setup.problem, values, weighting).schur
+    np.testing.assert_allclose(each.sum(0), schur, rtol=1e-9, atol=1e-12 * np.abs(schur).max())
 
 
 def test_half_the_noise_tells_four_times_as_much(systems: dict[str, System], motions: dict[str, Motion]) -> None:
