@@ -16,7 +16,8 @@ from benchmarks.rows import Bar, Row
 from calibration.dataset.configuration import PatternConfiguration
 from calibration.execution.parallel import in_parallel
 from calibration.geometry import rotations
-from calibration.geometry.cameras import Camera, PlumbBob
+from calibration.geometry.cameras import Camera
+from calibration.geometry.distortion import PlumbBob
 from calibration.geometry.transforms import apply, from_xyz_rpy, transform
 from calibration.geometry.types import Array
 from calibration.labelling.detection import NotDetected

@@ -12,7 +12,7 @@ import numpy as np
 from calibration.comparison.sensor_pair import CAMERAS, pair_of, why_not_pair, with_pair
 from calibration.dataset.model import CornerLabels, Dataset, Sensor
 from calibration.errors import InputError, UndeterminedError, WorldError
-from calibration.geometry.cameras import Camera
+from calibration.geometry.distortion import Equidistant, Rational
 from calibration.geometry.transforms import inverse, transform
 from calibration.geometry.types import Array
 
@@ -52,6 +52,9 @@ def why_not_stereo(dataset: Dataset) -> str | None:
     if reason:
         return reason
     first, second = pair_of(dataset, CAMERAS)
+    for sensor in (first, second):
+        if sensor.camera is not None and isinstance(sensor.camera.distortion, Equidistant):
+            return f"it knows no fisheye lens (equidistant) as that of '{sensor.name}'"
     views = len(_views(dataset, first, second))
     if views < MINIMUM_VIEWS:
         return (
@@ -94,11 +97,11 @@ def _relative_pose(dataset: Dataset, first: Sensor, second: Sensor, *, fixed: bo
     corners, *pixels = (
         [np.float32(array) for array in arrays] for arrays in zip(*_views(dataset, first, second), strict=True)
     )
-    intrinsics = [
-        part for s in (first, second) if s.camera is not None for part in (s.camera.K, _coefficients(s.camera))
-    ]
+    intrinsics = [part for s in (first, second) if s.camera for part in (s.camera.K, s.camera.distortion.coefficients)]
     size = (first.camera.width, first.camera.height) if first.camera is not None else None
     flags = cv2.CALIB_FIX_INTRINSIC if fixed else cv2.CALIB_USE_INTRINSIC_GUESS
+    if any(s.camera and isinstance(s.camera.distortion, Rational) for s in (first, second)):
+        flags |= cv2.CALIB_RATIONAL_MODEL
     criteria = (cv2.TERM_CRITERIA_MAX_ITER + cv2.TERM_CRITERIA_EPS, 100, 1e-5)
     try:
         answer = cv2.stereoCalibrate(corners, *pixels, *intrinsics, size, flags=flags, criteria=criteria)
@@ -111,11 +114,6 @@ def _relative_pose(dataset: Dataset, first: Sensor, second: Sensor, *, fixed: bo
     if not np.isfinite(T).all():
         raise UndeterminedError(f"{dataset.path}: OpenCV's stereo calibration finds no finite pose")
     return T
-
-
-def _coefficients(camera: Camera) -> Array:
-    d = camera.distortion
-    return np.array([d.k1, d.k2, d.p1, d.p2, d.k3])
 
 
 def _opencv() -> Any:

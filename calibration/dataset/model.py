@@ -175,6 +175,11 @@ class Dataset:
         moved = self.with_transforms({joints[name].edge: joints[name].transform for name in values})
         return replace(moved, joints=joints)
 
+    def with_cameras(self, cameras: Mapping[str, Camera]) -> "Dataset":
+        """A new dataset with the intrinsics of some sensors replaced."""
+        changed = {name: replace(self.sensors[name], camera=camera) for name, camera in cameras.items()}
+        return replace(self, sensors={**self.sensors, **changed})
+
     def with_collections(self, keep: Sequence[int]) -> "Dataset":
         """A new dataset with only the collections of these indices, in this order."""
         index = list(keep)

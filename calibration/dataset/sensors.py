@@ -1,12 +1,13 @@
 """The sensors of a dataset: frames, calibrated transforms and intrinsics, checked against the configuration."""
 
 from collections.abc import Mapping
-from typing import get_args
+from typing import Any, get_args
 
 from calibration.dataset.configuration import SensorConfiguration
 from calibration.dataset.document import Node
 from calibration.dataset.model import Modality, Sensor
-from calibration.geometry.cameras import Camera, PlumbBob
+from calibration.geometry.cameras import Camera
+from calibration.geometry.distortion import MODELS, Distortion, PlumbBob
 
 MAX_PIXELS = 1 << 20
 """The largest width or height of an image."""
@@ -69,13 +70,27 @@ def read_camera(info: Node) -> Camera:
     )
 
 
-def _read_distortion(info: Node) -> PlumbBob:
-    model, D = info["distortion_model"], info["D"]
+def camera_document(camera: Camera) -> dict[str, Any]:
+    """What a CameraInfo says of a camera that `read_camera` reads: its size, model, D, K and P."""
+    fx, fy, cx, cy = camera.fx, camera.fy, camera.cx, camera.cy
+    return {
+        "height": camera.height,
+        "width": camera.width,
+        "distortion_model": camera.distortion.ros_name,
+        "D": camera.distortion.coefficients.tolist(),
+        "K": [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0],
+        "P": [fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0],
+    }
+
+
+def _read_distortion(info: Node) -> Distortion:
+    name, D = info["distortion_model"], info["D"]
     coefficients = D.numbers(len(D.sequence()))
-    if model.text() == "" and not any(coefficients):
+    if name.text() == "" and not any(coefficients):
         return PlumbBob()
-    if model.value != "plumb_bob":
-        raise model.unexpected("a known distortion model: plumb_bob")
-    if len(coefficients) > 5:
-        raise D.unexpected("5 coefficients of plumb_bob: k1, k2, p1, p2, k3")
-    return PlumbBob(*coefficients)
+    if name.value not in MODELS:
+        raise name.unexpected(f"a known distortion model: {', '.join(MODELS)}")
+    model = MODELS[name.value]
+    if len(coefficients) > len(model.names()):
+        raise D.unexpected(f"{len(model.names())} coefficients of {model.ros_name}: {', '.join(model.names())}")
+    return model(*coefficients)

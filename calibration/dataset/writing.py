@@ -17,6 +17,7 @@ from calibration.dataset.pattern import Pattern
 from calibration.dataset.pattern_document import pattern_document
 from calibration.dataset.payload import locate
 from calibration.dataset.reading import FILE_NAME
+from calibration.dataset.sensors import camera_document, read_camera
 from calibration.errors import InputError
 from calibration.files import place, write_atomically
 
@@ -38,7 +39,8 @@ def write_document(document: Mapping[str, Any], path: Path | str) -> None:
 def write_dataset(dataset: Dataset, path: Path | str, images: bool = True) -> Path:
     """Write a dataset into a folder as ``dataset.json``, or into a file whose name ends in ``.json``.
 
-    What a `Dataset` can change is written as it is now: the transforms and the choice of collections.
+    What a `Dataset` can change is written as it is now: the transforms, the intrinsics and the choice of
+    collections.
     Everything else is as it was read; version 2.0 becomes 3.0 with its own corner coordinates, so
     that poses keep their meaning. If transforms have changed, each collection also gets those that
     were read, as ``transforms_ini``. The point clouds and depth images that lie beside the input come
@@ -75,6 +77,7 @@ def dataset_document(dataset: Dataset) -> dict[str, Any]:
         **source,
         "_metadata": {"package_name": "", **source["_metadata"], "version": "3.0"},
         "calibration_config": _configuration(dataset),
+        "sensors": {name: _sensor(dataset, name, entry) for name, entry in source["sensors"].items()},
         "patterns": {name: _pattern(dataset, pattern) for name, pattern in dataset.patterns.items()},
         "transforms": {
             **{"-".join(edge): _kind(dataset, edge) for edge in dataset.transforms},
@@ -126,6 +129,16 @@ def _configuration(dataset: Dataset) -> dict[str, Any]:
         source["calibration_patterns"] = {FIRST_PATTERN: single}
     defaults = {"package_name": "", "joints": None, "additional_tfs": None}
     return {**defaults, **source, "anchored_sensor": dataset.anchored, "version": 3.0}
+
+
+def _sensor(dataset: Dataset, name: str, read: Mapping[str, Any]) -> Mapping[str, Any]:
+    """A sensor as it was read; where its intrinsics are others now, with these."""
+    camera = dataset.sensors[name].camera
+    if camera is None or camera == read_camera(
+        Node(dataset.path, ("sensors", name, "camera_info"), read["camera_info"])
+    ):
+        return read
+    return {**read, "camera_info": {**read["camera_info"], **camera_document(camera)}}
 
 
 def _pattern(dataset: Dataset, pattern: Pattern) -> dict[str, Any]:

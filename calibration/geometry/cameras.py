@@ -4,86 +4,12 @@ The camera frame is the optical one: x right, y down, z forward. Pixel (0, 0) is
 top-left pixel.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from calibration.geometry.distortion import Distortion, PlumbBob
 from calibration.geometry.types import Array, BoolArray
-
-Distorted = tuple[Array, Array]
-DistortionJacobian = tuple[Array, Array, Array]
-
-
-@dataclass(frozen=True)
-class PlumbBob:
-    """Radial and tangential distortion with 5 coefficients (Brown-Conrady; ROS's ``plumb_bob``).
-
-    On normalised image coordinates (x, y) = (X/Z, Y/Z), with r2 = x^2 + y^2:
-    ``x' = x (1 + k1 r2 + k2 r2^2 + k3 r2^3) + 2 p1 x y + p2 (r2 + 2 x^2)``, and y' likewise with
-    p1 and p2 exchanged. The Jacobian of every radial plus tangential model is symmetric, so three
-    numbers describe it.
-    """
-
-    k1: float = 0.0
-    k2: float = 0.0
-    p1: float = 0.0
-    p2: float = 0.0
-    k3: float = 0.0
-
-    @property
-    def is_identity(self) -> bool:
-        """Whether the model leaves every point where it is."""
-        return not (self.k1 or self.k2 or self.p1 or self.p2 or self.k3)
-
-    def distort(self, x: Array, y: Array) -> Distorted:
-        """Normalised coordinates to distorted ones, any shape."""
-        if self.is_identity:
-            return x, y
-        xx, yy, xy = x * x, y * y, x * y
-        r2 = xx + yy
-        radial = 1 + r2 * (self.k1 + r2 * (self.k2 + r2 * self.k3))
-        return (
-            x * radial + 2 * self.p1 * xy + self.p2 * (r2 + 2 * xx),
-            y * radial + 2 * self.p2 * xy + self.p1 * (r2 + 2 * yy),
-        )
-
-    def distort_with_jacobian(self, x: Array, y: Array) -> tuple[Distorted, DistortionJacobian]:
-        """`distort`, and its derivatives (dx'/dx, dx'/dy = dy'/dx, dy'/dy)."""
-        xx, yy, xy = x * x, y * y, x * y
-        r2 = xx + yy
-        radial = 1 + r2 * (self.k1 + r2 * (self.k2 + r2 * self.k3))
-        slope = 2 * self.k1 + r2 * (4 * self.k2 + 6 * self.k3 * r2)  # 2 d(radial)/d(r2)
-        p1x, p1y, p2x, p2y = 2 * self.p1 * x, 2 * self.p1 * y, 2 * self.p2 * x, 2 * self.p2 * y
-        distorted = (
-            x * radial + self.p1 * 2 * xy + self.p2 * (r2 + 2 * xx),
-            y * radial + self.p2 * 2 * xy + self.p1 * (r2 + 2 * yy),
-        )
-        jacobian = (
-            radial + slope * xx + p1y + 3 * p2x,
-            slope * xy + p1x + p2y,
-            radial + slope * yy + p2x + 3 * p1y,
-        )
-        return distorted, jacobian
-
-    def undistort(self, x: Array, y: Array) -> Distorted:
-        """The inverse of `distort`, by Newton's method from the distorted point, to the last digits.
-
-        NaN where that does not find one: far outside the image a strong distortion may have none.
-        """
-        if self.is_identity:
-            return x, y
-        u, v = x, y
-        with np.errstate(all="ignore"):  # where there is no inverse, Newton's method may go anywhere
-            for _ in range(20):
-                (du, dv), (a, b, c) = self.distort_with_jacobian(u, v)
-                ex, ey = x - du, y - dv
-                det = a * c - b * b
-                u, v = u + (c * ex - b * ey) / det, v + (a * ey - b * ex) / det
-                left = np.maximum(np.abs(ex), np.abs(ey))
-                if not (left > 1e-8).any():  # the step just made leaves about its square
-                    break
-            found = (left < 1e-6) & (a > 0) & (det > 0)  # beyond, the image is folded over
-        return (u, v) if found.all() else (np.where(found, u, np.nan), np.where(found, v, np.nan))
 
 
 @dataclass(frozen=True)
@@ -96,7 +22,22 @@ class Camera:
     cy: float
     width: int
     height: int
-    distortion: PlumbBob = field(default_factory=PlumbBob)
+    distortion: Distortion = field(default_factory=PlumbBob)
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """The names of `intrinsics`."""
+        return ("fx", "fy", "cx", "cy", *self.distortion.names())
+
+    @property
+    def intrinsics(self) -> Array:
+        """(4 + n,): fx, fy, cx, cy in pixels, and the coefficients of the distortion."""
+        return np.array([self.fx, self.fy, self.cx, self.cy, *self.distortion.coefficients])
+
+    def with_intrinsics(self, values: Array) -> "Camera":
+        """The same camera with other `intrinsics`."""
+        fx, fy, cx, cy = values[:4].tolist()
+        return replace(self, fx=fx, fy=fy, cx=cx, cy=cy, distortion=self.distortion.with_coefficients(values[4:]))
 
     @property
     def K(self) -> Array:

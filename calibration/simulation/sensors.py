@@ -1,8 +1,8 @@
 """The sensors of a simulated system, as ``simulation.yml`` describes them beside the robot.
 
 A camera: ``width`` and ``height``; ``hfov_deg`` with ``principal_point`` if it is not Gazebo's, or
-``K``; ``distortion``, the five coefficients of plumb_bob; ``blur_px``, ``noise_levels``,
-``vignetting`` and ``exposure`` of its images.
+``K``; ``distortion_model``, one of ROS's (plumb_bob), and ``distortion``, its coefficients;
+``blur_px``, ``noise_levels``, ``vignetting`` and ``exposure`` of its images.
 
 A depth camera: its size and lens as a camera's; ``range_m``, ``noise_m``, ``noise_per_m2``.
 
@@ -18,7 +18,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from calibration.dataset.document import Node
-from calibration.geometry.cameras import Camera, PlumbBob
+from calibration.geometry.cameras import Camera
+from calibration.geometry.distortion import MODELS, Distortion, PlumbBob
 from calibration.geometry.types import Array
 from calibration.simulation.description import interval, number, numbers, only, whole
 
@@ -121,7 +122,7 @@ class SimulatedLidar2d:
 SimulatedSensor = SimulatedCamera | SimulatedDepthCamera | SimulatedLidar | SimulatedLidar2d
 
 
-_LENS = ("width", "height", "hfov_deg", "principal_point", "K", "distortion")
+_LENS = ("width", "height", "hfov_deg", "principal_point", "K", "distortion_model", "distortion")
 
 
 def read_camera(node: Node) -> SimulatedCamera:
@@ -170,7 +171,16 @@ def _read_lens(node: Node) -> Camera:
         fx = fy = width / 2 / math.tan(math.radians(hfov) / 2)
         # Gazebo's principal point, and so that of ATOM's systems
         cx, cy = numbers(node, "principal_point", 2, (width / 2 + 0.5, height / 2 + 0.5))
-    return Camera(fx, fy, cx, cy, width, height, PlumbBob(*numbers(node, "distortion", 5, (0.0, 0.0, 0.0, 0.0, 0.0))))
+    return Camera(fx, fy, cx, cy, width, height, _read_distortion(node))
+
+
+def _read_distortion(node: Node) -> Distortion:
+    name = node.get("distortion_model")
+    if name and name.text() not in MODELS:
+        raise name.unexpected(f"one of {', '.join(MODELS)}")
+    model = MODELS[name.value] if name else PlumbBob
+    count = len(model.names())
+    return model(*numbers(node, "distortion", count, (0.0,) * count))
 
 
 def _intrinsics(node: Node) -> tuple[float, float, float, float]:

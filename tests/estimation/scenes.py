@@ -12,7 +12,8 @@ from calibration.estimation.build import Setup
 from calibration.estimation.problem import Values
 from calibration.estimation.result import Calibration
 from calibration.geometry import rotations
-from calibration.geometry.cameras import Camera, PlumbBob
+from calibration.geometry.cameras import Camera
+from calibration.geometry.distortion import PlumbBob
 from calibration.geometry.transforms import (
     apply,
     distance,

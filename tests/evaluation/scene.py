@@ -9,7 +9,8 @@ import numpy as np
 from calibration.dataset.model import Collection, CornerLabels, Dataset, Edge, Labels, PointLabels, Sensor
 from calibration.dataset.pattern import Pattern, grid, outline
 from calibration.geometry import rotations
-from calibration.geometry.cameras import Camera, PlumbBob
+from calibration.geometry.cameras import Camera
+from calibration.geometry.distortion import PlumbBob
 from calibration.geometry.transforms import apply, from_xyz_rpy, inverse, transform
 from calibration.geometry.types import Array
 

@@ -2,7 +2,8 @@ import cv2
 import numpy as np
 import pytest
 
-from calibration.geometry.cameras import Camera, PlumbBob
+from calibration.geometry.cameras import Camera
+from calibration.geometry.distortion import PlumbBob
 
 MODELS = [
     PlumbBob(),

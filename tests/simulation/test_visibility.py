@@ -3,7 +3,8 @@ import math
 import numpy as np
 import pytest
 
-from calibration.geometry.cameras import Camera, PlumbBob
+from calibration.geometry.cameras import Camera
+from calibration.geometry.distortion import PlumbBob
 from calibration.geometry.transforms import from_xyz_rpy
 from calibration.simulation.visibility import MAX_VIEW_ANGLE, corners_in_image, facing
 

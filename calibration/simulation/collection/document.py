@@ -6,12 +6,14 @@ do not show.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import PurePosixPath
 from typing import Any
 
 from calibration.dataset.configuration import SensorConfiguration
 from calibration.dataset.model import Edge
 from calibration.dataset.pattern_document import pattern_document
+from calibration.dataset.sensors import camera_document
 from calibration.geometry.cameras import Camera
 from calibration.geometry.joints import JOINT_PARAMETERS
 from calibration.simulation.collection.play import Play
@@ -108,17 +110,11 @@ def _sensor(system: System, sensor: SensorConfiguration) -> dict[str, Any]:
 
 
 def _camera_info(camera: Camera, frame: str) -> dict[str, Any]:
-    d = camera.distortion
     fx, fy, cx, cy = (round(value, 9) for value in (camera.fx, camera.fy, camera.cx, camera.cy))
     return {
         "header": message_header(frame, 0),
-        "height": camera.height,
-        "width": camera.width,
-        "distortion_model": "plumb_bob",
-        "D": [d.k1, d.k2, d.p1, d.p2, d.k3],
-        "K": [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0],
+        **camera_document(replace(camera, fx=fx, fy=fy, cx=cx, cy=cy)),
         "R": [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
-        "P": [fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0],
         "binning_x": 0,
         "binning_y": 0,
         "roi": {"x_offset": 0, "y_offset": 0, "height": 0, "width": 0, "do_rectify": False},

@@ -39,7 +39,7 @@ CAMERA = {
     "noise_levels": Kind(0, 100),  # standard deviation, grey levels of 255
     "blur_px": Kind(0, 20),  # standard deviation of the lens
     "vignetting": Kind(0, 1),  # how much darker the corners of the image are
-    "k1": Kind(-1, 1),  # plumb_bob, in place of the sensor's own
+    "k1": Kind(-1, 1),  # of the distortion, in place of the sensor's own
     "k2": Kind(-1, 1),
     "p1": Kind(-0.1, 0.1),
     "p2": Kind(-0.1, 0.1),

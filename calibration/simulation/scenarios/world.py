@@ -39,7 +39,7 @@ def build_world(system: System, scenario: Scenario) -> System:
     Its ``robot`` is the one that was put together with errors; ``nominal`` stays the designed one.
 
     Raises:
-        InputError: there are occluders, but no camera that they could stand before.
+        InputError: there are occluders, but no camera that they could stand before; a lens has no such coefficient.
     """
     values = scenario.values
     motion = _motion(system.motion, values)
@@ -49,7 +49,7 @@ def build_world(system: System, scenario: Scenario) -> System:
         system,
         robot=_assembled(system, system.robot if same else with_errors(system.nominal, joint_errors), values),
         joint_errors=joint_errors,
-        sensors={name: _sensor(sensor, _of(values, name)) for name, sensor in system.sensors.items()},
+        sensors={name: _sensor(name, sensor, _of(values, name)) for name, sensor in system.sensors.items()},
         scene=_scene(system, motion, scenario),
         motion=motion,
         bows={**system.bows, **_bows(system, values)},
@@ -122,11 +122,17 @@ def _assembled(system: System, robot: Robot, values: Values) -> Robot:
     return replace(robot, joints=tuple(moved(joint) for joint in robot.joints)) if errors else robot
 
 
-def _sensor(sensor: SimulatedSensor, own: Values) -> SimulatedSensor:
+def _sensor(name: str, sensor: SimulatedSensor, own: Values) -> SimulatedSensor:
     """A sensor with its own values."""
     if not isinstance(sensor, SimulatedCamera):
         return replace(sensor, noise=own["noise_m"]) if "noise_m" in own else sensor
-    distortion = replace(sensor.camera.distortion, **{key: own[key] for key in _DISTORTION if key in own})
+    lens = sensor.camera.distortion
+    coefficients = dict(zip(lens.names(), lens.coefficients.tolist(), strict=True))
+    for key in _DISTORTION:
+        if key in own and key not in coefficients:
+            raise InputError(f"scenario: '{key}' of '{name}': its distortion model {lens.ros_name} has none")
+        coefficients.update({key: own[key]} if key in own else {})
+    distortion = lens.with_coefficients(np.array(list(coefficients.values())))
     optics = {field: own[key] for key, field in _OPTICS.items() if key in own}
     return replace(sensor, camera=replace(sensor.camera, distortion=distortion), **optics)
 

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from calibration.geometry.cameras import PlumbBob
+from calibration.geometry.distortion import PlumbBob
 from calibration.geometry.transforms import from_xyz_rpy
 from calibration.simulation.rendering.background import STEPS, background
 from calibration.simulation.scene import Box, Light, Scene

@@ -9,7 +9,8 @@ import pytest
 
 from calibration.dataset.configuration import PatternConfiguration
 from calibration.dataset.model import CornerLabels
-from calibration.geometry.cameras import Camera, PlumbBob
+from calibration.geometry.cameras import Camera
+from calibration.geometry.distortion import PlumbBob
 from calibration.geometry.transforms import apply
 from calibration.labelling.corners import corner_detector
 from calibration.simulation.random_streams import stream

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from calibration.geometry.cameras import PlumbBob
+from calibration.geometry.distortion import PlumbBob
 from calibration.geometry.transforms import apply, from_xyz_rpy
 from calibration.simulation.board import Board
 from calibration.simulation.random_streams import stream

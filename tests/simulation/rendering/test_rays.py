@@ -1,6 +1,6 @@
 import numpy as np
 
-from calibration.geometry.cameras import PlumbBob
+from calibration.geometry.distortion import PlumbBob
 from calibration.simulation.rendering.rays import SAMPLES, rays, rounded, sample_rays
 from tests.simulation.rendering.views import DISTORTION, T_WORLD_CAMERA, camera
 

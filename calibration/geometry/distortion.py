@@ -1,0 +1,299 @@
+"""Models of a lens: from normalised image coordinates to distorted ones, and back.
+
+Normalised coordinates are (x, y) = (X/Z, Y/Z) of a point before the camera; r2 is x^2 + y^2.
+The Jacobian of each model here is symmetric, so three numbers describe it.
+"""
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, fields
+from typing import ClassVar, Self
+
+import numpy as np
+
+from calibration.geometry.types import Array
+
+Distorted = tuple[Array, Array]
+DistortionJacobian = tuple[Array, Array, Array]
+
+
+class Distortion(ABC):
+    """A model with its coefficients, which are the fields of a dataclass in ROS's order."""
+
+    ros_name: ClassVar[str]
+    """``distortion_model`` of a sensor_msgs/CameraInfo."""
+
+    @classmethod
+    def names(cls) -> tuple[str, ...]:
+        """Of the coefficients, in the order of ``D``."""
+        return tuple(field.name for field in fields(cls))  # type: ignore[arg-type]  # every model is a dataclass
+
+    @property
+    def coefficients(self) -> Array:
+        """(n,): in the order of `names`."""
+        return np.array([getattr(self, name) for name in self.names()], float)
+
+    def with_coefficients(self, coefficients: Array) -> Self:
+        """The same model with other coefficients (n,)."""
+        return type(self)(*coefficients.tolist())
+
+    @property
+    @abstractmethod
+    def is_identity(self) -> bool:
+        """Whether the model leaves every point where it is."""
+
+    @abstractmethod
+    def distort(self, x: Array, y: Array) -> Distorted:
+        """Normalised coordinates to distorted ones, any shape."""
+
+    @abstractmethod
+    def distort_with_jacobian(self, x: Array, y: Array) -> tuple[Distorted, DistortionJacobian]:
+        """`distort`, and its derivatives (dx'/dx, dx'/dy = dy'/dx, dy'/dy)."""
+
+    @abstractmethod
+    def derivatives(self, x: Array, y: Array) -> list[Distorted]:
+        """How the distorted coordinates change with each coefficient: (dx'/dc, dy'/dc)."""
+
+    @abstractmethod
+    def undistort(self, x: Array, y: Array) -> Distorted:
+        """The inverse of `distort`, to the last digits.
+
+        NaN where there is none: far outside the image a strong distortion folds the image over.
+        """
+
+
+@dataclass(frozen=True)
+class _RadialTangential(Distortion):
+    """``x' = x radial(r2) + 2 p1 x y + p2 (r2 + 2 x^2)``, and y' likewise with p1 and p2 exchanged."""
+
+    k1: float = 0.0
+    k2: float = 0.0
+    p1: float = 0.0
+    p2: float = 0.0
+    k3: float = 0.0
+
+    @property
+    def is_identity(self) -> bool:
+        """Whether the model leaves every point where it is."""
+        return not (self.k1 or self.k2 or self.p1 or self.p2 or self.k3)
+
+    def distort(self, x: Array, y: Array) -> Distorted:
+        """See `Distortion`."""
+        if self.is_identity:
+            return x, y
+        xx, yy, xy = x * x, y * y, x * y
+        r2 = xx + yy
+        radial = self._radial(r2)
+        return (
+            x * radial + 2 * self.p1 * xy + self.p2 * (r2 + 2 * xx),
+            y * radial + 2 * self.p2 * xy + self.p1 * (r2 + 2 * yy),
+        )
+
+    def distort_with_jacobian(self, x: Array, y: Array) -> tuple[Distorted, DistortionJacobian]:
+        """See `Distortion`."""
+        xx, yy, xy = x * x, y * y, x * y
+        r2 = xx + yy
+        radial, slope = self._radial_and_slope(r2)
+        p1x, p1y, p2x, p2y = 2 * self.p1 * x, 2 * self.p1 * y, 2 * self.p2 * x, 2 * self.p2 * y
+        distorted = (
+            x * radial + self.p1 * 2 * xy + self.p2 * (r2 + 2 * xx),
+            y * radial + self.p2 * 2 * xy + self.p1 * (r2 + 2 * yy),
+        )
+        jacobian = (
+            radial + slope * xx + p1y + 3 * p2x,
+            slope * xy + p1x + p2y,
+            radial + slope * yy + p2x + 3 * p1y,
+        )
+        return distorted, jacobian
+
+    def undistort(self, x: Array, y: Array) -> Distorted:
+        """See `Distortion`; by Newton's method from the distorted point."""
+        if self.is_identity:
+            return x, y
+        u, v = x, y
+        with np.errstate(all="ignore"):  # where there is no inverse, Newton's method may go anywhere
+            for _ in range(20):
+                (du, dv), (a, b, c) = self.distort_with_jacobian(u, v)
+                ex, ey = x - du, y - dv
+                det = a * c - b * b
+                u, v = u + (c * ex - b * ey) / det, v + (a * ey - b * ex) / det
+                left = np.maximum(np.abs(ex), np.abs(ey))
+                if not (left > 1e-8).any():  # the step just made leaves about its square
+                    break
+            found = (left < 1e-6) & (a > 0) & (det > 0)  # beyond, the image is folded over
+        return (u, v) if found.all() else (np.where(found, u, np.nan), np.where(found, v, np.nan))
+
+    @abstractmethod
+    def _radial(self, r2: Array) -> Array:
+        """The radial factor."""
+
+    @abstractmethod
+    def _radial_and_slope(self, r2: Array) -> tuple[Array, Array]:
+        """The radial factor, and twice its derivative to r2."""
+
+
+@dataclass(frozen=True)
+class PlumbBob(_RadialTangential):
+    """Radial and tangential distortion with 5 coefficients (Brown-Conrady; ROS's ``plumb_bob``).
+
+    The radial factor is ``1 + k1 r2 + k2 r2^2 + k3 r2^3``.
+    """
+
+    ros_name: ClassVar[str] = "plumb_bob"
+
+    def derivatives(self, x: Array, y: Array) -> list[Distorted]:
+        """See `Distortion`."""
+        xx, yy = x * x, y * y
+        r2, xy = xx + yy, 2 * (x * y)
+        x1, y1 = x * r2, y * r2
+        x2, y2 = x1 * r2, y1 * r2
+        return [(x1, y1), (x2, y2), (xy, r2 + 2 * yy), (r2 + 2 * xx, xy), (x2 * r2, y2 * r2)]
+
+    def _radial(self, r2: Array) -> Array:
+        radial: Array = 1 + r2 * (self.k1 + r2 * (self.k2 + r2 * self.k3))
+        return radial
+
+    def _radial_and_slope(self, r2: Array) -> tuple[Array, Array]:
+        return self._radial(r2), 2 * self.k1 + r2 * (4 * self.k2 + 6 * self.k3 * r2)
+
+
+@dataclass(frozen=True)
+class Rational(_RadialTangential):
+    """Radial distortion as a fraction, and tangential, with 8 coefficients (ROS's ``rational_polynomial``).
+
+    The radial factor is ``(1 + k1 r2 + k2 r2^2 + k3 r2^3) / (1 + k4 r2 + k5 r2^2 + k6 r2^3)`` (D. Claus
+    and A. Fitzgibbon, "A rational function lens distortion model for general cameras", 2005, in OpenCV's form).
+    """
+
+    ros_name: ClassVar[str] = "rational_polynomial"
+
+    k4: float = 0.0
+    k5: float = 0.0
+    k6: float = 0.0
+
+    @property
+    def is_identity(self) -> bool:
+        """Whether the model leaves every point where it is."""
+        return super().is_identity and not (self.k4 or self.k5 or self.k6)
+
+    def derivatives(self, x: Array, y: Array) -> list[Distorted]:
+        """See `Distortion`."""
+        xx, yy = x * x, y * y
+        r2, xy = xx + yy, 2 * (x * y)
+        below = self._denominator(r2)
+        x1, y1 = x * r2 / below, y * r2 / below
+        x2, y2 = x1 * r2, y1 * r2
+        x3, y3 = x2 * r2, y2 * r2
+        fall = -self._radial(r2)
+        return [
+            *((x1, y1), (x2, y2), (xy, r2 + 2 * yy), (r2 + 2 * xx, xy), (x3, y3)),
+            *((x1 * fall, y1 * fall), (x2 * fall, y2 * fall), (x3 * fall, y3 * fall)),
+        ]
+
+    def _denominator(self, r2: Array) -> Array:
+        below: Array = 1 + r2 * (self.k4 + r2 * (self.k5 + r2 * self.k6))
+        return below
+
+    def _radial(self, r2: Array) -> Array:
+        radial: Array = (1 + r2 * (self.k1 + r2 * (self.k2 + r2 * self.k3))) / self._denominator(r2)
+        return radial
+
+    def _radial_and_slope(self, r2: Array) -> tuple[Array, Array]:
+        radial = self._radial(r2)
+        above = 2 * self.k1 + r2 * (4 * self.k2 + 6 * self.k3 * r2)
+        below = 2 * self.k4 + r2 * (4 * self.k5 + 6 * self.k6 * r2)
+        return radial, (above - radial * below) / self._denominator(r2)
+
+
+NEAR_AXIS = 1e-2
+"""r2 below which a series takes the place of a difference that would lose its digits."""
+
+
+@dataclass(frozen=True)
+class Equidistant(Distortion):
+    """A fisheye lens with 4 coefficients (ROS's ``equidistant``, OpenCV's ``fisheye``).
+
+    A ray at the angle t from the axis, ``r = tan t``, meets the image at the radius
+    ``t (1 + k1 t^2 + k2 t^4 + k3 t^6 + k4 t^8)`` (J. Kannala and S. Brandt, "A generic camera model and
+    calibration method for conventional, wide-angle, and fish-eye lenses", 2006). Only rays before the
+    camera, t < pi/2, have normalised coordinates.
+    """
+
+    ros_name: ClassVar[str] = "equidistant"
+
+    k1: float = 0.0
+    k2: float = 0.0
+    k3: float = 0.0
+    k4: float = 0.0
+
+    @property
+    def is_identity(self) -> bool:
+        """Never: without coefficients it is the equidistant projection, not that of a pinhole."""
+        return False
+
+    def distort(self, x: Array, y: Array) -> Distorted:
+        """See `Distortion`."""
+        shrink, t2 = _angle_over_radius(x * x + y * y)
+        scale = shrink * self._polynomial(t2)
+        return x * scale, y * scale
+
+    def distort_with_jacobian(self, x: Array, y: Array) -> tuple[Distorted, DistortionJacobian]:
+        """See `Distortion`."""
+        r2 = x * x + y * y
+        shrink, t2 = _angle_over_radius(r2)
+        polynomial = self._polynomial(t2)
+        scale = shrink * polynomial
+        # twice the derivative of the scale to r2, of which t2 has the derivative shrink / (1 + r2)
+        bend = self.k1 + t2 * (2 * self.k2 + t2 * (3 * self.k3 + t2 * (4 * self.k4)))
+        slope = 2 * (_shrinking(r2, shrink) * polynomial + shrink * shrink / (1 + r2) * bend)
+        return (x * scale, y * scale), (scale + slope * x * x, slope * x * y, scale + slope * y * y)
+
+    def derivatives(self, x: Array, y: Array) -> list[Distorted]:
+        """See `Distortion`."""
+        shrink, t2 = _angle_over_radius(x * x + y * y)
+        out, factor = [], shrink
+        for _ in self.names():
+            factor = factor * t2
+            out.append((x * factor, y * factor))
+        return out
+
+    def undistort(self, x: Array, y: Array) -> Distorted:
+        """See `Distortion`; by Newton's method on the angle."""
+        radius = np.hypot(x, y)
+        t = np.minimum(radius, 1.5)
+        with np.errstate(all="ignore"):  # where there is no inverse, Newton's method may go anywhere
+            for _ in range(20):
+                t2 = t * t
+                slope = 1 + t2 * (3 * self.k1 + t2 * (5 * self.k2 + t2 * (7 * self.k3 + t2 * (9 * self.k4))))
+                left = radius - t * self._polynomial(t2)
+                t = t + left / slope
+                if not (np.abs(left) > 1e-8).any():  # the step just made leaves about its square
+                    break
+            found = (np.abs(left) < 1e-6) & (slope > 0) & (t >= 0) & (t < np.pi / 2)
+            grow = np.where(found, np.where(radius > 0, np.tan(t) / radius, 1.0), np.nan)
+        return x * grow, y * grow
+
+    def _polynomial(self, t2: Array) -> Array:
+        polynomial: Array = 1 + t2 * (self.k1 + t2 * (self.k2 + t2 * (self.k3 + t2 * self.k4)))
+        return polynomial
+
+
+MODELS: dict[str, type[Distortion]] = {model.ros_name: model for model in (PlumbBob, Rational, Equidistant)}
+"""By ROS's name."""
+
+
+def _angle_over_radius(r2: Array) -> tuple[Array, Array]:
+    """``t / r`` of the angle ``t = atan(r)``, 1 on the axis; and t^2."""
+    r = np.sqrt(np.maximum(r2, 1e-30))
+    shrink: Array = np.arctan(r) / r
+    return shrink, shrink * shrink * r2
+
+
+def _shrinking(r2: Array, shrink: Array) -> Array:
+    """The derivative of ``t / r`` to r2: ``(1 / (1 + r2) - t / r) / (2 r2)``, near the axis as its series."""
+    far = np.maximum(r2, NEAR_AXIS)
+    near = np.minimum(r2, NEAR_AXIS)
+    series = np.zeros_like(near)
+    for n in range(8, 0, -1):  # t / r = sum (-r2)^n / (2 n + 1)
+        series = (-1) ** n * n / (2 * n + 1) + near * series
+    slope: Array = np.where(r2 < NEAR_AXIS, series, (1 / (1 + far) - shrink) / (2 * far))
+    return slope
