@@ -11,10 +11,12 @@ from calibration.errors import InputError, UndeterminedError
 from calibration.estimation.depth_border import depth_border_rays
 from calibration.estimation.gauge import free_gauge
 from calibration.estimation.holding import held_blocks
+from calibration.estimation.intrinsics import CalibratedIntrinsics
 from calibration.estimation.problem import Block, Chain, FreeJoint, Link, NoiseKind, Problem, Term, ViewGroup
 from calibration.estimation.residuals import BorderTerm, RangeTerm
 from calibration.estimation.scan import border_rays
 from calibration.estimation.single_views import corner_term
+from calibration.estimation.unknown_intrinsics import intrinsics_blocks, intrinsics_name
 from calibration.estimation.usable_labels import usable_labels
 from calibration.geometry.transforms import inverse
 from calibration.geometry.types import Array, BoolArray, IntArray
@@ -28,7 +30,8 @@ class Setup:
     """Only the collections that count."""
     problem: Problem
     edges: tuple[Edge, ...]
-    """The edge of each block: those of sensors and additional transforms first, then joints, then the patterns."""
+    """The edge of each block of a transform: those of sensors and additional transforms first, then joints, then the
+    patterns. Blocks of intrinsics come after them."""
     gauge: str | None
     """The sensor that is held because nothing else fixes the world; None where something does."""
     gauge_patterns: tuple[str, ...]
@@ -46,12 +49,19 @@ class Setup:
         return (p.parent_link, p.link)
 
 
-def build(dataset: Dataset, hold: Sequence[str] = ()) -> Setup:
+def build(
+    dataset: Dataset,
+    hold: Sequence[str] = (),
+    intrinsics: Sequence[str] = (),
+    intrinsics_covariance: Mapping[str, CalibratedIntrinsics] | None = None,
+) -> Setup:
     """State the problem of a dataset.
 
     Args:
         dataset: the labels and the transforms.
         hold: what stays as the dataset has it (see `calibration.estimation.holding`).
+        intrinsics: the cameras whose intrinsics are unknown too (see `calibration.estimation.unknown_intrinsics`).
+        intrinsics_covariance: by camera, how well intrinsics are known beforehand.
 
     Raises:
         InputError: no labels count, or a sensor has none; what is to be held is not there.
@@ -60,12 +70,15 @@ def build(dataset: Dataset, hold: Sequence[str] = ()) -> Setup:
     """
     dataset, ignored = usable_labels(dataset)
     blocks, edges = _blocks(dataset)
-    blocks = held_blocks(dataset, blocks, edges, hold)
-    groups = tuple(_groups(dataset, blocks, edges))
-    gauge = free_gauge(dataset, groups, blocks, edges)
+    cameras = intrinsics_blocks(dataset, intrinsics, intrinsics_covariance or {})
+    blocks = held_blocks(dataset, (*blocks, *cameras), edges, hold)
+    transforms, cameras = blocks[: len(edges)], blocks[len(edges) :]
+    groups = tuple(_groups(dataset, transforms, edges, [camera.name for camera in cameras]))
+    gauge = free_gauge(dataset, groups, transforms, edges)
     fixing = [dataset.sensors[gauge.sensor].edge] if gauge.sensor else []
     fixing += [(p.parent_link, p.link) for p in (dataset.patterns[name] for name in gauge.patterns)]
-    blocks = tuple(replace(b, held=b.held or edge in fixing) for b, edge in zip(blocks, edges, strict=True))
+    transforms = tuple(replace(b, held=b.held or edge in fixing) for b, edge in zip(transforms, edges, strict=True))
+    blocks = (*transforms, *cameras)
     problem = Problem(blocks, groups, len(dataset.collections))
     if all(blocks[i].name in dataset.patterns for i in (*problem.shared, *problem.local)):
         raise UndeterminedError(
@@ -74,7 +87,7 @@ def build(dataset: Dataset, hold: Sequence[str] = ()) -> Setup:
             f"a single sensor needs a robot that moves it or the pattern"
         )
     used = {link.block for group in groups for link in group.chain.links}
-    if idle := [block.name for i, block in enumerate(blocks) if i not in used and not block.held]:
+    if idle := [block.name for i, block in enumerate(transforms) if i not in used and not block.held]:
         raise UndeterminedError(
             f"{dataset.path}: '{idle[0]}' does not lie between any sensor and a pattern that it sees, so no label "
             f"tells it; leave it out, or add the sensor that needs it"
@@ -96,7 +109,10 @@ def _blocks(dataset: Dataset) -> tuple[tuple[Block, ...], tuple[Edge, ...]]:
     return tuple(blocks.values()), tuple(blocks)
 
 
-def _groups(dataset: Dataset, blocks: tuple[Block, ...], edges: tuple[Edge, ...]) -> list[ViewGroup]:
+def _groups(
+    dataset: Dataset, blocks: tuple[Block, ...], edges: tuple[Edge, ...], cameras: Sequence[str]
+) -> list[ViewGroup]:
+    """The views of each sensor and pattern; ``cameras`` are the names of the blocks that come after the transforms'."""
     groups = []
     for pattern in dataset.patterns.values():
         for sensor in dataset.sensors.values():
@@ -106,7 +122,9 @@ def _groups(dataset: Dataset, blocks: tuple[Block, ...], edges: tuple[Edge, ...]
                 chain = _chain(dataset, sensor, pattern, blocks, edges, collections)
                 labels = [label for _, label in detections]
                 terms = _terms(sensor, pattern, labels)
-                groups.append(ViewGroup(sensor.name, pattern.name, collections, chain, terms))
+                own = intrinsics_name(sensor.name)
+                intrinsics = len(edges) + cameras.index(own) if own in cameras else None
+                groups.append(ViewGroup(sensor.name, pattern.name, collections, chain, terms, intrinsics))
     return groups
 
 

@@ -9,6 +9,8 @@ import numpy as np
 from calibration.dataset.model import Dataset, Edge, PointLabels
 from calibration.errors import UndeterminedError
 from calibration.estimation.build import Setup, build
+from calibration.estimation.consider import considered_covariance
+from calibration.estimation.intrinsics import CalibratedIntrinsics
 from calibration.estimation.least_squares import minimise
 from calibration.estimation.linear_start import free_patterns, linear_start, pattern_poses, place_gauge_patterns
 from calibration.estimation.noise_levels import NoiseLevels
@@ -17,6 +19,7 @@ from calibration.estimation.optimisation import WeightedOptimum, optimise, unfli
 from calibration.estimation.problem import BORDERS, Values
 from calibration.estimation.result import CalibratedJoint, Calibration, RejectedLabel, ViewResiduals
 from calibration.estimation.starting_noise import StartingNoise, perturb
+from calibration.estimation.unknown_intrinsics import intrinsics_name
 from calibration.geometry.transforms import distance, inverse, translation
 from calibration.geometry.types import Array, IntArray
 
@@ -36,8 +39,13 @@ class Options:
     noise_levels: NoiseLevels = field(default_factory=NoiseLevels)
     """Standard deviations of the labels; those not given are estimated."""
     hold: tuple[str, ...] = ()
-    """What stays as the dataset has it: names of sensors, transforms, patterns, joints and their parameters (see
-    `calibration.estimation.holding`)."""
+    """What stays as the dataset has it: names of sensors, transforms, patterns, joints, intrinsics and their
+    parameters (see `calibration.estimation.holding`)."""
+    intrinsics: tuple[str, ...] = ()
+    """Cameras whose intrinsics are calibrated too; "all" for every one."""
+    intrinsics_covariance: Mapping[str, CalibratedIntrinsics] = field(default_factory=dict)
+    """By camera, how well its intrinsics are known: a prior where they are calibrated; else they stay, and the
+    covariance of the result is the wider for it."""
 
 
 def calibrate(dataset: Dataset, options: Options | None = None, noise: StartingNoise | None = None) -> Calibration:
@@ -53,7 +61,7 @@ def calibrate(dataset: Dataset, options: Options | None = None, noise: StartingN
         InputError: the labels cannot be used.
     """
     options = options or Options()
-    setup = build(dataset, options.hold)
+    setup = build(dataset, options.hold, options.intrinsics, options.intrinsics_covariance)
     exact = _initial_values(setup)
     guess = perturb(setup, exact, noise or StartingNoise())
     robust = options.loss == "huber"
@@ -72,13 +80,13 @@ def calibrate(dataset: Dataset, options: Options | None = None, noise: StartingN
 
 
 def _initial_values(setup: Setup) -> Values:
-    """The transforms as they stand in the first collection, joints at their nominal parameters.
+    """The transforms as they stand in the first collection, joints and intrinsics at their nominal parameters.
 
     Patterns have no place yet, unless they are held at it.
     """
     joints = {joint.edge: joint.values for joint in setup.dataset.joints.values()}
     values = []
-    for block, edge in zip(setup.problem.blocks, setup.edges, strict=True):
+    for block, edge in zip(setup.problem.blocks, setup.edges, strict=False):
         pattern = setup.dataset.patterns.get(block.name)
         if pattern and (not block.held or pattern.name in setup.gauge_patterns):
             shape = (setup.problem.collections, 4, 4) if block.per_collection else (4, 4)
@@ -88,6 +96,7 @@ def _initial_values(setup: Setup) -> Values:
         else:
             T = setup.dataset.transforms[edge] if block.per_collection else setup.dataset.transform(*edge)[0]
             values.append(T @ translation(pattern.centre) if pattern else T)
+    values += [block.intrinsics.camera.intrinsics for block in setup.problem.blocks if block.intrinsics]
     return place_gauge_patterns(setup, tuple(values))
 
 
@@ -165,14 +174,16 @@ def _result(
         undetermined, weakly = open_directions(problem, optimum.equations, size)
         if undetermined:
             named = "; ".join(direction.describe(names) for direction in undetermined[:3])
-            hold = ", or hold one of them" if setup.dataset.joints or setup.dataset.additional_transforms else ""
+            several = problem.has_vectors or setup.dataset.additional_transforms
+            hold = ", or hold one of them" if several else ""
             raise UndeterminedError(
                 f"{setup.dataset.path}: the labels do not determine {named}; "
                 f"add collections with other rotations of the pattern or the robot{hold}"
             )
         weak = tuple(direction.describe(names) for direction in weakly)
-        by_block = covariances(problem, optimum.equations)
-        covariance = {setup.edges[i]: C for i, C in by_block.items() if not problem.blocks[i].joint}
+        more = considered_covariance(problem, optimum.values, weighting)
+        by_block = covariances(problem, optimum.equations, more)
+        covariance = {setup.edges[i]: C for i, C in by_block.items() if not problem.blocks[i].vector}
         warnings += _far_guesses(setup, optimum.values, guess)
     return Calibration(
         dataset=_calibrated(setup, optimum.values, dataset),
@@ -190,6 +201,7 @@ def _result(
         warnings=(*setup.ignored, *warnings),
         gauge=setup.gauge,
         joints=_joints(setup, optimum.values, by_block),
+        intrinsics=_intrinsics(setup, optimum.values, by_block),
     )
 
 
@@ -209,6 +221,21 @@ def _joints(setup: Setup, values: Values, covariance: Mapping[int, Array]) -> di
                 covariance=covariance.get(i, np.full((len(free), len(free)), np.nan)),
             )
     return joints
+
+
+def _intrinsics(setup: Setup, values: Values, covariance: Mapping[int, Array]) -> dict[str, CalibratedIntrinsics]:
+    """The cameras of which intrinsics were free; ``covariance`` as that of `_joints`."""
+    found = {}
+    for i, block in enumerate(setup.problem.blocks):
+        if (intrinsics := block.intrinsics) and not block.held:
+            k = len(intrinsics.free)
+            found[block.name.removeprefix(intrinsics_name(""))] = CalibratedIntrinsics(
+                model=intrinsics.camera.distortion.ros_name,
+                parameters=intrinsics.free,
+                values=values[i][intrinsics.at],
+                covariance=covariance.get(i, np.full((k, k), np.nan)),
+            )
+    return found
 
 
 def _far_guesses(setup: Setup, values: Values, guess: Values) -> list[str]:
@@ -231,20 +258,20 @@ def _transforms(setup: Setup, values: Values) -> dict[Edge, Array]:
     patterns = {setup.pattern_edge(name): p for name, p in setup.dataset.patterns.items()}
     return {
         edge: value @ inverse(translation(patterns[edge].centre)) if edge in patterns else value
-        for edge, value in zip(setup.edges, values, strict=True)
+        for edge, value in zip(setup.edges, values, strict=False)
         if value.ndim == 2
     }
 
 
 def _calibrated(setup: Setup, values: Values, dataset: Dataset) -> Dataset:
-    """The whole dataset with the new transforms and joints.
+    """The whole dataset with the new transforms, joints and intrinsics.
 
     Moving patterns stand where a view of them counts, NaN elsewhere; other moving transforms keep their guess there.
     """
     moving = {}
     kept = set(setup.dataset.keys)
     used = np.array([i for i, key in enumerate(dataset.keys) if key in kept])
-    for i, (block, edge) in enumerate(zip(setup.problem.blocks, setup.edges, strict=True)):
+    for i, (block, edge) in enumerate(zip(setup.problem.blocks, setup.edges, strict=False)):
         if not block.per_collection or block.held:
             continue
         seen = np.zeros(len(used), bool)
@@ -259,7 +286,13 @@ def _calibrated(setup: Setup, values: Values, dataset: Dataset) -> Dataset:
             poses[used[seen]] = values[i][seen]
         moving[edge] = poses
     joints = {name: values[setup.block(joint.edge)] for name, joint in setup.dataset.joints.items()}
-    return dataset.with_transforms({**_transforms(setup, values), **moving}).with_joints(joints)
+    cameras = {
+        block.name.removeprefix(intrinsics_name("")): block.intrinsics.camera.with_intrinsics(value)
+        for block, value in zip(setup.problem.blocks, values, strict=True)
+        if block.intrinsics and not block.held
+    }
+    moved = dataset.with_transforms({**_transforms(setup, values), **moving})
+    return moved.with_joints(joints).with_cameras(cameras)
 
 
 def _residuals(setup: Setup, values: Values) -> tuple[ViewResiduals, ...]:
@@ -270,7 +303,7 @@ def _residuals(setup: Setup, values: Values) -> tuple[ViewResiduals, ...]:
         collections = tuple(keys[i] for i in group.collections)
         residuals += [
             ViewResiduals(group.sensor, group.pattern, term.kind, collections, term.magnitudes(T))
-            for term in group.terms
+            for term in setup.problem.terms(group, values)
         ]
     return tuple(residuals)
 

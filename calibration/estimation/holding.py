@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import zip_longest
 
 import numpy as np
 
@@ -16,40 +17,52 @@ def held_blocks(
     """The blocks, those that are named in ``hold`` held.
 
     A name is that of a sensor, of a transform ("parent-child"), of a pattern, of a joint
-    ("joint-elbow") or of one of its parameters ("joint-elbow-origin_yaw").
+    ("joint-elbow") or of one of its parameters ("joint-elbow-origin_yaw"); of the intrinsics of a camera
+    ("intrinsics-left") or of one of them ("intrinsics-left-k3").
+
+    Args:
+        dataset: the dataset.
+        blocks: those of transforms first, then those of intrinsics.
+        edges: of the former.
+        hold: the names.
 
     Raises:
         InputError: there is nothing of a name, or a pattern to hold has no pose in the dataset.
     """
     out = list(blocks)
+    names = [_names(dataset, block, edge) for block, edge in zip_longest(blocks, edges)]
     for name in hold:
-        found = [i for i in range(len(blocks)) if name in _names(dataset, blocks[i], edges[i])]
+        found = [i for i in range(len(blocks)) if name in names[i]]
         for i in found:
             out[i] = _held(out[i], name)
-            _check(dataset, blocks[i], edges[i])
+            if i < len(edges):
+                _check(dataset, blocks[i], edges[i])
         if not found:
-            known = [each for i in range(len(blocks)) for each in _names(dataset, blocks[i], edges[i])]
+            known = [each for of_block in names for each in of_block]
             raise InputError(
                 f"{dataset.path}: nothing to hold is called '{name}' (there are {', '.join(dict.fromkeys(known))})"
             )
     return tuple(out)
 
 
-def _names(dataset: Dataset, block: Block, edge: Edge) -> list[str]:
+def _names(dataset: Dataset, block: Block, edge: Edge | None) -> list[str]:
     """What a block can be called."""
-    names = [block.name, "-".join(edge)]
+    names = [block.name, "-".join(edge)] if edge else [block.name]
     names += [sensor.name for sensor in dataset.sensors.values() if sensor.edge == edge]
-    names += [f"{block.name}-{parameter}" for parameter in block.joint.free] if block.joint else []
+    names += [f"{block.name}-{parameter}" for parameter in block.vector.free] if block.vector else []
     return names
 
 
 def _held(block: Block, name: str) -> Block:
-    """The block held; of a joint one parameter alone, if it is named."""
+    """The block held; of a joint or a camera one parameter alone, if it is named."""
     parameter = name.removeprefix(f"{block.name}-")
-    if block.joint is None or parameter not in block.joint.free:
+    if block.vector is None or parameter not in block.vector.free:
         return replace(block, held=True)
-    free = tuple(each for each in block.joint.free if each != parameter)
-    return replace(block, joint=FreeJoint(block.joint.model, free), held=block.held or not free)
+    rest = block.vector.without(parameter)
+    held = block.held or not rest.free
+    if isinstance(rest, FreeJoint):
+        return replace(block, joint=rest, held=held)
+    return replace(block, intrinsics=rest, held=held)
 
 
 def _check(dataset: Dataset, block: Block, edge: Edge) -> None:

@@ -1,4 +1,4 @@
-"""Levenberg-Marquardt over poses."""
+"""Levenberg-Marquardt over poses, and what else is unknown."""
 
 from dataclasses import dataclass
 
@@ -41,7 +41,7 @@ class Optimum:
     @property
     def cost(self) -> float:
         """The sum of squared residuals, in standard deviations (Huber's loss where it is robust)."""
-        return float(self.equations.cost.sum())
+        return self.equations.total
 
 
 def minimise(problem: Problem, values: Values, weighting: Weighting, until: Termination | None = None) -> Optimum:
@@ -52,7 +52,7 @@ def minimise(problem: Problem, values: Values, weighting: Weighting, until: Term
     """
     until = until or Termination()
     equations = assemble(problem, values, weighting)
-    cost = float(equations.cost.sum())
+    cost = equations.total
     damping, growth = 1e-4, 2.0
     costs = [cost]
     for iteration in range(until.iterations):
@@ -69,7 +69,7 @@ def minimise(problem: Problem, values: Values, weighting: Weighting, until: Term
             trial = problem.moved(values, shared, local)
             with np.errstate(over="ignore", invalid="ignore"):
                 trial_equations = assemble(problem, trial, weighting)
-            trial_cost = float(trial_equations.cost.sum())
+            trial_cost = trial_equations.total
             gain = min((cost - trial_cost) / predicted, 1.0)
             if gain > 1e-4:
                 values, equations, cost = trial, trial_equations, trial_cost

@@ -7,7 +7,7 @@ with one unknown gives it directly, once for each view, to be averaged; one with
 mount and a pattern on an arm, is a robot-world problem.
 So the unknowns are found one after the other, like a spanning tree: always the one that most views
 speak for. Where the equations leave something open, the given guess is taken and it is said. Joints
-start from their nominal parameters: they are small corrections, and no equation is linear in them.
+and intrinsics start from their nominal parameters: they are small corrections, and no equation is linear in them.
 """
 
 from dataclasses import dataclass, field, replace
@@ -52,7 +52,7 @@ def linear_start(setup: Setup, guess: Values) -> LinearStart:
         UndeterminedError: a robot's motion is too poor to tell a sensor's mount from the pattern's.
     """
     search = _Search(setup, [np.array(value) for value in guess])
-    search.know([i for i, block in enumerate(setup.problem.blocks) if block.held or block.joint])
+    search.know([i for i, block in enumerate(setup.problem.blocks) if block.held or block.vector])
     while search.find() or search.take_guess():
         pass
     search.require_all()

@@ -76,7 +76,7 @@ def estimate_scales(
     dimensions: dict[NoiseKind, int] = {}
     for group in problem.groups:
         T = problem.poses(group, values)
-        for term in group.terms:
+        for term in problem.terms(group, values):
             magnitudes = term.magnitudes(T).ravel()
             squares.setdefault(term.kind, []).append(magnitudes[np.isfinite(magnitudes)] ** 2)
             dimensions[term.kind] = term.dimension

@@ -3,13 +3,13 @@
 A view's Hessian M (6x6, from `calibration.estimation.residuals`) becomes the block (a, b) of the
 normal equations as ``J_a^T M J_b``, where J maps a block's parameters (the six of a twist, or those
 of a joint) to the view's twist: chain length costs products of 6x6 matrices per view, never work per
-label. Blocks that each collection has its own of (moving patterns) are eliminated collection by
-collection in one batched solve, and what remains is one small dense matrix for the shared blocks,
-the Schur complement. A Jacobian is never stored.
+label. Free intrinsics of a camera are rows and columns of M of their own. Blocks that each collection
+has its own of (moving patterns) are eliminated collection by collection in one batched solve, and what
+remains is one small dense matrix for the shared blocks, the Schur complement. A Jacobian is never stored.
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -51,6 +51,13 @@ class NormalEquations:
     """(S,)."""
     g_local: Array
     """(N, P)."""
+    prior: float = 0.0
+    """The cost of what is known beforehand."""
+
+    @property
+    def total(self) -> float:
+        """The whole cost."""
+        return float(self.cost.sum()) + self.prior
 
     def step(self, damping: float) -> tuple[Array, Array, float]:
         """The damped step: shared (S,), local (N, P), and the decrease of the cost that it predicts.
@@ -100,21 +107,44 @@ def assemble(problem: Problem, values: Values, weighting: Weighting) -> NormalEq
         np.zeros(N), np.zeros((S, S)), np.zeros((N, S, P)), np.zeros((N, P, P)), np.zeros(S), np.zeros((N, P))
     )
     for group in problem.groups:
+        if not _possible(problem, group, values):
+            equations.cost[group.collections] = np.inf
+            continue
+        terms = problem.terms(group, values)
         for start in range(0, len(group.collections), VIEWS_AT_A_TIME):
             views = slice(start, min(start + VIEWS_AT_A_TIME, len(group.collections)))
-            _add(equations, problem, group, views, values, weighting)
+            _add(equations, problem, group, terms, views, values, weighting)
     _fill_unobserved(equations.H_local)
-    return equations
+    return _with_priors(equations, problem, values)
 
 
-def linearise(group: ViewGroup, T: Array, views: slice, weighting: Weighting) -> tuple[Array, Array, Array]:
-    """Cost (v,), Hessian (v, 6, 6) and gradient (v, 6) of some views at their poses, all terms together."""
+def _possible(problem: Problem, group: ViewGroup, values: Values) -> bool:
+    """Whether there can be a camera with such intrinsics."""
+    free = problem.free_intrinsics(group)
+    return free is None or free[1].possible(values[free[0]])
+
+
+def _with_priors(equations: NormalEquations, problem: Problem, values: Values) -> NormalEquations:
+    """The equations with what is known of intrinsics beforehand."""
+    cost = 0.0
+    for block, at in problem.shared_parameters.items():
+        intrinsics = problem.blocks[block].intrinsics
+        if intrinsics and intrinsics.prior:
+            more, gradient, H = intrinsics.pull(values[block])
+            equations.g_shared[at] += gradient
+            equations.H_shared[at, at] += H
+            cost += more
+    return replace(equations, prior=cost) if cost else equations
+
+
+def linearise(terms: Sequence[Term], T: Array, views: slice, weighting: Weighting) -> tuple[Array, Array, Array]:
+    """Cost (v,), Hessian (v, 6 + m, 6 + m) and gradient (v, 6 + m) of some views at their poses, all terms together."""
 
     def of(term: Term) -> tuple[Array, Array, Array]:
         return term.linearise(T, views, weighting.scales[term.kind], weighting.huber)
 
-    cost, M, g = of(group.terms[0])
-    for term in group.terms[1:]:
+    cost, M, g = of(terms[0])
+    for term in terms[1:]:
         more_cost, more_M, more_g = of(term)
         cost, M, g = cost + more_cost, M + more_M, g + more_g
     return cost, M, g
@@ -124,6 +154,7 @@ def _add(
     equations: NormalEquations,
     problem: Problem,
     group: ViewGroup,
+    terms: Sequence[Term],
     views: slice,
     values: Values,
     weighting: Weighting,
@@ -131,9 +162,13 @@ def _add(
     """Add some views of a group to the equations."""
     collections = group.collections[views]
     T, jacobians = group.chain.jacobians(values, views, collections, problem.held)
-    cost, M, g = linearise(group, T, views, weighting)
+    cost, M, g = linearise(terms, T, views, weighting)
     equations.cost[collections] += cost
     columns = _columns(problem, jacobians)
+    free = problem.free_intrinsics(group)
+    if free is not None:
+        _add_intrinsics(equations, problem.shared_parameters[free[0]], collections, columns, M, g)
+        M, g = M[:, :6, :6], g[:, :6]
     for i, a in enumerate(columns):
         gradient = (np.swapaxes(a.J, 1, 2) @ g[..., None])[..., 0]
         if a.local:
@@ -150,6 +185,22 @@ def _add(
                 equations.H_shared[b.at, a.at] += total
                 if a is not b:
                     equations.H_shared[a.at, b.at] += total.T
+
+
+def _add_intrinsics(
+    equations: NormalEquations, at: slice, collections: IntArray, columns: "list[_Columns]", M: Array, g: Array
+) -> None:
+    """Add the rows and columns of intrinsics, which stand at ``at``, from M (v, 6 + m, 6 + m) and g (v, 6 + m)."""
+    equations.H_shared[at, at] += M[:, 6:, 6:].sum(0)
+    equations.g_shared[at] += g[:, 6:].sum(0)
+    mixed = M[:, 6:, :6]
+    for a in columns:
+        if a.local:
+            equations.H_mixed[collections, at, a.at] += mixed @ a.J
+        else:
+            total = mixed.sum(0) @ a.J[0] if len(a.J) == 1 else (mixed @ a.J).sum(0)
+            equations.H_shared[at, a.at] += total
+            equations.H_shared[a.at, at] += total.T
 
 
 class _Columns(NamedTuple):

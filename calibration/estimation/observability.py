@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from calibration.estimation.intrinsics import root_mean_square
 from calibration.estimation.normal_equations import NormalEquations, Weighting
 from calibration.estimation.problem import NoiseKind, Problem, Values
 from calibration.geometry.types import Array, IntArray
@@ -28,19 +29,20 @@ class WeakDirection:
     block: int
     """The block that moves most."""
     kind: str
-    """"translation" or "rotation"."""
+    """"translation", "rotation", or "ray" of a camera's intrinsics."""
     axis: Array
     """(3,): the unit axis, in the block's child frame."""
     sigma: float
-    """The standard deviation of that motion, m or rad; infinite where nothing determines it."""
+    """The standard deviation of that motion, m or rad; infinite where nothing determines it. Of intrinsics by how much
+    they turn rays: those of the labels where it is not determined, where it is weak all over the image."""
     others: tuple[int, ...]
     """Blocks that move along, those that move most first."""
     parameters: Mapping[int, tuple[str, ...]] = field(default_factory=dict)
-    """Of each joint among the blocks, the parameters that change; the one that changes most first."""
+    """Of each joint or camera among the blocks, the parameters that change; the one that changes most first."""
 
     def describe(self, names: list[str]) -> str:
-        """One phrase that names transform and axis, or joint and parameters."""
-        unit = "mm" if self.kind == "translation" else "mrad"
+        """One phrase that names transform and axis, or joint or intrinsics and parameters."""
+        unit = {"translation": "mm", "rotation": "mrad", "ray": "mrad of a ray"}[self.kind]
         size = f"{1e3 * self.sigma:.3g} {unit}" if np.isfinite(self.sigma) else "without bound"
         along = f" together with {_listed([self._name(other, names) for other in self.others])}" if self.others else ""
         if self.block in self.parameters:
@@ -60,7 +62,8 @@ def open_directions(
     """The directions that are not determined, and those that are weak.
 
     The information on the shared blocks (the Schur complement) is taken apart into its principal
-    directions, translations measured in sizes of the pattern so that they compare with radians.
+    directions, translations measured in sizes of the pattern and intrinsics by how they turn the labels' rays, so
+    that they compare with radians.
 
     Args:
         problem: the problem.
@@ -69,7 +72,7 @@ def open_directions(
     """
     S = equations.schur
     parts = _parts(problem)
-    unit = np.concatenate([np.full(part.length, size if part.kind == "translation" else 1.0) for part in parts])
+    unit = np.concatenate([np.full(part.length, part.unit(size)) for part in parts])
     information, directions = np.linalg.eigh(unit[:, None] * S * unit)
     undetermined, weak = [], []
     for value, direction in zip(information, directions.T, strict=True):
@@ -79,19 +82,43 @@ def open_directions(
         named = _named(parts, direction, size, sigma, INVOLVED if hopeless else MOVING)
         if hopeless:
             undetermined.append(named)
-        elif named.sigma > WEAK:
+        elif named.sigma > WEAK and named.kind != "ray":
             weak.append(named)
-    return undetermined, weak
+    return undetermined, weak if undetermined else weak + _weak_intrinsics(problem, equations)
+
+
+def _weak_intrinsics(problem: Problem, equations: NormalEquations) -> list[WeakDirection]:
+    """The cameras whose intrinsics leave rays open somewhere in the image, with the parameters that do most of it.
+
+    At the labels parameters make up for each other; where the image has no labels they do not.
+    """
+    weak = []
+    covariance = covariances(problem, equations)
+    for block in problem.shared:
+        if (intrinsics := problem.blocks[block].intrinsics) is not None:
+            bends, C = intrinsics.bends, covariance[block]
+            sigma = float(np.sqrt(np.einsum("ian,ij,jan->", bends, C, bends) / bends.shape[-1]))
+            own = root_mean_square(bends) * np.sqrt(np.diagonal(C))
+            most = [intrinsics.free[k] for k in np.argsort(-own, kind="stable") if own[k] > MOVING * own.max()]
+            if sigma > WEAK:
+                weak.append(WeakDirection(block, "ray", np.zeros(3), sigma, (), {block: tuple(most)}))
+    return weak
 
 
 @dataclass(frozen=True)
 class _Part:
-    """Parameters that make one motion: a block's translation or rotation, or one parameter of a joint."""
+    """Parameters that make one motion: a block's translation or rotation, or one parameter of a joint or a camera."""
 
     block: int
     kind: str
     length: int
     parameter: str = ""
+    reach: float = 1.0
+    """Of a parameter of a camera: by how much a label's ray turns when it grows by 1, rad."""
+
+    def unit(self, size: float) -> float:
+        """What is taken for one, as a change of the parameters: the size of the pattern, or 1 rad."""
+        return size if self.kind == "translation" else 1 / max(self.reach, 1e-30)
 
 
 def _parts(problem: Problem) -> list[_Part]:
@@ -101,6 +128,9 @@ def _parts(problem: Problem) -> list[_Part]:
         if joint := problem.blocks[i].joint:
             kinds = ["translation" if joint.model.unit(p) == "m" else "rotation" for p in joint.free]
             parts += [_Part(i, kind, 1, parameter) for kind, parameter in zip(kinds, joint.free, strict=True)]
+        elif intrinsics := problem.blocks[i].intrinsics:
+            each = zip(intrinsics.free, intrinsics.reach.tolist(), strict=True)
+            parts += [_Part(i, "ray", 1, *part) for part in each]
         else:
             parts += [_Part(i, "translation", 3), _Part(i, "rotation", 3)]
     return parts
@@ -136,14 +166,20 @@ def _listed(names: list[str]) -> str:
     return " and ".join([*names[:3], *more])
 
 
-def covariances(problem: Problem, equations: NormalEquations) -> dict[int, Array]:
+def covariances(problem: Problem, equations: NormalEquations, more: Array | None = None) -> dict[int, Array]:
     """The covariance of each shared block.
 
-    (6, 6) of its twist (translation, rotation), m and rad, or (k, k) of a joint's free parameters.
-    The inverse of the Schur complement; held blocks have none. By Cramer and Rao no unbiased
+    (6, 6) of its twist (translation, rotation), m and rad, or (k, k) of the free parameters of a joint or a
+    camera. The inverse of the Schur complement; held blocks have none. By Cramer and Rao no unbiased
     estimate can be better than this.
+
+    Args:
+        problem: the problem.
+        equations: the normal equations at the optimum, in standard deviations.
+        more: (S, S), what something else adds (see `calibration.estimation.consider`).
     """
     inverse = np.linalg.inv(equations.schur)
+    inverse = inverse if more is None else inverse + more
     blocks = {}
     for block, part in problem.shared_parameters.items():
         blocks[block] = 0.5 * (inverse[part, part] + inverse[part, part].T)
@@ -161,16 +197,33 @@ def determined_parameters(
     kinds = {term.kind for group in problem.groups for term in group.terms}
     if len(kinds) == 1:
         observed = sum(np.count_nonzero(np.bincount(_collections_of(problem, block))) for block in problem.local)
-        return {kinds.pop(): sum(problem.blocks[i].dimension for i in problem.shared) + 6.0 * observed}
+        shared = sum(problem.blocks[i].dimension for i in problem.shared)
+        return {kinds.pop(): shared + 6.0 * observed - _known_beforehand(problem, values, equations)}
     shares = dict.fromkeys(kinds, 0.0)
     pose_covariance = _PoseCovariance(problem, equations)
     for group in problem.groups:
         T, jacobians = group.chain.jacobians(values, slice(None), group.collections, problem.held)
-        C = pose_covariance.of(group.collections, jacobians)
-        for term in group.terms:
+        if (free := problem.free_intrinsics(group)) is not None:
+            C = pose_covariance.with_intrinsics(group.collections, jacobians, free[0])
+        else:
+            C = pose_covariance.of(group.collections, jacobians)
+        for term in problem.terms(group, values):
             _, M, _ = term.linearise(T, slice(None), weighting.scales[term.kind], weighting.huber)
             shares[term.kind] += float(np.einsum("vij,vji->", M, C))
     return shares
+
+
+def _known_beforehand(problem: Problem, values: Values, equations: NormalEquations) -> float:
+    """How many of the shared parameters the priors have determined: the trace of their share of the information."""
+    if not problem.has_priors:
+        return 0.0
+    covariance = np.linalg.inv(equations.schur)
+    known = 0.0
+    for block, at in problem.shared_parameters.items():
+        if (intrinsics := problem.blocks[block].intrinsics) is not None:
+            _, _, information = intrinsics.pull(values[block])
+            known += float(np.einsum("ij,ji->", information, covariance[at, at]))
+    return known
 
 
 class _PoseCovariance:
@@ -184,13 +237,29 @@ class _PoseCovariance:
 
     def of(self, collections: IntArray, jacobians: list[tuple[int, Array]]) -> Array:
         """(v, 6, 6), for a twist in the sensor's frame; jacobians as `Chain.jacobians` gives them."""
-        v, S, P = len(collections), len(self._schur_inverse), self._local_inverse.shape[-1]
-        J_shared, J_local = np.zeros((v, 6, S)), np.zeros((v, 6, P))
+        return self._propagated(collections, *self._columns(len(collections), jacobians))
+
+    def with_intrinsics(self, collections: IntArray, jacobians: list[tuple[int, Array]], block: int) -> Array:
+        """(v, 6 + m, 6 + m), for that twist and the m free intrinsics of a block."""
+        at = self._shared[block]
+        J_shared, J_local = self._columns(len(collections), jacobians)
+        own = np.zeros((len(collections), at.stop - at.start, J_shared.shape[-1]))
+        own[:, :, at] = np.eye(own.shape[1])
+        none = np.zeros((*own.shape[:2], J_local.shape[-1]))
+        return self._propagated(collections, np.concatenate([J_shared, own], 1), np.concatenate([J_local, none], 1))
+
+    def _columns(self, v: int, jacobians: list[tuple[int, Array]]) -> tuple[Array, Array]:
+        """The Jacobian (v, 6, S) to the shared parameters, and (v, 6, P) to the local ones."""
+        J_shared = np.zeros((v, 6, len(self._schur_inverse)))
+        J_local = np.zeros((v, 6, self._local_inverse.shape[-1]))
         for block, J in jacobians:
             if block in self._local:
                 J_local[:, :, self._local[block]] = J
             else:
                 J_shared[:, :, self._shared[block]] = J
+        return J_shared, J_local
+
+    def _propagated(self, collections: IntArray, J_shared: Array, J_local: Array) -> Array:
         J = J_shared - J_local @ self._gain[collections]
         shared: Array = J @ self._schur_inverse @ np.swapaxes(J, 1, 2)
         local: Array = J_local @ self._local_inverse[collections] @ np.swapaxes(J_local, 1, 2)

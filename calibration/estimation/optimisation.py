@@ -39,12 +39,13 @@ class WeightedOptimum:
 def optimise(problem: Problem, values: Values, levels: NoiseLevels, robust: bool) -> WeightedOptimum:
     """Minimise, estimate the noise from the residuals, and again until neither changes.
 
-    With plain least squares and one kind of label the weights don't matter and one round is enough.
+    With plain least squares, one kind of label and nothing known beforehand the weights don't matter and one round
+    is enough.
     """
     huber = HUBER if robust else None
     kinds = {term.kind for group in problem.groups for term in group.terms}
     given = {kind: level for kind, level in levels.given().items() if kind in kinds}
-    if len(kinds) == 1 and not robust:
+    if len(kinds) == 1 and not robust and not problem.has_priors:
         return _plain(problem, values, {**dict.fromkeys(kinds, 1.0), **given}, estimate=not given)
     scales = {**estimate_scales(problem, values, {}, robust=True), **given}
     iterations = 0
@@ -147,7 +148,7 @@ def _ambiguous(problem: Problem, values: Values, weighting: Weighting) -> BoolAr
     worst = np.zeros(problem.collections)
     seen = np.zeros(problem.collections, bool)
     for group in problem.groups:
-        term = group.terms[0]
+        term = problem.terms(group, values)[0]
         mirrored = _mirrored(problem, group, values) if isinstance(term, CornerTerm) else None
         if mirrored is not None:
             magnitudes = term.magnitudes(problem.poses(group, mirrored)) / weighting.scales[term.kind]

@@ -2,8 +2,9 @@
 
 A *view* is one sensor seeing one pattern in one collection. All that its labels depend on is the
 pose ``T_sensor_pattern``, a product of constants and of unknown transforms, the *blocks*. A block is
-a pose with its six parameters, or a joint of which some parameters are free. Views of
-the same sensor and pattern share the same chain of blocks and form a *group*; all arrays of a
+a pose with its six parameters, or a joint of which some parameters are free. Where the intrinsics
+of a camera are unknown too, they are a block that stands in no chain: its views depend on the pose and on
+them. Views of the same sensor and pattern share the same chain of blocks and form a *group*; all arrays of a
 group have its views as their first axis.
 
 The pattern frame of this module is the pattern's, moved to the centre of its corners: a twist about
@@ -17,6 +18,8 @@ from typing import Literal, Protocol
 
 import numpy as np
 
+from calibration.estimation.intrinsics import FreeIntrinsics
+from calibration.geometry.cameras import Camera
 from calibration.geometry.joints import JOINT_PARAMETERS, JointModel, JointParameter
 from calibration.geometry.transforms import adjoint, inverse, moved_twists, retract
 from calibration.geometry.types import Array, BoolArray, IntArray
@@ -40,6 +43,10 @@ class FreeJoint:
         """Where the free parameters stand among all."""
         return [JOINT_PARAMETERS.index(parameter) for parameter in self.free]
 
+    def without(self, parameter: str) -> "FreeJoint":
+        """The same with one parameter fewer free."""
+        return FreeJoint(self.model, tuple(each for each in self.free if each != parameter))
+
     def columns(self, value: Array) -> Array:
         """(6, k): how each free parameter moves the joint's pose, as a twist in its child frame."""
         columns: Array = self.model.columns(value)[:, self.at]
@@ -54,22 +61,29 @@ class FreeJoint:
 
 @dataclass(frozen=True)
 class Block:
-    """An unknown transform: six parameters, or six for each collection; or a joint's free parameters."""
+    """An unknown transform: six parameters, or six for each collection; or free parameters of a joint or a camera."""
 
     name: str
     per_collection: bool = False
     held: bool = False
     """Kept at its start: an anchored sensor, or the one that fixes a free gauge."""
     joint: FreeJoint | None = None
+    intrinsics: FreeIntrinsics | None = None
+
+    @property
+    def vector(self) -> FreeJoint | FreeIntrinsics | None:
+        """What has parameters of its own, in the place of a twist's."""
+        return self.joint or self.intrinsics
 
     @property
     def dimension(self) -> int:
         """How many parameters it has, in each collection if it is per collection."""
-        return len(self.joint.free) if self.joint else 6
+        return len(self.vector.free) if self.vector else 6
 
 
 Values = tuple[Array, ...]
-"""One array for each block: (4, 4), or (N, 4, 4) when it is per collection; (7,) all parameters of a joint."""
+"""One array for each block: (4, 4), or (N, 4, 4) when it is per collection; all parameters of a joint (7,) or of a
+camera (4 + n,)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,8 +169,13 @@ class Term(Protocol):
     def take(self, views: IntArray | slice) -> "Term":
         """Only some of the views."""
 
+    def seen_with(self, camera: Camera, free: Sequence[int]) -> "Term":
+        """The same labels of a camera with other intrinsics, m of which (by their places among all) are free."""
+
     def linearise(self, T: Array, views: slice, scale: float, huber: float | None) -> tuple[Array, Array, Array]:
-        """Cost (v,), Hessian (v, 6, 6) and gradient (v, 6) for a twist in the sensor's frame.
+        """Cost (v,), Hessian (v, 6 + m, 6 + m) and gradient (v, 6 + m) for a twist in the sensor's frame.
+
+        The m free intrinsics come after the six of the twist.
 
         ``scale`` is the standard deviation that divides the residuals, ``huber`` the threshold in
         standard deviations beyond which the loss grows linearly. A view that cannot be (a pattern
@@ -177,6 +196,9 @@ class ViewGroup:
     """(V,): the collection of each view, ascending, each once."""
     chain: Chain
     terms: tuple[Term, ...]
+    """With the nominal intrinsics of a camera; see `Problem.terms`."""
+    intrinsics: int | None = None
+    """The block of the camera's intrinsics, where it has one."""
 
     def take(self, views: IntArray) -> "ViewGroup":
         """Only some of the views."""
@@ -231,6 +253,32 @@ class Problem:
         groups = (group.take(np.flatnonzero(which[group.collections])) for group in self.groups)
         return replace(self, groups=tuple(group for group in groups if len(group.collections)))
 
+    @property
+    def has_vectors(self) -> bool:
+        """Whether parameters of a joint or a camera are free."""
+        return any(self.blocks[i].vector for i in self.shared)
+
+    @property
+    def has_priors(self) -> bool:
+        """Whether anything is known beforehand of what is free."""
+        return any(b.intrinsics is not None and b.intrinsics.prior is not None and not b.held for b in self.blocks)
+
+    def free_intrinsics(self, group: ViewGroup) -> tuple[int, FreeIntrinsics] | None:
+        """The block of intrinsics that a group's views depend on, where it is free."""
+        if group.intrinsics is None or self.held[group.intrinsics]:
+            return None
+        intrinsics = self.blocks[group.intrinsics].intrinsics
+        return (group.intrinsics, intrinsics) if intrinsics else None
+
+    def terms(self, group: ViewGroup, values: Values) -> tuple[Term, ...]:
+        """A group's terms with the intrinsics that its camera has at some values."""
+        free = self.free_intrinsics(group)
+        if free is None:
+            return group.terms
+        block, intrinsics = free
+        camera = intrinsics.camera.with_intrinsics(values[block])
+        return tuple(term.seen_with(camera, intrinsics.at) for term in group.terms)
+
     def poses(self, group: ViewGroup, values: Values) -> Array:
         """``T_sensor_pattern`` (V, 4, 4) of all views of a group."""
         return group.chain.poses(values, slice(None), group.collections)
@@ -239,8 +287,8 @@ class Problem:
         """The values after a step of all S shared parameters (S,) and the P local ones of each collection (N, P)."""
         out = list(values)
         for block, at in self.shared_parameters.items():
-            joint = self.blocks[block].joint
-            out[block] = joint.moved(values[block], shared[at]) if joint else retract(values[block], shared[at])
+            vector = self.blocks[block].vector
+            out[block] = vector.moved(values[block], shared[at]) if vector else retract(values[block], shared[at])
         for block, at in self.local_parameters.items():
             out[block] = retract(values[block], local[:, at])
         return tuple(out)

@@ -3,11 +3,11 @@
 Every label of a view depends on one rigid pose ``T_sensor_pattern``. So its residuals are
 differentiated with respect to a twist of that pose in the *sensor's* frame, once, and only the
 Hessian ``J^T J`` (6x6), the gradient ``J^T r`` (6) and the cost leave this module, whatever the
-chain behind the pose. Points are handled as structure of arrays, and views in chunks whose
-temporaries stay in the processor's cache.
+chain behind the pose. Intrinsics of a camera that are unknown too are further columns of the same rows.
+Points are handled as structure of arrays, and views in chunks whose temporaries stay in the processor's cache.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -35,6 +35,8 @@ class CornerTerm:
     seen: BoolArray | None
     """(V, K); None when every view sees every corner."""
 
+    free: tuple[int, ...] = ()
+    """The intrinsics that are unknown, by their places in `Camera.intrinsics`."""
     kind: NoiseKind = "pixel"
     dimension: int = 2
 
@@ -55,11 +57,16 @@ class CornerTerm:
         """Only some of the views."""
         return replace(self, pixels=self.pixels[views], seen=None if self.seen is None else self.seen[views])
 
+    def seen_with(self, camera: Camera, free: Sequence[int]) -> "CornerTerm":
+        """See `calibration.estimation.problem.Term`."""
+        return replace(self, camera=camera, free=tuple(free))
+
     def linearise(self, T: Array, views: slice, scale: float, huber: float | None) -> Linearised:
         """See `calibration.estimation.problem.Term`."""
         pixels = self.pixels[views]
         seen = None if self.seen is None else self.seen[views]
-        cost, H, g = np.empty(len(T)), np.empty((len(T), 6, 6)), np.empty((len(T), 6))
+        size = 6 + len(self.free)
+        cost, H, g = np.empty(len(T)), np.empty((len(T), size, size)), np.empty((len(T), size))
         for part in chunks(len(T), len(self.corners)):
             cost[part], H[part], g[part] = self._linearise(
                 T[part], pixels[part], None if seen is None else seen[part], scale, huber
@@ -94,6 +101,7 @@ class CornerTerm:
         camera = self.camera
         fx, fy = camera.fx / scale, camera.fy / scale
         x, y, inverse_z, front = self._normalised(T, seen)
+        xd, yd = x, y
         if camera.distortion.is_identity:
             ru, rv = fx * x, fy * y
             ux: Array | float = fx
@@ -114,12 +122,34 @@ class CornerTerm:
             cost = np.where(behind.any(-1), np.inf, cost)
         if seen is not None:
             weight = seen.astype(float) if weight is None else weight * seen
-        rows = np.empty((len(T), 7, 2, len(self.corners)))
+        size = 6 + len(self.free)
+        rows = np.empty((len(T), size + 1, 2, len(self.corners)))
         _corner_rows(rows[:, :, 0], ux, uy, ru, x, y, inverse_z, weight)
         _corner_rows(rows[:, :, 1], vx, vy, rv, x, y, inverse_z, weight)
-        J = rows.reshape(len(T), 7, -1)
+        if self.free:
+            self._intrinsics_rows(rows[:, 6:size], x, y, xd, yd, scale)
+            if weight is not None:
+                rows[:, 6:size] *= weight[:, None, None]
+        J = rows.reshape(len(T), size + 1, -1)
         G = J @ J.transpose(0, 2, 1)
-        return cost, G[:, :6, :6], G[:, :6, 6]
+        return cost, G[:, :size, :size], G[:, :size, size]
+
+    def _intrinsics_rows(self, rows: Array, x: Array, y: Array, xd: Array, yd: Array, scale: float) -> None:
+        """Fill (v, m, 2, K) rows: the derivative of both image axes to each of the free intrinsics."""
+        fx, fy = self.camera.fx / scale, self.camera.fy / scale
+        coefficients = self.camera.distortion.derivatives(x, y) if max(self.free) > 3 else []
+        for k, parameter in enumerate(self.free):
+            if parameter > 3:
+                dx, dy = coefficients[parameter - 4]
+                np.multiply(dx, fx, out=rows[:, k, 0])
+                np.multiply(dy, fy, out=rows[:, k, 1])
+            else:
+                axis = parameter % 2
+                rows[:, k, 1 - axis] = 0.0
+                if parameter < 2:
+                    np.divide(yd if axis else xd, scale, out=rows[:, k, axis])
+                else:
+                    rows[:, k, axis] = 1 / scale
 
 
 def _corner_rows(
@@ -132,7 +162,7 @@ def _corner_rows(
     inverse_z: Array,
     weight: Array | None,
 ) -> None:
-    """Fill (v, 7, K) rows: the derivative of one image axis to the twist, and the residual.
+    """Fill the first six of (v, 7 + m, K) rows: the derivative of one image axis to the twist; the last: the residual.
 
     (jx, jy) is its derivative to the normalised coordinates. For a point p moved by dt + dw x p:
     d/dp = (jx, jy, -(jx x + jy y)) / z, and d/dw = p x d/dp, in which z cancels.
@@ -146,7 +176,7 @@ def _corner_rows(
     rows[:, 3] = jz * y - jy
     rows[:, 4] = jx - jz * x
     rows[:, 5] = jy * x - jx * y
-    rows[:, 6] = r
+    rows[:, -1] = r
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,6 +210,10 @@ class RangeTerm:
     def take(self, views: IntArray | slice) -> "RangeTerm":
         """Only some of the views."""
         return replace(self, rays=self.rays[views], ranges=self.ranges[views], present=self.present[views])
+
+    def seen_with(self, camera: Camera, free: Sequence[int]) -> "RangeTerm":
+        """See `calibration.estimation.problem.Term`; what a depth camera measures is taken as points."""
+        return self
 
     def linearise(self, T: Array, views: slice, scale: float, huber: float | None) -> Linearised:
         """See `calibration.estimation.problem.Term`."""
@@ -230,6 +264,10 @@ class BorderTerm:
     def take(self, views: IntArray | slice) -> "BorderTerm":
         """Only some of the views."""
         return replace(self, rays=self.rays[views], ranges=self.ranges[views], present=self.present[views])
+
+    def seen_with(self, camera: Camera, free: Sequence[int]) -> "BorderTerm":
+        """See `calibration.estimation.problem.Term`; what a depth camera measures is taken as points."""
+        return self
 
     def linearise(self, T: Array, views: slice, scale: float, huber: float | None) -> Linearised:
         """See `calibration.estimation.problem.Term`."""

@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 
 from calibration.dataset.model import Dataset, Edge
+from calibration.estimation.intrinsics import CalibratedIntrinsics
 from calibration.estimation.noise_levels import NoiseLevels
 from calibration.estimation.problem import NoiseKind
 from calibration.geometry.joints import JointParameter
@@ -66,7 +67,7 @@ class Calibration:
     """The result."""
 
     dataset: Dataset
-    """The dataset with the calibrated transforms, the patterns' among them."""
+    """The dataset with the calibrated transforms, the patterns' among them, and the calibrated intrinsics."""
     transforms: Mapping[Edge, Array]
     """The calibrated ``T_parent_child`` (4, 4) of sensors, additional transforms and fixed patterns."""
     covariances: Mapping[Edge, Array]
@@ -90,6 +91,8 @@ class Calibration:
     """The sensor that was held because the data determine only relative poses; None where nothing had to be."""
     joints: Mapping[str, CalibratedJoint] = field(default_factory=dict)
     """The joints of which parameters were free, by name."""
+    intrinsics: Mapping[str, CalibratedIntrinsics] = field(default_factory=dict)
+    """Of the cameras of which intrinsics were free, by name."""
 
     @cached_property
     def rms_px(self) -> float:

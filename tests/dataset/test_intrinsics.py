@@ -22,11 +22,8 @@ LENSES = [
 
 
 def dataset_of(tmp_path, model, D):
-    folder = tmp_path / "input"
-    folder.mkdir()
     content = changed(documents.document(), {f"{INFO}/distortion_model": model, f"{INFO}/D": D})
-    (folder / "dataset.json").write_text(json.dumps(content))
-    return read_dataset(folder)
+    return read_dataset(documents.write(tmp_path / "input", content))
 
 
 @pytest.mark.parametrize("lens", LENSES)

@@ -7,6 +7,7 @@ import numpy as np
 
 from calibration.dataset.model import Joint, Sensor
 from calibration.geometry import rotations
+from calibration.geometry.cameras import Camera
 from calibration.geometry.joints import JointModel, JointParameter
 from calibration.geometry.transforms import inverse, retract, transform
 from calibration.geometry.types import Array
@@ -330,3 +331,23 @@ def rotating(scene: Scene, rotations_: Array, seed: int = 0) -> Scene:
     shifts = np.random.default_rng(seed).uniform(-0.1, 0.1, (len(rotations_), 3))
     motion = scene.transforms[edge][0] @ transform(rotations.exp(rotations_), shifts)
     return replace(scene, transforms={**scene.transforms, edge: motion})
+
+
+def covering(n: int = 30, seed: int = 0, cameras: int = 2, model: Camera = WIDE, **changes: object) -> Scene:
+    """Static cameras side by side, and a moving pattern before the middle one that comes to every place of its image.
+
+    Nothing is anchored; good views for intrinsics: near, tilted by up to half a radian.
+    """
+    rng = np.random.default_rng(6000 + seed)
+    pixels = rng.uniform((0.08, 0.08), (0.92, 0.92), (n, 2)) * (model.width, model.height)
+    rays = np.concatenate([model.normalise(pixels), np.ones((n, 1))], -1)
+    centre = rays / np.linalg.norm(rays, axis=-1, keepdims=True) * rng.uniform(0.5, 1.0, (n, 1))
+    R = rotations.exp(rng.uniform(-0.5, 0.5, (n, 3)))
+    pattern = board()
+    T = transform(R, centre - R @ pattern.centre)
+    transforms = {
+        ("world", f"c{k}"): pose(0.04 * k, 0.01 * k, 0.02 * k, 0.02 * k, -0.03 * k, 0.02) for k in range(cameras)
+    }
+    transforms["world", "board_link"] = transforms["world", "c0"] @ T
+    scene = Scene(transforms, [camera(f"c{k}", model=model) for k in range(cameras)], [pattern])
+    return replace(scene, **changes)

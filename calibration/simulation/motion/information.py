@@ -83,7 +83,7 @@ def informations(problem: Problem, values: Values, weighting: Weighting) -> Arra
     H = np.zeros((problem.collections, shared + local, shared + local))
     for group in problem.groups:
         T, jacobians = group.chain.jacobians(values, slice(None), group.collections, problem.held)
-        _, M, _ = linearise(group, T, slice(None), weighting)
+        _, M, _ = linearise(group.terms, T, slice(None), weighting)
         J = np.zeros((len(T), 6, shared + local))
         for block, J_block in jacobians:
             J[:, :, at[block]] = J_block

@@ -1,0 +1,161 @@
+"""The intrinsics of a camera as unknowns: any of them free, with or without a prior."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+
+from calibration.geometry.cameras import Camera
+from calibration.geometry.types import Array, BoolArray
+
+PIXELS = ("fx", "fy", "cx", "cy")
+"""The parameters that are measured in pixels."""
+
+
+@dataclass(frozen=True, eq=False)
+class CalibratedIntrinsics:
+    """Some intrinsics of a camera with their covariance: what a calibration says, or what one is given."""
+
+    model: str
+    """ROS's name of the distortion model."""
+    parameters: tuple[str, ...]
+    """Some of fx, fy, cx, cy and the coefficients, in this order."""
+    values: Array
+    """(k,): px, and 1."""
+    covariance: Array
+    """(k, k); NaN where the calibration has not converged."""
+
+    @property
+    def units(self) -> tuple[Literal["px", "1"], ...]:
+        """What each parameter is measured in."""
+        return tuple("px" if parameter in PIXELS else "1" for parameter in self.parameters)
+
+    @property
+    def sigmas(self) -> Array:
+        """(k,): the standard deviation of each parameter."""
+        return np.asarray(np.sqrt(np.diagonal(self.covariance)))
+
+
+@dataclass(frozen=True, eq=False)
+class Prior:
+    """What is known of some parameters beforehand: a Gaussian."""
+
+    at: tuple[int, ...]
+    """(u,): where these parameters stand among all of the camera, ascending."""
+    mean: Array
+    """(u,)."""
+    covariance: Array
+    """(u, u)."""
+
+    @cached_property
+    def information(self) -> Array:
+        """(u, u): the inverse of the covariance; scaled first, as pixels and coefficients are of different size."""
+        s = np.sqrt(np.diagonal(self.covariance))
+        inverse: Array = np.linalg.inv(self.covariance / s[:, None] / s) / s[:, None] / s
+        return 0.5 * (inverse + inverse.T)
+
+
+@dataclass(frozen=True, eq=False)
+class FreeIntrinsics:
+    """A camera some of whose intrinsics are unknown."""
+
+    camera: Camera
+    """With its nominal intrinsics."""
+    free: tuple[str, ...]
+    """In the order of `Camera.parameters`."""
+    rays: Array
+    """(2, n): where its labels lie, as normalised coordinates."""
+    prior: Prior | None = None
+
+    @cached_property
+    def at(self) -> list[int]:
+        """Where the free parameters stand among all."""
+        return [self.camera.parameters.index(parameter) for parameter in self.free]
+
+    def with_free(self, parameters: Sequence[str]) -> "FreeIntrinsics":
+        """The same with these parameters free, in any order."""
+        return replace(self, free=tuple(each for each in self.camera.parameters if each in parameters))
+
+    def without(self, parameter: str) -> "FreeIntrinsics":
+        """The same with one parameter fewer free."""
+        return self.with_free([each for each in self.free if each != parameter])
+
+    def moved(self, value: Array, step: Array) -> Array:
+        """All parameters (4 + n,) after a step (k,) of the free ones."""
+        out = value.copy()
+        out[self.at] += step
+        return out
+
+    def possible(self, value: Array) -> bool:
+        """Whether there can be such a camera: focal lengths above zero, the image not folded over where labels lie."""
+        if not (np.isfinite(value).all() and value[0] > 0 and value[1] > 0):
+            return False
+        return bool(self._unfolded(self.camera.with_intrinsics(value))[self._sound].all())
+
+    @cached_property
+    def _probes(self) -> tuple[Array, Array]:
+        """Points (p,) all over the circle in which the labels lie, as normalised coordinates."""
+        around = np.linspace(0, 2 * np.pi, 12, endpoint=False)
+        r = np.hypot(*self.rays).max(initial=0.0) * np.linspace(0, 1, 9)[1:, None]
+        return (r * np.cos(around)).ravel(), (r * np.sin(around)).ravel()
+
+    @cached_property
+    def _sound(self) -> BoolArray:
+        """Which probes (p,) the nominal camera does not fold over itself."""
+        return self._unfolded(self.camera)
+
+    def _unfolded(self, camera: Camera) -> BoolArray:
+        with np.errstate(all="ignore"):
+            _, (a, b, c) = camera.distortion.distort_with_jacobian(*self._probes)
+            unfolded: BoolArray = (np.asarray(a) > 0) & (a * c - b * b > 0)
+        return unfolded
+
+    def pull(self, value: Array) -> tuple[float, Array, Array]:
+        """The prior's cost at all parameters (4 + n,), and its gradient (k,) and Hessian (k, k) to the free ones."""
+        n = len(value)
+        gradient, H = np.zeros(n), np.zeros((n, n))
+        if self.prior is None:
+            return 0.0, gradient[self.at], H[np.ix_(self.at, self.at)]
+        at = list(self.prior.at)
+        off = value[at] - self.prior.mean
+        gradient[at] = self.prior.information @ off
+        H[np.ix_(at, at)] = self.prior.information
+        return float(off @ gradient[at]), gradient[self.at], H[np.ix_(self.at, self.at)]
+
+    @cached_property
+    def reach(self) -> Array:
+        """(k,): by how much a ray turns when a free parameter grows by 1, rad; root mean square over the labels."""
+        return root_mean_square(self._turns(*self.rays))
+
+    @cached_property
+    def bends(self) -> Array:
+        """(k, 2, n): how the rays all over the image turn when a free parameter grows by 1, rad."""
+        camera = self.camera
+        u, v = np.meshgrid(np.linspace(0, camera.width - 1, 16), np.linspace(0, camera.height - 1, 12))
+        x, y = camera.normalise(np.stack([u.ravel(), v.ravel()], -1)).T
+        return self._turns(x[np.isfinite(x)], y[np.isfinite(x)])
+
+    def _turns(self, x: Array, y: Array) -> Array:
+        """(k, 2, n): by how much rays, as normalised coordinates (n,), turn when a free parameter grows by 1.
+
+        In pixels over the focal length, which is hardly more than the angle, and for a fisheye lens the angle.
+        """
+        camera = self.camera
+        xd, yd = camera.distortion.distort(x, y)
+        none = np.zeros_like(x)
+        turns = [
+            (xd / camera.fx, none),
+            (none, yd / camera.fy),
+            (none + 1 / camera.fx, none),
+            (none, none + 1 / camera.fy),
+        ]
+        turns += camera.distortion.derivatives(x, y)
+        return np.array([turns[i] for i in self.at]).reshape(len(self.at), 2, len(x))
+
+
+def root_mean_square(turns: Array) -> Array:
+    """(...): of vectors (..., 2, n)."""
+    mean: Array = np.sqrt((turns * turns).sum(-2).mean(-1))
+    return mean

@@ -1,0 +1,83 @@
+"""Which intrinsics a user wants calibrated, and what is known of them beforehand."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from calibration.dataset.model import CornerLabels, Dataset
+from calibration.errors import InputError
+from calibration.estimation.intrinsics import CalibratedIntrinsics, FreeIntrinsics, Prior
+from calibration.estimation.problem import Block
+from calibration.geometry.cameras import Camera
+from calibration.geometry.types import Array
+
+ALL = "all"
+"""Stands for every camera."""
+
+
+def intrinsics_name(sensor: str) -> str:
+    """What the block of a camera's intrinsics is called."""
+    return f"intrinsics-{sensor}"
+
+
+def intrinsics_blocks(
+    dataset: Dataset, wanted: Sequence[str], known: Mapping[str, CalibratedIntrinsics]
+) -> tuple[Block, ...]:
+    """A block for each camera whose intrinsics are wanted, or of which a covariance is given.
+
+    The latter, where it is not wanted, is held: its intrinsics stay, and their covariance counts
+    (`calibration.estimation.consider`). That of one that is wanted is a prior.
+
+    Args:
+        dataset: the dataset.
+        wanted: names of rgb sensors, or "all".
+        known: by sensor; where not all sensors of a robot are in a dataset there may be others.
+
+    Raises:
+        InputError: a sensor is unknown or no rgb camera; what is known is not of this camera.
+    """
+    cameras = {name: sensor for name, sensor in dataset.sensors.items() if sensor.modality == "rgb" and sensor.camera}
+    for name in wanted:
+        if name != ALL and name not in cameras:
+            what = f"a {dataset.sensors[name].modality} sensor" if name in dataset.sensors else "no sensor"
+            raise InputError(
+                f"{dataset.path}: intrinsics: '{name}' is {what}, expected {ALL} or cameras "
+                f"({', '.join(cameras) or 'there are none'})"
+            )
+    blocks = []
+    for name, sensor in cameras.items():
+        chosen = name in wanted or ALL in wanted
+        if sensor.camera and (chosen or name in known):
+            prior = _prior(dataset, name, sensor.camera, known[name], chosen) if name in known else None
+            free = sensor.camera.parameters if chosen else ()
+            intrinsics = FreeIntrinsics(sensor.camera, free, _rays(dataset, sensor.name, sensor.camera), prior)
+            blocks.append(Block(intrinsics_name(name), held=not chosen, intrinsics=intrinsics))
+    return tuple(blocks)
+
+
+def _prior(dataset: Dataset, name: str, camera: Camera, known: CalibratedIntrinsics, calibrated: bool) -> Prior:
+    where = f"{dataset.path}: covariance of the intrinsics of '{name}'"
+    if known.model != camera.distortion.ros_name:
+        raise InputError(f"{where}: it is of a lens {known.model}, the dataset has {camera.distortion.ros_name}")
+    for parameter in known.parameters:
+        if parameter not in camera.parameters:
+            raise InputError(f"{where}: found '{parameter}', expected some of {', '.join(camera.parameters)}")
+    at = [camera.parameters.index(parameter) for parameter in known.parameters]
+    order = np.argsort(at)
+    off = np.abs(camera.intrinsics[at] - known.values) / known.sigmas
+    if not calibrated and (off > 1).any():
+        worst = int(off.argmax())
+        raise InputError(
+            f"{where}: it is of {known.parameters[worst]} = {known.values[worst]:.6g}, more than a standard deviation "
+            f"from the {camera.intrinsics[at[worst]]:.6g} of the dataset; take the camera_info that it belongs to, "
+            f"or calibrate these intrinsics"
+        )
+    return Prior(tuple(sorted(at)), known.values[order], known.covariance[np.ix_(order, order)])
+
+
+def _rays(dataset: Dataset, name: str, camera: Camera) -> Array:
+    """The labels of a camera as normalised coordinates (2, n), those that have any."""
+    labels = [c.labels[key] for c in dataset.collections for key in c.labels if key[1] == name]
+    pixels = [each.pixels for each in labels if isinstance(each, CornerLabels)]
+    rays = camera.normalise(np.concatenate(pixels))
+    return rays[np.isfinite(rays[:, 0])].T
