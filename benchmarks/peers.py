@@ -33,6 +33,8 @@ class Solution:
     T_camera_world: Array
     T_world_board: Array
     seconds: float
+    intrinsics: Array | None = None
+    """(C, 9), where they were free."""
 
 
 class PeerError(Exception):
@@ -45,7 +47,7 @@ Peer = Callable[[RigArrays], Solution]
 def measure(quick: bool) -> Iterator[Row]:
     """2 cameras, 2000 collections."""
     rig = rig_problem(COLLECTIONS)
-    yield from _against("mrcal", _mrcal(), Bar(high=0.15), rig, rounds=3 if quick else 7)
+    yield from _against("mrcal", mrcal(), Bar(high=0.15), rig, rounds=3 if quick else 7)
     yield from _against("scipy", _scipy(), Bar(high=1 / 30), rig, rounds=1 if quick else 3)
 
 
@@ -80,7 +82,7 @@ def _against(name: str, peer: Peer | str, bar: Bar, rig: RigProblem, rounds: int
     )
 
 
-def _mrcal() -> Peer | str:
+def mrcal() -> Peer | str:
     """In a process of the Python that has mrcal, or why there is none."""
     for python in MRCAL_PYTHONS:
         if Path(python).exists() and not subprocess.run([python, "-c", "import mrcal"], capture_output=True).returncode:
@@ -97,7 +99,8 @@ def _solve_with_mrcal(python: str, rig: RigArrays) -> Solution:
         if done.returncode:
             raise PeerError(f"mrcal failed: {' '.join(done.stderr.split())[-200:]}")
         with np.load(solution) as found:
-            return Solution(found["T_camera_world"], found["T_world_board"], float(found["seconds"]))
+            poses = found["T_camera_world"], found["T_world_board"]
+            return Solution(*poses, float(found["seconds"]), found["intrinsics"] if rig.free_intrinsics else None)
 
 
 def _scipy() -> Peer | str:

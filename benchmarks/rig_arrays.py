@@ -30,6 +30,8 @@ class RigArrays:
     """(C, 4, 4): the start; the first camera is the world and stays."""
     T_world_board: Array
     """(N, 4, 4): the start."""
+    free_intrinsics: bool = False
+    """Whether the intrinsics of every camera are to be found too; those given are the start."""
 
     def views(self, T_camera_world: Array, T_world_board: Array) -> Array:
         """``T_camera_board`` (C N, 4, 4) in the order of the pixels."""

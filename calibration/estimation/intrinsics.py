@@ -144,12 +144,12 @@ class FreeIntrinsics:
         """
         camera = self.camera
         xd, yd = camera.distortion.distort(x, y)
-        none = np.zeros_like(x)
+        none, one = np.zeros_like(x), np.ones_like(x)
         turns = [
             (xd / camera.fx, none),
             (none, yd / camera.fy),
-            (none + 1 / camera.fx, none),
-            (none, none + 1 / camera.fy),
+            (one / camera.fx, none),
+            (none, one / camera.fy),
         ]
         turns += camera.distortion.derivatives(x, y)
         return np.array([turns[i] for i in self.at]).reshape(len(self.at), 2, len(x))
