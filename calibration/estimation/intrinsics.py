@@ -130,6 +130,19 @@ class FreeIntrinsics:
         return root_mean_square(self._turns(*self.rays))
 
     @cached_property
+    def unit(self) -> Array:
+        """(k,): of each free parameter what is taken for one when directions are compared.
+
+        What turns the labels' rays by 1 rad; or ten standard deviations of the prior if that is less, so that
+        what is known beforehand neither counts as open nor dwarfs all else.
+        """
+        everything = np.full(len(self.camera.parameters), np.inf)
+        if self.prior is not None:
+            everything[list(self.prior.at)] = 10 * np.sqrt(np.diagonal(self.prior.covariance))
+        unit: Array = np.minimum(everything[self.at], 1 / np.maximum(self.reach, 1e-30))
+        return unit
+
+    @cached_property
     def bends(self) -> Array:
         """(k, 2, n): how the rays all over the image turn when a free parameter grows by 1, rad."""
         camera = self.camera

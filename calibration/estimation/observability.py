@@ -71,15 +71,15 @@ def open_directions(
         size: the pattern's (see `calibration.dataset.pattern.Pattern.size`), m.
     """
     S = equations.schur
-    parts = _parts(problem)
-    unit = np.concatenate([np.full(part.length, part.unit(size)) for part in parts])
+    parts = _parts(problem, size)
+    unit = np.concatenate([np.full(part.length, part.unit) for part in parts])
     information, directions = np.linalg.eigh(unit[:, None] * S * unit)
     undetermined, weak = [], []
     for value, direction in zip(information, directions.T, strict=True):
         singular = value <= SINGULAR * information[-1]
         sigma = np.inf if singular else 1 / np.sqrt(value)
         hopeless = singular or sigma > HOPELESS
-        named = _named(parts, direction, size, sigma, INVOLVED if hopeless else MOVING)
+        named = _named(parts, direction, sigma, INVOLVED if hopeless else MOVING)
         if hopeless:
             undetermined.append(named)
         elif named.sigma > WEAK and named.kind != "ray":
@@ -113,31 +113,31 @@ class _Part:
     kind: str
     length: int
     parameter: str = ""
-    reach: float = 1.0
-    """Of a parameter of a camera: by how much a label's ray turns when it grows by 1, rad."""
-
-    def unit(self, size: float) -> float:
-        """What is taken for one, as a change of the parameters: the size of the pattern, or 1 rad."""
-        return size if self.kind == "translation" else 1 / max(self.reach, 1e-30)
+    unit: float = 1.0
+    """What is taken for one, as a change of the parameters: the size of the pattern, 1 rad, or what a camera has."""
+    extent: float = 1.0
+    """How far that moves the block, m or rad."""
 
 
-def _parts(problem: Problem) -> list[_Part]:
-    """The parts of the shared blocks, in the order of their parameters."""
+def _parts(problem: Problem, size: float) -> list[_Part]:
+    """The parts of the shared blocks, in the order of their parameters; ``size`` is the pattern's, m."""
     parts: list[_Part] = []
     for i in problem.shared:
         if joint := problem.blocks[i].joint:
             kinds = ["translation" if joint.model.unit(p) == "m" else "rotation" for p in joint.free]
-            parts += [_Part(i, kind, 1, parameter) for kind, parameter in zip(kinds, joint.free, strict=True)]
+            each = zip(kinds, joint.free, strict=True)
+            parts += [_Part(i, kind, 1, name, *(2 * [size] if kind == "translation" else ())) for kind, name in each]
         elif intrinsics := problem.blocks[i].intrinsics:
-            each = zip(intrinsics.free, intrinsics.reach.tolist(), strict=True)
-            parts += [_Part(i, "ray", 1, *part) for part in each]
+            units, extents = intrinsics.unit, intrinsics.unit * intrinsics.reach
+            rays = zip(intrinsics.free, units.tolist(), extents.tolist(), strict=True)
+            parts += [_Part(i, "ray", 1, *part) for part in rays]
         else:
-            parts += [_Part(i, "translation", 3), _Part(i, "rotation", 3)]
+            parts += [_Part(i, "translation", 3, "", size, size), _Part(i, "rotation", 3)]
     return parts
 
 
-def _named(parts: list[_Part], direction: Array, size: float, sigma: float, moving_from: float) -> WeakDirection:
-    """Name one direction (S,), its translations in sizes of the pattern, by the block and the axis that move most.
+def _named(parts: list[_Part], direction: Array, sigma: float, moving_from: float) -> WeakDirection:
+    """Name one direction (S,), in units of the parts, by the block and the axis that move most.
 
     Others are named from ``moving_from`` times that motion.
     """
@@ -154,7 +154,7 @@ def _named(parts: list[_Part], direction: Array, size: float, sigma: float, movi
         block=most.block,
         kind=most.kind,
         axis=axis,
-        sigma=float(sigma * length[k] * (size if most.kind == "translation" else 1.0)),
+        sigma=float(sigma * length[k] * most.extent),
         others=tuple(block for block in blocks if block != most.block),
         parameters={block: each for block, each in parameters.items() if each[0]},
     )

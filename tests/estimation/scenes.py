@@ -204,16 +204,18 @@ def looks(n: int, seed: int = 0, tilt: float = 0.6, pattern: Pattern | None = No
 
 
 def true_values(setup: Setup) -> Values:
-    """The truth of all blocks, the dataset's transforms being true; patterns about their centre."""
+    """The truth of all blocks, the dataset's transforms and intrinsics being true; patterns about their centre."""
     joints = {joint.edge: joint.values for joint in setup.dataset.joints.values()}
     centres = {setup.pattern_edge(name): translation(p.centre) for name, p in setup.dataset.patterns.items()}
-    return tuple(
+    cameras = [block.intrinsics.camera.intrinsics for block in setup.problem.blocks if block.intrinsics]
+    transforms = tuple(
         joints[edge]
         if edge in joints
         else (setup.dataset.transforms[edge] if block.per_collection else setup.dataset.transforms[edge][0])
         @ centres.get(edge, np.eye(4))
-        for edge, block in zip(setup.edges, setup.problem.blocks, strict=True)
+        for edge, block in zip(setup.edges, setup.problem.blocks, strict=False)
     )
+    return (*transforms, *cameras)
 
 
 def shaken(setup: Setup, values: Values, size: float, seed: int = 0) -> Values:
