@@ -47,6 +47,9 @@ class Settings:
     truth: str | None = None
     compare: tuple[str, ...] = ()
     rules: Path | None = None
+    intrinsics: tuple[str, ...] = ()
+    intrinsics_covariance: Path | None = None
+    hold: tuple[str, ...] = ()
     image: str | None = None
     """What the team's software runs in; with it, or with a command, that calibrates in the place of our engine."""
     command: str | None = None
@@ -88,6 +91,13 @@ class Settings:
 @click.option("--truth", type=text, help="ground_truth.json's path, dataset or none (the file beside the dataset).")
 @click.option("--compare", type=TEXT_LIST, help="Other methods on the same data: opencv-stereo, shah, tsai, icp, ...")
 @click.option("--rules", type=path, help="YAML file of rules for the table of every cell.")
+@click.option("--intrinsics", type=TEXT_LIST, help="Cameras whose intrinsics are calibrated too, or all.")
+@click.option(
+    "--intrinsics-covariance", type=path, help="JSON file of how well intrinsics are known: an earlier intrinsics.json."
+)
+@click.option(
+    "--hold", type=TEXT_LIST, help="What stays as it is: sensors, transforms, patterns, intrinsics-left-k3 ..."
+)
 @click.option("--image", type=text, help="Image with the team's own calibration, which takes the place of our engine.")
 @click.option(
     "--command", type=text, help="What it runs, without a shell: calibrate {start} {output} --seed {seed}; see README."
@@ -237,7 +247,7 @@ def _configuration(settings: Settings) -> "Configuration":
 def _adjusted(system: "System", settings: Settings) -> "System":
     """A system with what the settings say in the place of what the configuration says."""
     changes: dict[str, Any] = {
-        name: value for name in ("evaluate", "truth", "compare") if (value := getattr(settings, name)) not in (None, ())
+        name: value for name in _OF_A_SYSTEM if (value := getattr(settings, name)) not in (None, ())
     }
     if settings.rules is not None:
         from calibration.introspection.rulesfile import read_rules
@@ -248,6 +258,10 @@ def _adjusted(system: "System", settings: Settings) -> "System":
 
         changes["software"] = adjusted_software(system.software, entry, Path.cwd())
     return replace(system, **changes)
+
+
+_OF_A_SYSTEM = ("evaluate", "truth", "compare", "intrinsics", "intrinsics_covariance", "hold")
+"""Settings that stand in the place of a system's own."""
 
 
 def _software(settings: Settings) -> dict[str, Any]:

@@ -60,6 +60,12 @@ class System:
     limits: Limits = field(default_factory=Limits)
     software: Software | None = None
     """The team's own calibration, in the place of our engine, which then only compares."""
+    intrinsics: tuple[str, ...] = ()
+    """Cameras whose intrinsics are calibrated too, or "all"."""
+    intrinsics_covariance: Path | None = None
+    """A file that says how well intrinsics are known, such as an earlier run's ``intrinsics.json``."""
+    hold: tuple[str, ...] = ()
+    """What stays as the dataset has it."""
     collected: str | None = None
     """The entry of `simulation` that makes its dataset, whose place only a run knows."""
 
@@ -214,6 +220,11 @@ def _system(name: str, entry: Mapping[str, Any], common_limits: Mapping[str, flo
         software=software_from(entry["software"], path.parent, f"{path}: systems.{name}.software")
         if "software" in entry
         else None,
+        intrinsics=tuple(entry.get("intrinsics", ())),
+        intrinsics_covariance=path.parent / entry["intrinsics-covariance"]
+        if "intrinsics-covariance" in entry
+        else None,
+        hold=tuple(entry.get("hold", ())),
         collected=place.removeprefix(COLLECTED) if place.startswith(COLLECTED) else None,
     )
 

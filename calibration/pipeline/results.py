@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from calibration.errors import ExitCode, InputError, WorldError, exit_code_of
+from calibration.estimation.intrinsics_file import FILE_NAME as INTRINSICS
 from calibration.files import write_atomically
 from calibration.pipeline.collection.collected import Collected
 from calibration.pipeline.image_result import ImageResult
@@ -101,6 +102,7 @@ def clear_results(output: Path, inputs: Collection[Path] = ()) -> None:
     everything = (*earlier.cells, *earlier.comparisons)
     named = [path for cell in everything for path in (cell.table, cell.dataset) if path]
     own = [str(Path(cell.dataset).with_name(FILE)) for cell in everything if cell.dataset and cell.details]
+    own += [str(Path(cell.dataset).with_name(INTRINSICS)) for cell in everything if cell.dataset and cell.details]
     paths = [output / name for name in (FILE, "cells.csv", "junit.xml", "summary.md", *named, *own)]
     inside = [path for path in paths if path.resolve().is_relative_to(output.resolve())]
     needed = {path.resolve() for path in inputs}

@@ -14,6 +14,7 @@ REASONS_SHOWN = 4
 NOTES_SHOWN = 30
 SIDE_BY_SIDE = 3
 """Systems beside each other in a log."""
+PARAMETERS_SHOWN = 200
 
 
 @dataclass(frozen=True)
@@ -126,6 +127,27 @@ def collections_grid(results: Results) -> Grid:
     )
 
 
+def parameters_grid(results: Results) -> Grid:
+    """A row for each parameter of a joint or a camera that was calibrated, of each system's first cell that passed."""
+    passed = [cell for cell in (*results.cells, *results.comparisons) if cell.verdict == "pass" and cell.details]
+    first = {cell.system: cell for cell in reversed(passed)}
+    rows = [
+        (
+            cell.system,
+            str(each["name"]),
+            str(each["parameter"]),
+            f"{each['value']:.6g}",
+            "-" if each["sigma"] is None else f"{each['sigma']:.2g}",
+            str(each["unit"]),
+        )
+        for system in results.systems
+        if (cell := first.get(system))
+        for kind in ("joints", "intrinsics")
+        for each in cell.details.get(kind, ())
+    ]
+    return Grid(("System", "Joint or camera", "Parameter", "Value", "Sigma", "Unit"), tuple(rows[:PARAMETERS_SHOWN]))
+
+
 def sentence(results: Results) -> str:
     """The verdict in one line."""
     done, failed = [], []
@@ -217,6 +239,8 @@ def markdown(results: Results) -> str:
         ]
     if by := other_methods(results):
         lines += [*(f"- {escape_markdown(line)}" for line in by), ""]
+    if (table := parameters_grid(results)).rows:
+        lines += ["### Joints and intrinsics", "", markdown_table(table.header, table.rows)]
     if results.collections:
         table = collections_grid(results)
         lines += [

@@ -48,6 +48,27 @@ def test_the_file_itself_and_the_whole_matrix(tmp_path: Path, capsys: pytest.Cap
     assert "2/2 pass" in capsys.readouterr().out
 
 
+def test_intrinsics_and_what_is_held(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    output = tmp_path / "first"
+    asked = ["--intrinsics", "left_camera", "--hold", "intrinsics-left_camera-k3,intrinsics-left_camera-k2"]
+    assert main(["calibrate-matrix", "--dataset", T2RGB, *asked, "--output", str(output)]) == 0
+
+    (cell,) = results(output)["cells"]
+    known = output / Path(cell["dataset"]).with_name("intrinsics.json")
+    left = json.loads(known.read_text())["cameras"]["left_camera"]
+    assert left["parameters"] == ["fx", "fy", "cx", "cy", "k1", "p1", "p2"]
+    assert abs(left["values"][0] - 554.256) < 0.5
+    assert "| left\\_camera | fx |" in (output / "summary.md").read_text()
+
+    again = ["--intrinsics", "all", "--intrinsics-covariance", str(known), "--output", str(tmp_path / "second")]
+    assert main(["calibrate-matrix", "--dataset", T2RGB, *again]) == 0
+    # an input among the results that are to be replaced stays
+    same = ["--intrinsics-covariance", str(known), "--output", str(output)]
+    assert main(["calibrate-matrix", "--dataset", T2RGB, *same]) == 2
+    assert known.exists()
+    assert "choose another output" in capsys.readouterr().err
+
+
 def test_a_start_that_does_not_come_back_is_red(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     noise = ["--translation-noise", "2", "--rotation-noise", "3", "--seeds", "12", "--start", "given"]
 

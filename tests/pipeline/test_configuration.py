@@ -35,6 +35,22 @@ def test_paths_are_relative_to_the_file_and_variables_come_from_the_environment(
     assert system.truth == str(tmp_path / "truth.json")
 
 
+def test_a_system_says_what_of_it_is_calibrated(tmp_path: Path) -> None:
+    text = "{dataset: a, intrinsics: [left, right], intrinsics-covariance: known/intrinsics.json, hold: [left, board]}"
+
+    (system,) = read_configuration(write(tmp_path, f"systems: {{a: {text}}}")).systems
+
+    assert system.intrinsics == ("left", "right")
+    assert system.intrinsics_covariance == tmp_path / "known" / "intrinsics.json"
+    assert system.hold == ("left", "board")
+
+
+@pytest.mark.parametrize("entry", ["intrinsics: left", "hold: [left, left]", "hold: ['']", "intrinsics-covariance: 3"])
+def test_what_of_a_system_is_calibrated_has_one_form(tmp_path: Path, entry: str) -> None:
+    with pytest.raises(InputError, match=rf"systems\.a\.{entry.split(':')[0]}"):
+        read_configuration(write(tmp_path, f"systems: {{a: {{dataset: a, {entry}}}}}"))
+
+
 def test_defaults(tmp_path: Path) -> None:
     configuration = read_configuration(write(tmp_path, "systems: {a: {dataset: a}}"))
 

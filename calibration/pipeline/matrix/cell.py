@@ -2,6 +2,7 @@
 
 import math
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -14,7 +15,10 @@ from calibration.dataset.truth import Truth
 from calibration.dataset.writing import write_dataset
 from calibration.errors import CalibrationError, ExitCode
 from calibration.estimation.calibrate import Options, calibrate
-from calibration.estimation.result import Calibration
+from calibration.estimation.intrinsics import CalibratedIntrinsics
+from calibration.estimation.intrinsics_file import FILE_NAME as INTRINSICS
+from calibration.estimation.intrinsics_file import write_intrinsics
+from calibration.estimation.result import CalibratedJoint, Calibration
 from calibration.estimation.starting_noise import StartingNoise, with_starting_noise
 from calibration.evaluation.reprojection import reprojection
 from calibration.evaluation.specification import Evaluation
@@ -37,6 +41,22 @@ class LoadedSystem:
     dataset: Dataset
     truth: Truth | None
     evaluation: Evaluation | None
+    intrinsics: tuple[str, ...] = ()
+    """Cameras whose intrinsics are calibrated too, or "all"."""
+    intrinsics_covariance: Mapping[str, CalibratedIntrinsics] = field(default_factory=dict)
+    """How well intrinsics are known beforehand, by camera."""
+    hold: tuple[str, ...] = ()
+    """What stays as the dataset has it."""
+
+    def options(self, start: Start, loss: Loss) -> Options:
+        """How our engine calibrates it."""
+        return Options(
+            start,
+            loss,
+            hold=self.hold,
+            intrinsics=self.intrinsics,
+            intrinsics_covariance=self.intrinsics_covariance,
+        )
 
 
 @dataclass(frozen=True)
@@ -118,7 +138,8 @@ class CellResult:
     """Set when there is no calibration because of bad input (2) or a failing world (3)."""
     warnings: tuple[str, ...] = ()
     details: dict[str, Any] = field(default_factory=dict)
-    """Transforms with their standard deviations, noise levels, rejected labels: for the cell's own results."""
+    """Transforms, joints and intrinsics with their standard deviations, noise levels, rejected labels: for the cell's
+    own results."""
     detail: str | None = None
     """Of another method: whose implementation it is, and by what of the data it calibrates."""
 
@@ -187,7 +208,7 @@ def run_cell(cell: Cell, system: LoadedSystem, output: Path, folder: str | None 
     begin = time.perf_counter()
     result = nothing_yet(cell)
     try:
-        calibration = calibrate(system.dataset, Options(cell.start, cell.loss), cell.noise)
+        calibration = calibrate(system.dataset, system.options(cell.start, cell.loss), cell.noise)
         result = _described(result, calibration)
         if np.isfinite(calibration.cost):
             result = _written(result, calibration.dataset, system, output, folder or cell.folder, calibration)
@@ -257,6 +278,8 @@ def _written(
         result = replace(result, rms_px=round(calibration.rms_px, 4))
     result = replace(result, truth=distance_from_truth(judged, system))
     write_dataset(dataset, output / folder, images=False)  # they would weigh more than all the rest
+    if calibration is not None and calibration.converged and calibration.intrinsics:
+        write_intrinsics(output / folder / INTRINSICS, calibration.intrinsics)
     return replace(result, dataset=f"{folder}/dataset.json")
 
 
@@ -296,23 +319,13 @@ def _described(result: CellResult, calibration: Calibration) -> CellResult:
         }
         for edge, T in calibration.transforms.items()
     ]
-    joints = [
-        {
-            "name": joint.name,
-            "parameter": parameter,
-            "value": value,
-            "unit": unit,
-            "sigma": sigma if math.isfinite(sigma) else None,
-        }
-        for joint in calibration.joints.values()
-        for parameter, value, unit, sigma in zip(
-            joint.parameters, joint.values.tolist(), joint.units, joint.sigmas.tolist(), strict=True
-        )
-    ]
+    joints = [row for joint in calibration.joints.values() for row in _parameters(joint.name, joint)]
+    intrinsics = [row for name, camera in calibration.intrinsics.items() for row in _parameters(name, camera)]
     levels = calibration.noise_levels
     details = {
         "transforms": transforms,
         "joints": joints,
+        "intrinsics": intrinsics,
         "iterations": calibration.iterations,
         "cost": calibration.cost,
         "degrees_of_freedom": calibration.degrees_of_freedom,
@@ -333,6 +346,23 @@ def _described(result: CellResult, calibration: Calibration) -> CellResult:
         warnings=(*calibration.warnings, *_notes(calibration)),
         details=details,
     )
+
+
+def _parameters(name: str, calibrated: CalibratedJoint | CalibratedIntrinsics) -> list[dict[str, Any]]:
+    """The parameters of a joint or a camera, one by one."""
+    each = zip(
+        calibrated.parameters, calibrated.values.tolist(), calibrated.units, calibrated.sigmas.tolist(), strict=True
+    )
+    return [
+        {
+            "name": name,
+            "parameter": parameter,
+            "value": value,
+            "unit": unit,
+            "sigma": sigma if math.isfinite(sigma) else None,
+        }
+        for parameter, value, unit, sigma in each
+    ]
 
 
 def _notes(calibration: Calibration) -> list[str]:

@@ -16,6 +16,7 @@ from calibration.comparison.methods import METHODS, method_of
 from calibration.dataset.reading import read_dataset
 from calibration.dataset.truth import choose_truth
 from calibration.errors import InputError
+from calibration.estimation.intrinsics_file import read_intrinsics
 from calibration.estimation.starting_noise import StartingNoise
 from calibration.evaluation.specification import parse_evaluation
 from calibration.execution.backends import Place
@@ -178,7 +179,8 @@ def load(system: System) -> LoadedSystem:
     """Read a system's data, and check what is to be done with it.
 
     Raises:
-        InputError: the dataset, the truth, the evaluation or a method to compare with is wrong.
+        InputError: the dataset, the truth, the evaluation, a method to compare with or what is known of intrinsics is
+            wrong.
     """
     dataset = read_dataset(system.dataset)
     truth = choose_truth(dataset, system.truth)
@@ -195,7 +197,8 @@ def load(system: System) -> LoadedSystem:
                 f"evaluation '{evaluation}': {dataset.path} has no sensor '{sensor}'"
                 f"{did_you_mean(sensor, dataset.sensors)} (sensors: {', '.join(dataset.sensors)})"
             )
-    return LoadedSystem(system.name, dataset, truth, evaluation)
+    known = read_intrinsics(system.intrinsics_covariance) if system.intrinsics_covariance else {}
+    return LoadedSystem(system.name, dataset, truth, evaluation, system.intrinsics, known, system.hold)
 
 
 def _run(job: Job, loaded: dict[str, LoadedSystem], output: Path) -> CellResult:

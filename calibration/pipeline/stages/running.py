@@ -96,7 +96,8 @@ def _placed(matrix: Matrix, output: Path) -> Matrix:
 
 def _inputs(matrix: Matrix) -> list[Path]:
     folders = [system.dataset for system in matrix.systems]
-    return [path / "dataset.json" if path.is_dir() else path for path in folders]
+    known = [system.intrinsics_covariance for system in matrix.systems if system.intrinsics_covariance]
+    return [path / "dataset.json" if path.is_dir() else path for path in folders] + known
 
 
 def _needs_image(matrix: Matrix, simulations: Sequence[Simulation]) -> bool:

@@ -9,16 +9,25 @@ import pytest
 
 from calibration.comparison.methods import applicable, method_of
 from calibration.dataset.model import Dataset
+from calibration.dataset.reading import read_dataset
 from calibration.dataset.truth import truth_of
 from calibration.errors import ExitCode, InputError
 from calibration.estimation.calibrate import calibrate
+from calibration.estimation.intrinsics_file import read_intrinsics
 from calibration.estimation.starting_noise import StartingNoise
 from calibration.evaluation.specification import parse_evaluation
+from calibration.pipeline.configuration import NoiseGrid
 from calibration.pipeline.matrix import cell as cells
 from calibration.pipeline.matrix.cell import CellResult, Comparison, LoadedSystem, run_comparison
+from calibration.pipeline.matrix.matrix import Matrix, run_matrix
+from calibration.pipeline.results import Results
+from calibration.pipeline.summary import markdown, parameters_grid
 from tests.estimation.systems import jointed_arm
 from tests.evaluation.scene import T_LINK_OPTICAL, arm, range_pair, rgb, with_corners
+from tests.pipeline.conftest import T2RGB
 from tests.pipeline.matrix.test_judgement import CELL
+
+NOISES = NoiseGrid()
 
 
 def test_joints_are_told_with_their_sigmas() -> None:
@@ -109,3 +118,78 @@ def test_a_method_that_fails_tells_nothing_of_itself(tmp_path: Path) -> None:
     found = compared(replace(lidars(), dataset=arm(n=6)), tmp_path, 0.5, 0.0)
     assert (found.converged, found.detail, found.error) == (False, None, ExitCode.BAD_INPUT)
     assert "it needs two LiDARs" in found.reasons[0]
+
+
+def test_intrinsics_are_told_with_their_sigmas_and_left_for_the_next_run(tmp_path: Path) -> None:
+    written = run_matrix(
+        Matrix((replace(T2RGB, intrinsics=("all",), hold=("intrinsics-left_camera-k3",)),), NOISES), tmp_path, 1
+    )
+    (cell,) = written.cells
+    assert cell.verdict == "pass"
+    assert cell.dataset is not None
+    rows = cell.details["intrinsics"]
+    assert [row["parameter"] for row in rows if row["name"] == "left_camera"] == [
+        "fx",
+        "fy",
+        "cx",
+        "cy",
+        "k1",
+        "k2",
+        "p1",
+        "p2",
+    ]
+    assert {row["unit"] for row in rows} == {"px", "1"}
+    truth = read_dataset(T2RGB.dataset)
+    for row in rows:  # the cameras that were simulated are those of the dataset
+        camera = truth.sensors[row["name"]].camera
+        assert camera is not None
+        true = dict(zip(camera.parameters, camera.intrinsics.tolist(), strict=True))[row["parameter"]]
+        assert abs(row["value"] - true) < 5 * row["sigma"]
+    folder = (tmp_path / cell.dataset).parent
+    known = read_intrinsics(folder / "intrinsics.json")
+    found = read_dataset(folder).sensors["left_camera"].camera
+    assert found is not None
+    np.testing.assert_array_equal(known["left_camera"].values, found.intrinsics[:8])
+    later = replace(T2RGB, dataset=folder, truth="none", intrinsics_covariance=folder / "intrinsics.json")
+    wider = run_matrix(
+        Matrix((later, replace(later, name="plain", intrinsics_covariance=None)), NOISES), tmp_path / "later", 1
+    )
+    sigmas = [[each["sigma_mm"] for each in c.details["transforms"] if each["sigma_mm"]] for c in wider.cells]
+    assert min(sigmas[0]) > 2 * max(sigmas[1])
+    assert wider.cells[0].rms_px == wider.cells[1].rms_px
+    assert not list((tmp_path / "later").rglob("intrinsics.json"))
+
+
+def test_intrinsics_that_are_not_there_are_a_cell_s_bad_input(tmp_path: Path) -> None:
+    (cell,) = run_matrix(Matrix((replace(T2RGB, intrinsics=("middle_camera",)),), NOISES), tmp_path, 1).cells
+    assert cell.error == ExitCode.BAD_INPUT
+    assert (
+        "intrinsics: 'middle_camera' is no sensor, expected all or cameras (left_camera, right_camera)"
+        in cell.reasons[0]
+    )
+
+
+def test_a_wrong_covariance_stops_before_anything_is_calibrated(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"none\.json: a JSON document was expected"):
+        run_matrix(Matrix((replace(T2RGB, intrinsics_covariance=tmp_path / "none.json"),), NOISES), tmp_path, 1)
+
+
+def test_the_summary_shows_joints_and_intrinsics_of_the_first_cell_that_passed() -> None:
+    rows = [
+        {"name": "left", "parameter": "fx", "value": 554.256258, "unit": "px", "sigma": 0.1234},
+        {"name": "left", "parameter": "k1", "value": -0.1, "unit": "1", "sigma": None},
+    ]
+    joint = [{"name": "elbow", "parameter": "position_bias", "value": 0.0123456789, "unit": "rad", "sigma": 1e-4}]
+    cells = (
+        replace(CELL, reasons=("no",), details={"joints": joint, "intrinsics": []}),
+        replace(CELL, details={"joints": joint, "intrinsics": rows}),
+        replace(CELL, details={"joints": [], "intrinsics": []}),
+    )
+    assert parameters_grid(Results(cells)).rows == (
+        ("robot", "elbow", "position_bias", "0.0123457", "0.0001", "rad"),
+        ("robot", "left", "fx", "554.256", "0.12", "px"),
+        ("robot", "left", "k1", "-0.1", "-", "1"),
+    )
+    assert "| robot | left | fx | 554.256 | 0.12 | px |" in markdown(Results(cells))
+    assert "Joints and intrinsics" not in markdown(Results((CELL,)))
+    assert "Joints and intrinsics" not in markdown(Results(cells[2:]))
