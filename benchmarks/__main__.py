@@ -23,6 +23,7 @@ MODULES = {
     "consistency": "errors against their stated covariance",
     "robots": "joints, several patterns and a moving base: truth, error bars, cost, what is refused",
     "mixtures": "every modality together, with gaps, and cameras that only others link: truth and error bars",
+    "intrinsics": "intrinsics beside the poses: truth, error bars, time against mrcal",
     "outliers": "errors with wrong corners among the labels",
     "paper": "the t2rgb dataset of the paper from 400 noisy starts",
     "synthetic": "three synthetic systems from 100 noisy starts each",
