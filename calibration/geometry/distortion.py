@@ -109,7 +109,7 @@ class _RadialTangential(Distortion):
         """See `Distortion`; by Newton's method from the distorted point."""
         if self.is_identity:
             return x, y
-        u, v = x, y
+        u, v = self._inverse_start(x, y)
         with np.errstate(all="ignore"):  # where there is no inverse, Newton's method may go anywhere
             for _ in range(20):
                 (du, dv), (a, b, c) = self.distort_with_jacobian(u, v)
@@ -121,6 +121,10 @@ class _RadialTangential(Distortion):
                     break
             found = (left < 1e-6) & (a > 0) & (det > 0)  # beyond, the image is folded over
         return (u, v) if found.all() else (np.where(found, u, np.nan), np.where(found, v, np.nan))
+
+    def _inverse_start(self, x: Array, y: Array) -> Distorted:
+        """Where Newton's method begins, to invert distorted coordinates."""
+        return x, y
 
     @abstractmethod
     def _radial(self, r2: Array) -> Array:
@@ -188,6 +192,15 @@ class Rational(_RadialTangential):
             *((x1, y1), (x2, y2), (xy, r2 + 2 * yy), (r2 + 2 * xx, xy), (x3, y3)),
             *((x1 * fall, y1 * fall), (x2 * fall, y2 * fall), (x3 * fall, y3 * fall)),
         ]
+
+    def _inverse_start(self, x: Array, y: Array) -> Distorted:
+        """The distorted point, but not beyond the pole where the denominator is zero."""
+        roots = np.roots([self.k6, self.k5, self.k4, 1.0])
+        poles = roots.real[(roots.real > 0) & (np.abs(roots.imag) < 1e-9 * np.abs(roots.real))]
+        if not len(poles):
+            return x, y
+        shrink = np.minimum(1.0, 0.9 * np.sqrt(poles.min()) / np.maximum(np.hypot(x, y), 1e-30))
+        return x * shrink, y * shrink
 
     def _denominator(self, r2: Array) -> Array:
         below: Array = 1 + r2 * (self.k4 + r2 * (self.k5 + r2 * self.k6))

@@ -19,7 +19,7 @@ import numpy as np
 
 from calibration.dataset.document import Node
 from calibration.geometry.cameras import Camera
-from calibration.geometry.distortion import MODELS, Distortion, PlumbBob
+from calibration.geometry.distortion import MODELS, Distortion, Equidistant, PlumbBob
 from calibration.geometry.types import Array
 from calibration.simulation.description import interval, number, numbers, only, whole
 
@@ -164,14 +164,15 @@ def _read_lens(node: Node) -> Camera:
     width, height = whole(node, "width", 2, 100_000), whole(node, "height", 2, 100_000)
     if width * height > MAX_PIXELS:
         raise node["width"].fault(f"found {width} x {height} pixels, expected {MAX_PIXELS} at most")
+    distortion = _read_distortion(node)
     if node.get("K"):
         fx, fy, cx, cy = _intrinsics(node)
     else:
-        hfov = number(node, "hfov_deg", least=1, most=170)
-        fx = fy = width / 2 / math.tan(math.radians(hfov) / 2)
+        half = math.radians(number(node, "hfov_deg", least=1, most=170)) / 2
+        fx = fy = width / 2 / (half if isinstance(distortion, Equidistant) else math.tan(half))
         # Gazebo's principal point, and so that of ATOM's systems
         cx, cy = numbers(node, "principal_point", 2, (width / 2 + 0.5, height / 2 + 0.5))
-    return Camera(fx, fy, cx, cy, width, height, _read_distortion(node))
+    return Camera(fx, fy, cx, cy, width, height, distortion)
 
 
 def _read_distortion(node: Node) -> Distortion:

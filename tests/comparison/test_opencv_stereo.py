@@ -12,6 +12,7 @@ from calibration.dataset.model import Dataset
 from calibration.dataset.reading import read_dataset
 from calibration.errors import InputError, UndeterminedError, WorldError
 from calibration.evaluation.rgb_to_rgb import rgb_to_rgb
+from calibration.geometry.distortion import Equidistant, Rational
 from calibration.geometry.transforms import distance, from_xyz_rpy, retract
 from tests.evaluation.scene import WIDE, arm, cut, lidar, two_cameras
 
@@ -46,6 +47,22 @@ def test_with_intrinsics_estimated_again_exact_views_still_do():
     )
     assert millimetres < 0.1
     assert degrees < 0.02
+
+
+def test_a_lens_with_a_fraction_of_polynomials():
+    bent = replace(WIDE, distortion=Rational(-0.2, 0.05, 1e-3, -5e-4, 0.0, 0.05, 0.02, 0.0))
+    dataset, _ = two_cameras(seed=1, n=12, right=bent)
+    found = opencv_stereo_fixed(disturbed(dataset, RIGHT))
+    np.testing.assert_allclose(found.transforms[RIGHT], dataset.transforms[RIGHT], atol=1e-5)
+    millimetres, _ = relative_error(dataset, opencv_stereo(disturbed(dataset, RIGHT)), "left_optical", "right_optical")
+    assert millimetres < 0.1
+
+
+def test_a_fisheye_lens_is_none_of_its():
+    dataset, _ = two_cameras(seed=1, n=12, right=replace(WIDE, distortion=Equidistant()))
+    assert why_not_stereo(dataset) == "it knows no fisheye lens (equidistant) as that of 'right'"
+    with pytest.raises(InputError, match="does not apply: it knows no fisheye lens"):
+        opencv_stereo(dataset)
 
 
 def test_an_anchored_camera_stays():

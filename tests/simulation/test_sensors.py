@@ -8,6 +8,7 @@ import pytest
 
 from calibration.dataset.document import Node
 from calibration.errors import InputError
+from calibration.geometry.distortion import Equidistant, Rational
 from calibration.simulation.sensors import (
     SimulatedCamera,
     SimulatedDepthCamera,
@@ -36,6 +37,14 @@ def test_a_camera_in_full() -> None:
     assert camera.camera.distortion.k1 == -0.1
 
 
+def test_a_lens_of_another_model() -> None:
+    fisheye = read_camera(node(distortion_model="equidistant", distortion=[0.1, 0, 0, 0.2])).camera
+    assert fisheye.distortion == Equidistant(0.1, 0, 0, 0.2)
+    assert fisheye.fx == pytest.approx(320 / math.radians(30))  # 640 pixels of 60 degrees, as many for each
+    assert read_camera(node(distortion_model="rational_polynomial")).camera.distortion == Rational()
+    assert read_camera(node(distortion_model="plumb_bob")) == read_camera(node())
+
+
 def test_a_depth_camera() -> None:
     usual = read_depth_camera(node())
     assert usual == SimulatedDepthCamera(usual.camera)
@@ -50,6 +59,14 @@ def test_a_depth_camera() -> None:
         ({"blur_px": -1}, "blur_px: found -1, expected a number from 0 to 20"),
         ({"noise_levels": math.nan}, "noise_levels: found nan, expected a finite number"),
         ({"vignetting": 1.5}, "vignetting: found 1.5, expected a number from 0 to 1"),
+        (
+            {"distortion_model": "fov"},
+            "distortion_model: found 'fov', expected one of plumb_bob, rational",
+        ),
+        (
+            {"distortion_model": "equidistant", "distortion": [0] * 5},
+            "distortion: found a list of 5, expected a list of 4",
+        ),
         ({"exposure": "bright"}, "exposure: found 'bright', expected a finite number"),
         ({"noise_px": 0.3}, "found the key 'noise_px', expected one of width, height,"),
         ({"range_m": [0, 1]}, "found the key 'range_m'"),

@@ -1,12 +1,12 @@
 import numpy as np
 
-from calibration.geometry.distortion import PlumbBob
+from calibration.geometry.distortion import Equidistant, PlumbBob, Rational
 from calibration.simulation.rendering.rays import SAMPLES, rays, rounded, sample_rays
 from tests.simulation.rendering.views import DISTORTION, T_WORLD_CAMERA, camera
 
 
 def test_rays_of_pixels_and_of_one_more_on_each_side() -> None:
-    for distortion in (PlumbBob(), DISTORTION):
+    for distortion in (PlumbBob(), DISTORTION, Rational(0.2, 0.1, k4=0.4), Equidistant(-0.02, 0.01)):
         of = camera(20, 10, 15, distortion)
         found = rays(of)
         assert found.shape == (3, 12, 22)
@@ -19,6 +19,16 @@ def test_no_ray_where_the_lens_shows_nothing() -> None:
     found = rays(camera(320, 240, 100, PlumbBob(-0.45, 0.0, 0.0, 0.0, 0.0)))
     assert np.isnan(found[:, 0, 0]).all()
     np.testing.assert_array_equal(found[2, 100:140, 140:180], 1)
+
+
+def test_a_fisheye_lens_shows_what_lies_before_the_camera() -> None:
+    """Rays up to pi/2 from the axis: a circle of 157 pixels for a focal length of 100."""
+    found = rays(camera(400, 400, 100, Equidistant()))
+    v, u = np.mgrid[-1:401, -1:401] - 199.5
+    radius = np.hypot(u, v)
+    np.testing.assert_array_equal(np.isfinite(found[0]), radius < 50 * np.pi)
+    seen = radius < 150
+    np.testing.assert_allclose(np.hypot(found[0], found[1])[seen], np.tan(radius[seen] / 100), rtol=1e-9)
 
 
 def test_samples_lie_evenly_in_their_pixel() -> None:

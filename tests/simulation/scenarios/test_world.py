@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from calibration.errors import InputError
+from calibration.geometry.distortion import Equidistant
 from calibration.geometry.transforms import apply, from_xyz_rpy, inverse, local
 from calibration.simulation.motion.drawing import filling_distances
 from calibration.simulation.robot import compose
@@ -79,6 +80,18 @@ def test_cameras_have_their_own_optics_and_distortion(systems: dict[str, System]
     assert (left.exposure, left.noise, left.blur, left.vignetting) == (1.5, 4, 0.9, 0.3)
     assert (left.camera.distortion.k1, left.camera.distortion.p2, left.camera.distortion.k2) == (-0.1, 0.01, 0)
     assert right == system.sensors["right_camera"]
+
+
+def test_a_coefficient_that_a_lens_does_not_have(systems: dict[str, System]) -> None:
+    system = systems["t2rgb"]
+    left = system.cameras["left_camera"]
+    fisheye = replace(left, camera=replace(left.camera, distortion=Equidistant(0.1, 0.2)))
+    system = replace(system, sensors={**system.sensors, "left_camera": fisheye})
+    changed = world(system, left_camera__k2=-0.1).sensors["left_camera"]
+    assert isinstance(changed, SimulatedCamera)
+    assert changed.camera.distortion == Equidistant(0.1, -0.1)
+    with pytest.raises(InputError, match="^scenario: 'p1' of 'left_camera': its distortion model equidistant has none"):
+        world(system, left_camera__p1=0.01)
 
 
 def test_lidars_have_their_own_noise(systems: dict[str, System]) -> None:
