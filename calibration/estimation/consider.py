@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from calibration.estimation.intrinsics import FreeIntrinsics
+from calibration.estimation.intrinsics import FreeIntrinsics, Prior
 from calibration.estimation.normal_equations import Weighting, assemble
 from calibration.estimation.problem import Block, Problem, Values
 from calibration.geometry.types import Array
@@ -34,7 +34,7 @@ def considered_covariance(problem: Problem, values: Values, weighting: Weighting
         if now is not None and now.prior is not None:
             free = () if before.held or before.intrinsics is None else before.intrinsics.free
             considered[at] = [parameter not in free for parameter in now.free]
-            sigma[at, at] = _among(now)
+            sigma[at, at] = _among(now, now.prior)
     if not considered.any():
         return None
     K = -np.linalg.solve(H[np.ix_(~considered, ~considered)], H[np.ix_(~considered, considered)])
@@ -52,10 +52,9 @@ def _opened(block: Block) -> Block:
     return replace(block, held=False, intrinsics=intrinsics.with_free(tuple(free)))
 
 
-def _among(intrinsics: FreeIntrinsics) -> Array:
+def _among(intrinsics: FreeIntrinsics, prior: Prior) -> Array:
     """The prior's covariance among the free parameters (k, k); zero for those that it says nothing of."""
     n = len(intrinsics.camera.parameters)
     everything = np.zeros((n, n))
-    if intrinsics.prior is not None:
-        everything[np.ix_(intrinsics.prior.at, intrinsics.prior.at)] = intrinsics.prior.covariance
+    everything[np.ix_(prior.at, prior.at)] = prior.covariance
     return everything[np.ix_(intrinsics.at, intrinsics.at)]

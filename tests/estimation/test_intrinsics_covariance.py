@@ -198,6 +198,11 @@ def test_the_prior_s_share_of_the_equations():
     np.testing.assert_allclose(
         with_it.g_shared[-8:] - without.g_shared[-8:], (information @ SIGMAS)[free], rtol=1e-5, atol=1e-3
     )
+    other = build(dataset, (), ("all",), {"c0": known()})
+    everything = true_values(other)
+    all_free = assemble(other.problem, everything, weighting)
+    both = determined_parameters(other.problem, everything, all_free, weighting)["pixel"]
+    assert 6 + 6 * 6 + 9 < both < 6 + 6 * 6 + 18  # nothing is known of the other camera
     counted = determined_parameters(setups[1].problem, values, with_it, weighting)["pixel"]
     assert 6 + 6 * 6 < counted < 6 + 6 * 6 + 8
 
