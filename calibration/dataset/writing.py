@@ -77,7 +77,7 @@ def dataset_document(dataset: Dataset) -> dict[str, Any]:
         **source,
         "_metadata": {"package_name": "", **source["_metadata"], "version": "3.0"},
         "calibration_config": _configuration(dataset),
-        "sensors": {name: _sensor(dataset, name, entry) for name, entry in source["sensors"].items()},
+        "sensors": {name: _sensor(dataset, name, entry) for name, entry in source.get("sensors", {}).items()},
         "patterns": {name: _pattern(dataset, pattern) for name, pattern in dataset.patterns.items()},
         "transforms": {
             **{"-".join(edge): _kind(dataset, edge) for edge in dataset.transforms},
@@ -133,7 +133,7 @@ def _configuration(dataset: Dataset) -> dict[str, Any]:
 
 def _sensor(dataset: Dataset, name: str, read: Mapping[str, Any]) -> Mapping[str, Any]:
     """A sensor as it was read; where its intrinsics are others now, with these."""
-    camera = dataset.sensors[name].camera
+    camera = dataset.sensors[name].camera if name in dataset.sensors else None
     if camera is None or camera == read_camera(
         Node(dataset.path, ("sensors", name, "camera_info"), read["camera_info"])
     ):

@@ -1,6 +1,7 @@
 """Intrinsics of every model: read from a CameraInfo, and written as they have become."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -72,4 +73,6 @@ def test_intrinsics_that_stay_are_written_as_they_were_read(tmp_path):
     dataset = dataset_of(tmp_path, "plumb_bob", [0.1, 0.2])
     same = dataset.with_cameras({"cam": dataset.sensors["cam"].camera})
     assert dataset_document(same)["sensors"]["cam"] is dataset.document["sensors"]["cam"]
+    fewer = replace(dataset, sensors={"lidar": dataset.sensors["lidar"]})
+    assert dataset_document(fewer)["sensors"]["cam"] is dataset.document["sensors"]["cam"]
     assert same.sensors["lidar"] is dataset.sensors["lidar"]
