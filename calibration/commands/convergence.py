@@ -28,7 +28,8 @@ MOST_STARTS = 1_000_000
 """Of one map."""
 SHARED = frozenset(
     {
-        *("dataset", "config", "systems", "loss", "evaluate", "truth", "rules", "jobs"),
+        *("dataset", "config", "systems", "loss", "intrinsics", "intrinsics_covariance", "hold"),
+        *("evaluate", "truth", "rules", "jobs"),
         *("image", "command", "artifacts", "table", "calibrated", "ros", "memory", "timeout"),
         *("registry_username", "registry_password", "backend", "aws_batch", "run", "resume"),
     }

@@ -20,7 +20,7 @@ from calibration.estimation.problem import BORDERS, Values
 from calibration.estimation.result import CalibratedJoint, Calibration, RejectedLabel, ViewResiduals
 from calibration.estimation.starting_noise import StartingNoise, perturb
 from calibration.estimation.unknown_intrinsics import intrinsics_name
-from calibration.geometry.transforms import distance, inverse, translation
+from calibration.geometry.transforms import adjoint, distance, inverse, translation
 from calibration.geometry.types import Array, IntArray
 
 FAR = (0.25, 0.25)
@@ -183,7 +183,7 @@ def _result(
         weak = tuple(direction.describe(names) for direction in weakly)
         more = considered_covariance(problem, optimum.values, weighting)
         by_block = covariances(problem, optimum.equations, more)
-        covariance = {setup.edges[i]: C for i, C in by_block.items() if not problem.blocks[i].vector}
+        covariance = _of_transforms(setup, by_block)
         warnings += _far_guesses(setup, optimum.values, guess)
     return Calibration(
         dataset=_calibrated(setup, optimum.values, dataset),
@@ -251,6 +251,16 @@ def _far_guesses(setup: Setup, values: Values, guess: Values) -> list[str]:
                 f"{relative}"
             )
     return warnings
+
+
+def _of_transforms(setup: Setup, covariance: Mapping[int, Array]) -> dict[Edge, Array]:
+    """The covariances of the shared blocks that are poses; of patterns about their own frame, not their centre."""
+    found = {setup.edges[i]: C for i, C in covariance.items() if not setup.problem.blocks[i].vector}
+    for name, pattern in setup.dataset.patterns.items():
+        if (edge := setup.pattern_edge(name)) in found:
+            to_frame = adjoint(translation(pattern.centre))
+            found[edge] = to_frame @ found[edge] @ to_frame.T
+    return found
 
 
 def _transforms(setup: Setup, values: Values) -> dict[Edge, Array]:

@@ -12,6 +12,7 @@ from calibration.pipeline.summary import (
     in_parts,
     markdown,
     sentence,
+    truth_grid,
     without_result,
 )
 from calibration.workflow import Annotation, Level, Runner, add_summary, annotate, set_outputs, stop_commands
@@ -25,6 +26,7 @@ def report(results: Results, output: Path, runner: Runner, title: str) -> None:
         WorldError: a file cannot be written.
     """
     tables = in_parts(grid(results)) if results.cells or results.comparisons else []
+    tables += [truth_grid(results)] if truth_grid(results).rows else []
     tables += [collections_grid(results)] if results.collections else []
     text = markdown(results)
     write_atomically(output / "summary.md", text)

@@ -14,7 +14,7 @@ from calibration.estimation.intrinsics_file import FILE_NAME as INTRINSICS
 from calibration.files import write_atomically
 from calibration.pipeline.collection.collected import Collected
 from calibration.pipeline.image_result import ImageResult
-from calibration.pipeline.matrix.cell import OUR_METHOD, CellResult, TruthDistance, Verdict
+from calibration.pipeline.matrix.cell import OUR_METHOD, CellResult, Deviation, Verdict
 
 if TYPE_CHECKING:
     from calibration.workflow.junit import Case
@@ -203,6 +203,7 @@ def _object(cell: CellResult) -> dict[str, Any]:
         **{name: getattr(cell, name) for name in _PLAIN},
         "verdict": cell.verdict,
         "truth": cell.truth.document if cell.truth else None,
+        "sigma": cell.sigma.document if cell.sigma else None,
         "reasons": list(cell.reasons),
         "error": cell.error,
         "warnings": list(cell.warnings),
@@ -213,7 +214,8 @@ def _cell(entry: Mapping[str, Any], output: Path) -> CellResult:
     error = entry["error"]
     return CellResult(
         **{name: entry[name] for name in _PLAIN},
-        truth=TruthDistance(**entry["truth"]) if entry["truth"] else None,
+        truth=Deviation(**entry["truth"]) if entry["truth"] else None,
+        sigma=Deviation(**entry["sigma"]) if entry["sigma"] else None,
         reasons=() if entry["converged"] else tuple(entry["reasons"]),
         error=None if error is None else ExitCode(error),
         warnings=tuple(entry["warnings"]),

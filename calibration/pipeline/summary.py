@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from calibration.pipeline.collection.collected import Collected
 from calibration.pipeline.image_result import ImageResult
-from calibration.pipeline.matrix.cell import OUR_METHOD, CellResult, TruthDistance, noise_text
+from calibration.pipeline.matrix.cell import OUR_METHOD, CellResult, Deviation, noise_text
 from calibration.pipeline.results import Results
 from calibration.workflow.summary import escape_markdown, markdown_table
 
@@ -68,6 +68,17 @@ def _row(cell: CellResult) -> str:
     return f"{cell.method}, {start}" if cell.by_other_method else start
 
 
+def truth_grid(results: Results) -> Grid:
+    """A row for each system with a known truth: the worst error of its cells, and what they state themselves."""
+    rows = []
+    for system in results.systems:
+        own = [cell for cell in results.cells if cell.system == system]
+        truths, sigmas = [c.truth for c in own if c.truth], [c.sigma for c in own if c.sigma]
+        if truths and sigmas:
+            rows.append((system, ", ".join(_worst(truths)), ", ".join(_worst(sigmas))))
+    return Grid(("Against the truth", "Worst error", "Standard deviation stated"), tuple(rows))
+
+
 def _text(cells: Sequence[CellResult]) -> str:
     """The worst of the seeds: "0.6004 px, 0.42 mm, 0.028 deg"; with how many passed, where not all did."""
     if not cells:
@@ -76,11 +87,7 @@ def _text(cells: Sequence[CellResult]) -> str:
     rms = [cell.rms_px for cell in cells if cell.rms_px is not None]
     if rms:
         parts.append(f"{max(rms):.4f} px")
-    truths = [cell.truth for cell in cells if cell.truth is not None]
-    if truths:
-        parts.append(f"{max(t.translation_mm for t in truths):.3g} mm")
-        parts.append(f"{max(t.rotation_deg for t in truths):.2g} deg")
-        parts += _joints(truths)
+    parts += _worst([cell.truth for cell in cells if cell.truth is not None])
     passed = sum(cell.verdict == "pass" for cell in cells)
     if cells[0].by_other_method:
         return ", ".join(parts) or "no result"
@@ -91,13 +98,19 @@ def _text(cells: Sequence[CellResult]) -> str:
     return ", ".join(parts) or "no result"
 
 
-def _joints(truths: Sequence[TruthDistance]) -> list[str]:
-    """The worst of the joints: "joints 0.01 mm, 0.002 deg"; nothing where none is calibrated."""
-    lengths = [t.joint_mm for t in truths if t.joint_mm is not None]
-    angles = [t.joint_deg for t in truths if t.joint_deg is not None]
-    shown = [f"{max(lengths):.2g} mm"] if lengths else []
-    shown += [f"{max(angles):.2g} deg"] if angles else []
-    return [f"joints {', '.join(shown)}"] if shown else []
+def _worst(deviations: Sequence[Deviation]) -> list[str]:
+    """The worst of each kind: "0.42 mm", "0.028 deg", "joints 0.01 mm, 0.002 deg"; nothing where there are none."""
+    if not deviations:
+        return []
+    lengths = [d.joint_mm for d in deviations if d.joint_mm is not None]
+    angles = [d.joint_deg for d in deviations if d.joint_deg is not None]
+    joints = [f"{max(lengths):.2g} mm"] if lengths else []
+    joints += [f"{max(angles):.2g} deg"] if angles else []
+    return [
+        f"{max(d.translation_mm for d in deviations):.3g} mm",
+        f"{max(d.rotation_deg for d in deviations):.2g} deg",
+        *([f"joints {', '.join(joints)}"] if joints else []),
+    ]
 
 
 def collections_grid(results: Results) -> Grid:
@@ -131,7 +144,7 @@ def parameters_grid(results: Results) -> Grid:
     """A row for each parameter of a joint or a camera that was calibrated, of each system's first cell that passed."""
     passed = [cell for cell in (*results.cells, *results.comparisons) if cell.verdict == "pass" and cell.details]
     first = {cell.system: cell for cell in reversed(passed)}
-    rows = [
+    rows: list[tuple[str, ...]] = [
         (
             cell.system,
             str(each["name"]),
@@ -145,7 +158,9 @@ def parameters_grid(results: Results) -> Grid:
         for kind in ("joints", "intrinsics")
         for each in cell.details.get(kind, ())
     ]
-    return Grid(("System", "Joint or camera", "Parameter", "Value", "Sigma", "Unit"), tuple(rows[:PARAMETERS_SHOWN]))
+    if (left_out := len(rows) - PARAMETERS_SHOWN) > 0:
+        rows[PARAMETERS_SHOWN:] = [(f"and {left_out} more, see results.json", *[""] * 5)]
+    return Grid(("System", "Joint or camera", "Parameter", "Value", "Sigma", "Unit"), tuple(rows))
 
 
 def sentence(results: Results) -> str:
@@ -237,6 +252,8 @@ def markdown(results: Results) -> str:
             "RMS of the evaluation table, and, where it is known, the worst error of a calibrated sensor.",
             "",
         ]
+    if (table := truth_grid(results)).rows:
+        lines += [markdown_table(table.header, table.rows)]
     if by := other_methods(results):
         lines += [*(f"- {escape_markdown(line)}" for line in by), ""]
     if (table := parameters_grid(results)).rows:

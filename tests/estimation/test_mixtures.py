@@ -11,7 +11,7 @@ from calibration.estimation.build import build
 from calibration.estimation.calibrate import Options, calibrate
 from calibration.estimation.noise_levels import NoiseLevels
 from calibration.estimation.starting_noise import StartingNoise
-from calibration.geometry.transforms import local, translation
+from calibration.geometry.transforms import local
 from tests.estimation.scenes import Scene, errors, relabelled
 from tests.estimation.systems import (
     camera_and_lidar2d,
@@ -52,11 +52,8 @@ def test_the_errors_of_every_block_are_as_large_as_stated(mixture):
         dataset = MIXTURES[mixture](seed=seed, pixel_noise=0.3, range_noise=0.008).dataset(seed)
         result = calibrate(dataset, Options(loss="linear"))
         assert result.converged
-        # a pattern's covariance is that about its centre
-        centres = {(p.parent_link, p.link): translation(p.centre) for p in dataset.patterns.values()}
         for edge, covariance in result.covariances.items():
-            centre = centres.get(edge, np.eye(4))
-            e = local(result.transforms[edge] @ centre, dataset.transforms[edge][0] @ centre)
+            e = local(result.transforms[edge], dataset.transforms[edge][0])
             squares.setdefault(edge, []).append(float(e @ np.linalg.solve(covariance, e)))
     for edge, each in squares.items():
         assert abs(np.mean(each) - 6) < 3.5 * np.sqrt(12 / scenes), edge

@@ -12,10 +12,10 @@ import pytest
 from calibration.errors import ExitCode, InputError
 from calibration.pipeline.configuration import NoiseGrid
 from calibration.pipeline.image_result import ImageResult
-from calibration.pipeline.matrix.cell import TruthDistance
+from calibration.pipeline.matrix.cell import Deviation
 from calibration.pipeline.matrix.matrix import Matrix, run_matrix
 from calibration.pipeline.results import SCHEMA, Results, clear_results, read_results, summarise, write_results
-from calibration.pipeline.summary import failures, grid, in_parts, markdown, sentence
+from calibration.pipeline.summary import failures, grid, in_parts, markdown, parameters_grid, sentence, truth_grid
 from tests.pipeline.conftest import RIWBOT
 from tests.pipeline.matrix.test_judgement import CELL
 
@@ -130,10 +130,35 @@ def test_the_summary_says_whose_the_other_methods_are() -> None:
     assert text.count("robot, icp: no points near") == 1
 
 
+def test_errors_stand_beside_what_is_stated(tmp_path: Path) -> None:
+    known = replace(CELL, truth=Deviation(0.5, 0.02), sigma=Deviation(0.4, 0.01, joint_mm=0.2))
+    worse = replace(known, seed=2, truth=Deviation(0.3, 0.03), sigma=Deviation(0.6, 0.005))
+    software = replace(CELL, system="theirs", method="atom", truth=Deviation(9, 9))
+    unknown = replace(CELL, system="unknown", truth=None, sigma=Deviation(9, 9))
+    results = Results((known, worse, software, unknown))
+
+    assert truth_grid(results).rows == (("robot", "0.5 mm, 0.03 deg", "0.6 mm, 0.01 deg, joints 0.2 mm"),)
+    assert "| robot | 0.5 mm, 0.03 deg | 0.6 mm, 0.01 deg, joints 0.2 mm |" in markdown(results)
+    assert "Standard deviation" not in markdown(Results((software, unknown)))
+    write_results(results, tmp_path)
+    document = json.loads((tmp_path / "results.json").read_text())
+    jsonschema.validate(document, json.loads(SCHEMA.read_text()))
+    assert document["cells"][0]["sigma"] == {"translation_mm": 0.4, "rotation_deg": 0.01, "joint_mm": 0.2}
+    assert read_results(tmp_path) == results
+
+
+def test_of_many_parameters_the_first_are_shown() -> None:
+    rows = [{"name": "left", "parameter": f"p{i}", "value": 1.0, "unit": "1", "sigma": 0.1} for i in range(203)]
+    shown = parameters_grid(Results((replace(CELL, details={"intrinsics": rows}),))).rows
+
+    assert len(shown) == 201
+    assert shown[-1][0] == "and 3 more, see results.json"
+
+
 def test_joints_stand_in_the_table_and_in_the_results(tmp_path: Path) -> None:
-    both = replace(CELL, truth=TruthDistance(0.5, 0.02, joint_mm=0.03, joint_deg=0.004))
-    turning = replace(CELL, system="turning", truth=TruthDistance(0.5, 0.02, joint_deg=0.004))
-    results = Results((both, replace(both, seed=2, truth=TruthDistance(0.5, 0.02, 0.04, 0.001)), turning))
+    both = replace(CELL, truth=Deviation(0.5, 0.02, joint_mm=0.03, joint_deg=0.004))
+    turning = replace(CELL, system="turning", truth=Deviation(0.5, 0.02, joint_deg=0.004))
+    results = Results((both, replace(both, seed=2, truth=Deviation(0.5, 0.02, 0.04, 0.001)), turning))
 
     (row,) = grid(results).rows
     assert row[1:] == (

@@ -14,7 +14,7 @@ from calibration.pipeline.distribution.needs import SUCCESS, Needs
 from calibration.pipeline.distribution.plan import COLLECTED_DATA, JobCell, Plan
 from calibration.pipeline.distribution.plan_outputs import plan_of_outputs
 from calibration.pipeline.image_result import ImageResult
-from calibration.pipeline.matrix.cell import OUR_METHOD, Cell, CellResult, TruthDistance, nothing_yet
+from calibration.pipeline.matrix.cell import OUR_METHOD, Cell, CellResult, Deviation, nothing_yet
 from calibration.pipeline.matrix.software import SOFTWARE
 from calibration.pipeline.results import FILE, SCHEMA, Results
 
@@ -157,7 +157,8 @@ def _result(entry: Mapping[str, Any], slug: str, path: Path) -> CellResult:
         rms_px=entry["rms_px"],
         table=_below(slug, entry["table"]),
         dataset=_below(slug, entry["dataset"]),
-        truth=TruthDistance(**entry["truth"]) if entry["truth"] else None,
+        truth=Deviation(**entry["truth"]) if entry["truth"] else None,
+        sigma=Deviation(**entry["sigma"]) if entry["sigma"] else None,
         seconds=entry["seconds"],
         reasons=tuple(entry["reasons"]),
         error=None if entry["error"] is None else ExitCode(entry["error"]),

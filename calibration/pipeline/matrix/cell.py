@@ -95,8 +95,8 @@ class Comparison:
 
 
 @dataclass(frozen=True)
-class TruthDistance:
-    """How far a calibration is from the truth, gauge removed."""
+class Deviation:
+    """The worst of a calibration's sensors and joints: from the truth, gauge removed, or by its own covariance."""
 
     translation_mm: float
     rotation_deg: float
@@ -130,7 +130,8 @@ class CellResult:
     """The CSV, relative to the output folder."""
     dataset: str | None
     """The calibrated dataset, relative to the output folder."""
-    truth: TruthDistance | None
+    truth: Deviation | None
+    """How far it is from the truth, where that is known."""
     seconds: float
     reasons: tuple[str, ...] = ()
     """Why the verdict is fail; empty when it is pass."""
@@ -140,6 +141,8 @@ class CellResult:
     details: dict[str, Any] = field(default_factory=dict)
     """Transforms, joints and intrinsics with their standard deviations, noise levels, rejected labels: for the cell's
     own results."""
+    sigma: Deviation | None = None
+    """The standard deviations that it states; None for other software, which states none."""
     detail: str | None = None
     """Of another method: whose implementation it is, and by what of the data it calibrates."""
 
@@ -283,7 +286,7 @@ def _written(
     return replace(result, dataset=f"{folder}/dataset.json")
 
 
-def distance_from_truth(dataset: Dataset, system: LoadedSystem) -> TruthDistance | None:
+def distance_from_truth(dataset: Dataset, system: LoadedSystem) -> Deviation | None:
     """How far a calibrated dataset of a system is from its truth, where that is known.
 
     Raises:
@@ -292,12 +295,7 @@ def distance_from_truth(dataset: Dataset, system: LoadedSystem) -> TruthDistance
     if system.truth is None:
         return None
     error = truth_error(dataset, system.truth)
-    return TruthDistance(
-        round(error.translation_mm, 6),
-        round(error.rotation_deg, 8),
-        None if error.joint_mm is None else round(error.joint_mm, 6),
-        None if error.joint_deg is None else round(error.joint_deg, 8),
-    )
+    return _deviation(error.translation_mm, error.rotation_deg, error.joint_mm, error.joint_deg)
 
 
 def _table(dataset: Dataset, system: LoadedSystem, calibration: Calibration | None) -> Table | None:
@@ -342,9 +340,37 @@ def _described(result: CellResult, calibration: Calibration) -> CellResult:
     return replace(
         result,
         converged=calibration.converged,
+        sigma=_sigma(calibration) if calibration.converged else None,
         reasons=(calibration.reason,) if calibration.reason else (),
         warnings=(*calibration.warnings, *_notes(calibration)),
         details=details,
+    )
+
+
+def _sigma(calibration: Calibration) -> Deviation | None:
+    """The largest standard deviations of sensors, as norms of three axes, and of joints' parameters."""
+    edges = {sensor.edge for sensor in calibration.dataset.sensors.values()} & calibration.covariances.keys()
+    if not edges:
+        return None
+    joints = list(calibration.joints.values())
+    sigmas = [each for joint in joints for each in zip(joint.units, joint.sigmas.tolist(), strict=True)]
+    return _deviation(
+        max(map(calibration.sigma_mm, edges)),
+        float(np.degrees(max(map(calibration.sigma_mrad, edges)) / 1e3)),
+        max((1e3 * sigma for unit, sigma in sigmas if unit == "m"), default=None),
+        max((float(np.degrees(sigma)) for unit, sigma in sigmas if unit == "rad"), default=None),
+    )
+
+
+def _deviation(
+    translation_mm: float, rotation_deg: float, joint_mm: float | None, joint_deg: float | None
+) -> Deviation:
+    """Rounded to the nanometre, and to as little."""
+    return Deviation(
+        round(translation_mm, 6),
+        round(rotation_deg, 8),
+        None if joint_mm is None else round(joint_mm, 6),
+        None if joint_deg is None else round(joint_deg, 8),
     )
 
 

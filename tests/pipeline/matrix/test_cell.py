@@ -24,7 +24,7 @@ from calibration.pipeline.results import Results
 from calibration.pipeline.summary import markdown, parameters_grid
 from tests.estimation.systems import jointed_arm
 from tests.evaluation.scene import T_LINK_OPTICAL, arm, range_pair, rgb, with_corners
-from tests.pipeline.conftest import T2RGB
+from tests.pipeline.conftest import DATASETS, T2RGB
 from tests.pipeline.matrix.test_judgement import CELL
 
 NOISES = NoiseGrid()
@@ -42,6 +42,22 @@ def test_joints_are_told_with_their_sigmas() -> None:
     values = np.concatenate([joint.values for joint in calibration.joints.values()])
     assert [each["value"] for each in found] == values.tolist()
     assert all(0 < each["sigma"] < 1 for each in found)
+
+
+def test_a_cell_tells_the_worst_of_what_is_stated(tmp_path: Path) -> None:
+    dataset = read_dataset(DATASETS / "spjbot")
+    result = cells.run_cell(
+        cells.Cell("spjbot", StartingNoise()), LoadedSystem("spjbot", dataset, None, None), tmp_path
+    )
+    stated = calibrate(dataset)
+
+    assert result.sigma is not None
+    edge = dataset.sensors["rgb_hand"].edge
+    turning = [float(np.degrees(stated.joints[j].sigmas[0])) for j in ("j2_joint", "j4_joint")]
+    assert result.sigma.translation_mm == pytest.approx(stated.sigma_mm(edge), abs=1e-6)
+    assert result.sigma.rotation_deg == pytest.approx(np.degrees(stated.sigma_mrad(edge) / 1e3), abs=1e-8)
+    assert result.sigma.joint_mm == pytest.approx(1e3 * stated.joints["j3_joint"].sigmas[0], abs=1e-6)
+    assert result.sigma.joint_deg == pytest.approx(max(turning), abs=1e-8)
 
 
 def test_other_methods_calibrate_no_joints() -> None:

@@ -8,7 +8,7 @@ import pytest
 from calibration.errors import ExitCode, InputError
 from calibration.introspection.parsing import parse_rules
 from calibration.pipeline.configuration import Limits, System
-from calibration.pipeline.matrix.cell import CellResult, TruthDistance
+from calibration.pipeline.matrix.cell import CellResult, Deviation
 from calibration.pipeline.matrix.judgement import judge_cells
 
 TABLE = "Collection #,RMS (pix)\n000,0.5000\n001,0.7000\nAverages,0.6000\n"
@@ -24,7 +24,7 @@ CELL = CellResult(
     rms_px=0.6,
     table="robot/table.csv",
     dataset=None,
-    truth=TruthDistance(0.5, 0.02),
+    truth=Deviation(0.5, 0.02),
     seconds=0.0,
 )
 
@@ -62,7 +62,7 @@ def test_every_reason_is_listed(output: Path) -> None:
 @pytest.mark.parametrize("value", [None, float("nan"), float("inf")])
 def test_a_value_that_is_missing_or_not_finite_never_passes(output: Path, value: float | None) -> None:
     assert judged(replace(CELL, rms_px=value), output, rms_px=1).verdict == "fail"
-    truth = None if value is None else TruthDistance(value, value)
+    truth = None if value is None else Deviation(value, value)
     assert len(judged(replace(CELL, truth=truth), output, translation_mm=1, rotation_deg=1).reasons) == 2
 
 
@@ -91,7 +91,7 @@ def test_a_rule_that_names_no_column_of_the_table_is_bad_input(output: Path) -> 
 
 
 def test_joints_have_limits_of_their_own(output: Path) -> None:
-    cell = replace(CELL, truth=TruthDistance(0.5, 0.02, joint_mm=0.03, joint_deg=0.004))
+    cell = replace(CELL, truth=Deviation(0.5, 0.02, joint_mm=0.03, joint_deg=0.004))
 
     assert judged(cell, output, joint_mm=0.03, joint_deg=0.004).verdict == "pass"
     assert judged(cell, output, joint_mm=0.02, joint_deg=0.003).reasons == (
