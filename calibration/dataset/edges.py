@@ -3,7 +3,7 @@
 import math
 from collections.abc import Sequence
 from operator import itemgetter
-from typing import Any, NoReturn
+from typing import Any
 
 import numpy as np
 
@@ -15,6 +15,8 @@ from calibration.geometry.types import Array
 
 QUATERNION_TOLERANCE = 1e-3
 """How far from 1 the length of a quaternion may be; it is normalised."""
+FAR = 1e9
+"""No frame is farther from its parent, m."""
 
 _frames_of = itemgetter("parent", "child")
 _translation_of = itemgetter("trans")
@@ -39,7 +41,11 @@ def read_transforms(collections: Sequence[Node]) -> dict[Edge, Array]:
         lengths = np.sqrt((quaternions * quaternions).sum(-1))
     wrong = ~(abs(lengths - 1) <= QUATERNION_TOLERANCE)
     if wrong.any():
-        _refuse_quaternion(collections, int(wrong.argmax()), lengths)
+        row = int(wrong.argmax())
+        raise _wrong_length(_entry(collections, row)["quat"], float(lengths[row]))
+    far = (abs(translations) > FAR).any(-1)
+    if far.any():
+        raise _too_far(_entry(collections, int(far.argmax()))["trans"])
     if len(slots) * len(entries) > 16 * len(slot_of) + 1_000_000:
         raise collections[0].fault(
             f"the {len(entries)} collections have {len(slots)} different transforms but only {len(slot_of)} in all; "
@@ -63,6 +69,8 @@ def read_transform(node: Node) -> tuple[Edge, Array]:
     length = math.hypot(*quaternion)
     if not abs(length - 1) <= QUATERNION_TOLERANCE:
         raise _wrong_length(node["quat"], length)
+    if max(map(abs, translation)) > FAR:
+        raise _too_far(node["trans"])
     return edge, transforms.from_quaternion(translation, quaternion)
 
 
@@ -117,14 +125,18 @@ def _one_by_one(collections: Sequence[Node], slots: dict[Edge, int]) -> tuple[li
     return slot_of, np.array(translations).reshape(-1, 3), np.array(quaternions).reshape(-1, 4)
 
 
-def _refuse_quaternion(collections: Sequence[Node], row: int, lengths: Array) -> NoReturn:
-    length = float(lengths[row])
+def _entry(collections: Sequence[Node], row: int) -> Node:
+    """A transform by its number among those of all collections."""
     for collection in collections:
         keys = list(collection["transforms"].mapping())
         if row < len(keys):
-            raise _wrong_length(collection["transforms"][keys[row]]["quat"], length)
+            return collection["transforms"][keys[row]]
         row -= len(keys)
     raise AssertionError("the row is one of the transforms'")
+
+
+def _too_far(translation: Node) -> InputError:
+    return translation.fault(f"found a frame that is more than {FAR:g} m away, expected m")
 
 
 def _wrong_length(quaternion: Node, length: float) -> InputError:

@@ -8,6 +8,11 @@ from calibration.dataset.document import Node
 from calibration.dataset.model import Dataset, Edge
 from calibration.errors import InputError
 from calibration.geometry.frames import FrameTree, Step
+from calibration.geometry.transforms import distance, inverse
+
+MOTION_TOLERANCE = 0.2
+"""A joint's position and its transform may tell motions that differ by this, m or rad: they are read one after the
+other while the robot may still move."""
 
 
 def check_frames(dataset: Dataset, root: Node, collections: Sequence[Node]) -> None:
@@ -26,6 +31,7 @@ def check_frames(dataset: Dataset, root: Node, collections: Sequence[Node]) -> N
         **_additional(dataset, config),
         **_joints(dataset, config),
     }
+    _check_motions(dataset, collections)
     for (parent, child), reason in needed.items():
         missing = np.isnan(dataset.transforms[parent, child][:, 0, 0])
         if missing.any():
@@ -117,6 +123,26 @@ def _joints(dataset: Dataset, config: Node) -> dict[Edge, str]:
             raise node.fault(f"its transform, '{key}', is calibrated by {other} already")
         needed[joint.edge] = f"joint '{name}'"
     return needed
+
+
+def _check_motions(dataset: Dataset, collections: Sequence[Node]) -> None:
+    """Refuse positions of joints that do not go with the transforms: in degrees, of another joint, not updated.
+
+    Compared are the motions since the first collection, which are the same whatever the joint's origin and bias.
+    """
+    for name, joint in dataset.joints.items():
+        T = dataset.transforms[joint.edge]
+        with np.errstate(invalid="ignore"):
+            moved, expected = inverse(T[0]) @ T, joint.model.motion(joint.positions - joint.positions[0])
+            off = np.max(distance(moved, expected), axis=0)
+        if (off > MOTION_TOLERANCE).any():
+            i = int(np.nanargmax(off))
+            unit = "m" if joint.model.prismatic else "rad"
+            raise collections[i]["joints"][name]["position"].fault(
+                f"found {joint.positions[i]:g}, which is {joint.positions[i] - joint.positions[0]:.3g} more than in "
+                f"collection {collections[0].keys[-1]}, but '{'-'.join(joint.edge)}' has moved otherwise; expected the "
+                f"position in {unit} that this transform has"
+            )
 
 
 def _known(tree: FrameTree, node: Node) -> None:

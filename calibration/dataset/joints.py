@@ -11,6 +11,8 @@ from calibration.geometry.joints import JOINT_PARAMETERS, JointModel, JointParam
 from calibration.geometry.types import Array
 
 _KINDS = {"revolute": False, "continuous": False, "prismatic": True}
+FAR = 1e6
+"""No joint is farther from its origin, m or rad."""
 _SAME = 1e-9
 """Origins of one joint in two collections that differ by more (m, rad) are not the same."""
 
@@ -23,8 +25,16 @@ def read_joints(config: Node, collections: Sequence[Node]) -> dict[str, Joint]:
     Raises:
         InputError: something in them is missing or wrong.
     """
-    asked = config.get("joints")
-    return {name: _joint(name, node, collections) for name, node in asked.items()} if asked else {}
+    if not (asked := config.get("joints")):
+        return {}
+    there = collections[0]["joints"].mapping() if asked.mapping() else {}
+    for name, node in asked.items():
+        if name not in there:
+            raise node.fault(
+                f"collection {collections[0].keys[-1]} has no joint of this name "
+                f"(there are: {', '.join(there) or 'none'})"
+            )
+    return {name: _joint(name, node, collections) for name, node in asked.items()}
 
 
 def joint_document(joint: Joint, read: Mapping[str, Any], i: int) -> dict[str, Any]:
@@ -49,7 +59,7 @@ def _joint(name: str, asked: Node, collections: Sequence[Node]) -> Joint:
         model=model,
         parameters=_parameters(asked),
         values=values,
-        positions=np.array([entry["position"].number() for entry in entries]),
+        positions=np.array([entry["position"].within(-FAR, FAR) for entry in entries]),
     )
 
 
@@ -81,5 +91,5 @@ def _edge(entry: Node) -> Edge:
 
 def _values(entry: Node) -> Array:
     bias = entry.get("position_bias")
-    origin = [entry[parameter].number() for parameter in JOINT_PARAMETERS[:6]]
-    return np.array([*origin, bias.number() if bias else 0.0])
+    origin = [entry[parameter].within(-FAR, FAR) for parameter in JOINT_PARAMETERS[:6]]
+    return np.array([*origin, bias.within(-FAR, FAR) if bias else 0.0])

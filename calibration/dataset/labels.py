@@ -136,9 +136,11 @@ def _read_points(
 
 def _limits(label: Node, sensor: Sensor) -> Node:
     """The limit points; ATOM has another key for those of a 2D LiDAR."""
-    if sensor.modality == "lidar2d":
-        return label.get("idxs_limit_points") or label["edge_idxs"]
-    return label["idxs_limit_points"]
+    if sensor.modality != "lidar2d":
+        return label["idxs_limit_points"]
+    if node := label.get("idxs_limit_points") or label.get("edge_idxs"):
+        return node
+    raise label.fault("missing key 'idxs_limit_points' or 'edge_idxs'")
 
 
 def _read_cloud(data: Node, sensor: Sensor) -> pointcloud.Cloud | DepthImage:

@@ -100,6 +100,7 @@ CASES = [
     ({f"{EDGE}/trans": 5}, f"{EDGE}/trans: found 5, expected a list"),
     ({f"{EDGE}/trans": "abc"}, f"{EDGE}/trans: found 'abc', expected a list"),
     ({f"{EDGE}/trans": {"x": 1, "y": 2, "z": 3}}, f"{EDGE}/trans: found an object of 3 keys, expected a list"),
+    ({f"{EDGE}/trans/1": 1e308}, f"{EDGE}/trans: found a frame that is more than 1e+09 m away, expected m"),
     ({f"{EDGE}/trans": [1, 2]}, f"{EDGE}/trans: found a list of 2, expected a list of 3 numbers"),
     ({f"{EDGE}/trans": [[1], 2, 3]}, f"{EDGE}/trans/0: found a list of 1, expected a finite number"),
     ({f"{EDGE}/quat": [0, 0, 0, 0, 1]}, f"{EDGE}/quat: found a list of 5, expected a list of 4 numbers"),

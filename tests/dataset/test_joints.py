@@ -1,6 +1,7 @@
 """Joints to calibrate, and transforms that move: read with their checks; what is written reads back the same."""
 
 import json
+import math
 
 import numpy as np
 import pytest
@@ -36,6 +37,7 @@ def document(**changes: object) -> documents.Document:
             CONFIG: {"elbow": {"params_to_calibrate": ["position_bias", "origin_x"]}},
             "collections/000/joints": {"elbow": dict(ELBOW), "other": {"position": 1.0}},
             "collections/002/joints": {"elbow": {**ELBOW, "position": -0.5}},
+            "collections/002/transforms/world-mount/quat": [0, 0, math.sin(-0.375), math.cos(-0.375)],
         },
     )
     return changed(content, {path.replace("__", "/"): value for path, value in changes.items()})
@@ -88,6 +90,10 @@ def test_what_has_not_changed_is_written_as_it_was_read(tmp_path):
     ("changes", "message"),
     [
         ({"collections__002__joints": {}}, "collections/002/joints: missing key 'elbow'"),
+        ({"collections__000__joints": {"wrist": ELBOW}},
+         r"config/joints/elbow: collection 000 has no joint of this name \(there are: wrist\)"),
+        ({"collections__000__joints__elbow__position": 1e308}, "position: found 1e+.308, expected a number from -1e"),
+        ({"collections__000__joints__elbow__origin_x": -1e7}, "origin_x: found -10000000.0, expected a number from -1"),
         ({"collections__002__joints": MISSING}, "collections/002: missing key 'joints'"),
         ({"collections__000__joints__elbow__joint_type": "fixed"}, "expected a joint that moves: revolute or"),
         ({"collections__000__joints__elbow__axis_z": 0.0}, r"found the axis \(0, 0, 0\), expected a direction"),
@@ -111,6 +117,31 @@ def test_what_has_not_changed_is_written_as_it_was_read(tmp_path):
 def test_what_is_wrong_is_said(tmp_path, changes, message):
     with pytest.raises(InputError, match=message):
         read(tmp_path, document(**changes))
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "kind"),
+    [
+        (math.degrees(0.25), math.degrees(-0.5), "revolute"),
+        (0.25, 0.25, "revolute"),  # it stands still, the transform does not
+        (-0.25, 0.5, "revolute"),  # the other way
+        (0.25, -0.5, "prismatic"),
+    ],
+)
+def test_positions_that_do_not_go_with_the_transforms(tmp_path, first, second, kind):
+    changes = {
+        f"collections__{c}__joints__elbow__{key}": value
+        for c, position in (("000", first), ("002", second))
+        for key, value in (("position", position), ("joint_type", kind))
+    }
+    with pytest.raises(
+        InputError, match=r"002/joints/elbow/position: found .*than in collection 000, but 'world-mount' has moved oth"
+    ):
+        read(tmp_path, document(**changes))
+
+
+def test_a_joint_is_read_a_little_later_than_its_transform(tmp_path):
+    assert read(tmp_path, document(collections__002__joints__elbow__position=-0.45)).joints
 
 
 @pytest.mark.parametrize(

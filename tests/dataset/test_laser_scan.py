@@ -84,7 +84,7 @@ def test_angles_may_fall_and_bounds_may_be_missing_or_without_end(tmp_path: Path
         ({f"{DATA}/angle_increment": 0.75}, f"{DATA}/angle_increment: 11 rays of 0.75 rad make more than one rev"),
         ({f"{DATA}/range_min": "0"}, f"{DATA}/range_min: found '0', expected a finite number"),
         ({f"{DATA}/range_max": NAN}, f"{DATA}/range_max: found nan, expected a finite number"),
-        ({f"{LABEL}/edge_idxs": MISSING}, f"{LABEL}: missing key 'edge_idxs'"),
+        ({f"{LABEL}/edge_idxs": MISSING}, f"{LABEL}: missing key 'idxs_limit_points' or 'edge_idxs'"),
         ({f"{LABEL}/edge_idxs/1": 4}, f"{LABEL}/edge_idxs/1: found 4, expected one of 'idxs'"),
         ({f"{LABEL}/edge_idxs/1": "1"}, f"{LABEL}/edge_idxs/1: found '1', expected a finite number"),
         ({f"{LABEL}/idxs/2": 11}, f"{LABEL}/idxs/2: found 11, expected the index of one of the scan's 11 rays"),
