@@ -178,13 +178,13 @@ def _refuse_flags(values: Numbers, flat: list[Any]) -> Numbers:
     return values
 
 
-def read_json(path: Path) -> Node:
-    """The root of a JSON file.
+def read_json(path: Path, max_bytes: int = MAX_BYTES) -> Node:
+    """The root of a JSON file, one that is no larger than ``max_bytes``.
 
     Raises:
         InputError: the file cannot be read, is not JSON, or its top level is not an object.
     """
-    data = read_bytes(path, MAX_BYTES, "a JSON document")
+    data = read_bytes(path, max_bytes, "a JSON document")
     root = Node(path, (), None)
     try:
         root.value = json.loads(data)

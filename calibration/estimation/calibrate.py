@@ -19,7 +19,7 @@ from calibration.estimation.optimisation import WeightedOptimum, optimise, unfli
 from calibration.estimation.problem import BORDERS, Values
 from calibration.estimation.result import CalibratedJoint, Calibration, RejectedLabel, ViewResiduals
 from calibration.estimation.starting_noise import StartingNoise, perturb
-from calibration.estimation.unknown_intrinsics import intrinsics_name
+from calibration.estimation.unknown_intrinsics import contradicted_priors, intrinsics_name
 from calibration.geometry.transforms import adjoint, distance, inverse, translation
 from calibration.geometry.types import Array, IntArray
 
@@ -185,6 +185,7 @@ def _result(
         by_block = covariances(problem, optimum.equations, more)
         covariance = _of_transforms(setup, by_block)
         warnings += _far_guesses(setup, optimum.values, guess)
+        warnings += contradicted_priors(problem.blocks, optimum.values)
     return Calibration(
         dataset=_calibrated(setup, optimum.values, dataset),
         transforms=_transforms(setup, optimum.values),

@@ -18,6 +18,8 @@ from calibration.geometry.types import Array
 
 FILE_NAME = "intrinsics.json"
 MAX_CAMERAS = 1000
+MAX_BYTES = 1 << 24
+"""More than the parameters of so many cameras take."""
 SYMMETRIC = 1e-6
 """How far a correlation and its mirror image may differ: files are rounded."""
 TINY = 1e-200
@@ -50,7 +52,7 @@ def read_intrinsics(path: Path) -> dict[str, CalibratedIntrinsics]:
     Raises:
         InputError: the file cannot be read, or something in it is missing or wrong; names file and key.
     """
-    cameras = read_json(path)["cameras"]
+    cameras = read_json(path, MAX_BYTES)["cameras"]
     if not 0 < len(cameras.mapping()) <= MAX_CAMERAS:
         raise cameras.unexpected(f"1 to {MAX_CAMERAS} cameras")
     return {name: _camera(node) for name, node in cameras.items()}
@@ -61,9 +63,13 @@ def _camera(node: Node) -> CalibratedIntrinsics:
     if model.text() not in MODELS:
         raise model.unexpected(f"a known distortion model: {', '.join(MODELS)}")
     known = (*PIXELS, *MODELS[model.value].names())
-    parameters = [element.name() for element in node["parameters"].elements()]
-    if not parameters or len(set(parameters)) < len(parameters) or not set(parameters) <= set(known):
-        raise node["parameters"].unexpected(f"some of {', '.join(known)}, each once")
+    parameters: list[str] = []
+    for element in node["parameters"].elements():
+        if element.name() not in known or element.value in parameters:
+            raise element.unexpected(f"one of {', '.join(known)}, each once")
+        parameters.append(element.value)
+    if not parameters:
+        raise node["parameters"].unexpected(f"some of {', '.join(known)}")
     values = np.array(node["values"].numbers(len(parameters)))
     return CalibratedIntrinsics(
         model.value, tuple(parameters), values, _covariance(node["covariance"], len(parameters))

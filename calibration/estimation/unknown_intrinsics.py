@@ -7,12 +7,14 @@ import numpy as np
 from calibration.dataset.model import CornerLabels, Dataset
 from calibration.errors import InputError
 from calibration.estimation.intrinsics import CalibratedIntrinsics, FreeIntrinsics, Prior
-from calibration.estimation.problem import Block
+from calibration.estimation.problem import Block, Values
 from calibration.geometry.cameras import Camera
 from calibration.geometry.types import Array
 
 ALL = "all"
 """Stands for every camera."""
+CONTRADICTION = 6
+"""A prior farther from the result than expected, by more than this in standard deviations, is contradicted."""
 
 
 def intrinsics_name(sensor: str) -> str:
@@ -34,7 +36,7 @@ def intrinsics_blocks(
         known: by sensor; where not all sensors of a robot are in a dataset there may be others.
 
     Raises:
-        InputError: a sensor is unknown or no rgb camera; what is known is not of this camera.
+        InputError: a sensor is unknown or no rgb camera; what is known is of none of the cameras, or of another lens.
     """
     cameras = {name: sensor for name, sensor in dataset.sensors.items() if sensor.modality == "rgb" and sensor.camera}
     for name in wanted:
@@ -44,6 +46,11 @@ def intrinsics_blocks(
                 f"{dataset.path}: intrinsics: '{name}' is {what}, expected {ALL} or cameras "
                 f"({', '.join(cameras) or 'there are none'})"
             )
+    if known and not known.keys() & cameras.keys():
+        raise InputError(
+            f"{dataset.path}: intrinsics-covariance: it is of {', '.join(known)}, expected one of the cameras "
+            f"({', '.join(cameras) or 'there are none'})"
+        )
     blocks = []
     for name, sensor in cameras.items():
         chosen = name in wanted or ALL in wanted
@@ -53,6 +60,27 @@ def intrinsics_blocks(
             intrinsics = FreeIntrinsics(sensor.camera, free, _rays(dataset, sensor.name, sensor.camera), prior)
             blocks.append(Block(intrinsics_name(name), held=not chosen, intrinsics=intrinsics))
     return tuple(blocks)
+
+
+def contradicted_priors(blocks: Sequence[Block], values: Values) -> list[str]:
+    """A warning for each camera of which the labels say something else than what was known beforehand.
+
+    The squared Mahalanobis distance of the result from a prior of u parameters is at most that of chi-squared with
+    u degrees of freedom, whose mean is u and whose variance is 2 u.
+    """
+    warnings = []
+    for block, value in zip(blocks, values, strict=True):
+        if (intrinsics := block.intrinsics) and not block.held and (prior := intrinsics.prior):
+            squared, count = intrinsics.pull(value)[0], len(prior.at)
+            if squared > count + CONTRADICTION * np.sqrt(2 * count):
+                off = (value[list(prior.at)] - prior.mean) / np.sqrt(np.diagonal(prior.covariance))
+                k = int(np.abs(off).argmax())
+                warnings.append(
+                    f"'{block.name}': the labels contradict the given covariance: "
+                    f"{intrinsics.camera.parameters[prior.at[k]]} comes out {abs(off[k]):.0f} standard deviations from "
+                    f"the {prior.mean[k]:.6g} that was given"
+                )
+    return warnings
 
 
 def _prior(dataset: Dataset, name: str, camera: Camera, known: CalibratedIntrinsics, calibrated: bool) -> Prior:

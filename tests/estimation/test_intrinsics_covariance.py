@@ -222,3 +222,20 @@ def test_a_covariance_of_other_intrinsics():
     with pytest.raises(InputError, match="it is of fy = 590, more than a standard deviation from the 790 of the"):
         build(dataset, intrinsics_covariance={"c0": known()})
     assert build(dataset, intrinsics=("c0",), intrinsics_covariance={"c0": known()}).problem.has_priors
+
+
+def test_a_covariance_of_no_camera_of_the_dataset():
+    with pytest.raises(InputError, match=r"intrinsics-covariance: it is of left, expected one of the cameras \(c0, c1"):
+        build(covering(3).dataset(), intrinsics_covariance={"left": known()})
+
+
+def test_a_prior_that_the_labels_contradict_is_said():
+    truth = drawn(3)
+    nominal = truth.with_cameras({"c0": CAMERA, "c1": CAMERA})
+    options = Options(noise_levels=NOISE, intrinsics=("all",), intrinsics_covariance=BOTH)
+    assert calibrate(nominal, options).warnings == ()
+    values = CAMERA.intrinsics + np.array([0, 15 * SIGMAS[1], 0, 0, 0, 0, 0, 0, 0])
+    off = replace(known(), values=values)
+    (warning,) = calibrate(nominal, replace(options, intrinsics_covariance={**BOTH, "c1": off})).warnings
+    assert warning.startswith("'intrinsics-c1': the labels contradict the given covariance: fy comes out ")
+    assert warning.endswith(" standard deviations from the 635 that was given")

@@ -53,14 +53,8 @@ def test_a_file_by_hand(tmp_path):
     [
         ({"model": "fov"}, "cameras/left/model: found 'fov', expected a known distortion model: plumb_bob, rational_p"),
         ({"model": 3}, "cameras/left/model: found 3, expected text"),
-        (
-            {"parameters": ["fx", "k4"]},
-            "cameras/left/parameters: found a list of 2, expected some of fx, fy, cx, cy, k1",
-        ),
-        (
-            {"parameters": ["fx", "fx"]},
-            "cameras/left/parameters: found a list of 2, expected some of fx, fy, cx, cy, k1",
-        ),
+        ({"parameters": ["fx", "k4"]}, "cameras/left/parameters/1: found 'k4', expected one of fx, fy, cx, cy, k1"),
+        ({"parameters": ["fx", "fx"]}, "cameras/left/parameters/1: found 'fx', expected one of fx, fy, cx, cy, k1"),
         ({"parameters": []}, "cameras/left/parameters: found an empty list, expected some of fx"),
         ({"values": [600.0]}, "cameras/left/values: found a list of 1, expected a list of 2 numbers"),
         ({"values": [600.0, float("nan")]}, "cameras/left/values/1: found nan, expected a finite number"),
@@ -101,4 +95,11 @@ def test_what_is_no_such_file(tmp_path, content):
     path = tmp_path / "intrinsics.json"
     path.write_text(content)
     with pytest.raises(InputError, match=r"intrinsics\.json: "):
+        read_intrinsics(path)
+
+
+def test_a_file_that_is_too_large(tmp_path, monkeypatch):
+    path = write(tmp_path)
+    monkeypatch.setattr("calibration.estimation.intrinsics_file.MAX_BYTES", 100)
+    with pytest.raises(InputError, match=r"intrinsics\.json: found 142 bytes, a JSON document of at most 100 was"):
         read_intrinsics(path)
