@@ -13,6 +13,7 @@ from calibration.errors import ExitCode
 if TYPE_CHECKING:
     from calibration.simulation.collection.proof import Proof
     from calibration.simulation.collection.record import CornerErrors, Record
+    from calibration.simulation.scenarios.result import ScenarioResult
 
 SCHEMA = Path(__file__).with_name("collection.schema.json")
 FILE = "results.json"
@@ -31,8 +32,9 @@ class CollectionChecks:
     minimum_coverage: float | None = None
     """The share of every camera's image (of a grid's cells) where a corner was seen, 0 to 1."""
     max_translation_mm: float | None = 5.0
-    """Of the worst sensor against the truth."""
+    """Of the worst sensor against the truth, and of the worst length of a joint."""
     max_rotation_deg: float | None = 0.3
+    """Likewise, of the worst angle."""
 
 
 @dataclass(frozen=True)
@@ -57,6 +59,22 @@ class Check:
         unit = f" {self.unit}" if self.unit else ""
         found = "no value" if self.value is None else f"found {self.value:.4g}{unit}"
         return f"{self.name}: {found}, {'at least' if self.at_least else 'at most'} {self.limit:g}{unit} was expected"
+
+
+def truth_checks(found: "Proof | ScenarioResult | None", limits: CollectionChecks) -> list[Check]:
+    """The errors of sensors, and of joints where some were calibrated, each with its limit."""
+    errors = (
+        ("translation", "translation_mm", limits.max_translation_mm, "mm"),
+        ("joint", "joint_mm", limits.max_translation_mm, "mm"),
+        ("rotation", "rotation_deg", limits.max_rotation_deg, "deg"),
+        ("joint", "joint_deg", limits.max_rotation_deg, "deg"),
+    )
+    values = ((kind, getattr(found, key) if found else None, limit, unit) for kind, key, limit, unit in errors)
+    return [
+        Check(f"{kind} error against the truth", value, limit, at_least=False, unit=unit)
+        for kind, value, limit, unit in values
+        if limit is not None and (value is not None or kind != "joint")
+    ]
 
 
 @dataclass(frozen=True)
@@ -129,14 +147,7 @@ class CollectionResults:
                 checks.append(Check(f"detection rate of {name}", rate, limits.minimum_detection_rate, at_least=True))
             if limits.minimum_coverage is not None and numbers.coverage is not None:
                 checks.append(Check(f"coverage of {name}", numbers.coverage, limits.minimum_coverage, at_least=True))
-        found = (
-            ("translation error against the truth", "translation_mm", limits.max_translation_mm, "mm"),
-            ("rotation error against the truth", "rotation_deg", limits.max_rotation_deg, "deg"),
-        )
-        for what, key, limit, unit in found:
-            if limit is not None:
-                checks.append(Check(what, getattr(proof, key) if proof else None, limit, at_least=False, unit=unit))
-        return checks
+        return checks + truth_checks(proof, limits)
 
     @property
     def reasons(self) -> list[str]:

@@ -17,7 +17,7 @@ from calibration.pipeline.collection.collecting import (
     require_opencv,
 )
 from calibration.pipeline.collection.in_containers import ContainerRequest
-from calibration.pipeline.collection.results import Check, CollectionChecks, CollectionResults
+from calibration.pipeline.collection.results import Check, CollectionChecks, CollectionResults, truth_checks
 from calibration.pipeline.collection.world_file import write_world
 
 if TYPE_CHECKING:
@@ -125,12 +125,7 @@ def world_reasons(result: "ScenarioResult", checks: CollectionChecks) -> list[st
     if checks.minimum_detection_rate is not None:
         for name, rate in (result.detection or {}).items():
             limits.append(Check(f"detection rate of {name}", rate, checks.minimum_detection_rate, at_least=True))
-    for what, value, limit, unit in (
-        ("translation error against the truth", result.translation_mm, checks.max_translation_mm, "mm"),
-        ("rotation error against the truth", result.rotation_deg, checks.max_rotation_deg, "deg"),
-    ):
-        if limit is not None:
-            limits.append(Check(what, value, limit, at_least=False, unit=unit))
+    limits += truth_checks(result, checks)
     return [str(check) for check in limits if not check.passed]
 
 

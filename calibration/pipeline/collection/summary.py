@@ -7,6 +7,7 @@ from calibration.workflow.summary import escape_markdown, markdown_table
 
 if TYPE_CHECKING:
     from calibration.pipeline.collection.results import CollectionResults, SensorNumbers
+    from calibration.simulation.collection.proof import Proof
     from calibration.simulation.collection.record import Record
 
 LOST_SHOWN = 50
@@ -26,9 +27,19 @@ def calibration_text(results: "CollectionResults") -> str:
     error = (
         ""
         if proof.translation_mm is None
-        else f", {proof.translation_mm:.3g} mm and {proof.rotation_deg:.2g} deg from the truth"
+        else f", {proof.translation_mm:.3g} mm and {proof.rotation_deg:.2g} deg{_joints(proof)} from the truth"
     )
     return f"calibrates with {proof.rms_px:.4f} px{error}" if proof.rms_px is not None else f"calibrates{error}"
+
+
+def _joints(proof: "Proof") -> str:
+    """The worst errors of joints, where some were calibrated."""
+    shown = [
+        f"{error:{form}} {unit}"
+        for error, form, unit in ((proof.joint_mm, ".3g", "mm"), (proof.joint_deg, ".2g", "deg"))
+        if error is not None
+    ]
+    return f", joints {' and '.join(shown)}" if shown else ""
 
 
 def sensors_grid(results: "CollectionResults") -> Grid:

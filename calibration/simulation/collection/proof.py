@@ -1,5 +1,6 @@
 """The proof of a dataset: does it calibrate, and to the truth?"""
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -53,6 +54,21 @@ class Proof:
     weak_directions: tuple[str, ...] = ()
     joints: tuple[JointProof, ...] = ()
     """The parameters of joints that were free."""
+
+    @property
+    def joint_mm(self) -> float | None:
+        """The worst error of the joints' parameters that are lengths."""
+        worst = self._worst("m")
+        return None if worst is None else round(1e3 * worst, 4)
+
+    @property
+    def joint_deg(self) -> float | None:
+        """The worst error of those that are angles."""
+        worst = self._worst("rad")
+        return None if worst is None else round(math.degrees(worst), 6)
+
+    def _worst(self, unit: str) -> float | None:
+        return max((each.error for each in self.joints if each.unit == unit and each.error is not None), default=None)
 
 
 def prove(folder: Path, truth: str | None = None) -> Proof:

@@ -19,6 +19,8 @@ _NAMES = {0: "least", 50: "median", 100: "worst"}
 _MEASURES = {
     "translation_mm": "Translation error (mm)",
     "rotation_deg": "Rotation error (deg)",
+    "joint_mm": "Joint error (mm)",
+    "joint_deg": "Joint error (deg)",
     "rms_px": "RMS of the reprojection (px)",
     "corner_rms_px": "Corners against the truth (px)",
 }
@@ -202,7 +204,16 @@ def table(results: Sequence[ScenarioResult]) -> str:
 
 
 def _row(result: ScenarioResult) -> dict[str, object]:
-    measures = ("corner_rms_px", "rms_px", "translation_mm", "rotation_deg", "sigma_mm", "sigma_deg")
+    measures = (
+        "corner_rms_px",
+        "rms_px",
+        "translation_mm",
+        "rotation_deg",
+        "joint_mm",
+        "joint_deg",
+        "sigma_mm",
+        "sigma_deg",
+    )
     return {
         "id": result.id,
         "hash": result.hash,

@@ -27,6 +27,9 @@ class ScenarioResult:
     translation_mm: float | None = None
     """The worst error of a calibrated sensor against the truth."""
     rotation_deg: float | None = None
+    joint_mm: float | None = None
+    """The worst error of a calibrated joint against the truth, of those that are lengths, and of the angles."""
+    joint_deg: float | None = None
     sigma_mm: float | None = None
     """The standard deviation that the calibration states, of the sensor of which it is least sure."""
     sigma_deg: float | None = None

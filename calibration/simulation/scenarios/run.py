@@ -164,6 +164,8 @@ def proven(result: ScenarioResult, proof: Proof) -> ScenarioResult:
         rms_px=proof.rms_px,
         translation_mm=proof.translation_mm,
         rotation_deg=proof.rotation_deg,
+        joint_mm=proof.joint_mm,
+        joint_deg=proof.joint_deg,
         sigma_mm=max((sigma.translation_mm for sigma in sigmas), default=None),
         sigma_deg=max((sigma.rotation_deg for sigma in sigmas), default=None),
         reasons=() if proof.converged else (proof.reason or "the calibration did not converge",),

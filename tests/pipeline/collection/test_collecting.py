@@ -23,7 +23,7 @@ from calibration.pipeline.collection.results import (
 )
 from calibration.pipeline.collection.summary import markdown, sentence
 from calibration.simulation.collection import collecting
-from calibration.simulation.collection.proof import Proof
+from calibration.simulation.collection.proof import JointProof, Proof
 from calibration.workflow.summary import escape_markdown
 from tests.pipeline.conftest import DATASETS
 
@@ -204,6 +204,20 @@ def test_without_limits_it_still_has_to_calibrate(results: CollectionResults) ->
     assert replace(results, limits=free).verdict == "pass"
     lost = replace(results, limits=free, proof=Proof(False, "no minimum"))
     assert lost.reasons == ["the dataset does not calibrate: no minimum"]
+
+
+def test_a_joint_that_is_off_the_truth_turns_it_red(results: CollectionResults) -> None:
+    assert results.proof is not None
+    joints = (
+        JointProof("slide", "origin_z", "m", 0.1, 1e-4, 0.006),
+        JointProof("elbow", "origin_yaw", "rad", 0, 1, 1e-3),
+    )
+    off = replace(results, proof=replace(results.proof, joints=joints))
+    assert off.reasons == ["joint error against the truth: found 6 mm, at most 5 mm was expected"]
+    assert "joints 6 mm and 0.057 deg from the truth" in sentence(off)
+    turned = replace(off, limits=CollectionChecks(max_translation_mm=7, max_rotation_deg=0.05))
+    assert turned.reasons == ["joint error against the truth: found 0.0573 deg, at most 0.05 deg was expected"]
+    assert replace(off, limits=CollectionChecks(max_translation_mm=None)).verdict == "pass"
 
 
 @pytest.mark.parametrize("value", [None, float("nan"), float("inf")])

@@ -1,6 +1,7 @@
 """The proof of a dataset: an answer for every dataset, also for those that do not calibrate."""
 
 import json
+import math
 import shutil
 from pathlib import Path
 
@@ -59,7 +60,10 @@ def test_joints_are_proven_too(tmp_path: Path) -> None:
         assert abs(abs(joint.value - true) - joint.error) < 1e-6
         assert 0 < joint.error < 3 * joint.sigma
         assert abs(joint.sigma - found.joints[joint.joint].sigmas[0]) < 1e-8
+    lengths, angles = ([each.error for each in proof.joints if each.unit == unit] for unit in ("m", "rad"))
+    assert (proof.joint_mm, proof.joint_deg) == (round(1e3 * lengths[0], 4), round(math.degrees(max(angles)), 6))
     shutil.copy(DATASETS / "spjbot" / "dataset.json", tmp_path)
     alone = prove(tmp_path)
     assert [joint.error for joint in alone.joints] == [None, None, None]
+    assert alone.joint_mm is alone.joint_deg is None
     assert [joint.value for joint in alone.joints] == [joint.value for joint in proof.joints]
