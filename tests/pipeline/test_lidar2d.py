@@ -5,6 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import cv2
+import jsonschema
 import numpy as np
 import pytest
 
@@ -15,7 +16,7 @@ from calibration.estimation.starting_noise import StartingNoise
 from calibration.evaluation.specification import parse_evaluation
 from calibration.geometry.transforms import inverse
 from calibration.pipeline.collection.collecting import CollectionRequest, collect_dataset
-from calibration.pipeline.collection.results import CollectionResults
+from calibration.pipeline.collection.results import SCHEMA, CollectionResults, collection_document
 from calibration.recorder.preview import preview
 from calibration.simulation.motion.expected import expected_dataset
 from calibration.simulation.motion.information import expected_noise
@@ -69,6 +70,11 @@ def test_it_calibrates_to_the_truth_as_well_as_it_says(collected: tuple[Collecti
     assert np.linalg.norm(error[:3]) < 0.01
     assert found.noise_levels.lidar2d_range == pytest.approx(0.01, rel=0.1)
     assert found.noise_levels.lidar2d_border == pytest.approx(np.radians(0.25) / 12**0.5, rel=0.35)
+
+
+def test_what_is_written_of_it_keeps_to_the_schema(collected: tuple[CollectionResults, Path]) -> None:
+    written = json.loads(json.dumps(collection_document(collected[0])))
+    jsonschema.validate(written, json.loads(SCHEMA.read_text()))
 
 
 def test_its_dataset_holds_whole_scans_and_no_file_of_it(collected: tuple[CollectionResults, Path]) -> None:
