@@ -175,7 +175,8 @@ def _result(
         if undetermined:
             named = "; ".join(direction.describe(names) for direction in undetermined[:3])
             several = problem.has_vectors or setup.dataset.additional_transforms
-            hold = ", or hold one of them" if several else ""
+            held = next((name for each in undetermined if (name := each.to_hold(names))), "")
+            hold = f", or hold one of them{f', such as {held!r}' if held else ''}" if several else ""
             raise UndeterminedError(
                 f"{setup.dataset.path}: the labels do not determine {named}; "
                 f"add collections with other rotations of the pattern or the robot{hold}"

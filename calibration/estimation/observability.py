@@ -51,6 +51,10 @@ class WeakDirection:
         what = "moving along" if self.kind == "translation" else "turning about"
         return f"'{names[self.block]}' {what} ({x:g}, {y:g}, {z:g}) of its frame{along}: {size}"
 
+    def to_hold(self, names: list[str]) -> str:
+        """The name by which the parameter of a joint or a camera that changes least is held; empty without one."""
+        return next((f"{names[block]}-{each[-1]}" for block, each in self.parameters.items() if each), "")
+
     def _name(self, block: int, names: list[str]) -> str:
         parameters = self.parameters.get(block)
         return f"'{names[block]}' ({', '.join(parameters)})" if parameters else f"'{names[block]}'"

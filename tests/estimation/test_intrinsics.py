@@ -191,7 +191,9 @@ def test_focal_lengths_from_patterns_that_face_the_camera(noise):
     message = str(error.value)
     assert "the labels do not determine 'intrinsics-c0' (f" in message
     assert {"fx", "fy"} <= set(message.split("(", 1)[1].split(")")[0].split(", "))
-    assert message.endswith("or hold one of them")
+    name = message.rpartition("or hold one of them, such as '")[2].removesuffix("'")
+    assert name.startswith("intrinsics-c0-")
+    build(facing(0.0).dataset(), (name,), EVERY.intrinsics)  # it can be held
 
 
 def test_focal_lengths_from_patterns_that_hardly_tilt_are_weak():
