@@ -332,6 +332,8 @@ def _described(result: CellResult, calibration: Calibration) -> CellResult:
             "range_m": levels.range,
             "border_rad": levels.border,
             "depth_border_rad": levels.depth_border,
+            "lidar2d_range_m": levels.lidar2d_range,
+            "lidar2d_border_rad": levels.lidar2d_border,
         },
         "held": calibration.gauge,
         "weak_directions": list(calibration.weak_directions),
@@ -341,7 +343,7 @@ def _described(result: CellResult, calibration: Calibration) -> CellResult:
         result,
         converged=calibration.converged,
         sigma=_sigma(calibration) if calibration.converged else None,
-        reasons=(calibration.reason,) if calibration.reason else (),
+        reasons=(calibration.reason,) if calibration.reason else _unfit(calibration),
         warnings=(*calibration.warnings, *_notes(calibration)),
         details=details,
     )
@@ -391,11 +393,24 @@ def _parameters(name: str, calibrated: CalibratedJoint | CalibratedIntrinsics) -
     ]
 
 
+def _unfit(calibration: Calibration) -> tuple[str, ...]:
+    """Why an optimum is nothing to rely on: the loss is robust, so it may have found what few labels say."""
+    rejected, total = len(calibration.rejected), _labels(calibration)
+    if 2 * rejected <= total:
+        return ()
+    found = f"{rejected} of {total} labels do not fit the result, expected less than half"
+    return (f"{found}; look at the intrinsics, the pattern's dimensions and the joints' positions",)
+
+
+def _labels(calibration: Calibration) -> int:
+    return sum(int(np.isfinite(view.magnitudes).sum()) for view in calibration.residuals)
+
+
 def _notes(calibration: Calibration) -> list[str]:
     """What a user should look at, although it is calibrated."""
     notes = [f"weakly determined: {weak}" for weak in calibration.weak_directions]
     if rejected := calibration.rejected:
-        total = sum(int(np.isfinite(view.magnitudes).sum()) for view in calibration.residuals)
+        total = _labels(calibration)
         where = list(dict.fromkeys(label.collection for label in rejected))
         listed = ", ".join(where[:8]) + (", ..." if len(where) > 8 else "")
         notes.append(f"{len(rejected)} of {total} labels rejected as outliers, in collections {listed}")
