@@ -339,11 +339,12 @@ def _described(result: CellResult, calibration: Calibration) -> CellResult:
         "weak_directions": list(calibration.weak_directions),
         "rejected_labels": [vars(label) for label in calibration.rejected],
     }
+    reasons = (calibration.reason,) if calibration.reason else _unfit(calibration)
     return replace(
         result,
-        converged=calibration.converged,
+        converged=calibration.converged and not reasons,
         sigma=_sigma(calibration) if calibration.converged else None,
-        reasons=(calibration.reason,) if calibration.reason else _unfit(calibration),
+        reasons=reasons,
         warnings=(*calibration.warnings, *_notes(calibration)),
         details=details,
     )
