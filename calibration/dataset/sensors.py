@@ -11,6 +11,8 @@ from calibration.geometry.distortion import MODELS, Distortion, PlumbBob
 
 MAX_PIXELS = 1 << 20
 """The largest width or height of an image."""
+MAX_INTRINSIC = 1e7
+"""No focal length, principal point (px) or coefficient of a lens is larger."""
 _TWINS = {
     "modality": "modality",
     "parent": "link",
@@ -57,6 +59,8 @@ def read_camera(info: Node) -> Camera:
         InputError: something in it is missing or wrong, or its distortion model is not known.
     """
     fx, skew, cx, zero, fy, cy, *bottom = info["K"].numbers(9)
+    if max(fx, fy, abs(cx), abs(cy)) > MAX_INTRINSIC:
+        raise info["K"].fault(f"found {info['K'].value}, expected numbers of pixels up to {MAX_INTRINSIC:g}")
     if not (fx > 0 and fy > 0 and skew == zero == 0 and bottom == [0, 0, 1]):
         raise info["K"].fault(f"found {info['K'].value}, expected [fx, 0, cx, 0, fy, cy, 0, 0, 1] with fx, fy > 0")
     return Camera(
@@ -85,7 +89,7 @@ def camera_document(camera: Camera) -> dict[str, Any]:
 
 def _read_distortion(info: Node) -> Distortion:
     name, D = info["distortion_model"], info["D"]
-    coefficients = D.numbers(len(D.sequence()))
+    coefficients = [element.within(-MAX_INTRINSIC, MAX_INTRINSIC) for element in D.elements()]
     if name.text() == "" and not any(coefficients):
         return PlumbBob()
     if name.value not in MODELS:

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from calibration.dataset.document import Node, read_json
+from calibration.dataset.sensors import MAX_INTRINSIC
 from calibration.estimation.intrinsics import PIXELS, CalibratedIntrinsics
 from calibration.files import write_atomically
 from calibration.geometry.distortion import MODELS
@@ -70,7 +71,8 @@ def _camera(node: Node) -> CalibratedIntrinsics:
         parameters.append(element.value)
     if not parameters:
         raise node["parameters"].unexpected(f"some of {', '.join(known)}")
-    values = np.array(node["values"].numbers(len(parameters)))
+    node["values"].numbers(len(parameters))
+    values = np.array([element.within(-MAX_INTRINSIC, MAX_INTRINSIC) for element in node["values"].elements()])
     return CalibratedIntrinsics(
         model.value, tuple(parameters), values, _covariance(node["covariance"], len(parameters))
     )

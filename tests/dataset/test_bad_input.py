@@ -144,6 +144,8 @@ CASES = [
     ({f"{INFO}/K/2": NAN}, f"{INFO}/K/2: found nan, expected a finite number"),
     ({f"{INFO}/K": [1, 2, 3]}, f"{INFO}/K: found a list of 3, expected a list of 9 numbers"),
     ({f"{INFO}/D/1": INFINITY}, f"{INFO}/D/1: found inf, expected a finite number"),
+    ({f"{INFO}/D/1": 1e300}, f"{INFO}/D/1: found 1e+300, expected a number from -1e+07 to 1e+07"),
+    ({f"{INFO}/K/2": -1e300}, f"{INFO}/K: found [300.0, 0.0, -1e+300"),
     ({f"{INFO}/D": [0] * 8}, f"{INFO}/D: found a list of 8, expected 5 coefficients of plumb_bob"),
     ({f"{INFO}/height": 0}, f"{INFO}/height: found 0, expected a whole number from 1 to"),
     ({f"{INFO}/distortion_model": "fisheye"}, f"{INFO}/distortion_model: found 'fisheye', expected a known distortion"),

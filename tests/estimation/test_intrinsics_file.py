@@ -58,6 +58,7 @@ def test_a_file_by_hand(tmp_path):
         ({"parameters": []}, "cameras/left/parameters: found an empty list, expected some of fx"),
         ({"values": [600.0]}, "cameras/left/values: found a list of 1, expected a list of 2 numbers"),
         ({"values": [600.0, float("nan")]}, "cameras/left/values/1: found nan, expected a finite number"),
+        ({"values": [1e300, 0.1]}, "cameras/left/values/0: found 1e+300, expected a number from -1e+07 to 1e+07"),
         (
             {"covariance": [[4.0, 0.0]]},
             "cameras/left/covariance: found a list of 1, expected 2 rows, one for each parame",
