@@ -2,8 +2,10 @@
 
 import fcntl
 import os
+import random
 import shutil
 import signal
+import socket
 import subprocess
 import tempfile
 import time
@@ -168,7 +170,7 @@ def _registry(folder: Path, auth: str) -> Generator[Registry]:
     program = shutil.which("docker-registry")
     if program is None:
         pytest.skip("needs docker-registry (apt-get install docker-registry)")
-    port = _free_port()
+    port = free_port()
     (folder / "registry.yml").write_text(
         "version: 0.1\nlog: {level: error}\n"
         f"storage: {{filesystem: {{rootdirectory: {folder}/data}}, delete: {{enabled: true}}}}\n"
@@ -222,7 +224,7 @@ def _pings(client: "DockerClient") -> bool:
 
 def _answers(port: int) -> bool:
     try:
-        urllib.request.urlopen(f"http://127.0.0.1:{port}/v2/", timeout=2)
+        urllib.request.urlopen(f"http://127.0.0.1:{port}/v2/", timeout=10)
     except urllib.error.HTTPError:
         return True  # it wants a password
     except OSError:
@@ -230,12 +232,13 @@ def _answers(port: int) -> bool:
     return True
 
 
-def _free_port() -> int:
-    import socket
-
-    with socket.socket() as found:
-        found.bind(("127.0.0.1", 0))
-        return int(found.getsockname()[1])
+def free_port() -> int:
+    """Return a port for a server that cannot choose one; below those that the kernel gives to whoever asks for any."""
+    while True:
+        port = random.randrange(12_000, 30_000)
+        with socket.socket() as found, suppress(OSError):
+            found.bind(("127.0.0.1", port))
+            return port
 
 
 def _import_base() -> None:

@@ -1,5 +1,4 @@
 import threading
-import time
 
 import pytest
 
@@ -7,6 +6,8 @@ from calibration.execution.admission import Admission, Need
 from calibration.execution.job import Container, Job, Limits
 
 GIB = 1024**3
+LONG = 60.0
+"""Seconds; a test that waits so long has failed."""
 
 
 def job(*limits: Limits) -> Job:
@@ -25,32 +26,25 @@ def test_what_a_job_takes(needing: Job, need: Need) -> None:
     assert Need.of(needing) == need
 
 
-def most_at_once(needs: list[Need], cores: float, memory: int, workers: int | None) -> tuple[list[int], int]:
-    """Run jobs of no time in threads; return the order in which they began, and how many there were at once."""
-    admission = Admission(needs, cores, memory, workers)
-    lock = threading.Lock()
-    order: list[int] = []
-    at_once: list[int] = []
-    running = 0
+class Asking:
+    """A thread that asks for one job."""
 
-    def work() -> None:
-        nonlocal running
-        while (index := admission.wait()) is not None:
-            with lock:
-                running += 1
-                order.append(index)
-                at_once.append(running)
-            time.sleep(0.02)
-            with lock:
-                running -= 1
-            admission.release(index)
+    def __init__(self, admission: Admission) -> None:
+        self.found: list[int | None] = []
+        self._thread = threading.Thread(target=lambda: self.found.append(admission.wait()), daemon=True)
+        self._thread.start()
 
-    threads = [threading.Thread(target=work) for _ in needs]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join(20)
-    return order, max(at_once)
+    def answer(self) -> int | None:
+        """What it is told; waits for it."""
+        self._thread.join(LONG)
+        [found] = self.found
+        return found
+
+    @property
+    def waits(self) -> bool:
+        """Whether it is told nothing for now: looked at for a moment, as it can only be told too early by mistake."""
+        self._thread.join(0.05)
+        return not self.found
 
 
 @pytest.mark.parametrize(
@@ -67,31 +61,29 @@ def most_at_once(needs: list[Need], cores: float, memory: int, workers: int | No
     ],
 )
 def test_as_many_at_once_as_fit(need: Need, cores: float, memory: int, workers: int | None, expected: int) -> None:
-    order, most = most_at_once([need] * 6, cores, memory, workers)
-    assert sorted(order) == list(range(6))
-    assert most == expected
+    admission = Admission([need] * 6, cores, memory, workers)
+    assert [Asking(admission).answer() for _ in range(expected)] == list(range(expected))
+    for ended in range(6 - expected):  # one more starts for each that ends, and no earlier
+        asking = Asking(admission)
+        assert asking.waits
+        admission.release(ended)
+        assert asking.answer() == expected + ended
+    assert admission.wait() is None
 
 
 def test_no_job_overtakes_another() -> None:
     admission = Admission([Need(1, 0), Need(2, 0), Need(1, 0)], 2, 0)
     assert admission.wait() == 0
-    begun: list[int | None] = []
-    waiting = threading.Thread(target=lambda: begun.append(admission.wait()))
-    waiting.start()
-    time.sleep(0.05)
-    assert begun == []  # job 2 would fit, but is not next
+    asking = Asking(admission)
+    assert asking.waits  # job 2 would fit, but is not next
     admission.release(0)
-    waiting.join(5)
-    assert begun == [1]
+    assert asking.answer() == 1
 
 
 def test_stopped() -> None:
     admission = Admission([Need(1, 0)] * 3, 1, 0)
     assert admission.wait() == 0
-    begun: list[int | None] = []
-    waiting = threading.Thread(target=lambda: begun.append(admission.wait()))
-    waiting.start()
+    asking = Asking(admission)
     admission.stop()
-    waiting.join(5)
-    assert begun == [None]
+    assert asking.answer() is None
     assert admission.wait() is None

@@ -111,12 +111,16 @@ def test_limits_that_count() -> None:
     unready = Fake(of(limits=Limits(seconds=9), readiness=ready), ended=None, ready=False)
     judge = Judge(Job("j", (unready.container,), seconds=None), one_line)
     assert [round(seconds) for seconds in judge.seconds_left([unready])] == [9, 5]
-    unready.started = time.monotonic() - 6
+    unready.started, unready.last_line = time.monotonic() - 6, "waiting"
     assert judge.is_over([unready], [])
     assert (judge.reasons, judge.exit_code) == (
-        ["container 'a' was not ready within 5 s (port 1)"],
+        ["container 'a' was not ready within 5 s (port 1): waiting"],
         ExitCode.FAIL,
     )
+    late = Fake(of(limits=Limits(seconds=9)), started=time.monotonic() - 10, ended=None, last_line="begun")
+    judge = Judge(Job("j", (late.container,), seconds=None), one_line)
+    assert judge.is_over([late], [])
+    assert (judge.reasons, judge.exit_code) == (["container 'a' ran longer than its 9 s: begun"], ExitCode.WORLD)
 
 
 def test_one_that_others_wait_for_ended_too_early() -> None:

@@ -5,15 +5,21 @@ does; each outcome is a line: ``job exit_code reason``.
 """
 
 import sys
+import time
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from calibration.errors import CalibrationError
 from calibration.execution.docker import backend
+from calibration.execution.docker.container_run import ContainerRun
 from calibration.execution.job import OUTPUT, Artifact, Container, Job, Readiness
 from calibration.workflow import Runner
 from calibration.workflow.signals import Terminated, terminate_cleanly
 from calibration.workflow.streams import LogDisplay
 from tests.engine import PYTHON_IMAGE
+
+if TYPE_CHECKING:
+    from docker import APIClient
 
 
 def shell(text: str, name: str = "a", image: str = PYTHON_IMAGE, **settings: object) -> Container:
@@ -26,22 +32,34 @@ def jobs(kind: str, argument: str) -> list[Job]:
     if kind == "waiting":
         never = shell("echo up; sleep 600", "sim", essential=False, readiness=Readiness(file="/never", seconds=600))
         return [Job("j", (never, shell("true", after=("sim",))))]
-    if kind == "running":
+    if kind in ("running", "creating"):
         helper = shell("sleep 600", "sim", essential=False)
         return [Job(f"j{i}", (helper, shell("echo up; sleep 600"))) for i in range(3)]
     if kind == "copying":
         text = f"head -c 800000000 /dev/zero > {OUTPUT}/zeros; echo up"
         return [Job("j", (shell(text, artifacts=(Artifact(f"{OUTPUT}/*"),)),))]
     if kind == "short":
-        return [Job(f"j{i}", (shell("echo up"), shell("sleep 9", "b", essential=False))) for i in range(20)]
+        return [Job(f"j{i}", (shell("echo up"), shell("sleep 600", "b", essential=False))) for i in range(20)]
     if kind == "bare":  # an engine of the test's own, with an image that has nothing but sleep
         backend._LOOKING, backend._PATIENCE = 1, 2
         return [Job(f"j{i}", (Container("a", argument, ("/bin/sleep", "600")),), network="none") for i in range(2)]
     raise AssertionError(kind)
 
 
+def start_what_is_gone(run: ContainerRun, api: "APIClient", *arguments: Any) -> None:
+    """Start a container that somebody has removed since it was created; waits until somebody has."""
+    while api.containers(all=True, filters={"id": run.identifier}):
+        time.sleep(0.05)
+    plain_start(run, api, *arguments)
+
+
+plain_start = ContainerRun.start
+
+
 def main() -> int:
     kind, run, folder, argument = (*sys.argv[1:], "")[:4]
+    if kind == "creating":
+        ContainerRun.start = start_what_is_gone  # type: ignore[method-assign]
     try:
         with terminate_cleanly(), backend.DockerBackend(run=run, show=LogDisplay(Runner())) as docker:
             code = 0

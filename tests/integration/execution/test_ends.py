@@ -59,11 +59,11 @@ EAT = "bytearray(300 * 2**20)"
             "container 'a' ran out of memory: its limit is 64 MiB (memory): so what",
         ),
         (
-            shell("echo begun; sleep 60", limits=Limits(seconds=0.5)),
+            shell("sleep 600", limits=Limits(seconds=0.5)),
             End.TIMED_OUT,
             143,
             3,
-            "container 'a' ran longer than its 0.5 s: begun",
+            "container 'a' ran longer than its 0.5 s",
         ),
         (
             Container("a", PYTHON_IMAGE, ("nosuch",)),
@@ -119,18 +119,18 @@ def test_each_end_is_told_apart(
 def test_a_job_ends_with_its_essential_container(tmp_path: Path) -> None:
     outcome = run_job(
         tmp_path,
-        shell("echo up; sleep 600", "sim", essential=False),
-        shell("sleep 0.2; echo done", "robot", after=("sim",)),
+        shell("echo up; sleep 600", "sim", essential=False, readiness=Readiness(log="up")),
+        shell("echo done", "robot", after=("sim",)),
     )
     sim, robot = outcome.containers
     assert outcome.verdict == "pass"
-    assert outcome.seconds < 30
     assert (sim.end, robot.end) == (End.STOPPED, End.EXITED)
     assert (outcome.folder / "logs" / "sim.log").read_text() == "up\n"
     assert (outcome.folder / "logs" / "robot.log").read_text() == "done\n"
 
 
-def test_what_does_not_want_to_end_is_killed(tmp_path: Path) -> None:
+def test_what_does_not_want_to_end_is_killed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("calibration.execution.docker.job_run.GRACE", 1)
     stubborn = python(
         "import signal, time\nsignal.signal(signal.SIGTERM, signal.SIG_IGN)\nprint('up', flush=True)\ntime.sleep(600)",
         "stubborn",
@@ -145,8 +145,8 @@ def test_what_does_not_want_to_end_is_killed(tmp_path: Path) -> None:
 def test_of_two_that_fail_the_essential_one_is_the_cause(tmp_path: Path) -> None:
     outcome = run_job(
         tmp_path,
-        shell("echo no simulator >&2; exit 7", "sim", essential=False),
-        shell("sleep 0.7; echo nothing came >&2; exit 1", "robot"),
+        shell(f"echo no simulator >&2; touch {OUTPUT}/ends; exit 7", "sim", essential=False),
+        shell(f"until [ -e {OUTPUT}/ends ]; do sleep 0.1; done; sleep 0.7; echo nothing came >&2; exit 1", "robot"),
     )
     assert outcome.reasons == (
         "container 'robot' ended with exit code 1: nothing came",
@@ -162,10 +162,10 @@ def test_a_helper_that_ends_is_no_failure_by_itself(tmp_path: Path) -> None:
 def test_the_time_of_a_job(tmp_path: Path) -> None:
     outcome = run_job(
         tmp_path,
-        shell("sleep 60", "a"),
-        shell("sleep 60", "b"),
+        shell("sleep 600", "a"),
+        shell("sleep 600", "b"),
         shell("x", "c", after=("d",)),
-        shell("sleep 60", "d", readiness=Readiness(file="/never")),
+        shell("sleep 600", "d", readiness=Readiness(file="/never")),
         seconds=1.5,
     )
     assert outcome.exit_code == ExitCode.WORLD
@@ -183,7 +183,7 @@ def test_the_time_of_a_job(tmp_path: Path) -> None:
 def test_an_essential_container_that_never_ran_is_no_success(tmp_path: Path) -> None:
     outcome = run_job(
         tmp_path,
-        shell("sleep 60", "sim", essential=False, readiness=Readiness(file="/never")),
+        shell("sleep 600", "sim", essential=False, readiness=Readiness(file="/never")),
         shell("sleep 0.3", "first"),
         shell("true", "second", after=("sim",)),
     )

@@ -1,11 +1,10 @@
-"""An engine that dies, or falls silent, in mid-run: one line, exit code 3, soon."""
+"""An engine that dies, or falls silent, in mid-run: one line, exit code 3."""
 
 import io
 import signal
 import subprocess
 import sys
 import tarfile
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -58,20 +57,18 @@ def running(engine: OwnEngine, run: str) -> int:
         client.close()
 
 
-@pytest.mark.parametrize(("number", "within"), [(signal.SIGKILL, 10), (signal.SIGSTOP, 25)])
-def test_lost_in_mid_run(own_engine: OwnEngine, tmp_path: Path, number: signal.Signals, within: float) -> None:
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
+def test_lost_in_mid_run(own_engine: OwnEngine, tmp_path: Path, number: signal.Signals) -> None:
     """Killed, its connections break; stopped, it holds them and says nothing."""
     run = new_run()
     with start(tmp_path, run) as process:
         try:
-            wait_until(lambda: running(own_engine, run) == 2, "both jobs run", 30)
+            wait_until(lambda: running(own_engine, run) == 2, "both jobs run")
             own_engine.process.send_signal(number)
-            begin = time.monotonic()
-            out, err = process.communicate(timeout=60)
+            out, err = process.communicate(timeout=120)
         finally:
             process.kill()
     assert process.returncode == 3, out + err
-    assert time.monotonic() - begin < within
     lines = [line for line in out.splitlines() if " | " not in line]
     assert sorted(line.split()[:2] for line in lines) == [["j0", "3"], ["j1", "3"]]
     for line in lines:
@@ -84,7 +81,7 @@ def test_nothing_is_left_when_it_is_back(own_engine: OwnEngine, tmp_path: Path) 
     """What a lost engine still had is what `calibration cleanup` finds: its labels are on it."""
     run = new_run()
     with start(tmp_path, run) as process:
-        wait_until(lambda: running(own_engine, run) == 2, "both jobs run", 30)
+        wait_until(lambda: running(own_engine, run) == 2, "both jobs run")
         process.kill()
     done = subprocess.run(
         [sys.executable, "-m", "calibration", "cleanup"], cwd=PROJECT, capture_output=True, text=True, check=True

@@ -54,17 +54,18 @@ def test_a_port_out_of_reach_is_looked_up_in_the_container(
         tmp_path, Job("fine", (server, after), network), Job("never", (never, after), network), workers=2
     )
     assert fine.reasons == ()
-    assert not_ready.reasons == ("container 'server' was not ready within 2 s (port 8001): serving now",)
+    [reason] = not_ready.reasons
+    assert reason.startswith("container 'server' was not ready within 2 s (port 8001)")
 
 
 def test_never_ready_is_the_softwares_fault(tmp_path: Path) -> None:
     ready = Readiness(port=1, log="up", file="/up", command=("sleep", "60"), seconds=1)
     outcome = run_job(
-        tmp_path, shell("echo waiting; sleep 60", "server", readiness=ready), shell("true", "client", after=("server",))
+        tmp_path, shell("sleep 600", "server", readiness=ready), shell("true", "client", after=("server",))
     )
     assert outcome.exit_code == ExitCode.FAIL
     missing = "command sleep 60, file /up, port 1, a line of its log with 'up'"
-    assert outcome.reasons == (f"container 'server' was not ready within 1 s ({missing}): waiting",)
+    assert outcome.reasons == (f"container 'server' was not ready within 1 s ({missing})",)
     assert [c.end for c in outcome.containers] == [End.NOT_READY, End.NOT_STARTED]
 
 

@@ -16,14 +16,14 @@ from calibration.execution.batch.inside.signs import Signs
 from calibration.execution.batch.inside.watch import Patience, Watch
 from calibration.execution.batch.wire import JOB_FOLDER
 from calibration.execution.job import OUTPUT, Container, Job
-from tests.engine import PYTHON_IMAGE
+from tests.engine import PYTHON_IMAGE, wait_until
 
 if TYPE_CHECKING:
     from docker.models.containers import Container as Running
 
 NONE = "none"
 """The image of a container that cannot be started."""
-PATIENCE = Patience(arrival=60, silence=5, settling=20)
+PATIENCE = Patience(arrival=60, silence=60, settling=60)
 
 
 @dataclass(frozen=True)
@@ -48,6 +48,7 @@ def run_task(folder: Path, *containers: Container, patience: Patience = PATIENCE
     output.mkdir(parents=True)
     prepare(TaskJob(job), None, signs, folder / "mounts", output)  # type: ignore[arg-type]
     with started(job, signs.folder, output, network) as running:
+        wait_until(lambda: all(signs.beat(name) is not None for name in running), "all are there")
         watch = Watch(job, signs, output, patience)
         watch.run(folder / "artifacts")
         codes = {name: each.wait(timeout=60)["StatusCode"] for name, each in running.items()}

@@ -12,7 +12,7 @@ from calibration.execution.batch.documents.job_document import TaskJob
 from calibration.execution.batch.inside.prepare import prepare
 from calibration.execution.batch.inside.signs import Signs
 from calibration.execution.batch.inside.watch import Patience, Watch
-from calibration.execution.job import Container, Job, Limits, Readiness
+from calibration.execution.job import OUTPUT, Container, Job, Limits, Readiness
 from calibration.execution.outcome import End
 from tests.engine import PYTHON_IMAGE, wait_until
 from tests.integration.execution.batch_inside.tasks import NONE, run_task, started
@@ -71,11 +71,16 @@ def test_a_job_ends_with_its_essential_container(tmp_path: Path) -> None:
     ran = run_task(
         tmp_path,
         python(stubborn, "sim", essential=False, readiness=Readiness(log="^up")),
-        shell("trap 'exit 4' TERM; echo up; while :; do sleep 0.1; done", "polite", essential=False),
-        shell("exit 7", "helper", essential=False),
-        shell("sleep 1; exit 5", "robot", after=("sim",)),
+        shell(
+            f"trap 'exit 4' TERM; touch {OUTPUT}/traps; while :; do sleep 0.1; done",
+            "polite",
+            essential=False,
+            readiness=Readiness(file=f"{OUTPUT}/traps"),
+        ),
+        shell(f"touch {OUTPUT}/ends; exit 7", "helper", essential=False),
+        shell(f"until [ -e {OUTPUT}/ends ]; do sleep 0.1; done; sleep 1; exit 5", "robot", after=("sim", "polite")),
         shell("true", "never", after=("waits",), essential=False),
-        shell("sleep 60", "waits", essential=False, readiness=Readiness(file="/never")),
+        shell("sleep 600", "waits", essential=False, readiness=Readiness(file="/never")),
     )
     assert ran.outcome.reasons == (
         "container 'robot' ended with exit code 5",
@@ -98,21 +103,21 @@ def test_a_job_ends_with_its_essential_container(tmp_path: Path) -> None:
     ("container", "settings", "end", "exit_code", "reason"),
     [
         (
-            shell("sleep 60", limits=Limits(seconds=1)),
+            shell("sleep 600", limits=Limits(seconds=1)),
             {},
             End.TIMED_OUT,
             ExitCode.WORLD,
             "container 'a' ran longer than its 1 s",
         ),
         (
-            shell("sleep 60"),
+            shell("sleep 600"),
             {"seconds": 1.5},
             End.TIMED_OUT,
             ExitCode.WORLD,
             "the job ran longer than its 1.5 s: still running were a",
         ),
         (
-            shell("sleep 60", readiness=Readiness(port=1, log="up", file="/up", command=("sleep", "60"), seconds=1)),
+            shell("sleep 600", readiness=Readiness(port=1, log="up", file="/up", command=("sleep", "60"), seconds=1)),
             {},
             End.NOT_READY,
             ExitCode.FAIL,
@@ -130,19 +135,19 @@ def test_limits_in_time(
 
 
 def test_one_that_is_killed_as_a_whole(tmp_path: Path) -> None:
-    job = Job("job", (shell("sleep 60"), shell("sleep 60", "b")))
+    job = Job("job", (shell("sleep 600"), shell("sleep 600", "b")))
     signs, output = Signs(tmp_path / "signs"), tmp_path / "output"
     output.mkdir()
     prepare(TaskJob(job), None, signs, tmp_path, output)  # type: ignore[arg-type]
     with started(job, signs.folder, output) as running:
-        watch = Watch(job, signs, output, Patience(60, 2, 20))
+        watch = Watch(job, signs, output, Patience(60, 4, 60))
         thread = threading.Thread(target=watch.run, args=(tmp_path / "artifacts",))
         thread.start()
         wait_until(lambda: signs.has("a", "pid"), "a runs")
         running["a"].kill()
         thread.join(60)
         outcome = watch.outcome(1)
-        assert running["b"].wait(timeout=20)["StatusCode"] == 143
+        assert running["b"].wait(timeout=60)["StatusCode"] == 143
     assert outcome.reasons == ("container 'a' is gone without an exit code: it, or all of it, was killed",)
     assert outcome.exit_code == ExitCode.FAIL
     assert [c.end for c in outcome.containers] == [End.LOST, End.STOPPED]
@@ -150,11 +155,11 @@ def test_one_that_is_killed_as_a_whole(tmp_path: Path) -> None:
 
 def test_one_that_never_comes(tmp_path: Path) -> None:
     """Such as one whose image has an entrypoint of its own."""
-    ran = run_task(tmp_path, shell("echo ran"), shell("true", "b", image=NONE), patience=Patience(2))
+    ran = run_task(tmp_path, shell("echo ran"), shell("true", "b", image=NONE), patience=Patience(1))
     assert ran.outcome.exit_code == ExitCode.BAD_INPUT
     [reason] = ran.outcome.reasons
     assert reason == (
-        "within 2 s nothing was heard of container 'b': its image cannot be pulled or has no /bin/sh, or its "
+        "within 1 s nothing was heard of container 'b': its image cannot be pulled or has no /bin/sh, or its "
         "entrypoint does not run what it is given"
     )
     assert [c.end for c in ran.outcome.containers] == [End.NOT_STARTED] * 2
@@ -197,6 +202,6 @@ def test_what_a_command_gets(tmp_path: Path) -> None:
 
 def test_names_lead_to_the_one_address(tmp_path: Path) -> None:
     ask = "import socket; print(socket.gethostbyname('server'))"
-    ran = run_task(tmp_path, python(ask, user="0"), shell("sleep 60", "server", essential=False))
+    ran = run_task(tmp_path, python(ask, user="0"), shell("sleep 600", "server", essential=False))
     assert ran.logs["a"] == "127.0.0.1\n"
     assert ran.outcome.reasons == ()

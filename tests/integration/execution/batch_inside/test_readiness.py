@@ -1,4 +1,3 @@
-import socket
 from pathlib import Path
 from typing import Any
 
@@ -7,6 +6,7 @@ import pytest
 pytest.importorskip("docker")
 
 from calibration.execution.job import Container, Readiness
+from tests.engine import free_port
 from tests.integration.execution.batch_inside.tasks import run_task
 from tests.integration.execution.jobs import python, shell
 
@@ -18,12 +18,6 @@ pathlib.Path("/tmp/up").touch()
 print("serving now", flush=True)
 server.serve_forever()
 """
-
-
-def free_port() -> int:
-    with socket.socket() as found:
-        found.bind(("127.0.0.1", 0))
-        return int(found.getsockname()[1])
 
 
 @pytest.mark.parametrize(
