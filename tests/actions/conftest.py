@@ -99,7 +99,7 @@ class Suite:
         """Start it and wait; the output is in `stdout`."""
         with self.start(*arguments, cwd=cwd, **variables) as process:
             try:
-                output, _ = process.communicate(timeout=60)
+                output, _ = process.communicate(timeout=240)
             finally:
                 process.kill()
         return subprocess.CompletedProcess(process.args, process.returncode, output)

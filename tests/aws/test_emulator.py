@@ -173,13 +173,13 @@ def test_an_array_counts_its_children(batch_emulator: Aws) -> None:
     go = threading.Event()
 
     def function(attempt: Attempt) -> Ended:
-        go.wait(20)
+        go.wait(240)
         return ended(attempt, {"watch": int(attempt.index == 2)})
 
     batch_emulator.batch.runner.function = function
     identity = submit(batch_emulator, 6)
     with batch_emulator.batch.jobs.lock:
-        assert batch_emulator.batch.jobs.lock.wait_for(lambda: batch_emulator.batch.scheduler.most_at_once == 4, 10)
+        assert batch_emulator.batch.jobs.lock.wait_for(lambda: batch_emulator.batch.scheduler.most_at_once == 4, 60)
     array = describe(batch_emulator, identity)[0]
     summary = array["arrayProperties"]["statusSummary"]
     assert (array["status"], summary["RUNNABLE"], summary["RUNNING"] + summary["STARTING"]) == ("PENDING", 2, 4)
@@ -338,7 +338,7 @@ def test_cancelling_leaves_what_runs(batch_emulator: Aws) -> None:
     identity = submit(batch_emulator, 6)
     with batch_emulator.batch.jobs.lock:
         assert batch_emulator.batch.jobs.lock.wait_for(
-            lambda: batch_emulator.batch.jobs.jobs[identity].counts["RUNNING"] == 4, 10
+            lambda: batch_emulator.batch.jobs.jobs[identity].counts["RUNNING"] == 4, 60
         )
     batch = batch_emulator.client("batch")
     batch.cancel_job(jobId=identity, reason="too many")
@@ -626,7 +626,7 @@ def test_requests_that_no_client_of_aws_sends(
 
     signed = "AWS4-HMAC-SHA256 Credential=A/20260101/eu-west-1/batch/aws4_request"
     headers = {"Authorization": authorization.replace("signed", signed)}
-    answer = requests.request(method, batch_emulator.batch.endpoint + path, data=body, headers=headers, timeout=10)
+    answer = requests.request(method, batch_emulator.batch.endpoint + path, data=body, headers=headers, timeout=60)
     assert (answer.status_code, answer.headers["x-amzn-errortype"]) == (status, code)
 
 

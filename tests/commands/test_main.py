@@ -289,7 +289,7 @@ def test_a_reader_that_goes_away_is_no_verdict(tmp_path: Path) -> None:
     assert process.stdout is not None
     process.stdout.close()
     process.stdout = None
-    _, err = process.communicate("go\n", timeout=30)
+    _, err = process.communicate("go\n", timeout=60)
     assert process.returncode == 3
     assert err == ""
 

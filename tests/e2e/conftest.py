@@ -140,7 +140,7 @@ class Repository:
                 log, _ = process.communicate(timeout=TIMEOUT)
             except subprocess.TimeoutExpired:
                 process.send_signal(signal.SIGINT)  # which makes it remove its containers
-                log, _ = process.communicate(timeout=20)
+                log, _ = process.communicate(timeout=60)
                 pytest.fail(f"act was stopped after {TIMEOUT} s:\n{log}")
             finally:
                 if process.poll() is None:
@@ -182,7 +182,7 @@ def tool(name: str) -> str:
 
 def git(folder: Path, *arguments: str) -> None:
     identity = ["-c", "user.name=test", "-c", "user.email=test@example.org", "-c", "commit.gpgsign=false"]
-    subprocess.run([tool("git"), *identity, *arguments], cwd=folder, check=True, capture_output=True, timeout=30)
+    subprocess.run([tool("git"), *identity, *arguments], cwd=folder, check=True, capture_output=True, timeout=60)
 
 
 def commit(folder: Path) -> None:

@@ -69,7 +69,7 @@ def digest(registry: Registry, tag: str) -> str | None:
     url = f"http://{registry.address}/v2/ros1-example/manifests/{tag}"
     accepted = {"Accept": "application/vnd.docker.distribution.manifest.v2+json"}
     try:
-        with urllib.request.urlopen(urllib.request.Request(url, headers=accepted), timeout=5) as answer:
+        with urllib.request.urlopen(urllib.request.Request(url, headers=accepted), timeout=60) as answer:
             return str(answer.headers["Docker-Content-Digest"])
     except urllib.error.HTTPError:
         return None

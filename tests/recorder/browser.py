@@ -48,7 +48,7 @@ class Recorder:
             self.lines.append(line)
             if found := re.search(r"http://127\.0\.0\.1:\d+/", line):
                 return found[0]
-        self._process.wait(10)
+        self._process.wait(60)
         raise AssertionError("".join(self.lines))
 
     def _read(self) -> None:
@@ -58,8 +58,8 @@ class Recorder:
     def stop(self, number: signal.Signals) -> int:
         """Send a signal; the exit code."""
         self._process.send_signal(number)
-        code = self._process.wait(30)
-        self._reader.join(10)
+        code = self._process.wait(60)
+        self._reader.join(60)
         return code
 
     @property
@@ -69,8 +69,8 @@ class Recorder:
     def close(self) -> None:
         if self._process.poll() is None:
             self._process.kill()
-            self._process.wait(30)
-        self._reader.join(10)
+            self._process.wait(60)
+        self._reader.join(60)
         assert self._process.stdout is not None
         self._process.stdout.close()
 

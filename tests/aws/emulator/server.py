@@ -96,7 +96,7 @@ class Emulator:
         with self.jobs.lock:
             return list(self.jobs.every())
 
-    def wait(self, seconds: float = 30.0) -> None:
+    def wait(self, seconds: float = 120.0) -> None:
         """Wait until all that was submitted has ended."""
         with self.jobs.lock:
             if not self.jobs.lock.wait_for(lambda: all(job.ended for job in self.jobs.jobs.values()), seconds):

@@ -320,7 +320,7 @@ def test_a_run_that_is_resumed_ends_what_its_dead_client_left_running(batch_emul
     tasks = Tasks(batch_emulator)
 
     def hang(task: TaskJob, attempt: Attempt) -> Did:
-        attempt.stop.wait(20)
+        attempt.stop.wait(240)
         return Did()
 
     good, tasks.do = tasks.do, hang
@@ -339,9 +339,9 @@ def test_a_run_that_is_resumed_ends_what_its_dead_client_left_running(batch_emul
         outcomes, _ = run_jobs(tmp_path / "c", *jobs(2), run="mine", resume=True)
         assert [outcome.verdict for outcome in outcomes] == ["pass"] * 2
         assert len(running(batch_emulator)) == 1
-        threads[0].join(20)
+        threads[0].join(60)
         terminate(stranger.aws, running(batch_emulator), "test")
-        threads[1].join(20)
+        threads[1].join(60)
     assert running(batch_emulator) == []
 
 

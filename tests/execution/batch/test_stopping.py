@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import threading
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -27,9 +28,42 @@ pytestmark = pytest.mark.usefixtures("quick")
 def hang(task: TaskJob, attempt: Attempt) -> Did | None:
     """Until somebody ends it; the first of the jobs ends at once."""
     if task.job.name != "world/0":
-        attempt.stop.wait(30)
+        attempt.stop.wait(240)
         return None
     return Did({"dataset/name": b"0"})
+
+
+class Clock:
+    """The client's clock, which can hurry: no test depends on how soon an attempt runs and its results are here."""
+
+    SPEED = 1000
+
+    def __init__(self) -> None:
+        self._ahead = 0.0
+        self._hurries_since: float | None = None
+
+    def monotonic(self) -> float:
+        now = time.monotonic()
+        return now + self._ahead + (0.0 if self._hurries_since is None else self.SPEED * (now - self._hurries_since))
+
+    def hurry(self, *_: object) -> None:
+        """From now on."""
+        if self._hurries_since is None:
+            self._hurries_since = time.monotonic()
+
+    def rest(self) -> None:
+        """Go on as other clocks do."""
+        now = self.monotonic()
+        self._hurries_since = None
+        self._ahead = now - time.monotonic()
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
+    clock = Clock()
+    monkeypatch.setattr("calibration.execution.batch.run.time", clock)
+    monkeypatch.setattr("calibration.execution.batch.service.stuck.time", clock)
+    return clock
 
 
 def test_closing_the_iterator_ends_all(batch_emulator: Aws, tmp_path: Path) -> None:
@@ -39,7 +73,7 @@ def test_closing_the_iterator_ends_all(batch_emulator: Aws, tmp_path: Path) -> N
         assert next(outcomes)[0] == 0
         assert running(batch_emulator)
         outcomes.close()
-        batch_emulator.batch.wait(10)
+        batch_emulator.batch.wait()
         assert next(backend.run(jobs(1), tmp_path))[1].verdict == "pass"  # and it can be used again
 
 
@@ -51,7 +85,7 @@ def test_an_error_of_who_reads_ends_all(batch_emulator: Aws, tmp_path: Path) -> 
 
     with BatchBackend(SETTINGS) as backend, pytest.raises(WorldError, match="the disk is full"):
         list(backend.run(jobs(3), tmp_path, done=fail))
-    batch_emulator.batch.wait(10)
+    batch_emulator.batch.wait()
 
 
 def test_a_context_that_is_left_early_ends_all(batch_emulator: Aws, tmp_path: Path) -> None:
@@ -59,7 +93,7 @@ def test_a_context_that_is_left_early_ends_all(batch_emulator: Aws, tmp_path: Pa
     with BatchBackend(SETTINGS) as backend:
         outcomes = backend.run(jobs(3), tmp_path)
         next(outcomes)
-    batch_emulator.batch.wait(10)
+    batch_emulator.batch.wait()
 
 
 PROGRAM = """
@@ -85,10 +119,10 @@ def test_a_signal_ends_all(batch_emulator: Aws, tmp_path: Path, number: signal.S
         assert process.stdout is not None
         assert process.stdout.readline() == b"0\n"
         process.send_signal(number)
-        _, said = process.communicate(timeout=30)
+        _, said = process.communicate(timeout=60)
         assert process.returncode not in (0, None)
         assert (b"KeyboardInterrupt" if number == signal.SIGINT else b"Terminated") in said
-        batch_emulator.batch.wait(10)
+        batch_emulator.batch.wait()
     finally:
         process.kill()
 
@@ -105,7 +139,7 @@ def test_what_is_submitted_while_the_answer_is_lost_is_ended_too(
     with BatchBackend(SETTINGS) as backend, pytest.raises(WorldError, match="Connection was closed"):
         list(backend.run(jobs(2), tmp_path))
     assert len(batch_emulator.batch.jobs.jobs) == 1
-    batch_emulator.batch.wait(10)
+    batch_emulator.batch.wait()
 
 
 @pytest.mark.parametrize("answered", [True, False])
@@ -134,7 +168,7 @@ def test_what_has_been_submitted_twice_after_all_is_ended(batch_emulator: Aws, t
         next(outcomes)
         assert len(running(batch_emulator)) == 1
         outcomes.close()
-    batch.wait(10)
+    batch.wait()
 
 
 def test_credentials_that_expire_are_one_line_that_says_what_may_go_on(batch_emulator: Aws, tmp_path: Path) -> None:
@@ -163,43 +197,53 @@ def test_that_jobs_cannot_be_ended_is_said_though_nothing_else_is_wrong(batch_em
             outcomes.close()
 
 
-def test_what_takes_too_long_is_given_up_and_the_rest_is_kept(batch_emulator: Aws, tmp_path: Path) -> None:
+def test_what_takes_too_long_is_given_up_and_the_rest_is_kept(
+    batch_emulator: Aws, tmp_path: Path, clock: Clock
+) -> None:
     Tasks(batch_emulator, hang)
     log = io.StringIO()
-    settings = replace(SETTINGS, deadline=0.5)
-    outcomes, _ = run_jobs(tmp_path, *jobs(3), settings=settings, show=LogDisplay(Runner(stdout=log)))
-    assert [outcome.exit_code for outcome in outcomes] == [0, 3, 3]
-    assert outcomes[1].reasons == ("the run took longer than its 0.5 s (deadline)",)
+    with BatchBackend(replace(SETTINGS, deadline=500), show=LogDisplay(Runner(stdout=log))) as backend:
+        outcomes = dict(backend.run(jobs(3), tmp_path, done=clock.hurry))
+    assert [outcomes[index].exit_code for index in range(3)] == [0, 3, 3]
+    assert outcomes[1].reasons == ("the run took longer than its 500 s (deadline)",)
     assert "2 jobs are given up: the run took longer" in log.getvalue()
     assert running(batch_emulator) == []
 
 
-def test_jobs_that_get_no_host_are_given_up_with_likely_reasons(batch_emulator: Aws, tmp_path: Path) -> None:
+def test_jobs_that_get_no_host_are_given_up_with_likely_reasons(
+    batch_emulator: Aws, tmp_path: Path, clock: Clock
+) -> None:
     Tasks(batch_emulator)
     said = "MISCONFIGURATION:COMPUTE_ENVIRONMENT_MAX_RESOURCE - too large"
     batch_emulator.faults.stick(child(1), said)
     batch_emulator.faults.stick(child(2))
-    outcomes, _ = run_jobs(tmp_path, *jobs(3), settings=replace(SETTINGS, stuck=0.4, spot=False))
-    assert [outcome.exit_code for outcome in outcomes] == [0, 3, 3]
-    for outcome in outcomes[1:]:
-        [reason] = outcome.reasons
+    with BatchBackend(replace(SETTINGS, stuck=400, spot=False)) as backend:
+        outcomes = dict(backend.run(jobs(3), tmp_path, done=clock.hurry))
+    assert [outcomes[index].exit_code for index in range(3)] == [0, 3, 3]
+    for index in (1, 2):
+        [reason] = outcomes[index].reasons
         assert reason.startswith(
-            "no host for it within 0.4 s in queue 'robots' (stuck); likely reasons: AWS Batch says: "
+            "no host for it within 400 s in queue 'robots' (stuck); likely reasons: AWS Batch says: "
         )
         assert said in reason
         assert "subnet needs NAT" in reason
     assert running(batch_emulator) == []
 
 
-def test_what_waits_behind_others_is_not_stuck(batch_emulator: Aws, tmp_path: Path) -> None:
-    gate = threading.Event()
+def test_what_waits_behind_others_is_not_stuck(batch_emulator: Aws, tmp_path: Path, clock: Clock) -> None:
+    four = threading.Barrier(4)  # hosts
 
     def slowly(task: TaskJob, attempt: Attempt) -> Did:
-        gate.wait(1.5)
+        if int(task.job.name.removeprefix("world/")) < 4:
+            four.wait(60)
+            clock.hurry()
+            time.sleep(0.8)
+            four.wait(60)
+            clock.rest()
         return Did()
 
     Tasks(batch_emulator, slowly)
-    outcomes, _ = run_jobs(tmp_path, *jobs(6), settings=replace(SETTINGS, stuck=0.5))  # four hosts
+    outcomes, _ = run_jobs(tmp_path, *jobs(6), settings=replace(SETTINGS, stuck=500))
     assert [outcome.verdict for outcome in outcomes] == ["pass"] * 6
 
 

@@ -1,7 +1,6 @@
 import shutil
 import signal
 import subprocess
-import time
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,6 +12,7 @@ import yaml
 from calibration.errors import InputError
 from calibration.execution.job import Job, Readiness, Relaxations
 from calibration.execution.kubernetes.rendering import rendered
+from tests.engine import wait_until
 from tests.execution.batch.samples import REGISTRY, SETTINGS, container, job, simulation
 
 VERSIONS = ["1.29", "1.33", "1.37"]
@@ -282,13 +282,11 @@ def test_a_sidecar_runs_its_script_once_and_then_waits_to_be_stopped(tmp_path: P
     script.write_text('echo run >> "$(dirname "$0")/log"; exit 3\n')
     _, _, once, name, _, _ = sidecar(job())["args"]
     command = [*shell, "-c", once, name, str(script), str(tmp_path / "a mark")]
-    assert subprocess.run(command, timeout=10, check=False).returncode == 3
+    assert subprocess.run(command, timeout=60, check=False).returncode == 3
     with subprocess.Popen(command) as again:  # as Kubernetes does
         children = Path(f"/proc/{again.pid}/task/{again.pid}/children")
-        deadline = time.monotonic() + 10
-        while not children.read_text() and time.monotonic() < deadline:
-            time.sleep(0.02)
-        assert again.poll() is None  # it waits, by a child that sleeps
+        wait_until(lambda: children.read_text() != "", "it waits, by a child that sleeps")
+        assert again.poll() is None
         again.send_signal(signal.SIGTERM)
-        assert again.wait(10) == 0
+        assert again.wait(60) == 0
     assert (tmp_path / "log").read_text() == "run\n"

@@ -29,7 +29,7 @@ def build(*replies: Reply) -> str:
     context.add_bytes("Dockerfile", b"FROM x")
     left = list(replies)
     with serve(lambda _: left.pop(0) if len(left) > 1 else left[0]) as server:
-        client = docker.DockerClient(base_url=f"tcp://{server.address}", version="1.41", timeout=5)
+        client = docker.DockerClient(base_url=f"tcp://{server.address}", version="1.41", timeout=60)
         try:
             return build_by_engine(client, BuildRequest("robot", context, "Dockerfile"), log())
         finally:
@@ -76,7 +76,7 @@ def test_a_layer_that_somebody_else_removes_in_the_midst() -> None:
 def test_a_pull_that_the_engine_refuses() -> None:
     replies = iter([message("no such image", 404), message("dial tcp: lookup r: no such host")])
     with serve(lambda _: next(replies)) as server:
-        client = docker.DockerClient(base_url=f"tcp://{server.address}", version="1.41", timeout=5)
+        client = docker.DockerClient(base_url=f"tcp://{server.address}", version="1.41", timeout=60)
         with pytest.raises(WorldError, match=r"image r/x: it cannot be pulled: .*no such host"):
             fetch(client, "r/x", lambda _: Credentials("docker.io"), None, log())
         client.close()

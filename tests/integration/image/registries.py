@@ -56,7 +56,7 @@ def faulty(address: str, fault: Callable[[Request], Reply | None]) -> Iterator[S
             headers=headers,
             data=request.body,
             allow_redirects=False,
-            timeout=20,
+            timeout=60,
         ) as passed:
             kept = {name: value for name, value in passed.headers.items() if name.lower() != "transfer-encoding"}
             return Reply(passed.status_code, passed.content, kept)

@@ -16,7 +16,7 @@ import os, sys, time
 with open("/calibration/output/world", "w") as file:
     file.write(sys.argv[1])
 print("ready", flush=True)
-time.sleep(60)
+time.sleep(600)
 """
 ROBOT = """
 import json, os, shutil, sys

@@ -48,7 +48,7 @@ def matrix(
             env={**os.environ, **variables},
             capture_output=True,
             text=True,
-            timeout=120,
+            timeout=240,
             check=False,
         )
 
@@ -160,9 +160,9 @@ def test_sigterm_leaves_nothing_behind(python_image: str, engine: "DockerClient"
         ]
 
     with subprocess.Popen(words, cwd=PROJECT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
-        wait_until(lambda: bool(containers()), "a container runs", 30)
+        wait_until(lambda: bool(containers()), "a container runs")
         process.send_signal(signal.SIGTERM)
-        _, stderr = process.communicate(timeout=30)
+        _, stderr = process.communicate(timeout=60)
     assert process.returncode == 143
     assert "stopped by SIGTERM" in stderr
     assert containers() == []
@@ -187,7 +187,7 @@ def test_a_planted_secret_is_in_no_log_result_or_summary(python_image: str, tmp_
         },
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=240,
         check=False,
     )
     assert done.returncode == 1

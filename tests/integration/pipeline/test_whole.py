@@ -43,7 +43,7 @@ simulation:
   fresh:
     system: system
     containers:
-      simulation: {{command: [sh, -c, "echo ready; sleep 60"], ready: {{log: ready}}, essential: false}}
+      simulation: {{command: [sh, -c, "echo ready; sleep 600"], ready: {{log: ready}}, essential: false}}
       robot: {{command: [python3, /opt/robot/robot.py, "{{output}}/dataset"], after: [simulation]}}
 systems:
   robot:
@@ -83,7 +83,7 @@ def run(repository: Path, python_image: str, registry: Registry, tmp_path: Path)
             env={**os.environ, "GITHUB_EVENT_NAME": "push"},
             capture_output=True,
             text=True,
-            timeout=120,
+            timeout=240,
             check=False,
         )
         document = json.loads((tmp_path / "results.json").read_text()) if (tmp_path / "results.json").exists() else {}
@@ -96,7 +96,7 @@ def digest(registry: Registry, tag: str) -> str | None:
     accepted = "application/vnd.docker.distribution.manifest.v2+json"
     url = f"http://{registry.address}/v2/team/robot/manifests/{tag}"
     try:
-        with urllib.request.urlopen(urllib.request.Request(url, headers={"Accept": accepted}), timeout=5) as answer:
+        with urllib.request.urlopen(urllib.request.Request(url, headers={"Accept": accepted}), timeout=60) as answer:
             found: str = answer.headers["Docker-Content-Digest"]
             return found
     except urllib.error.HTTPError:
@@ -136,7 +136,7 @@ def test_a_fork_pushes_and_promotes_nothing(run: Run, registry: Registry) -> Non
     code, document, log = run(1, "--push", "false", change=name)
     assert code == 0, log
     assert (document["image"]["digest"], document["image"]["promoted"]) == (None, [])
-    with urllib.request.urlopen(f"http://{registry.address}/v2/_catalog", timeout=5) as answer:
+    with urllib.request.urlopen(f"http://{registry.address}/v2/_catalog", timeout=60) as answer:
         assert "fork/robot" not in json.load(answer)["repositories"]
 
 

@@ -204,7 +204,7 @@ def watched(aws: "Aws", places: Places, job: Job, **changes: str) -> int:
     try:
         return main(["watch"], variables(**changes), places)
     finally:
-        process.wait(20)
+        process.wait(60)
 
 
 LEAVES = replace(
@@ -272,7 +272,7 @@ def test_stopped_it_asks_the_containers_to_end_and_leaves_no_outcome(
     aws: "Aws", places: Places, tmp_path: Path
 ) -> None:
     job = replace(
-        JOB, containers=(Container("a", "", ("sh", "-c", "echo > up; sleep 60"), working_directory=str(tmp_path)),)
+        JOB, containers=(Container("a", "", ("sh", "-c", "echo > up; sleep 600"), working_directory=str(tmp_path)),)
     )
     put_job(aws, job)
     assert main(["prepare"], variables(), places) == 0
@@ -287,9 +287,9 @@ def test_stopped_it_asks_the_containers_to_end_and_leaves_no_outcome(
     with subprocess.Popen(command, env={**os.environ, **variables()}, stderr=subprocess.PIPE, text=True) as watching:
         wait_until((tmp_path / "up").exists, "the command runs")
         watching.send_signal(signal.SIGTERM)
-        assert watching.communicate(timeout=20)[1] == "stopped\n"
+        assert watching.communicate(timeout=60)[1] == "stopped\n"
         assert watching.returncode == 143
-    assert process.wait(20) == 143
+    assert process.wait(60) == 143
     assert Signs(places.job).ended("a") == (143, False)
     assert not aws.services.keys(BUCKET, LOCATION.result_key(103, 2))
 

@@ -54,7 +54,7 @@ def sh(text: str, **changes: Any) -> Container:
 @pytest.mark.parametrize("code", [0, 3, 255])
 def test_the_commands_exit_code_is_the_scripts(tmp_path: Path, shell: list[str], code: int) -> None:
     with running(tmp_path, shell, sh(f"echo out; exit {code}")) as (signs, process):
-        assert process.communicate(timeout=20)[0] == "out\n"
+        assert process.communicate(timeout=60)[0] == "out\n"
         assert process.returncode == code
         assert signs.ended("a") == (code, False)
 
@@ -70,21 +70,24 @@ def test_told_to_stop_the_command_hears_it(tmp_path: Path, shell: list[str], rea
         before = signs.beat("a")
         wait_until(lambda: signs.beat("a") != before, "it beats on")
         signs.stop()
-        assert process.communicate(timeout=20)[0] == "bye\n"
+        assert process.communicate(timeout=60)[0] == "bye\n"
         assert process.returncode == 9
         assert signs.ended("a") == (9, False)
 
 
 @pytest.mark.parametrize("shell", SHELLS)
 def test_it_beats_for_as_long_as_it_is_there(tmp_path: Path, shell: list[str]) -> None:
-    with running(tmp_path, shell, sh("sleep 60")) as (signs, process):
+    with running(tmp_path, shell, sh("sleep 600")) as (signs, process):
         wait_until(lambda: signs.has("a", BEAT), "it beats")
         process.kill()
         process.wait()
-        time.sleep(1.2)
-        last = signs.beat("a")
-        time.sleep(1.2)
-        assert signs.beat("a") == last
+
+        def still() -> bool:
+            last = signs.beat("a")
+            time.sleep(1.2)
+            return signs.beat("a") == last
+
+        wait_until(still, "it beats no more")
         assert signs.ended("a") is None
 
 
@@ -92,7 +95,7 @@ def test_it_beats_for_as_long_as_it_is_there(tmp_path: Path, shell: list[str]) -
 def test_readiness_seen_from_inside(tmp_path: Path, shell: list[str]) -> None:
     file, other = tmp_path / "it is $(ready)", tmp_path / "other"
     readiness = Readiness(file=str(file), command=("sh", "-c", f'[ "$A" = "$(cat {other})" ]'))
-    with running(tmp_path, shell, sh("sleep 60", environment={"A": "1 2"}, readiness=readiness)) as (signs, _):
+    with running(tmp_path, shell, sh("sleep 600", environment={"A": "1 2"}, readiness=readiness)) as (signs, _):
         wait_until(lambda: signs.has("a", BEAT), "it runs")
         assert not signs.has("a", READY_FILE)
         file.touch()
@@ -105,19 +108,19 @@ def test_readiness_seen_from_inside(tmp_path: Path, shell: list[str]) -> None:
 @pytest.mark.parametrize("shell", SHELLS)
 def test_stopped_before_its_turn(tmp_path: Path, shell: list[str]) -> None:
     with running(tmp_path, shell, sh("echo ran")) as (signs, process):
-        process.communicate(timeout=20)
+        process.communicate(timeout=60)
         (signs.folder / "start" / "a").unlink()
         signs.stop()
-        again = subprocess.run([*shell, signs.folder / "a.sh"], capture_output=True, timeout=20, check=True)
+        again = subprocess.run([*shell, signs.folder / "a.sh"], capture_output=True, timeout=60, check=True)
         assert (again.stdout, again.stderr) == (b"", b"")
 
 
 def test_a_folder_that_is_not_there_is_made_as_docker_does(tmp_path: Path) -> None:
     with running(tmp_path, ["sh"], sh("pwd", working_directory=f"{tmp_path}/new/$x")) as (_, process):
-        assert process.communicate(timeout=20)[0] == f"{tmp_path}/new/$x\n"
+        assert process.communicate(timeout=60)[0] == f"{tmp_path}/new/$x\n"
     (tmp_path / "file").touch()
     with running(tmp_path / "2", ["sh"], sh("pwd", working_directory=f"{tmp_path}/file")) as (signs, process):
-        process.communicate(timeout=20)
+        process.communicate(timeout=60)
         assert signs.ended("a") == (126, False)
 
 
@@ -143,5 +146,5 @@ def test_nothing_is_left_to_a_shell(arguments: list[str], environment: dict[str,
     script = script_of(container, Job("j", (container,)), "/dev/null")
     body = script[script.index("run() {") : script.index("\n(\n  left=")]
     body = body.replace('echo "$$" > /dev/null/state/a/pid; ', "")
-    found = subprocess.run(["dash"], input=f"{body}\nrun\n".encode(), capture_output=True, timeout=20, check=True)
+    found = subprocess.run(["dash"], input=f"{body}\nrun\n".encode(), capture_output=True, timeout=60, check=True)
     assert found.stdout.decode().split("\0")[:-1] == [*arguments, *environment.values()]

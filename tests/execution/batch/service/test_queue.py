@@ -235,7 +235,7 @@ for _ in BatchBackend(SETTINGS, sys.argv[1]).__enter__().run(jobs(3), Path(sys.a
 def test_cleanup_ends_what_killed_runs_have_left(
     batch_emulator: FakeAws, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    Tasks(batch_emulator, lambda task, attempt: attempt.stop.wait(60) and None)
+    Tasks(batch_emulator, lambda task, attempt: attempt.stop.wait(240) and None)
     batch_emulator.faults.stick(named("calibration-night-x"))
     where = ["--queue", QUEUE, "--region", REGION]
     batch = batch_emulator.client("batch")
@@ -277,7 +277,7 @@ def test_cleanup_ends_what_killed_runs_have_left(
         for identifier in running(batch_emulator):
             batch.terminate_job(jobId=identifier, reason="test")
         batch.close()
-        follower.join(20)
+        follower.join(60)
         alive.aws.close()
 
 

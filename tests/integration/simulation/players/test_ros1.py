@@ -114,10 +114,10 @@ def test_any_service_with_an_empty_request_will_do(ros: "Container") -> None:
     [
         ("/refuse", [], "player: none of the 3 poses was saved"),
         ("/fail", [], "player: /fail failed: service [/fail] responded with an error: "),
-        ("/hang", ["--timeout", "1.5"], "player: /hang did not answer within 1.5 s"),
+        ("/hang", ["--timeout", "2"], "player: /hang did not answer within 2 s"),
         ("/wants", [], "player: /wants is a std_srvs/SetBool and wants data; expected one with an empty request"),
-        ("/nowhere", ["--timeout", "1"], "player: no service /nowhere within 1 s"),
-        ("/save", ["--timeout", "1", "--pose-topic", "/other"], "player: nobody listens to /other within 1 s"),
+        ("/nowhere", ["--timeout", "2"], "player: no service /nowhere within 2 s"),
+        ("/save", ["--timeout", "2", "--pose-topic", "/other"], "player: nobody listens to /other within 2 s"),
     ],
 )
 def test_what_does_not_work_is_said_in_one_line(ros: "Container", service: str, more: list[str], error: str) -> None:
@@ -135,14 +135,14 @@ def test_without_a_master_it_says_so(ros: "Container") -> None:
 
 def test_a_robot_that_dies_is_a_failure(ros: "Container") -> None:
     start(ros, "mortal")
-    code, out, err = play(ros, "/end", "--timeout", "5")
+    code, out, err = play(ros, "/end", "--timeout", "60")
     assert (code, out) == (1, [])
     assert err[-1].startswith("player: /end failed: ")
 
 
 def test_a_simulation_that_dies_is_a_failure(ros: "Container") -> None:
     start(ros, "mortal")
-    code, _, err = play(ros, "/empty", "--pose-topic", "/mortal/pose", "--timeout", "5")
+    code, _, err = play(ros, "/empty", "--pose-topic", "/mortal/pose", "--timeout", "60")
     assert code == 1
     assert err[-1] == "player: nobody listens to /mortal/pose any more: the simulation has ended"
 
