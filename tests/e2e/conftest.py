@@ -149,12 +149,20 @@ class Repository:
 
     def act_in(self, image: str, *arguments: str) -> Run:
         """Run a push with its job in a container of an image, beside this machine's engine; uv is brought along."""
+        return self.act("push", *self.in_image("ubuntu-latest", image), *arguments)
+
+    def in_image(self, label: str, image: str, *mounts: str) -> list[str]:
+        """Return the arguments for jobs of a runner's label in containers of an image, with uv and its cache."""
         certificates = os.environ.get("SSL_CERT_FILE", "/etc/ssl/certs/ca-certificates.crt")
-        mounts = f'-v "{tool("uv")}:/usr/local/bin/uv:ro" -v "{certificates}:{certificates}:ro"'
-        return self.act(
-            *("push", "-P", f"ubuntu-latest={image}", "--pull=false", "--container-options", mounts),
-            *("--env", f"SSL_CERT_FILE={certificates}", *arguments),
-        )
+        shared = [f"{tool('uv')}:/usr/local/bin/uv:ro", f"{certificates}:{certificates}:ro", *mounts]
+        environment = ["--env", f"SSL_CERT_FILE={certificates}"]
+        if os.geteuid() == 0:  # the jobs are root, whose files have no place in the cache of another
+            cache = self._variables()["UV_CACHE_DIR"]
+            Path(cache).mkdir(parents=True, exist_ok=True)
+            shared.append(f"{cache}:{cache}")
+            environment += ["--env", f"UV_CACHE_DIR={cache}"]
+        options = " ".join(f'-v "{mount}"' for mount in shared)
+        return ["-P", f"{label}={image}", "--pull=false", "--container-options", options, *environment]
 
     def _variables(self) -> dict[str, str]:
         """Return this process's environment without what only tests set; act's own files go to a folder of ours."""

@@ -1,7 +1,6 @@
 """The reusable workflow with jobs in a plain image: Debian with Python, git and curl, and nothing of GitHub's."""
 
 import json
-import os
 import re
 import secrets
 import sys
@@ -16,7 +15,7 @@ from calibration.image.registries.reference import parse_reference
 from calibration.image.registries.registry import RegistryClient
 from tests.engine import Registry
 
-from .conftest import FORK, PROJECT, Repository, Run, tool
+from .conftest import FORK, PROJECT, Repository, Run
 from .pipeline import Caller
 
 if TYPE_CHECKING:
@@ -31,18 +30,9 @@ def test_in_a_plain_image(plain_image: str, repository: Repository, tmp_path: Pa
         {"runner": '["plain"]', "datasets": "my data/riwbot", "evaluate": EVALUATE},
         {"my data/riwbot": PROJECT / "datasets" / "riwbot"},
     )
-    certificates = os.environ.get("SSL_CERT_FILE", "/etc/ssl/certs/ca-certificates.crt")
-    shared = {
-        str(tmp_path): "",
-        str(repository.suite): ":ro",
-        certificates: ":ro",
-        f"{tool('uv')}:/usr/local/bin/uv": ":ro",
-    }
-    options = " ".join(f'-v "{path if ":" in path else f"{path}:{path}"}{mode}"' for path, mode in shared.items())
-    run = caller.run(
-        *("push", "-P", f"plain={plain_image}", "--pull=false", "--container-daemon-socket", "-"),
-        *("--container-options", options, "--env", f"SSL_CERT_FILE={certificates}"),
-    )
+    mounts = f"{tmp_path}:{tmp_path}", f"{repository.suite}:{repository.suite}:ro"
+    image = repository.in_image("plain", plain_image, *mounts)
+    run = caller.run("push", *image, "--container-daemon-socket", "-")
     assert run.code == 0, run.log
     [table] = run.tables
     assert table[1] == ["0 m, 0 rad", "0.1127 px, 0.00227 mm, 0.00026 deg"]  # with what evaluate asks for

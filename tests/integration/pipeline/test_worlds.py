@@ -16,12 +16,12 @@ if TYPE_CHECKING:
 
     from tests.aws.fixtures import Aws
 
-# Of seed 5's first eight worlds the third is so unquiet that no pose of it can be used.
+# Of seed 5's first four worlds the third is so unquiet that no pose of it can be used.
 SET = """
 assembly: {translation_mm: {normal: [0, 3]}}
 motion: {poses: 4, sway_mm: {choice: [0, 0, 0, 0, 0, 0, 0, 50]}}
 """
-WORLDS = 8
+WORLDS = 4
 FAILS = "s5-00002"
 ROLE = "arn:aws:iam::123456789012:role/robots"
 Run = Callable[..., int]
@@ -59,7 +59,7 @@ def tree(folder: Path) -> dict[str, bytes]:
 
 def test_on_this_machine(on_docker: Path, worlds: Path, tmp_path: Path, engine: "DockerClient") -> None:
     document = report(on_docker)
-    assert (document["success_rate"], document["errors"]) == (0.875, {})
+    assert (document["success_rate"], document["errors"]) == (0.75, {})
     assert document["failed"] == {FAILS: ["no pose gave a collection"]}
     assert len([each for each in document["scenarios"] if each["converged"]]) == WORLDS - 1
     assert sorted(path.name for path in (on_docker / "worlds").iterdir()) == [f"s5-0000{i}" for i in range(WORLDS)]
@@ -102,7 +102,7 @@ def test_in_the_cloud_the_verdict_and_every_byte_are_the_same(
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    batch_in_containers.faults.lose_host(child(4))
+    batch_in_containers.faults.lose_host(child(1))
     batch_in_containers.faults.throttle("SubmitJob")
     batch_in_containers.faults.throttle("DescribeJobs", times=2, after=1)
     output = tmp_path / "out"
