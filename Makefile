@@ -11,7 +11,9 @@ PYTHON ?= $(wildcard $(python))
 setup = INPUT_PYTHON='$(PYTHON)' bash actions/bootstrap.sh environment $(venv)
 
 uv = $(abspath $(or $(shell command -v uv),$(venv)/bin/uv))
-engine_tests = $(wildcard $(addprefix tests/,geometry dataset estimation evaluation comparison labelling simulation/rendering))
+# Of the engine, the detectors and the renderer; and those of them that use OpenCV.
+engine_tests = $(addprefix tests/,geometry dataset estimation evaluation comparison labelling simulation/rendering)
+opencv_tests = $(addprefix tests/,dataset comparison labelling simulation/rendering)
 
 .PHONY: help run test lint bench lock test-versions actions pictures clean
 
@@ -34,20 +36,22 @@ lint: ## ruff, mypy, and the checks of workflows, actions, shell, configurations
 
 test: lint ## lint, then the tests with their coverage
 	$(python) -m coverage erase
-	COVERAGE_PROCESS_START='$(CURDIR)/pyproject.toml' COVERAGE_FILE='$(CURDIR)/.coverage' $(python) -m pytest -n 2 --dist worksteal $(ARGS)
+	COVERAGE_PROCESS_START='$(CURDIR)/pyproject.toml' COVERAGE_FILE='$(CURDIR)/.coverage' $(python) -m pytest -n 3 --dist worksteal $(ARGS)
 	$(python) -m coverage combine --quiet
 	$(python) -m coverage report
 
 # An older or newer library, laid over those of .venv. Not strict: OpenCV 5 lacks what some comparisons need.
-test-versions: ## the tests of engine, detectors and rendering with the oldest numpy and with OpenCV 5
+test-versions: ## the tests of engine, detectors and rendering with the oldest numpy, and those that use it with OpenCV 5
 	@$(setup) dev.txt .
-	@for version in 'numpy==1.26.*' 'opencv-python-headless>=5'; do \
-		echo "$$version"; \
+	@with() { \
+		echo "$$1"; \
 		rm -rf build/versions; \
-		'$(uv)' pip install --quiet --no-deps --only-binary :all: --python $(python) --target build/versions "$$version" || exit 1; \
+		'$(uv)' pip install --quiet --no-deps --only-binary :all: --python $(python) --target build/versions "$$1"; \
 		CALIBRATION_CI_STRICT= PYTHONPATH='$(CURDIR)/build/versions' \
-			$(python) -m pytest -n 2 -q -p no:cacheprovider $(engine_tests) || exit 1; \
-	done
+			$(python) -m pytest -n 2 -q -p no:cacheprovider "$${@:2}"; \
+	}; \
+	with 'numpy==1.26.*' $(engine_tests); \
+	with 'opencv-python-headless>=5' $(opencv_tests)
 
 bench: ## what the measurements of benchmarks/ print
 	@$(setup) dev.txt .

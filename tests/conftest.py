@@ -33,6 +33,9 @@ PROJECT = Path(__file__).resolve().parents[1]
 NO_SHARED_DATA = "needs ../shared/data beside the project"
 NEEDS_ROOT = "needs root"
 
+WAITING = ("e2e", "integration", "recorder")
+"""Folders of tests that are run first."""
+
 # Set by .ci/run, which installs what the tests need: a skipped test is a hole there, so it fails.
 # Only what cannot be installed may be missing: the data, and the rights of root.
 STRICT = os.environ.get("CALIBRATION_CI_STRICT") == "1"
@@ -45,6 +48,11 @@ def shared_data() -> Path:
     if not folder.is_dir():
         pytest.skip(NO_SHARED_DATA)
     return folder
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Begin with what takes long, and mostly waits for an engine or a browser: meanwhile the cores do all else."""
+    items.sort(key=lambda item: item.path.relative_to(PROJECT).parts[1] not in WAITING)
 
 
 def fail_if_skipped(report: pytest.TestReport | pytest.CollectReport) -> None:

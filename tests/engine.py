@@ -1,12 +1,14 @@
 """Fixtures of a real Docker Engine: a base image that no registry is needed for, and a registry of its own."""
 
 import fcntl
+import io
 import os
 import random
 import shutil
 import signal
 import socket
 import subprocess
+import tarfile
 import tempfile
 import time
 import urllib.request
@@ -201,6 +203,22 @@ def _forget(prefix: str) -> None:
                 with suppress(docker.errors.APIError):
                     client.api.remove_image(tag, force=True)
     client.close()
+
+
+def only_sleep() -> bytes:
+    """An image, to be imported, with sleep and its libraries from this machine: the smallest that runs."""
+    file = io.BytesIO()
+    said = subprocess.run(["ldd", "/bin/sleep"], capture_output=True, text=True, check=True).stdout
+    libraries = {word for word in said.split() if word.startswith("/")}
+    with tarfile.open(fileobj=file, mode="w") as archive:
+        folders = {parent for path in ("/bin/sleep", *libraries) for parent in Path(path).parents}
+        for folder in sorted(folders):
+            entry = tarfile.TarInfo(f".{folder}")
+            entry.type, entry.mode = tarfile.DIRTYPE, 0o755
+            archive.addfile(entry)
+        for path in ("/bin/sleep", *sorted(libraries)):
+            archive.add(Path(path).resolve(), f".{path}")
+    return file.getvalue()
 
 
 def wait_until(holds: Callable[[], bool], what: str, seconds: float = 60.0) -> None:

@@ -17,7 +17,7 @@ from calibration.execution.docker.networks import Networks
 from calibration.execution.docker.output import attach
 from calibration.execution.job import OUTPUT, Artifact, Container, Job, Limits, Readiness
 from calibration.execution.outcome import End
-from tests.engine import PYTHON_IMAGE
+from tests.engine import PYTHON_IMAGE, only_sleep
 from tests.integration.execution.jobs import left, python, run_job, run_jobs, shell
 
 if TYPE_CHECKING:
@@ -52,7 +52,7 @@ EAT = "bytearray(300 * 2**20)"
             "container 'a' ran out of memory: its limit is 64 MiB (memory)",
         ),
         (
-            shell(f"exec 2>&1; python3 -c '{EAT}'; sleep 0.3; echo so what; exit 0", limits=Limits(memory=64 * MIB)),
+            shell(f"exec 2>&1; python3 -c '{EAT}'; sleep 1; echo so what; exit 0", limits=Limits(memory=64 * MIB)),
             End.OUT_OF_MEMORY,
             0,
             1,
@@ -218,12 +218,12 @@ def test_an_image_that_its_registry_does_not_have(tmp_path: Path, registry: Any)
 
 def test_an_image_that_only_its_registry_has_is_pulled(tmp_path: Path, registry: Any, engine: Any) -> None:
     image = f"{registry.address}/team/pulled"
-    engine.images.get(PYTHON_IMAGE).tag(image, "1")
+    engine.api.import_image_from_data(only_sleep(), image, "1")
     for line in engine.api.push(image, "1", stream=True, decode=True):
         assert "error" not in line
     engine.api.remove_image(f"{image}:1")
     try:
-        assert run_job(tmp_path, Container("a", f"{image}:1", ("true",))).verdict == "pass"
+        assert run_job(tmp_path, Container("a", f"{image}:1", ("/bin/sleep", "0"))).verdict == "pass"
     finally:
         engine.api.remove_image(f"{image}:1")
 

@@ -1,10 +1,8 @@
 """An engine that dies, or falls silent, in mid-run: one line, exit code 3."""
 
-import io
 import signal
 import subprocess
 import sys
-import tarfile
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -12,7 +10,7 @@ import pytest
 
 from calibration.execution.docker.labels import new_run
 from calibration.execution.docker.leftovers import find_leftovers
-from tests.engine import OwnEngine, started_engine, wait_until
+from tests.engine import OwnEngine, only_sleep, started_engine, wait_until
 
 PROJECT = Path(__file__).resolve().parents[3]
 IMAGE = "only-sleep:1"
@@ -22,26 +20,10 @@ IMAGE = "only-sleep:1"
 def own_engine(monkeypatch: pytest.MonkeyPatch) -> Iterator[OwnEngine]:
     with started_engine("--storage-driver=vfs") as engine:
         client = engine.api()
-        client.api.import_image_from_data(_image(), *IMAGE.split(":"))
+        client.api.import_image_from_data(only_sleep(), *IMAGE.split(":"))
         client.close()
         monkeypatch.setenv("DOCKER_HOST", engine.address)
         yield engine
-
-
-def _image() -> bytes:
-    """An image with sleep and its libraries from this machine."""
-    file = io.BytesIO()
-    said = subprocess.run(["ldd", "/bin/sleep"], capture_output=True, text=True, check=True).stdout
-    libraries = {word for word in said.split() if word.startswith("/")}
-    with tarfile.open(fileobj=file, mode="w") as archive:
-        folders = {parent for path in ("/bin/sleep", *libraries) for parent in Path(path).parents}
-        for folder in sorted(folders):
-            entry = tarfile.TarInfo(f".{folder}")
-            entry.type, entry.mode = tarfile.DIRTYPE, 0o755
-            archive.addfile(entry)
-        for path in ("/bin/sleep", *sorted(libraries)):
-            archive.add(Path(path).resolve(), f".{path}")
-    return file.getvalue()
 
 
 def start(folder: Path, run: str) -> subprocess.Popen[str]:
