@@ -14,6 +14,7 @@ import argparse
 import importlib
 import json
 import math
+import signal
 import socket
 import sys
 import threading
@@ -118,11 +119,11 @@ def one_line(text: str) -> str:
     return printable if len(printable) <= LONGEST else printable[: LONGEST - 3] + "..."
 
 
-def within(seconds: float, call: Callable[[], Any], what: str) -> Any:
+def within(seconds: float, call: Callable[[], Any], what: str, go_on: Callable[[], None] = lambda: None) -> Any:
     """What a call returns, which may hang.
 
     Raises:
-        PlayError: it does not return in time.
+        PlayError: it does not return in time; or what ``go_on`` raises, which is asked again and again.
     """
     outcome: List[Tuple[Optional[BaseException], Any]] = []
 
@@ -135,7 +136,10 @@ def within(seconds: float, call: Callable[[], Any], what: str) -> Any:
     thread = threading.Thread(target=run)
     thread.daemon = True
     thread.start()
-    thread.join(seconds)
+    end = time.time() + seconds
+    while thread.is_alive() and time.time() < end:
+        thread.join(min(0.05, seconds))
+        go_on()
     if not outcome:
         raise PlayError(f"{what} did not answer within {seconds:g} s")
     error, result = outcome[0]
@@ -158,9 +162,13 @@ class Ros:  # pragma: no cover (runs where ROS is: tests/integration/simulation/
         messages: Any = importlib.import_module("geometry_msgs.msg")
         self.deadline = time.time() + arguments.timeout
         self.timeout = arguments.timeout
+        self.stopped_by = 0
         uri = self.rosgraph.get_master_uri()
         self._until(self.rosgraph.is_master_online, f"no ROS master answers at {uri}")
-        self.rospy.init_node("calibration_player", anonymous=True)
+        # rospy's own handler may wait for ever for a lock that the code which it interrupts holds
+        for number in (signal.SIGTERM, signal.SIGINT):
+            signal.signal(number, self._stop)
+        self.rospy.init_node("calibration_player", anonymous=True, disable_signals=True)
         self.service = self.rospy.resolve_name(arguments.service)
         self.topic = self.rospy.resolve_name(arguments.pose_topic)
         self.pose = messages.PoseStamped()
@@ -216,8 +224,14 @@ class Ros:  # pragma: no cover (runs where ROS is: tests/integration/simulation/
             self.go_on()  # a shutdown ends the connections too
             raise PlayError(f"nobody listens to {self.topic} any more: the simulation has ended")
 
+    def _stop(self, number: int, _: Any) -> None:
+        self.stopped_by = number
+
     def go_on(self) -> None:
-        """Do nothing, unless ROS shuts down, as it does at SIGTERM."""
+        """Do nothing, unless a signal has come, or ROS shuts down."""
+        if self.stopped_by:
+            name = signal.Signals(self.stopped_by).name
+            raise PlayError(f"stopped by {name} before the motion was played")
         if self.rospy.is_shutdown():
             raise PlayError("ROS shut down before the motion was played")
 
@@ -231,7 +245,7 @@ class Ros:  # pragma: no cover (runs where ROS is: tests/integration/simulation/
     def save(self) -> Answer:
         """Call the service."""
         try:
-            return as_answer(within(self.timeout, self.call, self.service))
+            return as_answer(within(self.timeout, self.call, self.service, self.go_on))
         except self.rospy.ServiceException as error:
             self.go_on()
             raise PlayError(f"{self.service} failed: {error}") from error

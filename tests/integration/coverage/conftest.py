@@ -43,6 +43,7 @@ def run(root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Run:
     """Runs a command in the project as the action does, and reads what was measured."""
     monkeypatch.setenv("CODACY_PROJECT_TOKEN", TOKEN)
     monkeypatch.delenv("COVERAGE_RCFILE", raising=False)
+    monkeypatch.delenv("PYTHONPATH", raising=False)  # it may lead to our own tests, in the place of the project's
 
     def run_it(text: str, interpreter: str | None = None, seconds: float = 60) -> tuple[Tests, Measurement, Found]:
         folder = tmp_path / "measuring"

@@ -21,6 +21,7 @@ SET = """
 assembly: {translation_mm: {normal: [0, 3]}}
 motion: {poses: 4, sway_mm: {choice: [0, 0, 0, 0, 0, 0, 0, 50]}}
 """
+SYSTEM = Path(__file__).parents[3] / "datasets" / "t2rgb"
 WORLDS = 4
 FAILS = "s5-00002"
 ROLE = "arn:aws:iam::123456789012:role/robots"
@@ -43,8 +44,7 @@ def on_docker(tools_image: str, worlds: Path, tmp_path_factory: pytest.TempPathF
 
 
 def collect(worlds: Path, output: Path, backend: str, image: str, *options: str, count: int = WORLDS) -> int:
-    system = Path(__file__).parents[3] / "datasets" / "t2rgb"
-    words = ["--system", str(system), "--scenario-set", str(worlds), "--scenarios", str(count), "--seed", "5"]
+    words = ["--system", str(SYSTEM), "--scenario-set", str(worlds), "--scenarios", str(count), "--seed", "5"]
     return main(["collect-data-sim", *words, "--backend", backend, "--image", image, "--output", str(output), *options])
 
 
@@ -67,7 +67,7 @@ def test_on_this_machine(on_docker: Path, worlds: Path, tmp_path: Path, engine: 
     left = [c for c in engine.containers.list(all=True) if str(on_docker) in json.dumps(c.attrs["Mounts"])]
     assert left == []
 
-    words = ["--system", "datasets/t2rgb", "--scenario-set", str(worlds), "--seed", "5"]
+    words = ["--system", str(SYSTEM), "--scenario-set", str(worlds), "--seed", "5"]
     assert main(["collect-data-sim", *words, "--scenarios", str(WORLDS), "--output", str(tmp_path / "here")]) == 1
     assert {name: (on_docker / name).read_bytes() for name in ("results.json", "worlds.csv", "junit.xml")} == {
         name: (tmp_path / "here" / name).read_bytes() for name in ("results.json", "worlds.csv", "junit.xml")

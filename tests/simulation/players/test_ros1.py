@@ -1,6 +1,7 @@
 """The player with a system that stands in for ROS; a real one is in tests/integration/simulation/players."""
 
 import json
+import threading
 import time
 from argparse import Namespace
 from collections.abc import Callable
@@ -166,6 +167,21 @@ def test_what_others_say_is_one_short_line(text: str) -> None:
 def test_a_call_that_hangs_is_given_up() -> None:
     with pytest.raises(PlayError, match=r"/save did not answer within 0\.05 s"):
         within(0.05, lambda: time.sleep(0.5), "/save")
+
+
+def test_who_waits_for_a_call_can_be_stopped() -> None:
+    go_on, asked = threading.Event(), []
+
+    def stopped() -> None:
+        asked.append(True)
+        if len(asked) == 3:
+            raise PlayError("stopped by SIGTERM")
+
+    try:
+        with pytest.raises(PlayError, match="stopped by SIGTERM"):
+            within(600, lambda: go_on.wait(600), "/save", stopped)
+    finally:
+        go_on.set()
 
 
 def test_a_call_s_result_and_its_error_arrive() -> None:
