@@ -56,7 +56,7 @@ class Containers:
 
     def close(self) -> None:
         """Nothing is left."""
-        assert not self.engine.containers.list(all=True, filters={"label": f"{LABEL}={self.id}"})
+        assert not self.engine.containers.list(all=True, ignore_removed=True, filters={"label": f"{LABEL}={self.id}"})
 
 
 class _NoStartError(Exception):

@@ -247,5 +247,5 @@ def test_nothing_is_left(
         wait_until(lambda: describe(aws, f"{identity}:1")["status"] == "RUNNING", "it runs")
         label = f"{LABEL}={aws.batch.runner.id}"
         assert len(engine.containers.list(filters={"label": label})) >= 3
-    assert not engine.containers.list(all=True, filters={"label": label})
+    assert not engine.containers.list(all=True, ignore_removed=True, filters={"label": label})
     assert not engine.volumes.list(filters={"label": label})

@@ -64,7 +64,11 @@ def test_on_this_machine(on_docker: Path, worlds: Path, tmp_path: Path, engine: 
     assert len([each for each in document["scenarios"] if each["converged"]]) == WORLDS - 1
     assert sorted(path.name for path in (on_docker / "worlds").iterdir()) == [f"s5-0000{i}" for i in range(WORLDS)]
     assert (on_docker / "logs" / FAILS / "world.log").read_text()
-    left = [c for c in engine.containers.list(all=True) if str(on_docker) in json.dumps(c.attrs["Mounts"])]
+    left = [
+        c
+        for c in engine.containers.list(all=True, ignore_removed=True)
+        if str(on_docker) in json.dumps(c.attrs["Mounts"])
+    ]
     assert left == []
 
     words = ["--system", str(SYSTEM), "--scenario-set", str(worlds), "--seed", "5"]
