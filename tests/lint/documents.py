@@ -41,7 +41,9 @@ PARTS = {
     "aws-batch": ("calibration.yml", lambda part: {"systems": {"any": {"dataset": "any"}}, **part}),
     "systems": ("calibration.yml", lambda part: part),
     "simulation": ("calibration.yml", lambda part: part),
-    "sensors": (None, None),  # simulation.yml has no schema: the README's is read in tests/actions/test_contract.py
+    # config.yml and simulation.yml have no schema; read in tests/actions/test_contract.py and tests/simulation
+    "sensors": (None, None),
+    "joints": (None, None),
 }
 """What a block of YAML in a README is a part of, by a key in it: the schema, and how the block becomes a document."""
 

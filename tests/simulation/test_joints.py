@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -12,9 +13,16 @@ from calibration.dataset.document import Node
 from calibration.errors import InputError
 from calibration.geometry.joints import JOINT_PARAMETERS, JointParameter
 from calibration.geometry.transforms import from_xyz_rpy
-from calibration.simulation.joints import joint_model, joint_values, read_joint_errors, with_errors
+from calibration.simulation.joints import (
+    check_calibrated_joints,
+    joint_model,
+    joint_values,
+    read_joint_errors,
+    with_errors,
+)
 from calibration.simulation.robot import Joint, JointKind
 from calibration.simulation.system import System, read_system
+from tests.lint.documents import yaml_blocks
 from tests.simulation.conftest import DATASETS
 
 SMALL = st.floats(-0.5, 0.5)
@@ -42,6 +50,19 @@ def test_errors_of_the_origin_and_of_the_position(kind: JointKind, errors: list[
     )
     np.testing.assert_allclose(joint_values(nominal, own), np.add([0.1, 0.2, 0.3, 0.4, -0.5, 0.6, 0], errors))
     np.testing.assert_allclose(joint_model(nominal).pose(joint_values(nominal)), nominal.T_parent_joint, atol=1e-12)
+
+
+def test_what_the_docs_show_is_read() -> None:
+    """One block is of config.yml, the other of simulation.yml; both speak of the same two joints."""
+    docs = Path(__file__).parents[2] / "docs" / "joints.md"
+    asked, simulated = (yaml.safe_load(text) for _, text in yaml_blocks(docs.read_text()))
+    elbow, slide = replace(joint(), name="elbow"), replace(joint("prismatic"), name="slide")
+    robot = replace(read_system(DATASETS / "spjbot").nominal, joints=(elbow, slide))
+    parameters = {name: tuple(each["params_to_calibrate"]) for name, each in asked["joints"].items()}
+
+    check_calibrated_joints(parameters, robot, "config.yml")
+    errors = read_joint_errors(Node(docs, (), simulated["joints"]), robot)
+    assert {name: tuple(own) for name, own in errors.items()} == parameters
 
 
 def test_the_description_stays_as_it_is(systems: dict[str, System]) -> None:
