@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calibration.dataset.model import Dataset
 from calibration.dataset.reading import read_dataset
 from calibration.dataset.truth import find_truth, truth_of
 from calibration.errors import UndeterminedError
@@ -15,38 +14,20 @@ from calibration.estimation.starting_noise import StartingNoise
 from calibration.evaluation.truth import truth_error
 from calibration.geometry.transforms import distance
 from calibration.pipeline.collection.collecting import CollectionRequest, collect_dataset
-from calibration.simulation.joints import joint_values
-from calibration.simulation.motion.drawing import draw_motion
 from calibration.simulation.motion.expected import expected_dataset
 from calibration.simulation.motion.generation import generate_motion
 from calibration.simulation.placement import place
-from calibration.simulation.random_streams import stream
-from calibration.simulation.system import System
+from tests.simulation.exact_labels import as_designed, exact_labels, noisy
 from tests.simulation.family.describing import Robot
 from tests.simulation.family.robots import FAMILY, mrbot, mrjbot, rihbot, rihmpbot
-from tests.simulation.motion.test_prediction import noisy
 
 NOISES = ((0.0, 0.0), (0.5, 0.0), (0.0, 0.5), (0.5, 0.5))
-
-
-def expected(system: System) -> Dataset:
-    """The exact labels of a motion, and the true transforms and joints."""
-    if len(system.sensors) > 2 and system.moved_pattern:  # no pose is seen by all of many cameras around a pattern
-        motion = draw_motion(system, system.moved_pattern, 40, stream(1))
-    else:
-        motion = generate_motion(system, 20, seed=1)
-    return expected_dataset(system, place(system, motion))
-
-
-def as_designed(dataset: Dataset, system: System) -> Dataset:
-    """The dataset with the joints of the description, as it would be collected."""
-    return dataset.with_joints({name: joint_values(system.nominal.movable[name]) for name in dataset.joints})
 
 
 @pytest.mark.parametrize("robot", FAMILY, ids=lambda robot: robot.name)
 def test_from_every_start_to_the_truth(robot: Robot, tmp_path: Path) -> None:
     system = robot.system(tmp_path)
-    exact = expected(system)
+    exact = exact_labels(system)
     assert {pattern for c in exact.collections for pattern, _ in c.labels} == set(system.patterns)
     truth, start = truth_of(exact), as_designed(exact, system)
     for noise in NOISES:
@@ -62,7 +43,7 @@ def test_from_every_start_to_the_truth(robot: Robot, tmp_path: Path) -> None:
 @pytest.mark.parametrize("robot", FAMILY, ids=lambda robot: robot.name)
 def test_noise_in_the_labels_leaves_what_is_stated(robot: Robot, tmp_path: Path) -> None:
     system = robot.system(tmp_path)
-    exact = expected(system)
+    exact = exact_labels(system)
     found = calibrate(noisy(as_designed(exact, system), system, seed=3))
     assert found.converged
     for edge in (sensor.edge for sensor in exact.sensors.values() if sensor.edge in found.covariances):
@@ -75,7 +56,7 @@ def test_noise_in_the_labels_leaves_what_is_stated(robot: Robot, tmp_path: Path)
 
 
 def test_no_camera_of_a_ring_sees_every_collection(tmp_path: Path) -> None:
-    dataset = expected(mrbot.system(tmp_path))
+    dataset = exact_labels(mrbot.system(tmp_path))
     seen = [len(dataset.detections("p", sensor)) for sensor in dataset.sensors]
     assert 4 < min(seen) <= max(seen) < len(dataset.collections) / 2
 

@@ -4,38 +4,20 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from calibration.dataset.model import CornerLabels, Dataset, Labels
 from calibration.errors import InputError
 from calibration.estimation.calibrate import Options, calibrate
 from calibration.geometry.transforms import distance
 from calibration.simulation.motion.expected import expected_dataset
-from calibration.simulation.motion.information import CORNER_NOISE, information
+from calibration.simulation.motion.information import information
 from calibration.simulation.motion.prediction import predicted_sigmas
 from calibration.simulation.motion.sequence import Motion
 from calibration.simulation.placement import place
 from calibration.simulation.sensors import SimulatedDepthCamera
 from calibration.simulation.system import System
 from tests.simulation.conftest import SYSTEMS
+from tests.simulation.exact_labels import noisy
 
 NOTHING = (np.inf, np.inf)
-
-
-def noisy(dataset: Dataset, system: System, seed: int) -> Dataset:
-    """The dataset with noise in corners and ranges."""
-    rng = np.random.default_rng(seed)
-
-    def moved(sensor: str, labels: Labels) -> Labels:
-        if isinstance(labels, CornerLabels):
-            return replace(labels, pixels=labels.pixels + CORNER_NOISE * rng.normal(size=labels.pixels.shape))
-        ranges = np.linalg.norm(labels.points, axis=-1)
-        error = system.sensors[sensor].noise * rng.normal(size=len(ranges))
-        return replace(labels, points=labels.points * (1 + error / ranges)[:, None])
-
-    collections = tuple(
-        replace(c, labels={(pattern, sensor): moved(sensor, label) for (pattern, sensor), label in c.labels.items()})
-        for c in dataset.collections
-    )
-    return replace(dataset, collections=collections)
 
 
 @pytest.mark.parametrize("name", SYSTEMS)
