@@ -11,6 +11,7 @@ remains is one small dense matrix for the shared blocks, the Schur complement. A
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import accumulate
 from typing import NamedTuple
 
 import numpy as np
@@ -235,8 +236,11 @@ def _side_by_side(matrices: list[Array]) -> Array:
     """Jacobians (v or 1, 6, k) as one."""
     if len(matrices) == 1:
         return matrices[0]
-    views = max(len(J) for J in matrices)
-    return np.concatenate([np.broadcast_to(J, (views, *J.shape[1:])) for J in matrices], -1)
+    ends = list(accumulate(J.shape[-1] for J in matrices))
+    out = np.empty((max(len(J) for J in matrices), matrices[0].shape[1], ends[-1]))
+    for J, end in zip(matrices, ends, strict=True):
+        out[..., end - J.shape[-1] : end] = J
+    return out
 
 
 def _add_local(equations: NormalEquations, collections: IntArray, a: _Columns, b: _Columns, block: Array) -> None:

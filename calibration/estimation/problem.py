@@ -306,4 +306,6 @@ def _times(A: Array | None, B: Array | None) -> Array | None:
 
 
 def _broadcast(T: Array | None, collections: IntArray) -> Array:
+    if T is not None and T.shape == (len(collections), 4, 4):
+        return np.ascontiguousarray(T)  # the usual case, at a fraction of the cost
     return np.ascontiguousarray(np.broadcast_to(np.eye(4) if T is None else T, (len(collections), 4, 4)))

@@ -7,6 +7,8 @@ chain behind the pose. Intrinsics of a camera that are unknown too are further c
 Points are handled as structure of arrays, and views in chunks whose temporaries stay in the processor's cache.
 """
 
+import math
+import threading
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -21,6 +23,23 @@ CHUNK = 6400
 """Labels at a time: the rows of 128 views of 50 corners stay in a second-level cache."""
 
 Linearised = tuple[Array, Array, Array]
+
+
+class _Scratch(threading.local):
+    """Memory for the rows of one chunk, kept by each thread: to be given fresh pages costs more than to fill them."""
+
+    def __init__(self) -> None:
+        self._numbers = np.empty(0)
+
+    def rows(self, *shape: int) -> Array:
+        """An array of any content, until the next one is asked for."""
+        size = math.prod(shape)
+        if len(self._numbers) < size:
+            self._numbers = np.empty(size)
+        return self._numbers[:size].reshape(shape)
+
+
+_SCRATCH = _Scratch()
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,7 +142,7 @@ class CornerTerm:
         if seen is not None:
             weight = seen.astype(float) if weight is None else weight * seen
         size = 6 + len(self.free)
-        rows = np.empty((len(T), size + 1, 2, len(self.corners)))
+        rows = _SCRATCH.rows(len(T), size + 1, 2, len(self.corners))
         _corner_rows(rows[:, :, 0], ux, uy, ru, x, y, inverse_z, weight)
         _corner_rows(rows[:, :, 1], vx, vy, rv, x, y, inverse_z, weight)
         if self.free:
@@ -363,7 +382,7 @@ def _range_rows(meeting: _Meeting, present: BoolArray, scale: float, huber: floa
 
     The plane's height under a point p changes by ``-n . (dt + dw x p)``, the cosine by ``(n x ray) . dw``.
     """
-    rows = np.empty((len(meeting.rays), 7, meeting.rays.shape[-1]))
+    rows = _SCRATCH.rows(len(meeting.rays), 7, meeting.rays.shape[-1])
     slope = meeting.slope / scale
     rows[:, :3] = -meeting.n * slope[:, None]
     turns = slope * (meeting.ranges - meeting.height * meeting.cosine * meeting.slope * meeting.slope)
