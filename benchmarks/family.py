@@ -24,7 +24,7 @@ from calibration.estimation.result import Calibration
 from calibration.estimation.starting_noise import StartingNoise
 from calibration.evaluation.truth import truth_error
 from calibration.geometry.joints import JOINT_PARAMETERS
-from calibration.geometry.transforms import local, translation
+from calibration.geometry.transforms import local
 from calibration.geometry.types import Array
 from calibration.simulation.system import System, read_system
 from tests.simulation.conftest import DATASETS, SYSTEMS
@@ -107,10 +107,8 @@ def _without_border(dataset: Dataset) -> Dataset:
 
 
 def _blocks(exact: Dataset, found: Calibration) -> Iterator[tuple[str, tuple[float, int]]]:
-    centres = {(p.parent_link, p.link): translation(p.centre) for p in exact.patterns.values()}
     for edge, covariance in found.covariances.items():
-        centre = centres.get(edge, np.eye(4))  # a pattern's covariance is that about its centre
-        yield edge[1], _score(local(found.transforms[edge] @ centre, exact.transforms[edge][0] @ centre), covariance)
+        yield edge[1], _score(local(found.transforms[edge], exact.transforms[edge][0]), covariance)
     for joint in found.joints.values():
         at = [JOINT_PARAMETERS.index(parameter) for parameter in joint.parameters]
         yield joint.name, _score(joint.values - exact.joints[joint.name].values[at], joint.covariance)
