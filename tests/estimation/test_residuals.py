@@ -124,6 +124,18 @@ def test_a_view_does_not_depend_on_its_neighbours(name, monkeypatch):
 
 
 @EVERY_TERM
+def test_what_was_found_stays_when_more_is_asked_for(name):
+    """The rows are written over each time, what comes of them is not."""
+    make, scale = TERMS[name]
+    term = make(scale)
+    found = term.linearise(poses(), slice(None), scale, 0.8)
+    kept = [each.copy() for each in found]
+    term.linearise(moved(poses(), np.full(6, 0.01)), slice(None), scale, 0.8)
+    for now, then in zip(found, kept, strict=True):
+        np.testing.assert_array_equal(now, then)
+
+
+@EVERY_TERM
 def test_the_cost_is_the_sum_of_squared_magnitudes(name):
     make, sigma = TERMS[name]
     term = make(sigma)
