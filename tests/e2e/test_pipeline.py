@@ -50,7 +50,7 @@ def test_a_matrix_of_jobs_ends_in_one_table(caller: Caller) -> None:
     run = caller.run()
     assert run.code == 0, run.log
     assert run.annotations == []
-    [table] = run.tables
+    table = run.tables["Start"]
     assert [row[0] for row in table] == ["Start", "0 m, 0.3 rad", "0.5 m, 0.3 rad"]
     assert table[0][1:] == ["two-cameras", "arm"]
     assert all("px" in cell and "FAIL" not in cell for row in table[1:] for cell in row[1:])
@@ -94,7 +94,7 @@ def test_everything_that_goes_wrong_is_red_and_says_why(event: str, caller: Call
         "error title=coverage-upload::0.0 %25 (0 of 3) of all lines are run, minimum is 90 %25",
         "error::nowhere: a JSON document was expected, but it cannot be read: No such file or directory",
     ]
-    table, collected = run.tables
+    table, collected = run.tables["Start"], run.tables["Collected"]
     assert table[1][1:] == ["0.0542 px, 0.00227 mm, 0.00026 deg, FAIL", *["FAIL"] * 3]
     assert collected[1][-1].endswith("FAIL")
     assert "Traceback" not in run.log
@@ -135,7 +135,7 @@ def test_names_are_no_code(caller: Caller) -> None:
     caller.write({"datasets": f"my data/{name}", "minute-rate": "0"}, {f"my data/{name}": DATASETS / "riwbot"})
     run = caller.run()
     assert run.code == 0, run.log
-    [table] = run.tables
+    table = run.tables["Start"]
     assert table[1][1] == "0.0542 px, 0.00227 mm, 0.00026 deg"
     assert [path.name for path in caller.artifacts.iterdir() if path.name != "calibration"] == [
         "calibration-ri_touchpwned_touchpwned_touchpwned_wbot_0m_0rad"
@@ -169,7 +169,7 @@ def test_a_pull_request_from_a_fork_by_commit_without_secrets(caller: Caller, tm
     run = caller.run("pull_request", "-e", str(event), reference=reference)
     assert run.code == 0, run.log
     assert "robot: calibrate (fresh)" in run.log
-    cells, collected = run.tables
+    cells, collected = run.tables["Start"], run.tables["Collected"]
     assert [row[0] for row in cells] == ["Start", "0 m, 0 rad", "0.1 m, 0 rad"]
     assert collected[1][:2] == ["fresh", "4 of 4 poses"]
     assert run.annotations == []
@@ -196,7 +196,7 @@ def test_this_repositorys_own_pipeline_runs_what_is_checked_out(caller: Caller, 
     run = own.run("push", "--job", "robots")
     assert run.code == 0, run.log
     assert "the code of this checkout" in run.printed
-    [table] = run.tables
+    table = run.tables["Start"]
     assert len(table) == 5 + 7  # all noises, and the seven methods to compare with
 
 

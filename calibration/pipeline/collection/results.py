@@ -65,15 +65,15 @@ def truth_checks(found: "Proof | ScenarioResult | None", limits: CollectionCheck
     """The errors of sensors, and of joints where some were calibrated, each with its limit."""
     errors = (
         ("translation", "translation_mm", limits.max_translation_mm, "mm"),
-        ("joint", "joint_mm", limits.max_translation_mm, "mm"),
+        ("joint translation", "joint_mm", limits.max_translation_mm, "mm"),
         ("rotation", "rotation_deg", limits.max_rotation_deg, "deg"),
-        ("joint", "joint_deg", limits.max_rotation_deg, "deg"),
+        ("joint rotation", "joint_deg", limits.max_rotation_deg, "deg"),
     )
     values = ((kind, getattr(found, key) if found else None, limit, unit) for kind, key, limit, unit in errors)
     return [
         Check(f"{kind} error against the truth", value, limit, at_least=False, unit=unit)
         for kind, value, limit, unit in values
-        if limit is not None and (value is not None or kind != "joint")
+        if limit is not None and (value is not None or not kind.startswith("joint"))
     ]
 
 

@@ -40,8 +40,8 @@ def _over_limits(cell: CellResult, limits: Limits) -> list[str]:
         ("RMS", cell.rms_px, limits.rms_px, "px"),
         ("translation error against the truth", truth.translation_mm if truth else None, limits.translation_mm, "mm"),
         ("rotation error against the truth", truth.rotation_deg if truth else None, limits.rotation_deg, "deg"),
-        ("joint error against the truth", truth.joint_mm if truth else None, limits.joint_mm, "mm"),
-        ("joint error against the truth", truth.joint_deg if truth else None, limits.joint_deg, "deg"),
+        ("joint translation error against the truth", truth.joint_mm if truth else None, limits.joint_mm, "mm"),
+        ("joint rotation error against the truth", truth.joint_deg if truth else None, limits.joint_deg, "deg"),
     )
     reasons = []
     for what, value, limit, unit in judged:

@@ -213,10 +213,10 @@ def test_a_joint_that_is_off_the_truth_turns_it_red(results: CollectionResults) 
         JointProof("elbow", "origin_yaw", "rad", 0, 1, 1e-3),
     )
     off = replace(results, proof=replace(results.proof, joints=joints))
-    assert off.reasons == ["joint error against the truth: found 6 mm, at most 5 mm was expected"]
+    assert off.reasons == ["joint translation error against the truth: found 6 mm, at most 5 mm was expected"]
     assert "joints 6 mm and 0.057 deg from the truth" in sentence(off)
     turned = replace(off, limits=CollectionChecks(max_translation_mm=7, max_rotation_deg=0.05))
-    assert turned.reasons == ["joint error against the truth: found 0.0573 deg, at most 0.05 deg was expected"]
+    assert turned.reasons == ["joint rotation error against the truth: found 0.0573 deg, at most 0.05 deg was expected"]
     assert replace(off, limits=CollectionChecks(max_translation_mm=None)).verdict == "pass"
 
 

@@ -70,7 +70,7 @@ def test_a_world_passes_within_its_limits() -> None:
     ]
     assert world_reasons(replace(GOOD, translation_mm=None), CollectionChecks()) != []
     assert world_reasons(replace(GOOD, joint_mm=4.0, joint_deg=0.4), CollectionChecks()) == [
-        "joint error against the truth: found 0.4 deg, at most 0.3 deg was expected"
+        "joint rotation error against the truth: found 0.4 deg, at most 0.3 deg was expected"
     ]
 
 

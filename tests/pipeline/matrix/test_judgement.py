@@ -95,9 +95,9 @@ def test_joints_have_limits_of_their_own(output: Path) -> None:
 
     assert judged(cell, output, joint_mm=0.03, joint_deg=0.004).verdict == "pass"
     assert judged(cell, output, joint_mm=0.02, joint_deg=0.003).reasons == (
-        "joint error against the truth: found 0.03 mm, at most 0.02 mm was expected",
-        "joint error against the truth: found 0.004 deg, at most 0.003 deg was expected",
+        "joint translation error against the truth: found 0.03 mm, at most 0.02 mm was expected",
+        "joint rotation error against the truth: found 0.004 deg, at most 0.003 deg was expected",
     )
     assert judged(CELL, output, joint_mm=1).reasons == (
-        "joint error against the truth: no value, at most 1 mm was expected",
+        "joint translation error against the truth: no value, at most 1 mm was expected",
     )
