@@ -15,7 +15,7 @@ uv = $(abspath $(or $(shell command -v uv),$(venv)/bin/uv))
 engine_tests = $(addprefix tests/,geometry dataset estimation evaluation comparison labelling simulation/rendering)
 opencv_tests = $(addprefix tests/,dataset comparison labelling simulation/rendering)
 
-.PHONY: help run test lint bench lock test-versions actions pictures clean
+.PHONY: help run test test-only lint bench lock test-versions actions pictures clean
 
 help: ## this list
 	@sed -nE 's/^([a-z-]+):.*## (.*)/\1\t\2/p' Makefile | expand -t 16
@@ -39,6 +39,9 @@ test: lint ## lint, then the tests with their coverage
 	COVERAGE_PROCESS_START='$(CURDIR)/pyproject.toml' COVERAGE_FILE='$(CURDIR)/.coverage' $(python) -m pytest -n 3 --dist worksteal $(ARGS)
 	$(python) -m coverage combine --quiet
 	$(python) -m coverage report
+
+test-only: lint ## the same without the coverage, which takes a quarter of the time
+	$(python) -m pytest -n 3 --dist worksteal $(ARGS)
 
 # An older or newer library, laid over those of .venv. Not strict: OpenCV 5 lacks what some comparisons need.
 test-versions: ## the tests of engine, detectors and rendering with the oldest numpy, and those that use it with OpenCV 5
