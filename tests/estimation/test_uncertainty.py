@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from calibration.dataset.model import Edge
-from calibration.estimation.calibrate import Options, calibrate
+from calibration.estimation.build import build
+from calibration.estimation.calibrate import Options, _of_transforms, calibrate
 from calibration.estimation.result import Calibration
-from calibration.geometry.transforms import inverse, local
+from calibration.geometry.transforms import inverse, local, retract, translation
 from calibration.geometry.types import Array
 from tests.estimation.scenes import Scene
 from tests.estimation.systems import camera_and_lidar, eye_in_hand, hand_and_world, stereo, two_bodies
@@ -66,3 +67,18 @@ def test_four_times_the_collections_give_half_the_standard_deviation():
     edge = ("world", "right")
     assert few.sigma_mm(edge) / many.sigma_mm(edge) == pytest.approx(2, rel=0.15)
     assert few.sigma_mrad(edge) / many.sigma_mrad(edge) == pytest.approx(2, rel=0.15)
+
+
+def test_the_covariance_of_a_pattern_is_about_its_own_frame():
+    """The engine has it about the centre of the corners: by differences, what that is for the pattern's frame."""
+    dataset, edge = eye_in_hand().dataset(), ("world", "board_link")
+    setup = build(dataset)
+    A = np.random.default_rng(0).normal(size=(6, 6))
+    T, centre = dataset.transforms[edge][0], translation(dataset.patterns["board"].centre)
+    moved = [local(T, retract(T @ centre, 1e-6 * axis) @ inverse(centre)) / 1e-6 for axis in np.eye(6)]
+    J = np.stack(moved, -1)
+
+    found = _of_transforms(setup, {setup.block(edge): A @ A.T})
+
+    np.testing.assert_allclose(found[edge], J @ A @ A.T @ J.T, rtol=1e-4, atol=1e-4)
+    assert np.abs(J - np.eye(6)).max() > 0.1
