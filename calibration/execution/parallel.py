@@ -13,6 +13,7 @@ from queue import SimpleQueue
 from typing import Any, TypeVar
 
 from calibration.errors import WorldError
+from calibration.workflow.signals import held_back
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -63,7 +64,8 @@ def _in_processes(work: Callable[[Item], Result], items: Sequence[Item], workers
 
         def submit(count: int) -> None:
             for index, item in islice(waiting, count):
-                future = pool.submit(_run_in_worker, item)
+                with held_back():  # the first of them forks the workers
+                    future = pool.submit(_run_in_worker, item)
                 running[future] = index
                 future.add_done_callback(finished.put)
 

@@ -8,7 +8,6 @@ from typing import Any
 
 import pytest
 
-from calibration.coverage.measuring import process
 from calibration.coverage.measuring.process import run
 from calibration.errors import InputError, WorldError
 from tests.engine import wait_until
@@ -66,7 +65,7 @@ def test_what_it_leaves_behind_is_ended(tmp_path: Path) -> None:
 
 
 def test_it_may_not_take_longer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("calibration.coverage.measuring.process.GRACE", 0.2)  # it ignores SIGTERM
+    monkeypatch.setattr("calibration.programs.GRACE", 0.2)  # it ignores SIGTERM
     output = bytearray()
     with pytest.raises(WorldError, match=r"the tests took longer than 1.5 s \(timeout\) and were stopped"):
         run([sys.executable, "-c", STUBBORN], tmp_path, dict(os.environ), 1.5, output.extend)
@@ -77,7 +76,7 @@ def test_it_may_not_take_longer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
 def test_what_cannot_be_started(tmp_path: Path, arguments: list[str]) -> None:
     with pytest.raises(InputError, match="cannot be started"):
         run(arguments, tmp_path, {}, 5, bytearray().extend)
-    assert signal.pthread_sigmask(signal.SIG_BLOCK, ()) == set()  # signals are heard again
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler  # signals are heard again
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
@@ -86,9 +85,10 @@ def test_a_signal_to_us_ends_it_too(tmp_path: Path, number: signal.Signals) -> N
 import os, sys
 from pathlib import Path
 from typing import Any
+from calibration import programs
 from calibration.coverage.measuring import process
 from calibration.workflow.signals import terminate_cleanly
-process.GRACE = 0.2
+programs.GRACE = 0.2
 try:
     with terminate_cleanly():
         process.run([sys.executable, "-c", {STUBBORN!r}], Path(), dict(os.environ), 60, lambda data: os.write(1, data))
@@ -108,16 +108,16 @@ except KeyboardInterrupt as error:
 
 
 def test_a_signal_that_arrives_while_it_starts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    start = process._start
+    start = subprocess.Popen
     pids = []
 
-    def start_slowly(*arguments: Any) -> "subprocess.Popen[bytes]":
-        started = start(*arguments)
+    def start_slowly(*arguments: Any, **settings: Any) -> "subprocess.Popen[bytes]":
+        started = start(*arguments, **settings)
         pids.append(started.pid)
         signal.pthread_kill(threading.get_ident(), signal.SIGINT)
         return started
 
-    monkeypatch.setattr(process, "_start", start_slowly)
+    monkeypatch.setattr("calibration.programs.subprocess.Popen", start_slowly)
     with pytest.raises(KeyboardInterrupt):
         execute("import time; time.sleep(60)", tmp_path)
     assert gone(pids)

@@ -2,6 +2,8 @@
 
 import os
 import signal
+import subprocess
+import sys
 import time
 
 import pytest
@@ -52,3 +54,26 @@ def test_who_stops_early_leaves_no_process() -> None:
             return
         time.sleep(0.05)
     pytest.fail("a worker is left")
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_while_a_worker_is_forked_is_not_lost(number: signal.Signals) -> None:
+    program = f"""
+import os, signal
+from calibration.execution.parallel import in_parallel
+from calibration.workflow.signals import terminate_cleanly
+asked = []
+def ask():
+    if not asked:
+        asked.append(1)
+        os.kill(os.getpid(), {int(number)})
+os.register_at_fork(before=ask)
+try:
+    with terminate_cleanly():
+        print(len(list(in_parallel(str, range(1000), 2))))
+except KeyboardInterrupt as error:
+    print(type(error).__name__)
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=True)
+    assert done.stdout.strip() == ("Terminated" if number == signal.SIGTERM else "KeyboardInterrupt")
+    assert done.stderr == ""

@@ -1,10 +1,12 @@
 import os
 import signal
+import sys
 import threading
+import time
 
 import pytest
 
-from calibration.workflow.signals import Terminated, terminate_cleanly
+from calibration.workflow.signals import Terminated, held_back, terminate_cleanly
 
 
 def be_stopped(first: signal.Signals, second: signal.Signals, cleaned: list[bool]) -> None:
@@ -62,3 +64,50 @@ def test_in_another_thread_nothing_is_done() -> None:
     thread.start()
     thread.join()
     assert done == [True]
+
+
+class Dropping:
+    """Python drops what is raised where an object is deleted."""
+
+    def __del__(self) -> None:
+        os.kill(os.getpid(), signal.SIGTERM)
+
+
+def test_a_signal_whose_exception_is_dropped_strikes_again() -> None:
+    def drop() -> None:
+        with terminate_cleanly():
+            Dropping()
+            time.sleep(5)
+
+    with pytest.raises(Terminated):
+        drop()
+
+
+def test_what_else_is_dropped_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
+    reported: list[object] = []
+    monkeypatch.setattr(sys, "unraisablehook", lambda dropped: reported.append(dropped.exc_type))
+
+    class Failing:
+        def __del__(self) -> None:
+            raise ValueError
+
+    with terminate_cleanly():
+        Failing()
+    assert reported == [ValueError]
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_that_is_held_back_strikes_afterwards(number: signal.Signals) -> None:
+    done = []
+
+    def work() -> None:
+        with terminate_cleanly():
+            with held_back():
+                os.kill(os.getpid(), number)
+                done.append("inside")
+            done.append("after")
+
+    with pytest.raises(KeyboardInterrupt) as caught:
+        work()
+    assert done == ["inside"]
+    assert isinstance(caught.value, Terminated) == (number == signal.SIGTERM)

@@ -2,17 +2,15 @@
 
 import os
 import selectors
-import signal
 import subprocess
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 from calibration.errors import InputError, WorldError
+from calibration.programs import has_ended, started
 
-GRACE = 4.0
-"""Seconds to end after SIGTERM; a runner that cancels gives us 7.5."""
 _PAUSE = 0.1
 
 
@@ -51,7 +49,7 @@ def run(
                 data = os.read(process.stdout.fileno(), 64 * 1024)
                 feed(data)
                 more = bool(data)
-            elif _has_ended(process):  # what it has started may go on, and hold the output open
+            elif has_ended(process):  # what it has started may go on, and hold the output open
                 break
             elif not more:
                 time.sleep(_PAUSE)
@@ -63,60 +61,9 @@ def _started(
     arguments: Sequence[str], directory: Path, environment: Mapping[str, str]
 ) -> "Iterator[subprocess.Popen[bytes]]":
     """A program that has ended when the block is left."""
-    # Held back until we can answer them: one that arrived while the program starts would leave it behind.
-    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
-    process = None
-    try:
-        process = _start(arguments, directory, environment, mask)
-        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+    with ExitStack() as stack:
+        try:
+            process = stack.enter_context(started(arguments, environment, directory))
+        except (OSError, ValueError) as error:
+            raise InputError(f"run: {arguments[0]} cannot be started: {error}") from None
         yield process
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
-        if process is not None:
-            _end(process)
-            if process.stdout is not None:
-                process.stdout.close()
-
-
-def _start(
-    arguments: Sequence[str], directory: Path, environment: Mapping[str, str], mask: Iterable[int]
-) -> "subprocess.Popen[bytes]":
-    try:
-        return subprocess.Popen(
-            arguments,
-            cwd=directory,
-            env=environment,
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,  # one stream: the order of the lines stays
-            start_new_session=True,
-            preexec_fn=lambda: signal.pthread_sigmask(signal.SIG_SETMASK, mask),
-        )
-    except (OSError, ValueError) as error:
-        raise InputError(f"run: {arguments[0]} cannot be started: {error}") from None
-
-
-def _has_ended(process: "subprocess.Popen[bytes]") -> bool:
-    """Whether it has ended; its number stays taken until it is waited for, so that its group can be ended."""
-    return os.waitid(os.P_PID, process.pid, os.WEXITED | os.WNOHANG | os.WNOWAIT) is not None
-
-
-def _end(process: "subprocess.Popen[bytes]") -> None:
-    """End the process group: asked first, then killed."""
-    for number in (signal.SIGTERM, signal.SIGKILL):
-        deadline = time.monotonic() + GRACE
-        if not _signal_group(process, number):
-            break
-        while time.monotonic() < deadline and _signal_group(process, 0):
-            process.poll()  # or it would stay in its group when it has ended
-            time.sleep(0.01)
-    process.wait()
-
-
-def _signal_group(process: "subprocess.Popen[bytes]", number: int) -> bool:
-    """Send a signal to the group; whether there was anyone in it."""
-    try:
-        os.killpg(process.pid, number)
-    except (ProcessLookupError, PermissionError):  # the latter where macOS has only zombies in it
-        return False
-    return True

@@ -1,15 +1,12 @@
 """A program of others, and what it prints, line by line; stopped with all that it has started."""
 
-import os
-import signal
-import subprocess
 from collections.abc import Generator, Mapping, Sequence
+from contextlib import ExitStack
 from typing import IO
 
 from calibration.errors import WorldError
+from calibration.programs import has_ended, started
 
-GRACE = 4.0
-"""Seconds to end after SIGTERM; a runner that cancels gives us 7.5."""
 LONGEST_LINE = 64 * 1024
 
 
@@ -21,35 +18,14 @@ def lines_of(command: Sequence[str], stdin: IO[bytes], environment: Mapping[str,
     Raises:
         WorldError: it cannot be started.
     """
-    try:
-        process = subprocess.Popen(
-            command,
-            stdin=stdin,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            env=environment,
-            start_new_session=True,  # a Ctrl-C reaches us alone, and we stop it
-        )
-    except OSError as error:
-        raise WorldError(f"{command[0]}: cannot be started: {error.strerror}") from error
-    output = process.stdout
-    if output is None:
-        raise AssertionError("its output is a pipe")
-    try:
-        while line := output.readline(LONGEST_LINE):
-            yield line.decode("utf-8", "replace").rstrip("\r\n")
-        yield process.wait()
-    finally:
-        _stop(process)
-        output.close()
-
-
-def _stop(process: "subprocess.Popen[bytes]") -> None:
-    for number, seconds in ((signal.SIGTERM, GRACE), (signal.SIGKILL, None)):
-        if process.poll() is not None:
-            return
-        os.killpg(process.pid, number)
+    with ExitStack() as stack:
         try:
-            process.wait(seconds)
-        except subprocess.TimeoutExpired:
-            continue
+            process = stack.enter_context(started(command, environment, stdin=stdin))
+        except OSError as error:
+            raise WorldError(f"{command[0]}: cannot be started: {error.strerror}") from error
+        if process.stdout is None:
+            raise AssertionError("its output is a pipe")
+        while line := process.stdout.readline(LONGEST_LINE):
+            yield line.decode("utf-8", "replace").rstrip("\r\n")
+        has_ended(process, wait=True)
+    yield process.returncode

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from calibration.errors import WorldError
-from calibration.image.builders import processes, programs
+from calibration.image.builders import programs
 from calibration.image.builders.login_file import write_login
 from calibration.image.builders.processes import lines_of
 from calibration.image.builders.programs import Program, find_buildkit
@@ -58,7 +58,7 @@ def test_lines_and_exit_code(tmp_path: Path) -> None:
 def test_whoever_stops_listening_stops_the_program_and_its_children(
     tmp_path: Path, ignores: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(processes, "GRACE", 0.2)
+    monkeypatch.setattr("calibration.programs.GRACE", 0.2)
     mark = f"{os.getpid()}{time.monotonic_ns() % 100_000}"
     with (tmp_path / "in").open("w+b") as stdin:
         command = ["sh", "-c", f"{ignores}sleep 3{mark[-5:]} & echo $!; wait; sleep 3600"]
