@@ -16,7 +16,6 @@ from calibration.commands.parameters import (
     path,
     text,
 )
-from calibration.commands.place import render_option, run_or_render
 from calibration.commands.registry_password import EVERYWHERE, password_variable, registry_password_option
 from calibration.errors import ExitCode, InputError
 from calibration.workflow import Runner
@@ -70,8 +69,6 @@ class Settings:
     """The name of the run in the cloud."""
     resume: bool = False
     """Whether only what is missing of that run is run."""
-    render: str | None = None
-    """kubernetes where the software is not run, but written down for a cluster."""
     jobs: int | None = None
     fail_fast: bool = False
     output: Path = Path("output")
@@ -114,7 +111,6 @@ class Settings:
 @click.option("--aws-batch", type=path, help="YAML file with the section aws-batch (config, or calibration.yml).")
 @click.option("--run", type=text, help="Name of the run on AWS Batch; a new one unless given.")
 @boolean_option("--resume", help="On AWS Batch: run only what is missing of the run of this name, or into this folder.")
-@render_option
 @click.option("--jobs", type=count, help="Processes, or containers at once (one a core).")
 @boolean_option("--fail-fast", help="The first cell that fails stops the others.")
 @click.option("--output", type=path, default=Path("output"), help="Folder for results, tables and datasets (output).")
@@ -139,21 +135,9 @@ def calibrate_matrix(settings: Settings, runner: Runner) -> ExitCode:
     matrix = matrix_of(settings)
     place = place_of(settings, matrix, runner)
     pull(settings, runner)
-
-    def work() -> ExitCode:
-        results = run_stages(
-            matrix,
-            settings.output,
-            runner,
-            TITLE,
-            settings.jobs,
-            settings.fail_fast,
-            ("calibrate", "introspect"),
-            place=place,
-        )
-        return results.exit_code
-
-    return run_or_render(work, runner)
+    stages = ("calibrate", "introspect")
+    results = run_stages(matrix, settings.output, runner, TITLE, settings.jobs, settings.fail_fast, stages, place=place)
+    return results.exit_code
 
 
 def place_of(settings: Settings, matrix: "Matrix", runner: Runner) -> "Place":
@@ -166,12 +150,11 @@ def place_of(settings: Settings, matrix: "Matrix", runner: Runner) -> "Place":
     from calibration.execution.backends import AWS_BATCH, CONTAINERS, DOCKER, check_backend
 
     configuration = _configuration(settings)
-    backend = settings.backend or (AWS_BATCH if settings.render else configuration.backend)
+    backend = settings.backend or configuration.backend
     check_backend(backend, CONTAINERS)
     in_cloud = backend == AWS_BATCH and bool(matrix.software)
-    if not in_cloud and (settings.backend == AWS_BATCH or settings.render):
-        found = f"backend: found {AWS_BATCH}, which" if settings.backend == AWS_BATCH else "render: a cluster"
-        raise InputError(f"{found} runs the team's own software: give image and command")
+    if not in_cloud and settings.backend == AWS_BATCH:
+        raise InputError(f"backend: found {AWS_BATCH}, which runs the team's own software: give image and command")
     if not in_cloud and (settings.run is not None or settings.resume):
         raise InputError(f"{'run' if settings.run is not None else 'resume'}: is for the backend {AWS_BATCH}")
     if in_cloud and settings.registry_username is not None:
@@ -184,7 +167,6 @@ def place_of(settings: Settings, matrix: "Matrix", runner: Runner) -> "Place":
         settings.resume,
         runner,
         configuration.batch,
-        settings.render,
     )
 
 

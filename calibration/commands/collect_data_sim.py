@@ -15,7 +15,6 @@ from calibration.commands.collection_in_containers import (
 )
 from calibration.commands.collection_settings import Settings, collection_request
 from calibration.commands.parameters import boolean_option, count, non_negative, path, share, text
-from calibration.commands.place import render_option, run_or_render
 from calibration.errors import ExitCode, InputError
 from calibration.workflow import Runner, stop_commands
 
@@ -62,7 +61,6 @@ def seed_number(value: str | int) -> int:
 @click.option("--aws-batch", type=path, help="YAML file with the section aws-batch (calibration.yml).")
 @click.option("--run", type=text, help="Name of the run in containers or the cloud; a new one unless given.")
 @boolean_option("--resume", help="Run only what is missing of an earlier run into this folder, or of this name.")
-@render_option
 @click.option("--applications", type=path, help="YAML file of the team's applications, each in a container.")
 @click.option("--image", type=text, help="Of applications that name none; or, with calibration-ci in it, of worlds.")
 @click.option("--simulation-command", type=text, help="What the simulation application runs, without a file for it.")
@@ -85,7 +83,7 @@ def command(**options: Any) -> ExitCode:
     """Collect a dataset in simulation: images, point clouds, labels and the truth; and calibrate it."""
     settings = Settings(**{name: value for name, value in options.items() if value is not None})
     runner = Runner.from_environment(os.environ)
-    return run_or_render(lambda: collect_data_sim(settings, runner), runner)
+    return collect_data_sim(settings, runner)
 
 
 def collect_data_sim(settings: Settings, runner: Runner) -> ExitCode:
@@ -94,12 +92,11 @@ def collect_data_sim(settings: Settings, runner: Runner) -> ExitCode:
     Raises:
         InputError: an input is missing or wrong, or the folder has a dataset already.
         WorldError: the folder cannot be written, or a process died; its dataset is as before.
-        RenderedError: the containers were to be written down only.
     """
-    from calibration.execution.backends import AWS_BATCH, CONTAINERS, DOCKER, EMBEDDED, check_backend
+    from calibration.execution.backends import CONTAINERS, DOCKER, EMBEDDED, check_backend
 
     entry = applications_entry(settings)
-    default = AWS_BATCH if settings.render else str(entry.get("backend", DOCKER)) if entry else EMBEDDED
+    default = str(entry.get("backend", DOCKER)) if entry else EMBEDDED
     backend = settings.backend or default
     check_backend(backend)
     if settings.scenarios is not None and settings.minimum_coverage is not None:
@@ -115,7 +112,7 @@ def collect_data_sim(settings: Settings, runner: Runner) -> ExitCode:
         raise InputError("scenario-set: give either scenarios (how many worlds) or scenario (the id of one) with it")
     if backend != EMBEDDED:
         return _worlds_in_containers(settings, backend, runner)
-    for name in ("image", "timeout", "run", "render"):
+    for name in ("image", "timeout", "run"):
         if getattr(settings, name) is not None:
             raise InputError(
                 f"{name}: is for containers: give applications, or simulation-command and robot-command, or backend "

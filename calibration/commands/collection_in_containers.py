@@ -168,5 +168,4 @@ def _place(settings: Settings, backend: str, runner: Runner) -> "Place":
         InputError: nothing says where in the cloud, or which run is to be resumed.
         WorldError: the name of the run cannot be kept.
     """
-    to = (backend, settings.aws_batch, settings.output, settings.run, settings.resume)
-    return place(*to, runner, render=settings.render)
+    return place(backend, settings.aws_batch, settings.output, settings.run, settings.resume, runner)

@@ -46,8 +46,6 @@ class Settings:
     """The name of the run, for those who look for what it left."""
     resume: bool = False
     """Whether only what is missing of an earlier run is run."""
-    render: str | None = None
-    """kubernetes where containers are not run, but written down for a cluster."""
     applications: Path | None = None
     """What an entry ``simulation`` of calibration.yml says of containers, in a file of its own."""
     image: str | None = None

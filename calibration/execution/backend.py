@@ -32,13 +32,3 @@ class Backend(Protocol):
             WorldError: the backend cannot be reached, or a file not be written.
         """
         ...
-
-
-class RenderedError(Exception):
-    """There are no outcomes, as the jobs were not run but written down: ends what would judge them."""
-
-    def __init__(self, folder: Path, run: str, count: int) -> None:
-        super().__init__(f"{count} jobs of run {run} are in {folder}")
-        self.folder = folder
-        self.run = run
-        self.count = count

@@ -2,7 +2,6 @@
 
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from calibration.errors import InputError
@@ -46,8 +45,6 @@ class Place:
     """The name of the run; a new one unless given."""
     resume: bool = False
     """Whether what is left in the cloud of a run of this name is taken, and only what is missing is run."""
-    render: Path | None = None
-    """The folder where what would run on AWS Batch is written as Kubernetes takes it, in the place of running it."""
 
     def open(self, show: "LogDisplay | None" = None) -> AbstractContextManager[Backend]:
         """Make the backend, which is looked for when it is entered.
@@ -67,10 +64,6 @@ class Place:
                 f"backend: found {AWS_BATCH}, but nothing says where in AWS: expected a section {SECTION} in "
                 "calibration.yml, or a file with one"
             )
-        if self.render is not None:
-            from calibration.execution.kubernetes.backend import RenderingBackend
-
-            return RenderingBackend(self.batch, self.run, self.render)
         from calibration.execution.batch.backend import BatchBackend  # brings the SDK
 
         return BatchBackend(self.batch, self.run, show, self.resume)

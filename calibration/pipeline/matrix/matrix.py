@@ -132,14 +132,11 @@ def run_matrix(
     Raises:
         InputError: a dataset, an evaluation, a truth or an image is wrong; nothing has been calibrated then.
         WorldError: a process died, or containers cannot be run.
-        RenderedError: the containers were to be written down only.
     """
     loaded = {system.name: load(system) for system in matrix.systems}
     theirs = [cell for cell in matrix.cells if cell.system in matrix.software]
     ours = [cell for cell in matrix.cells if cell.system not in matrix.software]
     work: list[Job] = [*matrix.comparisons, *ours, *map(Reference, theirs)]  # slow ones first
-    if place is not None and place.render is not None:
-        work = []  # theirs are written down, and nothing is run
     results: dict[Job, CellResult] = {}
     software: dict[Cell, CellResult] = {}
 

@@ -1,1 +1,0 @@
-"""Jobs for a Kubernetes cluster: written out, not run."""
