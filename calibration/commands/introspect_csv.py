@@ -10,14 +10,14 @@ from typing import Any
 import click
 
 from calibration.commands.parameters import TEXT_LIST, boolean_option, count, number, path, text
-from calibration.errors import ExitCode, InputError, WorldError
-from calibration.files import write_atomically
-from calibration.introspection import report
+from calibration.errors import ExitCode, InputError
 from calibration.introspection.judge import judge
 from calibration.introspection.parsing import RULE_KEYS, TABLE_KEYS, parse_rules
+from calibration.introspection.report import report
 from calibration.introspection.rules import RuleSet, refuse_contradictions
 from calibration.introspection.table import parse_delimiter, read_table
-from calibration.workflow import Runner, add_summary, annotate, set_outputs, stop_commands
+from calibration.report import FILES, publish, remove_results
+from calibration.workflow import Runner
 
 
 @dataclass(frozen=True)
@@ -99,33 +99,14 @@ def introspect(settings: Settings, runner: Runner) -> ExitCode:
     an earlier run is removed first, so that none is mistaken for this one's.
     """
     if settings.output is not None:
-        _remove_results(settings.output)
+        remove_results(settings.output, FILES)
     tables = [read_table(file, settings.delimiter, settings.encoding) for file in expand(settings.files)]
     baseline = None
     if settings.baseline is not None:
         baseline = read_table(settings.baseline, settings.delimiter, settings.encoding)
-    verdicts = [judge(table, settings.rules, baseline) for table in tables]
-    passed = all(verdict.passed for verdict in verdicts)
-    with stop_commands(runner):  # cells are text that others wrote
-        runner.log(report.log(verdicts))
-    annotate(runner, report.annotations(verdicts))
-    summary = report.markdown(verdicts)
-    if settings.output is not None:
-        write_atomically(settings.output / "results.json", report.results_json(verdicts))
-        write_atomically(settings.output / "junit.xml", report.junit(verdicts))
-        write_atomically(settings.output / "summary.md", summary)
-    add_summary(runner, summary)
-    set_outputs(
-        runner,
-        {
-            "verdict": "pass" if passed else "fail",
-            "violations": sum(len(verdict.violations) for verdict in verdicts),
-            "results": "" if settings.output is None else settings.output / "results.json",
-            "values": report.values(verdicts),
-        },
-    )
-    runner.log(report.sentence(verdicts))
-    return ExitCode.PASS if passed else ExitCode.FAIL
+    found = report([judge(table, settings.rules, baseline) for table in tables])
+    publish(found, runner, settings.output)
+    return found.exit_code
 
 
 def expand(patterns: Sequence[str]) -> list[str]:
@@ -160,11 +141,3 @@ def _rules(given: dict[str, Any]) -> RuleSet:
     rules = read_rules(given["rules"]).overridden_by(parse_rules(from_options, "options", required=False))
     refuse_contradictions(rules.rules, f"{given['rules']} and options")
     return rules
-
-
-def _remove_results(folder: Path) -> None:
-    for name in ("results.json", "junit.xml", "summary.md"):
-        try:
-            (folder / name).unlink(missing_ok=True)
-        except OSError as error:
-            raise WorldError(f"{folder / name}: an earlier result cannot be removed: {error.strerror}") from error

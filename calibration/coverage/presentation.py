@@ -9,6 +9,8 @@ from calibration.coverage.lines import FileCoverage, ranges
 from calibration.coverage.rate import Rate
 from calibration.coverage.reading import Found
 from calibration.coverage.results import Results, Uploaded
+from calibration.errors import ExitCode
+from calibration.report import Outcome
 from calibration.workflow.annotations import Annotation, Level
 from calibration.workflow.outputs import OutputValue
 from calibration.workflow.summary import escape_markdown, markdown_table
@@ -178,20 +180,28 @@ def results_json(results: Results) -> str:
 
 def junit(results: Results) -> str:
     """Write JUnit XML: a case for the tests as a whole, one for each limit, and one for the upload."""
-    from calibration.workflow.junit import Case, Suite, junit_xml  # XML is slow to import, and rarely asked for
+    from calibration.report.junit import junit_xml  # XML is slow to import, and rarely asked for
 
-    cases = []
+    outcomes = []
     if results.tests is not None:
-        cases.append(Case("tests", TITLE, failure=results.tests.problem, seconds=results.tests.seconds))
+        problem, seconds = results.tests.problem, results.tests.seconds
+        outcomes.append(
+            Outcome(name="tests", group=TITLE, reasons=() if problem is None else (problem,), seconds=seconds)
+        )
     for limit in results.limits:
-        failure = None if limit.passed else f"{limit.rate}, {limit.minimum:g} % was expected"
-        cases.append(Case(f"{limit.name} {limit.minimum:g} %", TITLE, failure=failure))
-    failed, skipped = (
-        results.upload_reason if results.uploaded is state else None for state in (Uploaded.FAILED, Uploaded.SKIPPED)
-    )
+        reasons = () if limit.passed else (f"{limit.rate}, {limit.minimum:g} % was expected",)
+        outcomes.append(Outcome(name=f"{limit.name} {limit.minimum:g} %", group=TITLE, reasons=reasons))
     if results.uploaded is not Uploaded.NONE:
-        cases.append(Case(f"upload to {results.service}", TITLE, error=failed, skipped=skipped))
-    return junit_xml([Suite(TITLE, tuple(cases))])
+        failed, skipped = (results.uploaded is state for state in (Uploaded.FAILED, Uploaded.SKIPPED))
+        upload = Outcome(
+            name=f"upload to {results.service}",
+            group=TITLE,
+            reasons=(results.upload_reason,) if failed else (),
+            error=ExitCode.WORLD if failed else None,
+            skipped=results.upload_reason if skipped else None,
+        )
+        outcomes.append(upload)
+    return junit_xml({TITLE: outcomes})
 
 
 def outputs(results: Results) -> dict[str, OutputValue]:

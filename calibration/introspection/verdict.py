@@ -2,6 +2,8 @@
 
 from dataclasses import dataclass
 
+from calibration.report.check import expectation
+
 
 @dataclass(frozen=True)
 class Violation:
@@ -21,7 +23,7 @@ class Violation:
     def message(self) -> str:
         """The violation in one sentence."""
         place = self.row if self.column is None else f"{self.column}, {self.row}"
-        return f"{place}: found {self.found}, expected {self.expected}"
+        return expectation(place, self.found, self.expected)
 
 
 @dataclass(frozen=True)

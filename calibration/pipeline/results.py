@@ -7,7 +7,7 @@ import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from calibration.errors import ExitCode, InputError, WorldError, exit_code_of
 from calibration.estimation.intrinsics_file import FILE_NAME as INTRINSICS
@@ -15,9 +15,7 @@ from calibration.files import write_atomically
 from calibration.pipeline.collection.collected import Collected
 from calibration.pipeline.image_result import ImageResult
 from calibration.pipeline.matrix.cell import OUR_METHOD, CellResult, Deviation, Verdict
-
-if TYPE_CHECKING:
-    from calibration.workflow.junit import Case
+from calibration.report import Outcome
 
 SCHEMA = Path(__file__).with_name("results.schema.json")
 FILE = "results.json"
@@ -239,33 +237,13 @@ def _not_finite(value: object) -> object:
     raise TypeError(f"{value!r} does not belong into results")
 
 
-def _collected_case(collected: Collected) -> "Case":
-    from calibration.workflow.junit import Case
-
-    why = "\n".join(collected.reasons) or None
-    return Case(
-        name=collected.name,
-        group="collected",
-        failure=None if collected.error is not None else why,
-        error=why if collected.error is not None else None,
-        seconds=collected.seconds,
-    )
-
-
 def _junit(results: Results) -> str:
-    from calibration.workflow.junit import Case, Suite, junit_xml  # XML is slow to import
+    from calibration.report.junit import junit_xml  # XML is slow to import
 
-    def case(cell: CellResult) -> Case:
-        why = "\n".join(cell.reasons) or None
-        return Case(
-            name=cell.name,
-            group=cell.system,
-            failure=None if cell.error is not None else why,
-            error=why if cell.error is not None else None,
-            seconds=cell.seconds,
-        )
+    def outcome(group: str, each: CellResult | Collected) -> Outcome:
+        return Outcome(name=each.name, group=group, reasons=each.reasons, error=each.error, seconds=each.seconds)
 
-    suites = [Suite(s, tuple(case(c) for c in results.cells if c.system == s)) for s in results.systems]
+    suites = {s: [outcome(s, cell) for cell in results.cells if cell.system == s] for s in results.systems}
     if results.collections:
-        suites.append(Suite("collected", tuple(_collected_case(collected) for collected in results.collections)))
+        suites["collected"] = [outcome("collected", collected) for collected in results.collections]
     return junit_xml(suites)

@@ -6,7 +6,8 @@ import pytest
 from defusedxml.ElementTree import fromstring
 
 from calibration import introspection
-from calibration.introspection import Table, Verdict, judge, parse_rules, report
+from calibration.introspection import Table, Verdict, judge, parse_rules
+from calibration.introspection.report import report
 from calibration.introspection.table import parse_table
 
 SCHEMA = json.loads((Path(introspection.__file__).parent / "results.schema.json").read_text())
@@ -42,33 +43,33 @@ def hostile() -> Verdict:
 
 
 def test_sentence(red: Verdict, green: Verdict) -> None:
-    assert report.sentence([green]) == "pass: 2 checks of 1 table"
-    assert report.sentence([green, red]) == "fail: 2 violations in 8 checks of 2 tables"
+    assert report([green]).line == "pass: 2 checks of 1 table"
+    assert report([green, red]).line == "fail: 2 violations in 8 checks of 2 tables"
 
 
 def test_log_lists_every_check_and_violation(red: Verdict, green: Verdict) -> None:
-    checks, violations = report.log([red]).split("\n\n")
-    assert len(checks.splitlines()) == 1 + len(red.checks)
+    violations, checks = report([red]).log().split("\n\n")
+    assert len(checks.splitlines()) == 2 + len(red.checks)
     assert violations.splitlines() == [
         "file         line  column     row               found   expected",
         "results.csv  3     RMS (pix)  001               0.9     at most 0.8",
         "results.csv        Rot (deg)  p95 of every row  0.0385  at most 0.01",
     ]
-    assert "found" not in report.log([green])
+    assert "found" not in report([green]).log()
 
 
 def test_log_lines_cannot_be_broken(hostile: Verdict) -> None:
-    log = report.log([hostile])
-    assert len(log.split("\n")) == 1 + 3 + 2 + 2
+    log = report([hostile]).log()
+    assert len(log.split("\n")) == 1 + 2 + 1 + 2 + 3
     assert "##[" not in log
     assert "\u202e" not in log
 
 
 def test_markdown(red: Verdict, hostile: Verdict) -> None:
-    text = report.markdown([red])
+    text = report([red]).markdown()
     assert text.startswith("## introspect-csv: fail: 2 violations in 6 checks of 1 table\n")
     assert "| results.csv | 3 | RMS (pix) | 001 | 0.9 | at most 0.8 |\n" in text
-    for line in report.markdown([hostile]).split("\n"):
+    for line in report([hostile]).markdown().split("\n"):
         if line.startswith("|"):
             assert line.count("|") == 7
             assert "<" not in line.replace("<br>", "")
@@ -78,11 +79,11 @@ def test_results_are_as_the_schema_says(red: Verdict, green: Verdict, hostile: V
     jsonschema.Draft202012Validator.check_schema(SCHEMA)
     empty = judge(parse_table("k,v\n", "t"), parse_rules([{"column": "v", "max": 1}], "rules"))
     for verdicts in ([red], [green], [hostile], [red, green], [empty]):
-        jsonschema.validate(json.loads(report.results_json(verdicts)), SCHEMA)
+        jsonschema.validate(json.loads(report(verdicts).written()["results.json"]), SCHEMA)
 
 
 def test_results(red: Verdict, green: Verdict) -> None:
-    results = json.loads(report.results_json([green, red]))
+    results = json.loads(report([green, red]).written()["results.json"])
     assert (results["schema"], results["verdict"], results["violations"]) == (1, "fail", 2)
     first, second = results["tables"]
     assert (first["file"], first["rows"], first["key_column"], first["verdict"]) == (
@@ -106,28 +107,28 @@ def test_results(red: Verdict, green: Verdict) -> None:
         "violations": 0,
         "verdict": "pass",
     }
-    assert report.results_json([green, red]) == report.results_json([green, red])
+    assert report([green, red]).written() == report([green, red]).written()
 
 
 def test_values(red: Verdict) -> None:
-    values = report.values([red])
+    values = report([red]).outputs["values"]
     assert [value["value"] for value in values] == [4, None, 0.7, None, 0.0385, None]
     assert {value["file"] for value in values} == {"results.csv"}
 
 
 def test_junit(red: Verdict, hostile: Verdict) -> None:
-    root = fromstring(report.junit([red]))
+    root = fromstring(report([red]).written()["junit.xml"])
     assert root.attrib["tests"] == "6"
     assert root.attrib["failures"] == "2"
     failures = root.findall(".//failure")
     assert failures[0].text == "1 violation\nresults.csv:3: RMS (pix), 001: found 0.9, expected at most 0.8"
     assert failures[1].text.endswith("results.csv: Rot (deg), p95 of every row: found 0.0385, expected at most 0.01")
     assert root.find(".//testcase[failure]").attrib["line"] == "3"
-    fromstring(report.junit([hostile]))
+    fromstring(report([hostile]).written()["junit.xml"])
 
 
 def test_annotations(red: Verdict) -> None:
-    first, second = report.annotations([red])
+    first, second = report([red]).all_annotations()
     assert (first.file, first.line, first.message) == (
         "results.csv",
         3,

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from calibration.errors import ExitCode
+from calibration.report import Outcome
 
 if TYPE_CHECKING:
     from calibration.simulation.collection.proof import Proof
@@ -259,9 +260,11 @@ def poses_csv(results: CollectionResults) -> str:
 
 def junit(results: CollectionResults) -> str:
     """The checks as JUnit XML."""
-    from calibration.workflow.junit import Case, Suite, junit_xml  # XML is slow to import
+    from calibration.report.junit import junit_xml  # XML is slow to import
 
-    calibrates = None if results.proof and results.proof.converged else "\n".join(results.reasons)
-    cases = [Case("the dataset calibrates", results.system, failure=calibrates)]
-    cases += [Case(c.name, results.system, failure=None if c.passed else str(c)) for c in results.checks]
-    return junit_xml([Suite(f"collect-data-sim {results.system}", tuple(cases))])
+    calibrates = () if results.proof and results.proof.converged else tuple(results.reasons)
+    outcomes = [Outcome(name="the dataset calibrates", group=results.system, reasons=calibrates)]
+    outcomes += [
+        Outcome(name=c.name, group=results.system, reasons=() if c.passed else (str(c),)) for c in results.checks
+    ]
+    return junit_xml({f"collect-data-sim {results.system}": outcomes})

@@ -19,6 +19,7 @@ from calibration.pipeline.collection.collecting import (
 from calibration.pipeline.collection.in_containers import ContainerRequest
 from calibration.pipeline.collection.results import Check, CollectionChecks, CollectionResults, truth_checks
 from calibration.pipeline.collection.world_file import write_world
+from calibration.report import Outcome
 
 if TYPE_CHECKING:
     from calibration.simulation.motion.sequence import Motion
@@ -285,12 +286,15 @@ def replay(results: ScenarioResults, scenario: str) -> str:
 
 
 def _junit(results: ScenarioResults) -> str:
-    from calibration.workflow.junit import Case, Suite, junit_xml  # XML is slow to import
+    from calibration.report.junit import junit_xml  # XML is slow to import
 
-    def case(world: str) -> Case:
-        why = "\n".join(results.failed.get(world, ())) or None
-        lost = world in results.errors
-        return Case(world, results.system, failure=None if lost else why, error=why if lost else None)
-
-    cases = [case(result.id) for result in results.report.results]
-    return junit_xml([Suite(f"worlds of {results.system}", tuple(cases))])
+    outcomes = [
+        Outcome(
+            name=result.id,
+            group=results.system,
+            reasons=tuple(results.failed.get(result.id, ())),
+            error=results.errors.get(result.id),
+        )
+        for result in results.report.results
+    ]
+    return junit_xml({f"worlds of {results.system}": outcomes})

@@ -15,6 +15,7 @@ from calibration.pipeline.collection.results import Check
 from calibration.pipeline.configuration import NoiseGrid
 from calibration.pipeline.convergence.convergence_map import ConvergenceMap, Noise, Pair
 from calibration.pipeline.matrix.cell import noise_text
+from calibration.report import Outcome
 
 SCHEMA = Path(__file__).with_name("convergence.schema.json")
 FILE, SUMMARY_FILE, JUNIT_FILE = "results.json", "summary.md", "junit.xml"
@@ -223,15 +224,17 @@ def _csv(header: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
 
 def junit(results: ConvergenceResults) -> str:
     """The verdict as JUnit XML: each map without noise, and each check."""
-    from calibration.workflow.junit import Case, Suite, junit_xml  # XML is slow to import
+    from calibration.report.junit import junit_xml  # XML is slow to import
 
-    def without(each: ConvergenceMap) -> Case:
-        why, lost = without_noise(each) or None, each.error is not None
-        if lost and why is None:
+    def without(each: ConvergenceMap) -> Outcome:
+        why = without_noise(each)
+        if each.error is not None and not why:
             why = "a start could not be run: see results.json"
         name = f"{each.name}: converges without noise"
-        return Case(name, each.system, failure=None if lost else why, error=why if lost else None)
+        return Outcome(name=name, group=each.system, reasons=(why,) if why else (), error=each.error)
 
-    cases = [without(each) for each in results.judged]
-    cases += [Case(c.name, "convergence", failure=None if c.passed else str(c)) for c in results.checks]
-    return junit_xml([Suite("convergence", tuple(cases))])
+    outcomes = [without(each) for each in results.judged]
+    outcomes += [
+        Outcome(name=c.name, group="convergence", reasons=() if c.passed else (str(c),)) for c in results.checks
+    ]
+    return junit_xml({"convergence": outcomes})

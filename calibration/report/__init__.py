@@ -1,0 +1,34 @@
+"""Results of any work as people and programs read them; knows nothing of calibration.
+
+A command says what it found in a :class:`Report`: its verdict, the :class:`Check` of each limit, the
+:class:`Outcome` of each unit of work, tables and notes. :func:`publish` writes and shows all of it.
+"""
+
+from calibration.report.blocks import Block, Code, Lines, Text
+from calibration.report.check import Check, at_least, at_most, expectation
+from calibration.report.outcome import Outcome, count_of, outcome_of_check
+from calibration.report.publishing import publish, remove_results
+from calibration.report.report import FILES, Report
+from calibration.report.table import Table
+from calibration.report.verdict import Verdict, verdict_of
+
+__all__ = [
+    "FILES",
+    "Block",
+    "Check",
+    "Code",
+    "Lines",
+    "Outcome",
+    "Report",
+    "Table",
+    "Text",
+    "Verdict",
+    "at_least",
+    "at_most",
+    "count_of",
+    "expectation",
+    "outcome_of_check",
+    "publish",
+    "remove_results",
+    "verdict_of",
+]

@@ -1,0 +1,81 @@
+"""Parts of a report's text, each of which can be written for the log and as Markdown."""
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import Literal
+
+from calibration.workflow.summary import code_block, escape_markdown
+from calibration.workflow.text import one_line
+
+
+@dataclass(frozen=True, kw_only=True)
+class Block(ABC):
+    """One part of a report."""
+
+    title: str = ""
+    folded: bool = False
+    """Whether the summary shows the title only, until a reader opens it."""
+    only: Literal["log", "summary"] | None = None
+    """Where it is shown; None for everywhere."""
+
+    @abstractmethod
+    def plain(self) -> str:
+        """Return it as lines for the log, without the title."""
+
+    @abstractmethod
+    def markdown(self) -> str:
+        """Return it as Markdown, without the title."""
+
+
+@dataclass(frozen=True)
+class Text(Block):
+    """A paragraph."""
+
+    text: str
+
+    def plain(self) -> str:
+        """Return the paragraph on one line."""
+        return one_line(self.text)
+
+    def markdown(self) -> str:
+        """Return the paragraph, escaped."""
+        return escape_markdown(self.text) + "\n"
+
+
+@dataclass(frozen=True)
+class Lines(Block):
+    """A list of lines."""
+
+    lines: tuple[str, ...]
+    most: int | None = None
+    """Number of lines that are shown."""
+    rest: str = "results.json"
+    """Where a reader finds the lines that are not shown."""
+
+    def plain(self) -> str:
+        """Return the lines, each safe to print."""
+        return "\n".join(map(one_line, self._shown()))
+
+    def markdown(self) -> str:
+        """Return a list."""
+        return "".join(f"- {escape_markdown(line)}\n" for line in self._shown())
+
+    def _shown(self) -> tuple[str, ...]:
+        if self.most is None or len(self.lines) <= self.most:
+            return self.lines
+        return (*self.lines[: self.most], f"and {len(self.lines) - self.most} more, see {self.rest}")
+
+
+@dataclass(frozen=True)
+class Code(Block):
+    """Output of a program, or commands to paste."""
+
+    text: str
+
+    def plain(self) -> str:
+        """Return the text, each of its lines safe to print."""
+        return "\n".join(map(one_line, self.text.splitlines()))
+
+    def markdown(self) -> str:
+        """Return a fenced block."""
+        return code_block(self.text)

@@ -1,0 +1,74 @@
+"""Checks: a value that was found, compared with what was expected."""
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+
+@dataclass(frozen=True)
+class Check:
+    """One comparison. Of a number, made by :func:`at_most` or :func:`at_least`."""
+
+    subject: str
+    """What was compared: ``RMS``, ``detection rate of left``."""
+    found: str
+    expected: str
+    passed: bool
+    value: float | None = None
+    """The number that was found, if it was one."""
+    limit: float | None = None
+    minimum: bool = False
+    """True if the limit is the smallest number that passes, False if it is the largest."""
+    unit: str = ""
+
+    def __str__(self) -> str:
+        return expectation(self.subject, self.found, self.expected)
+
+    @property
+    def document(self) -> dict[str, Any]:
+        """Entry in ``results.json`` of a check of a number."""
+        return {
+            "name": self.subject,
+            "value": self.value,
+            "limit": self.limit,
+            "at_least": self.minimum,
+            "unit": self.unit,
+            "passed": self.passed,
+        }
+
+
+def at_most(subject: str, value: float | None, limit: float, unit: str = "") -> Check:
+    """Compare a number with the largest that passes; one that is missing or not finite does not."""
+    return _limit_check(subject, value, limit, minimum=False, unit=unit)
+
+
+def at_least(subject: str, value: float | None, limit: float, unit: str = "") -> Check:
+    """Compare a number with the smallest that passes; one that is missing or not finite does not."""
+    return _limit_check(subject, value, limit, minimum=True, unit=unit)
+
+
+def expectation(subject: str, found: str, expected: str) -> str:
+    """Return the one wording for a value that is compared: ``RMS: found 0.9 px, expected at most 0.8 px``."""
+    return f"{subject}: found {found}, expected {expected}"
+
+
+def _limit_check(subject: str, value: float | None, limit: float, *, minimum: bool, unit: str) -> Check:
+    def passes(number: float) -> bool:
+        return math.isfinite(number) and (number >= limit if minimum else number <= limit)
+
+    suffix = f" {unit}" if unit else ""
+    found = "no value"
+    if value is not None:
+        short = f"{value:.4g}"
+        # a number just beyond the limit must not be rounded onto it
+        found = (short if passes(value) == passes(float(short)) else repr(float(value))) + suffix
+    return Check(
+        subject,
+        found,
+        f"at {'least' if minimum else 'most'} {limit:g}{suffix}",
+        value is not None and passes(value),
+        value,
+        limit,
+        minimum,
+        unit,
+    )

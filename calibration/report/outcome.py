@@ -1,0 +1,59 @@
+"""Result of one unit of work: a calibration, a collected dataset, a scenario, a rule over a table."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Self
+
+from calibration.errors import CalibrationError, ExitCode
+from calibration.report.check import Check
+from calibration.report.verdict import Verdict, verdict_of
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outcome:
+    """Result of one unit of work; kinds of work with numbers of their own derive from it."""
+
+    name: str
+    group: str = ""
+    """Name that reports group outcomes by, such as a system."""
+    reasons: tuple[str, ...] = ()
+    """Why the verdict is fail, one line each."""
+    error: ExitCode | None = None
+    """Set if the work could not be done because of bad input (2) or an infrastructure failure (3)."""
+    skipped: str | None = None
+    """Why the work was not done, if that is no failure."""
+    warnings: tuple[str, ...] = ()
+    """What a user should look at, although the verdict may be pass."""
+    seconds: float | None = None
+    """Duration; None if it was not measured."""
+    numbers: Mapping[str, float | None] = field(default_factory=dict)
+    """Measured values by name, for ``results.json`` and limits."""
+    files: Mapping[str, str] = field(default_factory=dict)
+    """Paths of the files that it left, relative to the output folder, by kind (``dataset``, ``table``)."""
+    file: str | None = None
+    """File of the user's that the outcome is about."""
+    line: int | None = None
+    """Line of this file; the first is 1."""
+
+    @property
+    def verdict(self) -> Verdict:
+        """Fail if there is a reason or an error."""
+        return verdict_of(not self.reasons and self.error is None)
+
+    def failing(self, *reasons: str, error: ExitCode | None = None) -> Self:
+        """Return the same outcome with more reasons to fail."""
+        return replace(self, reasons=(*self.reasons, *reasons), error=self.error if error is None else error)
+
+    def failed_by(self, error: CalibrationError) -> Self:
+        """Return the same outcome, failed by an error that stopped the work."""
+        return self.failing(str(error), error=error.exit_code)
+
+
+def outcome_of_check(check: Check, group: str) -> Outcome:
+    """Return a check as the outcome that JUnit shows."""
+    return Outcome(name=check.subject, group=group, reasons=() if check.passed else (str(check),))
+
+
+def count_of(number: int, noun: str) -> str:
+    """Return a number with its noun: ``1 table``, ``2 tables``."""
+    return f"{number} {noun}{'' if number == 1 else 's'}"

@@ -1,0 +1,104 @@
+"""Everything that a command has to say about its results."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from calibration.errors import ExitCode
+from calibration.files import write_atomically
+from calibration.report.blocks import Block, Lines
+from calibration.report.outcome import Outcome
+from calibration.report.results_json import results_json
+from calibration.report.verdict import Verdict
+from calibration.workflow.annotations import Annotation, Level
+from calibration.workflow.outputs import OutputValue
+from calibration.workflow.summary import escape_markdown
+from calibration.workflow.text import one_line
+
+RESULTS_FILE, SUMMARY_FILE, JUNIT_FILE = "results.json", "summary.md", "junit.xml"
+FILES = (RESULTS_FILE, SUMMARY_FILE, JUNIT_FILE)
+"""Written for every report."""
+REASONS_SHOWN = 50
+
+
+@dataclass(frozen=True, kw_only=True)
+class Report:
+    """Results of a command, complete and independent of where they are written."""
+
+    title: str
+    """Heading: ``introspect-csv``."""
+    verdict: Verdict
+    exit_code: ExitCode
+    sentence: str
+    """Rest of the line that begins with the verdict: ``2 violations in 4 checks of 1 table``."""
+    document: Mapping[str, Any]
+    """Content of results.json: numbers, texts, lists and mappings."""
+    outputs: Mapping[str, OutputValue]
+    """Outputs of the step, beside the verdict and the paths of the files."""
+    reasons: tuple[str, ...] = ()
+    """Why the verdict is fail, one line each: listed first, and annotated as errors."""
+    warnings: tuple[str, ...] = ()
+    """Annotated as warnings."""
+    notes: tuple[str, ...] = ()
+    """Annotated as notices."""
+    annotations: tuple[Annotation, ...] = ()
+    """Further annotations, at a file and line."""
+    annotation_title: str | None = None
+    """Title of the annotations; the report's own unless given."""
+    blocks: tuple[Block, ...] = ()
+    """Tables and lists, in their order."""
+    suites: Mapping[str, Sequence[Outcome]] | None = None
+    """Outcomes for JUnit, by suite; None for a command that writes no JUnit."""
+    files: Mapping[str, str | bytes] = field(default_factory=dict)
+    """Further files, such as tables as CSV and figures: their content by their name."""
+
+    @property
+    def line(self) -> str:
+        """The verdict in one line."""
+        return f"{self.verdict}: {self.sentence}"
+
+    def log(self) -> str:
+        """Return what the log shows above the verdict."""
+        return "\n\n".join(
+            f"{one_line(block.title)}\n{text}" if block.title else text
+            for block in self.blocks
+            if block.only != "summary" and (text := block.plain())
+        )
+
+    def markdown(self) -> str:
+        """Return the summary: the verdict, its reasons, then the blocks."""
+        parts = [f"## {escape_markdown(self.title)}: {escape_markdown(self.line)}\n"]
+        if self.reasons:
+            parts.append(Lines(self.reasons, most=REASONS_SHOWN).markdown())
+        for block in self.blocks:
+            if block.only == "log" or not (text := block.markdown()):
+                continue
+            title = escape_markdown(block.title)
+            if block.folded:
+                text = f"<details><summary>{title}</summary>\n\n{text}\n</details>\n"
+            elif title:
+                text = f"### {title}\n\n{text}"
+            parts.append(text)
+        return "\n".join(parts)
+
+    def all_annotations(self) -> list[Annotation]:
+        """Return annotations of everything that has some: first what failed."""
+        title = self.annotation_title or self.title
+        listed = ((self.reasons, Level.ERROR), (self.warnings, Level.WARNING), (self.notes, Level.NOTICE))
+        own = [Annotation(line, level, title=title) for lines, level in listed for line in lines]
+        return [*self.annotations, *own]
+
+    def written(self) -> dict[str, str | bytes]:
+        """Return the content of all files by their names."""
+        files: dict[str, str | bytes] = {**self.files, RESULTS_FILE: results_json(self.document)}
+        if self.suites is not None:
+            from calibration.report.junit import junit_xml  # XML is slow to import
+
+            files[JUNIT_FILE] = junit_xml(self.suites)
+        return files | {SUMMARY_FILE: self.markdown()}
+
+    def write(self, folder: Path) -> None:
+        """Write all files into a folder; raises :class:`calibration.errors.WorldError`."""
+        for name, content in self.written().items():
+            write_atomically(folder / name, content)

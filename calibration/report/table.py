@@ -1,0 +1,71 @@
+"""Tables of a report: for the log, Markdown and CSV."""
+
+import csv
+import io
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+from calibration.report.blocks import Block
+from calibration.workflow.summary import markdown_table
+from calibration.workflow.text import aligned
+
+
+@dataclass(frozen=True)
+class Table(Block):
+    """A header and rows of texts."""
+
+    columns: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    most_rows: int | None = None
+    """Number of rows that the log and the summary show; CSV has all."""
+    rest: str = "results.json"
+    """Where a reader finds the rows that are not shown."""
+    most_columns: int | None = None
+    """Number of columns beside the first that stand side by side in the log; the others follow below."""
+    empty: str = "-"
+    """What stands in the place of a missing value; rows of nothing else are left out where the log splits columns."""
+
+    def plain(self) -> str:
+        """Return the table with aligned columns."""
+        return "\n\n".join(aligned(part.columns, part._shown()) for part in self.parts())
+
+    def markdown(self) -> str:
+        """Return a Markdown table."""
+        return markdown_table(self.columns, self._shown())
+
+    def csv(self) -> str:
+        r"""Return the table as CSV; lines end in ``\n``."""
+        return csv_text(self.columns, self.rows)
+
+    def parts(self) -> "list[Table]":
+        """Return the table split into some that are narrow enough for the log, each with the first column."""
+        if self.most_columns is None:
+            return [self]
+        parts = []
+        for first in range(1, max(len(self.columns), 2), self.most_columns):
+            side = slice(first, first + self.most_columns)
+            rows = tuple((row[0], *row[side]) for row in self.rows if set(row[side]) - {self.empty})
+            parts.append(Table((self.columns[0], *self.columns[side]), rows, self.most_rows, self.rest))
+        return parts
+
+    def _shown(self) -> tuple[tuple[str, ...], ...]:
+        if self.most_rows is None or len(self.rows) <= self.most_rows:
+            return self.rows
+        more = f"and {len(self.rows) - self.most_rows} more, see {self.rest}"
+        return (*self.rows[: self.most_rows], (more, *[""] * (len(self.columns) - 1)))
+
+
+def csv_text(columns: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+    r"""Return a header and rows as CSV; lines end in ``\n``, None is an empty cell."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(columns)
+    writer.writerows(rows)
+    return text.getvalue()
+
+
+def shown(value: float | None, form: str, unit: str = "", empty: str = "-") -> str:
+    """Format a number for a table: ``0.42 mm``."""
+    if value is None:
+        return empty
+    return f"{value:{form}} {unit}" if unit else format(value, form)

@@ -1,0 +1,10 @@
+"""Verdict of a check, a unit of work or a whole command."""
+
+from typing import Literal, TypeAlias
+
+Verdict: TypeAlias = Literal["pass", "fail"]
+
+
+def verdict_of(passed: bool) -> Verdict:
+    """Return the word for it."""
+    return "pass" if passed else "fail"
