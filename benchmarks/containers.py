@@ -9,8 +9,8 @@ from pathlib import Path
 
 from benchmarks.rows import Bar, Row
 from benchmarks.timing import interleaved
+from calibration.docker.engine import connect, engine_available
 from calibration.execution.docker.backend import DockerBackend
-from calibration.execution.docker.engine import connect, engine_available
 from calibration.execution.job import OUTPUT, Artifact, Container, Job
 
 IMAGE = "debian:bookworm"

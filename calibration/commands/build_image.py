@@ -143,8 +143,8 @@ def _promoted(settings: Settings, specification: "ImageSpecification", runner: R
 
 
 def _promote(specification: "ImageSpecification", digest: str, settings: Settings, runner: Runner) -> tuple[str, ...]:
-    from calibration.image.registries.login import registry_login
-    from calibration.image.registries.promotion import promote
+    from calibration.registries.login import registry_login
+    from calibration.registries.promotion import promote
 
     credentials = registry_login(specification.registry, specification.name, runner)
     return tuple(promote(specification.name, digest, settings.promote, credentials, runner))
@@ -152,9 +152,9 @@ def _promote(specification: "ImageSpecification", digest: str, settings: Setting
 
 def _specification(settings: Settings) -> "ImageSpecification":
     """Read what the image is made of, with what the options say in the place of what the file says."""
-    from calibration.image.registries.credentials import RegistrySettings
-    from calibration.image.registries.reference import check_tag
     from calibration.image.specification import parse_image_specification, read_image_specification
+    from calibration.registries.credentials import RegistrySettings
+    from calibration.registries.reference import check_tag
 
     if settings.dockerfile is not None and settings.spec is not None:
         raise InputError("spec and dockerfile are both given: a specification can name a Dockerfile of your own")

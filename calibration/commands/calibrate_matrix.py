@@ -180,7 +180,7 @@ def pull(settings: Settings, runner: Runner) -> None:
     if settings.image is None:
         raise InputError("registry-username is given without the image that it is for")
     from calibration.image.pulling import pull_image
-    from calibration.image.registries.credentials import RegistrySettings
+    from calibration.registries.credentials import RegistrySettings
 
     login = RegistrySettings(username=settings.registry_username, password_variable=settings.password_variable)
     pull_image(settings.image, login, runner, TITLE)

@@ -82,7 +82,7 @@ def clean_up(run: str | None, everything: bool, dry_run: bool, runner: Runner) -
         WorldError: the engine does not answer, or something cannot be removed.
     """
     _check(run, everything)
-    from calibration.execution.docker.engine import connect
+    from calibration.docker.engine import connect
     from calibration.execution.docker.leftovers import find_leftovers, remove
 
     client = connect()

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 
 from calibration.errors import InputError, WorldError
 from calibration.image.builders.build_log import BuildLog
-from calibration.image.registries.credentials import Credentials
-from calibration.image.registries.reference import Reference, parse_reference
-from calibration.image.registries.registry import RegistryClient
+from calibration.registries.credentials import Credentials
+from calibration.registries.reference import Reference, parse_reference
+from calibration.registries.registry import RegistryClient
 from calibration.workflow.text import one_line, shorten
 
 if TYPE_CHECKING:

@@ -14,10 +14,10 @@ from calibration.image.bases import Base, fetch, local_image
 from calibration.image.builders.build_log import BuildLog
 from calibration.image.content_key import KEY_LABEL, key_tag
 from calibration.image.plan import Plan, make_plan
-from calibration.image.registries.credentials import Credentials
-from calibration.image.registries.reference import DOCKER_HUB, parse_reference
 from calibration.image.secret_values import SecretValue, read_secrets, refuse_secrets_in
 from calibration.image.specification import ImageSpecification, OwnDockerfile
+from calibration.registries.credentials import Credentials
+from calibration.registries.reference import DOCKER_HUB, parse_reference
 from calibration.workflow import Runner, group, stop_commands
 from calibration.workflow.progress import Advance, progress
 
@@ -83,7 +83,7 @@ def build_image(
         BuildFailedError: a step of the Dockerfile failed.
         WorldError: the engine, a registry or the network failed.
     """
-    from calibration.execution.docker.engine import connect, engine_errors
+    from calibration.docker.engine import connect, engine_errors
 
     begin = time.monotonic()
     push = specification.push if push is None else push
@@ -130,7 +130,7 @@ class _Work:
 
     def login(self, name: str) -> Credentials:
         """Who one is to the registry of an image; the settings are for the registry of this one."""
-        from calibration.image.registries.login import registry_login
+        from calibration.registries.login import registry_login
 
         registry = parse_reference(name).registry
         if registry not in self._logins:
@@ -170,7 +170,7 @@ class _Work:
 
     def _digest_in_registry(self, reference: str) -> str | None:
         """The digest of an image in its registry; a registry that fails is no reason not to build."""
-        from calibration.image.registries.registry import RegistryClient
+        from calibration.registries.registry import RegistryClient
 
         registry = parse_reference(reference).registry
         settings = self._specification.registry
@@ -293,8 +293,8 @@ class _Work:
 
     def _pushed(self, image: BuiltImage) -> str:
         """Bring an image and its tags to the registry; returns its digest there."""
-        from calibration.image.registries.promotion import promote
-        from calibration.image.registries.push import push_image
+        from calibration.registries.promotion import promote
+        from calibration.registries.push import push_image
 
         specification = self._specification
         credentials = self.login(image.reference)

@@ -4,8 +4,8 @@ from contextlib import closing
 
 from calibration.image.bases import fetch
 from calibration.image.builders.build_log import BuildLog
-from calibration.image.registries.credentials import RegistrySettings
-from calibration.image.registries.login import registry_login
+from calibration.registries.credentials import RegistrySettings
+from calibration.registries.login import registry_login
 from calibration.workflow import Runner, group, stop_commands
 from calibration.workflow.progress import progress
 
@@ -23,7 +23,7 @@ def pull_image(name: str, settings: RegistrySettings, runner: Runner, title: str
         InputError: there is no such image, or it may not be seen.
         WorldError: the engine or the registry cannot be reached.
     """
-    from calibration.execution.docker.engine import connect, engine_errors
+    from calibration.docker.engine import connect, engine_errors
 
     credentials = registry_login(settings, name, runner)
     with (

@@ -41,9 +41,9 @@ from typing import Any, Literal
 from calibration.errors import InputError
 from calibration.image.recipe.repositories import Repository, read_repositories
 from calibration.image.recipe.user_text import check_line, check_text, package_name
-from calibration.image.registries.credentials import RegistrySettings
-from calibration.image.registries.reference import parse_reference
 from calibration.json_schema import bundled, check_document
+from calibration.registries.credentials import RegistrySettings
+from calibration.registries.reference import parse_reference
 from calibration.variables import with_variables
 from calibration.yaml_file import read_yaml
 

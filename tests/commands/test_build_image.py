@@ -12,9 +12,9 @@ from calibration.commands import build_image
 from calibration.image import building
 from calibration.image.builders.failure import BuildFailedError
 from calibration.image.building import BuiltImage
-from calibration.image.registries import login, promotion
-from calibration.image.registries.credentials import Credentials
 from calibration.image.specification import ImageSpecification, OwnDockerfile
+from calibration.registries import login, promotion
+from calibration.registries.credentials import Credentials
 from calibration.workflow import Runner
 
 SCHEMA = json.loads(Path(building.__file__).with_name("results.schema.json").read_text())

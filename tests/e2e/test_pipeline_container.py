@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from calibration.image.registries.credentials import Credentials
-from calibration.image.registries.reference import parse_reference
-from calibration.image.registries.registry import RegistryClient
+from calibration.registries.credentials import Credentials
+from calibration.registries.reference import parse_reference
+from calibration.registries.registry import RegistryClient
 from tests.engine import Registry
 
 from .conftest import FORK, PROJECT, Repository, Run

@@ -10,11 +10,11 @@ import yaml
 
 from calibration.__main__ import load_command
 from calibration.errors import InputError
-from calibration.image.registries.promotion import promote
 from calibration.pipeline.distribution.clock import FILE
 from calibration.pipeline.distribution.needs import SECONDS
 from calibration.pipeline.distribution.plan import Plan
 from calibration.pipeline.distribution.plan_outputs import plan_outputs
+from calibration.registries.promotion import promote
 from calibration.workflow import Runner
 from tests.actions.write_inputs import options
 

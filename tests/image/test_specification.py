@@ -7,7 +7,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from calibration.errors import InputError
-from calibration.image.registries.credentials import RegistrySettings
 from calibration.image.specification import (
     CopiedFile,
     OwnDockerfile,
@@ -16,6 +15,7 @@ from calibration.image.specification import (
     parse_image_specification,
     read_image_specification,
 )
+from calibration.registries.credentials import RegistrySettings
 
 HERE = Path("somewhere")
 

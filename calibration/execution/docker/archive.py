@@ -9,8 +9,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
+from calibration.docker.engine import engine_errors
 from calibration.execution.bringing_out import Archive, NothingThereError, Opener
-from calibration.execution.docker.engine import engine_errors
 
 if TYPE_CHECKING:
     from docker import APIClient

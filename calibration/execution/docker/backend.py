@@ -11,10 +11,10 @@ from queue import Empty, SimpleQueue
 from types import TracebackType
 from typing import Self
 
+from calibration.docker.engine import EngineLostError, engine_errors, find_engine, lost
 from calibration.errors import CalibrationError, InputError, WorldError
 from calibration.execution.admission import Admission, Need
 from calibration.execution.backend import Done
-from calibration.execution.docker.engine import EngineLostError, engine_errors, find_engine, lost
 from calibration.execution.docker.images import find_images
 from calibration.execution.docker.job_run import Interrupted, JobRun, Run, lost_job
 from calibration.execution.docker.labels import RUN, Owner, new_run

@@ -7,8 +7,8 @@ from contextlib import ExitStack
 from queue import SimpleQueue
 from typing import TYPE_CHECKING, Any
 
+from calibration.docker.engine import Engine, engine_errors, lost
 from calibration.errors import CalibrationError
-from calibration.execution.docker.engine import Engine, engine_errors, lost
 from calibration.execution.docker.labels import new_run
 from calibration.execution.docker.output import attach, pieces
 from calibration.execution.docker.readiness import Probe

@@ -3,8 +3,8 @@
 from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
+from calibration.docker.engine import engine_errors, engine_message
 from calibration.errors import InputError, WorldError
-from calibration.execution.docker.engine import engine_errors, engine_message
 from calibration.workflow.text import one_line, shorten
 
 if TYPE_CHECKING:

@@ -8,12 +8,12 @@ from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING
 
+from calibration.docker.engine import Engine, EngineLostError, engine_errors
 from calibration.errors import CalibrationError, ExitCode, WorldError
 from calibration.execution.bringing_out import BringingOut, complete_or_not_at_all
 from calibration.execution.docker.archive import opener_of
 from calibration.execution.docker.container_run import GRACE, ContainerRun
 from calibration.execution.docker.copying import copy_in, open_output
-from calibration.execution.docker.engine import Engine, EngineLostError, engine_errors
 from calibration.execution.docker.labels import CONTAINER, JOB, new_run
 from calibration.execution.docker.leftovers import Leftover, remove
 from calibration.execution.docker.networks import Network, Networks

@@ -4,8 +4,8 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, Self
 
+from calibration.docker.engine import engine_errors, engine_message
 from calibration.errors import WorldError
-from calibration.execution.docker.engine import engine_errors, engine_message
 from calibration.execution.docker.labels import CONTAINER, JOB, RUN, Owner
 
 if TYPE_CHECKING:

@@ -11,8 +11,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from calibration.docker.engine import EngineLostError, engine_errors
 from calibration.errors import CalibrationError, WorldError
-from calibration.execution.docker.engine import EngineLostError, engine_errors
 from calibration.execution.docker.labels import new_run
 
 if TYPE_CHECKING:

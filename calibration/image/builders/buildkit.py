@@ -18,8 +18,8 @@ from calibration.image.builders.problems import build_problem
 from calibration.image.builders.processes import lines_of
 from calibration.image.builders.programs import Program, docker_environment
 from calibration.image.builders.request import BuildRequest
-from calibration.image.registries.credentials import Credentials
 from calibration.image.secret_values import secret_files
+from calibration.registries.credentials import Credentials
 
 _VERTEX = re.compile(r"^#(\d+) (.*)$")
 _STEP = re.compile(r"^\[(?:\S+ +)?(\d+)/(\d+)\] (.*)$")

@@ -5,8 +5,8 @@ import json
 import os
 from pathlib import Path
 
-from calibration.image.registries.credentials import Credentials
-from calibration.image.registries.reference import DOCKER_HUB
+from calibration.registries.credentials import Credentials
+from calibration.registries.reference import DOCKER_HUB
 
 
 def write_login(credentials: Credentials, folder: Path) -> dict[str, str]:

@@ -15,7 +15,7 @@ from calibration.image.builders import programs
 from calibration.image.builders.login_file import write_login
 from calibration.image.builders.processes import lines_of
 from calibration.image.builders.programs import Program, find_buildkit
-from calibration.image.registries.credentials import Credentials
+from calibration.registries.credentials import Credentials
 from tests.engine import wait_until
 from tests.processes import runs
 

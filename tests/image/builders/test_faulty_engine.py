@@ -12,9 +12,9 @@ from calibration.image.builders.engine import build_by_engine
 from calibration.image.builders.failure import BuildFailedError
 from calibration.image.builders.request import BuildRequest
 from calibration.image.context import Context
-from calibration.image.registries.credentials import Credentials
+from calibration.registries.credentials import Credentials
 from calibration.workflow import Runner
-from tests.image.registries.server import Reply, serve
+from tests.registries.server import Reply, serve
 
 STEP = {"stream": "Step 1/1 : RUN x"}
 

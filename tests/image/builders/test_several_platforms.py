@@ -17,8 +17,8 @@ from calibration.image.builders.failure import BuildFailedError
 from calibration.image.builders.programs import Program
 from calibration.image.builders.request import BuildRequest
 from calibration.image.context import Context
-from calibration.image.registries.credentials import Credentials
 from calibration.image.secret_values import SecretValue
+from calibration.registries.credentials import Credentials
 from calibration.workflow import Runner
 
 DIGEST = f"sha256:{'d' * 64}"

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from calibration.docker.engine import find_engine
 from calibration.execution.docker import backend as backend_module
-from calibration.execution.docker.engine import find_engine
 from calibration.execution.docker.labels import RUN, new_run
 from calibration.execution.docker.leftovers import find_leftovers, remove
 from calibration.execution.docker.networks import Networks

@@ -5,8 +5,8 @@ from typing import Any
 
 import pytest
 
-from calibration.image.registries.reference import parse_reference
-from calibration.image.registries.registry import RegistryClient
+from calibration.registries.reference import parse_reference
+from calibration.registries.registry import RegistryClient
 from tests.engine import Registry
 from tests.integration.image.builds import Builds, builds
 

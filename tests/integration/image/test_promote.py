@@ -6,15 +6,15 @@ from typing import TYPE_CHECKING
 import pytest
 
 from calibration.errors import InputError
-from calibration.image.registries.credentials import Credentials, RegistrySettings
-from calibration.image.registries.login import registry_login
-from calibration.image.registries.promotion import promote
-from calibration.image.registries.push import push_image
-from calibration.image.registries.registry import Manifest, RegistryClient
+from calibration.registries.credentials import Credentials, RegistrySettings
+from calibration.registries.login import registry_login
+from calibration.registries.promotion import promote
+from calibration.registries.push import push_image
+from calibration.registries.registry import Manifest, RegistryClient
 from calibration.workflow import Runner
 from tests.engine import Registry
-from tests.image.registries.server import Reply, Request
 from tests.integration.image.registries import faulty, fresh_name, small_image
+from tests.registries.server import Reply, Request
 
 if TYPE_CHECKING:
     from docker import DockerClient

@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING
 import pytest
 
 from calibration.errors import CalibrationError, InputError, WorldError
-from calibration.image.registries.credentials import Credentials
-from calibration.image.registries.push import push_image
-from calibration.image.registries.registry import RegistryClient
+from calibration.registries.credentials import Credentials
+from calibration.registries.push import push_image
+from calibration.registries.registry import RegistryClient
 from calibration.workflow import Runner
 from calibration.workflow.progress import progress
 from tests.engine import Registry
-from tests.image.registries.server import Reply, Request, serve
 from tests.integration.image.registries import faulty, fresh_name, small_image
+from tests.registries.server import Reply, Request, serve
 
 if TYPE_CHECKING:
     from docker import DockerClient

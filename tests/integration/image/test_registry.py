@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING
 import pytest
 
 from calibration.errors import InputError
-from calibration.image.registries.credentials import Credentials
-from calibration.image.registries.registry import Manifest, RegistryClient
+from calibration.registries.credentials import Credentials
+from calibration.registries.registry import Manifest, RegistryClient
 from tests.engine import Registry
 from tests.integration.image.registries import fresh_name, small_image
 

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Any
 from calibration.aws_errors import aws_errors, error_code
 from calibration.errors import InputError
 from calibration.execution.batch.service.session import Aws
-from calibration.image.registries.ecr import parse_host
-from calibration.image.registries.reference import Reference, parse_reference
+from calibration.registries.ecr import parse_host
+from calibration.registries.reference import Reference, parse_reference
 
 if TYPE_CHECKING:
     from botocore.exceptions import ClientError

@@ -9,10 +9,10 @@ from typing import Self
 from urllib.parse import quote
 
 from calibration.errors import InputError, WorldError
-from calibration.image.registries.challenge import basic, fetch_token, parse_challenge
-from calibration.image.registries.credentials import Credentials
-from calibration.image.registries.reference import DOCKER_HUB, Reference, is_digest, is_loopback, parse_reference
-from calibration.image.registries.transport import CONNECT_SECONDS, READ_SECONDS, Answer, Transport
+from calibration.registries.challenge import basic, fetch_token, parse_challenge
+from calibration.registries.credentials import Credentials
+from calibration.registries.reference import DOCKER_HUB, Reference, is_digest, is_loopback, parse_reference
+from calibration.registries.transport import CONNECT_SECONDS, READ_SECONDS, Answer, Transport
 from calibration.workflow.text import one_line, shorten
 
 MEDIA_TYPES = (

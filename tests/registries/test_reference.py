@@ -3,7 +3,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from calibration.errors import InputError
-from calibration.image.registries.reference import Reference, check_tag, is_loopback, parse_reference
+from calibration.registries.reference import Reference, check_tag, is_loopback, parse_reference
 
 DIGEST = "sha256:" + "0123456789abcdef" * 4
 

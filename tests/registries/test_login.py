@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from calibration.errors import CalibrationError, InputError, WorldError
-from calibration.image.registries.credentials import Credentials, RegistrySettings
-from calibration.image.registries.login import registry_login
+from calibration.registries.credentials import Credentials, RegistrySettings
+from calibration.registries.login import registry_login
 from calibration.workflow import Runner
 
 PASSWORD = "pl4nted-password"  # noqa: S105

@@ -6,11 +6,11 @@ from collections.abc import Iterator
 import pytest
 
 from calibration.errors import CalibrationError, InputError, WorldError
-from calibration.image.registries.credentials import RegistrySettings
-from calibration.image.registries.ecr import ecr_credentials, is_ecr, parse_host
-from calibration.image.registries.login import registry_login
+from calibration.registries.credentials import RegistrySettings
+from calibration.registries.ecr import ecr_credentials, is_ecr, parse_host
+from calibration.registries.login import registry_login
 from calibration.workflow import Runner
-from tests.image.registries.server import Reply, serve
+from tests.registries.server import Reply, serve
 
 ACCOUNT = "123456789012"
 HOST = f"{ACCOUNT}.dkr.ecr.eu-west-1.amazonaws.com"

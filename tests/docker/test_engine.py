@@ -11,13 +11,13 @@ pytest.importorskip("docker")
 import docker.errors
 import requests
 
-from calibration.errors import InputError, WorldError
-from calibration.execution.docker.engine import (
+from calibration.docker.engine import (
     EngineLostError,
     connect,
     engine_available,
     engine_errors,
 )
+from calibration.errors import InputError, WorldError
 
 
 @pytest.mark.parametrize(

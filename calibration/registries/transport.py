@@ -8,7 +8,7 @@ from urllib.parse import urljoin, urlsplit
 
 from calibration.errors import WorldError
 from calibration.http import innermost_cause, no_other_password, retry_after
-from calibration.image.registries.reference import is_loopback
+from calibration.registries.reference import is_loopback
 from calibration.workflow import redact
 from calibration.workflow.text import one_line, shorten
 

@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 
 from calibration.errors import CalibrationError, InputError, WorldError
-from calibration.image.registries.credentials import Credentials
-from calibration.image.registries.registry import MEDIA_TYPES, Manifest, RegistryClient
-from tests.image.registries.server import Reply, Request, Server, serve
+from calibration.registries.credentials import Credentials
+from calibration.registries.registry import MEDIA_TYPES, Manifest, RegistryClient
+from tests.registries.server import Reply, Request, Server, serve
 
 INDEX, _, OCI, DOCKER = MEDIA_TYPES
 PASSWORD = "pl4nted-pässword/+"  # noqa: S105

@@ -6,11 +6,11 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from calibration.errors import CalibrationError, InputError, WorldError
-from calibration.image.registries.credentials import Credentials
-from calibration.image.registries.promotion import tag_image
-from calibration.image.registries.push_progress import PushProgress
-from calibration.image.registries.reference import Reference, is_digest, parse_reference
-from calibration.image.registries.registry import RegistryClient, denied
+from calibration.registries.credentials import Credentials
+from calibration.registries.promotion import tag_image
+from calibration.registries.push_progress import PushProgress
+from calibration.registries.reference import Reference, is_digest, parse_reference
+from calibration.registries.registry import RegistryClient, denied
 from calibration.workflow import redact
 from calibration.workflow.progress import Advance
 from calibration.workflow.text import one_line, shorten

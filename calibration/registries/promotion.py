@@ -3,9 +3,9 @@
 from collections.abc import Sequence
 
 from calibration.errors import InputError
-from calibration.image.registries.credentials import Credentials
-from calibration.image.registries.reference import Reference, check_tag, is_digest, parse_reference
-from calibration.image.registries.registry import Manifest, RegistryClient
+from calibration.registries.credentials import Credentials
+from calibration.registries.reference import Reference, check_tag, is_digest, parse_reference
+from calibration.registries.registry import Manifest, RegistryClient
 from calibration.workflow import Runner
 
 

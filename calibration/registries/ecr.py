@@ -7,8 +7,8 @@ from typing import Any
 
 from calibration.aws_errors import aws_errors
 from calibration.errors import WorldError
-from calibration.image.registries.credentials import Credentials
-from calibration.image.registries.reference import Reference, parse_reference
+from calibration.registries.credentials import Credentials
+from calibration.registries.reference import Reference, parse_reference
 from calibration.workflow import Runner, add_mask
 
 PUBLIC = "public.ecr.aws"

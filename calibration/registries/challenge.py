@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from urllib.parse import urlencode, urlsplit
 
 from calibration.errors import WorldError
-from calibration.image.registries.credentials import Credentials
-from calibration.image.registries.reference import is_loopback
-from calibration.image.registries.transport import Transport
+from calibration.registries.credentials import Credentials
+from calibration.registries.reference import is_loopback
+from calibration.registries.transport import Transport
 from calibration.workflow.text import one_line, shorten
 
 _SCHEME = re.compile(r"(?:^|,)\s*(bearer|basic)\b", re.IGNORECASE)

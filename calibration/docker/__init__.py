@@ -1,0 +1,1 @@
+"""The Docker Engine: the client, and its errors in words for users."""
