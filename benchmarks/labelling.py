@@ -11,6 +11,7 @@ import numpy as np
 from benchmarks.rows import Bar, Row
 from benchmarks.shared_data import FOLDER, ROOT, load, missing
 from benchmarks.timing import seconds
+from calibration.dataset.modalities import LIDAR3D
 from calibration.dataset.model import CornerLabels, Dataset, PointLabels
 from calibration.dataset.pointcloud import read_points
 from calibration.dataset.reading import read_dataset
@@ -163,7 +164,7 @@ def _clouds(seeds: int) -> Iterator[Row]:
     """The clouds of rlbot from guesses that are 5 cm and 3 degrees off, each its own; as good as the truth's labels?"""
     folder = ROOT / "datasets" / "rlbot"
     dataset, truth = read_dataset(folder), read_truth(folder / "ground_truth.json")
-    lidar = next(sensor for sensor in dataset.sensors.values() if sensor.modality == "lidar3d")
+    lidar = next(sensor for sensor in dataset.sensors.values() if sensor.modality == LIDAR3D)
     errors, times, found = [], [], []
     for seed in range(seeds):
         collections = []
@@ -198,7 +199,7 @@ def _clouds(seeds: int) -> Iterator[Row]:
 def _wrong_guess(dataset: Dataset, folder: Path, i: int, random: np.random.Generator) -> tuple[object, Array]:
     truth = read_truth(folder / "ground_truth.json")
     (pattern,) = dataset.patterns.values()
-    lidar = next(sensor for sensor in dataset.sensors.values() if sensor.modality == "lidar3d")
+    lidar = next(sensor for sensor in dataset.sensors.values() if sensor.modality == LIDAR3D)
     T_world_lidar = dataset.with_transforms(truth.transforms).transform(dataset.world, lidar.frame)[i]
     ((_, T_world_pattern),) = truth.patterns[dataset.keys[i]].items()
     shift, turn = (v / np.linalg.norm(v) for v in random.normal(size=(2, 3)))

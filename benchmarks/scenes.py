@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
+from calibration.dataset.modalities import RGB
 from calibration.dataset.model import Collection, CornerLabels, Dataset, Sensor
 from calibration.dataset.pattern import Pattern, grid, outline
 from calibration.geometry.cameras import Camera
@@ -48,7 +49,7 @@ def rig(collections: int, cameras: int = 2, seed: int = 0, noise: float = 0.3) -
         path=Path("rig/dataset.json"),
         version="3.0",
         world="world",
-        sensors={n: Sensor(n, "rgb", f"{n}_link", "world", f"{n}_link", CAMERA) for n in names},
+        sensors={n: Sensor(n, RGB, f"{n}_link", "world", f"{n}_link", CAMERA) for n in names},
         patterns={pattern.name: pattern},
         anchored=names[0],
         additional_transforms=(),

@@ -11,6 +11,7 @@ before which the arm turns enough; the other fixed ones are placed afterwards by
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from calibration.dataset.modalities import RGB
 from calibration.dataset.model import Dataset, Edge, Sensor
 from calibration.dataset.pattern import Pattern
 from calibration.errors import InputError, UndeterminedError
@@ -51,7 +52,7 @@ class ArmViews:
 
 def why_not_arm(dataset: Dataset) -> str | None:
     """One line that says why hand-eye methods do not apply to a dataset; None if they do."""
-    others = [s for s in dataset.sensors.values() if s.modality != "rgb"]
+    others = [s for s in dataset.sensors.values() if s.modality != RGB]
     if others:
         return f"it needs cameras only, and '{others[0].name}' is {others[0].modality}"
     if dataset.additional_transforms:

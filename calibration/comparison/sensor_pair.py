@@ -2,13 +2,15 @@
 
 from dataclasses import replace
 
+from calibration.dataset.modalities import DEPTH, LIDAR3D, RGB, Modality
 from calibration.dataset.model import Dataset, Sensor
 from calibration.geometry.transforms import distance, inverse
 from calibration.geometry.types import Array
 
-Modalities = tuple[str, ...]
-CAMERAS: Modalities = ("rgb",)
-RANGE_SENSORS: Modalities = ("lidar3d", "depth")
+Modalities = tuple[Modality, ...]
+CAMERAS: Modalities = (RGB,)
+RANGE_SENSORS: Modalities = (LIDAR3D, DEPTH)
+"""Those whose views of a pattern are surfaces."""
 
 
 def pair_of(dataset: Dataset, modalities: Modalities) -> tuple[Sensor, Sensor]:

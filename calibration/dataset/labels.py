@@ -6,25 +6,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from calibration.dataset import pointcloud
 from calibration.dataset.corners import read_corners
-from calibration.dataset.depth_image import DepthImage, read_depth_image
 from calibration.dataset.document import Node, NotNumbersError, integers
-from calibration.dataset.laser_scan import read_scan
-from calibration.dataset.model import Collection, CornerLabels, Labels, Modality, PointLabels, Sensor
+from calibration.dataset.modalities import IndexedPoints, PointData
+from calibration.dataset.model import Collection, CornerLabels, Labels, PointLabels, Sensor
 from calibration.dataset.pattern import Pattern
-from calibration.dataset.payload import locate
-from calibration.errors import InputError
 from calibration.geometry.types import Array, BoolArray, IntArray
 
 MAX_POINTS = 1 << 40
 """More points than any cloud, scan or depth image has."""
-_POINTS: Mapping[Modality, tuple[str, str]] = {
-    "lidar3d": ("cloud's {} points", "point {} of the cloud is not finite; a labelled point must be"),
-    "lidar2d": ("scan's {} rays", "ray {} of the scan has no range; a labelled ray must"),
-    "depth": ("image's {} pixels", "pixel {} of the image has no depth (or no ray); a labelled pixel must"),
-}
-"""By modality, in the words of error messages: what an index counts, and that there is nothing at one."""
 
 
 class _Detection(NamedTuple):
@@ -54,7 +44,7 @@ def read_labels(
                 if sensor not in sensors:
                     raise label.fault(f"no sensor '{sensor}' in the dataset (sensors: {', '.join(sensors)})")
                 if label["detected"].flag() and (idxs := label["idxs"]).sequence():
-                    kind = corners if sensors[sensor].modality == "rgb" else points
+                    kind = corners if sensors[sensor].modality.points is None else points
                     kind.append(_Detection(i, pattern, sensor, label, idxs))
     found: list[dict[tuple[str, str], Labels]] = [{} for _ in collections]
     everything: list[tuple[_Detection, Labels]] = [
@@ -103,58 +93,51 @@ def _read_points(
     if not detections:
         return
     batch, index = _read_indices([detection.idxs for detection in detections])
-    limit_lists = [_limits(detection.label, sensors[detection.sensor]) for detection in detections]
+    data_of = [_point_data(sensors[detection.sensor]) for detection in detections]
+    limit_lists = [_limits(each.label, data) for each, data in zip(detections, data_of, strict=True)]
     limit_batch, limits = _read_indices(limit_lists)
     positions, missing = batch.find(index, limit_batch, limits)
     if missing is not None:
         i, position = missing
         raise _element(limit_lists[i], position).unexpected("one of 'idxs'")
     points = np.empty((len(index), 3))
-    clouds: dict[str, pointcloud.Cloud | DepthImage] = {}  # of one collection; more need not fit into memory
+    clouds: dict[str, IndexedPoints] = {}  # of one collection; more need not fit into memory
     collection = None
-    for detection, part in zip(detections, batch.parts, strict=True):
+    for detection, data, part in zip(detections, data_of, batch.parts, strict=True):
         if detection.collection != collection:
             collection, clouds = detection.collection, {}
         if detection.sensor not in clouds:
-            data = collections[collection]["data"][detection.sensor]
-            clouds[detection.sensor] = _read_cloud(data, sensors[detection.sensor])
+            message = collections[collection]["data"][detection.sensor]
+            clouds[detection.sensor] = data.read(message, sensors[detection.sensor].camera)
         cloud = clouds[detection.sensor]
         try:
-            points[part] = cloud.take(index[part]) if isinstance(cloud, DepthImage) else cloud.take(index[part], axis=0)
+            points[part] = cloud.take(index[part])
         except IndexError:
             wrong = _element(detection.idxs, int((index[part] >= len(cloud)).argmax()))
-            what, _ = _POINTS[sensors[detection.sensor].modality]
-            raise wrong.unexpected(f"the index of one of the {what.format(len(cloud))}") from None
+            raise wrong.unexpected(f"the index of one of the {data.count.format(len(cloud))}") from None
     if not np.isfinite(points).all():
         i, position = batch.place(int(np.isfinite(points).all(-1).argmin()))
-        _, nothing = _POINTS[sensors[detections[i].sensor].modality]
-        raise _element(detections[i].idxs, position).fault(nothing.format(index[batch.parts[i]][position]))
+        nothing = data_of[i].nothing.format(index[batch.parts[i]][position])
+        raise _element(detections[i].idxs, position).fault(nothing)
     points.flags.writeable = positions.flags.writeable = False
     for part, limit_part in zip(batch.parts, limit_batch.parts, strict=True):
         yield PointLabels(points[part], positions[limit_part])
 
 
-def _limits(label: Node, sensor: Sensor) -> Node:
-    """The limit points; ATOM has another key for those of a 2D LiDAR."""
-    if sensor.modality != "lidar2d":
-        return label["idxs_limit_points"]
-    if node := label.get("idxs_limit_points") or label.get("edge_idxs"):
+def _point_data(sensor: Sensor) -> PointData:
+    if sensor.modality.points is None:
+        raise AssertionError(f"labels of a sensor {sensor.modality} are corners")
+    return sensor.modality.points
+
+
+def _limits(label: Node, data: PointData) -> Node:
+    """The limit points, under the first of their keys that is there."""
+    *others, last = data.limits
+    if node := next((node for key in others if (node := label.get(key))), None) or label.get(last):
         return node
-    raise label.fault("missing key 'idxs_limit_points' or 'edge_idxs'")
-
-
-def _read_cloud(data: Node, sensor: Sensor) -> pointcloud.Cloud | DepthImage:
-    """What a sensor measured in a collection: a scan's ranges, a cloud's inline ``data``, else the file."""
-    if sensor.modality == "lidar2d":
-        return read_scan(data)
-    if sensor.camera is None and data.get("data"):
-        return pointcloud.decode_message(data)
-    name = data["data_file"]
-    path = locate(name)
-    try:
-        return pointcloud.read_points(path) if sensor.camera is None else read_depth_image(path, sensor.camera)
-    except InputError as error:
-        raise name.fault(str(error)) from None
+    if not others:
+        return label[last]
+    raise label.fault(f"missing key {' or '.join(map(repr, data.limits))}")
 
 
 def _read_indices(lists: Sequence[Node]) -> "tuple[_Batch, IntArray]":

@@ -7,10 +7,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
+from calibration.dataset.modalities import Modality
 from calibration.dataset.pattern import Pattern
 from calibration.errors import InputError
 from calibration.geometry.cameras import Camera
@@ -19,7 +20,6 @@ from calibration.geometry.joints import JointModel, JointParameter
 from calibration.geometry.transforms import inverse
 from calibration.geometry.types import Array, IntArray
 
-Modality = Literal["rgb", "lidar3d", "lidar2d", "depth"]
 Edge = tuple[str, str]
 """(parent, child); in a file it is the key ``parent-child``."""
 
@@ -35,7 +35,7 @@ class Sensor:
     calibration_parent: str
     calibration_child: str
     camera: Camera | None = None
-    """The intrinsics, of an rgb or depth sensor."""
+    """The intrinsics, of a modality that has them."""
 
     @property
     def edge(self) -> Edge:

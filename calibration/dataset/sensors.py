@@ -1,11 +1,12 @@
 """The sensors of a dataset: frames, calibrated transforms and intrinsics, checked against the configuration."""
 
 from collections.abc import Mapping
-from typing import Any, get_args
+from typing import Any
 
 from calibration.dataset.configuration import SensorConfiguration
 from calibration.dataset.document import Node
-from calibration.dataset.model import Modality, Sensor
+from calibration.dataset.modalities import MODALITIES
+from calibration.dataset.model import Sensor
 from calibration.geometry.cameras import Camera
 from calibration.geometry.distortion import MODELS, Distortion, PlumbBob
 
@@ -35,19 +36,19 @@ def read_sensors(node: Node, configuration: Mapping[str, SensorConfiguration]) -
     for name, entry in node.items():
         if name not in configuration:
             raise entry.fault(f"sensor '{name}' is missing in calibration_config/sensors")
-        modality = entry["modality"].text()
-        if modality not in get_args(Modality):
-            raise entry["modality"].unexpected(f"a known modality of sensor '{name}': {', '.join(get_args(Modality))}")
+        modality = MODALITIES.get(entry["modality"].text())
+        if modality is None:
+            raise entry["modality"].unexpected(f"a known modality of sensor '{name}': {', '.join(MODALITIES)}")
         for key, twin in _TWINS.items():
             if entry[key].name() != (expected := getattr(configuration[name], twin)):
                 raise entry[key].unexpected(f"'{expected}' as in calibration_config/sensors/{name}/{twin}")
         sensors[name] = Sensor(
             name=name,
-            modality=entry["modality"].value,
+            modality=modality,
             frame=entry["parent"].value,
             calibration_parent=entry["calibration_parent"].value,
             calibration_child=entry["calibration_child"].value,
-            camera=read_camera(entry["camera_info"]) if modality in ("rgb", "depth") else None,
+            camera=read_camera(entry["camera_info"]) if modality.has_intrinsics else None,
         )
     return sensors
 

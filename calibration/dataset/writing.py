@@ -12,6 +12,7 @@ from calibration.dataset.document import Node
 from calibration.dataset.edges import is_constant, read_transforms, transform_documents
 from calibration.dataset.joints import joint_document
 from calibration.dataset.json_text import json_text
+from calibration.dataset.modalities import RGB
 from calibration.dataset.model import Dataset, Edge
 from calibration.dataset.pattern import Pattern
 from calibration.dataset.pattern_document import pattern_document
@@ -160,7 +161,7 @@ def _initial_poses(dataset: Dataset, pattern: Pattern) -> dict[str, Any]:
     edge = (pattern.parent_link, pattern.link)
     poses = {}
     for i, collection in enumerate(dataset.collections):
-        cameras = [s for p, s in collection.labels if p == pattern.name and dataset.sensors[s].modality == "rgb"]
+        cameras = [s for p, s in collection.labels if p == pattern.name and dataset.sensors[s].modality == RGB]
         T = dataset.transforms[edge][i] if edge in dataset.transforms else None
         if cameras and T is not None and np.isfinite(T).all():
             poses[collection.key] = {"detected": True, "sensor": cameras[0], **transform_documents(edge, T[None])[0]}
@@ -192,7 +193,7 @@ def _bring_payload(dataset: Dataset, folder: Path, images: bool) -> None:
     for key in dataset.keys:
         data = dataset.document["collections"][key].get("data")
         for sensor, message in data.items() if isinstance(data, dict) else ():
-            if sensor in dataset.sensors and (images or dataset.sensors[sensor].modality != "rgb"):
+            if sensor in dataset.sensors and (images or dataset.sensors[sensor].modality.points):
                 with suppress(InputError):  # what is wrong here has no label: reading did not need it
                     _bring(Node(dataset.path, ("collections", key, "data", sensor), message)["data_file"], folder)
 

@@ -5,7 +5,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calibration.dataset.model import CornerLabels, Dataset, Edge, Labels, Modality, PointLabels, Sensor
+from calibration.dataset.modalities import DEPTH, LIDAR2D, LIDAR3D, Modality
+from calibration.dataset.model import CornerLabels, Dataset, Edge, Labels, PointLabels, Sensor
 from calibration.dataset.pattern import Pattern
 from calibration.errors import InputError, UndeterminedError
 from calibration.estimation.depth_border import depth_border_rays
@@ -194,9 +195,9 @@ def _terms(sensor: Sensor, pattern: Pattern, labels: list[Labels]) -> tuple[Term
 
 
 _KINDS: Mapping[Modality, tuple[NoiseKind, NoiseKind]] = {
-    "lidar3d": ("range", "border"),
-    "lidar2d": ("lidar2d_range", "lidar2d_border"),
-    "depth": ("range", "depth_border"),
+    LIDAR3D: ("range", "border"),
+    LIDAR2D: ("lidar2d_range", "lidar2d_border"),
+    DEPTH: ("range", "depth_border"),
 }
 """How the ranges and the border points of a modality err."""
 

@@ -15,6 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from calibration.dataset.modalities import LIDAR2D
 from calibration.errors import InputError, UndeterminedError
 from calibration.estimation.build import Setup
 from calibration.estimation.planar_pose import mean_pose
@@ -243,7 +244,7 @@ class _Search:
         return [(group, group.terms[0]) for group in groups if isinstance(group.terms[0], RangeTerm)]
 
     def _is_2d(self, group: ViewGroup) -> bool:
-        return self.setup.dataset.sensors[group.sensor].modality == "lidar2d"
+        return self.setup.dataset.sensors[group.sensor].modality == LIDAR2D
 
     def _aligned(self, block: int, inverted: bool, cuts: bool, views: list["_RangeViews"]) -> bool:
         """Whether views ``T_sensor_pattern = before X after``, X a block or its inverse, have given the block."""

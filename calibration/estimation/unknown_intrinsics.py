@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from calibration.dataset.modalities import RGB
 from calibration.dataset.model import CornerLabels, Dataset
 from calibration.errors import InputError
 from calibration.estimation.intrinsics import CalibratedIntrinsics, FreeIntrinsics, Prior
@@ -38,7 +39,7 @@ def intrinsics_blocks(
     Raises:
         InputError: a sensor is unknown or no rgb camera; what is known is of none of the cameras, or of another lens.
     """
-    cameras = {name: sensor for name, sensor in dataset.sensors.items() if sensor.modality == "rgb" and sensor.camera}
+    cameras = {name: sensor for name, sensor in dataset.sensors.items() if sensor.modality == RGB and sensor.camera}
     for name in wanted:
         if name != ALL and name not in cameras:
             what = f"a {dataset.sensors[name].modality} sensor" if name in dataset.sensors else "no sensor"

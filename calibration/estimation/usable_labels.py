@@ -5,7 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from calibration.dataset.model import CornerLabels, Dataset, Labels, Modality
+from calibration.dataset.modalities import LIDAR2D, Modality
+from calibration.dataset.model import CornerLabels, Dataset, Labels
 from calibration.errors import InputError, UndeterminedError
 from calibration.estimation.planar_pose import planar_poses
 
@@ -76,7 +77,7 @@ def _too_few(label: Labels, modality: Modality) -> str:
     if isinstance(label, CornerLabels):
         count, minimum, what = len(label.ids), MINIMUM_CORNERS, "corners"
     else:
-        minimum = MINIMUM_SCAN_POINTS if modality == "lidar2d" else MINIMUM_POINTS
+        minimum = MINIMUM_SCAN_POINTS if modality == LIDAR2D else MINIMUM_POINTS
         count, what = len(label.points), "points"
     return f"{count} {what}, at least {minimum} are needed" if count < minimum else ""
 

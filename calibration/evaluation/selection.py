@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable
 
+from calibration.dataset.modalities import DEPTH, LIDAR3D, RGB, Modality, of_family
 from calibration.dataset.model import Dataset, Sensor
 from calibration.dataset.pattern import Pattern
 from calibration.errors import InputError
@@ -25,7 +26,7 @@ def camera_of(dataset: Dataset, name: str) -> tuple[Sensor, Camera]:
     Raises:
         InputError: the dataset has no such sensor, or it is no camera.
     """
-    sensor = _of_modality(dataset, name, "rgb")
+    sensor = _of_modality(dataset, name, RGB)
     if sensor.camera is None:
         raise InputError(f"{dataset.path}: sensor '{name}' has no intrinsics")
     return sensor, sensor.camera
@@ -37,7 +38,7 @@ def lidar_of(dataset: Dataset, name: str) -> Sensor:
     Raises:
         InputError: the dataset has no such sensor, or it is no LiDAR.
     """
-    return _of_modality(dataset, name, "lidar3d", "lidar2d")
+    return _of_modality(dataset, name, *of_family("lidar"))
 
 
 def lidar3d_of(dataset: Dataset, name: str) -> Sensor:
@@ -46,7 +47,7 @@ def lidar3d_of(dataset: Dataset, name: str) -> Sensor:
     Raises:
         InputError: the dataset has no such sensor, or it is no 3D LiDAR.
     """
-    return _of_modality(dataset, name, "lidar3d")
+    return _of_modality(dataset, name, LIDAR3D)
 
 
 def depth_of(dataset: Dataset, name: str) -> tuple[Sensor, Camera]:
@@ -55,17 +56,17 @@ def depth_of(dataset: Dataset, name: str) -> tuple[Sensor, Camera]:
     Raises:
         InputError: the dataset has no such sensor, or it is no depth camera.
     """
-    sensor = _of_modality(dataset, name, "depth")
+    sensor = _of_modality(dataset, name, DEPTH)
     if sensor.camera is None:
         raise InputError(f"{dataset.path}: sensor '{name}' has no intrinsics")
     return sensor, sensor.camera
 
 
-def _of_modality(dataset: Dataset, name: str, *modalities: str) -> Sensor:
+def _of_modality(dataset: Dataset, name: str, *modalities: Modality) -> Sensor:
     sensor = sensor_of(dataset, name)
     if sensor.modality not in modalities:
         others = (s.name for s in dataset.sensors.values() if s.modality in modalities)
-        wanted = " or ".join(modalities)
+        wanted = " or ".join(map(str, modalities))
         raise InputError(
             f"{dataset.path}: sensor '{name}' is {sensor.modality}, not {wanted} ({wanted}: {_names(others)})"
         )

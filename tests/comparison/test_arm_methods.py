@@ -9,6 +9,7 @@ import pytest
 from calibration.comparison import opencv_arm
 from calibration.comparison.arm import why_not_arm
 from calibration.comparison.methods import METHODS
+from calibration.dataset.modalities import DEPTH
 from calibration.dataset.model import CornerLabels, Dataset
 from calibration.dataset.reading import read_dataset
 from calibration.errors import InputError, UndeterminedError
@@ -212,7 +213,7 @@ def test_why_it_does_not_apply():
     for other, reason in (
         (replace(dataset, sensors={"scan": lidar("scan")}), "it needs cameras only, and 'scan' is lidar3d"),
         (
-            replace(dataset, sensors={"eye": replace(dataset.sensors["eye"], modality="depth")}),
+            replace(dataset, sensors={"eye": replace(dataset.sensors["eye"], modality=DEPTH)}),
             "it needs cameras only, and 'eye' is depth",
         ),
         (

@@ -8,6 +8,7 @@ import pytest
 
 from calibration.comparison.methods import METHODS
 from calibration.comparison.opencv_stereo import opencv_stereo, opencv_stereo_fixed, why_not_stereo
+from calibration.dataset.modalities import DEPTH
 from calibration.dataset.model import Dataset
 from calibration.dataset.reading import read_dataset
 from calibration.errors import InputError, UndeterminedError, WorldError
@@ -117,7 +118,7 @@ def test_why_it_does_not_apply():
             r"it needs two cameras, and there are 'left' \(rgb\), 'scan' \(lidar3d\)",
         ),
         (
-            replace(dataset, sensors={**dataset.sensors, "right": replace(dataset.sensors["right"], modality="depth")}),
+            replace(dataset, sensors={**dataset.sensors, "right": replace(dataset.sensors["right"], modality=DEPTH)}),
             r"it needs two cameras, and there are .*'right' \(depth\)",
         ),
         (

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from calibration.dataset.laser_scan import MAX_RAYS
+from calibration.dataset.modalities import LIDAR2D
 from calibration.dataset.reading import read_dataset
 from calibration.dataset.writing import write_dataset
 from calibration.errors import InputError
@@ -51,7 +52,7 @@ def test_rays_become_points_in_the_plane_of_the_scan(tmp_path: Path):
     expected = np.array([2.0, 2.1, 2.2, 2.0])[:, None] * np.stack([np.cos(angles), np.sin(angles), 0 * angles], -1)
     np.testing.assert_allclose(labels.points, expected, atol=1e-15)
     assert labels.limits.tolist() == [3, 0]
-    assert read_dataset(write(tmp_path, with_scan())).sensors["lidar"].modality == "lidar2d"
+    assert read_dataset(write(tmp_path, with_scan())).sensors["lidar"].modality == LIDAR2D
 
 
 def test_the_ends_may_have_the_name_that_other_sensors_limits_have(tmp_path: Path):

@@ -7,6 +7,7 @@ import sys
 import numpy as np
 import pytest
 
+from calibration.dataset.modalities import LIDAR3D, RGB
 from calibration.dataset.model import CornerLabels, PointLabels
 from calibration.dataset.pointcloud import read_points
 from calibration.dataset.reading import read_dataset
@@ -46,8 +47,8 @@ def test_numbers_are_compared_as_numbers(tmp_path):
 
 def test_sensors(dataset):
     cam, lidar = dataset.sensors["cam"], dataset.sensors["lidar"]
-    assert (cam.modality, cam.frame, cam.edge) == ("rgb", "cam_optical", ("mount", "cam_link"))
-    assert (lidar.modality, lidar.frame, lidar.edge) == ("lidar3d", "lidar_frame", ("mount", "lidar_base"))
+    assert (cam.modality, cam.frame, cam.edge) == (RGB, "cam_optical", ("mount", "cam_link"))
+    assert (lidar.modality, lidar.frame, lidar.edge) == (LIDAR3D, "lidar_frame", ("mount", "lidar_base"))
     assert lidar.camera is None
     assert (cam.camera.fx, cam.camera.fy, cam.camera.cx, cam.camera.cy) == (300, 301, 160.5, 120.5)
     assert (cam.camera.width, cam.camera.height) == (320, 240)

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from calibration.dataset.modalities import DEPTH, LIDAR2D, LIDAR3D, RGB
 from calibration.dataset.model import Collection, CornerLabels, Dataset, Edge, Joint, Labels, PointLabels, Sensor
 from calibration.dataset.pattern import Pattern, grid, outline
 from calibration.estimation.build import Setup
@@ -28,7 +29,7 @@ from calibration.geometry.types import Array
 
 PINHOLE = Camera(800.0, 790.0, 640.0, 480.0, 1280, 960)
 WIDE = replace(PINHOLE, distortion=PlumbBob(-0.10, 0.05, 0.001, -0.0005, 0.01))
-DEPTH = Camera(160.0, 160.0, 160.0, 120.0, 320, 240)
+DEPTH_CAMERA = Camera(160.0, 160.0, 160.0, 120.0, 320, 240)
 # A LiDAR's frame (x ahead, z up) in a camera's axes (z ahead, y down).
 AHEAD = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
 
@@ -88,10 +89,10 @@ class Scene:
         return dataset
 
     def _label(self, sensor: Sensor, pattern: Pattern, T: Array, rng: np.random.Generator) -> Labels:
-        if sensor.modality == "lidar2d":
+        if sensor.modality == LIDAR2D:
             return cut(pattern, T, rng, self.range_noise, self.border)
-        if sensor.modality == "depth":
-            return depth_pixels(pattern, T, sensor.camera or DEPTH, rng, self.range_noise)
+        if sensor.modality == DEPTH:
+            return depth_pixels(pattern, T, sensor.camera or DEPTH_CAMERA, rng, self.range_noise)
         if sensor.camera is None:
             return scan(pattern, T, rng, self.range_noise, self.border)
         pixels = sensor.camera.project(apply(T, pattern.corners))
@@ -174,19 +175,19 @@ def board(name: str = "board", parent: str = "world", fixed: bool = False, squar
 
 
 def camera(name: str, parent: str = "world", model: Camera = WIDE) -> Sensor:
-    return Sensor(name, "rgb", name, parent, name, model)
+    return Sensor(name, RGB, name, parent, name, model)
 
 
 def lidar(name: str, parent: str = "world") -> Sensor:
-    return Sensor(name, "lidar3d", name, parent, name)
+    return Sensor(name, LIDAR3D, name, parent, name)
 
 
 def lidar2d(name: str, parent: str = "world") -> Sensor:
-    return Sensor(name, "lidar2d", name, parent, name)
+    return Sensor(name, LIDAR2D, name, parent, name)
 
 
 def depth_camera(name: str, parent: str = "world") -> Sensor:
-    return Sensor(name, "depth", name, parent, name, DEPTH)
+    return Sensor(name, DEPTH, name, parent, name, DEPTH_CAMERA)
 
 
 def pose(x: float, y: float, z: float, roll: float = 0.0, pitch: float = 0.0, yaw: float = 0.0) -> Array:

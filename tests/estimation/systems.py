@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from calibration.dataset.modalities import RGB
 from calibration.dataset.model import Joint, Sensor
 from calibration.geometry import rotations
 from calibration.geometry.cameras import Camera
@@ -74,7 +75,7 @@ def eye_in_hand(n: int = 12, seed: int = 0, **changes: object) -> Scene:
         ("mount", "cam"): T_mount_cam,
         ("world", "board_link"): T_world_board,
     }
-    sensor = Sensor("cam", "rgb", "cam", "flange", "mount", WIDE)
+    sensor = Sensor("cam", RGB, "cam", "flange", "mount", WIDE)
     return replace(Scene(transforms, [sensor], [board(fixed=True)]), **changes)
 
 

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from calibration.dataset.modalities import RGB
 from calibration.dataset.model import CornerLabels, Labels, PointLabels, Sensor
 from calibration.errors import InputError, UndeterminedError
 from calibration.estimation.build import build
@@ -125,7 +126,7 @@ def test_cameras_are_linked_by_those_between_them_in_any_order(order):
 def test_two_sensors_on_one_mount_share_its_block():
     scene = eye_in_hand(5)
     transforms = {**scene.transforms, ("mount", "second"): pose(0.05, 0, 0) @ scene.transforms["mount", "cam"]}
-    second = Sensor("second", "rgb", "second", "flange", "mount", camera("second").camera)
+    second = Sensor("second", RGB, "second", "flange", "mount", camera("second").camera)
     setup = build(replace(scene, sensors=[*scene.sensors, second], transforms=transforms).dataset())
     assert [b.name for b in setup.problem.blocks] == ["flange-mount", "board"]
     assert len(setup.problem.groups) == 2
@@ -142,7 +143,7 @@ def test_parts_of_a_system_that_do_not_see_the_same_are_each_determined_by_an_ar
     other = {"flange": "flange_2", "mount": "mount_2", "cam": "cam_2", "board_link": "b_link"}
     for (parent, child), T in two.transforms.items():
         transforms[other.get(parent, parent), other[child]] = T
-    sensors = [*one.sensors, Sensor("cam_2", "rgb", "cam_2", "flange_2", "mount_2", one.sensors[0].camera)]
+    sensors = [*one.sensors, Sensor("cam_2", RGB, "cam_2", "flange_2", "mount_2", one.sensors[0].camera)]
     scene = replace(one, transforms=transforms, sensors=sensors, patterns=[*one.patterns, board("b", fixed=True)])
     setup = build(replace(scene, sees=lambda s, p, _: (s == "cam") == (p == "board")).dataset())
     assert setup.gauge is None

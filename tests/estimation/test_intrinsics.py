@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from calibration.dataset.modalities import DEPTH, RGB
 from calibration.dataset.model import Dataset
 from calibration.errors import InputError, UndeterminedError
 from calibration.estimation.build import Setup, build
@@ -39,7 +40,7 @@ def nominal(dataset: Dataset, size: float = 0.02) -> Dataset:
     """The dataset with the intrinsics of all cameras off by this share, coefficients by five times as much."""
     off = {}
     for name, sensor in dataset.sensors.items():
-        if sensor.modality == "rgb" and sensor.camera is not None:
+        if sensor.modality == RGB and sensor.camera is not None:
             core = 1 + size * np.array([1.0, -1.0, 0.5, -0.5])
             more = 1 + 5 * size * np.ones(len(sensor.camera.intrinsics) - 4)
             off[name] = sensor.camera.with_intrinsics(sensor.camera.intrinsics * np.concatenate([core, more]))
@@ -147,7 +148,7 @@ def test_what_has_no_intrinsics_to_calibrate(name, what):
 
 def test_depth_cameras_have_none_either():
     dataset = camera_and_lidar(4).dataset()
-    depth = replace(dataset.sensors["lidar"], modality="depth", camera=lens(BENT))
+    depth = replace(dataset.sensors["lidar"], modality=DEPTH, camera=lens(BENT))
     with pytest.raises(InputError, match="'lidar' is a depth sensor"):
         build(replace(dataset, sensors={**dataset.sensors, "lidar": depth}), intrinsics=("lidar",))
 

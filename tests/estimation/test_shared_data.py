@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from calibration.dataset.modalities import LIDAR3D
 from calibration.dataset.reading import read_dataset
 from calibration.estimation.calibrate import Options, calibrate
 from calibration.estimation.starting_noise import StartingNoise
@@ -64,7 +65,7 @@ def test_an_arm_is_within_a_hundredth_of_maximum_likelihood(shared_data: Path):
 @pytest.mark.parametrize("loss", ["linear", "huber"])
 def test_a_lidar_is_as_near_as_it_says(shared_data: Path, loss):
     dataset = read_dataset(shared_data / "synthetic" / "rlbot")
-    lidar = next(s for s in dataset.sensors.values() if s.modality == "lidar3d")
+    lidar = next(s for s in dataset.sensors.values() if s.modality == LIDAR3D)
     for seed in SEEDS:
         result = calibrate(dataset, Options(loss=loss), StartingNoise(0.5, 0.5, seed))
         assert result.converged

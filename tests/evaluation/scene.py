@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from calibration.dataset.modalities import DEPTH, LIDAR3D, RGB
 from calibration.dataset.model import Collection, CornerLabels, Dataset, Edge, Labels, PointLabels, Sensor
 from calibration.dataset.pattern import Pattern, grid, outline
 from calibration.geometry import rotations
@@ -35,12 +36,12 @@ def pattern(*, fixed: bool = False, parent: str = "world", name: str = "board") 
 
 def rgb(name: str, camera: Camera = CAMERA) -> Sensor:
     """A camera whose link hangs under its mount: ``<name>_mount -> <name>_link`` is calibrated."""
-    return Sensor(name, "rgb", f"{name}_optical", f"{name}_mount", f"{name}_link", camera)
+    return Sensor(name, RGB, f"{name}_optical", f"{name}_mount", f"{name}_link", camera)
 
 
 def lidar(name: str) -> Sensor:
     """A LiDAR whose base hangs under its mount."""
-    return Sensor(name, "lidar3d", f"{name}_scan", f"{name}_mount", f"{name}_base")
+    return Sensor(name, LIDAR3D, f"{name}_scan", f"{name}_mount", f"{name}_base")
 
 
 def dataset(
@@ -181,7 +182,7 @@ def with_labels(base: Dataset, sensor: str, labels: list[Labels | None]) -> Data
 
 def depth(name: str, camera: Camera = CAMERA) -> Sensor:
     """A depth camera whose link hangs under its mount."""
-    return replace(rgb(name, camera), modality="depth")
+    return replace(rgb(name, camera), modality=DEPTH)
 
 
 def range_pair(
@@ -204,7 +205,7 @@ def range_pair(
     for sensor in sensors:
         transforms[sensor.edge] = from_xyz_rpy([0.015, 0, 0.006], [0, 0.02, 0.03])
         transforms[sensor.calibration_child, sensor.frame] = (
-            T_LINK_OPTICAL if sensor.modality == "depth" else from_xyz_rpy([0, 0, 0.04], [0, 0, 0])
+            T_LINK_OPTICAL if sensor.modality == DEPTH else from_xyz_rpy([0, 0, 0.04], [0, 0, 0])
         )
     if fixed:
         T_flange_pattern = from_xyz_rpy([0.05, -0.06, 0.02], [0.3, 0.1, -0.5])
@@ -213,7 +214,7 @@ def range_pair(
     base = dataset(sensors, board, transforms, [{}] * n, anchored="one")
     for sensor in sensors:
         T = base.transform(sensor.frame, "world") @ T_world_pattern
-        seen = _depth_points if sensor.modality == "depth" else _lidar_points
+        seen = _depth_points if sensor.modality == DEPTH else _lidar_points
         labels = [seen(rng, sensor, board, t) for t in T]
         noisy = [replace(label, points=label.points + rng.normal(size=label.points.shape) * noise) for label in labels]
         base = with_labels(base, sensor.name, list(noisy))

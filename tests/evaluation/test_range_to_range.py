@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from calibration.dataset.modalities import LIDAR2D
 from calibration.dataset.model import Dataset, PointLabels
 from calibration.errors import InputError
 from calibration.evaluation.range_to_range import depth_to_depth, lidar_to_depth, lidar_to_lidar
@@ -109,7 +110,7 @@ def test_a_2d_lidar_is_compared_with_a_3d_one_and_not_the_other_way_round():
     """A cut lies near the points of a whole pattern; they do not lie near it."""
     dataset, _ = range_pair(2, 3, ("lidar3d", "lidar3d"))
     cut = [PointLabels(label.points[60:70], np.arange(2)) for _, label in dataset.detections("board", "two")]
-    flat = replace(dataset.sensors["two"], modality="lidar2d")
+    flat = replace(dataset.sensors["two"], modality=LIDAR2D)
     dataset = replace(with_labels(dataset, "two", cut), sensors={**dataset.sensors, "two": flat})
     assert lidar_to_lidar(dataset, "one", "two").average("RMS (m)") < 0.05
     with pytest.raises(InputError, match=r"sensor 'two' is lidar2d, not lidar3d \(lidar3d: one\)"):

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from calibration.dataset.modalities import DEPTH, LIDAR2D, RGB
 from calibration.dataset.model import Dataset, PointLabels
 from calibration.dataset.reading import read_dataset
 from calibration.errors import InputError
@@ -119,7 +120,7 @@ def test_no_row_is_an_error_that_says_why():
 def test_the_ends_of_a_2d_lidars_cuts_are_seen_in_the_image():
     dataset, T_world_pattern = lidar_and_camera(seed=2)
     ends = [PointLabels(label.points, label.limits[:2]) for _, label in dataset.detections("board", "scan")]
-    scanner = replace(dataset.sensors["scan"], modality="lidar2d")
+    scanner = replace(dataset.sensors["scan"], modality=LIDAR2D)
     flat = replace(with_labels(dataset, "scan", ends), sensors={**dataset.sensors, "scan": scanner})
     table = lidar_to_rgb(flat, "scan", "eye", true_annotation(dataset, T_world_pattern))
     np.testing.assert_allclose(table.values, 0, atol=1e-9)
@@ -132,7 +133,7 @@ def test_sensors_of_the_wrong_kind_are_told():
         lidar_to_rgb(dataset, "eye", "scan", annotation)
     with pytest.raises(InputError, match=r"sensor 'scan' is lidar3d, not rgb \(rgb: eye\)"):
         lidar_to_rgb(dataset, "scan", "scan", annotation)
-    depth = replace(dataset, sensors={**dataset.sensors, "eye": replace(dataset.sensors["eye"], modality="depth")})
+    depth = replace(dataset, sensors={**dataset.sensors, "eye": replace(dataset.sensors["eye"], modality=DEPTH)})
     with pytest.raises(InputError, match=r"sensor 'eye' is depth, not rgb \(rgb: none\)"):
         lidar_to_rgb(depth, "scan", "eye", annotation)
     with pytest.raises(InputError, match=r"sensor 'left' is rgb, not lidar3d or lidar2d \(lidar3d or lidar2d: none\)"):
@@ -213,7 +214,7 @@ def test_the_synthetic_dataset_agrees_with_the_annotation_that_came_with_it(shar
 def depth_and_camera(seed=0, n=3):
     """A depth camera "one", and a camera "two" in the place of the other sensor, before a pattern on an arm."""
     dataset, T_world_pattern = range_pair(seed, n, ("depth", "depth"), fixed=True)
-    as_camera = replace(dataset.sensors["two"], modality="rgb")
+    as_camera = replace(dataset.sensors["two"], modality=RGB)
     dataset = replace(dataset, sensors={**dataset.sensors, "two": as_camera})
     board, T = dataset.patterns["board"], dataset.transform("two_optical", "world") @ T_world_pattern
     seen = [corner_labels(CAMERA, board, t, np.zeros((30, 2))) for t in T]

@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from calibration.dataset.modalities import RGB
 from calibration.dataset.reading import read_dataset
 from calibration.dataset.truth import Truth, find_truth, truth_of
 from calibration.errors import InputError
@@ -107,7 +108,7 @@ def test_each_table_of_range_sensors_and_truth_runs():
             base, _ = range_pair(n=2, kinds=kinds, fixed=True)
             assert len(parse_evaluation(f"{prefix}{name}:one:two:board").run(base).labels) == rows
     base, _ = range_pair(n=2, kinds=("depth", "depth"), fixed=True)
-    base = replace(base, sensors={**base.sensors, "two": replace(base.sensors["two"], modality="rgb")})
+    base = replace(base, sensors={**base.sensors, "two": replace(base.sensors["two"], modality=RGB)})
     truth = truth_of(base)
     for text, rows in (
         ("depth-to-rgb:one:two", 2),

@@ -9,6 +9,7 @@ import jsonschema
 import numpy as np
 import pytest
 
+from calibration.dataset.modalities import LIDAR2D
 from calibration.dataset.reading import read_dataset
 from calibration.dataset.truth import find_truth
 from calibration.estimation.calibrate import Options, calibrate
@@ -61,7 +62,7 @@ def test_it_calibrates_to_the_truth_as_well_as_it_says(collected: tuple[Collecti
     assert results.verdict == "pass"
     assert len(results.kept) == POSES
     dataset = read_dataset(folder)
-    assert dataset.sensors[LIDAR].modality == "lidar2d"
+    assert dataset.sensors[LIDAR].modality == LIDAR2D
     truth, found = find_truth(dataset), calibrate(dataset, Options(), StartingNoise(3, 1.5))
     ((edge, covariance),) = found.covariances.items()
     D = inverse(found.transforms[edge]) @ truth.transforms[edge]

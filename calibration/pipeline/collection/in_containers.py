@@ -199,7 +199,7 @@ def _results(plan: Plan, outcome: JobOutcome, scenario: int, new: Path) -> Colle
         proof = prove(new, request.truth)
         if plan.system is not None:
             write_contact_sheet(new, plan.system, records, new)
-    modalities: Mapping[str, str] = {s.name: s.modality for s in dataset.sensors.values()} if dataset else {}
+    modalities: Mapping[str, str] = {s.name: s.modality.name for s in dataset.sensors.values()} if dataset else {}
     return CollectionResults(
         system=request.name,
         seed=request.seed,
@@ -297,7 +297,7 @@ def _record(dataset: "Dataset", index: int, number: int) -> "Record":
     cells = {
         name: image_cells(sensor.camera, corners[name])
         for name, sensor in dataset.sensors.items()
-        if sensor.modality == "rgb" and sensor.camera
+        if sensor.camera and sensor.modality.points is None
     }
     drawn = {"data": _data_files(dataset, index), "labels": _drawn_labels(dataset, index)}
     return Record(number, (), labels, complete, {}, cells, drawn, {}, (), named=collection.key)

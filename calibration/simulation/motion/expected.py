@@ -5,7 +5,8 @@ from pathlib import Path
 import numpy as np
 
 from calibration.dataset.configuration import SensorConfiguration
-from calibration.dataset.model import Collection, CornerLabels, Dataset, Joint, Labels, Modality, PointLabels, Sensor
+from calibration.dataset.modalities import DEPTH, LIDAR2D, LIDAR3D, RGB, Modality
+from calibration.dataset.model import Collection, CornerLabels, Dataset, Joint, Labels, PointLabels, Sensor
 from calibration.dataset.pattern import Pattern
 from calibration.geometry.joints import JOINT_PARAMETERS
 from calibration.geometry.transforms import apply, inverse
@@ -124,10 +125,10 @@ _LABELS = {
     SimulatedLidar2d: _cuts,
 }
 _MODALITIES: dict[type[SimulatedSensor], Modality] = {
-    SimulatedCamera: "rgb",
-    SimulatedDepthCamera: "depth",
-    SimulatedLidar: "lidar3d",
-    SimulatedLidar2d: "lidar2d",
+    SimulatedCamera: RGB,
+    SimulatedDepthCamera: DEPTH,
+    SimulatedLidar: LIDAR3D,
+    SimulatedLidar2d: LIDAR2D,
 }
 
 

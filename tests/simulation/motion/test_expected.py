@@ -4,6 +4,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from calibration.dataset.modalities import DEPTH
 from calibration.dataset.model import CornerLabels, PointLabels
 from calibration.geometry.transforms import apply, inverse
 from calibration.labelling.depth import label_depth
@@ -123,7 +124,7 @@ def test_points_of_a_depth_camera_are_those_of_its_image(
     system = with_depth(systems["t2rgb"])
     placement = place(system, motions["t2rgb"])
     dataset = expected_dataset(system, placement)
-    assert dataset.sensors["right_camera"].modality == "depth"
+    assert dataset.sensors["right_camera"].modality == DEPTH
     sensor, pattern = system.depth_cameras["right_camera"], system.patterns["pattern_1"]
     for i, collection in enumerate(dataset.collections[:6]):
         labels = collection.labels["pattern_1", "right_camera"]

@@ -1,0 +1,145 @@
+"""The modalities of sensors: one object for each, with everything that a dataset says of that kind of sensor.
+
+What the rooms above need of a modality stands there, by these objects: the residuals of its labels in
+`calibration.estimation.terms`, its simulation in `calibration.simulation.sensors`.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Literal, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration.dataset import pointcloud
+from calibration.dataset.depth_image import read_depth_image
+from calibration.dataset.document import Node
+from calibration.dataset.laser_scan import read_scan
+from calibration.dataset.payload import locate
+from calibration.errors import InputError
+from calibration.geometry.cameras import Camera
+from calibration.geometry.types import Array, IntArray
+
+Family = Literal["camera", "lidar", "depth camera"]
+
+
+class IndexedPoints(Protocol):
+    """What a sensor measured in a collection: points that labels refer to by their index."""
+
+    def __len__(self) -> int:
+        """How many there are."""
+
+    def take(self, index: IntArray) -> Array:
+        """The points (N, 3) of indices (N,), m, in the sensor's frame; NaN where nothing was measured.
+
+        Raises:
+            IndexError: an index is not below the number of points.
+        """
+
+
+@dataclass(frozen=True, eq=False)
+class _Points:
+    """The points of a cloud or a scan."""
+
+    points: NDArray[np.floating[Any]]
+    """(N, 3)."""
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+    def take(self, index: IntArray) -> Array:
+        return np.asarray(self.points.take(index, axis=0), float)
+
+
+@dataclass(frozen=True)
+class PointData:
+    """How the labels of a sensor that measures points are read."""
+
+    count: str
+    """What an index counts, in the words of an error message: "cloud's {} points"."""
+    nothing: str
+    """What is wrong with a label where nothing was measured: "point {} of the cloud is not finite"."""
+    read: Callable[[Node, Camera | None], IndexedPoints]
+    """From the sensor's message in a collection, and its intrinsics."""
+    limits: tuple[str, ...] = ("idxs_limit_points",)
+    """The keys that its limit points may have."""
+
+
+@dataclass(frozen=True)
+class Modality:
+    """A kind of sensor."""
+
+    name: str
+    """As datasets and configurations write it."""
+    family: Family
+    """Tables of errors are for all modalities of a family, as ``lidar-to-rgb`` is for every LiDAR."""
+    message: str
+    """The type of its ROS messages."""
+    has_intrinsics: bool = False
+    """It is a camera in its geometry: a dataset has its ``camera_info``."""
+    points: PointData | None = None
+    """How labels refer to its data; None where they are corners, which need no data."""
+
+    def __str__(self) -> str:
+        return self.name
+
+
+def _in_file(name: Node, read: Callable[[str], IndexedPoints]) -> IndexedPoints:
+    """What a file beside the dataset holds; an error names the key that names the file."""
+    path = locate(name)
+    try:
+        return read(path)
+    except InputError as error:
+        raise name.fault(str(error)) from None
+
+
+def _read_cloud(message: Node, _: Camera | None) -> IndexedPoints:
+    if message.get("data"):
+        return _Points(pointcloud.decode_message(message))
+    return _in_file(message["data_file"], lambda path: _Points(pointcloud.read_points(path)))
+
+
+def _read_scan(message: Node, _: Camera | None) -> IndexedPoints:
+    return _Points(read_scan(message))
+
+
+def _read_depth(message: Node, camera: Camera | None) -> IndexedPoints:
+    if camera is None:
+        raise AssertionError("a depth camera has intrinsics")
+    return _in_file(message["data_file"], lambda path: read_depth_image(path, camera))
+
+
+RGB = Modality("rgb", "camera", "Image", has_intrinsics=True)
+LIDAR3D = Modality(
+    "lidar3d",
+    "lidar",
+    "PointCloud2",
+    points=PointData("cloud's {} points", "point {} of the cloud is not finite; a labelled point must be", _read_cloud),
+)
+LIDAR2D = Modality(
+    "lidar2d",
+    "lidar",
+    "LaserScan",
+    points=PointData(
+        "scan's {} rays",
+        "ray {} of the scan has no range; a labelled ray must",
+        _read_scan,
+        limits=("idxs_limit_points", "edge_idxs"),  # the latter is ATOM's
+    ),
+)
+DEPTH = Modality(
+    "depth",
+    "depth camera",
+    "Image",
+    has_intrinsics=True,
+    points=PointData(
+        "image's {} pixels", "pixel {} of the image has no depth (or no ray); a labelled pixel must", _read_depth
+    ),
+)
+MODALITIES = {modality.name: modality for modality in (RGB, LIDAR3D, LIDAR2D, DEPTH)}
+"""By name."""
+
+
+def of_family(family: Family) -> tuple[Modality, ...]:
+    """The modalities of a family."""
+    return tuple(modality for modality in MODALITIES.values() if modality.family == family)
