@@ -8,6 +8,8 @@ import click
 
 from calibration.commands.parameters import path
 from calibration.errors import ExitCode
+from calibration.execution.batch.policy import HOLDERS, policy, trust
+from calibration.execution.batch.section import read_section
 
 _HOLDERS = ("caller", "job", "execution", "trust")
 
@@ -27,9 +29,6 @@ def command(config: Path, holder: str) -> ExitCode:
 
     Nothing is asked of AWS, and nothing changed there.
     """
-    from calibration.execution.batch.policy import HOLDERS, policy, trust
-    from calibration.execution.batch.section import read_section
-
     settings = read_section(config)
     found = {each: policy(each, settings) for each in HOLDERS} | {"trust": trust()}
     sys.stdout.write(json.dumps(found[holder], indent=2) + "\n")

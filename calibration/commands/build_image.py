@@ -4,7 +4,7 @@ import os
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
@@ -12,12 +12,22 @@ from calibration.commands.parameters import TEXT_LIST, boolean_option, path, tex
 from calibration.commands.registry_password import password_variable, registry_password_option
 from calibration.errors import ExitCode, InputError, WorldError
 from calibration.files import write_atomically
+from calibration.image.builders.failure import BuildFailedError
+from calibration.image.building import BUILDERS, build_image
+from calibration.image.context import Context
+from calibration.image.plan import add_recipe
+from calibration.image.report import Report
+from calibration.image.specification import (
+    ImageSpecification,
+    OwnDockerfile,
+    parse_image_specification,
+    read_image_specification,
+)
+from calibration.registries.credentials import RegistrySettings
+from calibration.registries.login import registry_login
+from calibration.registries.promotion import promote
+from calibration.registries.reference import check_tag
 from calibration.workflow import Annotation, Runner, add_summary, annotate, set_outputs, stop_commands
-
-if TYPE_CHECKING:
-    from calibration.image.builders.failure import BuildFailedError
-    from calibration.image.report import Report
-    from calibration.image.specification import ImageSpecification
 
 SPECIFICATION = Path("calibration.yml")
 TITLE = "build-image"
@@ -87,9 +97,6 @@ def build(settings: Settings, runner: Runner) -> ExitCode:
         WorldError: the engine, a registry or the network failed. A result of an earlier run is removed
             first, so that none is mistaken for this one's.
     """
-    from calibration.image.builders.failure import BuildFailedError
-    from calibration.image.report import Report
-
     if settings.output is not None:
         _remove_results(settings.output)
     begin = time.monotonic()
@@ -107,9 +114,7 @@ def build(settings: Settings, runner: Runner) -> ExitCode:
     return ExitCode.PASS if report.passed else ExitCode.FAIL
 
 
-def _built(settings: Settings, specification: "ImageSpecification", runner: Runner) -> "Report":
-    from calibration.image.building import BUILDERS, build_image
-    from calibration.image.report import Report
+def _built(settings: Settings, specification: ImageSpecification, runner: Runner) -> Report:
 
     builder = next((name for name in BUILDERS if name == settings.builder), None)
     if builder is None:
@@ -132,8 +137,7 @@ def _built(settings: Settings, specification: "ImageSpecification", runner: Runn
     return Report(image, promoted=_promote(specification, image.digest, settings, runner))
 
 
-def _promoted(settings: Settings, specification: "ImageSpecification", runner: Runner) -> "Report":
-    from calibration.image.report import Report
+def _promoted(settings: Settings, specification: ImageSpecification, runner: Runner) -> Report:
 
     if not settings.promote or settings.digest is None:
         raise InputError("digest is given without promote: say which tags the image gets")
@@ -142,20 +146,14 @@ def _promoted(settings: Settings, specification: "ImageSpecification", runner: R
     return Report(reference=reference, digest=settings.digest, promoted=names)
 
 
-def _promote(specification: "ImageSpecification", digest: str, settings: Settings, runner: Runner) -> tuple[str, ...]:
-    from calibration.registries.login import registry_login
-    from calibration.registries.promotion import promote
+def _promote(specification: ImageSpecification, digest: str, settings: Settings, runner: Runner) -> tuple[str, ...]:
 
     credentials = registry_login(specification.registry, specification.name, runner)
     return tuple(promote(specification.name, digest, settings.promote, credentials, runner))
 
 
-def _specification(settings: Settings) -> "ImageSpecification":
+def _specification(settings: Settings) -> ImageSpecification:
     """Read what the image is made of, with what the options say in the place of what the file says."""
-    from calibration.image.specification import parse_image_specification, read_image_specification
-    from calibration.registries.credentials import RegistrySettings
-    from calibration.registries.reference import check_tag
-
     if settings.dockerfile is not None and settings.spec is not None:
         raise InputError("spec and dockerfile are both given: a specification can name a Dockerfile of your own")
     if settings.context is not None and settings.dockerfile is None:
@@ -183,10 +181,7 @@ def _specification(settings: Settings) -> "ImageSpecification":
     return specification
 
 
-def _render(specification: "ImageSpecification", folder: Path, runner: Runner) -> ExitCode:
-    from calibration.image.context import Context
-    from calibration.image.plan import add_recipe
-    from calibration.image.specification import OwnDockerfile
+def _render(specification: ImageSpecification, folder: Path, runner: Runner) -> ExitCode:
 
     if isinstance(specification.source, OwnDockerfile):
         raise InputError("render: a Dockerfile of your own is there already; there is nothing to generate")
@@ -199,7 +194,7 @@ def _render(specification: "ImageSpecification", folder: Path, runner: Runner) -
     return ExitCode.PASS
 
 
-def _tell(error: "BuildFailedError", settings: Settings, runner: Runner) -> None:
+def _tell(error: BuildFailedError, settings: Settings, runner: Runner) -> None:
     """Say which step failed: one annotation with its last lines, which a log has shown already."""
     if not runner.github and runner.stdout.isatty():
         runner.log("\n".join(f"    {line}" for line in error.lines))
@@ -208,7 +203,7 @@ def _tell(error: "BuildFailedError", settings: Settings, runner: Runner) -> None
     annotate(runner, [Annotation("\n".join([error.headline, *lines]), file=file, title=TITLE)])
 
 
-def _publish(report: "Report", settings: Settings, runner: Runner) -> None:
+def _publish(report: Report, settings: Settings, runner: Runner) -> None:
     summary = report.markdown()
     results: Path | str = ""
     if settings.output is not None:

@@ -3,7 +3,7 @@
 import os
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, TypeVar
+from typing import Any, Literal, TypeVar
 
 import click
 
@@ -16,14 +16,18 @@ from calibration.commands.parameters import (
     path,
     text,
 )
+from calibration.commands.place import place
 from calibration.commands.registry_password import EVERYWHERE, password_variable, registry_password_option
 from calibration.errors import ExitCode, InputError
+from calibration.execution.backends import AWS_BATCH, CONTAINERS, DOCKER, Place, check_backend
+from calibration.image.pulling import pull_image
+from calibration.introspection.rulesfile import read_rules
+from calibration.pipeline.configuration import Configuration, NoiseGrid, System, read_configuration, seed_range
+from calibration.pipeline.matrix.matrix import Matrix
+from calibration.pipeline.matrix.software import adjusted_software
+from calibration.pipeline.stages import run_stages
+from calibration.registries.credentials import RegistrySettings
 from calibration.workflow import Runner
-
-if TYPE_CHECKING:
-    from calibration.execution.backends import Place
-    from calibration.pipeline.configuration import Configuration, System
-    from calibration.pipeline.matrix.matrix import Matrix
 
 TITLE = "calibrate-matrix"
 _Value = TypeVar("_Value")
@@ -130,8 +134,6 @@ def calibrate_matrix(settings: Settings, runner: Runner) -> ExitCode:
         InputError: the settings contradict each other, or the data are wrong.
         WorldError: a result cannot be written.
     """
-    from calibration.pipeline.stages import run_stages  # numpy and the engine, for those who need them
-
     matrix = matrix_of(settings)
     place = place_of(settings, matrix, runner)
     pull(settings, runner)
@@ -140,15 +142,12 @@ def calibrate_matrix(settings: Settings, runner: Runner) -> ExitCode:
     return results.exit_code
 
 
-def place_of(settings: Settings, matrix: "Matrix", runner: Runner) -> "Place":
+def place_of(settings: Settings, matrix: Matrix, runner: Runner) -> Place:
     """Where the team's software runs.
 
     Raises:
         InputError: there is no such backend, no software to run in it, or nothing says where in the cloud.
     """
-    from calibration.commands.place import place
-    from calibration.execution.backends import AWS_BATCH, CONTAINERS, DOCKER, check_backend
-
     configuration = _configuration(settings)
     backend = settings.backend or configuration.backend
     check_backend(backend, CONTAINERS)
@@ -179,22 +178,17 @@ def pull(settings: Settings, runner: Runner) -> None:
         raise InputError(f"{missing} is not given: user and password go together")
     if settings.image is None:
         raise InputError("registry-username is given without the image that it is for")
-    from calibration.image.pulling import pull_image
-    from calibration.registries.credentials import RegistrySettings
 
     login = RegistrySettings(username=settings.registry_username, password_variable=settings.password_variable)
     pull_image(settings.image, login, runner, TITLE)
 
 
-def matrix_of(settings: Settings) -> "Matrix":
+def matrix_of(settings: Settings) -> Matrix:
     """What is to be calibrated, from the configuration with the other settings in front.
 
     Raises:
         InputError: the settings contradict each other, or the configuration is wrong.
     """
-    from calibration.pipeline.configuration import NoiseGrid, seed_range
-    from calibration.pipeline.matrix.matrix import Matrix
-
     if (settings.dataset is None) == (settings.config is None):
         raise InputError("exactly one of dataset and config is to be given: a dataset's folder, or a calibration.yml")
     if settings.seeds is not None and settings.seed_list is not None:
@@ -215,8 +209,7 @@ def matrix_of(settings: Settings) -> "Matrix":
     )
 
 
-def _configuration(settings: Settings) -> "Configuration":
-    from calibration.pipeline.configuration import Configuration, System, read_configuration
+def _configuration(settings: Settings) -> Configuration:
 
     if settings.config is not None:
         return read_configuration(settings.config)
@@ -226,18 +219,14 @@ def _configuration(settings: Settings) -> "Configuration":
     return Configuration((System(name, settings.dataset),))
 
 
-def _adjusted(system: "System", settings: Settings) -> "System":
+def _adjusted(system: System, settings: Settings) -> System:
     """A system with what the settings say in the place of what the configuration says."""
     changes: dict[str, Any] = {
         name: value for name in _OF_A_SYSTEM if (value := getattr(settings, name)) not in (None, ())
     }
     if settings.rules is not None:
-        from calibration.introspection.rulesfile import read_rules
-
         changes["rules"] = read_rules(settings.rules)
     if entry := _software(settings):
-        from calibration.pipeline.matrix.software import adjusted_software
-
         changes["software"] = adjusted_software(system.software, entry, Path.cwd())
     return replace(system, **changes)
 

@@ -4,18 +4,20 @@ import os
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 import click
 
 from calibration.commands.parameters import boolean_option, path, text
+from calibration.docker.engine import connect
 from calibration.errors import ExitCode, InputError
+from calibration.execution.batch.section import read_section
+from calibration.execution.batch.service.definitions import deregister, find_old
+from calibration.execution.batch.service.leftovers import CloudLeftover, find_in_queue, terminate
+from calibration.execution.batch.service.session import Aws
+from calibration.execution.docker.leftovers import Leftover, find_leftovers, remove
 from calibration.workflow import Runner, stop_commands
 from calibration.workflow.text import aligned
-
-if TYPE_CHECKING:
-    from calibration.execution.batch.service.leftovers import CloudLeftover
-    from calibration.execution.docker.leftovers import Leftover
 
 _HEADER = ("what", "name", "run", "job", "state")
 _CLOUD_HEADER = ("job", "name", "run", "jobs", "state")
@@ -62,7 +64,6 @@ class Cloud:
 def _cloud(config: Path | None, queue: str | None, region: str | None) -> Cloud:
     if queue and region:
         return Cloud(region, queue)
-    from calibration.execution.batch.section import read_section
 
     settings = read_section(config or _DEFAULT_FILE)
     return Cloud(region or settings.region, queue or settings.queue)
@@ -82,8 +83,6 @@ def clean_up(run: str | None, everything: bool, dry_run: bool, runner: Runner) -
         WorldError: the engine does not answer, or something cannot be removed.
     """
     _check(run, everything)
-    from calibration.docker.engine import connect
-    from calibration.execution.docker.leftovers import find_leftovers, remove
 
     client = connect()
     try:
@@ -116,8 +115,6 @@ def clean_up_cloud(cloud: Cloud, run: str | None, everything: bool, dry_run: boo
         WorldError: AWS does not answer, or a job does not end.
     """
     _check(run, everything)
-    from calibration.execution.batch.service.leftovers import find_in_queue, terminate
-    from calibration.execution.batch.service.session import Aws
 
     aws = Aws(cloud.region)
     try:
@@ -144,9 +141,6 @@ def clean_up_definitions(cloud: Cloud, dry_run: bool, runner: Runner) -> ExitCod
         InputError: it is not allowed.
         WorldError: AWS does not answer.
     """
-    from calibration.execution.batch.service.definitions import deregister, find_old
-    from calibration.execution.batch.service.session import Aws
-
     aws = Aws(cloud.region)
     try:
         old = find_old(aws)
@@ -178,15 +172,15 @@ def _say_others(others: int, runner: Runner) -> None:
         runner.log(f"{others} left alone: their run goes on, or may go on elsewhere (--all removes them too)")
 
 
-def _is_abandoned(leftover: "Leftover | CloudLeftover") -> bool:
+def _is_abandoned(leftover: Leftover | CloudLeftover) -> bool:
     return leftover.owner is not None and leftover.owner.is_dead
 
 
-def _row(leftover: "Leftover") -> tuple[str, ...]:
+def _row(leftover: Leftover) -> tuple[str, ...]:
     return (leftover.kind, leftover.name, leftover.run, leftover.job, leftover.state)
 
 
-def _count(leftovers: Iterable["Leftover"]) -> str:
+def _count(leftovers: Iterable[Leftover]) -> str:
     kinds = [leftover.kind for leftover in leftovers]
     counts = [f"{kinds.count(kind)} {kind}{'s' * (kinds.count(kind) != 1)}" for kind in dict.fromkeys(kinds)]
     return ", ".join(counts) or "nothing"

@@ -2,7 +2,7 @@
 
 import os
 from contextlib import ExitStack
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
@@ -16,14 +16,19 @@ from calibration.commands.collection_in_containers import (
 from calibration.commands.collection_settings import Settings, collection_request
 from calibration.commands.parameters import boolean_option, count, non_negative, path, share, text
 from calibration.errors import ExitCode, InputError
+from calibration.execution.backends import AWS_BATCH, CONTAINERS, DOCKER, EMBEDDED, check_backend
+from calibration.pipeline.collection.collecting import collect_dataset
+from calibration.pipeline.collection.in_containers import ContainerRequest
+from calibration.pipeline.collection.report import pose_line, report_collection
+from calibration.pipeline.collection.scenario_report import report_scenarios, world_line
+from calibration.pipeline.collection.scenarios import MAX_SCENARIOS, ScenarioRequest, collect_world, run_worlds
+from calibration.simulation.collection.record import Record
+from calibration.simulation.motion.sequence import Motion
+from calibration.simulation.scenarios.result import ScenarioResult
+from calibration.simulation.scenarios.scenario import parse_id
+from calibration.simulation.system import System
 from calibration.workflow import Runner, stop_commands
-
-if TYPE_CHECKING:
-    from calibration.pipeline.collection.in_containers import ContainerRequest
-    from calibration.simulation.collection.record import Record
-    from calibration.simulation.motion.sequence import Motion
-    from calibration.simulation.scenarios.result import ScenarioResult
-    from calibration.simulation.system import System
+from calibration.workflow.progress import progress
 
 TITLE = "collect-data-sim"
 
@@ -93,8 +98,6 @@ def collect_data_sim(settings: Settings, runner: Runner) -> ExitCode:
         InputError: an input is missing or wrong, or the folder has a dataset already.
         WorldError: the folder cannot be written, or a process died; its dataset is as before.
     """
-    from calibration.execution.backends import CONTAINERS, DOCKER, EMBEDDED, check_backend
-
     entry = applications_entry(settings)
     default = str(entry.get("backend", DOCKER)) if entry else EMBEDDED
     backend = settings.backend or default
@@ -127,10 +130,6 @@ def collect_data_sim(settings: Settings, runner: Runner) -> ExitCode:
 
 def _applications(settings: Settings, entry: dict[str, Any], backend: str, runner: Runner) -> ExitCode:
     """Collect with the team's applications, once or often."""
-    from calibration.execution.backends import AWS_BATCH
-    from calibration.pipeline.collection.report import report_collection
-    from calibration.simulation.scenarios.scenario import parse_id
-
     if settings.scenario_set is not None:
         raise InputError("scenario-set: worlds vary in our own simulation only; applications are told {scenario}")
     if settings.scenarios is not None and settings.scenario is not None:
@@ -158,14 +157,10 @@ def _worlds_in_containers(settings: Settings, backend: str, runner: Runner) -> E
 
 
 def _one_world(settings: Settings, runner: Runner) -> ExitCode:
-    from calibration.pipeline.collection.collecting import collect_dataset
-    from calibration.pipeline.collection.report import pose_line, report_collection
-    from calibration.pipeline.collection.scenarios import collect_world
-    from calibration.workflow.progress import progress
 
     request = collection_request(settings)
 
-    def begin(system: "System", motion: "Motion") -> None:
+    def begin(system: System, motion: Motion) -> None:
         world = "" if settings.scenario is None else f" in world {settings.scenario}"
         runner.log(f"{system.name}{world}: {len(motion)} poses of {motion.source}, seed {request.seed}")
 
@@ -173,7 +168,7 @@ def _one_world(settings: Settings, runner: Runner) -> ExitCode:
     try:
         with stop_commands(runner), progress(runner, TITLE) as advance:  # names in files that others wrote
 
-            def done(count: int, total: int, record: "Record") -> None:
+            def done(count: int, total: int, record: Record) -> None:
                 nonlocal finished
                 finished = count
                 advance(count, total, pose_line(record), important=not record.kept)
@@ -192,14 +187,9 @@ def _one_world(settings: Settings, runner: Runner) -> ExitCode:
 
 
 def _many_worlds(
-    settings: Settings, runner: Runner, backend: str = "embedded", applications: "ContainerRequest | None" = None
+    settings: Settings, runner: Runner, backend: str = "embedded", applications: ContainerRequest | None = None
 ) -> ExitCode:
     """Run many worlds: of our own simulation, here or in containers, or the team's applications often."""
-    from calibration.execution.backends import EMBEDDED
-    from calibration.pipeline.collection.scenario_report import report_scenarios, world_line
-    from calibration.pipeline.collection.scenarios import MAX_SCENARIOS, ScenarioRequest, run_worlds
-    from calibration.workflow.progress import progress
-
     assert settings.scenarios is not None  # noqa: S101 (checked by the caller)
     if settings.scenarios > MAX_SCENARIOS:
         raise InputError(f"scenarios: found {settings.scenarios}, expected {MAX_SCENARIOS} at most")
@@ -222,7 +212,7 @@ def _many_worlds(
         advance = stack.enter_context(progress(runner, TITLE, bar=embedded))
         finished = 0
 
-        def done(result: "ScenarioResult") -> None:
+        def done(result: ScenarioResult) -> None:
             nonlocal finished
             finished += 1
             advance(finished, request.count, world_line(result), important=not result.converged)

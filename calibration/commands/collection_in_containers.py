@@ -3,19 +3,26 @@
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from calibration.commands.collection_settings import Settings, collection_checks, find_system
+from calibration.commands.collection_settings import Settings, collection_checks
 from calibration.commands.place import place
+from calibration.commands.system_folder import find_system
 from calibration.errors import InputError
+from calibration.execution.backends import DOCKER, Place
+from calibration.execution.sizes import parse_seconds
+from calibration.pipeline.collection.application_worlds import run_application_worlds
+from calibration.pipeline.collection.applications import SECONDS
+from calibration.pipeline.collection.gathering_worlds import Gathering
+from calibration.pipeline.collection.in_containers import ContainerRequest, collect_in_containers
+from calibration.pipeline.collection.results import CollectionResults
+from calibration.pipeline.collection.scenarios import ScenarioRequest, ScenarioResults
+from calibration.pipeline.collection.worlds_in_containers import WorldImage, run_worlds_in_containers
+from calibration.pipeline.configuration import parse_applications
+from calibration.simulation.scenarios.result import ScenarioResult
 from calibration.workflow import Runner
-
-if TYPE_CHECKING:
-    from calibration.execution.backends import Place
-    from calibration.pipeline.collection.in_containers import ContainerRequest
-    from calibration.pipeline.collection.results import CollectionResults
-    from calibration.pipeline.collection.scenarios import ScenarioRequest, ScenarioResults
-    from calibration.simulation.scenarios.result import ScenarioResult
+from calibration.workflow.streams import LogDisplay
+from calibration.yaml_file import read_yaml
 
 MOST_SHOWN = 16
 """Of more worlds on this machine's engine the containers' logs are left in files only."""
@@ -27,8 +34,6 @@ def applications_entry(settings: Settings) -> dict[str, Any]:
     Raises:
         InputError: the file of the applications is wrong.
     """
-    from calibration.yaml_file import read_yaml
-
     commands = {"simulation": settings.simulation_command, "robot": settings.robot_command}
     containers: dict[str, Any] = {
         name: {"command": command} for name, command in commands.items() if command is not None
@@ -51,7 +56,7 @@ def applications_entry(settings: Settings) -> dict[str, Any]:
     return {**entry, **given} if entry else {}
 
 
-def application_request(settings: Settings, entry: dict[str, Any], seed: int) -> "ContainerRequest":
+def application_request(settings: Settings, entry: dict[str, Any], seed: int) -> ContainerRequest:
     """What the applications are to collect.
 
     Args:
@@ -62,9 +67,6 @@ def application_request(settings: Settings, entry: dict[str, Any], seed: int) ->
     Raises:
         InputError: the description is wrong, or a container has no image.
     """
-    from calibration.pipeline.collection.in_containers import ContainerRequest
-    from calibration.pipeline.configuration import parse_applications
-
     where, folder = (settings.applications or "applications", Path())
     if settings.applications is not None:
         folder = settings.applications.parent
@@ -92,8 +94,8 @@ def application_request(settings: Settings, entry: dict[str, Any], seed: int) ->
 
 
 def collect_once(
-    settings: Settings, request: "ContainerRequest", number: int, backend: str, runner: Runner
-) -> "CollectionResults":
+    settings: Settings, request: ContainerRequest, number: int, backend: str, runner: Runner
+) -> CollectionResults:
     """Collect one dataset with the team's applications.
 
     Args:
@@ -107,21 +109,18 @@ def collect_once(
         InputError: an input is wrong.
         WorldError: the backend cannot be reached, or a file not be written.
     """
-    from calibration.pipeline.collection.in_containers import collect_in_containers
-    from calibration.workflow.streams import LogDisplay
-
     with _place(settings, backend, runner).open(LogDisplay(runner)) as opened:
         return collect_in_containers(request, settings.output, opened, settings.overwrite, number)
 
 
 def run_in_containers(
     settings: Settings,
-    request: "ScenarioRequest",
+    request: ScenarioRequest,
     backend: str,
     runner: Runner,
     begin: Callable[[str, int], None],
-    done: "Callable[[ScenarioResult], None]",
-) -> "ScenarioResults":
+    done: Callable[[ScenarioResult], None],
+) -> ScenarioResults:
     """Run worlds of our own simulation, or the team's applications often.
 
     Args:
@@ -136,14 +135,6 @@ def run_in_containers(
         InputError: an input is wrong.
         WorldError: the backend cannot be reached, or a file not be written.
     """
-    from calibration.execution.backends import DOCKER
-    from calibration.execution.sizes import parse_seconds
-    from calibration.pipeline.collection.application_worlds import run_application_worlds
-    from calibration.pipeline.collection.applications import SECONDS
-    from calibration.pipeline.collection.gathering_worlds import Gathering
-    from calibration.pipeline.collection.worlds_in_containers import WorldImage, run_worlds_in_containers
-    from calibration.workflow.streams import LogDisplay
-
     show = LogDisplay(runner) if backend != DOCKER or request.count <= MOST_SHOWN else None
     with _place(settings, backend, runner).open(show) as opened:
         gathering = Gathering(opened, settings.output, settings.jobs, settings.resume, settings.overwrite)
@@ -161,7 +152,7 @@ def application_options(settings: Settings) -> tuple[str, ...]:
     return tuple(word for name, value in given if value is not None for word in (f"--{name}", str(value)))
 
 
-def _place(settings: Settings, backend: str, runner: Runner) -> "Place":
+def _place(settings: Settings, backend: str, runner: Runner) -> Place:
     """Where containers run.
 
     Raises:

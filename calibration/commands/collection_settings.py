@@ -2,16 +2,12 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from calibration.errors import InputError
-
-if TYPE_CHECKING:
-    from calibration.pipeline.collection.collecting import CollectionRequest
-    from calibration.pipeline.collection.results import CollectionChecks
-
-SYSTEMS = Path("datasets")
-"""Where the name of a system is looked up, from the working directory."""
+from calibration.commands.system_folder import system_folder
+from calibration.pipeline.collection.collecting import CollectionRequest
+from calibration.pipeline.collection.results import CollectionChecks
+from calibration.simulation.collection.checks import Requirements
 
 
 @dataclass(frozen=True)
@@ -60,15 +56,12 @@ class Settings:
     overwrite: bool = False
 
 
-def collection_request(settings: Settings) -> "CollectionRequest":
+def collection_request(settings: Settings) -> CollectionRequest:
     """The collection by our own simulation.
 
     Raises:
         InputError: there is no such system.
     """
-    from calibration.pipeline.collection.collecting import CollectionRequest
-    from calibration.simulation.collection.checks import Requirements
-
     stillness = None if settings.stillness_mm is None else settings.stillness_mm / 1000
     return CollectionRequest(
         system=system_folder(settings.system),
@@ -81,10 +74,8 @@ def collection_request(settings: Settings) -> "CollectionRequest":
     )
 
 
-def collection_checks(settings: Settings) -> "CollectionChecks":
+def collection_checks(settings: Settings) -> CollectionChecks:
     """What a dataset has to keep to."""
-    from calibration.pipeline.collection.results import CollectionChecks
-
     names = (
         *("minimum_collections", "minimum_detection_rate", "minimum_coverage"),
         *("max_translation_mm", "max_rotation_deg"),
@@ -94,21 +85,3 @@ def collection_checks(settings: Settings) -> "CollectionChecks":
 
 def _given(**values: Any) -> dict[str, Any]:
     return {name: value for name, value in values.items() if value is not None}
-
-
-def find_system(system: str) -> Path | None:
-    """The folder of a system, by its name in `SYSTEMS` or by its path; None where there is none."""
-    return next((folder for folder in (SYSTEMS / system, Path(system)) if system and folder.is_dir()), None)
-
-
-def system_folder(system: str) -> Path:
-    """The folder of a system, as `find_system` finds it.
-
-    Raises:
-        InputError: there is none.
-    """
-    if (folder := find_system(system)) is not None:
-        return folder
-    known = sorted(folder.parent.name for folder in SYSTEMS.glob("*/simulation.yml"))
-    names = f"one of {', '.join(known)} or a folder" if known else "a folder"
-    raise InputError(f"system: found '{system}', expected {names}")

@@ -3,7 +3,7 @@
 import os
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any, cast
 
 import click
 
@@ -13,11 +13,15 @@ from calibration.commands.calibrate_matrix import matrix_of, place_of, pull
 from calibration.commands.parameters import INTEGER_LIST, TEXT_LIST, count, integer, non_negative, path
 from calibration.commands.registry_password import password_variable
 from calibration.errors import ExitCode, InputError
+from calibration.pipeline.convergence.convergence_map import maps_of
+from calibration.pipeline.convergence.report import clear_convergence, report_convergence, write_convergence
+from calibration.pipeline.convergence.results import ConvergenceResults, Minimums
+from calibration.pipeline.convergence.sweep import run_sweep, sweep_matrices
+from calibration.pipeline.matrix.cell import CellResult, Start
 from calibration.workflow import Runner
+from calibration.workflow.progress import progress
+from calibration.workflow.streams import LogDisplay
 from calibration.workflow.text import did_you_mean
-
-if TYPE_CHECKING:
-    from calibration.pipeline.matrix.cell import CellResult, Start
 
 TITLE = "convergence"
 STARTS = ("given", "linear")
@@ -132,13 +136,6 @@ def convergence(settings: Settings, runner: Runner) -> ExitCode:
         InputError: the settings contradict each other, or the data are wrong.
         WorldError: a result cannot be written, a process died, or there is no engine.
     """
-    from calibration.pipeline.convergence.convergence_map import maps_of  # numpy and the engine, for those who need it
-    from calibration.pipeline.convergence.report import clear_convergence, report_convergence, write_convergence
-    from calibration.pipeline.convergence.results import ConvergenceResults, Minimums
-    from calibration.pipeline.convergence.sweep import run_sweep, sweep_matrices
-    from calibration.workflow.progress import progress
-    from calibration.workflow.streams import LogDisplay
-
     asked = _with_seeds(settings)
     matrix = matrix_of(asked)
     matrices = sweep_matrices(matrix, cast("tuple[Start, ...]", settings.start))
@@ -148,7 +145,7 @@ def convergence(settings: Settings, runner: Runner) -> ExitCode:
     software = bool(matrix.software)
     with progress(runner, TITLE, bar=not software) as advance:
 
-        def done(number: int, total: int, cell: "CellResult") -> None:
+        def done(number: int, total: int, cell: CellResult) -> None:
             failed = "" if cell.verdict == "pass" else f": {'; '.join(cell.reasons) or 'does not converge'}"
             advance(
                 number,

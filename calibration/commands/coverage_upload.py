@@ -6,24 +6,32 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
 from calibration.commands.introspect_csv import expand
 from calibration.commands.parameters import TEXT_LIST, boolean_option, number, path, text
+from calibration.coverage import presentation
+from calibration.coverage.badge import badge
+from calibration.coverage.changes import changed_lines, coverage_of_change, find_base
+from calibration.coverage.commit import Event, find_commit
+from calibration.coverage.measuring.command import parse_command
+from calibration.coverage.measuring.configuration import team_settings
+from calibration.coverage.measuring.injection import plain
+from calibration.coverage.measuring.tests import Tests, measured_environment, measurement, run_tests
+from calibration.coverage.presentation import what_is_left_out
+from calibration.coverage.reading import Found, read_reports
+from calibration.coverage.repository import Repository
+from calibration.coverage.results import Change, Limit, Results, Uploaded
+from calibration.coverage.services.codacy import API_URL, Account, Codacy, parse_account, parse_api_url
+from calibration.coverage.services.service import Request, Service, Upload
+from calibration.coverage.sources import Sources, find_sources
 from calibration.errors import ExitCode, InputError, WorldError
+from calibration.execution.sizes import parse_seconds
 from calibration.files import write_atomically
 from calibration.workflow import Runner, add_mask, add_summary, annotate, set_outputs, stop_commands
 from calibration.workflow.text import one_line
-
-if TYPE_CHECKING:
-    from calibration.coverage.commit import Event
-    from calibration.coverage.measuring.tests import Tests
-    from calibration.coverage.repository import Repository
-    from calibration.coverage.results import Results, Uploaded
-    from calibration.coverage.services.service import Request, Service
-    from calibration.coverage.sources import Sources
 
 TITLE = "coverage-upload"
 SERVICES = ("codacy", "none")
@@ -152,9 +160,6 @@ def upload(settings: Settings, runner: Runner) -> ExitCode:
         WorldError: the tests take too long, or a result cannot be written. A result of an earlier run
             is removed first, so that none is mistaken for this one's.
     """
-    from calibration.coverage.commit import Event, find_commit
-    from calibration.coverage.repository import Repository
-
     if settings.output is not None:
         _remove_results(settings.output)
     _check(settings)
@@ -185,14 +190,12 @@ def _check(settings: Settings) -> None:
         raise InputError("interpreter is given without run, which it is for")
 
 
-def _service(settings: Settings, event: "Event") -> "tuple[Service | None, str]":
+def _service(settings: Settings, event: Event) -> tuple[Service | None, str]:
     """Who is told, or None and why not.
 
     Raises:
         InputError: there is no token, and there should be one; or what belongs to it is wrong.
     """
-    from calibration.coverage.services.codacy import API_URL, Account, Codacy, parse_account, parse_api_url
-
     if settings.service == "none":
         return None, ""
     account = parse_account(
@@ -213,16 +216,9 @@ def _service(settings: Settings, event: "Event") -> "tuple[Service | None, str]"
 
 
 def _judged(
-    settings: Settings, repository: "Repository", event: "Event", commit: str, folder: Path, runner: Runner
-) -> "Results":
+    settings: Settings, repository: Repository, event: Event, commit: str, folder: Path, runner: Runner
+) -> Results:
     """Run the tests where there are any to run, and judge what they cover."""
-    from calibration.coverage.changes import changed_lines, coverage_of_change
-    from calibration.coverage.measuring.configuration import team_settings
-    from calibration.coverage.presentation import what_is_left_out
-    from calibration.coverage.reading import Found, read_reports
-    from calibration.coverage.results import Change, Limit, Results
-    from calibration.coverage.sources import find_sources
-
     sources = find_sources(repository, settings.directory, map(Path, settings.source), settings.exclude)
     options = team_settings(settings.directory)
     base, no_change = _base(settings, repository, event)
@@ -257,14 +253,12 @@ def _judged(
     return replace(results, limits=tuple(limits))
 
 
-def _base(settings: Settings, repository: "Repository", event: "Event") -> tuple[str | None, str]:
+def _base(settings: Settings, repository: Repository, event: Event) -> tuple[str | None, str]:
     """The commit that the change set out from; or None, and why there is none.
 
     Raises:
         InputError: it is asked for, and cannot be found.
     """
-    from calibration.coverage.changes import find_base
-
     try:
         return find_base(repository, settings.base, event.bases), ""
     except InputError as error:
@@ -287,14 +281,9 @@ def _reports(settings: Settings, begin: float | None) -> list[Path]:
 
 
 def _run(
-    settings: Settings, sources: "Sources", options: Mapping[str, Any], folder: Path, runner: Runner
-) -> "tuple[Tests, list[Path], str | None]":
+    settings: Settings, sources: Sources, options: Mapping[str, Any], folder: Path, runner: Runner
+) -> tuple[Tests, list[Path], str | None]:
     """Run the tests; what came of them, the data that was measured, and the Python that measured."""
-    from calibration.coverage.measuring.command import parse_command
-    from calibration.coverage.measuring.injection import plain
-    from calibration.coverage.measuring.tests import measured_environment, measurement, run_tests
-    from calibration.execution.sizes import parse_seconds
-
     seconds = parse_seconds(settings.timeout, "timeout")
     output = (settings.output or folder).absolute()
     environment = plain(os.environ)
@@ -318,11 +307,8 @@ def _run(
     return tests, list(measured.files), measured.executable
 
 
-def _only_final(settings: Settings, commit: str, service: "Service | None", skipped: str, runner: Runner) -> ExitCode:
+def _only_final(settings: Settings, commit: str, service: Service | None, skipped: str, runner: Runner) -> ExitCode:
     """Say that nothing more is told of the commit."""
-    from calibration.coverage.results import Uploaded
-    from calibration.coverage.services.service import Upload
-
     state = Uploaded.NONE if settings.service == "none" else Uploaded.SKIPPED
     if service is not None:
         requests = service.requests(Upload(commit, {}, final=True))
@@ -332,11 +318,8 @@ def _only_final(settings: Settings, commit: str, service: "Service | None", skip
     return ExitCode.PASS
 
 
-def _told(results: "Results", settings: Settings, service: "Service | None", skipped: str, runner: Runner) -> "Results":
+def _told(results: Results, settings: Settings, service: Service | None, skipped: str, runner: Runner) -> Results:
     """Tell the service, and say what came of it."""
-    from calibration.coverage.results import Uploaded
-    from calibration.coverage.services.service import Upload
-
     if service is None:
         state = Uploaded.NONE if settings.service == "none" else Uploaded.SKIPPED
         return replace(results, uploaded=state, upload_reason=skipped)
@@ -349,14 +332,12 @@ def _told(results: "Results", settings: Settings, service: "Service | None", ski
         return replace(results, uploaded=Uploaded.FAILED, upload_reason=str(error))
 
 
-def _send(service: "Service", requests: "Sequence[Request]", settings: Settings, runner: Runner) -> "Uploaded":
+def _send(service: Service, requests: Sequence[Request], settings: Settings, runner: Runner) -> Uploaded:
     """Send the requests, or only show them.
 
     Raises:
         WorldError: the service did not take one.
     """
-    from calibration.coverage.results import Uploaded
-
     for request in requests:
         verb = "would be sent" if settings.dry_run else "goes"
         runner.log(one_line(f"{request.what}: {len(request.body)} bytes of JSON {verb} to {request.url}"))
@@ -369,9 +350,7 @@ def _send(service: "Service", requests: "Sequence[Request]", settings: Settings,
     return Uploaded.YES
 
 
-def _publish(results: "Results", settings: Settings, runner: Runner) -> None:
-    from calibration.coverage import presentation
-    from calibration.coverage.badge import badge
+def _publish(results: Results, settings: Settings, runner: Runner) -> None:
 
     with stop_commands(runner):
         runner.log(presentation.log(results))

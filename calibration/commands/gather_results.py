@@ -11,6 +11,12 @@ import click
 
 from calibration.commands.parameters import path, text
 from calibration.errors import ExitCode
+from calibration.pipeline.distribution.clock import parse_seconds
+from calibration.pipeline.distribution.cost import cost_of_run, jobs_table, money
+from calibration.pipeline.distribution.gathering import gather
+from calibration.pipeline.distribution.needs import parse_needs
+from calibration.pipeline.report import report
+from calibration.pipeline.results import clear_results, write_results
 from calibration.workflow import Annotation, Runner, add_summary, annotate, set_outputs
 
 TITLE = "gather-results"
@@ -44,12 +50,6 @@ def gather_results(settings: Settings, runner: Runner) -> ExitCode:
         InputError: the jobs left something else than what was planned.
         WorldError: a result cannot be written.
     """
-    from calibration.pipeline.distribution.cost import cost_of_run, jobs_table, money
-    from calibration.pipeline.distribution.gathering import gather
-    from calibration.pipeline.distribution.needs import parse_needs
-    from calibration.pipeline.report import report
-    from calibration.pipeline.results import clear_results, write_results
-
     clear_results(settings.output)
     needs = parse_needs(settings.needs)
     gathered = gather(needs, settings.folder)
@@ -71,8 +71,6 @@ def gather_results(settings: Settings, runner: Runner) -> ExitCode:
 
 def _seconds_since(began: str | None) -> int | None:
     """Seconds from a time as ``date +%s`` tells it until now; None where it is none, or lies ahead."""
-    from calibration.pipeline.distribution.clock import parse_seconds
-
     if began is None or not re.fullmatch("[0-9]{1,12}", began):
         return None
     return parse_seconds(str(int(time.time()) - int(began)))

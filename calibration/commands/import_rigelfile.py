@@ -8,6 +8,10 @@ import click
 from calibration.commands.parameters import boolean_option, path
 from calibration.errors import ExitCode, InputError
 from calibration.files import write_atomically
+from calibration.rigel.conversion import convert
+from calibration.rigel.document import read_rigelfile
+from calibration.rigel.notes import Kind
+from calibration.rigel.writing import written
 from calibration.workflow import Annotation, Level, Runner, annotate, stop_commands
 from calibration.workflow.text import one_line
 
@@ -34,11 +38,6 @@ def import_rigelfile(file: Path, output: Path, runner: Runner, *, overwrite: boo
         InputError: there is no Rigelfile, it is none, nothing in it has a place here, or the file to write is there.
         WorldError: the file cannot be written.
     """
-    from calibration.rigel.conversion import convert
-    from calibration.rigel.document import read_rigelfile
-    from calibration.rigel.notes import Kind
-    from calibration.rigel.writing import written
-
     if output.exists() and (not overwrite or output.samefile(file)):
         hint = "name another file" if overwrite else "name another file, or add --overwrite"
         raise InputError(f"{output}: there is such a file already: {hint}")
@@ -72,7 +71,7 @@ def _counted(what: str, number: int) -> str:
 def _complaint(output: Path) -> str:
     """What our own reader says of the new file; nothing where it takes it."""
     try:
-        from calibration.pipeline.configuration import read_configuration
+        from calibration.pipeline.configuration import read_configuration  # needs the extra calibrate
 
         read_configuration(output)
     except ModuleNotFoundError:  # a small installation, without the engine

@@ -1,13 +1,12 @@
 """Where a command runs its containers, by its options ``backend``, ``aws-batch``, ``run`` and ``resume``."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+from calibration.execution.backends import AWS_BATCH, Place
+from calibration.execution.batch.section import read_section
+from calibration.execution.batch.settings import BatchSettings
+from calibration.pipeline.run_name import name_of_run
 from calibration.workflow import Runner
-
-if TYPE_CHECKING:
-    from calibration.execution.backends import Place
-    from calibration.execution.batch.settings import BatchSettings
 
 DEFAULT_FILE = Path("calibration.yml")
 """Where the section aws-batch is looked for."""
@@ -20,8 +19,8 @@ def place(
     run: str | None,
     resume: bool,
     runner: Runner,
-    settings: "BatchSettings | None" = None,
-) -> "Place":
+    settings: BatchSettings | None = None,
+) -> Place:
     """Say where containers run.
 
     Args:
@@ -37,12 +36,8 @@ def place(
         InputError: the section is missing or wrong, or nothing says which run is to be resumed.
         WorldError: the name of the run cannot be kept.
     """
-    from calibration.execution.backends import AWS_BATCH, Place
-
     if backend != AWS_BATCH:
         return Place(backend, None, run)
-    from calibration.execution.batch.section import read_section
-    from calibration.pipeline.run_name import name_of_run
 
     if file is not None or settings is None:
         settings = read_section(file or DEFAULT_FILE)

@@ -3,7 +3,7 @@
 import os
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
@@ -19,11 +19,10 @@ from calibration.commands.parameters import (
     text,
 )
 from calibration.errors import ExitCode, InputError
+from calibration.pipeline.configuration import DEFAULT_FILE, Configuration, NoiseGrid, read_configuration, seed_range
+from calibration.pipeline.distribution.plan import Plan, Wishes, datasets_as_configuration, plan_jobs
+from calibration.pipeline.distribution.plan_outputs import plan_outputs
 from calibration.workflow import Runner, set_outputs, stop_commands
-
-if TYPE_CHECKING:
-    from calibration.pipeline.configuration import Configuration, NoiseGrid
-    from calibration.pipeline.distribution.plan import Plan
 
 HIGHEST_RATE = 1000.0
 """Of a minute, in any currency: more is a slip of the pen."""
@@ -87,8 +86,6 @@ def plan_matrix(settings: Settings, runner: Runner) -> ExitCode:
         InputError: the configuration is wrong, there is nothing to do, or the matrix is too large.
         WorldError: the outputs cannot be written.
     """
-    from calibration.pipeline.distribution.plan_outputs import plan_outputs
-
     plan = plan_of(settings)
     outputs = plan_outputs(plan)
     with stop_commands(runner):  # names of systems are the user's
@@ -101,14 +98,12 @@ def plan_matrix(settings: Settings, runner: Runner) -> ExitCode:
     return ExitCode.PASS
 
 
-def plan_of(settings: Settings) -> "Plan":
+def plan_of(settings: Settings) -> Plan:
     """The plan of these settings.
 
     Raises:
         InputError: the configuration is wrong, there is nothing to do, or the matrix is too large.
     """
-    from calibration.pipeline.distribution.plan import Wishes, plan_jobs
-
     if settings.seeds is not None and settings.seed_list is not None:
         raise InputError("seeds and seed-list exclude each other: a number of seeds, or the seeds themselves")
     if settings.config is not None and settings.datasets:
@@ -128,9 +123,7 @@ def plan_of(settings: Settings) -> "Plan":
     return plan_jobs(configuration, systems, _noise(settings, configuration), wishes, by_path=bool(settings.datasets))
 
 
-def _configuration(settings: Settings) -> "Configuration | None":
-    from calibration.pipeline.configuration import DEFAULT_FILE, read_configuration
-    from calibration.pipeline.distribution.plan import datasets_as_configuration
+def _configuration(settings: Settings) -> Configuration | None:
 
     if settings.datasets:
         return datasets_as_configuration(settings.datasets)
@@ -140,8 +133,7 @@ def _configuration(settings: Settings) -> "Configuration | None":
     return read_configuration(settings.config or DEFAULT_FILE)
 
 
-def _noise(settings: Settings, configuration: "Configuration | None") -> "NoiseGrid":
-    from calibration.pipeline.configuration import NoiseGrid, seed_range
+def _noise(settings: Settings, configuration: Configuration | None) -> NoiseGrid:
 
     noise = configuration.noise if configuration else NoiseGrid()
     seeds = settings.seed_list or (seed_range(settings.seeds) if settings.seeds else noise.seeds)

@@ -1,7 +1,6 @@
 """``record-motion``: a page in the browser where a motion sequence is made by hand."""
 
 import os
-import threading
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
@@ -9,10 +8,10 @@ from typing import Any
 
 import click
 
-from calibration.commands.collection_settings import system_folder
 from calibration.commands.parameters import boolean_option, integer, path, text
+from calibration.commands.system_folder import system_folder
 from calibration.errors import ExitCode, InputError, WorldError
-from calibration.workflow import Runner, stop_commands
+from calibration.workflow import Runner
 
 MAX_PORT = 65535
 
@@ -71,37 +70,9 @@ def record_motion(settings: Settings, runner: Runner) -> ExitCode:
         raise WorldError("record-motion needs viser: pip install viser")
     if settings.output.is_dir():
         raise InputError(f"{settings.output}: is a folder, expected a file for the sequence")
-    from calibration.recorder.markup import poses
-    from calibration.recorder.page import Page
-    from calibration.recorder.preview import preview
-    from calibration.recorder.server import address, is_loopback, serving
-    from calibration.recorder.session import Session
-    from calibration.simulation.motion.prediction import predicted_sigmas
-    from calibration.simulation.motion.sequence import read_motion
-    from calibration.simulation.system import read_system
+    from calibration.recorder.recording import Inputs, record  # needs the extra record, slow to import
 
-    system = read_system(system_folder(settings.system), settings.robot, settings.config)
-    session = Session(system, read_motion(settings.motion) if settings.motion else None)
-    with serving(settings.host, settings.port) as server:
-        page = Page(
-            server,
-            session,
-            settings.output,
-            look=lambda pose: preview(system, pose),
-            rate=lambda motion: predicted_sigmas(system, motion),
-        )
-        try:
-            with stop_commands(runner):  # names in files that others wrote
-                runner.log(f"{system.name}: the motion recorder is at {address(server)} (Ctrl-C ends it)")
-                if not is_loopback(settings.host):
-                    runner.log(f"whoever reaches {settings.host} can use it and write files beside {settings.output}")
-            if settings.open:
-                click.launch(address(server))
-            threading.Event().wait()
-        finally:
-            page.close()
-            saved = session.autosave(settings.output)
-            if saved is not None:
-                with stop_commands(runner):
-                    runner.log(f"{poses(len(session.poses))} not exported, now in {saved}")
+    inputs = Inputs(system_folder(settings.system), settings.robot, settings.config, settings.motion)
+    open_page = click.launch if settings.open else None
+    record(inputs, settings.output, settings.host, settings.port, runner, open_page)
     return ExitCode.PASS

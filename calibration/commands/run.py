@@ -3,16 +3,17 @@
 import os
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
 from calibration.commands.parameters import TEXT_LIST, boolean_option, count, path
 from calibration.errors import ExitCode
+from calibration.image.specification import ImageSpecification
+from calibration.pipeline.configuration import read_configuration
+from calibration.pipeline.matrix.matrix import Matrix
+from calibration.pipeline.stages import STAGES, run_stages
 from calibration.workflow import Runner, set_outputs
-
-if TYPE_CHECKING:
-    from calibration.image.specification import ImageSpecification
 
 
 @dataclass(frozen=True)
@@ -47,10 +48,6 @@ def run(settings: Settings, runner: Runner) -> ExitCode:
         InputError: the configuration or the data are wrong.
         WorldError: a result cannot be written.
     """
-    from calibration.pipeline.configuration import read_configuration
-    from calibration.pipeline.matrix.matrix import Matrix
-    from calibration.pipeline.stages import STAGES, run_stages
-
     configuration = read_configuration(settings.config)
     matrix = Matrix(configuration.systems, configuration.noise, configuration.start, configuration.loss)
     stages = settings.only or STAGES
@@ -70,7 +67,7 @@ def run(settings: Settings, runner: Runner) -> ExitCode:
     return results.exit_code
 
 
-def _image(image: "ImageSpecification | None", push: bool | None) -> "ImageSpecification | None":
+def _image(image: ImageSpecification | None, push: bool | None) -> ImageSpecification | None:
     if image is None or push is None:
         return image
     return replace(image, push=push, promote=image.promote if push else ())

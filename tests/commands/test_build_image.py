@@ -13,7 +13,6 @@ from calibration.image import building
 from calibration.image.builders.failure import BuildFailedError
 from calibration.image.building import BuiltImage
 from calibration.image.specification import ImageSpecification, OwnDockerfile
-from calibration.registries import login, promotion
 from calibration.registries.credentials import Credentials
 from calibration.workflow import Runner
 
@@ -51,9 +50,9 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list[tuple[ImageSpecification, dic
     def log_in(settings: Any, name: str, _runner: Runner) -> Credentials:
         return Credentials("ghcr.io", settings.username if settings else "")
 
-    monkeypatch.setattr(building, "build_image", build)
-    monkeypatch.setattr(promotion, "promote", promote)
-    monkeypatch.setattr(login, "registry_login", log_in)
+    monkeypatch.setattr(build_image, "build_image", build)
+    monkeypatch.setattr(build_image, "promote", promote)
+    monkeypatch.setattr(build_image, "registry_login", log_in)
     return calls
 
 
@@ -195,7 +194,7 @@ def test_a_failing_step_is_one_annotation(
     def fail(*_: Any, **__: Any) -> None:
         raise BuildFailedError("r", "step 2 of 3, RUN make", "exit code 2", ["one", "::warning::two"])
 
-    monkeypatch.setattr(building, "build_image", fail)
+    monkeypatch.setattr(build_image, "build_image", fail)
     monkeypatch.setenv("GITHUB_ACTIONS", "true")
     assert main(["build-image", "--output", "out"]) == 1
     out, err = capsys.readouterr()
@@ -212,7 +211,7 @@ def test_a_failing_step_off_github(monkeypatch: pytest.MonkeyPatch, capsys: pyte
     def fail(*_: Any, **__: Any) -> None:
         raise BuildFailedError("r", "", "unknown instruction: FORM")
 
-    monkeypatch.setattr(building, "build_image", fail)
+    monkeypatch.setattr(build_image, "build_image", fail)
     assert main(["build-image"]) == 1
     out, err = capsys.readouterr()
     assert err == "error: calibration.yml: image r: unknown instruction: FORM\n"
