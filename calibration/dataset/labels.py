@@ -15,6 +15,10 @@ from calibration.geometry.types import Array, BoolArray, IntArray
 
 MAX_POINTS = 1 << 40
 """More points than any cloud, scan or depth image has."""
+FARTHEST = 1e4
+"""No sensor sees farther, m."""
+OUTSIDE_SHARE = 0.1
+"""No larger share of a camera's corners lies outside of its image: a few are errors of a detector."""
 
 
 class _Detection(NamedTuple):
@@ -48,7 +52,7 @@ def read_labels(
                     kind.append(_Detection(i, pattern, sensor, label, idxs))
     found: list[dict[tuple[str, str], Labels]] = [{} for _ in collections]
     everything: list[tuple[_Detection, Labels]] = [
-        *zip(corners, _read_corners(corners, patterns), strict=True),
+        *zip(corners, _read_corners(corners, patterns, sensors), strict=True),
         *zip(points, _read_points(points, collections, sensors), strict=True),
     ]
     for detection, labels in everything:
@@ -67,7 +71,9 @@ def _by_pattern(labels: Node, patterns: Mapping[str, Pattern], version: str) -> 
         yield pattern, by_sensor
 
 
-def _read_corners(detections: Sequence[_Detection], patterns: Mapping[str, Pattern]) -> Iterator[CornerLabels]:
+def _read_corners(
+    detections: Sequence[_Detection], patterns: Mapping[str, Pattern], sensors: Mapping[str, Sensor]
+) -> Iterator[CornerLabels]:
     if not detections:
         return
     numbers, pixels = read_corners(detection.idxs for detection in detections)
@@ -82,9 +88,38 @@ def _read_corners(detections: Sequence[_Detection], patterns: Mapping[str, Patte
     if (again := batch.repeated(ids)) is not None:
         i, position = again
         raise _element(detections[i].idxs, position)["id"].unexpected("every id once")
+    _check_pixels(detections, batch, pixels, sensors)
     ids.flags.writeable = pixels.flags.writeable = False
     for part in batch.parts:
         yield CornerLabels(ids[part], pixels[part])
+
+
+def _check_pixels(
+    detections: Sequence[_Detection], batch: "_Batch", pixels: Array, sensors: Mapping[str, Sensor]
+) -> None:
+    """Refuse a corner that lies far outside of its image, and cameras of which many corners lie outside."""
+    cameras = [sensors[detection.sensor].camera for detection in detections]
+    sizes = np.array([(camera.width, camera.height) if camera else (0, 0) for camera in cameras], float)[batch.owner]
+    if (far := batch.first(np.any((pixels < -sizes) | (pixels > 2 * sizes), axis=-1))) is not None:
+        i, position = far
+        x, y = pixels[batch.parts[i]][position]
+        width, height = sizes[batch.parts[i]][position]
+        raise _element(detections[i].idxs, position).fault(
+            f"found a corner at ({x:g}, {y:g}) px, expected one in the image of {width:g} x {height:g} px of sensor "
+            f"'{detections[i].sensor}' (camera_info)"
+        )
+    outside = ((pixels < -1) | (pixels > sizes)).any(-1)
+    for name in dict.fromkeys(detection.sensor for detection in detections) if outside.any() else ():
+        of_camera = np.array([detection.sensor == name for detection in detections])[batch.owner]
+        if (outside & of_camera).sum() > OUTSIDE_SHARE * of_camera.sum():
+            i, position = batch.place(int((outside & of_camera).argmax()))
+            x, y = pixels[batch.parts[i]][position]
+            width, height = sizes[batch.parts[i]][position]
+            raise _element(detections[i].idxs, position).fault(
+                f"found a corner at ({x:g}, {y:g}) px, one of {(outside & of_camera).sum()} of {of_camera.sum()} that "
+                f"sensor '{name}' has outside of its image of {width:g} x {height:g} px; does its camera_info have the "
+                "size of the images?"
+            )
 
 
 def _read_points(
@@ -111,7 +146,8 @@ def _read_points(
             clouds[detection.sensor] = data.read(message, sensors[detection.sensor].camera)
         cloud = clouds[detection.sensor]
         try:
-            points[part] = cloud.take(index[part])
+            with np.errstate(invalid="ignore"):  # a NaN that signals; it is refused below
+                points[part] = cloud.take(index[part])
         except IndexError:
             wrong = _element(detection.idxs, int((index[part] >= len(cloud)).argmax()))
             raise wrong.unexpected(f"the index of one of the {data.count.format(len(cloud))}") from None
@@ -119,6 +155,12 @@ def _read_points(
         i, position = batch.place(int(np.isfinite(points).all(-1).argmin()))
         nothing = data_of[i].nothing.format(index[batch.parts[i]][position])
         raise _element(detections[i].idxs, position).fault(nothing)
+    if (far := batch.first(np.any(abs(points) > FARTHEST, axis=-1))) is not None:
+        i, position = far
+        raise _element(detections[i].idxs, position).fault(
+            f"found point {index[batch.parts[i]][position]} of sensor '{detections[i].sensor}' "
+            f"{abs(points[batch.parts[i]][position]).max():g} m away, expected {FARTHEST:g} m at most"
+        )
     points.flags.writeable = positions.flags.writeable = False
     for part, limit_part in zip(batch.parts, limit_batch.parts, strict=True):
         yield PointLabels(points[part], positions[limit_part])

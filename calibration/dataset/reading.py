@@ -2,7 +2,7 @@
 
 import gc
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -12,6 +12,7 @@ from calibration.dataset.edges import is_constant, read_transforms
 from calibration.dataset.frames import check_frames
 from calibration.dataset.joints import read_joints
 from calibration.dataset.labels import read_labels
+from calibration.dataset.layout import check_layouts
 from calibration.dataset.model import Dataset, Edge
 from calibration.dataset.pattern import Pattern
 from calibration.dataset.pattern_document import with_explicit_geometry
@@ -80,7 +81,21 @@ def _read(path: Path) -> Dataset:
     if not any(collection.labels for collection in dataset.collections):
         raise root["collections"].fault(f"none of the {len(collections)} collections has a detected pattern")
     check_frames(dataset, root, collections)
+    _check_image_sizes(dataset, collections)
+    check_layouts(dataset, root)
     return dataset
+
+
+def _check_image_sizes(dataset: Dataset, collections: Sequence[Node]) -> None:
+    """Refuse labelled images that their messages give another size than the camera."""
+    for node, collection in zip(collections, dataset.collections, strict=True):
+        for _, name in collection.labels:
+            camera = dataset.sensors[name].camera  # of a depth camera, the image itself is held to it
+            data = node.get("data")
+            if camera and dataset.sensors[name].modality.points is None and data and (message := data.get(name)):
+                for key, size in (("width", camera.width), ("height", camera.height)):
+                    if (found := message.get(key)) and found.number() != size:
+                        raise found.unexpected(f"{size} as in sensors/{name}/camera_info")
 
 
 def _moves(edge: Edge, transforms: Mapping[Edge, Array], described: Node | None) -> bool:

@@ -57,8 +57,11 @@ def read_camera(info: Node) -> Camera:
     """The intrinsics of a sensor_msgs/CameraInfo: K, D and the size of the image.
 
     Raises:
-        InputError: something in it is missing or wrong, or its distortion model is not known.
+        InputError: something in it is missing or wrong, its distortion model is not known, or the image is a part
+            (``roi``) or a reduction (``binning``) of what K describes.
     """
+    width, height = info["width"].whole(1, MAX_PIXELS), info["height"].whole(1, MAX_PIXELS)
+    _refuse_binning(info, width, height)
     fx, skew, cx, zero, fy, cy, *bottom = info["K"].numbers(9)
     if max(fx, fy, abs(cx), abs(cy)) > MAX_INTRINSIC:
         raise info["K"].fault(f"found {info['K'].value}, expected numbers of pixels up to {MAX_INTRINSIC:g}")
@@ -69,10 +72,21 @@ def read_camera(info: Node) -> Camera:
         fy=fy,
         cx=cx,
         cy=cy,
-        width=info["width"].whole(1, MAX_PIXELS),
-        height=info["height"].whole(1, MAX_PIXELS),
+        width=width,
+        height=height,
         distortion=_read_distortion(info),
     )
+
+
+def _refuse_binning(info: Node, width: int, height: int) -> None:
+    """Refuse an image whose pixels are not those of K: in CameraInfo, K is of the whole image without binning."""
+    for key in ("binning_x", "binning_y"):
+        if (binning := info.get(key)) and binning.number() not in (0, 1):
+            raise binning.unexpected("0 or 1: K, width and height of the image as it is, without binning")
+    if roi := info.get("roi"):
+        for key, whole in (("x_offset", 0), ("y_offset", 0), ("width", width), ("height", height)):
+            if (part := roi.get(key)) and part.number() not in (0, whole):
+                raise part.unexpected(f"{f'0 or {whole}' if whole else '0'}: K of the image as it is, without a roi")
 
 
 def camera_document(camera: Camera) -> dict[str, Any]:

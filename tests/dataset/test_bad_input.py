@@ -3,11 +3,13 @@
 import base64
 import json
 import os
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from calibration.dataset.document import MAX_BYTES
+from calibration.dataset.pointcloud import write_points
 from calibration.dataset.reading import read_dataset
 from calibration.errors import ExitCode, InputError
 from tests.dataset import documents
@@ -153,6 +155,16 @@ CASES = [
         {f"{INFO}/distortion_model": ""},
         f"{INFO}/distortion_model: found '', expected a known distortion model: plumb_b",
     ),
+    (
+        {f"{INFO}/binning_x": 2},
+        f"{INFO}/binning_x: found 2, expected 0 or 1: K, width and height of the image as it is",
+    ),
+    ({f"{INFO}/roi": {"x_offset": 5}}, f"{INFO}/roi/x_offset: found 5, expected 0: K of the image as it is"),
+    ({f"{INFO}/roi": {"width": 160}}, f"{INFO}/roi/width: found 160, expected 0 or 320: K of the image as it is"),
+    (
+        {f"{FIRST}/data/cam/width": 640},
+        f"{FIRST}/data/cam/width: found 640, expected 320 as in sensors/cam/camera_info",
+    ),
     # sensors
     ({"sensors/cam": MISSING}, "sensors: missing sensor 'cam' of calibration_config/sensors"),
     (
@@ -219,6 +231,15 @@ CASES = [
     ({f"{LIDAR}/idxs_limit_points/1": 2}, f"{LIDAR}/idxs_limit_points/1: found 2, expected one of 'idxs'"),
     ({f"{LIDAR}/idxs_limit_points/1": 100}, f"{LIDAR}/idxs_limit_points/1: found 100, expected one of 'idxs'"),
     ({f"{LIDAR}/idxs_limit_points/1": -4}, f"{LIDAR}/idxs_limit_points/1: found -4, expected the index of a point"),
+    (
+        {f"{CAM}/idxs/4/x": 641},
+        f"{CAM}/idxs/4: found a corner at (641, 80.25) px, expected one in the image of 320 x 240 px of sensor 'cam'",
+    ),
+    ({f"{CAM}/idxs/4/y": -1e308}, f"{CAM}/idxs/4: found a corner at (140.5, -1e+308) px, expected one in the image of"),
+    (
+        {f"{INFO}/width": 150, f"{FIRST}/data/cam/width": 150, f"{SECOND}/data/cam/width": 150},
+        f"{CAM}/idxs/0: found a corner at (180.5, 120.25) px, one of 4 of 9 that sensor 'cam' has outside of its image",
+    ),
     # collections
     ({"collections": {}}, "collections: found an empty object, expected at least one collection"),
     (
@@ -312,6 +333,52 @@ def test_the_number_1e999(tmp_path):
     path = documents.write(tmp_path, documents.document())
     path.write_text(path.read_text().replace("100.5", "1e999", 1))
     assert refused(path) == f"{SECOND}/labels/board/cam/idxs/0/x: found inf, expected a finite number"
+
+
+@pytest.mark.parametrize("far", [1.1e4, 1e20, 3e38])
+def test_a_labelled_point_that_no_sensor_can_see(tmp_path, far):
+    path = documents.write(tmp_path, documents.document())
+    cloud = documents.CLOUD.copy()
+    cloud[4, 1] = -far
+    write_points(tmp_path / "lidar_000.pcd", cloud)
+    expected = f"found point 4 of sensor 'lidar' {far:g} m away, expected 10000 m at most"
+    assert refused(path) == f"{LIDAR}/idxs/2: {expected}"
+
+
+def test_a_point_far_away_that_nobody_labelled(tmp_path):
+    path = documents.write(tmp_path, documents.document())
+    cloud = documents.CLOUD.copy()
+    cloud[0] = 1e20  # the labels are 1, 3, 4 and 7
+    write_points(tmp_path / "lidar_000.pcd", cloud)
+    read_dataset(path)
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_signalling_nan_is_said_without_a_warning(tmp_path):
+    path = documents.write(tmp_path, documents.document())
+    file = tmp_path / "lidar_000.pcd"
+    data = bytearray(file.read_bytes())
+    start = len(data) - 12 * len(documents.CLOUD)
+    data[start + 48 : start + 52] = bytes.fromhex("0100a07f")
+    file.write_bytes(data)
+    assert refused(path).startswith(f"{LIDAR}/idxs/2: point 4 of the cloud is not finite")
+
+
+def test_a_region_of_the_whole_image_is_none(tmp_path):
+    region = {"x_offset": 0, "y_offset": 0, "width": 320, "height": 240, "do_rectify": False}
+    read_dataset(
+        documents.write(tmp_path, changed(documents.document(), {f"{INFO}/roi": region, f"{INFO}/binning_x": 1}))
+    )
+
+
+def test_columns_for_rows_are_told_by_the_corners(tmp_path):
+    content = json.loads((Path(__file__).parents[2] / "datasets" / "t2rgb" / "dataset.json").read_text())
+    pattern = content[CONFIG]["calibration_patterns"]["pattern_1"]
+    assert pattern["dimension"] == {"x": 11, "y": 8}
+    pattern["dimension"] = {"x": 8, "y": 11}
+    content.pop("patterns", None)  # the corners by ATOM, which would count more
+    message = refused(documents.write(tmp_path, content))
+    assert "pattern_1/dimension: found x: 8, y: 11, but the labels are numbered by rows of 11 corners" in message
 
 
 @pytest.mark.parametrize("place", range(6))
