@@ -74,7 +74,7 @@ lock: ## resolve requirements/*.txt again after a change in pyproject.toml
 	'$(uv)' $(compile) --constraint requirements/dev.txt --output-file requirements/introspect.txt
 	'$(uv)' $(subst pip compile pyproject.toml,pip compile --group installer,$(compile)) --constraint requirements/dev.txt --output-file requirements/uv.txt
 
-actions: ## write the inputs of the commands into every action.yml
+actions: ## write the inputs of the commands into every action.yml, and the records into the JSON Schemas
 	@$(setup) dev.txt .
 	$(python) -m tests.actions.write_inputs
 

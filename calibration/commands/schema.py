@@ -2,12 +2,14 @@
 
 import json
 import sys
+from importlib import import_module
 from importlib.resources import as_file, files
 
 import click
 
 from calibration.errors import ExitCode
 from calibration.json_schema import bundled
+from calibration.records import schema_text
 
 SCHEMAS = {
     "calibration.yml": ("calibration.pipeline", "calibration.schema.json"),
@@ -22,6 +24,10 @@ SCHEMAS = {
     "introspection": ("calibration.introspection", "results.schema.json"),
 }
 """What there is a schema of: package and file."""
+RECORDS = {
+    "aws-batch": "calibration.execution.batch.settings:BatchFile",
+}
+"""The records from which those schemas are written (`make actions`) that are not written by hand."""
 
 
 @click.command("schema")
@@ -35,3 +41,9 @@ def command(name: str) -> ExitCode:
             text = json.dumps(bundled(path), indent=2) + "\n"
     sys.stdout.write(text)
     return ExitCode.PASS
+
+
+def generated(name: str) -> str:
+    """The text of a schema that is written from its record."""
+    module, _, record = RECORDS[name].partition(":")
+    return schema_text(getattr(import_module(module), record), name)

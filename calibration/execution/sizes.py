@@ -2,8 +2,10 @@
 
 import math
 import re
+from typing import Annotated
 
 from calibration.errors import InputError
+from calibration.records import Converted
 
 _BYTES = re.compile(r"([0-9]+(?:\.[0-9]+)?)\s*([kmgt]?)(?:i?b)?", re.IGNORECASE)
 _TIMES = re.compile(r"(?:[0-9]+(?:\.[0-9]+)?(?:ms|s|m|h|d)\s*)+")
@@ -41,6 +43,12 @@ def parse_seconds(value: object, where: str) -> float:
         if 0 < found <= _MOST_SECONDS:
             return found
     raise InputError(f"{where}: found {value!r}, expected a time such as 90s, 10m or 1h30m, of at most a year")
+
+
+Bytes = Annotated[int, Converted(str | int, lambda value, place: parse_bytes(value, str(place)))]
+"""A field of a record: bytes, as `parse_bytes` reads them."""
+Seconds = Annotated[float, Converted(str | float, lambda value, place: parse_seconds(value, str(place)))]
+"""A field of a record: seconds, as `parse_seconds` reads them."""
 
 
 def describe_bytes(count: int) -> str:

@@ -4,8 +4,9 @@ import re
 from collections.abc import Sequence
 from typing import Any
 
-from calibration.execution.batch.settings import SCHEMA
-from calibration.json_schema import bundled
+from calibration.errors import InputError
+from calibration.execution.batch.settings import BatchSettings, TagKey, TagValue
+from calibration.records import Place, flat_fields, read_as
 from calibration.rigel.fields import Fields
 from calibration.rigel.notes import Notes
 from calibration.rigel.substitution import plain
@@ -130,13 +131,11 @@ def _network(vpc: Fields, section: dict[str, Any], gpu: bool, notes: Notes) -> N
 
 
 def _tags(fields: Fields, section: dict[str, Any], notes: Notes) -> None:
-    known = bundled(SCHEMA)["$defs"]["settings"]["properties"]["tags"]
-    patterns = known["propertyNames"]["pattern"], known["additionalProperties"]["pattern"]
     tags: dict[str, str] = {}
     where = fields.at("tags")
     for key, value in fields.mapping("tags").items():
         texts = plain(key, notes, where), plain(str(value), notes, where)
-        if len(tags) == _MOST_TAGS or not all(re.search(p, t) for p, t in zip(patterns, texts, strict=True)):
+        if len(tags) == _MOST_TAGS or not (_is(TagKey, texts[0]) and _is(TagValue, texts[1])):
             notes.lost(f"{where}.{key}", f"at most {_MOST_TAGS} tags of letters, digits and _ . : / = + - @ are taken")
         else:
             tags[texts[0]] = texts[1]
@@ -157,10 +156,15 @@ def _policy(policy: Fields, section: dict[str, Any], notes: Notes) -> None:
 
 
 def _fits(key: str, value: str) -> bool:
-    """Whether the schema takes a value; one that is read from the environment is seen then."""
+    """Whether a key may have a value; one that is read from the environment is seen then."""
     if "${" in value:
         return True
-    schema = bundled(SCHEMA)["$defs"]
-    entry = schema["settings"]["properties"][key]
-    pattern = schema["role"]["pattern"] if key == "job-role" else entry["pattern"]
-    return re.search(pattern, value) is not None and len(value) <= entry.get("maxLength", len(value))
+    return _is(flat_fields(BatchSettings)[key].type, value)
+
+
+def _is(kind: Any, value: str) -> bool:
+    try:
+        read_as(kind, value, Place(""))
+    except InputError:
+        return False
+    return True

@@ -1,6 +1,7 @@
-"""Writes into every action.yml, and the README, the inputs that the commands declare: `make actions`.
+"""Writes what is declared once where it is shown: `make actions`.
 
-The options of the commands are the one place where inputs are declared; `test_contract.py` holds the files to them.
+The inputs that the commands declare go into every action.yml and the README, the records into the JSON Schemas that
+ship. `test_contract.py` holds the files to them.
 """
 
 import json
@@ -11,6 +12,7 @@ import click
 import yaml
 
 from calibration.__main__ import load_command
+from calibration.commands.schema import RECORDS, SCHEMAS, generated
 
 PROJECT = Path(__file__).resolve().parents[2]
 README = PROJECT / "README.md"
@@ -76,7 +78,15 @@ def lock_of(name: str) -> str:
     return str(lock)
 
 
+def schema_file(name: str) -> Path:
+    """Return the file in which a schema ships."""
+    package, file = SCHEMAS[name]
+    return PROJECT / package.replace(".", "/") / file
+
+
 if __name__ == "__main__":
+    for schema in RECORDS:
+        schema_file(schema).write_text(generated(schema))
     for name, path in FILES.items():
         path.write_text(with_inputs(path.read_text(), name, lock_of(name)))
     README.write_text(with_tables(README.read_text()))

@@ -61,7 +61,7 @@ def test_nothing_said_is_this_machine(tmp_path: Path) -> None:
         (SECTION.replace("QUEUE", "QUEU") + SIMULATIONS, "aws-batch.queue: the environment variable QUEU is not set"),
         (
             SECTION.replace("${QUEUE}", "a b") + SIMULATIONS,
-            "aws-batch: queue: expected the name or the ARN",
+            "aws-batch: queue: found 'a b', expected the name or the ARN",
         ),
         (
             "simulation: {a: {system: s, backend: aws-batch}}",

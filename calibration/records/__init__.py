@@ -1,0 +1,77 @@
+"""Documents declared once: a record is a frozen dataclass from which reading, writing and the JSON Schema come.
+
+A record's fields carry their type, default, limits, unit and one sentence of help::
+
+    @record
+    class Limits:
+        '''The largest values that pass, in every cell.'''
+
+        rms_px: Annotated[float, at_least(0)] | None = field("Root mean square of the table's errors", unit="px")
+
+    limits = read(Limits, {"rms-px": 3}, "calibration.yml: limits")     # Limits(rms_px=3.0)
+    read(Limits, {"rms-px": -1}, "calibration.yml: limits")
+        # InputError: calibration.yml: limits.rms-px: found -1, expected a number of at least 0
+    document_of(limits)                                                 # {"rms-px": 3.0}
+    schema_of(Limits)                                                   # the JSON Schema, for editors
+
+Types of fields: ``str``, ``int``, ``float``, ``bool``, ``Path`` (relative to the folder of the file), ``Literal``,
+``tuple[T, ...]``, ``Mapping[str, T]``, records, unions, and ``T | None`` for what may be absent; each with limits in
+``Annotated``: `at_least`, `between`, `above`, `matching`, `length`, `UNIQUE`. A field that is not declared by `field`
+is no part of the document.
+
+- ``key="from"`` gives another key than the field's name in kebab-case (in snake_case with ``@record(case="snake")``).
+- ``flat=True``: the keys of the record in this field stand among those of the record that has it.
+- `Converted`: a value that stands otherwise in the document (``10m``) than in the record (600.0).
+- `ByName`: a mapping whose keys are the names of the records in it.
+- ``@record(rules=...)``: which keys go together: `excludes`, `needs`, `one_of`; what else must hold of the values, a
+  record says in ``__post_init__`` by raising `Misfit`.
+- ``@record(case="snake", nulls=True, unknown="ignore")`` is for results: null stands for None, and what a newer
+  version has added is left alone.
+
+Nothing here is slow to import, so that a command may declare its options by a record. No library reads the documents:
+pydantic takes longer to import than all of this command line, and needs as many lines as `reading` to tell an absent
+key from null, a list from a text, and to name the key.
+"""
+
+from calibration.records.constraints import (
+    UNIQUE,
+    ByName,
+    Constraint,
+    Converted,
+    above,
+    at_least,
+    between,
+    length,
+    matching,
+)
+from calibration.records.declaration import Misfit, excludes, field, flat_fields, needs, one_of, record
+from calibration.records.reading import Place, read, read_as, shown
+from calibration.records.schema import schema_of, schema_text
+from calibration.records.writing import document_of, text_of
+
+__all__ = [
+    "UNIQUE",
+    "ByName",
+    "Constraint",
+    "Converted",
+    "Misfit",
+    "Place",
+    "above",
+    "at_least",
+    "between",
+    "document_of",
+    "excludes",
+    "field",
+    "flat_fields",
+    "length",
+    "matching",
+    "needs",
+    "one_of",
+    "read",
+    "read_as",
+    "record",
+    "schema_of",
+    "schema_text",
+    "shown",
+    "text_of",
+]

@@ -1,0 +1,191 @@
+"""Declaration of records: frozen dataclasses whose fields say what a document may hold."""
+
+import dataclasses
+import typing
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import MISSING, dataclass
+from functools import cache
+from typing import Any, Literal, TypeVar, dataclass_transform
+
+from calibration.workflow.text import did_you_mean
+
+_Class = TypeVar("_Class", bound=type)
+_SETTINGS = "__record__"
+_DECLARED = "record"
+
+
+class Misfit(ValueError):  # noqa: N818 (it becomes an error for users where the place is known)
+    """Values that are right alone and wrong together; ``key`` is the one to change."""
+
+    def __init__(self, message: str, key: str = "") -> None:
+        super().__init__(message)
+        self.key = key
+
+
+@dataclass(frozen=True)
+class Rule:
+    """A condition on which keys a document has."""
+
+    fault: Callable[[Collection[str]], str | None]
+    """What is wrong with these keys; None if nothing."""
+    schema: Mapping[str, Any]
+    """The same as keywords of JSON Schema."""
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Properties of a record as a whole."""
+
+    case: Literal["kebab", "snake"] = "kebab"
+    nulls: bool = False
+    """Whether None stands as null in the document; else an absent key is the only form of None."""
+    unknown: Literal["refuse", "ignore"] = "refuse"
+    rules: tuple[Rule, ...] = ()
+
+
+@dataclass(frozen=True)
+class Declared:
+    """A field of a record that is part of its document."""
+
+    name: str
+    key: str
+    type: Any
+    """With what is in ``Annotated``."""
+    help: str
+    default: Any
+    """`dataclasses.MISSING` where the key is required."""
+    flat: bool
+    option: bool | str
+    """Whether the field is an option of a command; the sentence of help for it, where the option needs its own."""
+
+    @property
+    def required(self) -> bool:
+        """Whether the key must be there."""
+        return self.default is MISSING and not self.flat
+
+
+def field(
+    help: str = "",  # noqa: A002 (click's word)
+    *,
+    default: Any = MISSING,
+    default_factory: Any = MISSING,
+    key: str | None = None,
+    unit: str | None = None,
+    flat: bool = False,
+    option: bool | str = True,
+) -> Any:
+    """Declare a field of a record.
+
+    Args:
+        help: one sentence, for schemas, options and tables.
+        default: the value where the key is absent.
+        default_factory: makes it; the record itself in a flat field.
+        key: in the document, where it is not the field's name.
+        unit: of the value; added to the help.
+        flat: whether the keys of the record in this field stand among those of the record that has it.
+        option: whether a command has an option for it; or another sentence of help for the option.
+    """
+    text = f"{help.removesuffix('.')}, {unit}." if unit else help
+    metadata = {_DECLARED: {"key": key, "help": text, "flat": flat, "option": option}}
+    if default_factory is not MISSING:
+        return dataclasses.field(default_factory=default_factory, metadata=metadata)
+    return dataclasses.field(default=default, metadata=metadata)
+
+
+@typing.overload
+def record(cls: _Class, /) -> _Class: ...
+@typing.overload
+def record(
+    *,
+    case: Literal["kebab", "snake"] = "kebab",
+    nulls: bool = False,
+    unknown: Literal["refuse", "ignore"] = "refuse",
+    rules: tuple[Rule, ...] = (),
+    **options: bool,
+) -> Callable[[_Class], _Class]: ...
+@dataclass_transform(frozen_default=True, field_specifiers=(field, dataclasses.field))
+def record(cls: Any = None, /, **settings: Any) -> Any:
+    """Make a class a record: a frozen dataclass that can be read, written and described as a schema.
+
+    Args:
+        cls: the class; its docstring describes the document.
+        settings: see `Settings`; all others are those of `dataclasses.dataclass`.
+    """
+
+    def declare(cls: Any) -> Any:
+        own = {name: settings[name] for name in Settings.__dataclass_fields__.keys() & settings.keys()}
+        others = {name: value for name, value in settings.items() if name not in own}
+        made = dataclass(frozen=True, **others)(cls)
+        setattr(made, _SETTINGS, Settings(**own))
+        return made
+
+    return declare if cls is None else declare(cls)
+
+
+def is_record(kind: Any) -> bool:
+    """Whether a type is a record."""
+    return isinstance(kind, type) and hasattr(kind, _SETTINGS)
+
+
+def settings_of(kind: Any) -> Settings:
+    """The properties of a record as a whole."""
+    found: Settings = getattr(kind, _SETTINGS)
+    return found
+
+
+@cache
+def fields_of(kind: Any) -> tuple[Declared, ...]:
+    """The fields of a record that are part of its document, in order."""
+    types = typing.get_type_hints(kind, include_extras=True)
+    kebab = settings_of(kind).case == "kebab"
+    found = []
+    for each in dataclasses.fields(kind):
+        if (declared := each.metadata.get(_DECLARED)) is None:
+            continue
+        default = each.default if each.default_factory is MISSING else each.default_factory()
+        key = declared["key"] or (each.name.replace("_", "-") if kebab else each.name)
+        details = {name: declared[name] for name in ("help", "flat", "option")}
+        found.append(Declared(each.name, key, types[each.name], default=default, **details))
+    return tuple(found)
+
+
+def flat_fields(kind: Any) -> dict[str, Declared]:
+    """The fields by key, with those of flat records in the place of these."""
+    found: dict[str, Declared] = {}
+    for each in fields_of(kind):
+        found |= flat_fields(bare(each.type)) if each.flat else {each.key: each}
+    return found
+
+
+def bare(kind: Any) -> Any:
+    """A type without what is in ``Annotated``."""
+    return bare(typing.get_args(kind)[0]) if typing.get_origin(kind) is typing.Annotated else kind
+
+
+def excludes(first: str, second: str) -> Rule:
+    """A rule that two keys do not stand together."""
+    return Rule(
+        lambda keys: f"{first} and {second} exclude each other" if {first, second} <= set(keys) else None,
+        {"not": {"required": [first, second]}},
+    )
+
+
+def needs(key: str, other: str, why: str = "") -> Rule:
+    """A rule that a key stands only together with another."""
+    fault = why or f"{key} needs {other}: say {other} too"
+    return Rule(
+        lambda keys: fault if key in keys and other not in keys else None, {"dependentRequired": {key: [other]}}
+    )
+
+
+def one_of(*names: str, why: str) -> Rule:
+    """A rule that at least one of some keys is there; ``why`` is the message."""
+    return Rule(
+        lambda keys: None if any(name in keys for name in names) else why,
+        {"anyOf": [{"required": [name]} for name in names]},
+    )
+
+
+def unknown_key(key: object, known: Collection[str]) -> str:
+    """The message about a key that is none of those known."""
+    return f"unknown key '{key}'{did_you_mean(str(key), known)} (known: {', '.join(known)})"

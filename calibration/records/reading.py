@@ -1,0 +1,271 @@
+"""Reading of documents as records, with one line for whatever is wrong: file, place, what was found and expected."""
+
+import math
+import typing
+from collections.abc import Mapping
+from dataclasses import MISSING, dataclass, replace
+from pathlib import Path
+from types import NoneType, UnionType
+from typing import Any, TypeVar
+
+from calibration.errors import CalibrationError, InputError
+from calibration.records.constraints import ByName, Constraint, Converted
+from calibration.records.declaration import Misfit, fields_of, flat_fields, is_record, settings_of, unknown_key
+from calibration.workflow.text import did_you_mean, shorten
+
+_Record = TypeVar("_Record")
+_NOUNS = {str: "a text", int: "a whole number", float: "a number", bool: "true or false", Path: "a path", dict: "keys"}
+
+
+@dataclass(frozen=True)
+class Place:
+    """A place in a document, for messages; and what reading needs to know beside the value."""
+
+    where: str
+    """The file, and the key in it where the document is a part of one."""
+    keys: tuple[str, ...] = ()
+    folder: Path = Path()
+    """Where relative paths begin."""
+    error: type[CalibrationError] = InputError
+
+    def __str__(self) -> str:
+        return ": ".join(filter(None, (self.where, ".".join(self.keys))))
+
+    def below(self, key: object) -> "Place":
+        """The place of a key or an item here."""
+        return replace(self, keys=(*self.keys, str(key)))
+
+    def fault(self, message: str) -> CalibrationError:
+        """The error with this message."""
+        return self.error(f"{self}: {message}")
+
+    def unexpected(self, value: object, expected: str) -> CalibrationError:
+        """The error that says what was found here and what was expected."""
+        return self.fault(f"found {shown(value)}, expected {expected}")
+
+
+def read(
+    kind: type[_Record],
+    document: object,
+    where: str,
+    folder: Path | None = None,
+    error: type[CalibrationError] = InputError,
+    **more: Any,
+) -> _Record:
+    """Read a document as a record.
+
+    Args:
+        kind: the record.
+        document: as it was parsed: mappings, lists, texts, numbers, truth values.
+        where: the file, and the key in it where the document is a part of one; messages begin with it.
+        folder: where relative paths begin; they stay as they are where None.
+        error: to raise; `WorldError` for documents that no user has written.
+        more: fields that are no part of the document, such as ``name``.
+
+    Raises:
+        InputError: one line that names the file, the key, what was found and what was expected.
+    """
+    found: _Record = _record(kind, document, Place(where, folder=folder or Path(), error=error), more)
+    return found
+
+
+def read_as(kind: Any, value: object, place: Place) -> Any:
+    """Read a value as any type that a field of a record may have.
+
+    Raises:
+        InputError: as `read`.
+    """
+    base, extras = _parts(kind)
+    for extra in extras:
+        if isinstance(extra, Converted):
+            made = extra.make(read_as(extra.accepts, value, place), place)
+            return _checked(made, value, base, extras, place)
+        if isinstance(extra, ByName):
+            return _by_name(typing.get_args(base)[0], value, extra, place)
+    return _checked(_plain(base, value, extras, place), value, base, extras, place)
+
+
+def shown(value: object) -> str:
+    """A value in the words of a message, cut to a short line."""
+    if value is None or isinstance(value, bool):
+        return {None: "null", True: "true", False: "false"}[value]
+    if isinstance(value, dict):
+        return f"a mapping of {len(value)} keys" if value else "an empty mapping"
+    if isinstance(value, list):
+        return f"a list of {len(value)}" if value else "an empty list"
+    return shorten(repr(value))
+
+
+def _parts(kind: Any) -> tuple[Any, tuple[Any, ...]]:
+    """A type, and what is in ``Annotated``, innermost first."""
+    if typing.get_origin(kind) is typing.Annotated:
+        base, *extras = typing.get_args(kind)
+        inner, more = _parts(base)
+        return inner, (*more, *extras)
+    return kind, ()
+
+
+def _plain(kind: Any, value: object, extras: tuple[Any, ...], place: Place) -> Any:
+    origin = typing.get_origin(kind)
+    if origin in (typing.Union, UnionType):
+        return _union(kind, value, place)
+    if not fits(kind, value):
+        raise _wrong(value, kind, extras, place)
+    if is_record(kind):
+        return _record(kind, value, place, {})
+    if origin is tuple:
+        item = typing.get_args(kind)[0]
+        return tuple(read_as(item, each, place.below(i)) for i, each in enumerate(typing.cast("list[Any]", value)))
+    if origin is not None and origin is not typing.Literal:
+        names, item = typing.get_args(kind)
+        mapping = typing.cast("dict[Any, Any]", value)
+        return {str(_key(names, key, place)): read_as(item, each, place.below(key)) for key, each in mapping.items()}
+    if kind is Path:
+        return place.folder / str(value)
+    return float(typing.cast("float", value)) if kind is float else value
+
+
+def _key(kind: Any, key: object, place: Place) -> Any:
+    try:
+        return read_as(kind, key, place)
+    except CalibrationError:
+        expected = ", ".join(each.expected for each in _parts(kind)[1] if isinstance(each, Constraint))
+        raise place.fault(f"found the key {shown(key)}, expected {expected or 'a text'}") from None
+
+
+def _checked(result: Any, value: object, kind: Any, extras: tuple[Any, ...], place: Place) -> Any:
+    """The result, if all constraints hold."""
+    for extra in extras:
+        if isinstance(extra, Constraint) and not extra.holds(result):
+            if extra.secret:
+                raise place.fault(f"expected {extra.expected}")
+            raise _wrong(value, kind, extras, place)
+    return result
+
+
+def _wrong(value: object, kind: Any, extras: tuple[Any, ...], place: Place) -> CalibrationError:
+    limits = [each for each in extras if isinstance(each, Constraint)]
+    whole = next((each.expected for each in limits if each.whole), None)
+    expected = whole or " ".join([expectation(kind), *(each.expected for each in limits)])
+    if any(each.secret for each in limits):
+        return place.fault(f"expected {expected}")
+    hint = ""
+    if typing.get_origin(kind) is typing.Literal and isinstance(value, str):
+        hint = did_you_mean(value, [each for each in typing.get_args(kind) if isinstance(each, str)])
+    return place.unexpected(value, expected + hint)
+
+
+def _union(kind: Any, value: object, place: Place) -> Any:
+    members = [each for each in typing.get_args(kind) if each is not NoneType]
+    if len(members) > 1:
+        fitting = [each for each in members if fits(each, value)]
+        members = [each for each in fitting if _is_literal_of(each, value)] or fitting
+    if not members:
+        raise place.unexpected(value, expectation(kind))
+    return read_as(members[0], value, place)
+
+
+def _is_literal_of(kind: Any, value: object) -> bool:
+    return typing.get_origin(kind) is typing.Literal and value in typing.get_args(kind)
+
+
+def fits(kind: Any, value: object) -> bool:
+    """Whether a value is of the kind that a type is read from; its content may still be wrong."""
+    base, extras = _parts(kind)
+    if (other := next((each for each in extras if isinstance(each, Converted)), None)) is not None:
+        return fits(other.accepts, value)
+    origin = typing.get_origin(base)
+    if origin in (typing.Union, UnionType):
+        return any(fits(each, value) for each in typing.get_args(base))
+    if origin is typing.Literal:
+        return any(type(value) is type(each) and value == each for each in typing.get_args(base))
+    if is_record(base) or base is dict or any(isinstance(each, ByName) for each in extras):
+        return isinstance(value, dict)
+    if origin is tuple or base is list:
+        return isinstance(value, list)
+    if origin is not None:
+        return isinstance(value, dict)
+    if base in (int, float):
+        return _is_number(value) and (base is float or isinstance(value, int))
+    return isinstance(value, str if base is Path else base)
+
+
+def _is_number(value: object) -> bool:
+    try:
+        return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+    except OverflowError:  # an integer beyond the range of floats
+        return False
+
+
+def expectation(kind: Any) -> str:
+    """What a type expects, in the words of a message: ``a number``."""
+    base, extras = _parts(kind)
+    for extra in extras:
+        if isinstance(extra, Converted):
+            return expectation(extra.accepts)
+        if isinstance(extra, Constraint) and extra.whole:
+            return extra.expected
+    origin = typing.get_origin(base)
+    if origin in (typing.Union, UnionType):
+        return _listed([expectation(each) for each in typing.get_args(base) if each is not NoneType])
+    if origin is typing.Literal:
+        return _listed([str(each) for each in typing.get_args(base)])
+    if is_record(base):
+        return f"keys: {', '.join(flat_fields(base))}"
+    return _NOUNS.get(base) or ("a list" if origin is tuple or base is list else "keys and values")
+
+
+def _listed(texts: list[str]) -> str:
+    texts = list(dict.fromkeys(texts))
+    return " or ".join(filter(None, (", ".join(texts[:-1]), texts[-1])))
+
+
+def _by_name(kind: Any, value: object, extra: ByName, place: Place) -> tuple[Any, ...]:
+    if not isinstance(value, dict) or not value:
+        raise place.unexpected(value, "a mapping of names, at least one")
+    for name in value:
+        if not isinstance(name, str) or (extra.names and not extra.names.holds(name)):
+            raise place.fault(f"found the name {shown(name)}, expected {extra.names.expected if extra.names else ''}")
+    return tuple(_record(kind, each, place.below(name), {"name": name}) for name, each in value.items())
+
+
+def _record(kind: Any, document: object, place: Place, more: Mapping[str, Any]) -> Any:
+    if not isinstance(document, dict):
+        raise place.unexpected(document, expectation(kind))
+    known = flat_fields(kind)
+    for key in document:
+        if key not in known and settings_of(kind).unknown == "refuse":
+            raise place.fault(unknown_key(key, list(known)))
+    _check_rules(kind, document, place)
+    return _made(kind, document, place, more)
+
+
+def _check_rules(kind: Any, document: Mapping[str, Any], place: Place) -> None:
+    for rule in settings_of(kind).rules:
+        if (fault := rule.fault(document)) is not None:
+            raise place.fault(fault)
+
+
+def _made(kind: Any, document: Mapping[str, Any], place: Place, more: Mapping[str, Any]) -> Any:
+    """The record, of those keys of the document that are its own."""
+    values = dict(more)
+    nulls = settings_of(kind).nulls
+    for each in fields_of(kind):
+        if each.flat:
+            flat = _base(each.type)
+            _check_rules(flat, document, place)
+            values[each.name] = _made(flat, document, place, {})
+        elif each.key in document:
+            value = document[each.key]
+            absent = value is None and nulls and NoneType in typing.get_args(each.type)
+            values[each.name] = None if absent else read_as(each.type, value, place.below(each.key))
+        elif each.default is MISSING:
+            raise place.fault(f"missing key '{each.key}'")
+    try:
+        return kind(**values)
+    except Misfit as misfit:
+        raise (place.below(misfit.key) if misfit.key else place).fault(str(misfit)) from None
+
+
+def _base(kind: Any) -> Any:
+    return _parts(kind)[0]
