@@ -22,10 +22,11 @@ from calibration.errors import ExitCode, InputError
 from calibration.execution.backends import AWS_BATCH, CONTAINERS, DOCKER, Place, check_backend
 from calibration.image.pulling import pull_image
 from calibration.introspection.rulesfile import read_rules
-from calibration.pipeline.configuration import Configuration, NoiseGrid, System, read_configuration, seed_range
+from calibration.pipeline.configuration import Configuration, read_configuration
 from calibration.pipeline.matrix.matrix import Matrix
 from calibration.pipeline.matrix.software import adjusted_software
 from calibration.pipeline.stages import run_stages
+from calibration.pipeline.system import NoiseGrid, System, seed_range
 from calibration.registries.credentials import RegistrySettings
 from calibration.workflow import Runner
 

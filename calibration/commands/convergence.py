@@ -17,7 +17,8 @@ from calibration.pipeline.convergence.convergence_map import maps_of
 from calibration.pipeline.convergence.report import clear_convergence, report_convergence, write_convergence
 from calibration.pipeline.convergence.results import ConvergenceResults, Minimums
 from calibration.pipeline.convergence.sweep import run_sweep, sweep_matrices
-from calibration.pipeline.matrix.cell import CellResult, Start
+from calibration.pipeline.matrix.cell import CellResult
+from calibration.pipeline.system import Start
 from calibration.workflow import Runner
 from calibration.workflow.progress import progress
 from calibration.workflow.streams import LogDisplay

@@ -19,9 +19,10 @@ from calibration.commands.parameters import (
     text,
 )
 from calibration.errors import ExitCode, InputError
-from calibration.pipeline.configuration import DEFAULT_FILE, Configuration, NoiseGrid, read_configuration, seed_range
+from calibration.pipeline.configuration import DEFAULT_FILE, Configuration, read_configuration
 from calibration.pipeline.distribution.plan import Plan, Wishes, datasets_as_configuration, plan_jobs
 from calibration.pipeline.distribution.plan_outputs import plan_outputs
+from calibration.pipeline.system import NoiseGrid, seed_range
 from calibration.workflow import Runner, set_outputs, stop_commands
 
 HIGHEST_RATE = 1000.0

@@ -10,14 +10,13 @@ from calibration.execution.backends import AWS_BATCH, CONTAINERS, DOCKER, EMBEDD
 from calibration.execution.batch.settings import SECTION, BatchSettings, settings_from
 from calibration.image.specification import ImageSpecification, parse_image_specification
 from calibration.introspection.parsing import parse_rules
-from calibration.introspection.rules import RuleSet
 from calibration.json_schema import bundled, check_document
 from calibration.pipeline.collection.applications import Applications, applications_from
 from calibration.pipeline.collection.collecting import GENERATE, CollectionRequest
 from calibration.pipeline.collection.in_containers import ContainerRequest
 from calibration.pipeline.collection.results import CollectionChecks
-from calibration.pipeline.matrix.cell import Loss, Start
-from calibration.pipeline.matrix.software import Software, software_from
+from calibration.pipeline.matrix.software import software_from
+from calibration.pipeline.system import Limits, Loss, NoiseGrid, Start, System, seed_range
 from calibration.variables import with_variables
 from calibration.workflow.text import did_you_mean
 from calibration.yaml_file import read_yaml
@@ -35,42 +34,6 @@ COLLECTED = "simulation:"
 
 
 @dataclass(frozen=True)
-class Limits:
-    """The largest values that pass; None where there is no limit."""
-
-    rms_px: float | None = None
-    translation_mm: float | None = None
-    rotation_deg: float | None = None
-    joint_mm: float | None = None
-    joint_deg: float | None = None
-
-
-@dataclass(frozen=True)
-class System:
-    """A robot to calibrate."""
-
-    name: str
-    dataset: Path
-    evaluate: str | None = None
-    """The table to make, such as ``rgb-to-rgb:right_camera:left_camera``; None for reprojection errors."""
-    truth: str | None = None
-    """A file, "dataset" or "none"; None for ground_truth.json beside the dataset, where there is one."""
-    compare: tuple[str, ...] = ()
-    rules: RuleSet | None = None
-    limits: Limits = field(default_factory=Limits)
-    software: Software | None = None
-    """The team's own calibration, in the place of our engine, which then only compares."""
-    intrinsics: tuple[str, ...] = ()
-    """Cameras whose intrinsics are calibrated too, or "all"."""
-    intrinsics_covariance: Path | None = None
-    """A file that says how well intrinsics are known, such as an earlier run's ``intrinsics.json``."""
-    hold: tuple[str, ...] = ()
-    """What stays as the dataset has it."""
-    collected: str | None = None
-    """The entry of `simulation` that makes its dataset, whose place only a run knows."""
-
-
-@dataclass(frozen=True)
 class Simulation:
     """A dataset to collect in simulation, and to calibrate."""
 
@@ -79,17 +42,6 @@ class Simulation:
     """For our own simulation, or for the team's applications."""
     backend: str = EMBEDDED
     """Where it runs."""
-
-
-@dataclass(frozen=True)
-class NoiseGrid:
-    """How far the starting guesses are off."""
-
-    translations: tuple[float, ...] = (0.0,)
-    """m."""
-    rotations: tuple[float, ...] = (0.0,)
-    """rad."""
-    seeds: tuple[int, ...] = (1,)
 
 
 @dataclass(frozen=True)
@@ -200,11 +152,6 @@ def parse_applications(entry: Mapping[str, Any], folder: Path, where: str) -> Ap
     schema = bundled(SCHEMA)
     check_document(entry, {**schema["$defs"]["simulation"], "$defs": schema["$defs"]}, where, ADVICE)
     return applications_from(with_variables(entry, where), folder, where)
-
-
-def seed_range(count: int) -> tuple[int, ...]:
-    """The seeds 1 to count."""
-    return tuple(range(1, count + 1))
 
 
 def _system(name: str, entry: Mapping[str, Any], common_limits: Mapping[str, float] | None, path: Path) -> System:

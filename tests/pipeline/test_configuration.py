@@ -6,7 +6,8 @@ import pytest
 
 from calibration.errors import InputError
 from calibration.pipeline.collection.in_containers import ContainerRequest
-from calibration.pipeline.configuration import Limits, read_configuration
+from calibration.pipeline.configuration import read_configuration
+from calibration.pipeline.system import Limits
 
 ROOT = Path(__file__).parents[2]
 

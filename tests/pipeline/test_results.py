@@ -10,12 +10,12 @@ import jsonschema
 import pytest
 
 from calibration.errors import ExitCode, InputError
-from calibration.pipeline.configuration import NoiseGrid
 from calibration.pipeline.image_result import ImageResult
 from calibration.pipeline.matrix.cell import Deviation
 from calibration.pipeline.matrix.matrix import Matrix, run_matrix
 from calibration.pipeline.results import SCHEMA, Results, clear_results, read_results, summarise, write_results
 from calibration.pipeline.summary import failures, grid, in_parts, markdown, parameters_grid, sentence, truth_grid
+from calibration.pipeline.system import NoiseGrid
 from tests.pipeline.conftest import RIWBOT
 from tests.pipeline.matrix.test_judgement import CELL
 

@@ -6,8 +6,8 @@ from functools import cached_property
 from itertools import product, takewhile
 
 from calibration.errors import ExitCode
-from calibration.pipeline.configuration import NoiseGrid
 from calibration.pipeline.matrix.cell import OUR_METHOD, CellResult
+from calibration.pipeline.system import NoiseGrid
 
 Noise = tuple[float, float]
 """Translation (m) and rotation (rad)."""

@@ -12,9 +12,9 @@ from typing import Any, Literal
 from calibration.errors import ExitCode, exit_code_of
 from calibration.introspection.numbers import number_text
 from calibration.pipeline.collection.results import Check
-from calibration.pipeline.configuration import NoiseGrid
 from calibration.pipeline.convergence.convergence_map import ConvergenceMap, Noise, Pair
 from calibration.pipeline.matrix.cell import noise_text
+from calibration.pipeline.system import NoiseGrid
 from calibration.report import Outcome
 
 SCHEMA = Path(__file__).with_name("convergence.schema.json")

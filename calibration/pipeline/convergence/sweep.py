@@ -16,10 +16,10 @@ from typing import TYPE_CHECKING
 
 from calibration.errors import InputError, WorldError
 from calibration.execution.backends import Place
-from calibration.pipeline.configuration import Limits, System
-from calibration.pipeline.matrix.cell import OUR_METHOD, CellResult, Start
+from calibration.pipeline.matrix.cell import OUR_METHOD, CellResult
 from calibration.pipeline.matrix.judgement import judge_cells
 from calibration.pipeline.matrix.matrix import Done, Matrix, run_matrix
+from calibration.pipeline.system import Limits, Start, System
 
 if TYPE_CHECKING:
     from calibration.workflow.streams import LogDisplay

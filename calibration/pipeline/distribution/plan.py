@@ -9,9 +9,10 @@ from calibration.errors import InputError
 from calibration.estimation.starting_noise import StartingNoise
 from calibration.introspection.numbers import number_text
 from calibration.pipeline.collection.in_containers import ContainerRequest
-from calibration.pipeline.configuration import Configuration, NoiseGrid, Simulation, System
+from calibration.pipeline.configuration import Configuration, Simulation
 from calibration.pipeline.distribution.slug import slugs
 from calibration.pipeline.matrix.cell import Cell
+from calibration.pipeline.system import NoiseGrid, System
 from calibration.workflow.text import did_you_mean
 
 JOBS = ("calibrate", "collect-data", "unit-tests")

@@ -26,11 +26,10 @@ from calibration.evaluation.table import RMS_PIX, Table
 from calibration.evaluation.truth import truth_error
 from calibration.geometry.rotations import to_quaternion
 from calibration.introspection.numbers import number_text
+from calibration.pipeline.system import Loss, Start
 
 OUR_METHOD = "calibration-ci"
 Verdict = Literal["pass", "fail"]
-Start = Literal["linear", "given"]
-Loss = Literal["huber", "linear"]
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,8 +6,8 @@ from pathlib import Path
 
 from calibration.introspection.judge import judge
 from calibration.introspection.table import read_table
-from calibration.pipeline.configuration import Limits, System
 from calibration.pipeline.matrix.cell import CellResult
+from calibration.pipeline.system import Limits, System
 
 
 def judge_cells(cells: Sequence[CellResult], systems: Sequence[System], output: Path) -> tuple[CellResult, ...]:

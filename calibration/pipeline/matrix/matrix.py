@@ -21,21 +21,19 @@ from calibration.estimation.starting_noise import StartingNoise
 from calibration.evaluation.specification import parse_evaluation
 from calibration.execution.backends import Place
 from calibration.execution.parallel import in_parallel
-from calibration.pipeline.configuration import NoiseGrid, System
 from calibration.pipeline.matrix.cell import (
     OUR_METHOD,
     Cell,
     CellResult,
     Comparison,
     LoadedSystem,
-    Loss,
-    Start,
     noise_folder,
     run_cell,
     run_comparison,
 )
 from calibration.pipeline.matrix.software import Software
 from calibration.pipeline.matrix.software_cell import run_software_cells
+from calibration.pipeline.system import Loss, NoiseGrid, Start, System
 from calibration.workflow.text import did_you_mean
 
 if TYPE_CHECKING:

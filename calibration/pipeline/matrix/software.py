@@ -17,8 +17,6 @@ from calibration.execution.job import OUTPUT, Artifact, Container, Job, Mount, N
 from calibration.execution.job_check import check_job
 from calibration.execution.placeholders import fill
 from calibration.execution.ros import RosVersion, with_ros
-from calibration.introspection.numbers import number_text
-from calibration.pipeline.matrix.cell import Cell
 
 SOFTWARE = "software"
 """The method of its cells."""
@@ -90,32 +88,6 @@ def adjusted_software(software: Software | None, entry: Mapping[str, Any], folde
     if "artifacts" in entry:
         container = replace(container, artifacts=asked.container.artifacts)
     return replace(software, container=container, **{key: getattr(asked, key) for key in OWN_KEYS if key in entry})
-
-
-def cell_job(cell: Cell, software: Software, dataset: Path, start: Path) -> Job:
-    """The job of one cell.
-
-    Args:
-        cell: from where to calibrate.
-        software: what runs.
-        dataset: the folder of the dataset as it is.
-        start: the folder of the dataset with the noisy starting guess.
-
-    Raises:
-        InputError: the command has a placeholder that there is not.
-    """
-    noise = cell.noise
-    values = {
-        "dataset": DATASET,
-        "start": START,
-        "output": OUTPUT,
-        "system": cell.system,
-        "translation_noise": number_text(noise.translation),
-        "rotation_noise": number_text(noise.rotation),
-        "seed": str(noise.seed),
-    }
-    mounts = (Mount(dataset.resolve(), DATASET), Mount(start.resolve(), START))
-    return job_of(software, cell.folder, values, mounts, f"systems.{cell.system}.software")
 
 
 def job_of(software: Software, name: str, values: Mapping[str, str], mounts: tuple[Mount, ...], where: str) -> Job:

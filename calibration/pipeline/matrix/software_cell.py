@@ -12,13 +12,14 @@ from calibration.errors import CalibrationError, ExitCode, InputError
 from calibration.estimation.starting_noise import with_starting_noise
 from calibration.evaluation.table import AVERAGES
 from calibration.execution.backend import Backend
+from calibration.execution.job import OUTPUT, Job, Mount
 from calibration.execution.job_folder import ARTIFACTS
 from calibration.execution.outcome import JobOutcome
-from calibration.introspection.numbers import parse_number
+from calibration.introspection.numbers import number_text, parse_number
 from calibration.introspection.selection import KeyedTable, LabelledRow
 from calibration.introspection.table import read_table
 from calibration.pipeline.matrix.cell import Cell, CellResult, LoadedSystem, distance_from_truth, nothing_yet
-from calibration.pipeline.matrix.software import SOFTWARE, Software, cell_job
+from calibration.pipeline.matrix.software import DATASET, SOFTWARE, START, Software, job_of
 
 RMS = "RMS (pix)"
 """The column of a table whose average is a cell's ``rms_px``."""
@@ -58,6 +59,32 @@ def run_software_cells(
         for index, outcome in backend.run(jobs, output, workers):
             cell = cells[index]
             yield index, software_result(cell, systems[cell.system], software[cell.system], outcome, output)
+
+
+def cell_job(cell: Cell, software: Software, dataset: Path, start: Path) -> Job:
+    """The job of one cell.
+
+    Args:
+        cell: from where to calibrate.
+        software: what runs.
+        dataset: the folder of the dataset as it is.
+        start: the folder of the dataset with the noisy starting guess.
+
+    Raises:
+        InputError: the command has a placeholder that there is not.
+    """
+    noise = cell.noise
+    values = {
+        "dataset": DATASET,
+        "start": START,
+        "output": OUTPUT,
+        "system": cell.system,
+        "translation_noise": number_text(noise.translation),
+        "rotation_noise": number_text(noise.rotation),
+        "seed": str(noise.seed),
+    }
+    mounts = (Mount(dataset.resolve(), DATASET), Mount(start.resolve(), START))
+    return job_of(software, cell.folder, values, mounts, f"systems.{cell.system}.software")
 
 
 def software_result(

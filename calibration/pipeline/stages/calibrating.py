@@ -4,11 +4,11 @@ from dataclasses import replace
 from pathlib import Path
 
 from calibration.execution.backends import Place
-from calibration.pipeline.configuration import System
 from calibration.pipeline.matrix.cell import CellResult
 from calibration.pipeline.matrix.judgement import judge_cells
 from calibration.pipeline.matrix.matrix import Matrix, run_matrix
 from calibration.pipeline.results import Results, read_results, write_results
+from calibration.pipeline.system import System
 from calibration.workflow import Runner
 from calibration.workflow.progress import progress
 from calibration.workflow.streams import LogDisplay

@@ -8,12 +8,13 @@ from calibration.errors import InputError
 from calibration.execution.backends import Place
 from calibration.image.specification import ImageSpecification
 from calibration.pipeline.collection.in_containers import ContainerRequest
-from calibration.pipeline.configuration import Simulation, System
+from calibration.pipeline.configuration import Simulation
 from calibration.pipeline.matrix.matrix import Matrix
 from calibration.pipeline.report import report
 from calibration.pipeline.results import Results, clear_results
 from calibration.pipeline.stages.calibrating import calibrate_stage, introspect_stage
 from calibration.pipeline.stages.collecting import COLLECTED, collect_stage
+from calibration.pipeline.system import System
 from calibration.workflow import Runner
 from calibration.workflow.text import did_you_mean
 

@@ -5,9 +5,9 @@ from dataclasses import replace
 
 from calibration.errors import ExitCode
 from calibration.estimation.starting_noise import StartingNoise
-from calibration.pipeline.configuration import NoiseGrid
 from calibration.pipeline.convergence.convergence_map import ConvergenceMap, maps_of
-from calibration.pipeline.matrix.cell import OUR_METHOD, Cell, CellResult, Start, nothing_yet
+from calibration.pipeline.matrix.cell import OUR_METHOD, Cell, CellResult, nothing_yet
+from calibration.pipeline.system import NoiseGrid, Start
 
 
 def cell(

@@ -7,9 +7,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from calibration.errors import ExitCode
-from calibration.pipeline.configuration import NoiseGrid
 from calibration.pipeline.convergence.convergence_map import ConvergenceMap, maps_of
 from calibration.pipeline.matrix.software import SOFTWARE
+from calibration.pipeline.system import NoiseGrid
 
 from .cells import cell, one_map
 

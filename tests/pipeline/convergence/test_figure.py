@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from calibration.errors import InputError
-from calibration.pipeline.configuration import NoiseGrid
 from calibration.pipeline.convergence.figure import MOST_MAPS, figures
 from calibration.pipeline.convergence.report import write_convergence
 from calibration.pipeline.convergence.results import ConvergenceResults
+from calibration.pipeline.system import NoiseGrid
 
 from .cells import one_map
 

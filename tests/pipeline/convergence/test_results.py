@@ -14,7 +14,6 @@ from calibration.errors import ExitCode, WorldError
 from calibration.introspection.judge import judge
 from calibration.introspection.parsing import parse_rules
 from calibration.introspection.table import read_table
-from calibration.pipeline.configuration import NoiseGrid
 from calibration.pipeline.convergence.report import clear_convergence, write_convergence
 from calibration.pipeline.convergence.results import (
     FILES,
@@ -28,6 +27,7 @@ from calibration.pipeline.convergence.results import (
     table,
 )
 from calibration.pipeline.convergence.summary import first_lost, largest_grid, map_grid, markdown, sentence
+from calibration.pipeline.system import NoiseGrid
 
 from .cells import one_map
 

@@ -7,12 +7,12 @@ import pytest
 
 from calibration.errors import InputError, WorldError
 from calibration.introspection.parsing import parse_rules
-from calibration.pipeline.configuration import Limits, NoiseGrid, System
 from calibration.pipeline.convergence import sweep
 from calibration.pipeline.convergence.sweep import run_sweep, sweep_matrices
 from calibration.pipeline.matrix.cell import OUR_METHOD, CellResult
 from calibration.pipeline.matrix.matrix import Matrix
 from calibration.pipeline.matrix.software import SOFTWARE, Software, software_from
+from calibration.pipeline.system import Limits, NoiseGrid, System
 from tests.pipeline.conftest import T2RGB
 
 from .cells import cell

@@ -10,7 +10,6 @@ import pytest
 
 from calibration.errors import ExitCode, InputError
 from calibration.pipeline.collection.collected import Collected
-from calibration.pipeline.configuration import NoiseGrid
 from calibration.pipeline.distribution.gathering import NO_RESULT, gather
 from calibration.pipeline.distribution.needs import Needs
 from calibration.pipeline.distribution.plan import JobCell, Plan
@@ -19,6 +18,7 @@ from calibration.pipeline.image_result import ImageResult
 from calibration.pipeline.matrix.cell import CellResult
 from calibration.pipeline.matrix.matrix import Matrix, run_matrix
 from calibration.pipeline.results import Results, write_results
+from calibration.pipeline.system import NoiseGrid
 from tests.pipeline.conftest import RIWBOT
 from tests.pipeline.matrix.test_judgement import CELL
 

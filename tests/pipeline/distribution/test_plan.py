@@ -13,7 +13,7 @@ from calibration.execution.job import Container
 from calibration.image.specification import ImageSpecification, parse_image_specification
 from calibration.pipeline.collection.collecting import CollectionRequest
 from calibration.pipeline.collection.in_containers import ContainerRequest
-from calibration.pipeline.configuration import Configuration, NoiseGrid, Simulation, System, parse_applications
+from calibration.pipeline.configuration import Configuration, Simulation, parse_applications
 from calibration.pipeline.distribution.needs import Needs, parse_needs
 from calibration.pipeline.distribution.plan import (
     MOST_JOBS,
@@ -25,6 +25,7 @@ from calibration.pipeline.distribution.plan import (
 )
 from calibration.pipeline.distribution.plan_outputs import MOST_BYTES, plan_of_outputs, plan_outputs
 from calibration.pipeline.matrix.software import Software
+from calibration.pipeline.system import NoiseGrid, System
 
 ROBOT, ARM = System("robot", Path("data/robot")), System("arm", Path("data/arm"))
 FRESH = Simulation("fresh", CollectionRequest(Path("data/robot")))

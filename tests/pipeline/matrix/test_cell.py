@@ -16,12 +16,12 @@ from calibration.estimation.calibrate import calibrate
 from calibration.estimation.intrinsics_file import read_intrinsics
 from calibration.estimation.starting_noise import StartingNoise
 from calibration.evaluation.specification import parse_evaluation
-from calibration.pipeline.configuration import NoiseGrid
 from calibration.pipeline.matrix import cell as cells
 from calibration.pipeline.matrix.cell import CellResult, Comparison, LoadedSystem, run_comparison
 from calibration.pipeline.matrix.matrix import Matrix, run_matrix
 from calibration.pipeline.results import Results
 from calibration.pipeline.summary import markdown, parameters_grid
+from calibration.pipeline.system import NoiseGrid
 from tests.estimation.systems import jointed_arm
 from tests.evaluation.scene import T_LINK_OPTICAL, arm, range_pair, rgb, with_corners
 from tests.pipeline.conftest import DATASETS, T2RGB

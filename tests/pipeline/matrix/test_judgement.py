@@ -7,9 +7,9 @@ import pytest
 
 from calibration.errors import ExitCode, InputError
 from calibration.introspection.parsing import parse_rules
-from calibration.pipeline.configuration import Limits, System
 from calibration.pipeline.matrix.cell import CellResult, Deviation
 from calibration.pipeline.matrix.judgement import judge_cells
+from calibration.pipeline.system import Limits, System
 
 TABLE = "Collection #,RMS (pix)\n000,0.5000\n001,0.7000\nAverages,0.6000\n"
 CELL = CellResult(

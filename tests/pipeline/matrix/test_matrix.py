@@ -10,11 +10,11 @@ import pytest
 
 from calibration.dataset.reading import read_dataset
 from calibration.errors import ExitCode, InputError, WorldError
-from calibration.pipeline.configuration import NoiseGrid
 from calibration.pipeline.matrix import cell as cell_module
 from calibration.pipeline.matrix.cell import CellResult
 from calibration.pipeline.matrix.matrix import Matrix, run_matrix
 from calibration.pipeline.results import Results, write_results
+from calibration.pipeline.system import NoiseGrid
 from tests.pipeline.conftest import DATASETS, RIWBOT, T2RGB
 
 

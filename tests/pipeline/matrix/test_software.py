@@ -12,7 +12,6 @@ from calibration.estimation.calibrate import calibrate
 from calibration.estimation.starting_noise import StartingNoise, with_starting_noise
 from calibration.execution.job import OUTPUT, Artifact
 from calibration.execution.outcome import BroughtOut, JobOutcome
-from calibration.pipeline.configuration import System
 from calibration.pipeline.matrix.cell import Cell, CellResult
 from calibration.pipeline.matrix.matrix import load
 from calibration.pipeline.matrix.software import (
@@ -20,10 +19,10 @@ from calibration.pipeline.matrix.software import (
     START,
     Software,
     adjusted_software,
-    cell_job,
     software_from,
 )
-from calibration.pipeline.matrix.software_cell import software_result
+from calibration.pipeline.matrix.software_cell import cell_job, software_result
+from calibration.pipeline.system import System
 
 DATASETS = Path(__file__).parents[3] / "datasets"
 CELL = Cell("t2rgb", StartingNoise(0.5, 0.1, 7))
