@@ -15,7 +15,8 @@ from calibration.execution.docker.readiness import Probe
 from calibration.execution.job import Container
 from calibration.execution.judging import how_it_ended
 from calibration.execution.log_file import LogFile
-from calibration.execution.outcome import ContainerOutcome, End
+from calibration.execution.outcome import End
+from calibration.execution.supervision import Supervised
 
 if TYPE_CHECKING:
     from docker import APIClient, DockerClient
@@ -28,21 +29,15 @@ _SETTLING = 0.25
 """Seconds; the engine may hear that memory ran out after it has heard of the end."""
 
 
-class ContainerRun:
+class ContainerRun(Supervised):
     """A container that runs, or will, or did."""
 
     def __init__(self, container: Container, engine: Engine, image: str, log: LogFile) -> None:
-        self.container = container
-        self.name = container.name
+        super().__init__(container)
         self.image = image
+        self.log = log.path
         self.id: str | None = None
-        self.end: End = End.NOT_STARTED
-        self.exit_code: int | None = None
-        self.signal: str | None = None
-        self.started: float | None = None
-        self.ended: float | None = None
-        self.ready = False
-        self.log = log
+        self._output = log
         self._engine = engine
         self._probe: Probe | None = None
         self._follower: threading.Thread | None = None
@@ -98,8 +93,8 @@ class ContainerRun:
             raise AssertionError("it has been created")
         return self.id
 
-    def is_ready(self) -> bool:
-        """Whether it is ready, or was; asks the engine. A container that ends meanwhile is not.
+    def look(self) -> None:
+        """Ask the engine whether it is ready; a container that ends meanwhile is not.
 
         Raises:
             EngineLostError: the engine does not answer.
@@ -109,14 +104,13 @@ class ContainerRun:
         if not self.ready and self._probe is not None:
             with engine_errors():
                 try:
-                    self.ready = self._probe.holds(self.log.found)
+                    self.ready = self._probe.holds(self._output.found)
                 except docker.errors.APIError:
-                    return False  # it has ended, which will be heard of
-        return self.ready
+                    return  # it has ended, which will be heard of
 
     def not_ready_for(self) -> str:
         """What it is not ready for, for a message."""
-        return "" if self._probe is None else self._probe.missing(self.log.found)
+        return "" if self._probe is None else self._probe.missing(self._output.found)
 
     def join(self, seconds: float) -> None:
         """Wait until its log is complete.
@@ -153,15 +147,7 @@ class ContainerRun:
     @property
     def last_line(self) -> str:
         """Of its log."""
-        return self.log.last_line
-
-    def outcome(self) -> ContainerOutcome:
-        """What came of it."""
-        seconds = 0.0 if self.started is None else (self.ended or time.monotonic()) - self.started
-        log = None if self.started is None else self.log.path
-        unknown = self.started is not None and self.end == End.NOT_STARTED
-        end = End.LOST if unknown else self.end
-        return ContainerOutcome(self.name, end, self.exit_code, self.signal, seconds, log, self.image)
+        return self._output.last_line
 
     def _follow(self, client: "DockerClient", stream: "Response", ends: "SimpleQueue[ContainerRun]") -> None:
         """In a thread: bring its output into the log until it has ended."""
@@ -185,6 +171,6 @@ class ContainerRun:
         """Write to the log; where that fails, read on: a container whose output nobody reads stands still."""
         if self._problem is None:
             try:
-                self.log.feed(chunk)
+                self._output.feed(chunk)
             except CalibrationError as error:
                 self._problem = error

@@ -12,12 +12,12 @@ from calibration.execution.batch.inside.script import GRACE
 from calibration.execution.batch.inside.signs import Signs
 from calibration.execution.batch.inside.watched import SILENCE, WatchedContainer
 from calibration.execution.batch.wire import ARRIVAL_SECONDS
-from calibration.execution.bringing_out import BringingOut, complete_or_not_at_all
-from calibration.execution.extraction import Budget
+from calibration.execution.bringing_out import Opener
 from calibration.execution.job import Job
 from calibration.execution.job_check import start_order
-from calibration.execution.judging import Judge, is_running
-from calibration.execution.outcome import BroughtOut
+from calibration.execution.judging import is_running
+from calibration.execution.outcome import End
+from calibration.execution.supervision import Supervisor
 from calibration.workflow.text import one_line
 
 _LOOKING = 0.2
@@ -37,7 +37,7 @@ class Patience:
     settling: float = _SETTLING
 
 
-class Watch:
+class Watch(Supervisor[WatchedContainer]):
     """A job whose containers wait for being started."""
 
     def __init__(
@@ -57,15 +57,14 @@ class Watch:
             patience: for how long.
             neighbours: which containers have ended, as far as that can be asked, and their exit codes.
         """
-        self._job = job
+        super().__init__(job, one_line)
         self._signs = signs
         self._output = output
         self._patience = patience
         self._neighbours = neighbours
-        self._judge = Judge(job, one_line)
-        self._containers = [WatchedContainer(each, signs, patience.silence) for each in start_order(job)]
-        self._artifacts: list[BroughtOut] = []
-        self._left_out: list[str] = []
+        self.containers = [WatchedContainer(each, signs, patience.silence) for each in start_order(job)]
+        self._settled = 0.0
+        """When those that were told to end have had their time for it."""
 
     def run(self, folder: Path) -> None:
         """Watch the job until it has ended; what it leaves is in ``folder`` then, which is not there before.
@@ -75,38 +74,36 @@ class Watch:
         """
         try:
             if self._all_arrive():
-                self._judge.began = time.monotonic()
-                self._watch()
+                self.judge.began = time.monotonic()
+                self.supervise(folder)
+        except CalibrationError as error:
+            self.fail(error)
         finally:
             self._signs.stop()
-        self._wait_for_ends()
-        if any(c.started is not None for c in self._containers):
-            self._judge.judge(self._containers)
-            self._bring_out(folder)
 
     def fail(self, error: CalibrationError) -> None:
         """Take a reason why nothing can be brought out."""
-        self._judge.fail(str(error), error.exit_code)
-        self._artifacts, self._left_out = [], []
+        self.judge.fail(str(error), error.exit_code)
+        self.artifacts, self.left_out = [], []
 
     def outcome(self, attempt: int) -> TaskOutcome:
         """What came of it."""
         return TaskOutcome(
-            job=self._job.name,
+            job=self.job.name,
             attempt=attempt,
-            exit_code=self._judge.exit_code,
-            reasons=tuple(self._judge.reasons),
-            seconds=time.monotonic() - self._judge.began,
-            containers=tuple(container.outcome() for container in self._containers),
-            artifacts=tuple(self._artifacts),
-            left_out=tuple(self._left_out),
+            exit_code=self.judge.exit_code,
+            reasons=tuple(self.judge.reasons),
+            seconds=time.monotonic() - self.judge.began,
+            containers=tuple(container.outcome() for container in self.containers),
+            artifacts=tuple(self.artifacts),
+            left_out=tuple(self.left_out),
         )
 
     def _all_arrive(self) -> bool:
         """Wait until all containers are there, so that none waits for an image while its job's time runs."""
         deadline = time.monotonic() + self._patience.arrival
         next_question = time.monotonic() + _ASKING
-        while missing := [c.container.name for c in self._containers if not c.has_arrived]:
+        while missing := [c.container.name for c in self.containers if not c.has_arrived]:
             now = time.monotonic()
             if now >= deadline:
                 self._never_came(
@@ -125,60 +122,28 @@ class Watch:
 
     def _never_came(self, what: str) -> None:
         why = "cannot be pulled or has no /bin/sh, or its entrypoint does not run what it is given"
-        self._judge.fail(f"{what} {why}", ExitCode.BAD_INPUT)
+        self.judge.fail(f"{what} {why}", ExitCode.BAD_INPUT)
 
-    def _watch(self) -> None:
-        """Start the containers, and wait until one ends the job, or its time has run out."""
-        waiting = list(self._containers)
-        while True:
-            self._start_those_that_may(waiting)
-            unready = [c for c in self._containers if not c.ready]
-            for container in self._containers:
-                container.look()
-            if self._judge.is_over(self._containers, waiting):
-                return
-            if not any(c.ready for c in unready):  # else whoever waits for it starts at once
-                left = [max(0.0, seconds) for seconds in self._judge.seconds_left(self._containers)]
-                time.sleep(min([*left, _LOOKING]))
+    def _start(self, container: WatchedContainer) -> None:
+        container.start()
 
-    def _start_those_that_may(self, waiting: list[WatchedContainer]) -> None:
-        by_name = {c.container.name: c for c in self._containers}
-        for container in list(waiting):
-            if all(by_name[name].ready for name in container.container.after):
-                container.start()
-                waiting.remove(container)
+    def _wait(self, seconds: float | None) -> None:
+        """Wait for the next look: nobody tells of an end."""
+        time.sleep(_LOOKING if seconds is None else min(seconds, _LOOKING))
 
-    def _wait_for_ends(self) -> None:
-        """Wait until all that run have ended; one that does not is killed with the task."""
-        self._judge.stop(self._containers)
-        deadline = time.monotonic() + self._patience.settling
-        while (running := _running(self._containers)) and time.monotonic() < deadline:
-            for container in running:
-                container.look()
+    def _stop(self, running: Sequence[WatchedContainer]) -> None:
+        self._signs.stop()
+        self._settled = time.monotonic() + self._patience.settling
+
+    def _read_end(self, container: WatchedContainer, ours: End | None) -> None:
+        """Wait for its end; a container that does not end is killed with the task."""
+        while is_running(container) and time.monotonic() < self._settled:
+            container.look()
             time.sleep(_LOOKING / 4)
-        for container in self._containers:
-            container.read_end(self._judge.stopped_for.get(container.container.name))
+        container.read_end(ours)
 
-    def _bring_out(self, folder: Path) -> None:
-        budget = Budget(self._job.artifact_bytes, self._job.artifact_files)
-        opener = opener_of(self._output)
-        try:
-            with complete_or_not_at_all(folder) as place:
-                found = BringingOut(place, budget, lambda: None)
-                for container in self._containers:
-                    if container.started is not None:
-                        found.bring_out(container.container, opener)
-        except CalibrationError as error:
-            self.fail(error)
-            return
-        self._artifacts, self._left_out = found.files, found.left_out
-        if not self._judge.reasons:  # else that is why
-            for line in found.missing:
-                self._judge.fail(line, ExitCode.FAIL)
-
-
-def _running(containers: Sequence[WatchedContainer]) -> list[WatchedContainer]:
-    return [container for container in containers if is_running(container)]
+    def _opener(self, container: WatchedContainer) -> Opener:
+        return opener_of(self._output)
 
 
 def _named(names: Sequence[str]) -> str:

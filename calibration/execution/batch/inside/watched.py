@@ -8,7 +8,8 @@ from calibration.execution.batch.inside.log_line import LogLine
 from calibration.execution.batch.inside.signs import READY_COMMAND, READY_FILE, Signs
 from calibration.execution.job import Container
 from calibration.execution.judging import how_it_ended, unmet
-from calibration.execution.outcome import ContainerOutcome, End
+from calibration.execution.outcome import End
+from calibration.execution.supervision import Supervised
 
 SILENCE = 20.0
 """Seconds without a sign of life after which a container is gone: it gives two in a second."""
@@ -17,35 +18,28 @@ _CHECKED = ("port", "file", "command")
 _CONNECTING = 0.5
 
 
-class WatchedContainer:
-    """A container that is to run, runs, or did; a :class:`calibration.execution.judging.Watched`."""
+class WatchedContainer(Supervised):
+    """A container that is to run, runs, or did.
 
-    last_line = ""
-    """Its log is in CloudWatch, and may have secrets that the task does not know: whoever reads it there adds it."""
+    It has no last line: its log is in CloudWatch, and may have secrets that the task does not know.
+    """
 
     def __init__(self, container: Container, signs: Signs, silence: float = SILENCE) -> None:
-        self.container = container
-        self.started: float | None = None
-        self.ended: float | None = None
-        self.ready = False
-        self.end = End.NOT_STARTED
-        self.exit_code: int | None = None
-        self.signal: str | None = None
-        self._name = container.name
+        super().__init__(container)
         self._signs = signs
         self._silence = silence
         self._out_of_memory = False
         self._beat: tuple[int | None, float] = (None, time.monotonic())
         """The last sign of life, and when it was seen."""
         readiness = container.readiness
-        self._line = LogLine(signs, self._name, readiness.log) if readiness and readiness.log else None
+        self._line = LogLine(signs, self.name, readiness.log) if readiness and readiness.log else None
         self._unmet = {name for name in _CHECKED if getattr(readiness, name, None)}
         """What its readiness asks for and has not held."""
 
     @property
     def has_arrived(self) -> bool:
         """Whether it is there, and waits for being started."""
-        return self._signs.beat(self._name) is not None
+        return self._signs.beat(self.name) is not None
 
     def start(self) -> None:
         """Let it start its command.
@@ -53,7 +47,7 @@ class WatchedContainer:
         Raises:
             WorldError: it cannot be told.
         """
-        self._signs.start(self._name)
+        self._signs.start(self.name)
         self.started = time.monotonic()
         self._beat = (None, self.started)
         self.ready = self.container.readiness is None
@@ -64,7 +58,7 @@ class WatchedContainer:
             return
         if not self.ready or self._line is not None:
             self._look_whether_ready()
-        ended = self._signs.ended(self._name)
+        ended = self._signs.ended(self.name)
         if ended is not None:
             self.exit_code, self._out_of_memory = ended
             self.ended = time.monotonic()
@@ -89,16 +83,11 @@ class WatchedContainer:
         else:
             self.end, self.signal = how_it_ended(self.container, self.exit_code, self._out_of_memory, ours)
 
-    def outcome(self) -> ContainerOutcome:
-        """What came of it."""
-        seconds = 0.0 if self.started is None else (self.ended or time.monotonic()) - self.started
-        return ContainerOutcome(self._name, self.end, self.exit_code, self.signal, seconds)
-
     def _look_whether_ready(self) -> None:
         checks: dict[str, Callable[[], bool]] = {
             "port": self._port_answers,
-            "file": lambda: self._signs.has(self._name, READY_FILE),
-            "command": lambda: self._signs.has(self._name, READY_COMMAND),
+            "file": lambda: self._signs.has(self.name, READY_FILE),
+            "command": lambda: self._signs.has(self.name, READY_COMMAND),
         }
         self._unmet = {name for name in self._unmet if not checks[name]()}
         has_line = self._line is None or self._line.look()
@@ -117,7 +106,7 @@ class WatchedContainer:
 
     def _is_silent(self) -> bool:
         """Whether it has given no sign of life for too long: all of it was killed."""
-        now, beat = time.monotonic(), self._signs.beat(self._name)
+        now, beat = time.monotonic(), self._signs.beat(self.name)
         if beat != self._beat[0]:
             self._beat = (beat, now)
         return now - self._beat[1] > self._silence
