@@ -136,6 +136,7 @@ def test_other_partitions_and_queues_by_arn() -> None:
         SETTINGS,
         queue=f"arn:aws-cn:batch:cn-north-1:{ACCOUNT}:job-queue/q",
         region="cn-north-1",
+        platform="ec2",  # Fargate needs an execution role
         job_role=f"arn:aws-cn:iam::{ACCOUNT}:role/j",
         execution_role=None,
     )
