@@ -9,12 +9,13 @@ import statistics
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from benchmarks.rows import Bar, Row
 from calibration.dataset.configuration import PatternConfiguration
-from calibration.execution.parallel import in_parallel
+from calibration.execution.embedded import Embedded
 from calibration.geometry import rotations
 from calibration.geometry.cameras import Camera
 from calibration.geometry.distortion import PlumbBob
@@ -112,7 +113,7 @@ def _per_second(work: Callable[[int], object], count: int) -> tuple[float, str]:
 
     work(0)
     start = time.perf_counter()
-    seconds = [taken for _, taken in in_parallel(timed, range(count), PROCESSES)]
+    seconds = [taken for _, taken in Embedded().run([partial(timed, n) for n in range(count)], workers=PROCESSES)]
     rate = count / (time.perf_counter() - start)
     return rate, f"{PROCESSES} processes, {1e3 * statistics.median(seconds):.1f} ms of a core each"
 
@@ -189,7 +190,7 @@ def _corners(camera: Camera, count: int, bar: Bar) -> Iterator[Row]:
             return np.zeros((0, 2))
         return labels.pixels - truth[number][labels.ids]
 
-    errors = [error for _, error in in_parallel(work, range(count), PROCESSES)]
+    errors = [error for _, error in Embedded().run([partial(work, n) for n in range(count)], workers=PROCESSES)]
     error, of = np.concatenate(errors), sum(int(camera.contains(pixels).sum()) for pixels in truth)
     name = f"rendering/corners{', distorted' if not camera.distortion.is_identity else ''}"
     note = f"{camera.width}x{camera.height}, {len(error)} of {of} corners in {count} images"

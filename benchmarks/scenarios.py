@@ -5,9 +5,11 @@ from collections.abc import Iterator
 from benchmarks.rows import Bar, Row
 from benchmarks.shared_data import ROOT
 from benchmarks.timing import seconds
+from calibration.execution.tasks import run_tasks
+from calibration.simulation.collection.collecting import single_threaded_opencv
 from calibration.simulation.scenarios.report import Report
 from calibration.simulation.scenarios.result import ScenarioResult
-from calibration.simulation.scenarios.run import run_scenarios
+from calibration.simulation.scenarios.run import scenario_task
 from calibration.simulation.scenarios.scenario_set import read_scenario_set
 from calibration.simulation.system import read_system
 
@@ -17,7 +19,13 @@ def measure(quick: bool) -> Iterator[Row]:
     count = 10 if quick else 40
     worlds = read_scenario_set(ROOT / "datasets" / "scenarios.yml", read_system(ROOT / "datasets" / "t2rgb"))
     results: list[ScenarioResult] = []
-    took = seconds(lambda: results.extend(run_scenarios(worlds, 1, range(count))))
+
+    def run() -> None:
+        tasks = [scenario_task(worlds, worlds.scenario(1, index)) for index in range(count)]
+        with single_threaded_opencv():
+            results.extend(run_tasks(tasks).values())
+
+    took = seconds(run)
     report = Report(results)
     errors = report.percentiles("translation_mm")
     note = f"{count} worlds of t2rgb with 12 poses each"

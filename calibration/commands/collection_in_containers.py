@@ -109,7 +109,7 @@ def collect_once(
         InputError: an input is wrong.
         WorldError: the backend cannot be reached, or a file not be written.
     """
-    with _place(settings, backend, runner).open(LogDisplay(runner)) as opened:
+    with replace(_place(settings, backend, runner), show=LogDisplay(runner)).open() as opened:
         return collect_in_containers(request, settings.output, opened, settings.overwrite, number)
 
 
@@ -136,7 +136,7 @@ def run_in_containers(
         WorldError: the backend cannot be reached, or a file not be written.
     """
     show = LogDisplay(runner) if backend != DOCKER or request.count <= MOST_SHOWN else None
-    with _place(settings, backend, runner).open(show) as opened:
+    with replace(_place(settings, backend, runner), show=show).open() as opened:
         gathering = Gathering(opened, settings.output, settings.jobs, settings.resume, settings.overwrite)
         if request.applications:
             return run_application_worlds(request, gathering, begin, done)

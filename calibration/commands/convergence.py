@@ -144,7 +144,7 @@ def convergence(settings: Settings, runner: Runner) -> ExitCode:
     pull(asked, runner)
     clear_convergence(asked.output)
     software = bool(matrix.software)
-    with progress(runner, TITLE, bar=not software) as advance:
+    with progress(runner, TITLE, bar=not software, kept="starts") as advance:
 
         def done(number: int, total: int, cell: CellResult) -> None:
             failed = "" if cell.verdict == "pass" else f": {'; '.join(cell.reasons) or 'does not converge'}"
@@ -155,8 +155,7 @@ def convergence(settings: Settings, runner: Runner) -> ExitCode:
                 important=cell.error == ExitCode.WORLD,
             )
 
-        display = LogDisplay(runner) if software else None
-        cells = run_sweep(matrices, asked.output, asked.jobs, done, display, place)
+        cells = run_sweep(matrices, asked.output, asked.jobs, done, replace(place, show=LogDisplay(runner)))
     minimums = Minimums(settings.minimum_translation_noise, settings.minimum_rotation_noise)
     results = ConvergenceResults(matrix.noise, maps_of(cells, matrix.noise), minimums)
     results = write_convergence(results, asked.output)

@@ -1,10 +1,9 @@
 """Where a command runs its containers, by its options ``backend``, ``aws-batch``, ``run`` and ``resume``."""
 
 from pathlib import Path
+from typing import Any
 
-from calibration.execution.backends import AWS_BATCH, Place
-from calibration.execution.batch.section import read_section
-from calibration.execution.batch.settings import BatchSettings
+from calibration.execution.backends import KINDS, Place, read_settings
 from calibration.pipeline.run_name import name_of_run
 from calibration.workflow import Runner
 
@@ -19,7 +18,7 @@ def place(
     run: str | None,
     resume: bool,
     runner: Runner,
-    settings: BatchSettings | None = None,
+    settings: Any = None,
 ) -> Place:
     """Say where containers run.
 
@@ -36,11 +35,10 @@ def place(
         InputError: the section is missing or wrong, or nothing says which run is to be resumed.
         WorldError: the name of the run cannot be kept.
     """
-    if backend != AWS_BATCH:
+    if not KINDS[backend].section:
         return Place(backend, None, run)
-
     if file is not None or settings is None:
-        settings = read_section(file or DEFAULT_FILE)
+        settings = read_settings(backend, file or DEFAULT_FILE)
     name = name_of_run(output, run, resume)
     runner.log(
         f"run {name} on AWS Batch, queue {settings.queue}; with --run {name} --resume only what is missing is run"

@@ -1,24 +1,74 @@
-"""Where work runs, by name."""
+"""Backends: what runs work, and how one is chosen by its name."""
 
+from collections.abc import Generator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from importlib import import_module
+from pathlib import Path
+from typing import Any, Protocol, TypeVar
 
 from calibration.errors import InputError
-from calibration.execution.backend import Backend
-from calibration.execution.batch.settings import SECTION, BatchSettings
+from calibration.execution.job import Job
+from calibration.execution.outcome import JobOutcome
+from calibration.workflow.streams import LogDisplay
 from calibration.workflow.text import did_you_mean
 
-if TYPE_CHECKING:
-    from calibration.workflow.streams import LogDisplay
+Work = TypeVar("Work", contravariant=True)
+Outcome = TypeVar("Outcome", covariant=True)
+
+
+class Backend(Protocol[Work, Outcome]):
+    """Runs work of one kind: functions in processes (`calibration.execution.embedded`), or jobs of containers."""
+
+    def run(self, work: Sequence[Work], /, folder: Path, workers: int | None = None) -> Generator[tuple[int, Outcome]]:
+        """Run work; yields each one's index and what came of it, in the order of completion.
+
+        What is wrong with the work is raised by this call; nothing is started before the first outcome is asked
+        for. Closing the iterator, or any exception in whoever reads it, stops and removes everything.
+
+        Args:
+            work: is started in its order.
+            folder: each job of containers has its own in it, by its name; what an earlier run left in that is removed.
+            workers: at once; None for as many as the backend holds.
+
+        Raises:
+            InputError: a job makes no sense, or an image is missing.
+            WorldError: the backend cannot be reached, a process died, or a file cannot be written.
+        """
+        ...
+
+
+JobBackend = Backend[Job, JobOutcome]
+
+
+@dataclass(frozen=True)
+class BackendKind:
+    """A backend for jobs as it is registered; its modules are imported when it is opened."""
+
+    target: str
+    """``module:callable``, which makes the backend, a context manager, of a `Place`."""
+    section: str = ""
+    """The key of calibration.yml with the backend's settings; empty where it needs none."""
+    settings: str = ""
+    """``module:callable``, which reads the settings from a file that has the section."""
+    resumes: bool = False
+    """Whether what a run leaves there outlives the command: a run of the same name takes it and runs the rest."""
+
 
 EMBEDDED = "embedded"
-"""In processes of this machine, by `calibration.execution.parallel.in_parallel`."""
-DOCKER = "docker"
-"""In containers of this machine's engine, by `calibration.execution.docker.backend.DockerBackend`."""
-AWS_BATCH = "aws-batch"
-"""In containers in the cloud, by `calibration.execution.batch.backend.BatchBackend`."""
-CONTAINERS = (DOCKER, AWS_BATCH)
+"""Functions of ours, in processes of this machine."""
+DOCKER, AWS_BATCH = "docker", "aws-batch"
+KINDS: Mapping[str, BackendKind] = {
+    DOCKER: BackendKind("calibration.execution.docker.backend:open_docker"),
+    AWS_BATCH: BackendKind(
+        "calibration.execution.batch.backend:open_batch",
+        section="aws-batch",
+        settings="calibration.execution.batch.section:read_section",
+        resumes=True,
+    ),
+}
+"""The backends for jobs of containers, by their names; one more is registered here."""
+CONTAINERS = tuple(KINDS)
 BACKENDS = (EMBEDDED, *CONTAINERS)
 
 
@@ -35,35 +85,46 @@ def check_backend(name: str, known: tuple[str, ...] = BACKENDS) -> None:
 
 @dataclass(frozen=True)
 class Place:
-    """Where containers run."""
+    """Where jobs of containers run."""
 
     backend: str = DOCKER
-    """One of `CONTAINERS`."""
-    batch: BatchSettings | None = None
-    """What AWS Batch has to know."""
+    """One of `KINDS`."""
+    settings: Any = None
+    """What the backend's section of calibration.yml says."""
     run: str | None = None
     """The name of the run; a new one unless given."""
     resume: bool = False
-    """Whether what is left in the cloud of a run of this name is taken, and only what is missing is run."""
+    """Whether results of an earlier run of this name are taken, and only what is missing is run."""
+    show: LogDisplay | None = None
+    """Where the logs of the containers are shown."""
 
-    def open(self, show: "LogDisplay | None" = None) -> AbstractContextManager[Backend]:
+    def open(self) -> AbstractContextManager[JobBackend]:
         """Make the backend, which is looked for when it is entered.
 
-        Args:
-            show: where the logs of the containers are shown.
-
         Raises:
-            InputError: nothing says where in the cloud.
+            InputError: its section is missing, or the name of the run is wrong.
         """
-        if self.backend == DOCKER:
-            from calibration.execution.docker.backend import DockerBackend  # brings the SDK
-
-            return DockerBackend(self.run, show)
-        if self.batch is None:
+        kind = KINDS[self.backend]
+        if kind.section and self.settings is None:
             raise InputError(
-                f"backend: found {AWS_BATCH}, but nothing says where in AWS: expected a section {SECTION} in "
+                f"backend: found {self.backend}, but nothing says where: expected a section {kind.section} in "
                 "calibration.yml, or a file with one"
             )
-        from calibration.execution.batch.backend import BatchBackend  # brings the SDK
+        backend: AbstractContextManager[JobBackend] = imported(kind.target)(self)
+        return backend
 
-        return BatchBackend(self.batch, self.run, show, self.resume)
+
+def read_settings(backend: str, path: Path) -> object:
+    """Read the settings of a backend that has a section of its own.
+
+    Raises:
+        InputError: the file or the section is missing, or it is wrong; names file and key.
+    """
+    settings: object = imported(KINDS[backend].settings)(path)
+    return settings
+
+
+def imported(target: str) -> Any:
+    """What ``module:attribute`` names."""
+    module, _, attribute = target.partition(":")
+    return getattr(import_module(module), attribute)

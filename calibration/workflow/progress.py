@@ -19,22 +19,39 @@ class Advance(Protocol):
 
 
 @contextmanager
-def progress(runner: Runner, title: str, bar: bool = True) -> Iterator[Advance]:
-    """Show the progress of steps while the block runs; without a bar where other lines come in between."""
-    if bar and not runner.github and runner.stdout.isatty():
-        with _bar(runner, title) as advance:
+def progress(runner: Runner, title: str, bar: bool = True, kept: str = "") -> Iterator[Advance]:
+    """Show the progress of steps while the block runs.
+
+    Args:
+        runner: where.
+        title: of the bar.
+        bar: whether there may be one, on a terminal; not where other lines come in between.
+        kept: what steps are called ("poses") that an interruption does not lose: it is said how many are done.
+    """
+    finished = 0
+    with _bar(runner, title) if bar and not runner.github and runner.stdout.isatty() else _lines(runner) as show:
+
+        def advance(done: int, total: int, line: str, *, important: bool = False) -> None:
+            nonlocal finished
+            finished = done
+            show(done, total, line, important=important)
+
+        try:
             yield advance
-    else:
-        yield _lines(runner)
+        except BaseException:
+            if kept and finished:
+                runner.log(f"{finished} {kept} are done: the same command goes on from there")
+            raise
 
 
-def _lines(runner: Runner) -> Advance:
+@contextmanager
+def _lines(runner: Runner) -> Iterator[Advance]:
     def advance(done: int, total: int, line: str, *, important: bool = False) -> None:
         every = -(-total // LINES)
         if important or done % every == 0 or done == total:
             runner.log(f"[{done:>{len(str(total))}}/{total}] {one_line(line)}")
 
-    return advance
+    yield advance
 
 
 @contextmanager

@@ -288,7 +288,7 @@ def test_a_killed_run_leaves_no_half_dataset_and_goes_on(struck: signal.Signals,
     assert "Traceback" not in rest
     assert struck == signal.SIGKILL or " poses are done: the same command goes on from there" in rest
     assert not (output / "dataset.json").exists()
-    done = len(list((output / ".collecting").glob("*.record.json")))
+    done = len(list((output / ".unfinished").glob("*.result.json")))
     assert done >= 3
     deadline = time.monotonic() + 60
     while time.monotonic() < deadline:  # workers of a killed parent die too, and free the lock
@@ -298,4 +298,4 @@ def test_a_killed_run_leaves_no_half_dataset_and_goes_on(struck: signal.Signals,
         time.sleep(0.2)
     assert again.returncode == 0, again.stdout + again.stderr
     assert (output / "dataset.json").exists()
-    assert not (output / ".collecting").exists()
+    assert not (output / ".unfinished").exists()

@@ -121,16 +121,16 @@ def test_bad_input_is_one_line(words: tuple[str, ...], message: str, capsys: pyt
 def test_a_section_that_has_been_read_counts_unless_a_file_is_given(tmp_path: Path) -> None:
     Path("cloud.yml").write_text(SECTION)
     runner = Runner.from_environment({})
-    given = place("aws-batch", Path("cloud.yml"), tmp_path, "r", False, runner).batch
+    given = place("aws-batch", Path("cloud.yml"), tmp_path, "r", False, runner).settings
     assert given is not None
     assert given.queue == QUEUE
-    assert place("aws-batch", None, tmp_path, "r", False, runner, given).batch is given
+    assert place("aws-batch", None, tmp_path, "r", False, runner, given).settings is given
     Path("cloud.yml").write_text(SECTION.replace("${TEST_QUEUE}", "another"))
     changed = place("aws-batch", Path("cloud.yml"), tmp_path, "r", True, runner, given)
-    assert changed.batch is not None
-    assert (changed.batch.queue, changed.run, changed.resume) == ("another", "r", True)
+    assert changed.settings is not None
+    assert (changed.settings.queue, changed.run, changed.resume) == ("another", "r", True)
     on_docker = place("docker", Path("no.yml"), tmp_path, "r", True, runner)
-    assert (on_docker.backend, on_docker.batch, on_docker.run) == ("docker", None, "r")
+    assert (on_docker.backend, on_docker.settings, on_docker.run) == ("docker", None, "r")
 
 
 @pytest.mark.parametrize("text", ["aws-batch: 3", "[]", "other: 1"])

@@ -24,7 +24,7 @@ def test_unknown() -> None:
 
 
 def test_a_cloud_that_nobody_has_described() -> None:
-    with pytest.raises(InputError, match=r"expected a section aws-batch in calibration\.yml"):
+    with pytest.raises(InputError, match=r"nothing says where: expected a section aws-batch in calibration\.yml"):
         Place("aws-batch").open()
 
 

@@ -1,6 +1,7 @@
 """Charuco corners against the projected truth, in every way a board can be seen, and not seen."""
 
 from dataclasses import replace
+from functools import partial
 
 import cv2
 import numpy as np
@@ -8,7 +9,7 @@ import pytest
 
 from calibration.dataset.model import CornerLabels
 from calibration.errors import InputError
-from calibration.execution.parallel import in_parallel
+from calibration.execution.embedded import Embedded
 from calibration.labelling.charuco import CharucoDetector
 from calibration.labelling.corners import corner_detector
 from calibration.labelling.detection import NotDetected
@@ -259,7 +260,7 @@ def _in_a_worker(image) -> tuple[list[int], list[list[float]]]:
 def test_a_forked_process_finds_the_same() -> None:
     images = [Photograph(VGA).of(BOARD, facing(BOARD, 1.0 + 0.2 * i, 0.3)) for i in range(3)]
     here = [_in_a_worker(image) for image in images]  # OpenCV's threads run before the fork
-    assert dict(in_parallel(_in_a_worker, images, 2)) == dict(enumerate(here))
+    assert dict(Embedded().run([partial(_in_a_worker, image) for image in images], workers=2)) == dict(enumerate(here))
 
 
 def test_pixels_are_rounded() -> None:

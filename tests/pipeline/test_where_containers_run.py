@@ -39,13 +39,13 @@ def test_each_has_its_place(tmp_path: Path, more: str, default: str) -> None:
     }
     place = configuration.place
     assert (place.backend, place.run, place.resume) == (default, None, False)
-    assert place.batch is not None
-    assert place.batch.queue == "robots"
+    assert place.settings is not None
+    assert place.settings.queue == "robots"
 
 
 def test_nothing_said_is_this_machine(tmp_path: Path) -> None:
     place = read(tmp_path, "systems: {a: {dataset: d}}").place
-    assert (place.backend, place.batch) == ("docker", None)
+    assert (place.backend, place.settings) == ("docker", None)
 
 
 @pytest.mark.parametrize(

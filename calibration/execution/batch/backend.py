@@ -7,7 +7,7 @@ from types import TracebackType
 from typing import Self
 
 from calibration.errors import InputError
-from calibration.execution.backend import Done
+from calibration.execution.backends import Place
 from calibration.execution.batch.costs import Usage, total_size
 from calibration.execution.batch.requests.checks import check_for_batch
 from calibration.execution.batch.requests.shape import group_by_shape, shape_of
@@ -74,9 +74,7 @@ class BatchBackend:
         finally:
             self.aws.close()
 
-    def run(
-        self, jobs: Sequence[Job], folder: Path, workers: int | None = None, done: Done | None = None
-    ) -> Generator[tuple[int, JobOutcome]]:
+    def run(self, jobs: Sequence[Job], folder: Path, workers: int | None = None) -> Generator[tuple[int, JobOutcome]]:
         """Run jobs; yields each one's index and what came of it, in the order of completion.
 
         What is wrong with the jobs is raised by this call; nothing is started before the first is asked for.
@@ -87,7 +85,6 @@ class BatchBackend:
             folder: each job has its own in it, by its name: ``artifacts/``, ``logs/`` and ``manifest.json``, of
                 which those of an earlier run are removed.
             workers: is of no use here: the compute environments say how many run at once.
-            done: called before each is yielded.
 
         Raises:
             InputError: a job makes no sense or cannot run on Batch, an image is missing, the queue or bucket is not
@@ -115,7 +112,6 @@ class BatchBackend:
             groups=group_by_shape(jobs, settings),
             folder=folder,
             show=self._show,
-            done=done,
         )
         self._runs.append(run)
         return self._outcomes(run)
@@ -138,6 +134,15 @@ class BatchBackend:
         found = find_in_queue(self.aws, self._settings.queue, self.run_name)
         if found:
             terminate(self.aws, [each.id for each in found], "the run is resumed")
+
+
+def open_batch(place: Place) -> BatchBackend:
+    """The backend of a place.
+
+    Raises:
+        InputError: the name of the run is missing, or cannot be part of others.
+    """
+    return BatchBackend(place.settings, place.run, place.show, place.resume)
 
 
 def _with_images(job: Job, images: dict[str, str]) -> Job:

@@ -8,7 +8,6 @@ from pathlib import Path
 
 from calibration.aws_errors import AwsLostError
 from calibration.errors import CalibrationError
-from calibration.execution.backend import Done
 from calibration.execution.batch.costs import Usage, billed, estimate, total_size
 from calibration.execution.batch.requests.definition import job_definition
 from calibration.execution.batch.requests.shape import Group
@@ -67,7 +66,6 @@ class BatchRun:
         groups: Sequence[Group],
         folder: Path,
         show: LogDisplay | None,
-        done: Done | None,
     ) -> None:
         self.usage = Usage()
         """What has been billed for, as far as it is known."""
@@ -79,7 +77,6 @@ class BatchRun:
         self._shapes = {group.name: group for group in groups}
         self._folder = folder
         self._show = show
-        self._done = done
         self._token = new_run()
         self._places: dict[str, list[int]] = {}
         """Of each group in S3: the job (its place among all) of each index."""
@@ -276,8 +273,6 @@ class BatchRun:
         for place, outcome in self._bringing.take(seconds):
             self._counts["done" if outcome.verdict == "pass" else "failed"] += 1
             with self._show.paused() if self._show is not None else nullcontext():
-                if self._done is not None:
-                    self._done(place, outcome)
                 yield place, outcome
 
     def _job_of(self, end: JobEnd) -> Job:

@@ -4,7 +4,7 @@ import re
 import threading
 import time
 from collections.abc import Generator, Sequence
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from queue import Empty, SimpleQueue
@@ -14,7 +14,7 @@ from typing import Self
 from calibration.docker.engine import EngineLostError, engine_errors, find_engine, lost
 from calibration.errors import CalibrationError, InputError, WorldError
 from calibration.execution.admission import Admission, Need
-from calibration.execution.backend import Done
+from calibration.execution.backends import Place
 from calibration.execution.docker.images import find_images
 from calibration.execution.docker.job_run import Interrupted, JobRun, Run, lost_job
 from calibration.execution.docker.labels import RUN, Owner, new_run
@@ -99,9 +99,7 @@ class DockerBackend:
         finally:
             self._client.close()
 
-    def run(
-        self, jobs: Sequence[Job], folder: Path, workers: int | None = None, done: Done | None = None
-    ) -> Generator[tuple[int, JobOutcome]]:
+    def run(self, jobs: Sequence[Job], folder: Path, workers: int | None = None) -> Generator[tuple[int, JobOutcome]]:
         """Run jobs; yields each one's index and what came of it, in the order of completion.
 
         What is wrong with the jobs is raised by this call; nothing is started before the first is asked for.
@@ -112,7 +110,6 @@ class DockerBackend:
             folder: each job has its own in it, by its name: ``artifacts/``, ``logs/`` and ``manifest.json``, of
                 which those of an earlier run are removed.
             workers: jobs at once, whatever the cores; None for as many as cores and memory allow.
-            done: called before each is yielded.
 
         Raises:
             InputError: a job makes no sense, or an image is missing.
@@ -131,10 +128,10 @@ class DockerBackend:
             alone=len(jobs) == 1,
             show=self._show,
         )
-        return self._outcomes(run, jobs, folder, workers, done)
+        return self._outcomes(run, jobs, folder, workers)
 
     def _outcomes(
-        self, run: Run, jobs: Sequence[Job], folder: Path, workers: int | None, done: Done | None
+        self, run: Run, jobs: Sequence[Job], folder: Path, workers: int | None
     ) -> Generator[tuple[int, JobOutcome]]:
         needs = [Need.of(job) for job in jobs]
         admission = Admission(needs, self._engine.cores, self._engine.memory, workers)
@@ -156,13 +153,13 @@ class DockerBackend:
                 except EngineLostError as error:  # the threads wait for answers that will not come
                     admission.stop()
                     for index in sorted(left):
-                        yield from self._report(index, lost_job(run, jobs[index], folder, error), done)
+                        yield from self._report(index, lost_job(run, jobs[index], folder, error))
                     left.clear()
                     break
                 if not isinstance(answer.outcome, JobOutcome):
                     raise answer.outcome
                 left.discard(answer.index)
-                yield from self._report(answer.index, answer.outcome, done)
+                yield from self._report(answer.index, answer.outcome)
         finally:
             admission.stop()
             if left:
@@ -171,16 +168,9 @@ class DockerBackend:
                     self._leave_nothing()
                 self._networks = Networks(self.run_name, self._labels)  # those of this run of jobs are gone
 
-    def _report(self, index: int, outcome: JobOutcome, done: Done | None) -> Generator[tuple[int, JobOutcome]]:
+    def _report(self, index: int, outcome: JobOutcome) -> Generator[tuple[int, JobOutcome]]:
         """Hand an outcome over; meanwhile no log is shown, so that the reader can print what it likes."""
-        if self._show is None:
-            if done is not None:
-                done(index, outcome)
-            yield index, outcome
-            return
-        with self._show.paused():
-            if done is not None:
-                done(index, outcome)
+        with self._show.paused() if self._show is not None else nullcontext():
             yield index, outcome
 
     def _next(self, answers: "SimpleQueue[_Answer]") -> _Answer:
@@ -253,6 +243,15 @@ class DockerBackend:
         self._ask()  # one that says nothing is not waited for
         leftovers = find_leftovers(self._client.api, self.run_name)
         remove(self._client.api, [each for each in leftovers if not containers_only or each.kind == "container"])
+
+
+def open_docker(place: Place) -> DockerBackend:
+    """The backend of a place.
+
+    Raises:
+        InputError: the name of the run cannot be part of a container's.
+    """
+    return DockerBackend(place.run, place.show)
 
 
 def _work(run: Run, jobs: Sequence[Job], folder: Path, admission: Admission, answers: "SimpleQueue[_Answer]") -> None:

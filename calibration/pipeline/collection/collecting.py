@@ -104,17 +104,18 @@ def collect_play(
         InputError, WorldError: as `collect_dataset`.
     """
     require_opencv()
+    from calibration.execution.workspace import workspace
     from calibration.simulation.collection.checks import Requirements
     from calibration.simulation.collection.collecting import collect, kept
     from calibration.simulation.collection.contact_sheet import write_contact_sheet
     from calibration.simulation.collection.dataset_folder import refuse_existing, replacing_dataset, write_dataset
     from calibration.simulation.collection.proof import prove
-    from calibration.simulation.collection.workspace import workspace
+    from calibration.simulation.collection.record import Record
 
     refuse_existing(output, overwrite)
     requirements = requirements or Requirements()
-    with workspace(output, _identity(played, requirements, world)) as work:
-        records = collect(played, requirements, work, jobs, done)
+    with workspace(output, _identity(played, requirements, world), Record.to_json, Record.from_json) as work:
+        records = collect(played, requirements, work, jobs, done or (lambda *_: None))
         good = kept(records)
         with replacing_dataset(output, overwrite) as new:
             proof = None
@@ -192,7 +193,7 @@ def _identity(played: "Play", requirements: "Requirements", world: str) -> str:
     import numpy as np
 
     from calibration import __version__
-    from calibration.simulation.collection.workspace import identity
+    from calibration.execution.workspace import identity
     from calibration.simulation.motion.sequence import motion_document
 
     versions = f"{__version__} {np.__version__} {cv2.__version__} {played.seed} {requirements} {world}"

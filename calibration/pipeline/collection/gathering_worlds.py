@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from calibration.errors import ExitCode, InputError, WorldError
-from calibration.execution.backend import Backend
+from calibration.execution.backends import JobBackend
 from calibration.execution.job import Job
 from calibration.execution.job_folder import LOGS
 from calibration.execution.outcome import JobOutcome
@@ -47,7 +47,7 @@ Judge = Callable[[ScenarioResult, JobOutcome, Path], Judged]
 class Gathering:
     """Where worlds run, and where what they leave is kept."""
 
-    backend: Backend
+    backend: JobBackend
     output: Path
     workers: int | None = None
     """Jobs at once; None for as many as the backend holds."""

@@ -10,7 +10,7 @@ from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any
 
 from calibration.errors import CalibrationError, ExitCode, InputError, WorldError
-from calibration.execution.backend import Backend
+from calibration.execution.backends import JobBackend
 from calibration.execution.job import Job
 from calibration.execution.job_folder import ARTIFACTS, LOGS
 from calibration.execution.outcome import JobOutcome
@@ -82,7 +82,7 @@ class Plan:
 
 
 def collect_in_containers(
-    request: ContainerRequest, output: Path, backend: Backend, overwrite: bool = False, scenario: int = 0
+    request: ContainerRequest, output: Path, backend: JobBackend, overwrite: bool = False, scenario: int = 0
 ) -> CollectionResults:
     """Collect a dataset into a folder, with its results and the containers' logs beside it.
 
@@ -145,7 +145,7 @@ def _motion(request: ContainerRequest, system: "System | None") -> "Motion | Non
     return generate_motion(system, pose_count(given), request.seed)
 
 
-def _run(plan: Plan, scenario: int, work: Path, backend: Backend) -> JobOutcome:
+def _run(plan: Plan, scenario: int, work: Path, backend: JobBackend) -> JobOutcome:
     inputs = write_inputs(work / "in", plan.request.applications, plan.motion)
     with closing(backend.run([plan.job("collection", scenario, inputs)], work, 1)) as outcomes:
         for _, outcome in outcomes:

@@ -151,8 +151,10 @@ def run_worlds(
         WorldError: a file cannot be written, or a process died.
     """
     require_opencv()
+    from calibration.execution.tasks import run_tasks
+    from calibration.simulation.collection.collecting import single_threaded_opencv
     from calibration.simulation.scenarios.report import Report
-    from calibration.simulation.scenarios.run import run_scenarios
+    from calibration.simulation.scenarios.run import scenario_task
     from calibration.simulation.scenarios.scenario_set import read_scenario_set
     from calibration.simulation.system import read_system
 
@@ -162,7 +164,14 @@ def run_worlds(
     motion = None if of.motion is None else read_or_generate(of, system)
     if begin:
         begin(system.name, request.count)
-    found = run_scenarios(worlds, of.seed, range(request.count), motion, of.requirements, jobs, done)
+    tasks = [
+        scenario_task(worlds, worlds.scenario(of.seed, index), motion, of.requirements)
+        for index in range(request.count)
+    ]
+    with single_threaded_opencv():
+        found = list(
+            run_tasks(tasks, workers=jobs, done=lambda _count, _total, result: done(result) if done else None).values()
+        )
     results = ScenarioResults(system.name, request, Report(found))
     return write_scenario_results(results, output)
 

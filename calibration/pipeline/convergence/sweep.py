@@ -5,24 +5,26 @@ A start converges when its cell passes: what it led to is an optimum (the right 
 no optimum, so there the RMS counts too: it is that of the best start of the same method in this sweep.
 """
 
+import json
 import shutil
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import replace
+from contextlib import ExitStack
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING
 
-from calibration.errors import InputError, WorldError
+import numpy as np
+
+from calibration import __version__
+from calibration.errors import ExitCode, InputError
 from calibration.execution.backends import Place
-from calibration.pipeline.matrix.cell import OUR_METHOD, CellResult
+from calibration.execution.tasks import run_tasks
+from calibration.execution.workspace import identity, workspace
+from calibration.pipeline.matrix.cell import OUR_METHOD, CellResult, Deviation
 from calibration.pipeline.matrix.judgement import judge_cells
-from calibration.pipeline.matrix.matrix import Done, Matrix, run_matrix
+from calibration.pipeline.matrix.matrix import Done, Matrix, matrix_tasks
 from calibration.pipeline.system import Limits, Start, System
-
-if TYPE_CHECKING:
-    from calibration.workflow.streams import LogDisplay
 
 CELLS = "cells"
 """The folder, in the output folder, of what the team's software leaves."""
@@ -54,73 +56,77 @@ def run_sweep(
     matrices: Sequence[Matrix],
     output: Path,
     jobs: int | None = None,
-    done: Done | None = None,
-    display: "LogDisplay | None" = None,
+    done: Done = lambda *_: None,
     place: Place | None = None,
 ) -> list[CellResult]:
     """Run every cell, and judge it. What our engine writes for the rules to judge is removed as soon as it is judged.
+
+    A sweep that was interrupted goes on where it was when it is asked for again.
 
     Args:
         matrices: of `sweep_matrices`.
         output: the folder; `CELLS` in it keeps the logs and files of the team's software.
         jobs: processes, or containers at once; None for as many as the machine holds.
-        done: called after each cell.
-        display: where the logs of containers are shown.
+        done: called after each cell; first with those that are done already.
         place: where containers run; this machine's engine unless given.
 
     Returns:
-        The judged cells, in the order in which they came.
+        The judged cells.
 
     Raises:
         InputError: a dataset, an evaluation, a truth, an image or a rule is wrong.
         WorldError: a process died, containers cannot be run, or a file cannot be written.
     """
-    total = sum(_jobs(matrix) for matrix in matrices)
-    cells: list[CellResult] = []
-    for matrix in matrices:
-        with _folder(matrix, output) as folder:
-            judge = partial(_judge, matrix.systems, folder, cells, total, done)
-            run_matrix(matrix, folder, jobs, done=judge, display=display, place=place)
-    return _of_the_same_optimum(cells, matrices[0].systems)
+    with ExitStack() as stack:
+        tasks = []
+        work = stack.enter_context(workspace(output, _identity(matrices), _encoded, _decoded))
+        cells = Path(stack.enter_context(TemporaryDirectory(dir=work.folder, ignore_cleanup_errors=True)))
+        for matrix in matrices:
+            folder = cells / matrix.start
+            found = stack.enter_context(matrix_tasks(matrix, folder, output / CELLS))
+            judge = partial(_judged, systems=matrix.systems, ours=folder, theirs=output / CELLS)
+            named = (replace(task, name=f"{matrix.start}/{task.name}") for task in (*found.cells, *found.references))
+            tasks += [work.keeping(task.then(judge)) for task in named]
+        results = run_tasks(tasks, output / CELLS, jobs, place, work.find, done)
+    return _of_the_same_optimum(list(results.values()), matrices[0].systems)
 
 
-def _jobs(matrix: Matrix) -> int:
-    """How many cells a matrix runs: beside each of the team's software there is one of our engine."""
-    return len(matrix.cells) + sum(cell.system in matrix.software for cell in matrix.cells)
+def _identity(matrices: Sequence[Matrix]) -> str:
+    """What a cell depends on beside its noise: the versions, what is asked, and the files."""
+    asked = [(matrix.systems, matrix.start, matrix.loss) for matrix in matrices]
+    files = [
+        (str(path), status.st_size, status.st_mtime_ns)
+        for system in matrices[0].systems
+        for path in sorted(_files(system))
+        for status in (path.stat(),)
+    ]
+    return identity(repr((__version__, np.__version__, asked, files)).encode())
 
 
-def _judge(
-    systems: Sequence[System],
-    folder: Path,
-    cells: list[CellResult],
-    total: int,
-    done: Done | None,
-    _count: int,
-    _total: int,
-    cell: CellResult,
-) -> None:
-    """Take a cell of one of the matrices among the cells of all of them."""
-    cells.append(_judged(cell, systems, folder))
-    if done:
-        done(len(cells), total, cells[-1])
+def _files(system: System) -> Iterator[Path]:
+    """The files that a system's calibration reads."""
+    folder = system.dataset if system.dataset.is_dir() else system.dataset.parent
+    yield from (path for path in folder.rglob("*") if path.is_file())
+    for path in (system.intrinsics_covariance, Path(system.truth) if system.truth else None):
+        if path is not None and path.is_file():
+            yield path
 
 
-@contextmanager
-def _folder(matrix: Matrix, output: Path) -> Iterator[Path]:
-    """Where the cells write."""
-    if matrix.software:
-        yield output / CELLS
-        return
-    try:
-        output.mkdir(parents=True, exist_ok=True)
-        with TemporaryDirectory(prefix=".cells-", dir=output, ignore_cleanup_errors=True) as folder:
-            yield Path(folder)
-    except OSError as error:
-        raise WorldError(f"{output}: cannot be written: {error.strerror or error}") from error
+def _encoded(cell: CellResult) -> str:
+    return json.dumps(asdict(cell))
 
 
-def _judged(cell: CellResult, systems: Sequence[System], folder: Path) -> CellResult:
+def _decoded(text: bytes) -> CellResult:
+    document = json.loads(text)
+    deviations = {name: Deviation(**document[name]) if document[name] else None for name in ("truth", "sigma")}
+    error = None if document["error"] is None else ExitCode(document["error"])
+    lines = {name: tuple(document[name]) for name in ("reasons", "warnings")}
+    return CellResult(**{**document, **deviations, **lines, "error": error})
+
+
+def _judged(cell: CellResult, systems: Sequence[System], ours: Path, theirs: Path) -> CellResult:
     """The cell by rules and limits, without what is not needed any more: thousands of it would fill disk and memory."""
+    folder = ours if cell.method == OUR_METHOD else theirs
     [judged] = judge_cells([cell], systems, folder)
     if cell.method == OUR_METHOD and cell.dataset is not None:
         shutil.rmtree((folder / cell.dataset).parent, ignore_errors=True)

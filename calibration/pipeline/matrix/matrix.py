@@ -5,12 +5,12 @@ same data from the same starts as a comparison, so that "our software got worse"
 can be told apart.
 """
 
-from collections.abc import Callable
-from contextlib import ExitStack, closing
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from tempfile import TemporaryDirectory
 
 from calibration.comparison.methods import METHODS, method_of
 from calibration.dataset.reading import read_dataset
@@ -20,7 +20,7 @@ from calibration.estimation.intrinsics_file import read_intrinsics
 from calibration.estimation.starting_noise import StartingNoise
 from calibration.evaluation.specification import parse_evaluation
 from calibration.execution.backends import Place
-from calibration.execution.parallel import in_parallel
+from calibration.execution.tasks import Task, run_tasks
 from calibration.pipeline.matrix.cell import (
     OUR_METHOD,
     Cell,
@@ -32,30 +32,12 @@ from calibration.pipeline.matrix.cell import (
     run_comparison,
 )
 from calibration.pipeline.matrix.software import Software
-from calibration.pipeline.matrix.software_cell import run_software_cells
+from calibration.pipeline.matrix.software_cell import software_task
 from calibration.pipeline.system import Loss, NoiseGrid, Start, System
 from calibration.workflow.text import did_you_mean
 
-if TYPE_CHECKING:
-    from calibration.workflow.streams import LogDisplay
-
-
-@dataclass(frozen=True)
-class Reference:
-    """Our engine on what a cell has the team's software calibrate."""
-
-    cell: Cell
-
-    @property
-    def folder(self) -> str:
-        """Where its files go: beside those of the cells."""
-        return f"{self.cell.system}/{OUR_METHOD}/{noise_folder(self.cell.noise)}"
-
-
-Job = Cell | Reference | Comparison
-"""A cell, our engine's answer to compare it with, or another method on the same data."""
 Done = Callable[[int, int, CellResult], None]
-"""Called after each job with how many are done, how many there are, and its result."""
+"""Called after each task with how many are done, how many there are, and its result."""
 
 
 @dataclass(frozen=True)
@@ -110,8 +92,7 @@ def run_matrix(
     output: Path,
     jobs: int | None = None,
     fail_fast: bool = False,
-    done: Done | None = None,
-    display: "LogDisplay | None" = None,
+    done: Done = lambda *_: None,
     place: Place | None = None,
 ) -> MatrixResults:
     """Run all cells and comparisons, each in its own folder below ``output``.
@@ -123,51 +104,74 @@ def run_matrix(
         output: the folder.
         jobs: processes, or containers at once; None for as many as the machine holds.
         fail_fast: whether the first cell that fails stops the others.
-        done: called after each job.
-        display: where the logs of containers are shown.
+        done: called after each task.
         place: where containers run; this machine's engine unless given.
 
     Raises:
         InputError: a dataset, an evaluation, a truth or an image is wrong; nothing has been calibrated then.
         WorldError: a process died, or containers cannot be run.
     """
+    with matrix_tasks(matrix, output, output) as tasks:
+        cells = {task.name for task in tasks.cells}
+        found = run_tasks(
+            [*tasks.comparisons, *tasks.cells, *tasks.references],  # slow ones first
+            output,
+            jobs,
+            place,
+            done=done,
+            stops=lambda name, result: fail_fast and name in cells and result.verdict == "fail",
+        )
+
+    def results(of: Sequence[Task[CellResult]]) -> tuple[CellResult, ...]:
+        return tuple(found[task.name] for task in of if task.name in found)
+
+    return MatrixResults(results(tasks.cells), (*results(tasks.references), *results(tasks.comparisons)))
+
+
+@dataclass(frozen=True)
+class MatrixTasks:
+    """The tasks of a matrix, each kind in the matrix's order."""
+
+    cells: list[Task[CellResult]]
+    references: list[Task[CellResult]]
+    """Our engine on what a cell has the team's software calibrate."""
+    comparisons: list[Task[CellResult]]
+
+
+@contextmanager
+def matrix_tasks(matrix: Matrix, output: Path, containers: Path) -> Iterator[MatrixTasks]:
+    """The tasks of a matrix; what jobs in containers read is there inside the block.
+
+    Args:
+        matrix: what to calibrate; its data are read.
+        output: the folder of what our engine and other methods leave.
+        containers: the folder of the jobs.
+
+    Raises:
+        InputError: a dataset, an evaluation or a truth is wrong, or a command.
+        WorldError: a file cannot be written.
+    """
     loaded = {system.name: load(system) for system in matrix.systems}
-    theirs = [cell for cell in matrix.cells if cell.system in matrix.software]
-    ours = [cell for cell in matrix.cells if cell.system not in matrix.software]
-    work: list[Job] = [*matrix.comparisons, *ours, *map(Reference, theirs)]  # slow ones first
-    results: dict[Job, CellResult] = {}
-    software: dict[Cell, CellResult] = {}
-
-    def finished(result: CellResult, counts: bool) -> bool:
-        """Tell of a result; whether it stops the others."""
-        if done:
-            done(len(results) + len(software), len(work) + len(theirs), result)
-        return fail_fast and counts and result.verdict == "fail"
-
+    comparisons = [
+        Task.call(each.folder, partial(run_comparison, each, loaded[each.system], output))
+        for each in matrix.comparisons
+    ]
+    cells, references = [], []
     with ExitStack() as stack:
-        backend = (
-            stack.enter_context((place or Place()).open(display)) if theirs else None
-        )  # before long work: it may not be there
-        for number, result in in_parallel(partial(_run, loaded=loaded, output=output), work, jobs):
-            results[work[number]] = result
-            if finished(result, isinstance(work[number], Cell)):
-                return _in_order(matrix, results, software)
-        if backend is not None:
-            answers = run_software_cells(theirs, loaded, matrix.software, output, backend, jobs)
-            for number, result in stack.enter_context(closing(answers)):
-                software[theirs[number]] = result
-                if finished(result, True):
-                    break
-    return _in_order(matrix, results, software)
-
-
-def _in_order(matrix: Matrix, results: dict[Job, CellResult], software: dict[Cell, CellResult]) -> MatrixResults:
-    cells = [software.get(cell) or results.get(cell) for cell in matrix.cells]
-    references = [results.get(Reference(cell)) for cell in matrix.cells]
-    others = [results.get(job) for job in matrix.comparisons]
-    return MatrixResults(
-        tuple(cell for cell in cells if cell), tuple(other for other in (*references, *others) if other)
-    )
+        starts = containers
+        if matrix.software:
+            containers.mkdir(parents=True, exist_ok=True)
+            starts = Path(stack.enter_context(TemporaryDirectory(prefix=".starts-", dir=containers)))
+        for number, cell in enumerate(matrix.cells):
+            system = loaded[cell.system]
+            if cell.system not in matrix.software:
+                cells.append(Task.call(cell.folder, partial(run_cell, cell, system, output)))
+                continue
+            software = matrix.software[cell.system]
+            cells.append(software_task(cell, system, software, starts / str(number), containers))
+            folder = f"{cell.system}/{OUR_METHOD}/{noise_folder(cell.noise)}"  # beside those of the cells
+            references.append(Task.call(folder, partial(run_cell, cell, system, output, folder)))
+        yield MatrixTasks(cells, references, comparisons)
 
 
 def load(system: System) -> LoadedSystem:
@@ -194,11 +198,3 @@ def load(system: System) -> LoadedSystem:
             )
     known = read_intrinsics(system.intrinsics_covariance) if system.intrinsics_covariance else {}
     return LoadedSystem(system.name, dataset, truth, evaluation, system.intrinsics, known, system.hold)
-
-
-def _run(job: Job, loaded: dict[str, LoadedSystem], output: Path) -> CellResult:
-    if isinstance(job, Cell):
-        return run_cell(job, loaded[job.system], output)
-    if isinstance(job, Reference):
-        return run_cell(job.cell, loaded[job.cell.system], output, job.folder)
-    return run_comparison(job, loaded[job.system], output)

@@ -1,7 +1,6 @@
 """Cells that the team's software calibrates: each a job in containers, judged by the files that come out."""
 
-import tempfile
-from collections.abc import Generator, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -11,10 +10,10 @@ from calibration.dataset.writing import write_dataset
 from calibration.errors import CalibrationError, ExitCode, InputError
 from calibration.estimation.starting_noise import with_starting_noise
 from calibration.evaluation.table import AVERAGES
-from calibration.execution.backend import Backend
 from calibration.execution.job import OUTPUT, Job, Mount
 from calibration.execution.job_folder import ARTIFACTS
 from calibration.execution.outcome import JobOutcome
+from calibration.execution.tasks import Task
 from calibration.introspection.numbers import number_text, parse_number
 from calibration.introspection.selection import KeyedTable, LabelledRow
 from calibration.introspection.table import read_table
@@ -25,40 +24,25 @@ RMS = "RMS (pix)"
 """The column of a table whose average is a cell's ``rms_px``."""
 
 
-def run_software_cells(
-    cells: Sequence[Cell],
-    systems: Mapping[str, LoadedSystem],
-    software: Mapping[str, Software],
-    output: Path,
-    backend: Backend,
-    workers: int | None = None,
-) -> Generator[tuple[int, CellResult]]:
-    """Run each cell's job; yields the cell's index and its result, in the order in which they come.
+def software_task(cell: Cell, system: LoadedSystem, software: Software, start: Path, output: Path) -> Task[CellResult]:
+    """The task of one cell; the dataset with the cell's noisy start is written.
 
-    What fails in one cell is its result, so that the others go on.
+    What fails in a cell is its result, so that the others go on.
 
     Args:
-        cells: what to calibrate.
-        systems: their data, by name.
-        software: what runs, by the system's name.
-        output: the folder; each cell's files go below it.
-        backend: where the jobs run.
-        workers: how many at once; None for as many as the machine holds.
+        cell: from where to calibrate.
+        system: its data.
+        software: what runs.
+        start: a new folder for the dataset with the noisy start.
+        output: the folder of the jobs.
 
     Raises:
-        InputError: a command or an image is wrong, or a dataset's labels cannot be used.
-        WorldError: the backend is not there, or a file cannot be written.
+        InputError: the command has a placeholder that there is not.
+        WorldError: a file cannot be written.
     """
-    output.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(prefix=".starts-", dir=output) as temporary:
-        jobs = []
-        for number, cell in enumerate(cells):
-            dataset, start = systems[cell.system].dataset, Path(temporary, str(number))
-            write_dataset(with_starting_noise(dataset, cell.noise), start)
-            jobs.append(cell_job(cell, software[cell.system], dataset.path.parent, start))
-        for index, outcome in backend.run(jobs, output, workers):
-            cell = cells[index]
-            yield index, software_result(cell, systems[cell.system], software[cell.system], outcome, output)
+    write_dataset(with_starting_noise(system.dataset, cell.noise), start)
+    job = cell_job(cell, software, system.dataset.path.parent, start)
+    return Task.containers(job.name, job, lambda outcome: software_result(cell, system, software, outcome, output))
 
 
 def cell_job(cell: Cell, software: Software, dataset: Path, start: Path) -> Job:

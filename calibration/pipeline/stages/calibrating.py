@@ -11,7 +11,6 @@ from calibration.pipeline.results import Results, read_results, write_results
 from calibration.pipeline.system import System
 from calibration.workflow import Runner
 from calibration.workflow.progress import progress
-from calibration.workflow.streams import LogDisplay
 
 
 def calibrate_stage(
@@ -45,8 +44,7 @@ def calibrate_stage(
         def done(count: int, total: int, cell: CellResult) -> None:
             advance(count, total, _line(cell), important=cell.verdict == "fail")
 
-        display = LogDisplay(runner) if matrix.software else None
-        found = run_matrix(matrix, output, jobs, fail_fast, done, display, place)
+        found = run_matrix(matrix, output, jobs, fail_fast, done, place)
     results = replace(results, cells=found.cells, comparisons=found.comparisons)
     write_results(results, output)
     return results

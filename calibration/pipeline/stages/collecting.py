@@ -17,7 +17,6 @@ from calibration.pipeline.configuration import Simulation
 from calibration.pipeline.results import Results, write_results
 from calibration.workflow import Runner
 from calibration.workflow.progress import progress
-from calibration.workflow.streams import LogDisplay
 
 if TYPE_CHECKING:
     from calibration.simulation.collection.record import Record
@@ -60,7 +59,7 @@ def _collected(simulation: Simulation, output: Path, runner: Runner, jobs: int |
     try:
         match simulation.request:
             case ContainerRequest() as request:
-                with replace(place, backend=simulation.backend).open(LogDisplay(runner)) as backend:
+                with replace(place, backend=simulation.backend).open() as backend:
                     found = collect_in_containers(request, output / folder, backend, overwrite=True)
             case CollectionRequest() as request:
                 found = _simulated(simulation.name, request, output / folder, runner, jobs)

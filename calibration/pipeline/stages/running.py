@@ -16,6 +16,7 @@ from calibration.pipeline.stages.calibrating import calibrate_stage, introspect_
 from calibration.pipeline.stages.collecting import COLLECTED, collect_stage
 from calibration.pipeline.system import System
 from calibration.workflow import Runner
+from calibration.workflow.streams import LogDisplay
 from calibration.workflow.text import did_you_mean
 
 STAGES = ("build", "collect", "calibrate", "introspect", "promote")
@@ -54,6 +55,7 @@ def run_stages(
     """
     _check(stages)
     matrix = _placed(matrix, output)
+    place = replace(place or Place(), show=LogDisplay(runner))
     results = Results(())
     if "calibrate" in stages or "collect" in stages:
         clear_results(output, _inputs(matrix))

@@ -1,18 +1,19 @@
 """All poses of a motion: each is captured, labelled and checked, and leaves its record."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from functools import partial
 
 import cv2
 
 from calibration.dataset.configuration import SensorConfiguration
-from calibration.execution.parallel import in_parallel
+from calibration.execution.tasks import Task, run_tasks
+from calibration.execution.workspace import Workspace
 from calibration.simulation.collection.capture import capture
 from calibration.simulation.collection.checks import Requirements, reasons_to_lose
 from calibration.simulation.collection.payload import data_file, encode
 from calibration.simulation.collection.play import Play
 from calibration.simulation.collection.record import Record, collection_key, record
-from calibration.simulation.collection.workspace import Workspace
 
 Done = Callable[[int, int, Record], None]
 """Called after each pose with how many are done, how many there are, and its record."""
@@ -46,7 +47,11 @@ def _is_labelled_by_index(sensor: SensorConfiguration) -> bool:
 
 
 def collect(
-    play: Play, requirements: Requirements, workspace: Workspace, jobs: int | None = None, done: Done | None = None
+    play: Play,
+    requirements: Requirements,
+    workspace: Workspace[Record],
+    jobs: int | None = None,
+    done: Done = lambda *_: None,
 ) -> list[Record]:
     """Collect at every pose that the workspace has no record of.
 
@@ -63,27 +68,25 @@ def collect(
     Raises:
         WorldError: a file cannot be written, or a process died.
     """
-    records = workspace.records()
-    if done:
-        for count, number in enumerate(sorted(records)):
-            done(count + 1, len(play), records[number])
-    left = [number for number in range(len(play)) if number not in records]
+
+    def collect_into(number: int) -> Record:
+        found, files = collect_pose(play, number, requirements)
+        return workspace.keep(str(number), found, files)
+
+    tasks = [Task.call(str(number), partial(collect_into, number)) for number in range(len(play))]
+    with single_threaded_opencv():
+        return list(run_tasks(tasks, workers=jobs, find=workspace.find, done=done).values())
+
+
+@contextmanager
+def single_threaded_opencv() -> Iterator[None]:
+    """Keep OpenCV to one thread: the processes are the parallel ones, and its threads do not survive a fork."""
     threads = cv2.getNumThreads()
-    cv2.setNumThreads(1)  # the processes are the parallel ones; and OpenCV's threads do not survive a fork
+    cv2.setNumThreads(1)
     try:
-        for _, found in in_parallel(partial(_collect_into, play, requirements, workspace), left, jobs):
-            records[found.number] = found
-            if done:
-                done(len(records), len(play), found)
+        yield
     finally:
         cv2.setNumThreads(threads)
-    return [records[number] for number in range(len(play))]
-
-
-def _collect_into(play: Play, requirements: Requirements, workspace: Workspace, number: int) -> Record:
-    found, files = collect_pose(play, number, requirements)
-    workspace.add(found, files)
-    return found
 
 
 def kept(records: Sequence[Record]) -> list[Record]:

@@ -1,7 +1,7 @@
-"""Scenarios run: each world is collected, calibrated, and held against its truth; in parallel over the cores."""
+"""Scenarios run: each world is collected, calibrated, and held against its truth."""
 
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -10,7 +10,7 @@ from calibration.dataset import truth
 from calibration.dataset.reading import FILE_NAME
 from calibration.dataset.writing import write_document
 from calibration.errors import InputError
-from calibration.execution.parallel import in_parallel
+from calibration.execution.tasks import Task
 from calibration.simulation.collection.checks import Requirements
 from calibration.simulation.collection.collecting import collect_pose, kept
 from calibration.simulation.collection.document import dataset_document, truth_document
@@ -74,54 +74,11 @@ def seen(result: ScenarioResult, records: Sequence[Record], proof: Proof | None)
     return proven(result, proof) if proof else replace(result, reasons=("no pose gave a collection",))
 
 
-def run_scenarios(
-    worlds: ScenarioSet,
-    seed: int,
-    indices: Sequence[int],
-    motion: Motion | None = None,
-    requirements: Requirements | None = None,
-    jobs: int | None = None,
-    done: Callable[[ScenarioResult], None] | None = None,
-) -> list[ScenarioResult]:
-    """Run scenarios of one seed. What comes of each does not depend on the others.
-
-    Args:
-        worlds: the scenario set.
-        seed: of the scenarios.
-        indices: of the scenarios, each from 0.
-        motion: the same for all worlds; None to generate one for each.
-        requirements: what each collection has to keep to.
-        jobs: processes; None for one a core.
-        done: called after each world, in the order in which they come.
-
-    Returns:
-        The results, in the order of the indices.
-
-    Raises:
-        InputError: no draw of a scenario keeps to the constraints. Before the first world.
-        WorldError: a process died, or no temporary file can be written.
-    """
-    import cv2
-
-    scenarios = [worlds.scenario(seed, index) for index in indices]
-    results: dict[int, ScenarioResult] = {}
-    threads = cv2.getNumThreads()
-    cv2.setNumThreads(1)  # the processes are the parallel ones; and OpenCV's threads do not survive a fork
-    try:
-        work = partial(_run, worlds, motion, requirements)
-        for number, result in in_parallel(work, scenarios, jobs):
-            results[number] = result
-            if done:
-                done(result)
-    finally:
-        cv2.setNumThreads(threads)
-    return [results[number] for number in range(len(scenarios))]
-
-
-def _run(
-    worlds: ScenarioSet, motion: Motion | None, requirements: Requirements | None, scenario: Scenario
-) -> ScenarioResult:
-    return run_scenario(worlds, scenario, motion, requirements)
+def scenario_task(
+    worlds: ScenarioSet, scenario: Scenario, motion: Motion | None = None, requirements: Requirements | None = None
+) -> Task[ScenarioResult]:
+    """The task of one world, by its id; what comes of it does not depend on the others."""
+    return Task.call(scenario.id, partial(run_scenario, worlds, scenario, motion, requirements))
 
 
 def _collect(played: Play, requirements: Requirements, folder: Path) -> list[Record]:

@@ -15,6 +15,7 @@ import pytest
 from calibration.errors import CalibrationError, InputError, WorldError
 from calibration.execution.batch.backend import BatchBackend
 from calibration.execution.batch.documents.job_document import TaskJob
+from calibration.execution.outcome import JobOutcome
 from calibration.workflow import Runner
 from calibration.workflow.streams import LogDisplay
 from tests.aws.emulator.attempt import Attempt
@@ -46,10 +47,15 @@ class Clock:
         now = time.monotonic()
         return now + self._ahead + (0.0 if self._hurries_since is None else self.SPEED * (now - self._hurries_since))
 
-    def hurry(self, *_: object) -> None:
+    def hurry(self) -> None:
         """From now on."""
         if self._hurries_since is None:
             self._hurries_since = time.monotonic()
+
+    def hurry_after(self, outcome: tuple[int, JobOutcome]) -> tuple[int, JobOutcome]:
+        """From this outcome on."""
+        self.hurry()
+        return outcome
 
     def rest(self) -> None:
         """Go on as other clocks do."""
@@ -80,11 +86,11 @@ def test_closing_the_iterator_ends_all(batch_emulator: Aws, tmp_path: Path) -> N
 def test_an_error_of_who_reads_ends_all(batch_emulator: Aws, tmp_path: Path) -> None:
     Tasks(batch_emulator, hang)
 
-    def fail(index: int, outcome: object) -> None:
+    def fail(outcome: object) -> None:
         raise WorldError("the disk is full")
 
     with BatchBackend(SETTINGS) as backend, pytest.raises(WorldError, match="the disk is full"):
-        list(backend.run(jobs(3), tmp_path, done=fail))
+        list(map(fail, backend.run(jobs(3), tmp_path)))
     batch_emulator.batch.wait()
 
 
@@ -203,7 +209,7 @@ def test_what_takes_too_long_is_given_up_and_the_rest_is_kept(
     Tasks(batch_emulator, hang)
     log = io.StringIO()
     with BatchBackend(replace(SETTINGS, deadline=500), show=LogDisplay(Runner(stdout=log))) as backend:
-        outcomes = dict(backend.run(jobs(3), tmp_path, done=clock.hurry))
+        outcomes = dict(map(clock.hurry_after, backend.run(jobs(3), tmp_path)))
     assert [outcomes[index].exit_code for index in range(3)] == [0, 3, 3]
     assert outcomes[1].reasons == ("the run took longer than its 500 s (deadline)",)
     assert "2 jobs are given up: the run took longer" in log.getvalue()
@@ -218,7 +224,7 @@ def test_jobs_that_get_no_host_are_given_up_with_likely_reasons(
     batch_emulator.faults.stick(child(1), said)
     batch_emulator.faults.stick(child(2))
     with BatchBackend(replace(SETTINGS, stuck=400, spot=False)) as backend:
-        outcomes = dict(backend.run(jobs(3), tmp_path, done=clock.hurry))
+        outcomes = dict(map(clock.hurry_after, backend.run(jobs(3), tmp_path)))
     assert [outcomes[index].exit_code for index in range(3)] == [0, 3, 3]
     for index in (1, 2):
         [reason] = outcomes[index].reasons

@@ -4,8 +4,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-
 from calibration.execution.backend import Backend
+
 from calibration.execution.batch.backend import BatchBackend
 from calibration.execution.batch.settings import BatchSettings
 from calibration.execution.docker.backend import DockerBackend

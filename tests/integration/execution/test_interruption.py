@@ -125,8 +125,7 @@ def test_who_stops_reading_leaves_nothing(tmp_path: Path, engine: "DockerClient"
 def test_an_error_of_the_reader_leaves_nothing(tmp_path: Path, engine: "DockerClient") -> None:
     jobs = [Job("quick", (shell("true"),)), Job("slow", (shell("sleep 600"),))]
     with pytest.raises(ZeroDivisionError), DockerBackend() as backend:
-        for _ in backend.run(jobs, tmp_path, workers=2, done=lambda *_: 1 / 0):
-            pass
+        _ = [1 / 0 for _ in backend.run(jobs, tmp_path, workers=2)]
     assert left(engine, backend.run_name) == []
 
 

@@ -122,7 +122,7 @@ def test_an_interrupted_one_leaves_no_dataset_and_goes_on(
 
     with pytest.raises(KeyboardInterrupt):
         collect_dataset(request_, tmp_path, jobs=1, done=interrupt)
-    assert all(name.startswith(".collecting/") for name in snapshot(tmp_path))
+    assert all(name.startswith(".unfinished/") for name in snapshot(tmp_path))
     made = []
     pose = collecting.collect_pose
     monkeypatch.setattr(collecting, "collect_pose", lambda *a, **k: made.append(a[1]) or pose(*a, **k))  # type: ignore[func-returns-value]
@@ -137,7 +137,7 @@ def test_another_seed_does_not_go_on_with_what_is_there(request_: CollectionRequ
 
     with pytest.raises(KeyboardInterrupt):
         collect_dataset(request_, tmp_path, jobs=1, done=interrupt)
-    assert list((tmp_path / ".collecting").glob("*.record.json"))
+    assert list((tmp_path / ".unfinished").glob("*.result.json"))
     other = replace(request_, seed=7)
     collect_dataset(other, tmp_path, jobs=1)
     collect_dataset(other, tmp_path / "fresh", jobs=1)
@@ -158,7 +158,7 @@ def test_a_full_disk_loses_nothing(
             raise WorldError(f"{path}: cannot be written: No space left on device")
         write_atomically(path, content)
 
-    monkeypatch.setattr("calibration.simulation.collection.workspace.write_atomically", full)
+    monkeypatch.setattr("calibration.execution.workspace.write_atomically", full)
     with pytest.raises(WorldError, match="No space left on device"):
         collect_dataset(request_, tmp_path, jobs=1)
     assert (tmp_path / "notes.txt").read_text() == "mine"

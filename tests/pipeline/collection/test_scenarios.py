@@ -136,7 +136,7 @@ def test_a_world_does_not_go_on_with_what_another_set_made_of_its_id(tmp_path: P
         (tmp_path / f"{name}.yml").write_text(text)
     with pytest.raises(KeyboardInterrupt):
         collect_world(request, tmp_path / "a.yml", "s1-00000", tmp_path / "out", jobs=1, done=interrupt)
-    assert (tmp_path / "out" / ".collecting").exists()
+    assert (tmp_path / "out" / ".unfinished").exists()
     for folder in ("out", "fresh"):
         collect_world(request, tmp_path / "b.yml", "s1-00000", tmp_path / folder, jobs=1)
     assert files(tmp_path / "out") == files(tmp_path / "fresh")

@@ -3,14 +3,19 @@ from pathlib import Path
 
 import pytest
 
+from calibration.execution.workspace import Workspace
 from calibration.simulation.collection.checks import Requirements
 from calibration.simulation.collection.collecting import collect
 from calibration.simulation.collection.play import Play, play
 from calibration.simulation.collection.record import Record
-from calibration.simulation.collection.workspace import Workspace
 from calibration.simulation.motion.sequence import Motion, moving_model, read_motion
 from calibration.simulation.system import System
 from tests.simulation.conftest import DATASETS
+
+
+def record_workspace(folder: Path) -> Workspace[Record]:
+    """A folder for the records of poses."""
+    return Workspace(folder, Record.to_json, Record.from_json)
 
 
 def own_motion(system: System) -> Motion:
@@ -40,4 +45,4 @@ def rlbot_files(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session")
 def rlbot_records(rlbot_play: Play, rlbot_files: Path) -> list[Record]:
-    return collect(rlbot_play, Requirements(), Workspace(rlbot_files), jobs=1)
+    return collect(rlbot_play, Requirements(), record_workspace(rlbot_files), jobs=1)

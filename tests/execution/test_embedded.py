@@ -1,26 +1,38 @@
-"""Work in processes: every item once, errors and deaths said, nothing left."""
+"""Functions in processes: each is called once, errors and deaths said, nothing left."""
 
 import os
 import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable, Generator, Iterable
+from functools import partial
+from typing import TypeVar
 
 import pytest
 
 from calibration.errors import InputError, WorldError
-from calibration.execution.parallel import in_parallel
+from calibration.execution.embedded import Embedded
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+
+def in_parallel(
+    function: Callable[[Item], Result], items: Iterable[Item], workers: int
+) -> Generator[tuple[int, Result]]:
+    return Embedded().run([partial(function, item) for item in items], workers=workers)
 
 
 @pytest.mark.parametrize("workers", [1, 2, 5])
-def test_every_item_once_whatever_the_number_of_processes(workers: int) -> None:
+def test_every_function_once_whatever_the_number_of_processes(workers: int) -> None:
     offset = 10  # a closure reaches the workers
     found = dict(in_parallel(lambda item: item + offset, range(57), workers))
     assert found == {i: i + 10 for i in range(57)}
 
 
 def test_nothing_to_do() -> None:
-    assert list(in_parallel(str, [])) == []
+    assert list(Embedded().run([])) == []
 
 
 def test_one_worker_is_this_process() -> None:
@@ -46,7 +58,7 @@ def test_a_process_that_dies_is_said() -> None:
 def test_who_stops_early_leaves_no_process() -> None:
     results = in_parallel(lambda _: os.getpid(), range(100), 2)
     _, pid = next(results)
-    results.close()  # type: ignore[attr-defined]
+    results.close()
     for _ in range(100):
         try:
             os.kill(pid, 0)
@@ -60,7 +72,7 @@ def test_who_stops_early_leaves_no_process() -> None:
 def test_a_signal_while_a_worker_is_forked_is_not_lost(number: signal.Signals) -> None:
     program = f"""
 import os, signal
-from calibration.execution.parallel import in_parallel
+from calibration.execution.embedded import Embedded
 from calibration.workflow.signals import terminate_cleanly
 asked = []
 def ask():
@@ -70,7 +82,7 @@ def ask():
 os.register_at_fork(before=ask)
 try:
     with terminate_cleanly():
-        print(len(list(in_parallel(str, range(1000), 2))))
+        print(len(list(Embedded().run([str] * 1000, workers=2))))
 except KeyboardInterrupt as error:
     print(type(error).__name__)
 """

@@ -1,27 +1,27 @@
-"""The same work on many items, in processes over the cores of this machine."""
+"""The backend for functions: processes over the cores of this machine."""
 
 import ctypes
 import multiprocessing
 import os
 import signal
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from itertools import islice
+from pathlib import Path
 from queue import SimpleQueue
 from typing import Any, TypeVar
 
 from calibration.errors import WorldError
 from calibration.workflow.signals import held_back
 
-Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 PR_SET_PDEATHSIG = 1
 """Linux's request for a signal when the parent dies."""
-_work: Callable[[Any], Any] | None = None
-"""In a worker: the work, inherited from the parent with all that it holds."""
+_work: Sequence[Callable[[], Any]] = ()
+"""In a worker: the functions, inherited from the parent with all that they hold."""
 
 
 def cores() -> int:
@@ -29,30 +29,37 @@ def cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def in_parallel(
-    work: Callable[[Item], Result], items: Sequence[Item], workers: int | None = None
-) -> Iterator[tuple[int, Result]]:
-    """Do the work on every item; yields the item's index and the result, in the order in which they come.
+class Embedded:
+    """Runs functions in worker processes of this machine; a :class:`calibration.execution.backends.Backend`.
 
-    Items are begun in their order. On any end, an interruption too, no process is left.
-
-    Args:
-        work: may be a closure: the workers inherit it. An error that it raises is raised here.
-        items: and the results, must pickle.
-        workers: processes; None for one a core, 1 for none but this one.
-
-    Raises:
-        WorldError: a process died.
+    The workers are forked, so a function may be a closure: they inherit it with the data that it holds. What it returns
+    must pickle. An error that it raises is raised here.
     """
-    count = min(workers or cores(), len(items))
-    if count > 1:
-        yield from _in_processes(work, items, count)
-    else:
-        for index, item in enumerate(items):
-            yield index, work(item)
+
+    def run(
+        self, work: Sequence[Callable[[], Result]], folder: Path = Path(), workers: int | None = None
+    ) -> Generator[tuple[int, Result]]:
+        """Call each function; yields its index and what it returned, in the order in which they come.
+
+        They are begun in their order. On any end, an interruption too, no process is left.
+
+        Args:
+            work: the functions.
+            folder: is of no use here.
+            workers: processes; None for one a core, 1 for none but this one.
+
+        Raises:
+            WorldError: a process died.
+        """
+        count = min(workers or cores(), len(work))
+        if count > 1:
+            yield from _in_processes(work, count)
+        else:
+            for index, function in enumerate(work):
+                yield index, function()
 
 
-def _in_processes(work: Callable[[Item], Result], items: Sequence[Item], workers: int) -> Iterator[tuple[int, Result]]:
+def _in_processes(work: Sequence[Callable[[], Result]], workers: int) -> Generator[tuple[int, Result]]:
     context = multiprocessing.get_context("fork")
     pool = ProcessPoolExecutor(workers, context, initializer=_begin, initargs=(work,))
     try:
@@ -60,12 +67,12 @@ def _in_processes(work: Callable[[Item], Result], items: Sequence[Item], workers
         # pool's own thread needs to end.
         finished: SimpleQueue[Future[Result]] = SimpleQueue()
         running: dict[Future[Result], int] = {}
-        waiting = iter(enumerate(items))
+        waiting = iter(range(len(work)))
 
         def submit(count: int) -> None:
-            for index, item in islice(waiting, count):
+            for index in islice(waiting, count):
                 with held_back():  # the first of them forks the workers
-                    future = pool.submit(_run_in_worker, item)
+                    future = pool.submit(_run_in_worker, index)
                 running[future] = index
                 future.add_done_callback(finished.put)
 
@@ -83,7 +90,7 @@ def _in_processes(work: Callable[[Item], Result], items: Sequence[Item], workers
         pool.shutdown(wait=True, cancel_futures=True)
 
 
-def _begin(work: Callable[[Any], Any]) -> None:
+def _begin(work: Sequence[Callable[[], Any]]) -> None:
     """In a worker: signals are the parent's to handle; if it is killed, the worker is too."""
     global _work
     signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -93,7 +100,5 @@ def _begin(work: Callable[[Any], Any]) -> None:
     _work = work
 
 
-def _run_in_worker(item: Any) -> Any:
-    if _work is None:
-        raise AssertionError("a worker begins with _begin")
-    return _work(item)
+def _run_in_worker(index: int) -> Any:
+    return _work[index]()

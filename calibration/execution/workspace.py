@@ -1,0 +1,136 @@
+"""Where unfinished work lies: the results of its tasks, until all of them become a whole at once.
+
+The folder ``.unfinished`` inside the output, which may be a volume of its own. It outlives an interruption, and the
+same command goes on from it.
+"""
+
+import fcntl
+import hashlib
+import json
+import shutil
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Generic, TypeVar
+from urllib.parse import quote
+
+from calibration.errors import InputError, WorldError
+from calibration.execution.tasks import Task
+from calibration.files import write_atomically
+
+Result = TypeVar("Result")
+
+FOLDER = ".unfinished"
+_IDENTITY = "identity.txt"
+_LOCK = "lock"
+_ENDING = ".result.json"
+
+
+def identity(*parts: bytes) -> str:
+    """A fingerprint of what work depends on."""
+    digest = hashlib.sha256()
+    for part in parts:
+        digest.update(len(part).to_bytes(8, "little"))
+        digest.update(part)
+    return digest.hexdigest()
+
+
+class Workspace(Generic[Result]):
+    """The folder of one unfinished run, locked while it is used."""
+
+    def __init__(self, folder: Path, encode: Callable[[Result], str], decode: Callable[[bytes], Result]) -> None:
+        """Use a folder; ``encode`` and ``decode`` make JSON of a result, and a result of JSON."""
+        self.folder = folder
+        self._encode = encode
+        self._decode = decode
+
+    def find(self, name: str) -> Result | None:
+        """The result of a task that is done; None for one that is not, or cannot be read."""
+        with suppress(OSError, ValueError, TypeError, KeyError, AttributeError):
+            return self._decode(self._path(name).read_bytes())
+        return None
+
+    def keep(self, name: str, result: Result, files: Mapping[str, bytes] | None = None) -> Result:
+        """Write the files of a task, then its result: where that is, the task is done.
+
+        Raises:
+            WorldError: a file cannot be written.
+        """
+        for file, content in (files or {}).items():
+            write_atomically(self.folder / file, content)
+        write_atomically(self._path(name), self._encode(result))
+        return result
+
+    def keeping(self, task: Task[Result]) -> Task[Result]:
+        """The task, whose result is kept as soon as it is there."""
+        return task.then(lambda result: self.keep(task.name, result))
+
+    def count(self) -> int:
+        """How many tasks are done."""
+        return sum(1 for _ in self.folder.glob(f"*{_ENDING}"))
+
+    def _path(self, name: str) -> Path:
+        return self.folder / f"{quote(name, safe=' ,')}{_ENDING}"
+
+
+@contextmanager
+def workspace(
+    output: Path, identity: str, encode: Callable[[Result], str], decode: Callable[[bytes], Result]
+) -> Iterator[Workspace[Result]]:
+    """The workspace inside an output folder, whose content is kept only if it is of the same identity.
+
+    When something goes wrong in the block it stays behind with what is done, if anything is; else it is
+    removed, and so are folders that were made for it.
+
+    Args:
+        output: the folder.
+        identity: of what the results depend on.
+        encode: makes JSON of a result.
+        decode: makes a result of JSON; what it raises for something else means that the task is not done.
+
+    Raises:
+        InputError: another run into this folder goes on.
+        WorldError: the folder cannot be made or written.
+    """
+    folder = output / FOLDER
+    made = [path for path in (output, *output.parents) if not path.exists()]
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with (folder / _LOCK).open("w") as lock:
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                raise InputError(f"{output}: another run into this folder goes on; wait for it, or stop it") from None
+            if not _is_of(folder, identity):
+                _clear(folder)
+                write_atomically(folder / _IDENTITY, json.dumps(identity))
+            work, finished = Workspace(folder, encode, decode), False
+            try:
+                yield work
+                finished = True
+            finally:
+                if finished or not work.count():
+                    shutil.rmtree(folder, ignore_errors=True)
+    except OSError as error:
+        raise WorldError(f"{output}: cannot be written: {error.strerror or error}") from error
+    finally:
+        for path in made:
+            with suppress(OSError):  # it is not empty, or was not made
+                path.rmdir()
+
+
+def _is_of(folder: Path, identity: str) -> bool:
+    try:
+        return bool(json.loads((folder / _IDENTITY).read_bytes()) == identity)
+    except (OSError, ValueError):
+        return False
+
+
+def _clear(folder: Path) -> None:
+    for path in folder.iterdir():
+        if path.name == _LOCK:
+            continue
+        if path.is_dir() and not path.is_symlink():
+            shutil.rmtree(path)
+        else:
+            path.unlink()
