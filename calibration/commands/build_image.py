@@ -10,13 +10,12 @@ import click
 
 from calibration.commands.parameters import TEXT_LIST, boolean_option, path, text
 from calibration.commands.registry_password import password_variable, registry_password_option
-from calibration.errors import ExitCode, InputError, WorldError
-from calibration.files import write_atomically
+from calibration.errors import ExitCode, InputError
 from calibration.image.builders.failure import BuildFailedError
 from calibration.image.building import BUILDERS, build_image
 from calibration.image.context import Context
 from calibration.image.plan import add_recipe
-from calibration.image.report import Report
+from calibration.image.report import TITLE, BuildResult, report
 from calibration.image.specification import (
     ImageSpecification,
     OwnDockerfile,
@@ -27,10 +26,10 @@ from calibration.registries.credentials import RegistrySettings
 from calibration.registries.login import registry_login
 from calibration.registries.promotion import promote
 from calibration.registries.reference import check_tag
-from calibration.workflow import Annotation, Runner, add_summary, annotate, set_outputs, stop_commands
+from calibration.report import FILES, publish, remove_results
+from calibration.workflow import Runner, stop_commands
 
 SPECIFICATION = Path("calibration.yml")
-TITLE = "build-image"
 
 
 @dataclass(frozen=True)
@@ -98,24 +97,24 @@ def build(settings: Settings, runner: Runner) -> ExitCode:
             first, so that none is mistaken for this one's.
     """
     if settings.output is not None:
-        _remove_results(settings.output)
+        remove_results(settings.output, FILES)
     begin = time.monotonic()
     specification = _specification(settings)
     if settings.render is not None:
         return _render(specification, settings.render, runner)
     try:
-        report = (
+        result = (
             _promoted(settings, specification, runner) if settings.digest else _built(settings, specification, runner)
         )
     except BuildFailedError as error:
-        report = Report(failure=error)
-        _tell(error, settings, runner)
-    _publish(replace(report, seconds=time.monotonic() - begin), settings, runner)
-    return ExitCode.PASS if report.passed else ExitCode.FAIL
+        result = BuildResult(failure=error)
+    source = settings.dockerfile or settings.spec or SPECIFICATION
+    found = report(replace(result, seconds=time.monotonic() - begin), source, runner)
+    publish(found, runner, settings.output)
+    return found.exit_code
 
 
-def _built(settings: Settings, specification: ImageSpecification, runner: Runner) -> Report:
-
+def _built(settings: Settings, specification: ImageSpecification, runner: Runner) -> BuildResult:
     builder = next((name for name in BUILDERS if name == settings.builder), None)
     if builder is None:
         raise InputError(f"builder: found '{settings.builder}', expected {' or '.join(BUILDERS)}")
@@ -131,19 +130,18 @@ def _built(settings: Settings, specification: ImageSpecification, runner: Runner
         leave_out=() if settings.output is None else (settings.output,),
     )
     if not settings.promote:
-        return Report(image)
+        return BuildResult(image)
     if image.digest is None:
         raise AssertionError("a pushed image has a digest")
-    return Report(image, promoted=_promote(specification, image.digest, settings, runner))
+    return BuildResult(image, promoted=_promote(specification, image.digest, settings, runner))
 
 
-def _promoted(settings: Settings, specification: ImageSpecification, runner: Runner) -> Report:
-
+def _promoted(settings: Settings, specification: ImageSpecification, runner: Runner) -> BuildResult:
     if not settings.promote or settings.digest is None:
         raise InputError("digest is given without promote: say which tags the image gets")
     reference = f"{specification.name}@{settings.digest}"
     names = _promote(specification, settings.digest, settings, runner)
-    return Report(reference=reference, digest=settings.digest, promoted=names)
+    return BuildResult(reference=reference, digest=settings.digest, promoted=names)
 
 
 def _promote(specification: ImageSpecification, digest: str, settings: Settings, runner: Runner) -> tuple[str, ...]:
@@ -192,33 +190,3 @@ def _render(specification: ImageSpecification, folder: Path, runner: Runner) -> 
         runner.log(rendered.dockerfile)
     runner.log(f"pass: {folder} has the Dockerfile and all that it copies")
     return ExitCode.PASS
-
-
-def _tell(error: BuildFailedError, settings: Settings, runner: Runner) -> None:
-    """Say which step failed: one annotation with its last lines, which a log has shown already."""
-    if not runner.github and runner.stdout.isatty():
-        runner.log("\n".join(f"    {line}" for line in error.lines))
-    lines = error.lines if runner.github else ()
-    file = settings.dockerfile or settings.spec or SPECIFICATION
-    annotate(runner, [Annotation("\n".join([error.headline, *lines]), file=file, title=TITLE)])
-
-
-def _publish(report: Report, settings: Settings, runner: Runner) -> None:
-    summary = report.markdown()
-    results: Path | str = ""
-    if settings.output is not None:
-        results = settings.output / "results.json"
-        write_atomically(results, report.json())
-        write_atomically(settings.output / "summary.md", summary)
-    add_summary(runner, summary)
-    set_outputs(runner, report.outputs() | {"results": results})
-    with stop_commands(runner):  # the failing step is text that others wrote
-        runner.log(report.sentence())
-
-
-def _remove_results(folder: Path) -> None:
-    for name in ("results.json", "summary.md"):
-        try:
-            (folder / name).unlink(missing_ok=True)
-        except OSError as error:
-            raise WorldError(f"{folder / name}: an earlier result cannot be removed: {error.strerror}") from error

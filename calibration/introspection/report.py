@@ -3,15 +3,14 @@
 from collections.abc import Sequence
 from typing import Any
 
-from calibration.errors import ExitCode
 from calibration.introspection.verdict import Check, Verdict, Violation
 from calibration.report import Outcome, Report, Table, count_of, verdict_of
 from calibration.workflow.annotations import Annotation
 from calibration.workflow.text import shorten
 
-SCHEMA = 1
-"""Number of the form of results.json; ``results.schema.json`` beside this module describes it."""
 TITLE = "introspect-csv"
+VIOLATIONS_SHOWN = 1000
+"""In the log and the summary, and of a check in JUnit; results.json has all."""
 
 
 def report(verdicts: Sequence[Verdict]) -> Report:
@@ -20,15 +19,13 @@ def report(verdicts: Sequence[Verdict]) -> Report:
     violations = [violation for verdict in verdicts for violation in verdict.violations]
     checks = [(verdict, check) for verdict in verdicts for check in verdict.checks]
     found = f"{count_of(len(checks), 'check')} of {count_of(len(verdicts), 'table')}"
-    violation_table = Table(_VIOLATION_HEADER, tuple(map(_violation_row, violations)))
+    sentence = f"{count_of(len(violations), 'violation')} in {found}" if violations else found
     return Report(
         title=TITLE,
         verdict=verdict_of(passed),
-        exit_code=ExitCode.PASS if passed else ExitCode.FAIL,
-        sentence=f"{count_of(len(violations), 'violation')} in {found}" if violations else found,
-        document={
-            "schema": SCHEMA,
-            "verdict": verdict_of(passed),
+        sentence=sentence,
+        results={
+            "reasons": [] if passed else [sentence],
             "violations": len(violations),
             "tables": [_table_object(verdict) for verdict in verdicts],
         },
@@ -37,11 +34,10 @@ def report(verdicts: Sequence[Verdict]) -> Report:
             "values": [{"file": verdict.file, **_check_object(check)} for verdict, check in checks],
         },
         annotations=tuple(
-            Annotation(violation.message, file=violation.file, line=violation.line, title=TITLE)
-            for violation in violations
+            Annotation(violation.message, file=violation.file, line=violation.line) for violation in violations
         ),
         blocks=(
-            *((violation_table,) if violations else ()),
+            Table(_VIOLATION_HEADER, tuple(map(_violation_row, violations)), most_rows=VIOLATIONS_SHOWN),
             Table(_CHECK_HEADER, tuple(_check_row(*each) for each in checks), title="What was checked", folded=True),
         ),
         suites={verdict.file: [_outcome(verdict, check) for check in verdict.checks] for verdict in verdicts},
@@ -70,12 +66,14 @@ def _violation_row(violation: Violation) -> tuple[str, ...]:
 def _outcome(verdict: Verdict, check: Check) -> Outcome:
     lines = [
         f"{violation.file}:{violation.line or ''}{':' if violation.line else ''} {violation.message}"
-        for violation in check.violations
+        for violation in check.violations[:VIOLATIONS_SHOWN]
     ]
+    if (more := len(check.violations) - len(lines)) > 0:
+        lines.append(f"and {more} more, see results.json")
     return Outcome(
         name=f"{check.rows if check.column is None else f'{check.column}, {check.rows}'}: {check.expected}",
         group=verdict.file,
-        reasons=() if check.passed else (count_of(len(lines), "violation"), *lines),
+        reasons=() if check.passed else (count_of(len(check.violations), "violation"), *lines),
         file=verdict.file,
         line=next((violation.line for violation in check.violations), None),
     )

@@ -20,11 +20,11 @@ class Block(ABC):
 
     @abstractmethod
     def plain(self) -> str:
-        """Return it as lines for the log, without the title."""
+        """Return it as lines for the log, without the title; empty where there is nothing to show."""
 
     @abstractmethod
     def markdown(self) -> str:
-        """Return it as Markdown, without the title."""
+        """Return it as Markdown, without the title; empty where there is nothing to show."""
 
 
 @dataclass(frozen=True)
@@ -78,4 +78,4 @@ class Code(Block):
 
     def markdown(self) -> str:
         """Return a fenced block."""
-        return code_block(self.text)
+        return code_block(self.text) if self.text else ""

@@ -1,17 +1,22 @@
 """Publishing a report: files, log, annotations, the step's summary and its outputs."""
 
-from collections.abc import Iterable
+import json
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from itertools import accumulate, takewhile
 from pathlib import Path
 
 from calibration.errors import WorldError
 from calibration.report.report import RESULTS_FILE, SUMMARY_FILE, Report
 from calibration.workflow.annotations import annotate
 from calibration.workflow.groups import stop_commands
-from calibration.workflow.outputs import set_outputs
+from calibration.workflow.outputs import OutputValue, set_outputs
 from calibration.workflow.runner import Runner
 from calibration.workflow.summary import add_summary
 from calibration.workflow.text import one_line
 
+MOST_CHARACTERS = 100_000
+"""Of an output that is a list or a mapping: as an environment variable of a later step it may have 128 KiB."""
 _PATHS = {"results": RESULTS_FILE, "summary": SUMMARY_FILE}
 """Outputs that are paths of files, empty where none are written."""
 
@@ -28,15 +33,32 @@ def publish(report: Report, runner: Runner, folder: Path | None = None) -> None:
 
 def show(report: Report, runner: Runner, folder: Path | None = None) -> None:
     """Show a report whose files are written already, as :func:`publish` does."""
+    outputs, notes = _bounded(report.outputs)
+    report = replace(report, notes=(*report.notes, *notes))
     if text := report.log():
         with stop_commands(runner):  # names and cells are text of others
             runner.log(f"{text}\n")
     annotate(runner, report.all_annotations())
     add_summary(runner, report.markdown())
     paths = {name: "" if folder is None else folder / file for name, file in _PATHS.items()}
-    set_outputs(runner, {"verdict": report.verdict, **paths, **report.outputs})
+    set_outputs(runner, {"verdict": report.verdict, **paths, **outputs})
     place = "" if folder is None else f" ({folder / RESULTS_FILE})"
     runner.log(one_line(f"{report.line}{place}"))
+
+
+def _bounded(outputs: Mapping[str, OutputValue]) -> tuple[dict[str, OutputValue], list[str]]:
+    """Return outputs of which each list or mapping has as many entries as fit, and a line for each that is cut."""
+    bounded, notes = dict(outputs), []
+    for name, value in outputs.items():
+        if not isinstance(value, list | tuple | dict):
+            continue
+        entries = list(value.items()) if isinstance(value, dict) else list(value)
+        sizes = accumulate(len(json.dumps(entry)) + 2 for entry in entries)
+        fit = sum(1 for _ in takewhile(lambda size: size < MOST_CHARACTERS, sizes))
+        if fit < len(entries):
+            bounded[name] = dict(entries[:fit]) if isinstance(value, dict) else entries[:fit]
+            notes.append(f"output {name}: has the first {fit} of {len(entries)} entries; all are in {RESULTS_FILE}")
+    return bounded, notes
 
 
 def remove_results(folder: Path, names: Iterable[str]) -> None:

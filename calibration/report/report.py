@@ -1,7 +1,7 @@
 """Everything that a command has to say about its results."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,8 @@ from calibration.workflow.text import one_line
 RESULTS_FILE, SUMMARY_FILE, JUNIT_FILE = "results.json", "summary.md", "junit.xml"
 FILES = (RESULTS_FILE, SUMMARY_FILE, JUNIT_FILE)
 """Written for every report."""
+SCHEMA = 1
+"""Number of the form of results.json. Keys may be added; none is renamed without a new number."""
 REASONS_SHOWN = 50
 
 
@@ -29,29 +31,40 @@ class Report:
     title: str
     """Heading: ``introspect-csv``."""
     verdict: Verdict
-    exit_code: ExitCode
     sentence: str
     """Rest of the line that begins with the verdict: ``2 violations in 4 checks of 1 table``."""
-    document: Mapping[str, Any]
-    """Content of results.json: numbers, texts, lists and mappings."""
+    results: Mapping[str, Any]
+    """Content of results.json beside schema, verdict and reasons: numbers, texts, lists and mappings."""
+    suites: Mapping[str, Sequence[Outcome]]
+    """Outcomes for JUnit, by suite."""
     outputs: Mapping[str, OutputValue]
     """Outputs of the step, beside the verdict and the paths of the files."""
     reasons: tuple[str, ...] = ()
     """Why the verdict is fail, one line each: listed first, and annotated as errors."""
+    error: ExitCode | None = None
+    """Exit code where it is not that of the verdict, 0 or 1."""
     warnings: tuple[str, ...] = ()
     """Annotated as warnings."""
     notes: tuple[str, ...] = ()
     """Annotated as notices."""
     annotations: tuple[Annotation, ...] = ()
-    """Further annotations, at a file and line."""
-    annotation_title: str | None = None
-    """Title of the annotations; the report's own unless given."""
+    """Further annotations, at a file and line or with a title of their own."""
     blocks: tuple[Block, ...] = ()
     """Tables and lists, in their order."""
-    suites: Mapping[str, Sequence[Outcome]] | None = None
-    """Outcomes for JUnit, by suite; None for a command that writes no JUnit."""
     files: Mapping[str, str | bytes] = field(default_factory=dict)
     """Further files, such as tables as CSV and figures: their content by their name."""
+
+    @property
+    def exit_code(self) -> ExitCode:
+        """Exit code of the command."""
+        if self.error is not None:
+            return self.error
+        return ExitCode.PASS if self.verdict == "pass" else ExitCode.FAIL
+
+    @property
+    def document(self) -> dict[str, Any]:
+        """Content of results.json."""
+        return {"schema": SCHEMA, "verdict": self.verdict, "reasons": list(self.reasons), **self.results}
 
     @property
     def line(self) -> str:
@@ -84,19 +97,16 @@ class Report:
 
     def all_annotations(self) -> list[Annotation]:
         """Return annotations of everything that has some: first what failed."""
-        title = self.annotation_title or self.title
         listed = ((self.reasons, Level.ERROR), (self.warnings, Level.WARNING), (self.notes, Level.NOTICE))
-        own = [Annotation(line, level, title=title) for lines, level in listed for line in lines]
-        return [*self.annotations, *own]
+        own = [Annotation(line, level) for lines, level in listed for line in lines]
+        return [replace(each, title=each.title or self.title) for each in (*self.annotations, *own)]
 
     def written(self) -> dict[str, str | bytes]:
         """Return the content of all files by their names."""
-        files: dict[str, str | bytes] = {**self.files, RESULTS_FILE: results_json(self.document)}
-        if self.suites is not None:
-            from calibration.report.junit import junit_xml  # XML is slow to import
+        from calibration.report.junit import junit_xml  # XML is slow to import
 
-            files[JUNIT_FILE] = junit_xml(self.suites)
-        return files | {SUMMARY_FILE: self.markdown()}
+        texts = {RESULTS_FILE: results_json(self.document), JUNIT_FILE: junit_xml(self.suites)}
+        return {**self.files, **texts, SUMMARY_FILE: self.markdown()}
 
     def write(self, folder: Path) -> None:
         """Write all files into a folder; raises :class:`calibration.errors.WorldError`."""

@@ -27,11 +27,11 @@ class Table(Block):
 
     def plain(self) -> str:
         """Return the table with aligned columns."""
-        return "\n\n".join(aligned(part.columns, part._shown()) for part in self.parts())
+        return "\n\n".join(aligned(part.columns, part._shown()) for part in self.parts() if part.rows)
 
     def markdown(self) -> str:
         """Return a Markdown table."""
-        return markdown_table(self.columns, self._shown())
+        return markdown_table(self.columns, self._shown()) if self.rows else ""
 
     def csv(self) -> str:
         r"""Return the table as CSV; lines end in ``\n``."""

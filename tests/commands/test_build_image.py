@@ -131,13 +131,14 @@ def test_as_an_action(asked: list[Any], here: Path, monkeypatch: pytest.MonkeyPa
     assert asked[1][3] == "bot"
     assert outputs.read_text().splitlines() == [
         "verdict=pass",
+        "results=out/results.json",
+        "summary=out/summary.md",
         "reference=ghcr.io/t/r:key-1",
         f"digest={DIGEST}",
         f"key={'1' * 64}",
         "image-id=sha256:i",
         "built=true",
         'tags=["ghcr.io/t/r:edge", "ghcr.io/t/r:stable"]',
-        "results=out/results.json",
     ]
 
 
@@ -216,21 +217,6 @@ def test_a_failing_step_off_github(monkeypatch: pytest.MonkeyPatch, capsys: pyte
     out, err = capsys.readouterr()
     assert err == "error: calibration.yml: image r: unknown instruction: FORM\n"
     assert out == "fail: image r: unknown instruction: FORM\n"
-
-
-def test_on_a_terminal_the_last_lines_are_shown(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    import io
-
-    class Terminal(io.StringIO):
-        def isatty(self) -> bool:
-            return True
-
-    terminal = Terminal()
-    error = BuildFailedError("r", "step 1 of 1, RUN x", "exit code 1", ["one", "two"])
-    build_image._tell(error, build_image.Settings(), Runner(stdout=terminal))
-    assert terminal.getvalue() == "    one\n    two\n"
 
 
 def test_no_earlier_result_is_mistaken_for_this_ones(here: Path, capsys: pytest.CaptureFixture[str]) -> None:

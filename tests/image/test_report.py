@@ -1,12 +1,20 @@
+import io
+
 import pytest
 
 from calibration.image.builders.failure import BuildFailedError
 from calibration.image.building import BuiltImage
-from calibration.image.report import Report
+from calibration.image.report import BuildResult, report
+from calibration.report import Report
+from calibration.workflow import Runner
+
+
+def make(*arguments: object, runner: Runner | None = None, **fields: object) -> Report:
+    return report(BuildResult(*arguments, **fields), "calibration.yml", runner or Runner())
 
 
 @pytest.mark.parametrize(
-    ("image", "sentence"),
+    ("image", "line"),
     [
         (BuiltImage("r:key-1", "1", built=True), "pass: r:key-1: built (2.5 s)"),
         (
@@ -19,17 +27,27 @@ from calibration.image.report import Report
         ),
     ],
 )
-def test_the_sentence(image: BuiltImage, sentence: str) -> None:
-    assert Report(image, seconds=2.5).sentence() == sentence
+def test_the_verdicts_line(image: BuiltImage, line: str) -> None:
+    assert make(image, seconds=2.5).line == line
 
 
 def test_outputs_name_every_tag_once() -> None:
     image = BuiltImage("r:key-1", "1", built=True, tags=("r:a", "r:b"))
-    assert Report(image, promoted=("r:b", "r:c")).outputs()["tags"] == ["r:a", "r:b", "r:c"]
+    assert make(image, promoted=("r:b", "r:c")).outputs["tags"] == ["r:a", "r:b", "r:c"]
 
 
 def test_a_failure_without_lines_and_hostile_text() -> None:
-    report = Report(failure=BuildFailedError("r", "step 1 of 1, RUN <b>|`x`", "exit code 1"))
-    assert (
-        report.markdown() == "## build-image: fail: image r: step 1 of 1, RUN &lt;b&gt;&#124;\\`x\\`: exit code 1\n\n"
-    )
+    found = make(failure=BuildFailedError("r", "step 1 of 1, RUN <b>|`x`", "exit code 1"))
+    assert found.markdown() == "## build-image: fail: image r: step 1 of 1, RUN &lt;b&gt;&#124;\\`x\\`: exit code 1\n"
+    assert (found.exit_code, found.document["reasons"]) == (1, ["image r: step 1 of 1, RUN <b>|`x`: exit code 1"])
+
+
+@pytest.mark.parametrize(("terminal", "github"), [(True, False), (False, False), (True, True)])
+def test_a_terminal_is_shown_the_last_lines_of_the_step(terminal: bool, github: bool) -> None:
+    class Log(io.StringIO):
+        def isatty(self) -> bool:
+            return terminal
+
+    failure = BuildFailedError("r", "step 1 of 1, RUN x", "exit code 1", ["one", "two"])
+    found = make(failure=failure, runner=Runner(github=github, stdout=Log()))
+    assert found.log() == ("one\ntwo" if terminal and not github else "")

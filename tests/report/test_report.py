@@ -28,9 +28,9 @@ def make(**changes: object) -> Report:
     fields = {
         "title": "check",
         "verdict": "fail",
-        "exit_code": ExitCode.FAIL,
         "sentence": "1 of 2 failed",
-        "document": {"schema": 1, "verdict": "fail"},
+        "results": {"found": 2},
+        "suites": {},
         "outputs": {"worst": 3.5},
     }
     return Report(**(fields | changes))
@@ -122,7 +122,12 @@ def test_published(tmp_path: Path) -> None:
     assert {path.name for path in (tmp_path / "out").iterdir()} == {
         *("results.json", "summary.md", "junit.xml", "t.csv", "f.png")
     }
-    assert json.loads((tmp_path / "out" / "results.json").read_text()) == {"schema": 1, "verdict": "fail"}
+    assert json.loads((tmp_path / "out" / "results.json").read_text()) == {
+        "schema": 1,
+        "verdict": "fail",
+        "reasons": ["::error::x"],
+        "found": 2,
+    }
     assert 'failures="1"' in (tmp_path / "out" / "junit.xml").read_text()
     lines = out.getvalue().splitlines()
     token = lines[0].removeprefix("::stop-commands::")
@@ -142,6 +147,22 @@ def test_published(tmp_path: Path) -> None:
     }
 
 
+def test_an_output_has_no_more_entries_than_a_later_step_can_take(tmp_path: Path) -> None:
+    out = io.StringIO()
+    entries = [{"file": f"{number}.csv"} for number in range(20_000)]
+    outputs = {"values": entries, "rates": {str(number): 1.0 for number in range(20_000)}, "few": [1, 2]}
+    publish(make(outputs=outputs), Runner(github=True, output_file=tmp_path / "o", stdout=out))
+    found = dict(line.split("=", 1) for line in (tmp_path / "o").read_text().splitlines())
+    assert all(len(value) <= 100_000 for value in found.values())
+    values, rates = json.loads(found["values"]), json.loads(found["rates"])
+    assert values == entries[: len(values)]
+    assert min(len(values), len(rates)) > 1000
+    assert found["few"] == "[1, 2]"
+    notices = [line for line in out.getvalue().splitlines() if line.startswith("::notice")]
+    assert f"values: has the first {len(values)} of 20000 entries; all are in results.json" in notices[0]
+    assert len(notices) == 2
+
+
 def test_without_a_folder_nothing_is_written(tmp_path: Path) -> None:
     out = io.StringIO()
     publish(make(), Runner(output_file=tmp_path / "o", stdout=out))
@@ -158,7 +179,7 @@ def test_the_verdicts_line_commands_nothing() -> None:
 
 def test_no_number_that_is_not_finite_reaches_the_results() -> None:
     with pytest.raises(ValueError, match="JSON"):
-        make(document={"x": math.nan}).written()
+        make(results={"x": math.nan}).written()
 
 
 def test_results_of_an_earlier_run_are_removed(tmp_path: Path) -> None:
