@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from glob import glob
 from pathlib import Path
 from typing import Any
@@ -12,10 +12,10 @@ import click
 from calibration.commands.parameters import TEXT_LIST, boolean_option, count, number, path, text
 from calibration.errors import ExitCode, InputError
 from calibration.introspection.judge import judge
-from calibration.introspection.parsing import RULE_KEYS, TABLE_KEYS, parse_rules
 from calibration.introspection.report import report
-from calibration.introspection.rules import RuleSet, refuse_contradictions
+from calibration.introspection.rule_set import RuleEntry, RuleSet, checked
 from calibration.introspection.table import parse_delimiter, read_table
+from calibration.records import flat_fields, read
 from calibration.report import FILES, publish, remove_results
 from calibration.workflow import Runner
 
@@ -129,15 +129,17 @@ def expand(patterns: Sequence[str]) -> list[str]:
 
 
 def _rules(given: dict[str, Any]) -> RuleSet:
-    rule = {key: given[key] for key in RULE_KEYS if key in given and given[key] is not False}
-    table = {key: given[key] for key in TABLE_KEYS if key in given and key not in ("rules", "file")}
+    """The rules of the options (one column), after those of the file."""
+    said = {key: list(value) if isinstance(value, tuple) else value for key, value in given.items()}
+    rule = {key: said[key] for key in flat_fields(RuleEntry) if said.get(key, False) is not False}
+    table = {key: said[key] for key in flat_fields(RuleSet) if key in said and key not in ("rules", "file")}
     if rule and "column" not in rule:
         raise InputError(f"{next(iter(rule))} is given without the column that it is for")
-    from_options = {**table, "rules": [rule] if rule else []}
+    options = read(RuleSet, table, "options")
+    if rule:
+        options = replace(options, rules=read(RuleEntry, rule, "options").rules)
     if "rules" not in given:
-        return parse_rules(from_options, "options")
+        return checked(options, "options")
     from calibration.introspection.rulesfile import read_rules  # YAML is slow to import
 
-    rules = read_rules(given["rules"]).overridden_by(parse_rules(from_options, "options", required=False))
-    refuse_contradictions(rules.rules, f"{given['rules']} and options")
-    return rules
+    return checked(read_rules(given["rules"]).overridden_by(options), f"{given['rules']} and options")

@@ -9,8 +9,7 @@ Knows nothing of calibration: any table with a header can be judged.
 """
 
 from calibration.introspection.judge import judge
-from calibration.introspection.parsing import parse_rules
-from calibration.introspection.rules import RuleSet
+from calibration.introspection.rule_set import RuleSet, parse_rules
 from calibration.introspection.table import Table, read_table
 from calibration.introspection.verdict import Check, Verdict, Violation
 

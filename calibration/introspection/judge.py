@@ -7,7 +7,8 @@ from typing import TypeAlias
 
 from calibration.errors import InputError
 from calibration.introspection.numbers import number_text, parse_number
-from calibration.introspection.rules import ChangeRule, LimitRule, Limits, Rule, RuleSet, TextRule
+from calibration.introspection.rule_set import RuleSet
+from calibration.introspection.rules import ChangeRule, LimitRule, Limits, Rule, TextRule
 from calibration.introspection.selection import Aggregate, EveryRow, KeyedTable
 from calibration.introspection.table import Table
 from calibration.introspection.verdict import Check, Verdict, Violation

@@ -1,17 +1,12 @@
 """Rules: what the cells of a column must be."""
 
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass
 from typing import TypeAlias
 
-from calibration.errors import InputError
 from calibration.introspection.baseline import Allowance
 from calibration.introspection.numbers import number_text
 from calibration.introspection.selection import Target
-
-SUMMARY_ROWS = ("Averages",)
-"""The rows that sum up others unless the rules name them."""
 
 
 @dataclass(frozen=True)
@@ -110,52 +105,3 @@ class ChangeRule:
 
 
 Rule: TypeAlias = LimitRule | TextRule | ChangeRule
-
-
-@dataclass(frozen=True)
-class RuleSet:
-    """Rules for a table; what is None is not said."""
-
-    rules: tuple[Rule, ...] = ()
-    key_column: str | None = None
-    required_rows: tuple[str, ...] | None = None
-    min_rows: int | None = None
-    summary_rows: tuple[str, ...] | None = None
-    exclude_summary_rows: bool | None = None
-    file: str | None = None
-
-    @property
-    def judges(self) -> bool:
-        """Whether there is anything to judge."""
-        return bool(self.rules or self.required_rows or self.min_rows is not None)
-
-    @property
-    def compares(self) -> bool:
-        """Whether a baseline is needed."""
-        return any(isinstance(rule, ChangeRule) for rule in self.rules)
-
-    @property
-    def excluded_rows(self) -> tuple[str, ...]:
-        """The labels that are no part of "every row"."""
-        return (SUMMARY_ROWS if self.summary_rows is None else self.summary_rows) if self.exclude_summary_rows else ()
-
-    def overridden_by(self, other: "RuleSet") -> "RuleSet":
-        """Return these rules and then the other's, with all else that the other says in place of what is said here."""
-        names = [field.name for field in fields(other) if field.name != "rules"]
-        said = {name: value for name in names if (value := getattr(other, name)) is not None}
-        return replace(self, rules=self.rules + other.rules, **said)
-
-
-def refuse_contradictions(rules: Sequence[Rule], where: str) -> None:
-    """Raise :class:`InputError` for limits for the same cells that no value can keep."""
-    limits: dict[tuple[str, Target], list[Limits]] = {}
-    for rule in rules:
-        if isinstance(rule, TextRule) and rule.contradicts_itself():
-            raise InputError(f"{where}: contains and does-not-contain contradict each other: {rule}")
-        if isinstance(rule, LimitRule):
-            same = limits.setdefault((rule.column, rule.target), [])
-            same.append(rule.limits)
-            for other in same:
-                if rule.limits.contradict(other):
-                    both = f"{other}" if other == rule.limits else f"{other}, but {rule.limits}"
-                    raise InputError(f"{where}: no number can be as asked in {rule.column!r}, {rule.target}: {both}")

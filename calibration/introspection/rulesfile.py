@@ -2,14 +2,13 @@
 
 from pathlib import Path
 
-from calibration.introspection.parsing import parse_rules
 from calibration.introspection.rigelfile import find_columns, translate
-from calibration.introspection.rules import RuleSet
+from calibration.introspection.rule_set import RuleSet, parse_rules
 from calibration.yaml_file import read_yaml
 
 
 def read_rules(path: str | Path) -> RuleSet:
-    """Read rules from a YAML file (see :mod:`calibration.introspection.parsing`) or from a Rigelfile.
+    """Read rules from a YAML file (see :mod:`calibration.introspection.rule_set`) or from a Rigelfile.
 
     Raises :class:`InputError` that names the file and what is wrong in it.
     """

@@ -9,7 +9,7 @@ from calibration.errors import InputError
 from calibration.execution.backends import AWS_BATCH, CONTAINERS, DOCKER, EMBEDDED, Place
 from calibration.execution.batch.settings import SECTION, BatchSettings, settings_from
 from calibration.image.specification import ImageSpecification, parse_image_specification
-from calibration.introspection.parsing import parse_rules
+from calibration.introspection.rule_set import parse_rules
 from calibration.json_schema import bundled, check_document
 from calibration.pipeline.collection.applications import Applications, applications_from
 from calibration.pipeline.collection.collecting import GENERATE, CollectionRequest

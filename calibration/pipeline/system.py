@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
-from calibration.introspection.rules import RuleSet
+from calibration.introspection.rule_set import RuleSet
 from calibration.pipeline.matrix.software import Software
 
 Start = Literal["linear", "given"]

@@ -108,7 +108,7 @@ def _parts(kind: Any) -> tuple[Any, tuple[Any, ...]]:
 def _plain(kind: Any, value: object, extras: tuple[Any, ...], place: Place) -> Any:
     origin = typing.get_origin(kind)
     if origin in (typing.Union, UnionType):
-        return _union(kind, value, place)
+        return _union(kind, value, extras, place)
     if not fits(kind, value):
         raise _wrong(value, kind, extras, place)
     if is_record(kind):
@@ -152,16 +152,18 @@ def _wrong(value: object, kind: Any, extras: tuple[Any, ...], place: Place) -> C
     hint = ""
     if typing.get_origin(kind) is typing.Literal and isinstance(value, str):
         hint = did_you_mean(value, [each for each in typing.get_args(kind) if isinstance(each, str)])
+    if kind is str and isinstance(value, int | float):
+        hint = ": put it in quotes"
     return place.unexpected(value, expected + hint)
 
 
-def _union(kind: Any, value: object, place: Place) -> Any:
+def _union(kind: Any, value: object, extras: tuple[Any, ...], place: Place) -> Any:
     members = [each for each in typing.get_args(kind) if each is not NoneType]
     if len(members) > 1:
         fitting = [each for each in members if fits(each, value)]
         members = [each for each in fitting if _is_literal_of(each, value)] or fitting
     if not members:
-        raise place.unexpected(value, expectation(kind))
+        raise _wrong(value, kind, extras, place)
     return read_as(members[0], value, place)
 
 

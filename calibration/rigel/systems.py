@@ -7,8 +7,8 @@ from pathlib import PurePosixPath
 from typing import Any
 
 from calibration.errors import InputError
-from calibration.introspection.parsing import parse_rules
 from calibration.introspection.rigelfile import COLUMNS_KEY, translate
+from calibration.introspection.rule_set import parse_rules
 from calibration.rigel.containers import Surroundings, component_entry, named
 from calibration.rigel.document import Rigelfile, RigelJob, list_at, mapping_at, text_at
 from calibration.rigel.evaluations import evaluation_in

@@ -85,7 +85,7 @@ def test_options(arguments: list[str], code: int) -> None:
             "t.csv: the column 'Collection #' has no row",
         ),
         (["--file", "t.csv", "--column", RMS, "--key-column", "Run", "--max", "3"], "there is no column 'Run'"),
-        (["--file", "t.csv", "--column", RMS], "options: rule 1 (RMS (pix)): the rule has no limit"),
+        (["--file", "t.csv", "--column", RMS], "options: RMS (pix): the rule has no limit"),
         (["--file", "t.csv"], "options: there is no rule"),
         (["--file", "t.csv", "--max", "3"], "max is given without the column that it is for"),
         (["--file", "t.csv", "--exclusive"], "exclusive is given without the column that it is for"),

@@ -4,7 +4,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calibration.introspection.rules import Limits, RuleSet
+from calibration.introspection.rule_set import RuleSet
+from calibration.introspection.rules import Limits
 
 BOUNDS = st.none() | st.integers(-3, 3).map(float)
 LIMITS = st.builds(Limits, BOUNDS, BOUNDS, st.booleans())

@@ -3,7 +3,8 @@ from pathlib import Path
 import pytest
 
 from calibration.errors import InputError
-from calibration.introspection.rules import LimitRule, Limits, RuleSet, TextRule
+from calibration.introspection.rule_set import RuleSet
+from calibration.introspection.rules import LimitRule, Limits, TextRule
 from calibration.introspection.rulesfile import read_rules
 from calibration.introspection.selection import EveryRow, IndexedRow, LabelledRow
 
@@ -86,7 +87,7 @@ def test_the_file_of_a_rigelfile(path: Path) -> None:
         ("acceptable_min: 3, acceptable_max: 2, value_row: a", "no number can be as asked"),
         ("acceptable_maximum: 3", "there is no key 'acceptable_maximum': did you mean 'acceptable_max'?"),
         ("acceptable_max: '{{ vars.max }}', value_row: a", "only Rigel fills in '{{ vars.max }}'"),
-        ("acceptable_max: .nan, value_row: a", "a finite number was expected"),
+        ("acceptable_max: .nan, value_row: a", "found nan, expected a finite number"),
     ],
 )
 def test_wrong_rules_in_a_rigelfile(path: Path, limits: str, message: str) -> None:
@@ -110,11 +111,11 @@ def test_wrong_rules_in_a_rigelfile(path: Path, limits: str, message: str) -> No
             "jobs:\n  a: {with: {introspection_target_columns: []}}\n  b: {with: {introspection_target_columns: []}}\n",
             "jobs.a.with, jobs.b.with all have introspection_target_columns",
         ),
-        ("jobs: {a: {plugin: x}}", "there is no key 'jobs'"),
-        ("", "a list of rules, or a mapping with the key rules, was expected"),
+        ("jobs: {a: {plugin: x}}", "unknown key 'jobs'"),
+        ("", "found null, expected keys: rules, key-column"),
         ("rules: [", "this is not valid YAML"),
         ("a: 1\nb: 2\na: 3\n", "the key 'a' stands twice"),
-        ("a: &x [*x]", "there is no key 'a'"),
+        ("a: &x [*x]", "unknown key 'a'"),
         ("rules: !!python/object/apply:os.system [echo]", "this is not valid YAML: could not determine a constructor"),
         ("rules: !!python/tuple 3", "this is not valid YAML"),
         ("? {a: b}\n: 1\n", "this is not valid YAML"),

@@ -12,7 +12,7 @@ import pytest
 
 from calibration.errors import ExitCode, WorldError
 from calibration.introspection.judge import judge
-from calibration.introspection.parsing import parse_rules
+from calibration.introspection.rule_set import parse_rules
 from calibration.introspection.table import read_table
 from calibration.pipeline.convergence.report import clear_convergence, write_convergence
 from calibration.pipeline.convergence.results import (

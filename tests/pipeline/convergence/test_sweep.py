@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from calibration.errors import InputError, WorldError
-from calibration.introspection.parsing import parse_rules
+from calibration.introspection.rule_set import parse_rules
 from calibration.pipeline.convergence import sweep
 from calibration.pipeline.convergence.sweep import run_sweep, sweep_matrices
 from calibration.pipeline.matrix.cell import OUR_METHOD, CellResult

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from calibration.errors import ExitCode, InputError
-from calibration.introspection.parsing import parse_rules
+from calibration.introspection.rule_set import parse_rules
 from calibration.pipeline.matrix.cell import CellResult, Deviation
 from calibration.pipeline.matrix.judgement import judge_cells
 from calibration.pipeline.system import Limits, System
