@@ -8,20 +8,33 @@ import yaml
 
 from calibration.errors import InputError
 from calibration.files import read_bytes
+from calibration.workflow.text import shorten
 
 MAX_BYTES = 1024 * 1024
 """The largest YAML file that is read; more would take minutes to parse."""
 
 
+MAX_ALIASED = 100_000
+"""So many values may aliases add; a few lines of aliases of aliases would stand for billions."""
+
+
 class _Loader(yaml.SafeLoader):
     """Safe YAML in which no key may stand twice in a mapping, and ``!!python/tuple`` is a list."""
+
+    def construct_document(self, node: yaml.Node) -> Any:
+        sizes: dict[int, int] = {}
+        if _unfolded(node, sizes) > len(sizes) + MAX_ALIASED:
+            raise yaml.constructor.ConstructorError(
+                None, None, f"its aliases stand for more than {MAX_ALIASED} values", node.start_mark
+            )
+        return super().construct_document(node)
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
         seen = set()
         for key, _ in node.value:
             if isinstance(key, yaml.ScalarNode):
                 if key.value in seen:
-                    problem = f"the key {key.value!r} stands twice"
+                    problem = f"the key {shorten(repr(key.value))} stands twice"
                     raise yaml.constructor.ConstructorError(None, None, problem, key.start_mark)
                 seen.add(key.value)
         return super().construct_mapping(node, deep)
@@ -31,6 +44,18 @@ class _Loader(yaml.SafeLoader):
 
 
 _Loader.add_constructor("tag:yaml.org,2002:python/tuple", _Loader.construct_tuple)
+
+
+def _unfolded(node: yaml.Node, sizes: dict[int, int]) -> int:
+    """How many values a node holds when every alias is replaced by what it stands for."""
+    if (known := sizes.get(id(node))) is not None:
+        return known
+    sizes[id(node)] = 2 * MAX_ALIASED  # while it is counted: what holds itself would have no end
+    children = node.value if isinstance(node, yaml.SequenceNode) else ()
+    if isinstance(node, yaml.MappingNode):
+        children = [part for pair in node.value for part in pair]
+    sizes[id(node)] = 1 + sum(_unfolded(child, sizes) for child in children)
+    return sizes[id(node)]
 
 
 def read_yaml(path: Path | str, what: str) -> object:

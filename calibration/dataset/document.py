@@ -13,6 +13,7 @@ import numpy as np
 from calibration.errors import InputError
 from calibration.files import read_bytes
 from calibration.geometry.types import Array, IntArray
+from calibration.json_file import RepeatedKeyError, parse_json
 
 MAX_BYTES = 1 << 30
 """No file larger than this is read."""
@@ -187,9 +188,11 @@ def read_json(path: Path, max_bytes: int = MAX_BYTES) -> Node:
     data = read_bytes(path, max_bytes, "a JSON document")
     root = Node(path, (), None)
     try:
-        root.value = json.loads(data)
+        root.value = parse_json(data, finite=False)
     except json.JSONDecodeError as error:
         _refuse_json(root, error)
+    except RepeatedKeyError as error:
+        raise root.fault(str(error)) from None
     except UnicodeDecodeError as error:
         raise root.fault(f"byte {error.start}: found no UTF-8 text, expected JSON") from None
     except RecursionError:

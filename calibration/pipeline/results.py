@@ -12,6 +12,7 @@ from typing import Any
 from calibration.errors import ExitCode, InputError, WorldError, exit_code_of
 from calibration.estimation.intrinsics_file import FILE_NAME as INTRINSICS
 from calibration.files import write_atomically
+from calibration.json_file import parse_json
 from calibration.pipeline.collection.collected import Collected
 from calibration.pipeline.image_result import ImageResult
 from calibration.pipeline.matrix.cell import OUR_METHOD, CellResult, Deviation, Verdict
@@ -122,7 +123,7 @@ def read_results(output: Path) -> Results:
     """
     path = output / FILE
     try:
-        document = json.loads(path.read_bytes())
+        document = parse_json(path.read_bytes(), finite=False)
         return Results(
             tuple(_cell(entry, output) for entry in document["cells"]),
             tuple(_cell(entry, output) for entry in document["comparisons"]),

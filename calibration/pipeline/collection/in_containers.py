@@ -1,6 +1,5 @@
 """Collect a dataset with the team's own applications: run them, bring the dataset out, prove it, judge it."""
 
-import json
 import shutil
 import tempfile
 from collections.abc import Mapping
@@ -15,6 +14,7 @@ from calibration.execution.job import Job
 from calibration.execution.job_folder import ARTIFACTS, LOGS
 from calibration.execution.outcome import JobOutcome
 from calibration.files import read_bytes
+from calibration.json_file import parse_json
 from calibration.pipeline.collection.applications import (
     REPORT,
     Applications,
@@ -256,7 +256,7 @@ def _report(outcome: JobOutcome) -> list[dict[str, Any]]:
     if not path.exists():
         return []
     try:
-        report = json.loads(read_bytes(path, MAX_REPORT, "the report of the player"))
+        report = parse_json(read_bytes(path, MAX_REPORT, "the report of the player"))
         return [{"pose": int(p["pose"]), "saved": p["saved"] is True, "answer": str(p["answer"])} for p in report]
     except (ValueError, KeyError, TypeError, RecursionError):
         raise InputError(f"{path.name}: this is no report of the player") from None

@@ -7,11 +7,12 @@ lost, and why there is no dataset where there is none.
 import json
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 from calibration import __version__
 from calibration.errors import InputError
 from calibration.files import read_bytes, write_atomically
+from calibration.json_file import parse_json
 from calibration.json_schema import bundled, check_document
 from calibration.simulation.scenarios.result import ScenarioResult
 from calibration.workflow.text import one_line, shorten
@@ -51,7 +52,7 @@ def read_world(folder: Path, expected: ScenarioResult, stillness: float | None) 
     path = folder / FILE
     text = read_bytes(path, MAX_BYTES, "what came of a world")
     try:
-        document = json.loads(text, parse_constant=_no_number)
+        document = parse_json(text)
     except (ValueError, RecursionError):
         raise InputError(f"{FILE}: this is no JSON") from None
     check_document(document, bundled(SCHEMA), FILE, {})
@@ -84,7 +85,3 @@ def _result(entry: dict[str, Any]) -> ScenarioResult:
 
 def _lines(lines: list[str]) -> tuple[str, ...]:
     return tuple(shorten(one_line(line), _LONGEST_REASON) for line in lines)
-
-
-def _no_number(text: str) -> NoReturn:
-    raise ValueError(f"{text} is no number")

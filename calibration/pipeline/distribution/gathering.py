@@ -8,6 +8,7 @@ from typing import Any
 
 from calibration.errors import ExitCode, InputError
 from calibration.files import read_bytes
+from calibration.json_file import parse_json
 from calibration.json_schema import check_document
 from calibration.pipeline.collection.collected import Collected
 from calibration.pipeline.distribution.needs import SUCCESS, Needs
@@ -129,7 +130,7 @@ def _read(folder: Path) -> Results:
     if not path.exists():
         return Results(())
     try:
-        document = json.loads(read_bytes(path, MOST_BYTES, "a results file"), parse_constant=_refuse)
+        document = parse_json(read_bytes(path, MOST_BYTES, "a results file"))
     except (ValueError, RecursionError) as error:
         raise InputError(f"{path}: this is not a results file: {error}") from None
     check_document(document, json.loads(SCHEMA.read_text()), str(path), {})
@@ -176,7 +177,3 @@ def _collected(entry: dict[str, Any], slug: str) -> Collected:
 
 def _below(slug: str, path: str | None) -> str | None:
     return None if path is None else f"{slug}/{path}"
-
-
-def _refuse(constant: str) -> object:
-    raise ValueError(f"found {constant}, a finite number was expected")

@@ -1,9 +1,9 @@
 """JSON that came over S3, read field by field: what is not there, too much or of another kind is refused by name."""
 
-import json
 from collections.abc import Callable, Mapping
-from typing import Any, NoReturn, TypeVar
+from typing import Any, TypeVar
 
+from calibration import json_file
 from calibration.errors import WorldError
 from calibration.workflow.text import shorten
 
@@ -20,13 +20,9 @@ def parse_json(data: bytes, most: int, where: str) -> object:
     if len(data) > most:
         raise WorldError(f"{where}: found {len(data)} bytes, at most {most} were expected")
     try:
-        return json.loads(data, parse_constant=_no_number)
+        return json_file.parse_json(data)
     except (ValueError, RecursionError) as error:
         raise WorldError(f"{where}: this is no JSON: {shorten(str(error), 200)}") from None
-
-
-def _no_number(text: str) -> NoReturn:
-    raise ValueError(f"{text} is no number")
 
 
 class Fields:

@@ -1,0 +1,63 @@
+"""YAML and JSON that others wrote: nothing is lost, and a short file stays cheap."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from calibration.dataset.document import read_json
+from calibration.errors import InputError
+from calibration.json_file import parse_json
+from calibration.yaml_file import MAX_ALIASED, read_yaml
+
+
+def written(path: Path, text: str) -> Path:
+    path.write_text(text)
+    return path
+
+
+def bomb(levels: int) -> str:
+    lines = ["a0: &a0 [x, x, x, x, x, x, x, x, x, x]"]
+    lines += [f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 10)}]" for i in range(1, levels)]
+    return "\n".join(lines)
+
+
+@pytest.mark.parametrize("text", [bomb(9), "systems: &a\n  again: *a\n", "&a [*a]"])
+def test_aliases_of_aliases_are_refused(tmp_path: Path, text: str) -> None:
+    path = written(tmp_path / "calibration.yml", text)
+    with pytest.raises(InputError, match=rf"calibration\.yml:1: .* aliases stand for more than {MAX_ALIASED} values"):
+        read_yaml(path, "a configuration")
+
+
+def test_aliases_that_a_person_writes_are_read(tmp_path: Path) -> None:
+    path = written(tmp_path / "a.yml", "a: &a {x: 1}\nb: {<<: *a, y: *a}\n" + bomb(4))
+    document = read_yaml(path, "a configuration")
+    assert isinstance(document, dict)
+    assert document["b"] == {"x": 1, "y": {"x": 1}}
+
+
+def test_a_long_list_without_aliases_is_read(tmp_path: Path) -> None:
+    assert read_yaml(written(tmp_path / "a.yml", json.dumps([1] * (MAX_ALIASED + 9))), "a list") == [1] * (
+        MAX_ALIASED + 9
+    )
+
+
+@pytest.mark.parametrize("text", ['{"a": 1, "a": 1}', '{"b": [{"a": 1, "c": 2, "a": 3}]}'])
+def test_a_key_that_stands_twice_is_refused(tmp_path: Path, text: str) -> None:
+    with pytest.raises(ValueError, match="the key 'a' stands twice"):
+        parse_json(text)
+    with pytest.raises(InputError, match=r"dataset\.json: the key 'a' stands twice"):
+        read_json(written(tmp_path / "dataset.json", text))
+
+
+def test_no_number_is_refused_unless_it_is_wanted() -> None:
+    with pytest.raises(ValueError, match="NaN is no number"):
+        parse_json('{"a": NaN}')
+    assert parse_json('{"a": Infinity}', finite=False) == {"a": float("inf")}
+
+
+def test_the_key_is_cut_to_a_short_line() -> None:
+    key = "k" * 100_000
+    with pytest.raises(ValueError, match="stands twice") as caught:
+        parse_json(f'{{"{key}": 1, "{key}": 2}}')
+    assert len(str(caught.value)) < 200
