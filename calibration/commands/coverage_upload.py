@@ -12,7 +12,6 @@ import click
 
 from calibration.commands.introspect_csv import expand
 from calibration.commands.parameters import TEXT_LIST, boolean_option, number, path, text
-from calibration.coverage import presentation
 from calibration.coverage.badge import badge
 from calibration.coverage.changes import changed_lines, coverage_of_change, find_base
 from calibration.coverage.commit import Event, find_commit
@@ -20,8 +19,8 @@ from calibration.coverage.measuring.command import parse_command
 from calibration.coverage.measuring.configuration import team_settings
 from calibration.coverage.measuring.injection import plain
 from calibration.coverage.measuring.tests import Tests, measured_environment, measurement, run_tests
-from calibration.coverage.presentation import what_is_left_out
 from calibration.coverage.reading import Found, read_reports
+from calibration.coverage.report import TITLE, report, what_is_left_out
 from calibration.coverage.repository import Repository
 from calibration.coverage.results import Change, Limit, Results, Uploaded
 from calibration.coverage.services.codacy import API_URL, Account, Codacy, parse_account, parse_api_url
@@ -30,10 +29,10 @@ from calibration.coverage.sources import Sources, find_sources
 from calibration.errors import ExitCode, InputError, WorldError
 from calibration.execution.sizes import parse_seconds
 from calibration.files import write_atomically
-from calibration.workflow import Runner, add_mask, add_summary, annotate, set_outputs, stop_commands
+from calibration.report import FILES, publish, remove_results
+from calibration.workflow import Runner, add_mask, set_outputs
 from calibration.workflow.text import one_line
 
-TITLE = "coverage-upload"
 SERVICES = ("codacy", "none")
 TOKENS = {"project_token": "CODACY_PROJECT_TOKEN", "api_token": "CODACY_API_TOKEN"}
 """Where a token comes from on a command line."""
@@ -46,7 +45,6 @@ VARIABLES = {
 """Codacy's own variables, for what is not given."""
 CLOCK = 2.0
 """Seconds by which the times of files may be wrong."""
-RESULTS = ("results.json", "junit.xml", "summary.md", "tests.xml", "tests.log")
 
 
 def percent(value: str | float) -> float:
@@ -161,7 +159,8 @@ def upload(settings: Settings, runner: Runner) -> ExitCode:
             is removed first, so that none is mistaken for this one's.
     """
     if settings.output is not None:
-        _remove_results(settings.output)
+        uploads = [file.name for file in settings.output.glob("upload-*.json")]
+        remove_results(settings.output, (*FILES, "tests.xml", "tests.log", *uploads))
     _check(settings)
     repository = Repository.around(settings.directory)
     event = Event.from_environment(os.environ)
@@ -174,8 +173,11 @@ def upload(settings: Settings, runner: Runner) -> ExitCode:
         results = _judged(settings, repository, event, commit, Path(folder), runner)
     results = replace(results, service=settings.service)
     results = _told(results, settings, service, skipped, runner)
-    _publish(results, settings, runner)
-    return results.exit_code
+    if settings.badge is not None:
+        write_atomically(settings.badge, badge(results.lines, results.goal))
+    found = report(results, settings.directory, settings.badge)
+    publish(found, runner, settings.output)
+    return found.exit_code
 
 
 def _check(settings: Settings) -> None:
@@ -249,7 +251,7 @@ def _judged(
     if settings.minimum is not None:
         limits.append(Limit("minimum", settings.minimum, results.lines))
     if settings.minimum_change is not None and change is not None:
-        limits.append(Limit("minimum-change", settings.minimum_change, change.rate, of_nothing=True))
+        limits.append(Limit("minimum-change", settings.minimum_change, change.rate, of_change=True))
     return replace(results, limits=tuple(limits))
 
 
@@ -350,37 +352,6 @@ def _send(service: Service, requests: Sequence[Request], settings: Settings, run
     return Uploaded.YES
 
 
-def _publish(results: Results, settings: Settings, runner: Runner) -> None:
-
-    with stop_commands(runner):
-        runner.log(presentation.log(results))
-    annotate(runner, presentation.annotations(results, settings.directory))
-    summary = presentation.markdown(results)
-    if settings.badge is not None:
-        write_atomically(settings.badge, badge(results.lines, results.goal))
-    if settings.output is not None:
-        write_atomically(settings.output / "results.json", presentation.results_json(results))
-        write_atomically(settings.output / "junit.xml", presentation.junit(results))
-        write_atomically(settings.output / "summary.md", summary)
-    add_summary(runner, summary)
-    output = settings.output
-    files = {
-        "results": "" if output is None else output / "results.json",
-        "summary": "" if output is None else output / "summary.md",
-        "badge": settings.badge or "",
-    }
-    set_outputs(runner, presentation.outputs(results) | files)
-    runner.log(presentation.sentence(results))
-
-
 def _made(folder: Path) -> Path:
     folder.mkdir()
     return folder
-
-
-def _remove_results(folder: Path) -> None:
-    for file in [*(folder / name for name in RESULTS), *folder.glob("upload-*.json")]:
-        try:
-            file.unlink(missing_ok=True)
-        except OSError as error:
-            raise WorldError(f"{file}: an earlier result cannot be removed: {error.strerror}") from error

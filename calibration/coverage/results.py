@@ -1,4 +1,4 @@
-"""What came of it all: tests, coverage, limits, upload; and the verdict."""
+"""Tests, coverage, limits and upload of one run of ``coverage-upload``."""
 
 import enum
 from collections.abc import Mapping
@@ -8,7 +8,7 @@ from calibration.coverage.lines import FileCoverage
 from calibration.coverage.measuring.tests import Tests
 from calibration.coverage.rate import Rate
 from calibration.coverage.reading import Found
-from calibration.errors import ExitCode
+from calibration.report import Check
 
 
 class Uploaded(enum.StrEnum):
@@ -24,20 +24,29 @@ class Uploaded(enum.StrEnum):
 
 @dataclass(frozen=True)
 class Limit:
-    """A limit that makes it red."""
+    """A smallest percentage of lines that tests must run."""
 
     name: str
-    """As the user writes it: minimum, minimum-change."""
+    """Name of the option: minimum, minimum-change."""
     minimum: float
     """Percent."""
     rate: Rate
-    of_nothing: bool = False
-    """Whether it passes where there is nothing to judge: a change need not have a line that can be run."""
+    of_change: bool = False
+    """Whether it is of the lines of a change, which passes where the change has no line that can be run."""
 
     @property
-    def passed(self) -> bool:
-        """Whether it is kept."""
-        return self.rate.reaches(self.minimum) or (self.of_nothing and self.rate.total == 0)
+    def check(self) -> Check:
+        """The comparison of the lines that are run with the limit."""
+        return Check(
+            subject="lines of the change that are run" if self.of_change else "lines that are run",
+            found=str(self.rate) if self.rate.total else "no line",
+            expected=f"at least {self.minimum:g} % ({self.name})",
+            passed=self.rate.reaches(self.minimum) or (self.of_change and self.rate.total == 0),
+            value=self.rate.percent,
+            limit=self.minimum,
+            minimum=True,
+            unit="%",
+        )
 
 
 @dataclass(frozen=True)
@@ -98,22 +107,6 @@ class Results:
 
     @property
     def problems(self) -> list[str]:
-        """Why the verdict is fail, a line for each; none when it is pass."""
-        problems = [self.tests.problem] if self.tests is not None and self.tests.problem else []
-        for limit in self.limits:
-            if not limit.passed:
-                of = "of the change" if limit.of_nothing else "of all lines"
-                problems.append(f"{limit.rate} {of} are run, {limit.name} is {limit.minimum:g} %")
-        return problems
-
-    @property
-    def passed(self) -> bool:
-        """The verdict."""
-        return not self.problems
-
-    @property
-    def exit_code(self) -> ExitCode:
-        """The verdict goes before what became of the upload."""
-        if not self.passed:
-            return ExitCode.FAIL
-        return ExitCode.WORLD if self.uploaded is Uploaded.FAILED else ExitCode.PASS
+        """Why the verdict is fail, one line each; none if it is pass."""
+        tests = [self.tests.problem] if self.tests is not None and self.tests.problem else []
+        return tests + [str(limit.check) for limit in self.limits if not limit.check.passed]

@@ -91,7 +91,7 @@ def test_everything_that_goes_wrong_is_red_and_says_why(event: str, caller: Call
     assert [line.partition("::")[2] for line in others] == [
         "error title=calibrate-matrix::" + said[1],
         "error title=calibration run::" + said[5],
-        "error title=coverage-upload::0.0 %25 (0 of 3) of all lines are run, minimum is 90 %25",
+        "error title=coverage-upload::lines that are run: found 0.0 %25 (0 of 3), expected at least 90 %25 (minimum)",
         "error::nowhere: a JSON document was expected, but it cannot be read: No such file or directory",
     ]
     table, collected = run.tables["Start"], run.tables["Collected"]

@@ -7,20 +7,22 @@ import jsonschema
 import pytest
 from defusedxml.ElementTree import fromstring
 
-from calibration.coverage import presentation
+from calibration import coverage
 from calibration.coverage.badge import badge
 from calibration.coverage.lines import FileCoverage
 from calibration.coverage.measuring.tests import Tests
 from calibration.coverage.paths import Mapped
 from calibration.coverage.rate import Rate
 from calibration.coverage.reading import Found
+from calibration.coverage.report import remarks, report
 from calibration.coverage.reports.junit import Failure, Tally
 from calibration.coverage.results import Change, Limit, Results, Uploaded
 from calibration.errors import ExitCode
+from calibration.report.junit import junit_xml
 from calibration.workflow import Runner, annotate
 from calibration.workflow.annotations import Level
 
-SCHEMA = json.loads(Path(presentation.__file__).with_name("results.schema.json").read_text())
+SCHEMA = json.loads(Path(coverage.__file__ or "").with_name("results.schema.json").read_text())
 FILES = {
     "robot/arm.py": FileCoverage({1: 1, 2: 0, 3: 0, 5: 0, 9: 1}, {2: Rate(0, 2)}),
     "robot/naming.py": FileCoverage({1: 1, 2: 1, 3: 1, 4: 1, 5: 0}),
@@ -41,7 +43,7 @@ FULL = Results(
     Tests("pytest -q", 1, 1.5, Tally(3, 2, 1, FAILURES)),
     Change("b" * 40, Rate(1, 4), {"robot/arm.py": [2, 3, 5]}),
     "",
-    (Limit("minimum", 80, Rate(6, 11)), Limit("minimum-change", 20, Rate(1, 4), of_nothing=True)),
+    (Limit("minimum", 80, Rate(6, 11)), Limit("minimum-change", 20, Rate(1, 4), of_change=True)),
     "codacy",
     Uploaded.FAILED,
     "codacy: answered 503",
@@ -51,15 +53,15 @@ GOOD = Results(Found(Mapped({"a.py": FileCoverage({1: 1})})), 60.0, "a" * 40, se
 
 
 def test_the_sentence() -> None:
-    assert presentation.sentence(GOOD) == "pass: 100.0 % (1 of 1) of the lines are run; uploaded to codacy"
-    assert presentation.sentence(FULL) == (
+    assert report(GOOD).line == "pass: 100.0 % (1 of 1) of the lines are run; uploaded to codacy"
+    assert report(FULL).line == (
         "fail: the tests failed: exit code 1, 2 of 5 failed; "
-        "54.5 % (6 of 11) of all lines are run, minimum is 80 %; the upload failed"
+        "lines that are run: found 54.5 % (6 of 11), expected at least 80 % (minimum); the upload failed"
     )
     skipped = replace(GOOD, uploaded=Uploaded.SKIPPED, upload_reason="a fork")
-    assert presentation.sentence(skipped).endswith("; not uploaded (a fork)")
-    assert presentation.sentence(replace(GOOD, uploaded=Uploaded.DRY_RUN)).endswith("; nothing was sent (dry-run)")
-    assert presentation.sentence(replace(GOOD, uploaded=Uploaded.NONE)).endswith("of the lines are run")
+    assert report(skipped).line.endswith("; not uploaded (a fork)")
+    assert report(replace(GOOD, uploaded=Uploaded.DRY_RUN)).line.endswith("; nothing was sent (dry-run)")
+    assert report(replace(GOOD, uploaded=Uploaded.NONE)).line.endswith("of the lines are run")
 
 
 @pytest.mark.parametrize(
@@ -71,13 +73,14 @@ def test_the_sentence() -> None:
         (replace(GOOD, tests=Tests("x", 0, 1.0, Tally())), ExitCode.FAIL),
         (replace(GOOD, limits=(Limit("minimum", 100, Rate(1, 1)),)), ExitCode.PASS),
         (replace(GOOD, limits=(Limit("minimum", 0, Rate()),)), ExitCode.FAIL),  # nothing is no pass
-        (replace(GOOD, limits=(Limit("minimum-change", 100, Rate(), of_nothing=True),)), ExitCode.PASS),
-        (replace(GOOD, limits=(Limit("minimum-change", 50, Rate(1, 3), of_nothing=True),)), ExitCode.FAIL),
+        (replace(GOOD, limits=(Limit("minimum-change", 100, Rate(), of_change=True),)), ExitCode.PASS),
+        (replace(GOOD, limits=(Limit("minimum-change", 50, Rate(1, 3), of_change=True),)), ExitCode.FAIL),
     ],
 )
 def test_the_exit_code(results: Results, code: ExitCode) -> None:
-    assert results.exit_code == code
-    assert results.passed is (code is not ExitCode.FAIL)
+    found = report(results)
+    assert found.exit_code == code
+    assert found.verdict == ("fail" if code is ExitCode.FAIL else "pass")
 
 
 def test_files_below_the_goal() -> None:
@@ -88,15 +91,16 @@ def test_files_below_the_goal() -> None:
 
 
 def test_the_log() -> None:
-    lines = presentation.log(FULL).splitlines()
-    assert [line.split() for line in lines[:2]] == [
+    table, _, said = report(FULL).log().partition("\n\n")
+    lines = table.splitlines()
+    assert [line.split() for line in lines[:3]] == [
         ["file", "lines", "branches", "goal", "not", "run"],
+        ["total", "54.5", "%", "(6", "of", "11)", "0.0", "%", "(0", "of", "2)", "2", "below", "60", "%"],
         ["a|b", "::error::.py", "0.0", "%", "(0", "of", "1)", "-", "below", "1"],
     ]
-    assert "robot/arm.py" in lines[3]
-    assert lines[3].split()[-2:] == ["below", "2-5"]
-    assert lines[5].split()[0] == "total"
-    assert lines[6:] == [
+    assert "robot/arm.py" in lines[4]
+    assert lines[4].split()[-2:] == ["below", "2-5"]
+    assert said.splitlines() == [
         "change since bbbbbbbbbbbb: 25.0 % (1 of 4) of its lines are run",
         "in reports, but no file that git tracks: " + ", ".join(f"/usr/include/{i}" for i in range(20)) + " and 5 more",
         "left out, because it may be several files: x.py (a/x.py, b/x.py)",
@@ -109,47 +113,46 @@ def test_the_log() -> None:
 
 def test_a_long_table_is_cut_in_the_log() -> None:
     many = Mapped({f"{i:04}.py": FileCoverage({1: 1}) for i in range(300)})
-    text = presentation.log(replace(GOOD, found=Found(many), no_change="no base"))
-    assert "(100 more files are not shown" in text
-    assert len(text.splitlines()) == 1 + 200 + 1 + 1 + 1
-    assert text.endswith("no coverage of the change: no base")
+    text = report(replace(GOOD, found=Found(many), no_change="no base")).log()
+    assert "and 101 more, see results.json" in text
+    assert text.endswith("\n\nno coverage of the change: no base")
 
 
 def test_tests_that_run_nothing_are_suspicious() -> None:
     idle = replace(
         GOOD, found=Found(Mapped({"a.py": FileCoverage({1: 0})})), tests=Tests("make", 0, 1.0), uploaded=Uploaded.NONE
     )
-    assert presentation.remarks(idle) == [
+    assert remarks(idle) == [
         "not a line is run: tests that measure themselves (pytest-cov) name their report (reports)"
     ]
-    assert presentation.remarks(replace(idle, tests=None)) == []
+    assert remarks(replace(idle, tests=None)) == []
 
 
 def test_the_summary() -> None:
-    text = presentation.markdown(FULL)
+    text = report(FULL).markdown()
     assert text.startswith("## coverage-upload: fail: the tests failed: exit code 1")
     assert "| tests | 3 passed | 5 run, 1 skipped |\n" in text
     assert "| lines of the change | 25.0 % | 1 of 4 |\n" in text
-    assert "2 of 4 files are below the goal of 60 %" in text
+    assert "### 2 of 4 files are below the goal of 60 %\n" in text
     assert "| a&#124;b<br>::error::.py | 0.0 % (0 of 1) |" in text
     assert "<details><summary>All 4 files</summary>" in text
-    assert "below the goal" not in presentation.markdown(GOOD)
+    assert "below the goal" not in report(GOOD).markdown()
 
 
 def test_annotations() -> None:
-    found = presentation.annotations(FULL, Path("sub"))
+    found = report(FULL, Path("sub")).all_annotations()
     assert [(a.level, a.file, a.line, a.message) for a in found] == [
         (Level.ERROR, Path("sub/tests/test_a.py"), 7, "tests.test_a.test_x: assert 1 == 2"),
         (Level.ERROR, None, None, "tests.test_b: boom"),
-        (Level.ERROR, None, None, "the tests failed: exit code 1, 2 of 5 failed"),
-        (Level.ERROR, None, None, "54.5 % (6 of 11) of all lines are run, minimum is 80 %"),
         (Level.ERROR, None, None, "codacy: answered 503"),
         (Level.WARNING, "robot/arm.py", 2, "no test runs lines 2 to 5 of this change"),
+        (Level.ERROR, None, None, "the tests failed: exit code 1, 2 of 5 failed"),
+        (Level.ERROR, None, None, "lines that are run: found 54.5 % (6 of 11), expected at least 80 % (minimum)"),
     ]
     skipped = replace(
         GOOD, uploaded=Uploaded.SKIPPED, upload_reason="a fork", change=Change("b", Rate(), {"a.py": [1]})
     )
-    assert [(a.level, a.message) for a in presentation.annotations(skipped, Path())] == [
+    assert [(a.level, a.message) for a in report(skipped).all_annotations()] == [
         (Level.NOTICE, "not uploaded: a fork"),
         (Level.WARNING, "no test runs line 1 of this change"),
     ]
@@ -160,23 +163,23 @@ def test_every_line_without_a_test_is_counted_on_github_and_ten_are_shown() -> N
     files = Found(Mapped({"a.py": FileCoverage({line: line % 2 ^ 1 for line in range(1, 400)})}))
     change = replace(GOOD, found=files, change=Change("b", Rate(0, 200), lines))
     log = io.StringIO()
-    annotate(Runner(github=True, stdout=log), presentation.annotations(change, Path()))
+    annotate(Runner(github=True, stdout=log), report(change).all_annotations())
     shown = log.getvalue().splitlines()
     assert len(shown) == 10
     assert shown[-1] == "::warning::and 191 more: see the log and the summary"
-    assert len(json.loads(presentation.results_json(change))["change"]["missing"]) == 200
+    assert len(report(change).document["change"]["missing"]) == 200
 
 
 @pytest.mark.parametrize("results", [FULL, EMPTY, GOOD], ids=["full", "empty", "good"])
 def test_results_are_as_their_schema_says(results: Results) -> None:
-    document = json.loads(presentation.results_json(results))
+    document = report(results).document
     jsonschema.Draft202012Validator.check_schema(SCHEMA)
     jsonschema.validate(document, SCHEMA)
     assert set(document) == set(SCHEMA["properties"]) == set(SCHEMA["required"])
 
 
 def test_the_numbers_of_the_results() -> None:
-    document = json.loads(presentation.results_json(FULL))
+    document = report(FULL).document
     assert document["lines"] == {"covered": 6, "total": 11, "percent": 54.54}
     assert document["tests"]["failed"] == 2
     assert document["change"]["missing"] == [{"path": "robot/arm.py", "first": 2, "last": 5}]
@@ -185,22 +188,22 @@ def test_the_numbers_of_the_results() -> None:
 
 
 def test_outputs() -> None:
-    assert presentation.outputs(FULL) == {
-        "verdict": "fail",
+    assert report(FULL, badge=Path("b.svg")).outputs == {
         "line-rate": 54.54,
         "branch-rate": 0.0,
         "change-rate": 25.0,
         "files-below-goal": 2,
         "uploaded": "failed",
         "commit": "a" * 40,
+        "badge": Path("b.svg"),
     }
-    assert presentation.outputs(EMPTY)["line-rate"] == presentation.outputs(EMPTY)["change-rate"] == ""
+    assert report(EMPTY).outputs["line-rate"] == report(EMPTY).outputs["change-rate"] == ""
 
 
 def test_junit() -> None:
     cases = {
         case.get("name"): [child.tag for child in case]
-        for case in fromstring(presentation.junit(FULL)).iter("testcase")
+        for case in fromstring(junit_xml(report(FULL).suites)).iter("testcase")
     }
     assert cases == {
         "tests": ["failure"],
@@ -208,7 +211,7 @@ def test_junit() -> None:
         "minimum-change 20 %": [],
         "upload to codacy": ["error"],
     }
-    assert [case.get("name") for case in fromstring(presentation.junit(EMPTY)).iter("testcase")] == []
+    assert [case.get("name") for case in fromstring(junit_xml(report(EMPTY).suites)).iter("testcase")] == []
 
 
 @pytest.mark.parametrize(

@@ -1,7 +1,7 @@
-"""Results as people and programs read them: log, Markdown, JSON, JUnit, annotations."""
+"""The report of ``coverage-upload``."""
 
-import json
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,24 +10,59 @@ from calibration.coverage.rate import Rate
 from calibration.coverage.reading import Found
 from calibration.coverage.results import Results, Uploaded
 from calibration.errors import ExitCode
-from calibration.report import Outcome
+from calibration.report import Lines, Outcome, Report, Table, outcome_of_check, verdict_of
 from calibration.workflow.annotations import Annotation, Level
-from calibration.workflow.outputs import OutputValue
-from calibration.workflow.summary import escape_markdown, markdown_table
-from calibration.workflow.text import aligned, one_line, shorten
+from calibration.workflow.text import one_line, shorten
 
-SCHEMA = 1
-"""Number of the form of results.json; ``results.schema.json`` beside this module describes it."""
 TITLE = "coverage-upload"
 MOST_ROWS = 200
-"""Of a table in the log; the summary and results.json have all."""
+"""Of a table in the log, or of files below the goal; the summary and results.json have all."""
 MOST_NAMES = 20
 """Of names in a list that is only told."""
 _HEADER = ("file", "lines", "branches", "goal", "not run")
 
 
-def sentence(results: Results) -> str:
-    """Say what came of it in one line: ``pass: 81.2 % of lines ..., uploaded to codacy``."""
+def report(results: Results, directory: Path = Path(), badge: Path | None = None) -> Report:
+    """Return the report.
+
+    Args:
+        results: what was found.
+        directory: where the tests ran; their files are named relative to it.
+        badge: the file of the badge, if one was written.
+    """
+    below, total = results.below_goal, (_total(results),)
+    rows = _rows(results, sorted(results.files))
+    not_passed = f"{len(below)} of {len(rows)} files are below the goal of {results.goal:g} %"
+    verdict = verdict_of(not results.problems)
+    return Report(
+        title=TITLE,
+        verdict=verdict,
+        error=ExitCode.WORLD if verdict == "pass" and results.uploaded is Uploaded.FAILED else None,
+        sentence=_sentence(results),
+        reasons=tuple(results.problems),
+        annotations=tuple(_annotations(results, directory)),
+        blocks=(
+            Table(_HEADER, (*total, *_rows(results, _by_rate(results))), MOST_ROWS, only="log"),
+            Table(("", "run", "of"), tuple(_summary_rows(results)), only="summary"),
+            Lines(tuple(remarks(results))),
+            Table(_HEADER, _rows(results, below), MOST_ROWS, title=not_passed, only="summary"),
+            Table(_HEADER, (*total, *rows), title=f"All {len(rows)} files", only="summary", folded=True),
+        ),
+        suites={TITLE: list(_outcomes(results))},
+        results=_results(results),
+        outputs={
+            "line-rate": _percent(results.lines),
+            "branch-rate": _percent(results.branches),
+            "change-rate": "" if results.change is None else _percent(results.change.rate),
+            "files-below-goal": len(below),
+            "uploaded": results.uploaded.value,
+            "commit": results.commit,
+            "badge": badge or "",
+        },
+    )
+
+
+def _sentence(results: Results) -> str:
     parts = results.problems or [f"{results.lines} of the lines are run"]
     state = {
         Uploaded.YES: f"uploaded to {results.service}",
@@ -36,16 +71,7 @@ def sentence(results: Results) -> str:
         Uploaded.DRY_RUN: "nothing was sent (dry-run)",
         Uploaded.NONE: "",
     }[results.uploaded]
-    return one_line(f"{_word(results.passed)}: {'; '.join(parts)}{'; ' if state else ''}{state}")
-
-
-def log(results: Results) -> str:
-    """Write the table of files, the least covered first, and what reports said of no file."""
-    rows = _rows(results, _by_rate(results))
-    text = aligned(_HEADER, [*rows[:MOST_ROWS], _total(results)])
-    if len(rows) > MOST_ROWS:
-        text += f"\n({len(rows) - MOST_ROWS} more files are not shown: see the summary, or results.json)"
-    return "\n".join([text, *remarks(results)])
+    return one_line(f"{'; '.join(parts)}{'; ' if state else ''}{state}")
 
 
 def remarks(results: Results) -> list[str]:
@@ -76,53 +102,42 @@ def what_is_left_out(found: Found) -> list[str]:
     return said
 
 
-def markdown(results: Results) -> str:
-    """Write the summary: the verdict and the totals, then the files below the goal, then all."""
-    text = f"## {TITLE}: {escape_markdown(sentence(results))}\n\n"
-    text += markdown_table(("", "run", "of"), _summary_rows(results)) + "\n"
-    text += "".join(f"- {escape_markdown(remark)}\n" for remark in remarks(results))
-    text += "\n" if remarks(results) else ""
-    below = results.below_goal
-    if below:
-        text += f"{len(below)} of {len(results.files)} files are below the goal of {results.goal:g} %:\n\n"
-        text += markdown_table(_HEADER, _rows(results, below)[:MOST_ROWS]) + "\n"
-    table = markdown_table(_HEADER, [*_rows(results, sorted(results.files)), _total(results)])
-    return f"{text}<details><summary>All {len(results.files)} files</summary>\n\n{table}\n</details>\n"
-
-
-def annotations(results: Results, directory: Path) -> list[Annotation]:
-    """Make an annotation of every test that failed, of every broken limit, and of what no test runs of the change."""
-    found = [
-        Annotation(
-            f"{failure.name}: {failure.message}",
-            file=None if failure.file is None else directory / failure.file,
-            line=failure.line,
-            title="test failed",
-        )
-        for failure in (results.tests.tally.failures if results.tests and results.tests.tally else ())
-    ]
-    found += [Annotation(problem, title=TITLE) for problem in results.problems]
+def _annotations(results: Results, directory: Path) -> Iterable[Annotation]:
+    """Return an annotation of each test that failed, of the upload, and of the lines of the change not run."""
+    for failure in results.tests.tally.failures if results.tests and results.tests.tally else ():
+        file = None if failure.file is None else directory / failure.file
+        yield Annotation(f"{failure.name}: {failure.message}", file=file, line=failure.line, title="test failed")
     if results.uploaded is Uploaded.FAILED:
-        found.append(Annotation(results.upload_reason, title=TITLE))
+        yield Annotation(results.upload_reason)
     if results.uploaded is Uploaded.SKIPPED:
-        found.append(Annotation(f"not uploaded: {results.upload_reason}", Level.NOTICE, title=TITLE))
-    missing = [] if results.change is None else _missing_of_change(results)
-    found += [
-        Annotation(
-            f"no test runs {_lines(first, last)} of this change", Level.WARNING, path, first, title="not covered"
+        yield Annotation(f"not uploaded: {results.upload_reason}", Level.NOTICE)
+    for path, first, last in _missing_of_change(results):
+        message = f"no test runs {_lines(first, last)} of this change"
+        yield Annotation(message, Level.WARNING, path, first, title="not covered")
+
+
+def _outcomes(results: Results) -> Iterable[Outcome]:
+    """Return the cases of JUnit: the tests as a whole, each limit, and the upload."""
+    if results.tests is not None:
+        problem = results.tests.problem
+        yield Outcome(name="tests", group=TITLE, reasons=(problem,) if problem else (), seconds=results.tests.seconds)
+    for limit in results.limits:
+        yield replace(outcome_of_check(limit.check, TITLE), name=f"{limit.name} {limit.minimum:g} %")
+    if results.uploaded is not Uploaded.NONE:
+        failed, skipped = (results.uploaded is state for state in (Uploaded.FAILED, Uploaded.SKIPPED))
+        yield Outcome(
+            name=f"upload to {results.service}",
+            group=TITLE,
+            reasons=(results.upload_reason,) if failed else (),
+            error=ExitCode.WORLD if failed else None,
+            skipped=results.upload_reason if skipped else None,
         )
-        for path, first, last in missing
-    ]
-    return found
 
 
-def results_json(results: Results) -> str:
-    """Write everything as JSON in the form of ``results.schema.json``."""
+def _results(results: Results) -> dict[str, Any]:
     tests, change, found = results.tests, results.change, results.found
     tally = None if tests is None else tests.tally
-    document = {
-        "schema": SCHEMA,
-        "verdict": _word(results.passed),
+    return {
         "problems": results.problems,
         "commit": results.commit,
         "tests": None
@@ -153,7 +168,7 @@ def results_json(results: Results) -> str:
                 "name": limit.name,
                 "minimum": limit.minimum,
                 "lines": _rate_object(limit.rate),
-                "verdict": _word(limit.passed),
+                "verdict": verdict_of(limit.check.passed),
             }
             for limit in results.limits
         ],
@@ -175,46 +190,6 @@ def results_json(results: Results) -> str:
         },
         "upload": {"service": results.service, "state": results.uploaded, "reason": results.upload_reason},
     }
-    return json.dumps(document, indent=2, allow_nan=False) + "\n"
-
-
-def junit(results: Results) -> str:
-    """Write JUnit XML: a case for the tests as a whole, one for each limit, and one for the upload."""
-    from calibration.report.junit import junit_xml  # XML is slow to import, and rarely asked for
-
-    outcomes = []
-    if results.tests is not None:
-        problem, seconds = results.tests.problem, results.tests.seconds
-        outcomes.append(
-            Outcome(name="tests", group=TITLE, reasons=() if problem is None else (problem,), seconds=seconds)
-        )
-    for limit in results.limits:
-        reasons = () if limit.passed else (f"{limit.rate}, {limit.minimum:g} % was expected",)
-        outcomes.append(Outcome(name=f"{limit.name} {limit.minimum:g} %", group=TITLE, reasons=reasons))
-    if results.uploaded is not Uploaded.NONE:
-        failed, skipped = (results.uploaded is state for state in (Uploaded.FAILED, Uploaded.SKIPPED))
-        upload = Outcome(
-            name=f"upload to {results.service}",
-            group=TITLE,
-            reasons=(results.upload_reason,) if failed else (),
-            error=ExitCode.WORLD if failed else None,
-            skipped=results.upload_reason if skipped else None,
-        )
-        outcomes.append(upload)
-    return junit_xml({TITLE: outcomes})
-
-
-def outputs(results: Results) -> dict[str, OutputValue]:
-    """The step's outputs; an empty text for a rate of nothing."""
-    return {
-        "verdict": _word(results.passed),
-        "line-rate": _percent(results.lines),
-        "branch-rate": _percent(results.branches),
-        "change-rate": "" if results.change is None else _percent(results.change.rate),
-        "files-below-goal": len(results.below_goal),
-        "uploaded": results.uploaded.value,
-        "commit": results.commit,
-    }
 
 
 def _summary_rows(results: Results) -> list[tuple[str, str, str]]:
@@ -229,9 +204,9 @@ def _summary_rows(results: Results) -> list[tuple[str, str, str]]:
     return rows
 
 
-def _rows(results: Results, paths: Sequence[str]) -> list[tuple[str, ...]]:
+def _rows(results: Results, paths: Sequence[str]) -> tuple[tuple[str, ...], ...]:
     below = set(results.below_goal)
-    return [
+    return tuple(
         (
             path,
             str(results.files[path].line_rate),
@@ -240,7 +215,7 @@ def _rows(results: Results, paths: Sequence[str]) -> list[tuple[str, ...]]:
             shorten(", ".join(_span(*part) for part in _missing(results.files[path]))),
         )
         for path in paths
-    ]
+    )
 
 
 def _total(results: Results) -> tuple[str, ...]:
@@ -289,7 +264,3 @@ def _percent(rate: Rate) -> float | str:
 
 def _percent_text(rate: Rate) -> str:
     return str(rate).partition(" (")[0]
-
-
-def _word(passed: bool) -> str:
-    return "pass" if passed else "fail"
