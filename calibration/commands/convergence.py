@@ -14,17 +14,17 @@ from calibration.commands.parameters import INTEGER_LIST, TEXT_LIST, count, inte
 from calibration.commands.registry_password import password_variable
 from calibration.errors import ExitCode, InputError
 from calibration.pipeline.convergence.convergence_map import maps_of
-from calibration.pipeline.convergence.report import clear_convergence, report_convergence, write_convergence
+from calibration.pipeline.convergence.report import ALL_FILES, TITLE, report
 from calibration.pipeline.convergence.results import ConvergenceResults, Minimums
 from calibration.pipeline.convergence.sweep import run_sweep, sweep_matrices
 from calibration.pipeline.matrix.cell import CellResult
 from calibration.pipeline.system import Start
+from calibration.report import publish, remove_results
 from calibration.workflow import Runner
 from calibration.workflow.progress import progress
 from calibration.workflow.streams import LogDisplay
 from calibration.workflow.text import did_you_mean
 
-TITLE = "convergence"
 STARTS = ("given", "linear")
 SEEDS = 10
 MOST_LEVELS = 50
@@ -142,7 +142,7 @@ def convergence(settings: Settings, runner: Runner) -> ExitCode:
     matrices = sweep_matrices(matrix, cast("tuple[Start, ...]", settings.start))
     place = place_of(asked, matrix, runner)
     pull(asked, runner)
-    clear_convergence(asked.output)
+    remove_results(asked.output, ALL_FILES)
     software = bool(matrix.software)
     with progress(runner, TITLE, bar=not software, kept="starts") as advance:
 
@@ -157,10 +157,9 @@ def convergence(settings: Settings, runner: Runner) -> ExitCode:
 
         cells = run_sweep(matrices, asked.output, asked.jobs, done, replace(place, show=LogDisplay(runner)))
     minimums = Minimums(settings.minimum_translation_noise, settings.minimum_rotation_noise)
-    results = ConvergenceResults(matrix.noise, maps_of(cells, matrix.noise), minimums)
-    results = write_convergence(results, asked.output)
-    report_convergence(results, asked.output, runner, TITLE)
-    return results.exit_code
+    found = report(ConvergenceResults(matrix.noise, maps_of(cells, matrix.noise), minimums), asked.output)
+    publish(found, runner, asked.output)
+    return found.exit_code
 
 
 def _with_seeds(settings: Settings) -> MatrixSettings:

@@ -64,7 +64,7 @@ def test_a_minimum_makes_the_verdict(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert sweep(tmp_path, "--start", "linear", "--minimum-rotation-noise", "1") == 0
     assert sweep(tmp_path, "--start", "given", "--minimum-rotation-noise", "1") == 1
     assert results(tmp_path)["verdict"] == "fail"
-    error = "t2rgb, given: largest rotation noise that always converges: found 0 rad, at least 1 rad was expected"
+    error = "t2rgb, given: largest rotation noise that always converges: found 0 rad, expected at least 1 rad"
     assert f"error: {error}" in capsys.readouterr().err
 
 

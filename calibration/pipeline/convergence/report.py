@@ -1,103 +1,211 @@
-"""What a sweep leaves in files, and what a user sees of it."""
+"""The report of ``convergence``: a table and a picture of each map, translation noise down, rotation noise across."""
 
-from dataclasses import replace
+import math
+from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
-from calibration.errors import InputError, WorldError
-from calibration.files import write_atomically
-from calibration.pipeline.convergence.results import (
-    FILE,
-    FILES,
-    JUNIT_FILE,
-    LARGEST_FILE,
-    PNG_FILE,
-    SUMMARY_FILE,
-    SVG_FILE,
-    TABLE_FILE,
-    ConvergenceResults,
-    json_text,
-    junit,
-    largest_table,
-    table,
-)
-from calibration.pipeline.convergence.summary import first_lost, largest_grid, map_grid, markdown, sentence
-from calibration.workflow import Annotation, Level, Runner, add_summary, annotate, set_outputs, stop_commands
-from calibration.workflow.text import aligned, one_line
+from calibration.errors import InputError
+from calibration.introspection.numbers import number_text
+from calibration.pipeline.convergence.convergence_map import ConvergenceMap, Noise, Pair
+from calibration.pipeline.convergence.figure import figures
+from calibration.pipeline.convergence.results import ConvergenceResults, without_noise
+from calibration.pipeline.matrix.cell import noise_text
+from calibration.report import FILES, Lines, Outcome, Report, Table, outcome_of_check
+
+SCHEMA = Path(__file__).with_name("convergence.schema.json")
+TITLE = "convergence"
+TABLE_FILE, LARGEST_FILE = "convergence.csv", "largest-noise.csv"
+PNG_FILE, SVG_FILE = "convergence.png", "convergence.svg"
+ALL_FILES = (*FILES, TABLE_FILE, LARGEST_FILE, PNG_FILE, SVG_FILE)
+"""Everything that a sweep leaves, except for what the team's software does."""
+LOST_SHOWN = 10
+"""Maps of which a start that does not converge is named."""
 
 
-def clear_convergence(output: Path) -> None:
-    """Remove the files of an earlier sweep, so that none of them passes for this one's.
+def report(results: ConvergenceResults, output: Path) -> Report:
+    """Return the report, with its pictures if they can be drawn.
 
-    Raises:
-        WorldError: a file cannot be removed.
+    Args:
+        results: what was found.
+        output: the folder for the results.
     """
-    for name in FILES:
-        try:
-            (output / name).unlink(missing_ok=True)
-        except OSError as error:
-            raise WorldError(f"{output / name}: an earlier result cannot be removed: {error.strerror}") from error
-
-
-def write_convergence(results: ConvergenceResults, output: Path) -> ConvergenceResults:
-    """Write the files; the results with a note where there can be no figures.
-
-    Raises:
-        WorldError: a file cannot be written.
-    """
-    from calibration.pipeline.convergence.figure import figures
-
+    notes: tuple[str, ...] = ()
+    pictures: dict[str, str | bytes] = {}
     try:
-        png, svg = figures(results)
-        write_atomically(output / PNG_FILE, png)
-        write_atomically(output / SVG_FILE, svg)
+        pictures = dict(zip((PNG_FILE, SVG_FILE), figures(results), strict=True))
     except InputError as error:  # what draws them is not installed, or there is too much to draw
-        results = replace(results, notes=(str(error),))
-    write_atomically(output / FILE, json_text(results))
-    write_atomically(output / TABLE_FILE, table(results))
-    write_atomically(output / LARGEST_FILE, largest_table(results))
-    write_atomically(output / JUNIT_FILE, junit(results))
-    write_atomically(output / SUMMARY_FILE, markdown(results))
-    return results
-
-
-def report_convergence(results: ConvergenceResults, output: Path, runner: Runner, title: str) -> None:
-    """Show the results that stand in the output folder.
-
-    Raises:
-        WorldError: a file of the runner cannot be written.
-    """
-    largest = largest_grid(results)
-    with stop_commands(runner):  # names of systems, and what their software says, are the user's
-        for each in results.maps:
-            grid = map_grid(each)
-            runner.log(f"\n{each.name}: starts that converge, % of {len(results.noise.seeds)}")
-            runner.log(aligned(grid.header, grid.rows))
-            if lost := first_lost(each):
-                runner.log(one_line(lost))
-        runner.log("")
-        runner.log(aligned(largest.header, largest.rows))
-        runner.log("")
-    notes = [Annotation(note, Level.NOTICE, title=title) for note in results.notes]
-    annotate(runner, [*(Annotation(reason, title=title) for reason in results.reasons), *notes])
-    add_summary(runner, markdown(results))
-
-    def known(value: float | None) -> float | str:
-        return "" if value is None else value
-
+        notes = (str(error),)
+    lost = tuple(line for each in results.maps if (line := first_lost(each)))
     translation, rotation = results.largest_diagonal or (None, None)
-    set_outputs(
-        runner,
-        {
-            "verdict": results.verdict,
-            "largest-translation-noise": known(results.largest_translation),
-            "largest-rotation-noise": known(results.largest_rotation),
-            "largest-diagonal-translation-noise": known(translation),
-            "largest-diagonal-rotation-noise": known(rotation),
+    largest = {
+        "largest-translation-noise": results.largest_translation,
+        "largest-rotation-noise": results.largest_rotation,
+        "largest-diagonal-translation-noise": translation,
+        "largest-diagonal-rotation-noise": rotation,
+    }
+    return Report(
+        title=TITLE,
+        verdict=results.verdict,
+        error=results.exit_code,
+        sentence=_sentence(results),
+        reasons=tuple(results.reasons),
+        notes=notes,
+        blocks=(
+            largest_table(results),
+            *map(map_table, results.maps),
+            Lines(lost, most=LOST_SHOWN, title="Starts that do not converge: one of each map"),
+            Lines(notes),
+        ),
+        suites={TITLE: list(_outcomes(results))},
+        results={
+            "grid": {
+                "translation_noise": list(results.noise.translations),
+                "rotation_noise": list(results.noise.rotations),
+                "seeds": list(results.noise.seeds),
+            },
+            "largest": _largest(results.largest_translation, results.largest_rotation, results.largest_diagonal),
+            "maps": [_map(each) for each in results.maps],
+            "checks": [check.document for check in results.checks],
+            "figures": list(pictures),
+            "notes": list(notes),
+        },
+        outputs={
+            **{name: "" if value is None else value for name, value in largest.items()},
             "table": output / TABLE_FILE,
-            "figure": "" if results.notes else output / PNG_FILE,
-            "results": output / FILE,
-            "summary": output / SUMMARY_FILE,
+            "figure": output / PNG_FILE if pictures else "",
             "output": output,
         },
+        files={TABLE_FILE: starts(results).csv(), LARGEST_FILE: largest_noise(results).csv(), **pictures},
     )
-    runner.log(f"{sentence(results)} ({output / FILE})")
+
+
+def map_table(of: ConvergenceMap) -> Table:
+    """Return the share in percent of each pair of noises."""
+    starts = len(next(iter(of.pairs.values())).cells)
+    return Table(
+        ("", *(f"{number_text(r)} rad" for r in of.rotations)),
+        tuple(
+            (f"{number_text(t)} m", *(of.pairs[t, r].percent for r in of.rotations))  # in the form of the noise pairs
+            for t in of.translations
+        ),
+        title=f"{of.name}: starts that converge, % of {starts}",
+    )
+
+
+def largest_table(results: ConvergenceResults) -> Table:
+    """Return up to which noise every start converges, a row for each map."""
+
+    def shown(value: float | None, unit: str) -> str:
+        return "none" if value is None else f"{number_text(value)} {unit}"
+
+    rows = (
+        (
+            each.name if each.judged else f"{each.name} (to compare)",
+            shown(each.largest.translation, "m"),
+            shown(each.largest.rotation, "rad"),
+            noise_text(*each.largest.diagonal) if each.largest.diagonal else "none",
+        )
+        for each in results.maps
+    )
+    return Table(("Every start converges up to", "Translation alone", "Rotation alone", "Both, up to"), tuple(rows))
+
+
+def starts(results: ConvergenceResults) -> Table:
+    """Return a row for each map and pair of noises, for ``convergence.csv``."""
+    header = ("Cell", "System", "Method", "Start", "Translation noise (m)", "Rotation noise (rad)")
+    rows = (
+        (
+            f"{each.name}, {noise_text(*noise)}",
+            *(each.system, each.method, each.start),
+            *map(number_text, noise),
+            str(len(pair.cells)),
+            str(pair.converged),
+            number_text(_rounded_down(pair.share)),
+            " ".join(map(str, pair.lost)),
+            pair.reason,
+        )
+        for each in results.maps
+        for noise, pair in each.pairs.items()
+    )
+    return Table((*header, "Starts", "Converged", "Share", "Lost seeds", "First reason"), tuple(rows))
+
+
+def largest_noise(results: ConvergenceResults) -> Table:
+    """Return a row for each map, for ``largest-noise.csv``; an empty cell, which no rule lets pass, where none is."""
+    header = ("Map", "Translation noise (m)", "Rotation noise (rad)")
+    rows = []
+    for each in results.maps:
+        largest = each.largest
+        values = (largest.translation, largest.rotation, *(largest.diagonal or (None, None)))
+        rows.append((each.name, *("" if value is None else number_text(value) for value in values)))
+    return Table((*header, "Diagonal translation noise (m)", "Diagonal rotation noise (rad)"), tuple(rows))
+
+
+def first_lost(of: ConvergenceMap) -> str:
+    """Return a start that does not converge, of those with the least noise, and how to run it; empty if all do."""
+    for (t, r), pair in of.pairs.items():
+        if pair.lost:
+            options = f"--translation-noise {number_text(t)} --rotation-noise {number_text(r)}"
+            how = f"calibrate-matrix {options} --seed-list {pair.lost[0]} --start {of.start}"
+            return f"{of.name}, {noise_text(t, r)}, seed {pair.lost[0]}: {pair.reason} (to look at it: {how})"
+    return ""
+
+
+def _sentence(results: ConvergenceResults) -> str:
+    if results.largest_diagonal is None:
+        return "the start without noise does not converge"
+    translation, rotation = results.largest_translation or 0.0, results.largest_rotation or 0.0
+    return (
+        f"every start converges up to {number_text(translation)} m alone, "
+        f"{number_text(rotation)} rad alone, and {noise_text(*results.largest_diagonal)} together"
+    )
+
+
+def _outcomes(results: ConvergenceResults) -> Iterable[Outcome]:
+    """Return the cases of JUnit: each map without noise, and each check."""
+    for each in results.judged:
+        why = without_noise(each)
+        if each.error is not None and not why:
+            why = "a start could not be run: see results.json"
+        name = f"{each.name}: converges without noise"
+        yield Outcome(name=name, group=each.system, reasons=(why,) if why else (), error=each.error)
+    for check in results.checks:
+        yield outcome_of_check(check, TITLE)
+
+
+def _largest(translation: float | None, rotation: float | None, diagonal: Noise | None) -> dict[str, Any]:
+    both = None if diagonal is None else {"translation_noise": diagonal[0], "rotation_noise": diagonal[1]}
+    return {"translation_noise": translation, "rotation_noise": rotation, "diagonal": both}
+
+
+def _map(of: ConvergenceMap) -> dict[str, Any]:
+    largest = of.largest
+    return {
+        "system": of.system,
+        "method": of.method,
+        "start": of.start,
+        "judged": of.judged,
+        "largest": _largest(largest.translation, largest.rotation, largest.diagonal),
+        "pairs": [_pair(noise, pair) for noise, pair in of.pairs.items()],
+    }
+
+
+def _pair(noise: Noise, pair: Pair) -> dict[str, Any]:
+    return {
+        "translation_noise": noise[0],
+        "rotation_noise": noise[1],
+        "starts": len(pair.cells),
+        "converged": pair.converged,
+        "share": _rounded_down(pair.share),
+        "lost": [
+            {"seed": cell.seed, "reasons": list(cell.reasons), "error": cell.error}
+            for cell in pair.cells
+            if cell.verdict == "fail"
+        ],
+    }
+
+
+def _rounded_down(share: float) -> float:
+    """A share that is 1 only where it is."""
+    return math.floor(share * 1e6) / 1e6

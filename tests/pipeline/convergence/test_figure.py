@@ -11,7 +11,7 @@ import pytest
 
 from calibration.errors import InputError
 from calibration.pipeline.convergence.figure import MOST_MAPS, figures
-from calibration.pipeline.convergence.report import write_convergence
+from calibration.pipeline.convergence.report import report
 from calibration.pipeline.convergence.results import ConvergenceResults
 from calibration.pipeline.system import NoiseGrid
 
@@ -61,7 +61,8 @@ def test_more_levels_and_maps_make_it_larger() -> None:
 
 
 def test_too_many_maps_are_a_note_not_a_failure(tmp_path: Path) -> None:
-    found = write_convergence(results(maps=MOST_MAPS + 1), tmp_path)
+    found = report(results(maps=MOST_MAPS + 1), tmp_path)
+    found.write(tmp_path)
     assert found.notes == (f"no figure: found {MOST_MAPS + 1} maps, at most {MOST_MAPS} can be drawn",)
     assert not (tmp_path / "convergence.png").exists()
     assert found.verdict == "pass"

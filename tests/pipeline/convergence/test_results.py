@@ -10,24 +10,24 @@ from xml.etree import ElementTree as ET
 import jsonschema
 import pytest
 
-from calibration.errors import ExitCode, WorldError
+from calibration.errors import ExitCode
 from calibration.introspection.judge import judge
 from calibration.introspection.rule_set import parse_rules
 from calibration.introspection.table import read_table
-from calibration.pipeline.convergence.report import clear_convergence, write_convergence
-from calibration.pipeline.convergence.results import (
-    FILES,
+from calibration.pipeline.convergence.report import (
+    ALL_FILES,
     SCHEMA,
-    ConvergenceResults,
-    Minimums,
-    document,
-    junit,
+    first_lost,
+    largest_noise,
     largest_table,
-    least,
-    table,
+    map_table,
+    report,
+    starts,
 )
-from calibration.pipeline.convergence.summary import first_lost, largest_grid, map_grid, markdown, sentence
+from calibration.pipeline.convergence.results import ConvergenceResults, Minimums, least
 from calibration.pipeline.system import NoiseGrid
+from calibration.report import Report, remove_results
+from calibration.report.junit import junit_xml
 
 from .cells import one_map
 
@@ -42,6 +42,10 @@ def results(*maps, translation: float | None = None, rotation: float | None = No
     return ConvergenceResults(NOISE, maps, Minimums(translation, rotation))
 
 
+def told(found: ConvergenceResults) -> Report:
+    return report(found, Path("out"))
+
+
 def test_lost_starts_alone_do_not_fail() -> None:
     found = results(LOST)
     assert (found.verdict, found.exit_code, found.reasons) == ("pass", ExitCode.PASS, [])
@@ -52,7 +56,7 @@ def test_a_minimum_that_is_reached_passes_and_one_that_is_not_fails() -> None:
     found = results(GOOD, LOST, translation=0.75, rotation=1.5)
     assert (found.verdict, found.exit_code) == ("fail", ExitCode.FAIL)
     assert found.reasons == [
-        "leg, given: largest translation noise that always converges: found 0.5 m, at least 0.75 m was expected"
+        "leg, given: largest translation noise that always converges: found 0.5 m, expected at least 0.75 m"
     ]
 
 
@@ -70,7 +74,7 @@ def test_any_minimum_fails_where_nothing_converges() -> None:
 def test_what_is_not_judged_has_no_part_in_verdict_and_outputs() -> None:
     found = results(GOOD, replace(NOTHING, judged=False), translation=1.0)
     assert (found.verdict, found.largest_translation, found.largest_diagonal) == ("pass", 1.0, (1.0, 1.5))
-    assert "(to compare)" in largest_grid(found).rows[1][0]
+    assert "(to compare)" in largest_table(found).rows[1][0]
 
 
 def test_nothing_judged_is_no_pass() -> None:
@@ -89,7 +93,7 @@ def test_the_outputs_are_the_least_of_the_maps() -> None:
 def test_what_could_not_be_run_has_its_own_exit_code(code: ExitCode) -> None:
     found = results(GOOD, one_map(T, R, lambda *_: False, NOISE.seeds, error=code))
     assert (found.verdict, found.exit_code) == ("fail", code)
-    cases = ET.fromstring(junit(found))  # noqa: S314
+    cases = ET.fromstring(junit_xml(told(found).suites))  # noqa: S314
     assert (cases.get("errors"), cases.get("failures")) == ("1", "0")
 
 
@@ -97,18 +101,18 @@ def test_a_noisy_start_that_the_world_failed_is_no_pass() -> None:
     found = results(one_map(T, R, lambda t, *_: t == 0, NOISE.seeds, error=ExitCode.WORLD))
     assert (found.verdict, found.exit_code) == ("fail", ExitCode.WORLD)
     assert found.reasons[0] == "arm, 0.5 m, 0 rad, seed 1: a false minimum"
-    assert 'errors="1"' in junit(found)
+    assert 'errors="1"' in junit_xml(told(found).suites)
 
 
 @pytest.mark.parametrize("found", [results(GOOD), results(LOST, NOTHING, translation=1.0)])
 def test_results_keep_to_their_schema(found: ConvergenceResults) -> None:
-    written = json.loads(json.dumps(document(found), allow_nan=False))
+    written = json.loads(json.dumps(told(found).document, allow_nan=False))
     jsonschema.validate(written, json.loads(SCHEMA.read_text()), cls=jsonschema.Draft202012Validator)
     assert len(written["maps"][0]["pairs"]) == len(T) * len(R)
 
 
 def test_the_lost_starts_are_named() -> None:
-    pairs = {(p["translation_noise"], p["rotation_noise"]): p for p in document(results(LOST))["maps"][0]["pairs"]}
+    pairs = {(p["translation_noise"], p["rotation_noise"]): p for p in told(results(LOST)).document["maps"][0]["pairs"]}
     assert pairs[0.0, 1.5]["share"] == 1
     assert pairs[1.0, 0.0]["share"] == 0.5
     assert pairs[1.0, 0.0]["lost"] == [{"seed": 2, "reasons": ["a false minimum"], "error": None}]
@@ -116,12 +120,12 @@ def test_the_lost_starts_are_named() -> None:
 
 def test_the_table_has_a_row_for_each_pair_and_can_be_held_by_rules(tmp_path: Path) -> None:
     found = results(GOOD, LOST)
-    rows = list(csv.DictReader(io.StringIO(table(found))))
+    rows = list(csv.DictReader(io.StringIO(starts(found).csv())))
     assert len(rows) == 2 * len(T) * len(R)
     assert rows[-1]["Cell"] == "leg, given, 1 m, 1.5 rad"
     assert (rows[-1]["Share"], rows[-1]["Lost seeds"], rows[-1]["First reason"]) == ("0.5", "2", "a false minimum")
-    (tmp_path / "convergence.csv").write_text(table(found))
-    (tmp_path / "largest-noise.csv").write_text(largest_table(results(GOOD, LOST, NOTHING)))
+    (tmp_path / "convergence.csv").write_text(starts(found).csv())
+    (tmp_path / "largest-noise.csv").write_text(largest_noise(results(GOOD, LOST, NOTHING)).csv())
 
     def passes(file: str, **rule: object) -> bool:
         rules = parse_rules({"rules": [rule]}, "rules")
@@ -135,35 +139,29 @@ def test_the_table_has_a_row_for_each_pair_and_can_be_held_by_rules(tmp_path: Pa
 
 
 def test_the_summary_shows_maps_and_escapes_names() -> None:
-    assert map_grid(LOST).rows == (("0 m", "100", "100"), ("0.5 m", "100", "0"), ("1 m", "50", "50"))
-    text = markdown(results(LOST, NOTHING))
-    assert text.startswith("## Convergence: fail: the start without noise does not converge")
+    assert map_table(LOST).rows == (("0 m", "100", "100"), ("0.5 m", "100", "0"), ("1 m", "50", "50"))
+    text = told(results(LOST, NOTHING)).markdown()
+    assert text.startswith("## convergence: fail: the start without noise does not converge")
     assert "| 0.5 m | 100 | 0 |" in text
     assert "<b>" not in text
     assert "calibrate-matrix --translation-noise 0.5 --rotation-noise 1.5 --seed-list 1 --start given" in text.replace(
         "\\", ""
     )
     assert first_lost(GOOD) == ""
-    assert "Starts that do not converge" not in markdown(results(GOOD))
-    assert sentence(results(LOST)).endswith("up to 0.5 m alone, 1.5 rad alone, and 0.5 m, 0 rad together")
+    assert "Starts that do not converge" not in told(results(GOOD)).markdown()
+    assert told(results(LOST)).line.endswith("up to 0.5 m alone, 1.5 rad alone, and 0.5 m, 0 rad together")
 
 
 def test_the_same_results_leave_the_same_files(tmp_path: Path) -> None:
     for name in ("one", "two"):
-        write_convergence(results(GOOD, LOST, translation=1.0), tmp_path / name)
-    assert sorted(path.name for path in (tmp_path / "one").iterdir()) == sorted(FILES)
-    for file in FILES:
+        told(results(GOOD, LOST, translation=1.0)).write(tmp_path / name)
+    assert sorted(path.name for path in (tmp_path / "one").iterdir()) == sorted(ALL_FILES)
+    for file in ALL_FILES:
         assert (tmp_path / "one" / file).read_bytes() == (tmp_path / "two" / file).read_bytes()
 
 
 def test_earlier_files_are_removed_and_nothing_else(tmp_path: Path) -> None:
-    write_convergence(results(GOOD), tmp_path)
+    told(results(GOOD)).write(tmp_path)
     (tmp_path / "mine.csv").touch()
-    clear_convergence(tmp_path)
+    remove_results(tmp_path, ALL_FILES)
     assert [path.name for path in tmp_path.iterdir()] == ["mine.csv"]
-
-
-def test_an_earlier_file_that_cannot_be_removed_is_an_error(tmp_path: Path) -> None:
-    (tmp_path / "convergence.csv").mkdir()
-    with pytest.raises(WorldError, match=r"convergence\.csv: an earlier result cannot be removed"):
-        clear_convergence(tmp_path)
