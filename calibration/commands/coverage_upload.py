@@ -29,6 +29,7 @@ from calibration.coverage.sources import Sources, find_sources
 from calibration.errors import ExitCode, InputError, WorldError
 from calibration.execution.sizes import parse_seconds
 from calibration.files import write_atomically
+from calibration.programs import hide
 from calibration.report import FILES, publish, remove_results
 from calibration.workflow import Runner, add_mask, set_outputs
 from calibration.workflow.text import one_line
@@ -131,7 +132,7 @@ def command(click_context: click.Context, /, **options: Any) -> ExitCode:
 
 
 def settings_from(options: dict[str, Any], click_context: click.Context, runner: Runner) -> Settings:
-    """Make the settings of the options and of Codacy's own variables; a token is hidden from the log at once.
+    """Make the settings of the options and of Codacy's own variables; a token is hidden at once.
 
     Raises:
         InputError: a token is on the command line.
@@ -141,6 +142,8 @@ def settings_from(options: dict[str, Any], click_context: click.Context, runner:
     for name in TOKENS:
         if options[name]:
             add_mask(runner, options[name])
+    if any(options[name] for name in TOKENS):
+        hide([*TOKENS.values(), *(f"INPUT_{name.upper()}" for name in TOKENS)])  # the tests are programs of others
     for name, variable in TOKENS.items():
         if click_context.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE:
             raise InputError(

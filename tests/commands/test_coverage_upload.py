@@ -1,7 +1,9 @@
 """``coverage-upload`` as a user runs it: a repository, tests, a Codacy, and every way in which it can go wrong."""
 
+import ctypes
 import json
 import os
+import secrets
 import signal
 import subprocess
 import sys
@@ -71,9 +73,13 @@ def on_github(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
 
 
 def upload(*arguments: str, reports: str | None = "../c.xml") -> int:
-    """Upload the report beside the repository, unless told."""
+    """Upload the report beside the repository, unless told; a token stays in the environment for the next time."""
     given = [] if reports is None else ["--reports", reports]
-    return main([NAME, *given, *arguments])
+    before = dict(os.environ)
+    try:
+        return main([NAME, *given, *arguments])
+    finally:
+        os.environ.update(before)
 
 
 def test_a_report_is_uploaded(server: projects.Codacy, root: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -284,6 +290,82 @@ def test_only_the_end_is_told(server: projects.Codacy, capsys: pytest.CaptureFix
     assert upload("--partial") == 0
     assert server.asked[1].path.endswith("?partial=true")
     assert len(server.asked) == 2
+
+
+THIEF = """
+import os, re
+SECRET = re.compile(rb"planted-[0-9a-f]{32}")
+ABOVE, pid = [], os.getpid()
+while pid > 1:
+    pid = int(re.search(r"PPid:\\s*([0-9]+)", open(f"/proc/{pid}/status").read())[1])
+    ABOVE.append(pid)
+
+def look(path, ranges=((0, 1 << 16),)):
+    try:
+        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
+        for begin, end in ranges:
+            try:
+                found = SECRET.search(os.pread(descriptor, end - begin, begin) if begin else os.read(descriptor, end))
+            except OSError:
+                continue
+            if found:
+                print("STOLEN from", path, found[0].hex())
+    except OSError as error:
+        print("refused", path, error.strerror)
+
+for pid in filter(str.isdigit, os.listdir("/proc")):
+    look(f"/proc/{pid}/environ")
+parent = ABOVE[0]
+for folder in ("fd", "task"):
+    try:
+        for name in os.listdir(f"/proc/{parent}/{folder}"):
+            look(f"/proc/{parent}/{folder}/{name}" + ("/environ" if folder == "task" else ""))
+    except OSError:
+        print("refused", folder)
+try:
+    lines = open(f"/proc/{parent}/maps").read().splitlines()
+except OSError:
+    print("refused maps")
+else:
+    spans = [[int(part, 16) for part in line.split()[0].split("-")] for line in lines if " rw" in line]
+    look(f"/proc/{parent}/mem", spans)
+os.utime("../c.xml")  # as if it wrote its report
+"""
+
+
+def without_ptrace() -> None:
+    """Give up what only root outside of a container has, and what no process can be shielded from."""
+    ctypes.CDLL(None).prctl(24, 19, 0, 0, 0)  # PR_CAPBSET_DROP, CAP_SYS_PTRACE
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="/proc is Linux's")
+@pytest.mark.parametrize("action", [False, True])
+def test_the_tests_cannot_steal_the_token(server: projects.Codacy, tmp_path: Path, root: Path, action: bool) -> None:
+    token = f"planted-{secrets.token_hex(16)}"
+    write(tmp_path, {"thief.py": THIEF})
+    run = f"{sys.executable} {tmp_path / 'thief.py'}"
+    if action:  # as the runner does it
+        step = f'exec bash "{Path(__file__).parents[2] / "actions/bootstrap.sh"}" {NAME}'
+        command = ["bash", "--noprofile", "--norc", "-e", "-o", "pipefail", "-c", step]
+        given = {"INPUT_PROJECT_TOKEN": token, "INPUT_RUN": run, "INPUT_REPORTS": "../c.xml"}
+        given |= {"INPUT_API_URL": server.url, "INPUT_PYTHON": sys.executable}
+    else:
+        command = [sys.executable, "-m", "calibration", NAME, "--run", run, "--reports", "../c.xml"]
+        command += ["--api-url", server.url]
+        given = {"CODACY_PROJECT_TOKEN": token, "PYTHONPATH": str(Path(__file__).parents[2])}
+    done = subprocess.run(
+        command,
+        cwd=root,
+        env={"PATH": os.environ["PATH"], **given},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        preexec_fn=without_ptrace,
+        check=False,
+    )
+    assert "STOLEN" not in done.stdout
+    assert done.stdout.count("refused") > 3
+    assert [asked.headers["project-token"] for asked in server.asked] == [token]
 
 
 def test_an_accounts_token_and_codacys_own_variables(server: projects.Codacy, monkeypatch: pytest.MonkeyPatch) -> None:
