@@ -20,7 +20,7 @@ from calibration.coverage.measuring.configuration import team_settings
 from calibration.coverage.measuring.injection import plain
 from calibration.coverage.measuring.tests import Tests, measured_environment, measurement, run_tests
 from calibration.coverage.reading import Found, read_reports
-from calibration.coverage.report import TITLE, report, what_is_left_out
+from calibration.coverage.report import LCOV, TITLE, report, what_is_left_out
 from calibration.coverage.repository import Repository
 from calibration.coverage.results import Change, Limit, Results, Uploaded
 from calibration.coverage.services.codacy import API_URL, Account, Codacy, parse_account, parse_api_url
@@ -120,7 +120,9 @@ class Settings:
 @click.option("--if-token-missing", type=text, help="fail or skip where there is no token (fail; forks are skipped).")
 @click.option("--commit", type=text, help="The commit that the coverage is of (found unless given).")
 @boolean_option("--dry-run", help="Send nothing, and show what would be sent.")
-@click.option("--output", type=path, help="Folder for results.json, junit.xml, summary.md, tests.xml and tests.log.")
+@click.option(
+    "--output", type=path, help="Folder for results.json, junit.xml, summary.md, lcov.info, tests.xml and .log."
+)
 @click.pass_context
 def command(click_context: click.Context, /, **options: Any) -> ExitCode:
     """Run tests, judge their coverage, and upload it.
@@ -163,7 +165,7 @@ def upload(settings: Settings, runner: Runner) -> ExitCode:
     """
     if settings.output is not None:
         uploads = [file.name for file in settings.output.glob("upload-*.json")]
-        remove_results(settings.output, (*FILES, "tests.xml", "tests.log", *uploads))
+        remove_results(settings.output, (*FILES, LCOV, "tests.xml", "tests.log", *uploads))
     _check(settings)
     repository = Repository.around(settings.directory)
     event = Event.from_environment(os.environ)

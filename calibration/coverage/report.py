@@ -8,6 +8,7 @@ from typing import Any
 from calibration.coverage.lines import FileCoverage, ranges
 from calibration.coverage.rate import Rate
 from calibration.coverage.reading import Found
+from calibration.coverage.reports.lcov import tracefile
 from calibration.coverage.results import Results, Uploaded
 from calibration.errors import ExitCode
 from calibration.report import Lines, Outcome, Report, Table, outcome_of_check, verdict_of
@@ -15,6 +16,7 @@ from calibration.workflow.annotations import Annotation, Level
 from calibration.workflow.text import one_line, shorten
 
 TITLE = "coverage-upload"
+LCOV = "lcov.info"
 MOST_ROWS = 200
 """Of a table in the log, or of files below the goal; the summary and results.json have all."""
 MOST_NAMES = 20
@@ -59,6 +61,8 @@ def report(results: Results, directory: Path = Path(), badge: Path | None = None
             "commit": results.commit,
             "badge": badge or "",
         },
+        # A job of its own, in which no test runs, can upload it.
+        files={LCOV: tracefile(results.files).encode("utf-8", "surrogateescape")} if results.lines.total else {},
     )
 
 

@@ -123,6 +123,9 @@ def test_tests_are_run_and_their_coverage_uploaded(
     assert "1 passed" in Path("out/tests.log").read_text()
     assert TOKEN not in capsys.readouterr().out + Path("out/tests.log").read_text()
     assert git(Path(), "status", "--porcelain") == ""
+    # A job without tests uploads the same.
+    assert upload("--source", "robot", reports="out/lcov.info") == 0
+    assert server.asked[1].body == server.asked[0].body
 
 
 def test_tests_that_fail_are_the_verdict_and_the_report_is_uploaded_all_the_same(

@@ -11,7 +11,7 @@ from calibration.coverage.lines import FileCoverage
 from calibration.coverage.rate import Rate
 from calibration.coverage.reports.cobertura import parse_cobertura
 from calibration.coverage.reports.junit import Failure, Tally, parse_junit
-from calibration.coverage.reports.lcov import parse_lcov
+from calibration.coverage.reports.lcov import parse_lcov, tracefile
 from calibration.errors import InputError
 
 COBERTURA = """<?xml version="1.0" ?>
@@ -43,6 +43,30 @@ def test_cobertura() -> None:
         "robot/naming.py": FileCoverage({1: 2, 2: 3, 3: 2}, {3: Rate(2, 2)}),
         "robot/__init__.py": FileCoverage(),
     }
+
+
+LINES = st.integers(1, 10_000_000)
+RATES = st.integers(1, 20).flatmap(lambda total: st.builds(Rate, st.integers(0, total), st.just(total)))
+
+
+@given(
+    st.dictionaries(
+        st.text(st.characters(exclude_categories=["Cc", "Z", "Cs"]), min_size=1),
+        st.builds(
+            FileCoverage,
+            st.dictionaries(LINES, st.integers(0, 2**63 - 1)),
+            st.dictionaries(LINES, RATES, max_size=5),
+        ),
+        min_size=1,
+        max_size=3,
+    )
+)
+def test_a_tracefile_is_read_as_it_was_written(files: dict[str, FileCoverage]) -> None:
+    assert parse_lcov(tracefile(files).encode(), "lcov.info").files == files
+
+
+def test_a_name_that_a_tracefile_cannot_hold_is_left_out() -> None:
+    assert "x" not in tracefile({"a\nSF:x": FileCoverage({1: 1}), " x": FileCoverage(), "b": FileCoverage({1: 1})})
 
 
 def test_cobertura_in_another_encoding() -> None:

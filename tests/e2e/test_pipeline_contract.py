@@ -76,7 +76,7 @@ def test_the_verdict_waits_for_every_job_and_is_never_skipped() -> None:
     verdict = JOBS["verdict"]
     assert set(verdict["needs"]) == set(JOBS) - {"verdict", "promote"}
     assert verdict["if"] == "${{ always() }}"
-    assert set(Plan().jobs) == set(JOBS) - {"plan", "verdict", "promote"}
+    assert set(Plan().jobs) == set(JOBS) - {"plan", "coverage", "verdict", "promote"}
     for job in JOBS.values():
         assert "continue-on-error" not in job
         assert all("continue-on-error" not in step for step in job["steps"])
@@ -118,6 +118,13 @@ def test_every_job_measures_itself() -> None:
             assert last["if"] == "${{ always() }}"
             assert last["run"] == f'echo "{SECONDS}=$(($(date +%s) - BEGAN))" >>"$GITHUB_OUTPUT"'
             assert job["outputs"][SECONDS] == "${{ steps.seconds.outputs.seconds }}"
+
+
+def test_no_job_that_runs_the_tests_of_the_team_has_a_secret() -> None:
+    """Tests can leave programs and settings behind for the later steps of their job."""
+    assert "secrets." not in str(JOBS["unit-tests"])
+    assert "codacy" in str(JOBS["coverage"])
+    assert "tests" not in str([step.get("env") for step in JOBS["coverage"]["steps"]]).replace("unit-tests/lcov", "")
 
 
 def test_a_login_goes_to_the_image_that_it_is_for() -> None:

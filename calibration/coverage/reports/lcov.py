@@ -2,6 +2,7 @@
 
 import io
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from calibration.coverage.lines import FileCoverage
@@ -52,6 +53,20 @@ def parse_lcov(data: bytes, name: str) -> Report:
     if not records:
         raise InputError(f"{name}: no file is named in it (SF:...), a tracefile of LCOV was expected")
     return Report(name, {file: record.coverage() for file, record in records.items()})
+
+
+def tracefile(files: Mapping[str, FileCoverage]) -> str:
+    """A tracefile of files, by their paths; :func:`parse_lcov` reads the same from it."""
+    lines: list[str] = []
+    for path, coverage in files.items():
+        if len(path.splitlines()) != 1 or path != path.strip():
+            continue  # the format has no name for such a file
+        lines += ["TN:", f"SF:{path}"]
+        lines += [f"DA:{line},{hits}" for line, hits in coverage.hits.items()]
+        for line, rate in coverage.branches.items():
+            lines += [f"BRDA:{line},0,{branch},{int(branch < rate.covered)}" for branch in range(rate.total)]
+        lines.append("end_of_record")
+    return "".join(f"{line}\n" for line in lines)
 
 
 def _add(record: _Record, kind: str, value: str, where: str) -> None:

@@ -96,7 +96,7 @@ def cost_of_run(plan: Plan, needs: Needs, folder: Path, seconds: int | None, *, 
         promotes: whether a job runs after it.
     """
     times = []
-    for job in ("plan", *plan.jobs):  # what needs has, act sorts by name
+    for job in ("plan", *plan.jobs, *needs.unplanned):  # what needs has, act sorts by name
         if needs.results.get(job, "skipped") == "skipped":
             continue
         cells = {"calibrate": plan.at_once, "calibrate-collected": plan.after_collection}.get(job)

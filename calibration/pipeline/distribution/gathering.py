@@ -55,6 +55,7 @@ def gather(needs: Needs, folder: Path) -> Gathered:
         return Gathered(Results(()), {"plan": needs.results["plan"]}, (_problem("plan", needs.results["plan"]),))
     plan = plan_of_outputs(needs.plan)
     jobs = {"plan": SUCCESS} | {job: needs.results.get(job, "missing") for job, runs in plan.jobs.items() if runs}
+    jobs |= {job: result for job, result in needs.unplanned.items() if result != "skipped"}
     parts = [_cells_of(cell, plan, folder) for cell in plan.cells]
     collected = _collections_of(plan, folder)
     results = Results(

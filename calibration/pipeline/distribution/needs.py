@@ -9,6 +9,7 @@ from calibration.errors import InputError
 from calibration.pipeline.distribution.clock import parse_seconds
 
 SUCCESS = "success"
+UNPLANNED = ("coverage",)
 SECONDS = "seconds"
 """The output by which a job that is alone in its place tells how long it took."""
 
@@ -23,6 +24,11 @@ class Needs:
     """The outputs of plan-matrix; empty where it failed."""
     seconds: Mapping[str, int] = field(default_factory=dict)
     """How long the jobs took that say it by an output."""
+
+    @property
+    def unplanned(self) -> dict[str, str]:
+        """The results of jobs that are not in the plan, because other inputs of the workflow decide about them."""
+        return {job: self.results[job] for job in UNPLANNED if job in self.results}
 
 
 def parse_needs(text: str) -> Needs:

@@ -106,6 +106,12 @@ def test_what_is_not_known_is_said_and_not_guessed(tmp_path: Path) -> None:
     assert rows["all"] == "| all |  | 9 | 35 + ? | 2 + ? | 0.016 + ? |"
 
 
+def test_the_upload_of_the_coverage_is_counted(tmp_path: Path) -> None:
+    needs = Needs({"plan": "success", "unit-tests": "success", "coverage": "success"}, seconds={"coverage": 61})
+    times = cost_of_run(Plan(unit_tests=True), needs, tmp_path, 1, promotes=False).times
+    assert [(time.job, time.seconds) for time in times if time.seconds] == [("coverage", 61), ("verdict", 1)]
+
+
 def test_what_did_not_run_costs_nothing(tmp_path: Path) -> None:
     results = {"plan": "success", "image": "failure", "calibrate": "skipped", "unit-tests": "skipped"}
     cost = cost_of_run(PLAN, Needs(results, seconds={"plan": 1, "image": 2}), tmp_path, 3, promotes=False)

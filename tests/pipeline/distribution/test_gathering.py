@@ -195,6 +195,14 @@ def test_only_unit_tests(tmp_path: Path) -> None:
     assert gather(needs(plan, unit_tests="failure"), tmp_path).exit_code == ExitCode.FAIL
 
 
+@pytest.mark.parametrize(("outcome", "problems"), [("success", 0), ("skipped", 0), ("failure", 1), ("cancelled", 1)])
+def test_an_upload_that_failed_is_red(outcome: str, problems: int, tmp_path: Path) -> None:
+    found = gather(needs(Plan(unit_tests=True), coverage=outcome), tmp_path)
+    assert len(found.problems) == problems
+    assert ("coverage" in found.jobs) is (outcome != "skipped")
+    assert found.exit_code == (ExitCode.FAIL if problems else ExitCode.PASS)
+
+
 def test_what_was_not_planned_is_refused(leave: Callable[..., Path], tmp_path: Path) -> None:
     leave("one", result(ONE), result(TWO))
     with pytest.raises(InputError, match=r"one/results.json: has a result of robot, 0 m, .* which was not"):
