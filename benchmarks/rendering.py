@@ -119,12 +119,11 @@ def _per_second(work: Callable[[int], object], count: int) -> tuple[float, str]:
 
 
 def _images(size: Size, distorted: bool, count: int) -> Row:
-    from calibration.simulation.rendering.image import render_image
 
     sensor, views = SimulatedCamera(size.camera(distorted)), poses(count)
 
     def work(number: int) -> object:
-        return render_image(sensor, T_WORLD_CAMERA, ROOM, _boards(views[number]), stream(0, number))
+        return sensor.render(T_WORLD_CAMERA, ROOM, _boards(views[number]), stream(0, number))
 
     name = f"rendering/images {size.width}x{size.height}{', distorted' if distorted else ''}"
     rate, note = _per_second(work, count)
@@ -134,37 +133,33 @@ def _images(size: Size, distorted: bool, count: int) -> Row:
 
 def _moving(size: Size, count: int) -> Row:
     """As of a camera on an arm: the room is drawn anew for every image."""
-    from calibration.simulation.rendering.image import render_image
-
     sensor, views = SimulatedCamera(size.camera()), poses(count)
 
     def work(number: int) -> object:
         T_world_camera = from_xyz_rpy([0.001 * number, 0, 0], [0, 0, 0]) @ T_WORLD_CAMERA
-        return render_image(sensor, T_world_camera, ROOM, _boards(views[number]), stream(0, number))
+        return sensor.render(T_world_camera, ROOM, _boards(views[number]), stream(0, number))
 
     rate, note = _per_second(work, count)
     return Row(f"rendering/images {size.width}x{size.height}, moving", rate, "images/s", None, note)
 
 
 def _depth_images(size: Size, count: int) -> Row:
-    from calibration.simulation.rendering.depth import render_depth
 
     sensor, views = SimulatedDepthCamera(size.camera()), poses(count)
 
     def work(number: int) -> object:
-        return render_depth(sensor, T_WORLD_CAMERA, ROOM, _boards(views[number]), stream(0, number))
+        return sensor.render(T_WORLD_CAMERA, ROOM, _boards(views[number]), stream(0, number))
 
     rate, note = _per_second(work, count)
     return Row(f"rendering/depth {size.width}x{size.height}", rate, "images/s", Bar(low=size.least), note)
 
 
 def _rays(count: int) -> Row:
-    from calibration.simulation.rendering.lidar import scan
 
     lidar, views = SimulatedLidar(tuple(np.radians(np.linspace(-15, 15, 32))), 1800), poses(count)
 
     def work(number: int) -> object:
-        return scan(lidar, T_WORLD_CAMERA, ROOM, _boards(views[number]), stream(0, number))
+        return lidar.scan(T_WORLD_CAMERA, ROOM, _boards(views[number]), stream(0, number))
 
     work(0)
     start = time.perf_counter()
@@ -177,14 +172,13 @@ def _rays(count: int) -> Row:
 def _corners(camera: Camera, count: int, bar: Bar) -> Iterator[Row]:
     """The detector that datasets are labelled with, against the projected truth."""
     from calibration.labelling.corners import corner_detector
-    from calibration.simulation.rendering.image import render_image
 
     detector, views, sensor = corner_detector(PATTERN), poses(count), SimulatedCamera(camera)
     truth = [camera.project(apply(T, PATTERN.pattern().corners)) for T in views]
     open_room = replace(ROOM, boxes=ROOM.boxes[:1])
 
     def work(number: int) -> Array:
-        image = render_image(sensor, T_WORLD_CAMERA, open_room, _boards(views[number]), stream(1, number))
+        image = sensor.render(T_WORLD_CAMERA, open_room, _boards(views[number]), stream(1, number))
         labels = detector.detect(image)
         if isinstance(labels, NotDetected):
             return np.zeros((0, 2))

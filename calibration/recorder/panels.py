@@ -8,12 +8,12 @@ import numpy as np
 import viser
 
 from calibration.geometry import rotations
+from calibration.geometry.cameras import Camera
 from calibration.geometry.transforms import from_xyz_rpy
 from calibration.geometry.types import Array
 from calibration.labelling.detection import Image
 from calibration.recorder import markup
 from calibration.recorder.preview import WIDTH, Preview
-from calibration.recorder.scene import camera_of
 from calibration.recorder.session import Session
 from calibration.simulation.robot import Joint
 from calibration.simulation.system import System
@@ -33,10 +33,10 @@ class ViewsPanel:
             self._verdict = gui.add_html(markup.verdict(None))
             self._findings: dict[str, viser.GuiHtmlHandle] = {}
             self._pictures: dict[str, viser.GuiImageHandle] = {}
-            for name in system.sensors:
+            for name, sensor in system.sensors.items():
                 self._findings[name] = gui.add_html(markup.finding(name, None))
-                if name not in (*system.lidars, *system.lidars2d):
-                    self._pictures[name] = gui.add_image(_blank(system, name), jpeg_quality=85)
+                if sensor.intrinsics:
+                    self._pictures[name] = gui.add_image(_blank(sensor.intrinsics), jpeg_quality=85)
         self._blanks = {name: handle.image for name, handle in self._pictures.items()}
         panel.dock_left()
         panel.set_width(_PANEL_WIDTH)
@@ -56,8 +56,7 @@ class ViewsPanel:
             picture.image = self._blanks[name] if view is None or view.picture is None else view.picture
 
 
-def _blank(system: System, sensor: str) -> Image:
-    camera = camera_of(system, sensor)
+def _blank(camera: Camera) -> Image:
     scale = min(1.0, WIDTH / camera.width)
     return np.full((max(1, round(camera.height * scale)), max(1, round(camera.width * scale)), 3), 222, np.uint8)
 

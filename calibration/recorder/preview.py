@@ -17,8 +17,8 @@ from calibration.labelling.points import PatternPoints
 from calibration.simulation.collection.capture import Capture, capture
 from calibration.simulation.collection.checks import Requirements, reasons_to_lose
 from calibration.simulation.collection.play import play
-from calibration.simulation.collection.stored_scan import scan_points
 from calibration.simulation.motion.sequence import Motion
+from calibration.simulation.sensors.sensor import Found
 from calibration.simulation.system import System
 
 SEED = 1
@@ -68,34 +68,27 @@ def preview(system: System, pose: Motion) -> Preview:
     return Preview(views, reasons_to_lose(system, captured, Requirements()))
 
 
-def _view(system: System, captured: Capture, sensor: str) -> View:
-    corners = {pattern: found for (pattern, name), found in captured.corners.items() if name == sensor}
-    points = {pattern: found for (pattern, name), found in captured.points.items() if name == sensor}
-    seen: Mapping[str, CornerLabels | PatternPoints | NotDetected] = {**corners, **points}
+def _view(system: System, captured: Capture, name: str) -> View:
+    found, data = captured.found_by(name), captured.data[name]
     finding = "; ".join(
-        (f"{pattern}: " if len(seen) > 1 else "") + _words(found, len(system.patterns[pattern].corners))
-        for pattern, found in seen.items()
+        (f"{pattern}: " if len(found) > 1 else "") + _words(answer, len(system.patterns[pattern].corners))
+        for pattern, answer in found.items()
     )
-    detected = not all(isinstance(found, NotDetected) for found in seen.values())
-    labelled = [found.on_pattern for found in points.values() if isinstance(found, PatternPoints)]
-    if sensor in captured.clouds or sensor in captured.scans:
-        cloud = captured.clouds[sensor] if sensor in captured.clouds else _scan(system, captured, sensor)
-        on_pattern = np.zeros(len(cloud), bool)
+    detected = not all(isinstance(answer, NotDetected) for answer in found.values())
+    labelled = [answer.on_pattern for answer in found.values() if isinstance(answer, PatternPoints)]
+    points = system.sensors[name].points(data)
+    if points is not None:
+        on_pattern = np.zeros(len(points), bool)
         for indices in labelled:
             on_pattern[indices] = True
-        returned = np.isfinite(cloud).all(-1)
-        return View(finding, detected, points=cloud[returned], on_pattern=on_pattern[returned])
-    if sensor in captured.depths:
-        return View(finding, detected, draw_depth(captured.depths[sensor], labelled))
-    labels = [found for found in corners.values() if isinstance(found, CornerLabels)]
-    return View(finding, detected, draw_corners(captured.images[sensor], labels))
+        returned = np.isfinite(points).all(-1)
+        return View(finding, detected, points=points[returned], on_pattern=on_pattern[returned])
+    if name in system.cameras:
+        return View(finding, detected, draw_corners(data, list(captured.corners(name).values())))
+    return View(finding, detected, draw_depth(data, labelled))
 
 
-def _scan(system: System, captured: Capture, sensor: str) -> Array:
-    return scan_points(system.lidars2d[sensor], captured.scans[sensor])
-
-
-def _words(found: CornerLabels | PatternPoints | NotDetected, corners: int) -> str:
+def _words(found: Found, corners: int) -> str:
     match found:
         case NotDetected():
             return found.reason

@@ -55,8 +55,9 @@ class RobotScene:
             axes_length=0.06 * self.size,
             axes_radius=0.002 * self.size,
         )
-        self._frusta = {name: self._add_frustum(name) for name in (*system.cameras, *system.depth_cameras)}
-        self._lidars = {name: self._add_lidar(name) for name in (*system.lidars, *system.lidars2d)}
+        cameras = {name: camera for name, sensor in system.by_modality if (camera := sensor.intrinsics)}
+        self._frusta = {name: self._add_frustum(name, camera) for name, camera in cameras.items()}
+        self._lidars = {name: self._add_lidar(name) for name in system.sensors if name not in cameras}
         self._boards = {name: self._add_board(name) for name in system.patterns}
         self._saved: dict[int, viser.LineSegmentsHandle] = {}
         self.gizmo: viser.TransformControlsHandle | None = None
@@ -151,8 +152,7 @@ class RobotScene:
             )
             _place(thing, box.T_world_box)
 
-    def _add_frustum(self, sensor: str) -> viser.CameraFrustumHandle:
-        camera = camera_of(self._system, sensor)
+    def _add_frustum(self, sensor: str, camera: Camera) -> viser.CameraFrustumHandle:
         return self._scene.add_camera_frustum(
             _name(sensor),
             fov=2 * math.atan(camera.height / 2 / camera.fy),
@@ -203,11 +203,6 @@ def print_of(configuration: PatternConfiguration, legacy_layout: bool) -> Image:
     right, down = (round(border / configuration.size * side) for border in configuration.border_size)
     grey = np.pad(squares, ((down, down), (right, right)), constant_values=WHITE)
     return np.repeat(grey[:, :, None], 3, axis=2)
-
-
-def camera_of(system: System, sensor: str) -> Camera:
-    """The camera model of a camera or a depth camera."""
-    return system.cameras[sensor].camera if sensor in system.cameras else system.depth_cameras[sensor].camera
 
 
 def wxyz(T: Array) -> Array:

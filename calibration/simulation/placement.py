@@ -12,6 +12,7 @@ from calibration.geometry.types import Array, BoolArray
 from calibration.simulation.motion.sequence import Motion
 from calibration.simulation.robot import compose
 from calibration.simulation.scene import Scene
+from calibration.simulation.sensors.sensor import Views
 from calibration.simulation.system import System
 
 
@@ -37,6 +38,17 @@ class Placement:
         origins = np.stack([T_world_sensor[:, :3, 3] for T_world_sensor in self.sensors.values()], 1)
         free: BoolArray = ~np.any(scene.contains(origins), axis=-1)
         return free
+
+
+def views(system: System, placement: Placement, sensor: str, pattern: str) -> Views:
+    """A pattern of a system before one of its sensors, at the poses of a placement."""
+    return Views(
+        system.configuration.patterns[pattern],
+        system.patterns[pattern],
+        system.scene,
+        placement.sensors[sensor],
+        placement.patterns[pattern],
+    )
 
 
 def place(system: System, motion: Motion) -> Placement:

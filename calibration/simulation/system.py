@@ -34,17 +34,7 @@ from calibration.simulation.description import MAX_BYTES, interval, number, numb
 from calibration.simulation.joints import JointErrors, check_calibrated_joints, read_joint_errors, with_errors
 from calibration.simulation.robot import Robot, read_robot
 from calibration.simulation.scene import Scene, read_scene
-from calibration.simulation.sensors import (
-    SimulatedCamera,
-    SimulatedDepthCamera,
-    SimulatedLidar,
-    SimulatedLidar2d,
-    SimulatedSensor,
-    read_camera,
-    read_depth_camera,
-    read_lidar,
-    read_lidar2d,
-)
+from calibration.simulation.sensors import KINDS, SimulatedCamera, SimulatedSensor
 from calibration.yaml_file import read_yaml
 
 ROBOT_FILE = "robot.urdf"
@@ -100,23 +90,14 @@ class System:
 
     @property
     def cameras(self) -> dict[str, SimulatedCamera]:
-        """The cameras among the sensors."""
+        """The sensors in whose images patterns are found without being told where they are."""
         return {name: sensor for name, sensor in self.sensors.items() if isinstance(sensor, SimulatedCamera)}
 
     @property
-    def depth_cameras(self) -> dict[str, SimulatedDepthCamera]:
-        """The depth cameras among the sensors."""
-        return {name: sensor for name, sensor in self.sensors.items() if isinstance(sensor, SimulatedDepthCamera)}
-
-    @property
-    def lidars(self) -> dict[str, SimulatedLidar]:
-        """The 3D LiDARs among the sensors."""
-        return {name: sensor for name, sensor in self.sensors.items() if isinstance(sensor, SimulatedLidar)}
-
-    @property
-    def lidars2d(self) -> dict[str, SimulatedLidar2d]:
-        """The 2D LiDARs among the sensors."""
-        return {name: sensor for name, sensor in self.sensors.items() if isinstance(sensor, SimulatedLidar2d)}
+    def by_modality(self) -> list[tuple[str, SimulatedSensor]]:
+        """The sensors with their names, in the order of `KINDS`: the order in which datasets write labels."""
+        order = list(KINDS)
+        return sorted(self.sensors.items(), key=lambda item: order.index(item[1].modality.name))
 
     def boards(self, T_world_pattern: Mapping[str, Array]) -> list[Board]:
         """The patterns at poses (4, 4) in the world, in the order of the configuration."""
@@ -198,17 +179,11 @@ def _empty(node: Node) -> Node:
 
 
 def _sensor(node: Node, sensor: SensorConfiguration, configuration: Path) -> SimulatedSensor:
-    match sensor.modality:
-        case "rgb":
-            return read_camera(node)
-        case "depth":
-            return read_depth_camera(node)
-        case "lidar3d":
-            return read_lidar(node)
-        case "lidar2d":
-            return read_lidar2d(node)
-    where = f"{configuration}: sensors/{sensor.name}/modality"
-    raise InputError(f"{where}: found '{sensor.modality}', expected 'rgb', 'depth', 'lidar3d' or 'lidar2d'")
+    if sensor.modality not in KINDS:
+        *others, last = (f"'{name}'" for name in KINDS)
+        where = f"{configuration}: sensors/{sensor.name}/modality"
+        raise InputError(f"{where}: found '{sensor.modality}', expected {', '.join(others)} or {last}")
+    return KINDS[sensor.modality].read(node)
 
 
 def _bow(node: Node) -> tuple[float, float]:

@@ -16,7 +16,7 @@ from benchmarks.action_start import INPUTS
 from calibration.dataset.document import Node
 from calibration.json_schema import bundled
 from calibration.simulation.scene import read_scene
-from calibration.simulation.sensors import read_camera, read_depth_camera, read_lidar
+from calibration.simulation.sensors import SimulatedCamera, SimulatedDepthCamera, SimulatedLidar
 from tests.lint.documents import made_whole, yaml_blocks
 
 from .write_inputs import FILES, README, options, with_inputs, with_tables
@@ -212,7 +212,7 @@ def test_the_configurations_in_the_readme_are_right(examples: list[Any]) -> None
         jsonschema.validate(document, schema)
     [simulation] = [example for example in examples if "sensors" in example]
     node = Node(README, (), simulation)
-    assert read_camera(node["sensors"]["left_camera"]).camera.distortion.k1 == -0.1
-    assert read_depth_camera(node["sensors"]["depth"]).most_range == 6.5
-    assert len(read_lidar(node["sensors"]["lidar"]).elevations) == 16
+    assert SimulatedCamera.read(node["sensors"]["left_camera"]).camera.distortion.k1 == -0.1
+    assert SimulatedDepthCamera.read(node["sensors"]["depth"]).most_range == 6.5
+    assert len(SimulatedLidar.read(node["sensors"]["lidar"]).elevations) == 16
     assert read_scene(node["scene"]).boxes[0].colour == (170, 160, 150)

@@ -22,13 +22,12 @@ from calibration.recorder.preview import preview
 from calibration.simulation.motion.expected import expected_dataset
 from calibration.simulation.motion.information import expected_noise
 from calibration.simulation.motion.sequence import read_motion
-from calibration.simulation.motion.views import lidar2d_detects
 from calibration.simulation.placement import place
 from calibration.simulation.random_streams import stream
-from calibration.simulation.rendering.lidar import scan
 from calibration.simulation.scene import Scene
+from calibration.simulation.sensors import SimulatedLidar2d
 from calibration.simulation.system import System, read_system
-from tests.simulation.conftest import DATASETS
+from tests.simulation.conftest import DATASETS, detects
 
 POSES = 12
 LIDAR = "lidar_right"
@@ -44,6 +43,12 @@ def scanner(folder: Path) -> Path:
     (folder / "config.yml").write_text((source / "config.yml").read_text().replace("lidar3d", "lidar2d"))
     (folder / "simulation.yml").write_text(simulation[:start] + flat + simulation[end:])
     return folder
+
+
+def lidar_of(system: System) -> SimulatedLidar2d:
+    lidar = system.sensors[LIDAR]
+    assert isinstance(lidar, SimulatedLidar2d)
+    return lidar
 
 
 @pytest.fixture(scope="module")
@@ -98,16 +103,16 @@ def test_its_ends_are_evaluated_in_the_cameras_images(collected: tuple[Collectio
 
 
 def test_the_expected_cuts_are_those_of_the_simulated_scans(system: System) -> None:
-    exact = replace(system.lidars2d[LIDAR], noise=0.0, resolution=0.0)
+    exact = replace(lidar_of(system), noise=0.0, resolution=0.0)
     system = replace(system, sensors={**system.sensors, LIDAR: exact}, scene=Scene())
     placement = place(system, read_motion(DATASETS / "rlbot" / "motion.json"))
-    cuts = lidar2d_detects(system, LIDAR, "pattern_1", placement)
+    cuts = detects(system, LIDAR, "pattern_1", placement)
     assert 3 < cuts.sum() < len(cuts)
     dataset = expected_dataset(system, placement)
     assert dataset.sensors[LIDAR].camera is None
     for number, labels in dataset.detections("pattern_1", LIDAR):
         boards = system.boards({name: T[number] for name, T in placement.patterns.items()})
-        seen = scan(exact, placement.sensors[LIDAR][number], system.scene, boards, stream(0))
+        seen = exact.scan(placement.sensors[LIDAR][number], system.scene, boards, stream(0))
         on = np.flatnonzero(seen.board[0] == 0)
         np.testing.assert_allclose(labels.points, exact.directions()[0, on] * seen.ranges[0, on, None], atol=1e-9)
         assert labels.limits.tolist() == [0, len(on) - 1]
@@ -116,8 +121,8 @@ def test_the_expected_cuts_are_those_of_the_simulated_scans(system: System) -> N
 
 def test_a_cut_needs_range_and_angle_and_sight(system: System) -> None:
     placement = place(system, read_motion(DATASETS / "rlbot" / "motion.json"))
-    usual = lidar2d_detects(system, LIDAR, "pattern_1", placement)
-    lidar = system.lidars2d[LIDAR]
+    usual = detects(system, LIDAR, "pattern_1", placement)
+    lidar = lidar_of(system)
     for changed in (
         replace(lidar, most_range=1.0),
         replace(lidar, least_range=5.0),
@@ -125,7 +130,7 @@ def test_a_cut_needs_range_and_angle_and_sight(system: System) -> None:
     ):
         other = replace(system, sensors={**system.sensors, LIDAR: changed})
         assert usual.any()
-        assert not lidar2d_detects(other, LIDAR, "pattern_1", placement).any()
+        assert not detects(other, LIDAR, "pattern_1", placement).any()
 
 
 def test_its_expected_noise_is_its_own(system: System) -> None:
@@ -136,7 +141,7 @@ def test_its_expected_noise_is_its_own(system: System) -> None:
 
 def test_the_recorder_shows_its_points(system: System) -> None:
     motion = read_motion(DATASETS / "rlbot" / "motion.json")
-    cuts = lidar2d_detects(system, LIDAR, "pattern_1", place(system, motion))
+    cuts = detects(system, LIDAR, "pattern_1", place(system, motion))
     view = preview(system, motion.take([int(cuts.argmax())])).views[LIDAR]
     assert view.detected
     assert np.isfinite(view.points).all()

@@ -260,9 +260,9 @@ def test_without_a_camera_the_pattern_begins_in_front_of_the_first_sensor(system
     system = systems["rlbot"]
     lidar = replace(
         system,
-        sensors=system.lidars,
+        sensors={"lidar_right": system.sensors["lidar_right"]},
         configuration=replace(
-            system.configuration, sensors={name: system.configuration.sensors[name] for name in system.lidars}
+            system.configuration, sensors={"lidar_right": system.configuration.sensors["lidar_right"]}
         ),
     )
     session = Session(lidar)

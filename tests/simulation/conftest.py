@@ -2,6 +2,11 @@ from pathlib import Path
 
 import pytest
 
+from calibration.geometry.types import Array, BoolArray
+from calibration.simulation.placement import Placement, views
+from calibration.simulation.scene import Scene
+from calibration.simulation.sensors.camera import CornerViews
+from calibration.simulation.sensors.sensor import Views
 from calibration.simulation.system import System, read_system
 
 DATASETS = Path(__file__).resolve().parents[2] / "datasets"
@@ -24,3 +29,20 @@ def system_copy(tmp_path: Path) -> Path:
     for name in ("robot.urdf", "config.yml", "simulation.yml"):
         (folder / name).write_bytes((DATASETS / "rlbot" / name).read_bytes())
     return folder
+
+
+def detects(system: System, sensor: str, pattern: str, placement: Placement) -> BoolArray:
+    """At which poses (N,) a sensor is expected to detect a pattern."""
+    return system.sensors[sensor].detects(views(system, placement, sensor, pattern))
+
+
+def corner_views(system: System, camera: str, pattern: str, placement: Placement) -> CornerViews:
+    """What a camera is expected to see of a pattern's corners."""
+    return system.cameras[camera].corner_views(views(system, placement, camera, pattern))
+
+
+def one_view(system: System, T_world_sensor: Array, T_world_pattern: Array, scene: Scene) -> Views:
+    """The system's pattern before some sensor, once; poses (4, 4)."""
+    pattern = "pattern_1"
+    poses = (T_world_sensor[None], T_world_pattern[None])
+    return Views(system.configuration.patterns[pattern], system.patterns[pattern], scene, *poses)

@@ -9,9 +9,9 @@ from calibration.simulation.joints import joint_values
 from calibration.simulation.motion.drawing import draw_motion
 from calibration.simulation.motion.expected import expected_dataset
 from calibration.simulation.motion.generation import generate_motion
-from calibration.simulation.motion.information import CORNER_NOISE
 from calibration.simulation.placement import place
 from calibration.simulation.random_streams import stream
+from calibration.simulation.sensors.camera import CORNER_NOISE
 from calibration.simulation.system import System
 
 

@@ -9,13 +9,7 @@ import pytest
 from calibration.dataset.document import Node
 from calibration.errors import InputError
 from calibration.geometry.distortion import Equidistant, Rational
-from calibration.simulation.sensors import (
-    SimulatedCamera,
-    SimulatedDepthCamera,
-    read_camera,
-    read_depth_camera,
-    read_lidar2d,
-)
+from calibration.simulation.sensors import SimulatedCamera, SimulatedDepthCamera, SimulatedLidar2d
 
 
 def node(**entries: Any) -> Node:
@@ -23,7 +17,7 @@ def node(**entries: Any) -> Node:
 
 
 def test_a_camera_has_defaults_for_its_images() -> None:
-    camera = read_camera(node())
+    camera = SimulatedCamera.read(node())
     assert camera == SimulatedCamera(camera.camera)
     assert (camera.blur, camera.noise, camera.vignetting, camera.exposure) == (0.65, 2.0, 0.1, 1.0)
     assert camera.camera.fx == pytest.approx(320 / math.tan(math.radians(30)))
@@ -32,23 +26,23 @@ def test_a_camera_has_defaults_for_its_images() -> None:
 
 def test_a_camera_in_full() -> None:
     keys = {"blur_px": 0, "noise_levels": 0.5, "vignetting": 1, "exposure": 2.5, "distortion": [-0.1, 0, 0, 0, 0]}
-    camera = read_camera(node(**keys))
+    camera = SimulatedCamera.read(node(**keys))
     assert (camera.blur, camera.noise, camera.vignetting, camera.exposure) == (0, 0.5, 1, 2.5)
     assert camera.camera.distortion.k1 == -0.1
 
 
 def test_a_lens_of_another_model() -> None:
-    fisheye = read_camera(node(distortion_model="equidistant", distortion=[0.1, 0, 0, 0.2])).camera
+    fisheye = SimulatedCamera.read(node(distortion_model="equidistant", distortion=[0.1, 0, 0, 0.2])).camera
     assert fisheye.distortion == Equidistant(0.1, 0, 0, 0.2)
     assert fisheye.fx == pytest.approx(320 / math.radians(30))  # 640 pixels of 60 degrees, as many for each
-    assert read_camera(node(distortion_model="rational_polynomial")).camera.distortion == Rational()
-    assert read_camera(node(distortion_model="plumb_bob")) == read_camera(node())
+    assert SimulatedCamera.read(node(distortion_model="rational_polynomial")).camera.distortion == Rational()
+    assert SimulatedCamera.read(node(distortion_model="plumb_bob")) == SimulatedCamera.read(node())
 
 
 def test_a_depth_camera() -> None:
-    usual = read_depth_camera(node())
+    usual = SimulatedDepthCamera.read(node())
     assert usual == SimulatedDepthCamera(usual.camera)
-    depth = read_depth_camera(node(range_m=[0.1, 4], noise_m=0.002, noise_per_m2=0))
+    depth = SimulatedDepthCamera.read(node(range_m=[0.1, 4], noise_m=0.002, noise_per_m2=0))
     assert (depth.least_range, depth.most_range, depth.noise, depth.noise_growth) == (0.1, 4, 0.002, 0)
     np.testing.assert_array_equal(depth.camera.K, usual.camera.K)
 
@@ -75,7 +69,7 @@ def test_a_depth_camera() -> None:
 )
 def test_what_is_wrong_with_a_camera_is_named(entries: dict[str, Any], message: str) -> None:
     with pytest.raises(InputError) as error:
-        read_camera(node(**entries))
+        SimulatedCamera.read(node(**entries))
     assert str(error.value).startswith("simulation.yml: sensors/eye")
     assert message in str(error.value)
 
@@ -90,7 +84,7 @@ def test_what_is_wrong_with_a_camera_is_named(entries: dict[str, Any], message: 
 )
 def test_what_is_wrong_with_a_depth_camera_is_named(entries: dict[str, Any], message: str) -> None:
     with pytest.raises(InputError) as error:
-        read_depth_camera(node(**entries))
+        SimulatedDepthCamera.read(node(**entries))
     assert message in str(error.value)
 
 
@@ -99,13 +93,13 @@ def flat(**keys: Any) -> Node:
 
 
 def test_a_2d_lidar() -> None:
-    usual = read_lidar2d(flat())
+    usual = SimulatedLidar2d.read(flat())
     assert usual.step == pytest.approx(math.radians(0.5))
     directions, half = usual.directions(), 0.5**0.5
     assert directions.shape == (1, 541, 3)
     np.testing.assert_allclose(directions[0, [0, 270, 540], :2], [[-half, -half], [1, 0], [-half, half]], atol=1e-12)
     assert not directions[..., 2].any()
-    lidar = read_lidar2d(flat(angle_deg=[0, 180], range_m=[0.2, 10], noise_m=0.03, resolution_m=0))
+    lidar = SimulatedLidar2d.read(flat(angle_deg=[0, 180], range_m=[0.2, 10], noise_m=0.03, resolution_m=0))
     assert (lidar.least_range, lidar.most_range, lidar.noise, lidar.resolution) == (0.2, 10, 0.03, 0)
 
 
@@ -122,4 +116,4 @@ def test_a_2d_lidar() -> None:
 )
 def test_what_is_wrong_with_a_2d_lidar_is_named(entries: dict[str, Any], message: str) -> None:
     with pytest.raises(InputError, match=f"^simulation.yml: {re.escape(message)}"):
-        read_lidar2d(flat(**entries))
+        SimulatedLidar2d.read(flat(**entries))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from calibration.errors import InputError
-from calibration.simulation.sensors import SimulatedCamera, SimulatedLidar
+from calibration.simulation.sensors import SimulatedCamera, SimulatedDepthCamera, SimulatedLidar
 from calibration.simulation.system import System, read_system
 from tests.simulation.conftest import DATASETS
 
@@ -16,7 +16,8 @@ def test_the_systems_that_ship_have_the_sensors_of_the_paper(systems: dict[str, 
     assert (camera.width, camera.height, camera.cx, camera.cy) == (640, 480, 320.5, 240.5)
     assert camera.fx == camera.fy == pytest.approx(554.256, abs=1e-3)
     assert rlbot.cameras["rgb_left"].camera.fx == pytest.approx(1039.23, abs=1e-2)
-    lidar = rlbot.lidars["lidar_right"]
+    lidar = rlbot.sensors["lidar_right"]
+    assert isinstance(lidar, SimulatedLidar)
     assert (len(lidar.elevations), lidar.azimuths, lidar.noise, lidar.resolution) == (16, 1875, 0.008, 0.001)
     np.testing.assert_allclose(np.degrees(lidar.elevations), np.arange(-15, 16, 2), atol=1e-12)
     assert rlbot.configuration.anchored_sensor == "rgb_left"
@@ -79,9 +80,9 @@ def test_a_depth_camera(system_copy: Path) -> None:
         assert old in path.read_text()
         path.write_text(path.read_text().replace(old, new))
     system = read_system(system_copy)
-    assert list(system.depth_cameras) == ["lidar_right"]
-    assert system.lidars == {}
-    assert system.depth_cameras["lidar_right"].noise == 0.008
+    depth = system.sensors["lidar_right"]
+    assert isinstance(depth, SimulatedDepthCamera)
+    assert depth.noise == 0.008
 
 
 @pytest.mark.parametrize(

@@ -2,31 +2,20 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from itertools import combinations
 
 import numpy as np
 
-from calibration.dataset.configuration import PatternConfiguration
 from calibration.dataset.model import CornerLabels
 from calibration.dataset.pattern import Pattern
 from calibration.estimation.single_views import corner_term, fitted_poses
 from calibration.geometry.cameras import Camera
 from calibration.geometry.transforms import inverse, translation
 from calibration.geometry.types import Array
-from calibration.labelling.corners import CornerDetector, corner_detector
-from calibration.labelling.depth import label_depth
-from calibration.labelling.detection import DepthImage, Image, NotDetected
-from calibration.labelling.points import PatternPoints, label_points
-from calibration.labelling.scan_line import label_scan_line
 from calibration.simulation.board import Board
 from calibration.simulation.collection.play import Play
-from calibration.simulation.collection.stored_cloud import stored_cloud
-from calibration.simulation.collection.stored_scan import scan_points, stored_ranges
 from calibration.simulation.random_streams import stream
-from calibration.simulation.rendering.depth import render_depth
-from calibration.simulation.rendering.image import render_image
-from calibration.simulation.rendering.lidar import scan
+from calibration.simulation.sensors.sensor import Data, Found
 
 Key = tuple[str, str]
 """(pattern, sensor)."""
@@ -40,17 +29,20 @@ class Capture:
     """Of the pose, from 0."""
     boards: Mapping[str, Sequence[Board]]
     """The patterns as each sensor saw them, in the order of the configuration; a swaying one is elsewhere for each."""
-    images: Mapping[str, Image]
-    depths: Mapping[str, DepthImage]
-    clouds: Mapping[str, Array]
-    """(N, 3) in the frame of each 3D LiDAR, m."""
-    scans: Mapping[str, Array]
-    """(rays,): the ranges of each 2D LiDAR, m; 0 where nothing came back."""
-    corners: Mapping[Key, CornerLabels | NotDetected]
-    points: Mapping[Key, PatternPoints | NotDetected]
-    """Of LiDARs and depth cameras."""
+    data: Mapping[str, Data]
+    """By sensor: what `SimulatedSensor.render` gave."""
+    labels: Mapping[Key, Found]
+    """Of every pattern and sensor."""
     estimates: Mapping[Key, Array]
     """``T_camera_pattern`` (4, 4) of the detected patterns, each from the labels of that one view."""
+
+    def found_by(self, sensor: str) -> dict[str, Found]:
+        """What a sensor found, by pattern."""
+        return {pattern: found for (pattern, name), found in self.labels.items() if name == sensor}
+
+    def corners(self, camera: str) -> dict[str, CornerLabels]:
+        """The corners that a camera found, by pattern; only those that it detects."""
+        return {pattern: found for pattern, found in self.found_by(camera).items() if isinstance(found, CornerLabels)}
 
     @property
     def movement(self) -> float:
@@ -68,52 +60,34 @@ def capture(play: Play, number: int) -> Capture:
     It depends on the play's seed, the number of the pose and the names of the sensors alone, so
     any part of a motion's collections is a part of the whole.
     """
-    system, scene = play.system, play.system.scene
-    patterns = system.configuration.patterns
+    system = play.system
     boards = {name: _boards(play, number, name) for name in system.sensors}
-    images, depths, clouds, scans = {}, {}, {}, {}
-    corners: dict[Key, CornerLabels | NotDetected] = {}
+    data = {
+        name: sensor.render(
+            play.true.sensors[name][number], system.scene, boards[name], stream(play.seed, number, name)
+        )
+        for name, sensor in system.sensors.items()
+    }
+    labels: dict[Key, Found] = {}
     estimates: dict[Key, Array] = {}
+
+    def label(name: str, T_world_pattern: Mapping[str, Array]) -> None:
+        T_sensor_world = inverse(play.nominal.sensors[name][number])
+        for pattern, configuration in system.configuration.patterns.items():
+            expected = T_sensor_world @ T_world_pattern[pattern]
+            labels[pattern, name] = system.sensors[name].label(data[name], configuration, expected)
+
     for name, camera in system.cameras.items():
-        random = stream(play.seed, number, name)
-        images[name] = render_image(camera, play.true.sensors[name][number], scene, boards[name], random)
-        for pattern, configuration in patterns.items():
-            found = corners[pattern, name] = _detector(configuration).detect(images[name])
+        label(name, {pattern: T[number] for pattern, T in play.nominal.patterns.items()})
+        for pattern in system.patterns:
+            found = labels[pattern, name]
             if isinstance(found, CornerLabels):
                 estimates[pattern, name] = estimate_pose(camera.camera, system.patterns[pattern], found)
-    points: dict[Key, PatternPoints | NotDetected] = {}
-    guesses = {pattern: _guess(play, number, pattern, corners, estimates) for pattern in patterns}
-    for name, lidar in system.lidars.items():
-        T_world_lidar = play.true.sensors[name][number]
-        measured = scan(lidar, T_world_lidar, scene, boards[name], stream(play.seed, number, name))
-        clouds[name] = stored_cloud(lidar, measured, boards[name], T_world_lidar)
-        T_lidar_world = inverse(play.nominal.sensors[name][number])
-        for pattern, T_world_pattern in guesses.items():
-            points[pattern, name] = label_points(
-                clouds[name], system.patterns[pattern], T_lidar_world @ T_world_pattern
-            )
-    for name, depth_camera in system.depth_cameras.items():
-        random = stream(play.seed, number, name)
-        depths[name] = render_depth(depth_camera, play.true.sensors[name][number], scene, boards[name], random)
-        T_camera_world = inverse(play.nominal.sensors[name][number])
-        for pattern, T_world_pattern in guesses.items():
-            points[pattern, name] = label_depth(
-                depths[name], depth_camera.camera, system.patterns[pattern], T_camera_world @ T_world_pattern
-            )
-    for name, lidar2d in system.lidars2d.items():
-        T_world_lidar = play.true.sensors[name][number]
-        measured = scan(lidar2d, T_world_lidar, scene, boards[name], stream(play.seed, number, name))
-        scans[name] = stored_ranges(lidar2d, measured)
-        seen = scan_points(lidar2d, scans[name])
-        T_lidar_world = inverse(play.nominal.sensors[name][number])
-        for pattern, T_world_pattern in guesses.items():
-            points[pattern, name] = label_scan_line(seen, system.patterns[pattern], T_lidar_world @ T_world_pattern)
-    return Capture(number, boards, images, depths, clouds, scans, corners, points, estimates)
-
-
-@lru_cache
-def _detector(configuration: PatternConfiguration) -> CornerDetector:
-    return corner_detector(configuration)
+    guesses = {pattern: _guess(play, number, pattern, labels, estimates) for pattern in system.patterns}
+    for name in system.sensors:
+        if name not in system.cameras:
+            label(name, guesses)
+    return Capture(number, boards, data, labels, estimates)
 
 
 def _boards(play: Play, number: int, sensor: str) -> list[Board]:
@@ -136,7 +110,7 @@ def _guess(
     play: Play,
     number: int,
     pattern: str,
-    corners: Mapping[Key, CornerLabels | NotDetected],
+    labels: Mapping[Key, Found],
     estimates: Mapping[Key, Array],
 ) -> Array:
     """``T_world_pattern`` by the camera that sees most of it; where it was to be if none does.
@@ -145,7 +119,7 @@ def _guess(
     """
     counts = {
         camera: len(found.ids)
-        for (name, camera), found in corners.items()
+        for (name, camera), found in labels.items()
         if name == pattern and isinstance(found, CornerLabels) and np.isfinite(estimates[name, camera]).all()
     }
     if not counts:

@@ -23,29 +23,21 @@ class Requirements:
 
 def reasons_to_lose(system: System, capture: Capture, requirements: Requirements) -> tuple[str, ...]:
     """Why a collection is not kept; nothing where it is."""
-    reasons = [reason for sensor in system.sensors if (reason := _undetected(system, capture, sensor))]
+    reasons = [reason for sensor in system.sensors if (reason := _undetected(capture, sensor))]
     if capture.movement > requirements.stillness:
         limit = 1000 * requirements.stillness
         reasons.append(f"moved {1000 * capture.movement:.1f} mm while the sensors looked, {limit:g} mm are allowed")
     for name, camera in system.cameras.items():
-        spans = [
-            image_share(camera.camera, found)
-            for (_, sensor), found in capture.corners.items()
-            if sensor == name and isinstance(found, CornerLabels)
-        ]
+        spans = [image_share(camera.camera, found) for found in capture.corners(name).values()]
         if spans and max(spans) < requirements.image_share:
             least = 100 * requirements.image_share
             reasons.append(f"{name}: the corners span {100 * max(spans):.2g} % of the image, {least:g} % are needed")
     return tuple(reasons)
 
 
-def _undetected(system: System, capture: Capture, sensor: str) -> str:
+def _undetected(capture: Capture, sensor: str) -> str:
     """Why a sensor detects none of the patterns; empty where it detects one."""
-    found = {
-        pattern: answer
-        for (pattern, name), answer in (*capture.corners.items(), *capture.points.items())
-        if name == sensor
-    }
+    found = capture.found_by(sensor)
     if not all(isinstance(answer, NotDetected) for answer in found.values()):
         return ""
     several = len(found) > 1

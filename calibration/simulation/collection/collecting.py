@@ -6,14 +6,12 @@ from functools import partial
 
 import cv2
 
-from calibration.dataset.configuration import SensorConfiguration
 from calibration.execution.tasks import Task, run_tasks
 from calibration.execution.workspace import Workspace
 from calibration.simulation.collection.capture import capture
 from calibration.simulation.collection.checks import Requirements, reasons_to_lose
-from calibration.simulation.collection.payload import data_file, encode
 from calibration.simulation.collection.play import Play
-from calibration.simulation.collection.record import Record, collection_key, record
+from calibration.simulation.collection.record import Record, data_file, record
 
 Done = Callable[[int, int, Record], None]
 """Called after each pose with how many are done, how many there are, and its record."""
@@ -35,15 +33,11 @@ def collect_pose(
     """
     seen = capture(play, number)
     files = {
-        data_file(sensor, collection_key(number)): encode(seen, sensor.name)
-        for sensor in play.system.configuration.sensors.values()
-        if sensor.name not in seen.scans and (images or _is_labelled_by_index(sensor))
+        data_file(name, sensor, number): sensor.encode(seen.data[name])
+        for name, sensor in play.system.sensors.items()
+        if sensor.file_ending and (images or sensor.modality.points)
     }
     return record(play, seen, reasons_to_lose(play.system, seen, requirements)), files
-
-
-def _is_labelled_by_index(sensor: SensorConfiguration) -> bool:
-    return sensor.modality != "rgb"
 
 
 def collect(

@@ -16,18 +16,16 @@ from calibration.dataset.pattern_document import pattern_document
 from calibration.dataset.sensors import camera_document
 from calibration.geometry.cameras import Camera
 from calibration.geometry.joints import JOINT_PARAMETERS
+from calibration.simulation.collection.messages import POSE_DECIMALS, message_header, pose_document
 from calibration.simulation.collection.play import Play
-from calibration.simulation.collection.pose_document import POSE_DECIMALS, pose_document
-from calibration.simulation.collection.record import Record, message_header
+from calibration.simulation.collection.record import Record
 from calibration.simulation.joints import joint_values
-from calibration.simulation.sensors import SimulatedCamera, SimulatedDepthCamera
 from calibration.simulation.system import System
 
 USER = "calibration-ci"
 DATE = "Thu Jan  1 00:00:00 1970"
 TIMESTAMP = "0.0"
 """A simulated dataset is of no day: the same input gives the same bytes."""
-_MESSAGES = {"rgb": "Image", "depth": "Image", "lidar3d": "PointCloud2", "lidar2d": "LaserScan"}
 
 
 def dataset_document(system: System, kept: Sequence[Record]) -> dict[str, Any]:
@@ -63,7 +61,7 @@ def truth_document(play: Play, kept: Sequence[Record]) -> dict[str, Any]:
     def constant(edge: Edge) -> dict[str, Any]:
         return pose_document(edge, play.true.transforms[edge][0])
 
-    noises = [lidar.noise for lidar in system.lidars.values()] + [lidar.noise for lidar in system.lidars2d.values()]
+    noises = [sensor.noise for sensor in system.sensors.values() if sensor.modality.family == "lidar"]
     constants = [edge for edge in config.additional_tfs.values() if edge not in system.unknown_motions]
     fixed = [(pattern.parent_link, pattern.link) for pattern in system.patterns.values() if pattern.fixed]
     errors = [error for record in kept for error in record.errors.values()]
@@ -91,6 +89,7 @@ def _true_joints(system: System) -> dict[str, dict[str, float]]:
 
 
 def _sensor(system: System, sensor: SensorConfiguration) -> dict[str, Any]:
+    simulated = system.sensors[sensor.name]
     steps = system.robot.tree.path(system.configuration.world_link, sensor.link)
     document: dict[str, Any] = {
         "_name": sensor.name,
@@ -98,14 +97,13 @@ def _sensor(system: System, sensor: SensorConfiguration) -> dict[str, Any]:
         "calibration_parent": sensor.parent_link,
         "chain": [{"parent": s.parent, "child": s.child, "key": f"{s.parent}-{s.child}"} for s in steps],
         "modality": sensor.modality,
-        "msg_type": _MESSAGES[sensor.modality],
+        "msg_type": simulated.modality.message,
         "parent": sensor.link,
         "topic": sensor.topic_name,
     }
-    simulated = system.sensors[sensor.name]
-    if isinstance(simulated, SimulatedCamera | SimulatedDepthCamera):
+    if simulated.intrinsics:
         document["camera_info_topic"] = str(PurePosixPath(sensor.topic_name).parent / "camera_info")
-        document["camera_info"] = _camera_info(simulated.camera, sensor.link)
+        document["camera_info"] = _camera_info(simulated.intrinsics, sensor.link)
     return document
 
 

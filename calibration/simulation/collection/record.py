@@ -10,21 +10,16 @@ from typing import Any
 
 import numpy as np
 
-from calibration.dataset.configuration import SensorConfiguration
 from calibration.dataset.model import CornerLabels, Edge
 from calibration.geometry.cameras import Camera
 from calibration.geometry.transforms import apply, inverse
 from calibration.geometry.types import Array
-from calibration.labelling.detection import NotDetected
 from calibration.labelling.points import PatternPoints
 from calibration.simulation.collection.capture import Capture
-from calibration.simulation.collection.joint_document import joint_document
-from calibration.simulation.collection.payload import data_file
+from calibration.simulation.collection.messages import joint_document, message_header, pose_document
 from calibration.simulation.collection.play import Play
-from calibration.simulation.collection.pose_document import pose_document
-from calibration.simulation.collection.stored_scan import scan_message
 from calibration.simulation.robot import compose
-from calibration.simulation.sensors import SimulatedCamera, SimulatedDepthCamera, SimulatedLidar, SimulatedLidar2d
+from calibration.simulation.sensors.sensor import Found, SimulatedSensor
 
 ESTIMATE_DECIMALS = 5
 """Of estimated poses: 10 micrometres and microradians."""
@@ -114,20 +109,14 @@ def collection_key(number: int) -> str:
 def record(play: Play, capture: Capture, lost: tuple[str, ...]) -> Record:
     """The record of a capture."""
     system, number = play.system, capture.number
-    answers = {**capture.corners, **capture.points}
-    labels = {
-        name: sum(_count(answer) for (_, sensor), answer in answers.items() if sensor == name)
-        for name in system.sensors
-    }
     return Record(
         number=number,
         lost=lost,
-        labels=labels,
+        labels={name: sum(map(_count, capture.found_by(name).values())) for name in system.sensors},
         complete={name: _sees_all(play, capture, name) for name in system.cameras},
         errors={name: error for name in system.cameras if (error := _corner_errors(play, capture, name))},
         cells={
-            name: image_cells(sensor.camera, [labels for _, labels in _detected(capture, name)])
-            for name, sensor in system.cameras.items()
+            name: image_cells(sensor.camera, capture.corners(name).values()) for name, sensor in system.cameras.items()
         },
         collection=_collection(play, capture),
         initial={name: _initial(play, capture, name) for name in system.patterns},
@@ -145,26 +134,19 @@ def _truth(play: Play, number: int) -> tuple[Mapping[str, Any], ...]:
     return tuple(pose_document(edge, T[number]) for edge, T in {**patterns, **moving}.items())
 
 
-def _count(answer: CornerLabels | PatternPoints | NotDetected) -> int:
-    match answer:
+def _count(found: Found) -> int:
+    match found:
         case CornerLabels():
-            return len(answer.ids)
+            return len(found.ids)
         case PatternPoints():
-            return len(answer.on_pattern)
+            return len(found.on_pattern)
     return 0
-
-
-def _detected(capture: Capture, camera: str) -> list[tuple[str, CornerLabels]]:
-    return [
-        (pattern, found)
-        for (pattern, name), found in capture.corners.items()
-        if name == camera and isinstance(found, CornerLabels)
-    ]
 
 
 def _sees_all(play: Play, capture: Capture, camera: str) -> bool:
     return any(
-        len(found.ids) == len(play.system.patterns[pattern].corners) for pattern, found in _detected(capture, camera)
+        len(found.ids) == len(play.system.patterns[pattern].corners)
+        for pattern, found in capture.corners(camera).items()
     )
 
 
@@ -173,7 +155,7 @@ def _corner_errors(play: Play, capture: Capture, camera: str) -> CornerErrors | 
     T_camera_world = inverse(play.true.sensors[camera][capture.number])
     boards = {board.pattern.name: board for board in capture.boards[camera]}
     differences = []
-    for pattern, found in _detected(capture, camera):
+    for pattern, found in capture.corners(camera).items():
         board = boards[pattern]
         corners = board.surface(board.pattern.corners[found.ids, :2])
         true = play.system.cameras[camera].camera.project(apply(T_camera_world @ board.T_world_pattern, corners))
@@ -205,16 +187,10 @@ def _collection(play: Play, capture: Capture) -> dict[str, Any]:
     system, number = play.system, capture.number
     return {
         "additional_data": {},
-        "data": {name: _message(play, capture, sensor) for name, sensor in system.configuration.sensors.items()},
+        "data": {name: _message(play, capture, name) for name in system.sensors},
         "joints": _joints(play, number),
         "labels": {
-            pattern: {
-                **{name: _corner_labels(capture.corners[pattern, name]) for name in system.cameras},
-                **{
-                    name: _point_labels(capture.points[pattern, name])
-                    for name in (*system.lidars, *system.lidars2d, *system.depth_cameras)
-                },
-            }
+            pattern: {name: sensor.label_document(capture.labels[pattern, name]) for name, sensor in system.by_modality}
             for pattern in system.patterns
         },
         "transforms": {
@@ -230,54 +206,17 @@ def _joints(play: Play, number: int) -> dict[str, Any]:
     return {name: joint_document(joint, float(play.nominal.joints[name][number])) for name, joint in joints.items()}
 
 
-def _message(play: Play, capture: Capture, sensor: SensorConfiguration) -> dict[str, Any]:
-    """The ROS message of a sensor: of a 2D LiDAR with its ranges, of others without their data, which are in a file."""
-    header = message_header(sensor.link, capture.number)
-    simulated = play.system.sensors[sensor.name]
-    if isinstance(simulated, SimulatedLidar2d):
-        return scan_message(simulated, capture.scans[sensor.name], header)
-    common = {"data_file": data_file(sensor, collection_key(capture.number)), "header": header}
-    match simulated:
-        case SimulatedCamera(camera):
-            image = {"height": camera.height, "width": camera.width, "is_bigendian": 0}
-            return {**common, **image, "encoding": "bgr8", "step": 3 * camera.width}
-        case SimulatedDepthCamera(camera):
-            image = {"height": camera.height, "width": camera.width, "is_bigendian": 0}
-            return {**common, **image, "encoding": "16UC1", "step": 2 * camera.width}
-        case SimulatedLidar():
-            points = len(capture.clouds[sensor.name])
-            return {
-                **common,
-                "fields": [{"name": axis, "offset": 4 * i, "datatype": 7, "count": 1} for i, axis in enumerate("xyz")],
-                "height": 1,
-                "is_bigendian": False,
-                "is_dense": True,
-                "point_step": 12,
-                "row_step": 12 * points,
-                "width": points,
-            }
+def _message(play: Play, capture: Capture, name: str) -> dict[str, Any]:
+    """The ROS message of a sensor; its data stand in a file beside the dataset, or in the message itself."""
+    sensor = play.system.sensors[name]
+    header = message_header(play.system.configuration.sensors[name].link, capture.number)
+    file = {"data_file": data_file(name, sensor, capture.number)} if sensor.file_ending else {}
+    return {**file, "header": header, **sensor.message(capture.data[name])}
 
 
-def message_header(frame: str, number: int) -> dict[str, Any]:
-    """The header of a ROS message: ten seconds from pose to pose."""
-    return {"frame_id": frame, "seq": number, "stamp": {"secs": 10 * number, "nsecs": 0}}
-
-
-def _corner_labels(found: CornerLabels | NotDetected) -> dict[str, Any]:
-    if isinstance(found, NotDetected):
-        return {"detected": False, "idxs": []}
-    rows = zip(found.ids.tolist(), found.pixels.tolist(), strict=True)
-    return {"detected": True, "idxs": [{"id": i, "x": x, "y": y} for i, (x, y) in rows]}
-
-
-def _point_labels(found: PatternPoints | NotDetected) -> dict[str, Any]:
-    if isinstance(found, NotDetected):
-        return {"detected": False, "idxs": [], "idxs_limit_points": []}
-    return {
-        "detected": True,
-        "idxs": found.on_pattern.tolist(),
-        "idxs_limit_points": found.on_border.tolist(),
-    }
+def data_file(name: str, sensor: SimulatedSensor, number: int) -> str:
+    """The name of the file with a sensor's data in a collection."""
+    return f"{name}_{collection_key(number)}.{sensor.file_ending}"
 
 
 def _initial(play: Play, capture: Capture, pattern: str) -> dict[str, Any]:

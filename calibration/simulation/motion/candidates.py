@@ -9,14 +9,7 @@ from calibration.geometry.types import Array, BoolArray
 from calibration.simulation.motion.clearance import is_clear
 from calibration.simulation.motion.drawing import draw_motion
 from calibration.simulation.motion.sequence import Motion, joined
-from calibration.simulation.motion.views import (
-    camera_views,
-    centred,
-    depth_camera_detects,
-    lidar2d_detects,
-    lidar_detects,
-)
-from calibration.simulation.placement import Placement, place
+from calibration.simulation.placement import Placement, place, views
 from calibration.simulation.random_streams import stream
 from calibration.simulation.system import System
 
@@ -84,28 +77,36 @@ def _seen(system: System, motion: Motion) -> Candidates:
 
     What is quick to tell goes first.
     """
-    motion, placement = _only(system, motion, centred(system, place(system, motion)))
+    motion, placement = _only(system, motion, _centred(system, place(system, motion)))
     for pattern in system.patterns.values():
         motion, placement = _only(system, motion, is_clear(system, pattern, placement))
-    for detects, sensors in (
-        (lidar_detects, system.lidars),
-        (lidar2d_detects, system.lidars2d),
-        (depth_camera_detects, system.depth_cameras),
-    ):
-        for sensor in sensors:
-            some = np.any([detects(system, sensor, pattern, placement) for pattern in system.patterns], axis=0)
-            motion, placement = _only(system, motion, some)
+    for name, sensor in system.by_modality:
+        if name not in system.cameras:
+            some = [sensor.detects(views(system, placement, name, pattern)) for pattern in system.patterns]
+            motion, placement = _only(system, motion, np.any(some, axis=0))
     seen, partial, cells = zip(*(_image(system, name, placement) for name in system.cameras), strict=True)
     candidates = Candidates(motion, np.mean(partial, axis=0), np.concatenate(cells, -1))
     return _take(candidates, np.flatnonzero(np.all(seen, axis=0)).tolist())
 
 
+def _centred(system: System, placement: Placement) -> BoolArray:
+    """At which poses (N,) a pattern's centre is on every camera's image and turned to it: few others are seen."""
+
+    def shown(name: str, pattern: str) -> BoolArray:
+        return system.cameras[name].shows_centre(views(system, placement, name, pattern))
+
+    some = [np.any([shown(name, pattern) for pattern in system.patterns], axis=0) for name in system.cameras]
+    found: BoolArray = np.all(some, axis=0)
+    return found
+
+
 def _image(system: System, camera: str, placement: Placement) -> tuple[BoolArray, BoolArray, BoolArray]:
     """At which poses (N,) a camera detects a pattern, and one of which it sees only a part; and the cells (N, C)."""
-    views = [camera_views(system, camera, pattern, placement) for pattern in system.patterns]
-    detected = np.stack([view.detectable for view in views])
-    partial = detected & np.stack([view.partial for view in views])
-    cells = detected[..., None] & np.stack([view.cells(system.cameras[camera].camera) for view in views])
+    sensor = system.cameras[camera]
+    seen = [sensor.corner_views(views(system, placement, camera, pattern)) for pattern in system.patterns]
+    detected = np.stack([view.detectable for view in seen])
+    partial = detected & np.stack([view.partial for view in seen])
+    cells = detected[..., None] & np.stack([view.cells(sensor.camera) for view in seen])
     return np.any(detected, axis=0), np.any(partial, axis=0), np.any(cells, axis=0)
 
 

@@ -19,10 +19,6 @@ from calibration.simulation.placement import Placement
 from calibration.simulation.robot import compose
 from calibration.simulation.system import System
 
-CORNER_NOISE = 0.05
-"""The standard deviation of a corner that is detected in a simulated image, each of x and y, px: 0.035 to 0.05 in
-the systems that ship."""
-_LEAST_RANGE_NOISE = 1e-4  # m: a LiDAR without noise would weigh infinitely much
 _USUAL_DISTANCE = 2.0  # m, to the pattern: the noise of a depth grows with it
 
 
@@ -97,20 +93,11 @@ def informations(problem: Problem, values: Values, weighting: Weighting) -> Arra
 
 def expected_noise(system: System) -> Weighting:
     """The standard deviations that the labels of a system's sensors will have."""
-    lidars, flat, depth_cameras = system.lidars.values(), system.lidars2d.values(), system.depth_cameras.values()
-    ranges = [np.hypot(lidar.noise, lidar.resolution / np.sqrt(12)) for lidar in lidars]
-    distance = np.mean(system.motion.distance or _USUAL_DISTANCE)
-    ranges += [sensor.noise + sensor.noise_growth * distance**2 for sensor in depth_cameras]
-    scales: dict[NoiseKind, float] = {
-        "pixel": CORNER_NOISE,
-        "range": max([*map(float, ranges), _LEAST_RANGE_NOISE]),
-        "border": max([lidar.step for lidar in lidars], default=1.0) / np.sqrt(12),
-        "lidar2d_range": max(
-            [*(np.hypot(each.noise, each.resolution / np.sqrt(12)) for each in flat), _LEAST_RANGE_NOISE]
-        ),
-        "lidar2d_border": max([each.step for each in flat], default=1.0) / np.sqrt(12),
-        "depth_border": max([1 / each.camera.fx for each in depth_cameras], default=1.0) / np.sqrt(12),
-    }
+    distance = float(np.mean(system.motion.distance or _USUAL_DISTANCE))
+    scales: dict[NoiseKind, float] = {}
+    for sensor in system.sensors.values():
+        for kind, level in sensor.noise_levels(distance).items():
+            scales[kind] = max(level, scales.get(kind, 0.0))
     return Weighting(scales, None)
 
 

@@ -18,7 +18,7 @@ _PART = 1e-6  # of a direction of length 1: below it rounding has made it
 def predicted_sigmas(system: System, motion: Motion) -> Mapping[str, tuple[float, float]]:
     """The standard deviations that a calibration of this motion's dataset would state.
 
-    With the labels that are expected of the sensors, corners with `information.CORNER_NOISE`;
+    With the labels that are expected of the sensors, with the noise that they are given there;
     outliers, errors of the model and poses that a detector loses are left out.
 
     Returns:

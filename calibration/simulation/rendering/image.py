@@ -1,4 +1,4 @@
-"""Images of a simulated camera: patterns in front of the background.
+"""The light that falls into a camera: patterns in front of the background.
 
 Where a pixel sees one pattern alone, `calibration.simulation.rendering.pattern_view` says how bright
 it is. Where surfaces meet, at the border of a pattern or of what hides it, every sample of a pixel is
@@ -13,47 +13,37 @@ from numpy.typing import NDArray
 
 from calibration.geometry.cameras import Camera
 from calibration.geometry.types import Array, IntArray
-from calibration.labelling.detection import Image
 from calibration.simulation.board import Board
 from calibration.simulation.directions import turned
 from calibration.simulation.rendering.background import STEPS, Background, background, colours
-from calibration.simulation.rendering.lens import take
 from calibration.simulation.rendering.pattern_view import PatternView, pattern_view
 from calibration.simulation.rendering.rays import SAMPLES, rounded, sample_rays
 from calibration.simulation.scene import Scene
-from calibration.simulation.sensors import SimulatedCamera
 
 
-def render_image(
-    sensor: SimulatedCamera,
-    T_world_camera: Array,
-    scene: Scene,
-    boards: Sequence[Board],
-    random: np.random.Generator,
-) -> Image:
-    """What a camera sees: (height, width, 3) in blue, green, red.
+def radiance(camera: Camera, T_world_camera: Array, scene: Scene, boards: Sequence[Board]) -> NDArray[np.uint16]:
+    """What a camera sees: (height, width, 3) in blue, green, red, in `STEPS` of a grey level.
 
     Args:
-        sensor: the camera.
+        camera: its lens.
         T_world_camera: (4, 4), to its optical frame.
         scene: what stands around, and the light.
         boards: the patterns.
-        random: gives one number for each pixel, whatever it sees.
 
     Raises:
         InputError: a pattern cannot be printed (see `calibration.simulation.rendering.texture.texture`).
     """
     pose = rounded(T_world_camera)
-    behind = background(sensor.camera, pose, scene)
-    views = [view for board in boards if (view := pattern_view(sensor.camera, pose, board, scene.light))]
-    return take(sensor, _composed(sensor.camera, pose, scene, behind, views), random)
+    behind = background(camera, pose, scene)
+    views = [view for board in boards if (view := pattern_view(camera, pose, board, scene.light))]
+    return _composed(camera, pose, scene, behind, views)
 
 
 def _composed(
     camera: Camera, T_world_camera: Array, scene: Scene, behind: Background, views: list[PatternView]
 ) -> NDArray[np.uint16]:
     """The radiance (height, width, 3) of all together."""
-    radiance, nearest = behind.radiance.copy(), behind.depth.copy()
+    light, nearest = behind.radiance.copy(), behind.depth.copy()
     owner = np.zeros(nearest.shape, np.uint16)  # 0 for the background
     several = np.zeros(nearest.shape, bool)
     for i, view in enumerate(views):
@@ -61,15 +51,15 @@ def _composed(
         nearest[view.part][nearer], owner[view.part][nearer] = view.depth[nearer], i + 1
         several[view.part] |= view.border
     for i, view in enumerate(views):
-        np.copyto(radiance[view.part], view.radiance[..., None], where=(owner[view.part] == i + 1)[..., None])
+        np.copyto(light[view.part], view.radiance[..., None], where=(owner[view.part] == i + 1)[..., None])
     if views:
         # where an edge crosses a pixel, that pixel and one of the four beside it have different owners
         cross = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
         several |= cv2.dilate(owner, cross) != cv2.erode(owner, cross)
         rows, columns = np.nonzero(several)
         if len(rows):
-            radiance[rows, columns] = _mixed(camera, T_world_camera, scene, views, rows, columns)
-    return radiance
+            light[rows, columns] = _mixed(camera, T_world_camera, scene, views, rows, columns)
+    return light
 
 
 def _mixed(

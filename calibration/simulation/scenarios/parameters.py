@@ -14,7 +14,6 @@ from calibration.geometry.joints import JOINT_PARAMETERS
 from calibration.simulation.description import only
 from calibration.simulation.joints import joint_model
 from calibration.simulation.scenarios.distributions import Distribution, read_distribution
-from calibration.simulation.sensors import SimulatedDepthCamera
 from calibration.simulation.system import System
 
 
@@ -167,8 +166,9 @@ def _members(system: System) -> dict[str, list[str]]:
     """The sensors that each group of sensors speaks of. One that is anchored is where its description says."""
     anchored = system.configuration.anchored_sensor
     return {
-        "cameras": list(system.cameras),
-        "lidars": list(system.lidars),
-        "depth_cameras": [name for name, s in system.sensors.items() if isinstance(s, SimulatedDepthCamera)],
+        **{
+            group: [name for name, sensor in system.sensors.items() if sensor.scenario_group == group]
+            for group in _OF_SENSORS
+        },
         "assembly": [name for name in system.sensors if name != anchored],
     }

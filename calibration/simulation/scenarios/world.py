@@ -16,10 +16,8 @@ from calibration.simulation.motion.drawing import filling_distances
 from calibration.simulation.motion.generation import generate_motion
 from calibration.simulation.motion.sequence import Motion
 from calibration.simulation.robot import Joint, Robot, compose
-from calibration.simulation.scenarios.parameters import CAMERA
 from calibration.simulation.scenarios.scenario import Scenario
 from calibration.simulation.scene import Box, Scene
-from calibration.simulation.sensors import SimulatedCamera, SimulatedSensor
 from calibration.simulation.system import MotionRanges, System
 
 POSES = 12
@@ -27,8 +25,6 @@ POSES = 12
 _OCCLUDER_REACH = (0.35, 0.75)
 """Where occluders stand between a camera and the nearest place of the pattern: shares of the way."""
 _PLACE_DECIMALS = 6  # of an occluder's place: micrometres and microradians
-_OPTICS = {"exposure": "exposure", "noise_levels": "noise", "blur_px": "blur", "vignetting": "vignetting"}
-_DISTORTION = tuple(key for key in CAMERA if key not in _OPTICS)
 
 Values = Mapping[str, float]
 
@@ -49,7 +45,7 @@ def build_world(system: System, scenario: Scenario) -> System:
         system,
         robot=_assembled(system, system.robot if same else with_errors(system.nominal, joint_errors), values),
         joint_errors=joint_errors,
-        sensors={name: _sensor(name, sensor, _of(values, name)) for name, sensor in system.sensors.items()},
+        sensors={name: sensor.with_values(name, _of(values, name)) for name, sensor in system.sensors.items()},
         scene=_scene(system, motion, scenario),
         motion=motion,
         bows={**system.bows, **_bows(system, values)},
@@ -120,21 +116,6 @@ def _assembled(system: System, robot: Robot, values: Values) -> Robot:
         return joint if error is None else replace(joint, T_parent_joint=joint.T_parent_joint @ error)
 
     return replace(robot, joints=tuple(moved(joint) for joint in robot.joints)) if errors else robot
-
-
-def _sensor(name: str, sensor: SimulatedSensor, own: Values) -> SimulatedSensor:
-    """A sensor with its own values."""
-    if not isinstance(sensor, SimulatedCamera):
-        return replace(sensor, noise=own["noise_m"]) if "noise_m" in own else sensor
-    lens = sensor.camera.distortion
-    coefficients = dict(zip(lens.names(), lens.coefficients.tolist(), strict=True))
-    for key in _DISTORTION:
-        if key in own and key not in coefficients:
-            raise InputError(f"scenario: '{key}' of '{name}': its distortion model {lens.ros_name} has none")
-        coefficients.update({key: own[key]} if key in own else {})
-    distortion = lens.with_coefficients(np.array(list(coefficients.values())))
-    optics = {field: own[key] for key, field in _OPTICS.items() if key in own}
-    return replace(sensor, camera=replace(sensor.camera, distortion=distortion), **optics)
 
 
 def _motion(ranges: MotionRanges, values: Values) -> MotionRanges:

@@ -19,7 +19,6 @@ from calibration.geometry.rotations import to_quaternion
 from calibration.simulation.motion.sequence import Motion
 from calibration.simulation.placement import place
 from calibration.simulation.random_streams import stream
-from calibration.simulation.rendering.image import render_image
 from calibration.simulation.system import read_system
 
 RATE = 10.0
@@ -76,9 +75,7 @@ class Simulation:
         boards = self.system.boards({name: T[0] for name, T in placement.patterns.items()}) if pose else []
         key = crc32(repr(pose).encode())
         return {
-            name: render_image(
-                camera, placement.sensors[name][0], self.system.scene, boards, stream(self.seed, key, name)
-            )
+            name: camera.render(placement.sensors[name][0], self.system.scene, boards, stream(self.seed, key, name))
             for name, camera in self.system.cameras.items()
         }
 

@@ -13,7 +13,7 @@ from example_robot.dataset import DatasetFolder, View
 from calibration.dataset.model import CornerLabels
 from calibration.dataset.reading import read_dataset
 from calibration.simulation.collection.capture import capture
-from calibration.simulation.collection.pose_document import pose_document
+from calibration.simulation.collection.messages import pose_document
 from tests.examples.ros1.conftest import EXAMPLE, Collected
 
 CONFIG = yaml.safe_load((EXAMPLE / "system" / "config.yml").read_text())
@@ -26,8 +26,8 @@ def test_the_board_is_the_one_that_is_simulated(collected: Collected) -> None:
 
 def test_it_detects_what_ours_detects(collected: Collected) -> None:
     board, seen = Board(BOARD), capture(collected.play, 0)
-    for name, image in seen.images.items():
-        ours = seen.corners["board", name]
+    for name, image in seen.data.items():
+        ours = seen.labels["board", name]
         assert isinstance(ours, CornerLabels)
         ids, pixels = board.detect(image)
         _, in_theirs, in_ours = np.intersect1d(ids, ours.ids, return_indices=True)
@@ -39,7 +39,7 @@ def test_two_poses_of_the_motion_are_not_seen_by_both_cameras(collected: Collect
     board = Board(BOARD)
     missing = {}
     for number in range(len(collected.play)):
-        images = capture(collected.play, number).images
+        images = capture(collected.play, number).data
         missing[number + 1] = [name for name, image in images.items() if board.detect(image) is None]
     assert {pose: names for pose, names in missing.items() if names} == {5: ["right_camera"], 11: ["left_camera"]}
 
@@ -53,7 +53,7 @@ def views(collected: Collected, number: int) -> tuple[dict[str, View], dict[str,
     board, seen = Board(BOARD), capture(collected.play, number)
     sensors = collected.dataset.document["sensors"]
     found = {}
-    for name, image in seen.images.items():
+    for name, image in seen.data.items():
         message = {"height": 480, "width": 640, "encoding": "bgr8", "header": {"frame_id": f"{name}_optical"}}
         found[name] = View(image, message, sensors[name]["camera_info"], *board.detect(image))
     transforms = {

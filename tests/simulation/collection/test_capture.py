@@ -16,7 +16,7 @@ from calibration.simulation.collection.play import Play, play
 from calibration.simulation.motion.sequence import Motion, moving_joints, moving_model
 from calibration.simulation.placement import place
 from calibration.simulation.scene import Box, Scene
-from calibration.simulation.sensors import SimulatedDepthCamera
+from calibration.simulation.sensors import SimulatedDepthCamera, lidar3d
 from calibration.simulation.system import System
 from tests.simulation.collection.conftest import own_motion
 from tests.simulation.conftest import SYSTEMS
@@ -28,11 +28,10 @@ def played(system: System, motion: Motion | None = None, seed: int = 5) -> Play:
 
 def content(found: Capture) -> list[bytes]:
     """Every number that the sensors made, and that was made of them."""
-    arrays = [*found.images.values(), *found.depths.values(), *found.clouds.values()]
-    for labels in found.corners.values():
+    arrays = [*found.data.values()]
+    for labels in found.labels.values():
         arrays += [labels.ids, labels.pixels] if isinstance(labels, CornerLabels) else []
-    for points in found.points.values():
-        arrays += [points.on_pattern, points.on_border] if isinstance(points, PatternPoints) else []
+        arrays += [labels.on_pattern, labels.on_border] if isinstance(labels, PatternPoints) else []
     return [array.tobytes() for array in arrays]
 
 
@@ -55,7 +54,7 @@ def test_a_sensor_does_not_change_what_another_one_sees(systems: dict[str, Syste
         configuration=replace(config, sensors={"rgb_left": config.sensors["rgb_left"]}),
     )
     a, b = capture(played(system), 0), capture(played(alone), 0)
-    np.testing.assert_array_equal(a.images["rgb_left"], b.images["rgb_left"])
+    np.testing.assert_array_equal(a.data["rgb_left"], b.data["rgb_left"])
 
 
 @pytest.mark.parametrize("name", SYSTEMS)
@@ -63,16 +62,18 @@ def test_labels_lie_on_the_truth(systems: dict[str, System], name: str) -> None:
     system = systems[name]
     it = played(system)
     found = capture(it, 0)
-    for (pattern, camera), labels in found.corners.items():
-        assert isinstance(labels, CornerLabels)
+    assert not any(isinstance(labels, NotDetected) for labels in found.labels.values())
+    for camera in system.cameras:
+        pattern, labels = "pattern_1", found.corners(camera)["pattern_1"]
         T_camera_pattern = it.true.pattern_in(camera, pattern)[0]
         true = system.cameras[camera].camera.project(apply(T_camera_pattern, system.patterns[pattern].corners))
         error = labels.pixels - true[labels.ids]
         assert np.sqrt((error**2).sum(-1).mean()) < 0.2
         assert np.abs(T_camera_pattern - found.estimates[pattern, camera]).max() < 0.01
-    for (pattern, lidar), points in found.points.items():
-        assert isinstance(points, PatternPoints)
-        flat = apply(inverse(it.true.pattern_in(lidar, pattern)[0]), found.clouds[lidar][points.on_pattern])
+    for (pattern, lidar), points in found.labels.items():
+        if not isinstance(points, PatternPoints):
+            continue
+        flat = apply(inverse(it.true.pattern_in(lidar, pattern)[0]), found.data[lidar][points.on_pattern])
         assert np.abs(flat[:, 2]).max() < 0.05
 
 
@@ -86,12 +87,13 @@ def test_labels_of_a_depth_camera_lie_on_the_truth(systems: dict[str, System]) -
     system = with_depth(systems["t2rgb"])
     it = played(system)
     found = capture(it, 0)
-    assert list(found.images) == ["right_camera"]
-    points, depth = found.points["pattern_1", "left_camera"], found.depths["left_camera"]
+    assert found.data["right_camera"].ndim == 3
+    points, depth = found.labels["pattern_1", "left_camera"], found.data["left_camera"]
     assert isinstance(points, PatternPoints)
     assert len(points.on_border) > 100
     assert set(points.on_border) <= set(points.on_pattern)
-    camera = system.depth_cameras["left_camera"].camera
+    camera = system.sensors["left_camera"].intrinsics
+    assert camera is not None
     v, u = np.divmod(points.on_pattern, camera.width)
     rays = np.column_stack([camera.normalise(np.stack([u, v], -1).astype(float)), np.ones(len(u))])
     T_pattern_camera = inverse(it.true.pattern_in("left_camera", "pattern_1")[0])
@@ -118,7 +120,7 @@ def test_a_box_before_a_camera_hides_corners(systems: dict[str, System]) -> None
     centre = board @ np.append(system.patterns["pattern_1"].centre, 1)
     middle = from_xyz_rpy((camera + centre[:3]) / 2, np.zeros(3))
     hiding = replace(system, scene=Scene(boxes=(Box(middle, np.full(3, 0.15)),)))
-    before, after = (capture(played(world, motion), 0).corners for world in (system, hiding))
+    before, after = (capture(played(world, motion), 0).labels for world in (system, hiding))
     key = ("pattern_1", "left_camera")
     all_of_it, rest = before[key], after[key]
     assert isinstance(all_of_it, CornerLabels)
@@ -130,9 +132,9 @@ def test_a_lidar_finds_the_pattern_though_its_mount_is_off(systems: dict[str, Sy
     """The guess comes by the camera through the designed robot; the LiDAR is 3 cm and 2 degrees elsewhere."""
     it = played(bent(systems["rlbot"]))
     found = capture(it, 0)
-    points = found.points["pattern_1", "lidar_right"]
+    points = found.labels["pattern_1", "lidar_right"]
     assert isinstance(points, PatternPoints)
-    flat = apply(inverse(it.true.pattern_in("lidar_right", "pattern_1")[0]), found.clouds["lidar_right"])
+    flat = apply(inverse(it.true.pattern_in("lidar_right", "pattern_1")[0]), found.data["lidar_right"])
     assert np.abs(flat[points.on_pattern, 2]).max() < 0.05
     assert it.nominal is not it.true
     assert np.abs(it.nominal.sensors["lidar_right"] - it.true.sensors["lidar_right"]).max() > 0.01
@@ -187,7 +189,7 @@ def test_where_the_pattern_is_looked_for_is_told_by_the_camera_and_the_designed_
         asked.append(T_sensor_pattern)
         return NotDetected("watched")
 
-    monkeypatch.setattr(capture_module, "label_points", watched)
+    monkeypatch.setattr(lidar3d, "label_points", watched)
     it = played(bent(systems["rlbot"]))
     found = capture(it, 0)
     T_camera_pattern = found.estimates["pattern_1", "rgb_left"]

@@ -28,16 +28,16 @@ def test_every_sensor_has_to_detect(rlbot_play: Play, systems: dict[str, System]
     reasons = reasons_to_lose(rlbot_play.system, capture(rlbot_play, 1), Requirements())
     assert [reason.partition(":")[0] for reason in reasons] == ["lidar_right", "rgb_left"]
     system, found = seen(systems)
-    blind = replace(found, corners={**found.corners, KEY: NotDetected("3 markers")})
+    blind = replace(found, labels={**found.labels, KEY: NotDetected("3 markers")})
     assert reasons_to_lose(system, blind, Requirements()) == ("left_camera: 3 markers",)
 
 
 def test_one_pattern_of_several_is_enough(systems: dict[str, System]) -> None:
     system, found = seen(systems)
     second = {("pattern_2", name): NotDetected("hidden") for name in system.cameras}
-    assert reasons_to_lose(system, replace(found, corners={**found.corners, **second}), Requirements()) == ()
+    assert reasons_to_lose(system, replace(found, labels={**found.labels, **second}), Requirements()) == ()
     nothing = {("pattern_1", name): NotDetected("too far") for name in system.cameras}
-    reasons = reasons_to_lose(system, replace(found, corners={**nothing, **second}), Requirements())
+    reasons = reasons_to_lose(system, replace(found, labels={**nothing, **second}), Requirements())
     assert reasons[0] == "left_camera: pattern_1: too far; pattern_2: hidden"
 
 
@@ -51,11 +51,11 @@ def test_what_moves_is_lost(systems: dict[str, System]) -> None:
 
 def test_what_is_too_small_is_lost(systems: dict[str, System]) -> None:
     system, found = seen(systems)
-    labels = found.corners[KEY]
+    labels = found.labels[KEY]
     assert isinstance(labels, CornerLabels)
     share = image_share(system.cameras["left_camera"].camera, labels)
     shrunk = CornerLabels(labels.ids, labels.pixels.mean(0) + 0.1 * (labels.pixels - labels.pixels.mean(0)))
     assert np.isclose(image_share(system.cameras["left_camera"].camera, shrunk), share / 100)
-    (reason,) = reasons_to_lose(system, replace(found, corners={**found.corners, KEY: shrunk}), Requirements())
+    (reason,) = reasons_to_lose(system, replace(found, labels={**found.labels, KEY: shrunk}), Requirements())
     assert reason.startswith("left_camera: the corners span 0.")
     assert reason.endswith("% of the image, 0.5 % are needed")

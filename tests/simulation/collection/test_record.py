@@ -71,7 +71,7 @@ def test_the_corner_of_a_pixel_is_where_a_cell_begins(systems: dict[str, System]
     seen = capture(it, 0)
     for x, cells in ((159.4, (0,)), (159.6, (1,))):
         label = CornerLabels(np.array([0]), np.array([[x, 10.0]]))
-        alone = replace(seen, corners={**seen.corners, ("pattern_1", "left_camera"): label})
+        alone = replace(seen, labels={**seen.labels, ("pattern_1", "left_camera"): label})
         assert record(it, alone, ()).cells["left_camera"] == cells
 
 

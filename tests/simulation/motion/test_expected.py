@@ -10,17 +10,26 @@ from calibration.geometry.transforms import apply, inverse
 from calibration.labelling.depth import label_depth
 from calibration.labelling.points import PatternPoints
 from calibration.simulation.board import Board
-from calibration.simulation.motion.expected import expected_dataset, points_on
-from calibration.simulation.motion.expected_depth import pixels_on
+from calibration.simulation.motion.expected import expected_dataset
 from calibration.simulation.motion.sequence import Motion
 from calibration.simulation.placement import place
 from calibration.simulation.random_streams import stream
-from calibration.simulation.rendering.depth import render_depth
-from calibration.simulation.rendering.lidar import scan
 from calibration.simulation.scene import Box, Scene
-from calibration.simulation.sensors import SimulatedDepthCamera
+from calibration.simulation.sensors import SimulatedDepthCamera, SimulatedLidar
 from calibration.simulation.system import System
-from tests.simulation.conftest import SYSTEMS
+from tests.simulation.conftest import SYSTEMS, one_view
+
+
+def lidar_of(system: System) -> SimulatedLidar:
+    lidar = system.sensors["lidar_right"]
+    assert isinstance(lidar, SimulatedLidar)
+    return lidar
+
+
+def depth_of(system: System) -> SimulatedDepthCamera:
+    sensor = system.sensors["right_camera"]
+    assert isinstance(sensor, SimulatedDepthCamera)
+    return sensor
 
 
 @pytest.mark.parametrize("name", SYSTEMS)
@@ -44,7 +53,7 @@ def test_corners_stand_where_they_are_projected(
 
 def test_points_are_those_of_a_scan(systems: dict[str, System], motions: dict[str, Motion]) -> None:
     system = systems["rlbot"]
-    lidar = replace(system.lidars["lidar_right"], noise=0.0, resolution=0.0)
+    lidar = replace(lidar_of(system), noise=0.0, resolution=0.0)
     pattern = system.patterns["pattern_1"]
     placement = place(system, motions["rlbot"])
     lidar = replace(lidar, least_range=1.5)  # so that the range cuts some patterns
@@ -52,10 +61,10 @@ def test_points_are_those_of_a_scan(systems: dict[str, System], motions: dict[st
     for i in range(24):
         T_world_lidar, T_world_pattern = placement.sensors["lidar_right"][i], placement.patterns["pattern_1"][i]
         board = Board(system.configuration.patterns["pattern_1"], pattern, T_world_pattern)
-        measured = scan(lidar, T_world_lidar, system.scene, [board], stream(0))
+        measured = lidar.scan(T_world_lidar, system.scene, [board], stream(0))
         on_board = measured.board == 0
         expected = (measured.ranges[..., None] * lidar.directions())[on_board]
-        labels = points_on(lidar, pattern, inverse(T_world_lidar) @ T_world_pattern, system.scene, T_world_lidar)
+        labels = lidar.points_on(one_view(system, T_world_lidar, T_world_pattern, system.scene), 0)
         order, other = (np.lexsort(np.round(p, 6).T) for p in (labels.points, expected))
         np.testing.assert_allclose(labels.points[order], expected[other], atol=2e-6)
         cut += int((measured.crossed == 0).sum() > on_board.sum())
@@ -82,15 +91,16 @@ def test_the_outermost_points_of_each_ring(systems: dict[str, System], motions: 
 
 def test_a_post_hides_points_and_ends(systems: dict[str, System], motions: dict[str, Motion]) -> None:
     system = replace(systems["rlbot"], scene=Scene())
-    lidar, pattern = system.lidars["lidar_right"], system.patterns["pattern_1"]
+    lidar, pattern = lidar_of(system), system.patterns["pattern_1"]
     placement = place(system, motions["rlbot"])
     T_world_lidar, T_world_pattern = placement.sensors["lidar_right"][0], placement.patterns["pattern_1"][0]
-    T = inverse(T_world_lidar) @ T_world_pattern
     edge = apply(T_world_pattern, np.array([[0.0, pattern.centre[1], 0]]))[0]
     at = np.eye(4)
     at[:3, 3] = (T_world_lidar[:3, 3] + edge) / 2
     post = Scene(boxes=(Box(at, np.array([0.15, 0.15, 3.0])),))
-    free, hidden = (points_on(lidar, pattern, T, scene, T_world_lidar) for scene in (Scene(), post))
+    free, hidden = (
+        lidar.points_on(one_view(system, T_world_lidar, T_world_pattern, scene), 0) for scene in (Scene(), post)
+    )
     assert 10 < len(hidden.points) < len(free.points)
     assert 0 < len(hidden.limits) < len(free.limits)
     kept = {tuple(p) for p in np.round(free.points[free.limits], 9)}
@@ -99,10 +109,11 @@ def test_a_post_hides_points_and_ends(systems: dict[str, System], motions: dict[
 
 def test_on_the_seam_of_the_azimuth(systems: dict[str, System]) -> None:
     """A pattern behind the sensor is hit as one before it."""
-    lidar, pattern = systems["rlbot"].lidars["lidar_right"], systems["rlbot"].patterns["pattern_1"]
+    system = systems["rlbot"]
+    lidar = lidar_of(system)
     ahead = np.array([[0, 0, 1, 2.0], [-1, 0, 0, 0.3], [0, -1, 0, 0.2], [0, 0, 0, 1]])
     half = np.diag([-1.0, -1, 1, 1])
-    found = [points_on(lidar, pattern, T, Scene(), np.eye(4)) for T in (ahead, half @ ahead)]
+    found = [lidar.points_on(one_view(system, np.eye(4), T, Scene()), 0) for T in (ahead, half @ ahead)]
     assert abs(len(found[0].points) - len(found[1].points)) <= 2 * 16  # the steps fall otherwise
     assert (found[1].points[:, 0] < -1.9).all()
     assert np.ptp(np.arctan2(found[1].points[:, 1], -found[1].points[:, 0])) == pytest.approx(
@@ -125,13 +136,13 @@ def test_points_of_a_depth_camera_are_those_of_its_image(
     placement = place(system, motions["t2rgb"])
     dataset = expected_dataset(system, placement)
     assert dataset.sensors["right_camera"].modality == DEPTH
-    sensor, pattern = system.depth_cameras["right_camera"], system.patterns["pattern_1"]
+    sensor, pattern = depth_of(system), system.patterns["pattern_1"]
     for i, collection in enumerate(dataset.collections[:6]):
         labels = collection.labels["pattern_1", "right_camera"]
         assert isinstance(labels, PointLabels)
         T_world_camera, T_world_pattern = placement.sensors["right_camera"][i], placement.patterns["pattern_1"][i]
         board = Board(system.configuration.patterns["pattern_1"], pattern, T_world_pattern)
-        depth = render_depth(sensor, T_world_camera, system.scene, [board], stream(0))
+        depth = sensor.render(T_world_camera, system.scene, [board], stream(0))
         u, v = np.rint(sensor.camera.project(labels.points)).astype(int).T
         np.testing.assert_allclose(labels.points[:, 2], depth[v, u] * 1e-4, atol=0.6e-4)
         found = label_depth(depth, sensor.camera, pattern, inverse(T_world_camera) @ T_world_pattern)
@@ -149,13 +160,7 @@ def test_a_post_hides_pixels(systems: dict[str, System], motions: dict[str, Moti
     at[:3, 3] = (T_world_camera[:3, 3] + apply(T_world_pattern, system.patterns["pattern_1"].centre[None])[0]) / 2
     post = Scene(boxes=(Box(at, np.array([0.1, 0.1, 3.0])),))
     free, hidden = (
-        pixels_on(
-            system.depth_cameras["right_camera"],
-            system.patterns["pattern_1"],
-            inverse(T_world_camera) @ T_world_pattern,
-            scene,
-            T_world_camera,
-        )
+        depth_of(system).points_on(one_view(system, T_world_camera, T_world_pattern, scene), 0)
         for scene in (Scene(), post)
     )
     assert 100 < len(hidden.points) < 0.9 * len(free.points)

@@ -15,12 +15,11 @@ from calibration.simulation.motion.clearance import is_clear
 from calibration.simulation.motion.generation import generate_motion
 from calibration.simulation.motion.prediction import predicted_sigmas
 from calibration.simulation.motion.sequence import Motion, motion_document, read_motion
-from calibration.simulation.motion.views import camera_views, depth_camera_detects, lidar_detects
 from calibration.simulation.placement import place
 from calibration.simulation.scene import Box, Scene
 from calibration.simulation.sensors import SimulatedDepthCamera
 from calibration.simulation.system import System, read_system
-from tests.simulation.conftest import DATASETS, FREE, SYSTEMS
+from tests.simulation.conftest import DATASETS, FREE, SYSTEMS, corner_views, detects
 from tests.simulation.motion.other_choices import at_random, spread
 
 PATTERN = "pattern_1"
@@ -34,17 +33,17 @@ def test_every_sensor_sees_every_pose_and_nothing_is_run_into(
     assert len(motions[name]) == 24
     placement = place(system, motions[name])
     for camera in system.cameras:
-        assert camera_views(system, camera, PATTERN, placement).detectable.all()
-    for lidar in system.lidars:
-        assert lidar_detects(system, lidar, PATTERN, placement).all()
+        assert corner_views(system, camera, PATTERN, placement).detectable.all()
+    for sensor in system.sensors:
+        assert detects(system, sensor, PATTERN, placement).all()
     assert is_clear(system, system.patterns[PATTERN], placement).all()
 
 
 def test_a_lidar_that_needs_distance_sees_every_pose(systems: dict[str, System]) -> None:
-    lidar = replace(systems["rlbot"].lidars["lidar_right"], least_range=1.9)
+    lidar = replace(systems["rlbot"].sensors["lidar_right"], least_range=1.9)
     system = replace(systems["rlbot"], sensors={**systems["rlbot"].sensors, "lidar_right": lidar})
     placement = place(system, generate_motion(system, 12, seed=1))
-    assert lidar_detects(system, "lidar_right", PATTERN, placement).all()
+    assert detects(system, "lidar_right", PATTERN, placement).all()
 
 
 @pytest.mark.parametrize("name", [*FREE, "spjbot"])
@@ -54,20 +53,20 @@ def test_every_cell_of_every_image_is_covered(
     system = systems[name]
     placement = place(system, motions[name])
     for camera, simulated in system.cameras.items():
-        assert camera_views(system, camera, PATTERN, placement).cells(simulated.camera).any(0).all()
+        assert corner_views(system, camera, PATTERN, placement).cells(simulated.camera).any(0).all()
 
 
 @pytest.mark.parametrize("name", SYSTEMS)
 def test_a_third_of_the_views_is_partial(systems: dict[str, System], motions: dict[str, Motion], name: str) -> None:
     placement = place(systems[name], motions[name])
-    partial = [camera_views(systems[name], camera, PATTERN, placement).partial for camera in systems[name].cameras]
+    partial = [corner_views(systems[name], camera, PATTERN, placement).partial for camera in systems[name].cameras]
     assert np.mean(partial) == pytest.approx(1 / 3, abs=1 / 24)
 
 
 def test_no_partial_views_where_none_are_wanted(systems: dict[str, System]) -> None:
     system = replace(systems["t2rgb"], motion=replace(systems["t2rgb"].motion, partial=0.0))
     placement = place(system, generate_motion(system, 8, seed=1))
-    assert not any(camera_views(system, camera, PATTERN, placement).partial.any() for camera in system.cameras)
+    assert not any(corner_views(system, camera, PATTERN, placement).partial.any() for camera in system.cameras)
 
 
 def error(system: System, motion: Motion) -> float:
@@ -166,8 +165,8 @@ def test_a_system_that_only_atom_can_calibrate(systems: dict[str, System]) -> No
     mixed = replace(system, sensors={**system.sensors, "right_camera": depth})
     motion = generate_motion(mixed, 12, 1)
     placement = place(mixed, motion)
-    assert depth_camera_detects(mixed, "right_camera", PATTERN, placement).all()
-    cells = camera_views(mixed, "left_camera", PATTERN, placement).cells(system.cameras["left_camera"].camera)
+    assert detects(mixed, "right_camera", PATTERN, placement).all()
+    cells = corner_views(mixed, "left_camera", PATTERN, placement).cells(system.cameras["left_camera"].camera)
     assert cells.any(0).sum() >= 10  # what lies left of the other's image stays empty
 
 

@@ -8,21 +8,14 @@ from calibration.dataset.configuration import PatternConfiguration
 from calibration.geometry.transforms import apply, from_xyz_rpy, inverse
 from calibration.geometry.types import Array
 from calibration.simulation.motion.sequence import moving_model
-from calibration.simulation.motion.views import (
-    CELLS,
-    LEAST_SHARE,
-    LEAST_SQUARE,
-    CameraViews,
-    camera_views,
-    centred,
-    depth_camera_detects,
-    lidar_detects,
-    square_corners,
-)
 from calibration.simulation.placement import Placement, place
+from calibration.simulation.placement import views as views_of
 from calibration.simulation.scene import Box, Scene
 from calibration.simulation.sensors import SimulatedDepthCamera
+from calibration.simulation.sensors.camera import CELLS, LEAST_SQUARE, CornerViews, square_corners
+from calibration.simulation.sensors.sensor import LEAST_SHARE
 from calibration.simulation.system import System
+from tests.simulation.conftest import corner_views, detects
 
 PATTERN, CAMERA, LIDAR = "pattern_1", "rgb_left", "lidar_right"
 
@@ -47,8 +40,8 @@ def in_front(system: System, right: float = 0.0, tilt: float = 0.0, distance: fl
     return standing(system, np.repeat(T[None], count, axis=0))
 
 
-def views(system: System, placement: Placement) -> CameraViews:
-    return camera_views(system, CAMERA, PATTERN, placement)
+def views(system: System, placement: Placement) -> CornerViews:
+    return corner_views(system, CAMERA, PATTERN, placement)
 
 
 def test_the_squares_stand_around_the_corners(rlbot: System) -> None:
@@ -147,7 +140,7 @@ def test_cells(rlbot: System) -> None:
     camera = rlbot.cameras[CAMERA].camera
     columns, rows = CELLS
     corner = np.array([[-0.5, -0.5], [camera.width - 0.5, camera.height - 0.5], [camera.width / 2 - 0.6, 0]])
-    view = CameraViews(corner[None], np.ones((1, 3), bool), np.zeros(1, bool), np.ones(1, bool))
+    view = CornerViews(corner[None], np.ones((1, 3), bool), np.zeros(1, bool), np.ones(1, bool))
     assert np.flatnonzero(view.cells(camera)).tolist() == [0, columns // 2 - 1, columns * rows - 1]
     hidden = replace(view, seen=np.array([[True, False, False]]))
     assert np.flatnonzero(hidden.cells(camera)).tolist() == [0]
@@ -156,17 +149,18 @@ def test_cells(rlbot: System) -> None:
 def test_the_centre_on_the_image(rlbot: System) -> None:
     edge = 2.0 * 600 / rlbot.cameras[CAMERA].camera.fx
     for right, tilt, shown in ((0.98 * edge, 0.0, True), (1.02 * edge, 0.0, False), (0.0, 2.0, False)):
-        assert centred(rlbot, in_front(rlbot, right, tilt)).all() == shown
+        views = views_of(rlbot, in_front(rlbot, right, tilt), CAMERA, PATTERN)
+        assert rlbot.cameras[CAMERA].shows_centre(views).all() == shown
 
 
 def test_a_lidar_needs_rings_range_and_sight(rlbot: System) -> None:
-    assert lidar_detects(rlbot, LIDAR, PATTERN, in_front(rlbot, count=3)).tolist() == [True] * 3
-    assert not lidar_detects(rlbot, LIDAR, PATTERN, in_front(rlbot, distance=8.0)).any()  # two rings cross it
+    assert detects(rlbot, LIDAR, PATTERN, in_front(rlbot, count=3)).tolist() == [True] * 3
+    assert not detects(rlbot, LIDAR, PATTERN, in_front(rlbot, distance=8.0)).any()  # two rings cross it
     wall = Scene(boxes=(between(in_front(rlbot), LIDAR, 0.5, (0.01, 3.0, 3.0)),))
-    assert not lidar_detects(replace(rlbot, scene=wall), LIDAR, PATTERN, in_front(rlbot)).any()
-    near = replace(rlbot.lidars[LIDAR], least_range=3.0)
+    assert not detects(replace(rlbot, scene=wall), LIDAR, PATTERN, in_front(rlbot)).any()
+    near = replace(rlbot.sensors[LIDAR], least_range=3.0)
     blind = replace(rlbot, sensors={**rlbot.sensors, LIDAR: near})
-    assert not lidar_detects(blind, LIDAR, PATTERN, in_front(rlbot)).any()
+    assert not detects(blind, LIDAR, PATTERN, in_front(rlbot)).any()
 
 
 def test_a_depth_camera_needs_range_and_sight(rlbot: System) -> None:
@@ -174,10 +168,10 @@ def test_a_depth_camera_needs_range_and_sight(rlbot: System) -> None:
     system = replace(rlbot, sensors={CAMERA: depth})
     for distance, measured in ((2.0, True), (3.5, False), (0.4, False), (-2.0, False)):
         placement = in_front(rlbot, distance=distance)
-        assert depth_camera_detects(system, CAMERA, PATTERN, placement).all() == measured
-    assert not depth_camera_detects(system, CAMERA, PATTERN, in_front(rlbot, tilt=math.pi)).any()
+        assert detects(system, CAMERA, PATTERN, placement).all() == measured
+    assert not detects(system, CAMERA, PATTERN, in_front(rlbot, tilt=math.pi)).any()
     wall = Scene(boxes=(between(in_front(rlbot), CAMERA, 0.5, (0.01, 3.0, 3.0)),))
-    assert not depth_camera_detects(replace(system, scene=wall), CAMERA, PATTERN, in_front(rlbot)).any()
+    assert not detects(replace(system, scene=wall), CAMERA, PATTERN, in_front(rlbot)).any()
 
 
 def test_squares_of_any_pattern() -> None:

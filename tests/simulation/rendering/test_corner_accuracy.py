@@ -14,7 +14,6 @@ from calibration.geometry.distortion import PlumbBob
 from calibration.geometry.transforms import apply
 from calibration.labelling.corners import corner_detector
 from calibration.simulation.random_streams import stream
-from calibration.simulation.rendering.image import render_image
 from calibration.simulation.scene import Scene
 from calibration.simulation.sensors import SimulatedCamera
 from tests.simulation.rendering.views import CHARUCO, CHESSBOARD, DISTORTION, T_WORLD_CAMERA, board, camera, random_pose
@@ -58,7 +57,7 @@ def errors(
     for pose in range(POSES):
         T = random_pose(random, pattern, 1.0, 1.8)
         view = board(T, pattern, legacy_layout=legacy)
-        image = render_image(SimulatedCamera(of), T_WORLD_CAMERA, Scene(ground=0.0), [view], stream(pose))
+        image = SimulatedCamera(of).render(T_WORLD_CAMERA, Scene(ground=0.0), [view], stream(pose))
         corners, ids = detect(image, pattern)
         assert len(ids) > 0.9 * len(view.pattern.corners)
         found.append(corners - of.project(apply(T, view.pattern.corners))[ids])

@@ -5,7 +5,6 @@ from calibration.dataset.depth_image import NO_RETURN, UNIT
 from calibration.geometry.distortion import PlumbBob
 from calibration.geometry.transforms import apply, from_xyz_rpy, inverse
 from calibration.simulation.random_streams import stream
-from calibration.simulation.rendering.depth import render_depth
 from calibration.simulation.scene import Box, Scene
 from calibration.simulation.sensors import SimulatedDepthCamera
 from tests.simulation.rendering.views import CHARUCO, DISTORTION, T_WORLD_CAMERA, board, camera, random_pose, square_on
@@ -16,7 +15,7 @@ def exact(distortion: PlumbBob | None = None, **options: float) -> SimulatedDept
 
 
 def render(sensor: SimulatedDepthCamera, *boards: object, scene: Scene | None = None) -> np.ndarray:
-    return render_depth(sensor, T_WORLD_CAMERA, scene or Scene(), boards, stream(0))  # type: ignore[arg-type]
+    return sensor.render(T_WORLD_CAMERA, scene or Scene(), boards, stream(0))  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("distortion", [PlumbBob(), DISTORTION])

@@ -9,7 +9,6 @@ from calibration.geometry.distortion import PlumbBob
 from calibration.geometry.transforms import apply, from_xyz_rpy
 from calibration.simulation.board import Board
 from calibration.simulation.random_streams import stream
-from calibration.simulation.rendering.image import render_image
 from calibration.simulation.rendering.pattern_view import BACK
 from calibration.simulation.rendering.texture import BLACK, WHITE
 from calibration.simulation.scene import Box, Light, Scene
@@ -33,7 +32,7 @@ CAMERA = camera()
 
 def render(boards: list[Board], scene: Scene = BRIGHT, of: object = CAMERA) -> np.ndarray:
     """The green of what a perfect camera sees, as numbers."""
-    return render_image(perfect(of), T_WORLD_CAMERA, scene, boards, stream(0))[..., 1].astype(float)  # type: ignore[arg-type]
+    return perfect(of).render(T_WORLD_CAMERA, scene, boards, stream(0))[..., 1].astype(float)  # type: ignore[arg-type]
 
 
 def crossing(profile: np.ndarray) -> float:
@@ -91,9 +90,9 @@ def test_moving_the_whole_world_changes_nothing() -> None:
         light=replace(scene.light, direction=moved[:3, :3] @ scene.light.direction),
         boxes=tuple(replace(box, T_world_box=moved @ box.T_world_box) for box in scene.boxes),
     )
-    here = render_image(perfect(CAMERA), T_WORLD_CAMERA, scene, [Board(CHARUCO, CHARUCO.pattern(), T)], stream(0))
-    there = render_image(
-        perfect(CAMERA), moved @ T_WORLD_CAMERA, turned_scene, [Board(CHARUCO, CHARUCO.pattern(), moved @ T)], stream(0)
+    here = perfect(CAMERA).render(T_WORLD_CAMERA, scene, [Board(CHARUCO, CHARUCO.pattern(), T)], stream(0))
+    there = perfect(CAMERA).render(
+        moved @ T_WORLD_CAMERA, turned_scene, [Board(CHARUCO, CHARUCO.pattern(), moved @ T)], stream(0)
     )
     difference = np.abs(here.astype(int) - there)
     assert difference.max() <= 1
@@ -225,9 +224,9 @@ def test_the_same_from_the_same_seed_and_from_a_fresh_cache() -> None:
     random = np.random.default_rng(5)
     sensor = replace(perfect(CAMERA), noise=2.0, blur=0.6)
     pattern = board(random_pose(random, CHARUCO, 1.0, 1.5))
-    first = render_image(sensor, T_WORLD_CAMERA, Scene(ground=0.0), [pattern], stream(4))
-    again = render_image(sensor, T_WORLD_CAMERA.copy(), Scene(ground=0.0), [pattern], stream(4))
-    other = render_image(sensor, T_WORLD_CAMERA, Scene(ground=0.0), [pattern], stream(5))
+    first = sensor.render(T_WORLD_CAMERA, Scene(ground=0.0), [pattern], stream(4))
+    again = sensor.render(T_WORLD_CAMERA.copy(), Scene(ground=0.0), [pattern], stream(4))
+    other = sensor.render(T_WORLD_CAMERA, Scene(ground=0.0), [pattern], stream(5))
     assert first.dtype == np.uint8
     assert first.shape == (240, 320, 3)
     np.testing.assert_array_equal(first, again)
@@ -239,8 +238,8 @@ def test_the_last_bits_of_poses_do_not_show() -> None:
     nudged = T * (1 + 1e-15)
     scene = Scene(ground=0.0)
     for a, b in (([board(T)], [board(nudged)]), ([], [])):
-        first = render_image(perfect(CAMERA), T_WORLD_CAMERA, scene, a, stream(0))
-        second = render_image(perfect(CAMERA), T_WORLD_CAMERA * (1 - 1e-16), scene, b, stream(0))
+        first = perfect(CAMERA).render(T_WORLD_CAMERA, scene, a, stream(0))
+        second = perfect(CAMERA).render(T_WORLD_CAMERA * (1 - 1e-16), scene, b, stream(0))
         np.testing.assert_array_equal(first, second)
 
 
@@ -303,7 +302,7 @@ def test_a_board_seen_on_edge_has_no_width() -> None:
 @pytest.mark.parametrize("size", [(1, 1), (1, 9), (9, 1), (2, 2), (3, 2)])
 def test_the_smallest_images(size: tuple[int, int]) -> None:
     of = camera(*size, focal=5.0)
-    image = render_image(perfect(of), T_WORLD_CAMERA, BRIGHT, [board(square_on(CHESSBOARD, 0, 0, 0.3))], stream(0))
+    image = perfect(of).render(T_WORLD_CAMERA, BRIGHT, [board(square_on(CHESSBOARD, 0, 0, 0.3))], stream(0))
     assert image.shape == (size[1], size[0], 3)
     assert BLACK <= image[size[1] // 2, size[0] // 2, 1] <= WHITE
 

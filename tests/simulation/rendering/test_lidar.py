@@ -7,9 +7,9 @@ import pytest
 from calibration.geometry.transforms import apply, from_xyz_rpy, inverse
 from calibration.simulation.board import Board
 from calibration.simulation.random_streams import stream
-from calibration.simulation.rendering.lidar import Scan, scan
 from calibration.simulation.scene import Box, Scene
 from calibration.simulation.sensors import SimulatedLidar
+from calibration.simulation.sensors.lidar import Scan
 from tests.simulation.rendering.views import CHARUCO
 
 LIDAR = SimulatedLidar(tuple(np.radians(np.linspace(-15, 15, 16))), 1875)
@@ -25,7 +25,7 @@ def board(T_world_pattern: np.ndarray = TILTED, bow: tuple[float, float] = (0.0,
 
 
 def scanned(lidar: SimulatedLidar, boards: Sequence[Board], scene: Scene = ROOM, seed: int = 0) -> Scan:
-    return scan(lidar, T_WORLD_LIDAR, scene, boards, stream(seed))
+    return lidar.scan(T_WORLD_LIDAR, scene, boards, stream(seed))
 
 
 def in_pattern(seen: Scan) -> tuple[np.ndarray, np.ndarray]:
@@ -95,24 +95,24 @@ def test_something_in_front_hides_points() -> None:
 
 def test_range_limits() -> None:
     boards = [board()]
-    short = scan(replace(LIDAR, least_range=4.0), T_WORLD_LIDAR, ROOM, boards, stream(0))
+    short = replace(LIDAR, least_range=4.0).scan(T_WORLD_LIDAR, ROOM, boards, stream(0))
     assert (short.board == -1).all()
     assert (short.crossed == 0).any()
     assert not short.returns[short.crossed == 0].any()  # it is too near, and still in the way
-    near = scan(replace(LIDAR, most_range=3.0), T_WORLD_LIDAR, ROOM, boards, stream(0))
+    near = replace(LIDAR, most_range=3.0).scan(T_WORLD_LIDAR, ROOM, boards, stream(0))
     assert near.ranges[near.returns].max() < 3.1
 
 
 def test_two_boards_the_nearer_one_hides_the_other() -> None:
     behind = TILTED.copy()
     behind[:3, 3] += 0.2 * (TILTED[:3, 3] - T_WORLD_LIDAR[:3, 3]) + 0.4 * TILTED[:3, 0]
-    far: Scan = scan(LIDAR, T_WORLD_LIDAR, ROOM, [board(behind)], stream(0))
-    both: Scan = scan(LIDAR, T_WORLD_LIDAR, ROOM, [board(behind), board()], stream(0))
+    far: Scan = LIDAR.scan(T_WORLD_LIDAR, ROOM, [board(behind)], stream(0))
+    both: Scan = LIDAR.scan(T_WORLD_LIDAR, ROOM, [board(behind), board()], stream(0))
     assert 0 < (both.board == 0).sum() < (far.board == 0).sum()
     assert (both.board == 1).sum() > 100
 
 
 def test_the_noise_of_a_ray_does_not_depend_on_what_others_hit() -> None:
-    with_board = scan(LIDAR, T_WORLD_LIDAR, ROOM, [board()], stream(0))
-    without = scan(LIDAR, T_WORLD_LIDAR, ROOM, [], stream(0))
+    with_board = LIDAR.scan(T_WORLD_LIDAR, ROOM, [board()], stream(0))
+    without = LIDAR.scan(T_WORLD_LIDAR, ROOM, [], stream(0))
     np.testing.assert_array_equal(with_board.ranges[with_board.board < 0], without.ranges[with_board.board < 0])

@@ -9,9 +9,6 @@ import numpy as np
 import pytest
 
 from calibration.simulation.random_streams import stream
-from calibration.simulation.rendering.depth import render_depth
-from calibration.simulation.rendering.image import render_image
-from calibration.simulation.rendering.lidar import scan
 from calibration.simulation.scene import Box, Scene
 from calibration.simulation.sensors import SimulatedCamera, SimulatedDepthCamera, SimulatedLidar
 from tests.simulation.rendering.views import CHARUCO, DISTORTION, T_WORLD_CAMERA, board, camera, random_pose
@@ -26,10 +23,10 @@ def digest() -> str:
     for distortion, bow in ((None, (0.0, 0.0)), (DISTORTION, (0.01, 0.02))):
         of = camera(distortion=distortion)
         boards = [board(random_pose(random, CHARUCO, 0.9, 1.2), bow=bow)]
-        seen.update(render_image(SimulatedCamera(of), T_WORLD_CAMERA, scene, boards, stream(1)).tobytes())
-        seen.update(render_depth(SimulatedDepthCamera(of), T_WORLD_CAMERA, scene, boards, stream(1)).tobytes())
+        seen.update(SimulatedCamera(of).render(T_WORLD_CAMERA, scene, boards, stream(1)).tobytes())
+        seen.update(SimulatedDepthCamera(of).render(T_WORLD_CAMERA, scene, boards, stream(1)).tobytes())
         lidar = SimulatedLidar((-0.1, 0.0, 0.1), 500)
-        seen.update(scan(lidar, T_WORLD_CAMERA, scene, boards, stream(1)).ranges.tobytes())
+        seen.update(lidar.scan(T_WORLD_CAMERA, scene, boards, stream(1)).ranges.tobytes())
     return seen.hexdigest()
 
 

@@ -97,7 +97,7 @@ def test_a_coefficient_that_a_lens_does_not_have(systems: dict[str, System]) -> 
 def test_lidars_have_their_own_noise(systems: dict[str, System]) -> None:
     lidar = world(systems["rlbot"], lidar_right__noise_m=0.02).sensors["lidar_right"]
     assert isinstance(lidar, SimulatedLidar)
-    assert lidar == replace(systems["rlbot"].lidars["lidar_right"], noise=0.02)
+    assert lidar == replace(systems["rlbot"].sensors["lidar_right"], noise=0.02)
 
 
 def test_patterns_are_bent_and_sway(systems: dict[str, System]) -> None:
@@ -152,7 +152,7 @@ def test_occluders_stand_before_a_camera_nearer_than_the_pattern(systems: dict[s
 
 
 def test_occluders_need_a_camera(systems: dict[str, System]) -> None:
-    blind = replace(systems["rlbot"], sensors=systems["rlbot"].lidars)
+    blind = replace(systems["rlbot"], sensors={"lidar_right": systems["rlbot"].sensors["lidar_right"]})
     with pytest.raises(InputError, match="rlbot has no camera"):
         world(blind, occluders__count=1, occluders__size_m=1)
 

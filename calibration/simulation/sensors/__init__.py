@@ -1,0 +1,14 @@
+"""The sensors of a simulated system: one class for each modality, with all that the simulation knows of it."""
+
+from calibration.simulation.sensors.camera import SimulatedCamera
+from calibration.simulation.sensors.depth_camera import SimulatedDepthCamera
+from calibration.simulation.sensors.lidar2d import SimulatedLidar2d
+from calibration.simulation.sensors.lidar3d import SimulatedLidar
+from calibration.simulation.sensors.sensor import SimulatedSensor
+
+__all__ = ["KINDS", "SimulatedCamera", "SimulatedDepthCamera", "SimulatedLidar", "SimulatedLidar2d", "SimulatedSensor"]
+
+KINDS: dict[str, type[SimulatedSensor]] = {
+    kind.modality.name: kind for kind in (SimulatedCamera, SimulatedLidar, SimulatedLidar2d, SimulatedDepthCamera)
+}
+"""By the name of the modality, in the order in which datasets write their labels."""

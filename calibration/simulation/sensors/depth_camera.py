@@ -1,0 +1,177 @@
+"""Depth cameras: images of how far things are along the optical axis, and the pixels on patterns in them."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar, Self
+
+import cv2
+import numpy as np
+
+from calibration.dataset.configuration import PatternConfiguration
+from calibration.dataset.depth_image import NO_RETURN, UNIT, read_depth_image
+from calibration.dataset.document import Node
+from calibration.dataset.modalities import DEPTH, Modality
+from calibration.dataset.model import PointLabels
+from calibration.dataset.pattern import Pattern
+from calibration.errors import InputError
+from calibration.estimation.problem import NoiseKind
+from calibration.geometry.cameras import Camera
+from calibration.geometry.transforms import apply, inverse
+from calibration.geometry.types import Array, BoolArray
+from calibration.labelling.depth import EDGE, label_depth
+from calibration.labelling.detection import DepthImage, Image
+from calibration.simulation.board import Board
+from calibration.simulation.description import interval, number, only
+from calibration.simulation.rendering.background import background
+from calibration.simulation.rendering.rays import rays, rounded
+from calibration.simulation.scene import Scene
+from calibration.simulation.sensors.camera import encode_image, image_message
+from calibration.simulation.sensors.drawing import DARK, HEIGHT, ON_BORDER, ON_PATTERN, blank
+from calibration.simulation.sensors.lens import LENS, read_lens
+from calibration.simulation.sensors.sensor import LEAST_SHARE, Data, Found, RangeSensor, Views, meets, range_noise
+from calibration.simulation.visibility import corners_in_image, facing
+
+MOST = 5000
+"""Pixels on the pattern, about, that are expected to be labelled at most, as `calibration.labelling.depth` has it."""
+_FROM_NEAR = cv2.applyColorMap(np.arange(256, dtype=np.uint8)[::-1, None], cv2.COLORMAP_BONE)[:, 0]
+
+
+@dataclass(frozen=True)
+class SimulatedDepthCamera(RangeSensor):
+    """A camera that measures how far along its optical axis things are."""
+
+    modality: ClassVar[Modality] = DEPTH
+    label_name: ClassVar[str] = "pixels"
+    file_ending: ClassVar[str] = "png"
+    scenario_group: ClassVar[str] = "depth_cameras"
+
+    camera: Camera
+    noise: float = 0.001
+    """The standard deviation of a depth near the camera, m."""
+    noise_growth: float = 0.0015
+    """What the square of the depth adds to it, m per m^2, as triangulation does."""
+    least_range: float = 0.3
+    """m along the axis; a surface nearer than that gives no depth."""
+    most_range: float = 6.5
+
+    @classmethod
+    def read(cls, node: Node) -> Self:
+        """Read its lens, ``range_m``, ``noise_m`` and ``noise_per_m2``."""
+        only(node, *LENS, "range_m", "noise_m", "noise_per_m2")
+        usual = cls(read_lens(node))
+        least_range, most_range = interval(node, "range_m", (usual.least_range, usual.most_range), least=0)
+        return cls(
+            usual.camera,
+            noise=number(node, "noise_m", usual.noise, least=0, most=10),
+            noise_growth=number(node, "noise_per_m2", usual.noise_growth, least=0, most=10),
+            least_range=least_range,
+            most_range=most_range,
+        )
+
+    @property
+    def intrinsics(self) -> Camera:
+        """The lens."""
+        return self.camera
+
+    def render(
+        self, T_world_sensor: Array, scene: Scene, boards: Sequence[Board], random: np.random.Generator
+    ) -> DepthImage:
+        """The depth image (height, width), along the optical axis, in units of `UNIT`.
+
+        Each pixel measures the nearest surface at its centre. `NO_RETURN` where there is none, or out of
+        range, or farther than 16 bits reach.
+        """
+        noise = random.standard_normal((self.camera.height, self.camera.width), dtype=np.float32)
+        pose = rounded(T_world_sensor)
+        depth = background(self.camera, pose, scene).depth
+        directions = rays(self.camera)[:, 1:-1, 1:-1]
+        for board in boards:
+            T_camera_pattern = inverse(pose) @ rounded(board.T_world_pattern)
+            depth = np.minimum(depth, board.cast_in(T_camera_pattern, directions))
+        in_range = (depth >= self.least_range) & (depth <= self.most_range)
+        depth = np.where(in_range, depth, 0.0)
+        measured = depth + (self.noise + self.noise_growth * depth**2) * noise
+        counts = np.rint(measured / UNIT)
+        return np.where(in_range & (counts >= 0) & (counts < NO_RETURN), counts, NO_RETURN).astype(np.uint16)
+
+    def message(self, data: Data) -> dict[str, Any]:
+        """Of an Image."""
+        del data
+        return image_message(self.camera, "16UC1", 2)
+
+    def encode(self, data: Data) -> bytes:
+        """PNG of 16 bits."""
+        return encode_image(data, ".png", [cv2.IMWRITE_PNG_COMPRESSION, 6])
+
+    def label(self, data: Data, pattern: PatternConfiguration, T_sensor_pattern: Array) -> Found:
+        """The pixels on the pattern."""
+        return label_depth(data, self.camera, pattern.pattern(), T_sensor_pattern)
+
+    def detects(self, views: Views) -> BoolArray:
+        """Where it measures enough of the pattern, judged by the pattern's corners."""
+        places = views.pattern.corners
+        corners = apply(views.T_sensor_pattern, places)
+        _, visible = corners_in_image(self.camera, corners)
+        visible &= (corners[..., 2] > self.least_range) & (corners[..., 2] < self.most_range)
+        visible &= ~views.hidden(places)
+        measured: BoolArray = facing(views.T_sensor_pattern, views.pattern.centre) & (visible.mean(-1) >= LEAST_SHARE)
+        return measured
+
+    def points_on(self, views: Views, number: int) -> PointLabels:
+        """The points of the pixels that see the pattern, evenly thinned.
+
+        On the border are those that have a pixel beside them that does not see it, but near the image's edge.
+        """
+        camera = self.camera
+        directions = np.moveaxis(rays(camera), 0, -1)  # and one pixel more on every side
+        depth, hits = meets(views.pattern, views.T_sensor_pattern[number], directions)
+        inner = hits[:-2, 1:-1] & hits[2:, 1:-1] & hits[1:-1, :-2] & hits[1:-1, 2:]
+        v, u = np.nonzero(hits[1:-1, 1:-1])
+        away = (np.minimum(v, camera.height - 1 - v) >= EDGE * camera.height) & (
+            np.minimum(u, camera.width - 1 - u) >= EDGE * camera.width
+        )
+        border = ~inner[v, u] & away
+        labelled = border.copy()
+        labelled[:: max(1, -(-len(v) // MOST))] = True
+        v, u, border = v[labelled], u[labelled], border[labelled]
+        points = depth[v + 1, u + 1, None] * directions[v + 1, u + 1]
+        seen = self.visible(views, number, points, points[:, 2])
+        return PointLabels(points[seen], np.flatnonzero(border[seen]))
+
+    def noise_levels(self, distance: float) -> dict[NoiseKind, float]:
+        """Of depths, which grows with the distance, and of the border, a pixel's angle."""
+        depth = range_noise(self.noise + self.noise_growth * distance**2)
+        return {"range": depth, "depth_border": float(1 / self.camera.fx / np.sqrt(12))}
+
+    def draw(
+        self, message: Mapping[str, Any], labels: Sequence[Mapping[str, Any]], patterns: Sequence[Pattern], files: Path
+    ) -> Image:
+        """The image, near pale and far dark; the labelled pixels in their colours."""
+        del patterns
+        camera = self.camera
+        width = max(1, round(HEIGHT / camera.height * camera.width))
+        try:
+            depth = read_depth_image(files / message["data_file"], camera).depth
+        except InputError:
+            return blank(width)
+        rows, columns = (np.arange(n) * size // n for n, size in ((HEIGHT, camera.height), (width, camera.width)))
+        picture = _coloured(depth[rows[:, None], columns])
+        for label in labels:
+            for key, colour, size in (("idxs", ON_PATTERN, 3), ("idxs_limit_points", ON_BORDER, 1)):
+                y, x = np.divmod(np.array(label[key], int), camera.width)
+                marked = np.zeros((HEIGHT, width), np.uint8)
+                marked[y * HEIGHT // camera.height, x * width // camera.width] = 1
+                picture[cv2.dilate(marked, np.ones((size, size), np.uint8)) > 0] = colour  # labels are thinned
+        return picture
+
+
+def _coloured(depth: DepthImage) -> Image:
+    """Depths (h, w) in colours (h, w, 3) from near to far; dark where nothing came back. In whole numbers."""
+    returned = (depth != NO_RETURN) & (depth != 0)
+    sorted_depths = np.sort(depth[returned].astype(int))
+    if not len(sorted_depths):
+        return np.full((*depth.shape, 3), DARK, np.uint8)
+    near, far = sorted_depths[[len(sorted_depths) // 100, -1 - len(sorted_depths) // 100]]
+    share = 255 * (np.clip(depth, near, far) - near) // max(far - near, 1)
+    return np.where(returned[..., None], _FROM_NEAR[share], np.array(DARK, np.uint8))

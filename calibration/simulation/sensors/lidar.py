@@ -1,0 +1,99 @@
+"""What 3D and 2D LiDARs share: rays against the patterns, the ground and the boxes around."""
+
+from abc import abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from calibration.dataset.model import PointLabels
+from calibration.dataset.pattern import Pattern
+from calibration.geometry.types import Array, BoolArray, IntArray
+from calibration.simulation.board import Board
+from calibration.simulation.scene import Scene
+from calibration.simulation.sensors.sensor import RangeSensor, Views, meets, range_noise
+
+DECIMALS = 6
+"""Of what is stored, m: a micrometre, so that the last bits of a machine's arithmetic do not show."""
+
+
+@dataclass(frozen=True, eq=False)
+class Scan:
+    """One revolution; every array is (rings, azimuths), of a 2D LiDAR (1, rays)."""
+
+    ranges: Array
+    """As measured, m; NaN where nothing comes back."""
+    board: IntArray
+    """The index of the board that the ray comes back from; -1 for anything else."""
+    crossed: IntArray
+    """The index of the nearest board on the ray's way, whether or not something hides it; -1 for none."""
+
+    @property
+    def returns(self) -> BoolArray:
+        """Which rays come back."""
+        return ~np.isnan(self.ranges)
+
+
+class RaySensor(RangeSensor):
+    """A sensor that sends rays out in rings, one after the other."""
+
+    resolution: float
+    """Ranges are multiples of it, m; 0 for none."""
+
+    @property
+    @abstractmethod
+    def step(self) -> float:
+        """The angle between two rays of a ring, rad."""
+
+    @abstractmethod
+    def directions(self) -> Array:
+        """(rings, rays, 3): unit vectors in the sensor's frame."""
+
+    def directions_towards(self, pattern: Pattern, T_sensor_pattern: Array) -> Array:
+        """(rings, A, 3): at least those of the rays that can meet a pattern, from every ring the same."""
+        del pattern, T_sensor_pattern
+        return self.directions()
+
+    def scan(self, T_world_sensor: Array, scene: Scene, boards: Sequence[Board], random: np.random.Generator) -> Scan:
+        """Cast every ray; the nearest surface comes back, with Gaussian noise along the ray.
+
+        The generator gives one number for every ray, so that what is hit does not change the noise of others.
+        """
+        rays = self.directions()
+        noise = self.noise * random.standard_normal(rays.shape[:-1])
+        directions, origin = rays @ T_world_sensor[:3, :3].T, T_world_sensor[:3, 3]
+        nearest_board = np.full(rays.shape[:-1], np.inf)
+        crossed = np.full(rays.shape[:-1], -1)
+        for i, board in enumerate(boards):
+            distance = board.cast(origin, directions)
+            nearer = distance < nearest_board
+            nearest_board[nearer], crossed[nearer] = distance[nearer], i
+        nearest = np.minimum(scene.cast(origin, directions), nearest_board)
+        measured = nearest + noise
+        if self.resolution:
+            measured = np.round(measured / self.resolution) * self.resolution
+        in_range = (nearest >= self.least_range) & (nearest <= self.most_range)
+        visible = in_range & (nearest == nearest_board)
+        return Scan(np.where(in_range, measured, np.nan), np.where(visible, crossed, -1), crossed)
+
+    def points_on(self, views: Views, number: int) -> PointLabels:
+        """Where the rays of one scan meet the pattern; on the border are the outermost of their rings."""
+        rays = self.directions_towards(views.pattern, views.T_sensor_pattern[number])
+        distance, hits = meets(views.pattern, views.T_sensor_pattern[number], rays)
+        outermost = np.zeros_like(hits)
+        ring = np.flatnonzero(hits.any(1))
+        outermost[ring, hits[ring].argmax(1)] = True
+        outermost[ring, hits.shape[1] - 1 - hits[ring, ::-1].argmax(1)] = True
+        points, outermost = distance[hits, None] * rays[hits], outermost[hits]
+        visible = self.visible(views, number, points, np.linalg.norm(points, axis=-1))
+        return PointLabels(points[visible], np.flatnonzero(outermost[visible]))
+
+    @property
+    def range_noise(self) -> float:
+        """The standard deviation of a range, its resolution included, m."""
+        return range_noise(float(np.hypot(self.noise, self.resolution / np.sqrt(12))))
+
+    @property
+    def border_noise(self) -> float:
+        """The standard deviation of the direction in which a ring's last ray on a pattern finds its border, rad."""
+        return float(self.step / np.sqrt(12))

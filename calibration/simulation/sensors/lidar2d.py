@@ -1,0 +1,158 @@
+"""2D LiDARs: scans of one plane, and the rays of them that end on patterns."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar, Self
+
+import numpy as np
+
+from calibration.dataset.configuration import PatternConfiguration
+from calibration.dataset.document import Node
+from calibration.dataset.modalities import LIDAR2D, Modality
+from calibration.dataset.pattern import Pattern
+from calibration.estimation.median import median
+from calibration.estimation.problem import NoiseKind
+from calibration.geometry.types import Array, BoolArray
+from calibration.labelling.cut import cut_ends
+from calibration.labelling.detection import Image
+from calibration.labelling.scan_line import label_scan_line
+from calibration.simulation.board import Board
+from calibration.simulation.description import interval, number, only, whole
+from calibration.simulation.scene import Scene
+from calibration.simulation.sensors.drawing import DARK, HEIGHT, blank, draw_points
+from calibration.simulation.sensors.lidar import DECIMALS, RaySensor
+from calibration.simulation.sensors.sensor import LEAST_SHARE, Data, Found, Views
+from calibration.simulation.visibility import MAX_VIEW_ANGLE
+
+LEAST_CUT = 0.5
+"""The length of a cut through a pattern, in the pattern's smaller side: a corner cut off says little."""
+_ANGLE_DECIMALS = 12
+
+
+@dataclass(frozen=True)
+class SimulatedLidar2d(RaySensor):
+    """A LiDAR whose rays lie in the plane z = 0 of its frame; x is angle 0, y a quarter of a revolution."""
+
+    modality: ClassVar[Modality] = LIDAR2D
+    label_name: ClassVar[str] = "rays"
+
+    angle_min: float
+    """Of the first ray, rad."""
+    angle_max: float
+    """Of the last ray, rad."""
+    rays: int
+    least_range: float = 0.1
+    """m; a surface nearer than that gives no return."""
+    most_range: float = 30.0
+    noise: float = 0.01
+    """The standard deviation of a range, m."""
+    resolution: float = 0.001
+    """Ranges are multiples of it, m; 0 for none."""
+
+    @classmethod
+    def read(cls, node: Node) -> Self:
+        """Read ``rays``, ``angle_deg`` of the first and the last, ``range_m``, ``noise_m`` and ``resolution_m``."""
+        only(node, "rays", "angle_deg", "range_m", "noise_m", "resolution_m")
+        first, last = interval(node, "angle_deg", (-135.0, 135.0), least=-360, most=360)
+        if last - first > 360:
+            raise node["angle_deg"].unexpected("at most one revolution, 360 degrees")
+        if first == last:
+            raise node["angle_deg"].unexpected("two different angles")
+        least_range, most_range = interval(node, "range_m", (cls.least_range, cls.most_range), least=0)
+        return cls(
+            angle_min=math.radians(first),
+            angle_max=math.radians(last),
+            rays=whole(node, "rays", 8, 100_000),
+            least_range=least_range,
+            most_range=most_range,
+            noise=number(node, "noise_m", cls.noise, least=0, most=10),
+            resolution=number(node, "resolution_m", cls.resolution, least=0, most=10),
+        )
+
+    @property
+    def step(self) -> float:
+        """The angle between two rays, rad."""
+        return (self.angle_max - self.angle_min) / (self.rays - 1)
+
+    def directions(self) -> Array:
+        """(1, rays, 3): unit vectors in the sensor's frame, a single ring."""
+        angle = self.angle_min + self.step * np.arange(self.rays)
+        return np.stack([np.cos(angle), np.sin(angle), np.zeros(self.rays)], -1)[None]
+
+    def render(
+        self, T_world_sensor: Array, scene: Scene, boards: Sequence[Board], random: np.random.Generator
+    ) -> Array:
+        """The ranges (rays,), m; 0 where nothing came back, or noise put it out of range: JSON has no NaN."""
+        ranges = np.round(self.scan(T_world_sensor, scene, boards, random).ranges[0], DECIMALS)
+        with np.errstate(invalid="ignore"):
+            returned = (ranges >= self.least_range) & (ranges <= self.most_range)
+        return np.where(returned, ranges, 0.0)
+
+    def message(self, data: Data) -> dict[str, Any]:
+        """Of a LaserScan, whole."""
+        return {
+            "angle_min": round(self.angle_min, _ANGLE_DECIMALS),
+            "angle_max": round(self.angle_max, _ANGLE_DECIMALS),
+            "angle_increment": round(self.step, _ANGLE_DECIMALS),
+            "time_increment": 0.0,
+            "scan_time": 0.0,
+            "range_min": self.least_range,
+            "range_max": self.most_range,
+            "ranges": data.tolist(),
+            "intensities": [],
+        }
+
+    def points(self, data: Data) -> Array:
+        """(rays, 3); NaN where nothing came back."""
+        points: Array = np.where(data > 0, data, np.nan)[:, None] * self.directions()[0]
+        return points
+
+    def label(self, data: Data, pattern: PatternConfiguration, T_sensor_pattern: Array) -> Found:
+        """The rays that end on the pattern."""
+        return label_scan_line(self.points(data), pattern.pattern(), T_sensor_pattern)
+
+    def detects(self, views: Views) -> BoolArray:
+        """Where the scan's plane cuts the pattern over a good length."""
+        board = views.pattern
+        ends = cut_ends(board, views.T_sensor_pattern)
+        with np.errstate(invalid="ignore"):
+            length, distance = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=-1), np.linalg.norm(ends, axis=-1)
+            after_first = np.mod(np.arctan2(ends[..., 1], ends[..., 0]) - self.angle_min, 2 * np.pi)
+            within = (after_first > self.step) & (after_first < self.angle_max - self.angle_min - self.step)
+            nearest = np.abs(ends[:, 0, 0] * ends[:, 1, 1] - ends[:, 0, 1] * ends[:, 1, 0]) / length  # of the line
+            middle = np.linalg.norm(ends.mean(1), axis=-1)
+            cut: BoolArray = (
+                (length > LEAST_CUT * np.ptp(board.outline, axis=0).min())
+                & (nearest > self.least_range)
+                & (distance.max(-1) < self.most_range)
+                & within.all(-1)
+                & (nearest > np.cos(MAX_VIEW_ANGLE) * middle)
+                & (views.hidden(board.corners).mean(-1) < 1 - LEAST_SHARE)
+            )
+        return cut
+
+    def noise_levels(self, distance: float) -> dict[NoiseKind, float]:
+        """Of ranges and of the ends of a cut, the same at any distance."""
+        del distance
+        return {"lidar2d_range": self.range_noise, "lidar2d_border": self.border_noise}
+
+    def draw(
+        self, message: Mapping[str, Any], labels: Sequence[Mapping[str, Any]], patterns: Sequence[Pattern], files: Path
+    ) -> Image:
+        """The scan from above, the sensor at the bottom, x up; as far as twice the pattern's distance."""
+        del patterns, files
+        picture = blank(2 * HEIGHT, DARK)
+        ranges = message.get("ranges")
+        if ranges is None:  # of applications in containers, whose scans are not drawn
+            return picture
+        points = self.points(np.array(ranges))[:, :2]
+        labelled = [index for label in labels for index in label["idxs"]]
+        shown = labelled or np.flatnonzero(np.isfinite(points[:, 0])).tolist()
+        if shown:
+            reach = 2 * median(np.linalg.norm(points[shown], axis=-1))
+            place = np.array([HEIGHT, HEIGHT - 1]) - HEIGHT / reach * points[:, ::-1]
+            inside = np.flatnonzero(((place >= 0) & (place < [2 * HEIGHT, HEIGHT])).all(-1))
+            draw_points(picture, place, inside.tolist(), labels)
+        return picture

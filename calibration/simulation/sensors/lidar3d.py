@@ -1,0 +1,226 @@
+"""3D LiDARs: clouds of points, ring by ring, and those of them on patterns."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration.dataset.configuration import PatternConfiguration
+from calibration.dataset.document import Node
+from calibration.dataset.modalities import LIDAR3D, Modality
+from calibration.dataset.pattern import Pattern
+from calibration.dataset.pointcloud import encode_pcd, read_points
+from calibration.errors import InputError
+from calibration.estimation.problem import NoiseKind
+from calibration.geometry.transforms import apply, inverse
+from calibration.geometry.types import Array, BoolArray
+from calibration.labelling.detection import Image
+from calibration.labelling.points import label_points
+from calibration.simulation.board import Board
+from calibration.simulation.description import interval, number, only, whole
+from calibration.simulation.scene import Scene
+from calibration.simulation.sensors.drawing import DARK, HEIGHT, blank, draw_points
+from calibration.simulation.sensors.lidar import DECIMALS, RaySensor
+from calibration.simulation.sensors.sensor import LEAST_SHARE, Data, Found, Views
+from calibration.simulation.visibility import MAX_VIEW_ANGLE
+
+MAX_RINGS = 1000
+MAX_RAYS = 4_000_000
+"""Of one scan: beyond it memory runs out before anything useful comes of it."""
+LEAST_RINGS = 4
+"""That cross the pattern."""
+_Numbers = NDArray[np.floating[Any]]  # a stored cloud has 32 bits
+
+
+@dataclass(frozen=True)
+class SimulatedLidar(RaySensor):
+    """A LiDAR that turns about the z axis of its frame; x is azimuth 0."""
+
+    modality: ClassVar[Modality] = LIDAR3D
+    label_name: ClassVar[str] = "points"
+    file_ending: ClassVar[str] = "pcd"
+    scenario_group: ClassVar[str] = "lidars"
+
+    elevations: tuple[float, ...]
+    """One for each ring, rad above the x-y plane."""
+    azimuths: int
+    """How many rays a ring has in one revolution; the first points backwards, along -x."""
+    least_range: float = 0.9
+    """m; a surface nearer than that gives no return."""
+    most_range: float = 130.0
+    noise: float = 0.008
+    """The standard deviation of a range, m."""
+    resolution: float = 0.001
+    """Ranges are multiples of it, m; 0 for none."""
+    margin: float = math.radians(5)
+    """Returns are stored up to this azimuth beyond the pattern, rad."""
+
+    @classmethod
+    def read(cls, node: Node) -> Self:
+        """Read its rings (``rings`` and ``vertical_deg``, or ``elevations_deg`` of each) and the other keys.
+
+        These are ``azimuths`` in one revolution, ``range_m``, ``noise_m``, ``resolution_m``, and ``margin_deg`` that
+        is stored around the pattern.
+        """
+        only(
+            node,
+            *("rings", "vertical_deg", "elevations_deg", "azimuths"),
+            *("range_m", "noise_m", "resolution_m", "margin_deg"),
+        )
+        elevations, azimuths = _elevations(node), whole(node, "azimuths", 8, 100_000)
+        if len(elevations) * azimuths > MAX_RAYS:
+            raise node["azimuths"].fault(
+                f"found {len(elevations)} rings of {azimuths}, expected {MAX_RAYS} rays at most"
+            )
+        least_range, most_range = interval(node, "range_m", (cls.least_range, cls.most_range), least=0)
+        return cls(
+            elevations=tuple(map(math.radians, elevations)),
+            azimuths=azimuths,
+            least_range=least_range,
+            most_range=most_range,
+            noise=number(node, "noise_m", cls.noise, least=0, most=10),
+            resolution=number(node, "resolution_m", cls.resolution, least=0, most=10),
+            margin=math.radians(number(node, "margin_deg", 5.0, least=0, most=360)),
+        )
+
+    @property
+    def step(self) -> float:
+        """The azimuth between two rays of a ring, rad."""
+        return 2 * math.pi / self.azimuths
+
+    def directions(self) -> Array:
+        """(rings, azimuths, 3): unit vectors in the sensor's frame."""
+        return self._directions(self._azimuths())
+
+    def directions_towards(self, pattern: Pattern, T_sensor_pattern: Array) -> Array:
+        """(rings, A, 3): those whose azimuth is that of some part of the pattern."""
+        corners = apply(T_sensor_pattern, np.column_stack([pattern.outline, np.zeros(4)]))
+        middle, beside = _azimuths_of(corners)
+        first, last = (middle + np.array([beside.min(), beside.max()]) + np.pi) / self.step
+        return self._directions(self.step * np.arange(np.ceil(first), np.floor(last) + 1) - np.pi)
+
+    def _azimuths(self) -> Array:
+        return np.asarray(-np.pi + self.step * np.arange(self.azimuths), float)
+
+    def _directions(self, azimuth: Array) -> Array:
+        elevation = np.array(self.elevations)[:, None]
+        x, y = np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth)
+        return np.stack([x, y, np.broadcast_to(np.sin(elevation), x.shape)], -1)
+
+    def render(
+        self, T_world_sensor: Array, scene: Scene, boards: Sequence[Board], random: np.random.Generator
+    ) -> Array:
+        """The points (N, 3) of the returns up to the margin beside a board, in the sensor's frame, m, ring by ring."""
+        scan = self.scan(T_world_sensor, scene, boards, random)
+        stored = scan.returns & np.any([self._sector(board, T_world_sensor) for board in boards], axis=0)
+        points: Array = np.round(scan.ranges[stored, None] * self.directions()[stored], DECIMALS) + 0.0
+        return points
+
+    def _sector(self, board: Board, T_world_sensor: Array) -> BoolArray:
+        """Which columns (A,) of azimuth see the board or what is up to the margin beside it."""
+        middle, beside = _azimuths_of(apply(inverse(T_world_sensor), board.corners()))
+        inside: BoolArray = np.abs(_turn(self._azimuths() - middle)) <= np.abs(beside).max() + self.margin
+        return inside
+
+    def message(self, data: Data) -> dict[str, Any]:
+        """Of a PointCloud2."""
+        points = len(data)
+        return {
+            "fields": [{"name": axis, "offset": 4 * i, "datatype": 7, "count": 1} for i, axis in enumerate("xyz")],
+            "height": 1,
+            "is_bigendian": False,
+            "is_dense": True,
+            "point_step": 12,
+            "row_step": 12 * points,
+            "width": points,
+        }
+
+    def encode(self, data: Data) -> bytes:
+        """Binary PCD."""
+        return encode_pcd(data)
+
+    def points(self, data: Data) -> Array:
+        """The cloud."""
+        return np.asarray(data, float)
+
+    def label(self, data: Data, pattern: PatternConfiguration, T_sensor_pattern: Array) -> Found:
+        """The points on the pattern."""
+        return label_points(data, pattern.pattern(), T_sensor_pattern)
+
+    def detects(self, views: Views) -> BoolArray:
+        """Where enough rings cross the pattern, judged by the pattern's corners; from either side."""
+        T_lidar_pattern, board = views.T_sensor_pattern, views.pattern
+        corners = apply(T_lidar_pattern, board.corners)
+        border = np.linalg.norm(apply(T_lidar_pattern, np.column_stack([board.outline, np.zeros(4)])), axis=-1)
+        elevation = np.arcsin(corners[..., 2] / np.linalg.norm(corners, axis=-1))
+        rings = np.array(self.elevations)
+        between = (rings > elevation.min(-1, keepdims=True)) & (rings < elevation.max(-1, keepdims=True))
+        sight = corners.mean(-2) / np.linalg.norm(corners.mean(-2), axis=-1, keepdims=True)
+        crossed: BoolArray = (
+            (between.sum(-1) >= LEAST_RINGS)
+            & (border.min(-1) > self.least_range)
+            & (border.max(-1) < self.most_range)
+            & (np.abs((T_lidar_pattern[:, :3, 2] * sight).sum(-1)) > np.cos(MAX_VIEW_ANGLE))
+            & (views.hidden(board.corners).mean(-1) < 1 - LEAST_SHARE)
+        )
+        return crossed
+
+    def noise_levels(self, distance: float) -> dict[NoiseKind, float]:
+        """Of ranges and of the border, the same at any distance."""
+        del distance
+        return {"range": self.range_noise, "border": self.border_noise}
+
+    def draw(
+        self, message: Mapping[str, Any], labels: Sequence[Mapping[str, Any]], patterns: Sequence[Pattern], files: Path
+    ) -> Image:
+        """The cloud as it looks from the sensor: azimuth to the left, elevation up."""
+        del patterns
+        picture = blank(2 * HEIGHT, DARK)
+        try:
+            points = read_points(files / message["data_file"])
+        except InputError:
+            return picture
+        if len(points):
+            _, azimuth = _azimuths_of(points)
+            elevation = np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1]))
+            place = np.column_stack([_spread(-azimuth, 2 * HEIGHT), _spread(-elevation, HEIGHT)])
+            draw_points(picture, place, range(len(points)), labels)
+        return picture
+
+
+def _azimuths_of(points: _Numbers) -> tuple[float, _Numbers]:
+    """The azimuth of the middle of points (N, 3), and theirs (N,) from it, -pi to pi."""
+    middle = np.arctan2(*points.mean(axis=0)[[1, 0]])
+    return middle, _turn(np.arctan2(points[:, 1], points[:, 0]) - middle)
+
+
+def _turn(angle: _Numbers) -> _Numbers:
+    """Angles between -pi and pi."""
+    return (angle + np.pi) % (2 * np.pi) - np.pi
+
+
+def _spread(values: _Numbers, length: int) -> Array:
+    """Values over a length, with some space at its ends."""
+    low, high = values.min(), values.max()
+    share = (values - low) / max(high - low, 1e-9)
+    place: Array = (0.05 + 0.9 * share) * (length - 1)
+    return place
+
+
+def _elevations(node: Node) -> list[float]:
+    """One for each ring: listed, or evenly between two; degrees."""
+    listed = node.get("elevations_deg")
+    if listed is None:
+        low, high = interval(node, "vertical_deg", least=-90, most=90)
+        return [float(angle) for angle in np.linspace(low, high, whole(node, "rings", 1, MAX_RINGS))]
+    for other in ("rings", "vertical_deg"):
+        if node.get(other):
+            raise node[other].fault("stands beside elevations_deg, which says the same; give one of them")
+    elevations = [element.number() for element in listed.elements()]
+    if not 1 <= len(elevations) <= MAX_RINGS or not all(abs(angle) <= 90 for angle in elevations):
+        raise listed.unexpected(f"1 to {MAX_RINGS} angles from -90 to 90")
+    return elevations
