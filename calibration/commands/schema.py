@@ -25,6 +25,7 @@ SCHEMAS = {
 }
 """What there is a schema of: package and file."""
 RECORDS = {
+    "image": "calibration.image.specification:ImageDocument",
     "aws-batch": "calibration.execution.batch.settings:BatchFile",
 }
 """The records from which those schemas are written (`make actions`) that are not written by hand."""

@@ -1,4 +1,4 @@
-"""What an image is made of; its JSON Schema is ``image.schema.json`` beside this module.
+"""What an image is made of.
 
 Where the fields of Rigel's plugins have their place:
 
@@ -32,121 +32,307 @@ registry provider      registry
 =====================  ==================================================================================
 """
 
-import json
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+import re
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Literal, cast
 
 from calibration.errors import InputError
 from calibration.image.recipe.repositories import Repository, read_repositories
 from calibration.image.recipe.user_text import check_line, check_text, package_name
-from calibration.json_schema import bundled, check_document
-from calibration.registries.credentials import RegistrySettings
-from calibration.registries.reference import parse_reference
+from calibration.records import (
+    UNIQUE,
+    Converted,
+    Misfit,
+    Place,
+    field,
+    flat_fields,
+    length,
+    matching,
+    read,
+    record,
+)
+from calibration.registries.credentials import RegistrySettings, VariableName
+from calibration.registries.reference import Reference, parse_reference
 from calibration.variables import with_variables
 from calibration.yaml_file import read_yaml
 
-SCHEMA = Path(__file__).with_name("image.schema.json")
 DEFAULT_NAME = "calibration-image"
 """Of an image that is not for a registry."""
-DEFAULT_USER = "robot"
 LABELS = "ci.calibration."
 """Our own labels begin so."""
 
-_OF_A_DOCKERFILE = ("context", "build-arguments", "target")
-_OF_A_RECIPE = (
-    *("base", "ros", "apt", "pip", "environment", "files", "commands"),
-    *("workspace", "entrypoint", "command", "user"),
-)
+
+def _text(check: Callable[[str, str], str], least: int = 0) -> Converted:
+    """Text that one of the checks of `user_text` lets pass."""
+    return Converted(Annotated[str, length(least)] if least else str, lambda text, place: check(text, str(place)))
 
 
-@dataclass(frozen=True)
+def _pip_item(text: str, place: Place) -> str | Path:
+    item = check_line(text, str(place)).strip()
+    if item.startswith("-r"):
+        return place.folder / item[2:].strip()
+    if item.startswith("-"):
+        raise place.fault(f"found the option {item!r}, expected a package or '-r FILE'")
+    return item
+
+
+def _shell(text: str, place: Place) -> str:
+    if not text.strip():
+        raise place.fault("found a blank, a command was expected")
+    return check_text(text, str(place))
+
+
+def _words(entry: str | tuple[str, ...], place: Place) -> tuple[str, ...]:
+    words = ("/bin/bash", "-c", entry) if isinstance(entry, str) else entry
+    return tuple(check_text(word, str(place)) for word in words)
+
+
+def _reference(text: str, place: Place) -> Reference:
+    try:
+        return parse_reference(text)
+    except InputError as error:
+        raise place.fault(str(error)) from None
+
+
+def _name(text: str, place: Place) -> str:
+    reference = _reference(text, place)
+    if reference.tag or reference.digest:
+        raise place.fault(f"found {text!r}, a name without a tag was expected: write it under tags")
+    return reference.name
+
+
+def _base(text: str, place: Place) -> str:
+    if (base := str(_reference(text, place))) == "scratch":
+        raise place.fault("scratch has no programs to install with: name an image of Debian or Ubuntu")
+    return base
+
+
+def _value(value: object, place: Place) -> str:
+    """A value as text: a number as it is written, a truth value as ``true`` or ``false``."""
+    text = {True: "true", False: "false"}[value] if isinstance(value, bool) else str(value)
+    return check_line(text, str(place))
+
+
+Line = Annotated[str, _text(check_line)]
+File = Annotated[Path, Converted(Annotated[Line, length(1)], lambda text, place: place.folder / text)]
+"""A path, relative to the file that names it."""
+Value = Annotated[str, Converted(str | bool | int | float, _value)]
+Tag = Annotated[str, matching("[A-Za-z0-9_][A-Za-z0-9_.-]{0,127}", "a tag: letters, digits and _ . -")]
+Stage = Annotated[str, matching("[A-Za-z0-9][A-Za-z0-9_.-]*", "a name: letters, digits and _ . -")]
+Distro = Annotated[str, matching("[a-z][a-z0-9]*", "the name of a distribution such as noetic")]
+Owner = Annotated[str, matching("[A-Za-z0-9_][A-Za-z0-9_.-]*(:[A-Za-z0-9_][A-Za-z0-9_.-]*)?", "a user, or user:group")]
+User = Annotated[str, matching("[a-z_][a-z0-9_-]{0,31}", "the name of a user")]
+RosdepKey = Annotated[str, matching("[A-Za-z0-9_][A-Za-z0-9_.+-]*", "a key of rosdep")]
+RosPackage = Annotated[str, matching("[A-Za-z0-9_][A-Za-z0-9_-]*", "the name of a ROS package")]
+Absolute = Annotated[Line, matching("/.*", "an absolute path")]
+PathInImage = Annotated[str, matching("(/[A-Za-z0-9_.-]+)+", "an absolute path of letters, digits and _ . -")]
+Platform = Annotated[str, matching("[a-z0-9]+/[a-z0-9_]+(/[a-z0-9]+)?", "a platform such as linux/arm64")]
+Host = Annotated[
+    str, matching("[A-Za-z0-9]([A-Za-z0-9.-]*[A-Za-z0-9])?(:[0-9]{1,5})?", "the name of a host such as github.com")
+]
+Label = Annotated[
+    str,
+    matching(
+        rf"(?!{re.escape(LABELS)})[A-Za-z0-9]([A-Za-z0-9._/-]*[A-Za-z0-9])?",
+        f"letters, digits and . _ / -, not {LABELS} at its start: these are set by build-image",
+    ),
+]
+
+
+@record
 class CopiedFile:
     """A file or folder that is copied into the image."""
 
-    source: Path
-    target: str
-    """Absolute; with ``/`` at the end a folder for the file."""
-    owner: str | None = None
+    source: File = field("A file, or a folder whose contents are copied, relative to this file.", key="from")
+    target: Absolute = field("Absolute; with / at the end a folder for the file.", key="to")
+    owner: Owner | None = field("User, or user:group (root).", default=None)
 
 
-@dataclass(frozen=True)
+@record
 class Workspace:
     """A ROS workspace that is built into the image."""
 
-    tool: Literal["catkin_make", "colcon"]
-    sources: tuple[Path, ...] = ()
-    repositories: tuple[Repository, ...] = ()
-    rosdep: bool = True
-    rosdep_skip: tuple[str, ...] = ()
-    cmake_arguments: Mapping[str, str] = field(default_factory=dict)
-    packages: tuple[str, ...] = ()
-    """Only these and what they need; all where there are none."""
-    path: str = "/workspace"
+    tool: Literal["catkin_make", "colcon"] = field("What builds it.")
+    sources: Annotated[tuple[File, ...], length(1), UNIQUE] = field(
+        "Folders with packages, each copied to src/<its name>; .dockerignore in them counts, .git is left out (the "
+        "folder of this file).",
+        implied=["."],
+    )
+    repositories: Annotated[
+        tuple[Repository, ...],
+        Converted(
+            Annotated[tuple[File, ...], UNIQUE],
+            lambda files, _: tuple(repository for file in files for repository in read_repositories(file)),
+        ),
+    ] = field(
+        ".repos or .rosinstall files of git repositories to clone into src. Pin commits: a branch that moves makes no "
+        "new image.",
+        default=(),
+    )
+    rosdep: bool = field("Whether rosdep installs what the package.xml files name.", default=True)
+    rosdep_skip: tuple[RosdepKey, ...] = field("Keys that rosdep leaves alone.", default=())
+    cmake_arguments: Mapping[VariableName, Value] = field(
+        "-D of CMake: {CMAKE_BUILD_TYPE: Release}.", default_factory=dict
+    )
+    packages: Annotated[tuple[RosPackage, ...], length(1)] = field(
+        "Build only these packages and what they need.", default=()
+    )
+    path: PathInImage = field("Where it is in the image.", default="/workspace")
+
+    def __post_init__(self) -> None:
+        """Refuse two folders of one name."""
+        names = [source.resolve().name for source in self.sources]
+        if twice := [name for name in names if names.count(name) > 1]:
+            raise Misfit(f"two folders are called {twice[0]!r}, and would be one in the workspace", "sources")
 
 
-@dataclass(frozen=True)
+@record
 class Recipe:
     """What comes on top of a base; a Dockerfile is generated from it."""
 
-    base: str
-    ros: str | None = None
-    apt: tuple[str, ...] = ()
-    pip: tuple[str, ...] = ()
-    requirements: tuple[Path, ...] = ()
-    """Files of requirements for pip."""
-    environment: Mapping[str, str] = field(default_factory=dict)
-    files: tuple[CopiedFile, ...] = ()
-    commands: tuple[str, ...] = ()
-    workspace: Workspace | None = None
-    entrypoint: tuple[str, ...] = ()
-    command: tuple[str, ...] = ()
-    user: str = DEFAULT_USER
+    base: Annotated[str, Converted(Annotated[str, length(1)], _base)] = field(
+        "The image to start from, of Debian or Ubuntu; ros alone means ros:<distro>.", default=""
+    )
+    ros: Distro | None = field("A ROS distribution in /opt/ros that is sourced: noetic, humble, ...", default=None)
+    apt: tuple[Annotated[str, _text(package_name, 1)], ...] = field(
+        "Debian packages, with =version where it matters.", default=()
+    )
+    pip_items: tuple[Annotated[str | Path, Converted(Annotated[str, length(1)], _pip_item)], ...] = field(
+        "Python packages as pip takes them; '-r FILE' for a file of requirements.", key="pip", default=()
+    )
+    environment: Mapping[VariableName, Value] = field(
+        "Variables of the image, taken literally ($ too). They can be read in the image: never a secret.",
+        default_factory=dict,
+    )
+    files: tuple[CopiedFile, ...] = field("Files and folders to copy, before the commands.", default=())
+    commands: tuple[Annotated[str, Converted(str, _shell)], ...] = field(
+        "Shell (bash) commands, a step each, run by root before the workspace is built.", default=()
+    )
+    workspace: Workspace | None = field("A ROS workspace that is built into the image.", default=None)
+    entrypoint: tuple[Annotated[str, _text(check_text)], ...] = field(
+        "Lines of shell for the start of a container, after ROS and the workspace are sourced.", default=()
+    )
+    command: Annotated[
+        tuple[str, ...],
+        Converted(Annotated[str, length(1)] | Annotated[tuple[str, ...], length(1)], _words),
+    ] = field("What a container runs unless told: arguments, or a line for the shell.", default=())
+    user: User = field("Who runs containers; made where the base has no such user.", default="robot")
+
+    def __post_init__(self) -> None:
+        """Start from the image of the ROS distribution where no base is named."""
+        if not self.base:
+            if self.ros is None:
+                raise Misfit("found none of base, ros and dockerfile: name the image to start from, in base")
+            object.__setattr__(self, "base", str(parse_reference(f"ros:{self.ros}")))
+
+    @property
+    def pip(self) -> tuple[str, ...]:
+        """The packages that pip installs by name."""
+        return tuple(item for item in self.pip_items if isinstance(item, str))
+
+    @property
+    def requirements(self) -> tuple[Path, ...]:
+        """The files of requirements for pip."""
+        return tuple(item for item in self.pip_items if isinstance(item, Path))
 
 
-@dataclass(frozen=True)
+@record
 class OwnDockerfile:
     """A Dockerfile that the user wrote, as it is."""
 
-    file: Path
-    context: Path
-    build_arguments: Mapping[str, str] = field(default_factory=dict)
-    target: str | None = None
+    file: File = field(
+        "A Dockerfile of your own, relative to this file, in the place of base and all that goes on top of it.",
+        key="dockerfile",
+    )
+    context: File = field(
+        "The folder that your Dockerfile copies from; its .dockerignore counts (this file's folder).", implied="."
+    )
+    build_arguments: Mapping[VariableName, Value] = field(
+        "Values for ARG in your Dockerfile. They can be read in the image: never a secret.", default_factory=dict
+    )
+    target: Stage | None = field("The stage of your Dockerfile to build (the last).", default=None)
 
 
-@dataclass(frozen=True)
+@record
 class Secret:
     """What the build may read and the image must not hold; here only where it is."""
 
-    id: str
-    variable: str | None = None
-    """The environment variable that holds it, or"""
-    file: Path | None = None
-    """the file that does."""
-    host: str | None = None
-    """The host whose git repositories it is the password of."""
-    username: str = "x-access-token"
+    id: Stage = field("Its name: the build finds it in /run/secrets/<id>.")
+    variable: VariableName | None = field("The environment variable that holds it.", default=None)
+    file: File | None = field("The file that holds it.", default=None)
+    host: Host | None = field("The host whose git repositories it is the password of: github.com.", default=None)
+    username: Annotated[str, matching("[A-Za-z0-9_.@+-]+", "the name of a user")] = field(
+        "The user that goes with it there.", default="x-access-token"
+    )
+
+    def __post_init__(self) -> None:
+        """Refuse a secret that is nowhere, or in two places."""
+        if (self.variable is None) == (self.file is None):
+            raise Misfit(f"{self.id}: expected either variable or file, which say where it is")
 
 
-@dataclass(frozen=True)
+@record
 class ImageSpecification:
     """An image, where it belongs and how it gets there."""
 
     source: Recipe | OwnDockerfile
-    name: str = DEFAULT_NAME
-    """Registry and repository, without a tag."""
-    tags: tuple[str, ...] = ()
-    """Beside the one made of the content key."""
-    labels: Mapping[str, str] = field(default_factory=dict)
-    secrets: tuple[Secret, ...] = ()
-    ssh: bool = False
-    platforms: tuple[str, ...] = ()
-    """None for the engine's own."""
-    registry: RegistrySettings | None = None
-    push: bool = False
-    promote: tuple[str, ...] = ()
-    """What a green verdict brings; building does nothing with them."""
+    name: Annotated[str, Converted(Annotated[str, length(1)], _name)] = field(
+        "Where the image belongs, without a tag: ghcr.io/team/robot. Needed to push.", default=DEFAULT_NAME
+    )
+    tags: Annotated[tuple[Tag, ...], UNIQUE] = field(
+        "Tags beside the one made of the content (latest; none where promote says what a green verdict brings).",
+        default=None,
+    )
+    labels: Mapping[Label, Line] = field("Labels of the image.", default_factory=dict)
+    secrets: tuple[Secret, ...] = field(
+        "Secrets that the build may read in /run/secrets/<id> and that never reach a layer (BuildKit). A generated "
+        "Dockerfile gives them to pip, to the commands and to git.",
+        default=(),
+    )
+    ssh: bool = field(
+        "Whether the build may use your SSH agent (SSH_AUTH_SOCK) for private repositories (BuildKit).", default=False
+    )
+    platforms: Annotated[tuple[Platform, ...], UNIQUE] = field(
+        "linux/amd64, linux/arm64, ... (the engine's own). Several need buildx, and push.", default=()
+    )
+    registry: RegistrySettings | None = field(
+        "How to log in; where there is none, what `docker login` left.", default=None
+    )
+    push: bool = field("Whether the image goes to its registry.", default=False)
+    promote: Annotated[tuple[Tag, ...], UNIQUE] = field(
+        "Tags that the same image gets after a green verdict.", default=()
+    )
+
+    def __post_init__(self) -> None:
+        """Name the image latest where nothing else is said; refuse values that are right alone and wrong together."""
+        if cast("object", self.tags) is None:
+            object.__setattr__(self, "tags", () if self.promote else ("latest",))
+        ids = [secret.id for secret in self.secrets]
+        if twice := [each for each in ids if ids.count(each) > 1]:
+            raise Misfit(f"the id {twice[0]!r} stands twice", "secrets")
+        if isinstance(self.source, Recipe) and self.source.workspace and not self.ssh:
+            for repository in self.source.workspace.repositories:
+                if repository.by_ssh:
+                    raise Misfit(f"the repository {repository.url} is cloned by SSH: add ssh: true")
+
+
+@record
+class RecipeImage(ImageSpecification):
+    """An image of a base and what comes on top of it."""
+
+    source: Recipe = field(flat=True)
+
+
+@record
+class DockerfileImage(ImageSpecification):
+    """An image of a Dockerfile of your own."""
+
+    source: OwnDockerfile = field(flat=True)
+
+
+ImageDocument = RecipeImage | DockerfileImage
+"""What a specification says."""
 
 
 def read_image_specification(path: Path, environment: Mapping[str, str] | None = None) -> ImageSpecification:
@@ -156,7 +342,7 @@ def read_image_specification(path: Path, environment: Mapping[str, str] | None =
     the file.
 
     Raises:
-        InputError: the file is missing, is no YAML, or does not follow the schema; names file and key.
+        InputError: the file is missing, is no YAML, or is no specification; names file and key.
     """
     document = read_yaml(path, "an image specification")
     where = str(path)
@@ -176,156 +362,23 @@ def parse_image_specification(entry: object, folder: Path, where: str) -> ImageS
         where: the file, and the key in it, for messages.
 
     Raises:
-        InputError: it does not follow the schema, or keys exclude each other; names the key.
+        InputError: it is no specification, or keys exclude each other; names the key.
     """
-    check_document(entry, bundled(SCHEMA), where, {})
-    assert isinstance(entry, dict)  # noqa: S101 (the schema says so)
-    _refuse_both_kinds(entry, where)
-    name = entry.get("name", DEFAULT_NAME)
-    reference = parse_reference(name)
-    if reference.tag or reference.digest:
-        raise InputError(f"{where}: name: found {name!r}, a name without a tag was expected: write it under tags")
-    promote = tuple(entry.get("promote", ()))
-    push = entry.get("push", False)
-    if "name" not in entry and (push or promote):
+    if not isinstance(entry, dict) or "dockerfile" not in entry:
+        _refuse(entry, OwnDockerfile, f"{where}: {{}} needs dockerfile: it is for a Dockerfile of your own")
+        specification: ImageSpecification = read(RecipeImage, entry, where, folder)
+    else:
+        _refuse(entry, Recipe, f"{where}: {{}} excludes dockerfile: a Dockerfile of your own says it itself")
+        specification = read(DockerfileImage, entry, where, folder)
+    if specification.name == DEFAULT_NAME and (specification.push or specification.promote):
         raise InputError(f"{where}: name is not given: a registry's image needs one, such as ghcr.io/team/robot")
-    platforms = tuple(entry.get("platforms", ()))
-    if len(platforms) > 1 and not push:
+    if len(specification.platforms) > 1 and not specification.push:
         raise InputError(f"{where}: platforms: an engine holds one of several platforms: add push: true, or name one")
-    return ImageSpecification(
-        source=_own(entry, folder, where) if "dockerfile" in entry else _recipe(entry, folder, where),
-        name=reference.name,
-        tags=tuple(entry.get("tags", () if promote else ("latest",))),
-        labels=_labels(entry.get("labels", {}), where),
-        secrets=_secrets(entry.get("secrets", ()), folder, where),
-        ssh=entry.get("ssh", False),
-        platforms=platforms,
-        registry=_registry(entry["registry"], where) if "registry" in entry else None,
-        push=push,
-        promote=promote,
-    )
+    return specification
 
 
-def _own(entry: Mapping[str, Any], folder: Path, where: str) -> OwnDockerfile:
-    return OwnDockerfile(
-        file=folder / check_line(entry["dockerfile"], f"{where}: dockerfile"),
-        context=folder / check_line(entry.get("context", "."), f"{where}: context"),
-        build_arguments=_values(entry.get("build-arguments", {}), f"{where}: build-arguments"),
-        target=entry.get("target"),
-    )
-
-
-def _recipe(entry: Mapping[str, Any], folder: Path, where: str) -> Recipe:
-    ros = entry.get("ros")
-    if "base" not in entry and ros is None:
-        raise InputError(f"{where}: found none of base, ros and dockerfile: name the image to start from, in base")
-    base = str(parse_reference(entry.get("base", f"ros:{ros}")))
-    if base == "scratch":
-        raise InputError(f"{where}: base: scratch has no programs to install with: name an image of Debian or Ubuntu")
-    pip = [check_line(item, f"{where}: pip").strip() for item in entry.get("pip", ())]
-    files = [item[2:].strip() for item in pip if item.startswith("-r")]
-    packages = [item for item in pip if not item.startswith("-r")]
-    for item in packages:
-        if item.startswith("-"):
-            raise InputError(f"{where}: pip: found the option {item!r}, expected a package or '-r FILE'")
-    workspace = _workspace(entry["workspace"], folder, f"{where}: workspace") if "workspace" in entry else None
-    if workspace and not entry.get("ssh", False):
-        for repository in workspace.repositories:
-            if repository.by_ssh:
-                raise InputError(f"{where}: the repository {repository.url} is cloned by SSH: add ssh: true")
-    return Recipe(
-        base=base,
-        ros=ros,
-        apt=tuple(package_name(item, f"{where}: apt") for item in entry.get("apt", ())),
-        pip=tuple(packages),
-        requirements=tuple(folder / file for file in files),
-        environment=_values(entry.get("environment", {}), f"{where}: environment"),
-        files=tuple(_file(item, folder, f"{where}: files.{i}") for i, item in enumerate(entry.get("files", ()))),
-        commands=tuple(_shell(item, f"{where}: commands.{i}") for i, item in enumerate(entry.get("commands", ()))),
-        workspace=workspace,
-        entrypoint=tuple(check_text(item, f"{where}: entrypoint") for item in entry.get("entrypoint", ())),
-        command=_command(entry.get("command", ()), f"{where}: command"),
-        user=entry.get("user", DEFAULT_USER),
-    )
-
-
-def _workspace(entry: Mapping[str, Any], folder: Path, where: str) -> Workspace:
-    sources = [folder / check_line(item, f"{where}.sources") for item in entry.get("sources", ["."])]
-    names = [source.resolve().name for source in sources]
-    for name in names:
-        if names.count(name) > 1:
-            raise InputError(f"{where}.sources: two folders are called {name!r}, and would be one in the workspace")
-    return Workspace(
-        tool=entry["tool"],
-        sources=tuple(sources),
-        repositories=tuple(
-            repository
-            for file in entry.get("repositories", ())
-            for repository in read_repositories(folder / check_line(file, f"{where}.repositories"))
-        ),
-        rosdep=entry.get("rosdep", True),
-        rosdep_skip=tuple(entry.get("rosdep-skip", ())),
-        cmake_arguments=_values(entry.get("cmake-arguments", {}), f"{where}.cmake-arguments"),
-        packages=tuple(entry.get("packages", ())),
-        path=entry.get("path", Workspace.path),
-    )
-
-
-def _file(entry: Mapping[str, Any], folder: Path, where: str) -> CopiedFile:
-    source = folder / check_line(entry["from"], f"{where}.from")
-    return CopiedFile(source, check_line(entry["to"], f"{where}.to"), entry.get("owner"))
-
-
-def _shell(text: str, where: str) -> str:
-    if not text.strip():
-        raise InputError(f"{where}: found a blank, a command was expected")
-    return check_text(text, where)
-
-
-def _command(entry: str | Iterable[str], where: str) -> tuple[str, ...]:
-    if isinstance(entry, str):
-        return ("/bin/bash", "-c", check_text(entry, where))
-    return tuple(check_text(item, where) for item in entry)
-
-
-def _secrets(entries: Iterable[Mapping[str, Any]], folder: Path, where: str) -> tuple[Secret, ...]:
-    secrets: dict[str, Secret] = {}
-    for entry in entries:
-        name = entry["id"]
-        if ("variable" in entry) == ("file" in entry):
-            raise InputError(f"{where}: secrets: {name}: expected either variable or file, which say where it is")
-        if name in secrets:
-            raise InputError(f"{where}: secrets: the id {name!r} stands twice")
-        file = folder / check_line(entry["file"], f"{where}: secrets") if "file" in entry else None
-        username = entry.get("username", Secret.username)
-        secrets[name] = Secret(name, entry.get("variable"), file, entry.get("host"), username)
-    return tuple(secrets.values())
-
-
-def _labels(entry: Mapping[str, str], where: str) -> dict[str, str]:
-    for name in entry:
-        if name.startswith(LABELS):
-            raise InputError(f"{where}: labels: {name}: labels that begin with {LABELS} are set by build-image")
-    return _values(entry, f"{where}: labels")
-
-
-def _registry(entry: Mapping[str, Any], where: str) -> RegistrySettings:
-    if ("username" in entry) != ("password-variable" in entry):
-        raise InputError(f"{where}: registry: username and password-variable go together: found one of them")
-    return RegistrySettings(**{key.replace("-", "_"): value for key, value in entry.items()})
-
-
-def _values(entry: Mapping[str, Any], where: str) -> dict[str, str]:
-    """Values as text: a number as it is written, a truth value as ``true`` or ``false``."""
-    return {
-        name: check_line(value if isinstance(value, str) else json.dumps(value), f"{where}.{name}")
-        for name, value in entry.items()
-    }
-
-
-def _refuse_both_kinds(entry: Mapping[str, Any], where: str) -> None:
-    own = "dockerfile" in entry
-    for key in _OF_A_RECIPE if own else _OF_A_DOCKERFILE:
-        if key in entry:
-            reason = "a Dockerfile of your own says it itself" if own else "it is for a Dockerfile of your own"
-            raise InputError(f"{where}: {key} {'excludes' if own else 'needs'} dockerfile: {reason}")
+def _refuse(entry: object, kind: type, message: str) -> None:
+    """Refuse the keys of the other kind of image."""
+    for key in flat_fields(kind):
+        if isinstance(entry, dict) and key in entry:
+            raise InputError(message.format(key))

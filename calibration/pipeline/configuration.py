@@ -89,8 +89,11 @@ def read_configuration(path: Path, environment: Mapping[str, str] | None = None)
         InputError: the file is missing, is no YAML, or does not follow its schema; names file and key.
     """
     document = read_yaml(path, "a pipeline configuration")
-    batch = None
-    if isinstance(document, dict) and SECTION in document:  # first, since it says more of what is wrong
+    batch, image = None, None
+    if isinstance(document, dict) and "image" in document:  # first, since it says more of what is wrong
+        document["image"] = with_variables(document["image"], f"{path}: image", environment)
+        image = parse_image_specification(document["image"], path.parent, f"{path}: image")
+    if isinstance(document, dict) and SECTION in document:
         document[SECTION] = with_variables(document[SECTION], f"{path}: {SECTION}", environment)
         batch = settings_from(document[SECTION], f"{path}: {SECTION}")
     check_document(document, bundled(SCHEMA), str(path), ADVICE)
@@ -100,14 +103,13 @@ def read_configuration(path: Path, environment: Mapping[str, str] | None = None)
     backend = document.get("backend", DOCKER)
     entries = document.get("simulation", {})
     simulations = tuple(_simulation(name, entry, path, backend) for name, entry in entries.items())
-    image = document.get("image")
     configuration = Configuration(
         systems=tuple(_system(name, entry, common, path) for name, entry in document.get("systems", {}).items()),
         noise=_noise(document.get("noise", {})),
         start=document.get("start", "linear"),
         loss=document.get("loss", "huber"),
         simulations=simulations,
-        image=parse_image_specification(image, path.parent, f"{path}: image") if image is not None else None,
+        image=image,
         backend=backend,
         batch=batch,
     )

@@ -7,7 +7,7 @@ from dataclasses import MISSING, dataclass
 from functools import cache
 from typing import Any, Literal, TypeVar, dataclass_transform
 
-from calibration.workflow.text import did_you_mean
+from calibration.workflow.text import did_you_mean, shorten
 
 _Class = TypeVar("_Class", bound=type)
 _SETTINGS = "__record__"
@@ -54,6 +54,8 @@ class Declared:
     help: str
     default: Any
     """`dataclasses.MISSING` where the key is required."""
+    implied: Any
+    """What the document would say where the key is absent; `dataclasses.MISSING` where ``default`` is the value."""
     flat: bool
     option: bool | str
     """Whether the field is an option of a command; the sentence of help for it, where the option needs its own."""
@@ -61,7 +63,7 @@ class Declared:
     @property
     def required(self) -> bool:
         """Whether the key must be there."""
-        return self.default is MISSING and not self.flat
+        return self.default is MISSING and self.implied is MISSING and not self.flat
 
 
 def field(
@@ -69,6 +71,7 @@ def field(
     *,
     default: Any = MISSING,
     default_factory: Any = MISSING,
+    implied: Any = MISSING,
     key: str | None = None,
     unit: str | None = None,
     flat: bool = False,
@@ -80,13 +83,14 @@ def field(
         help: one sentence, for schemas, options and tables.
         default: the value where the key is absent.
         default_factory: makes it; the record itself in a flat field.
+        implied: what the document would say where the key is absent, such as a path relative to the file.
         key: in the document, where it is not the field's name.
         unit: of the value; added to the help.
         flat: whether the keys of the record in this field stand among those of the record that has it.
         option: whether a command has an option for it; or another sentence of help for the option.
     """
     text = f"{help.removesuffix('.')}, {unit}." if unit else help
-    metadata = {_DECLARED: {"key": key, "help": text, "flat": flat, "option": option}}
+    metadata = {_DECLARED: {"key": key, "help": text, "implied": implied, "flat": flat, "option": option}}
     if default_factory is not MISSING:
         return dataclasses.field(default_factory=default_factory, metadata=metadata)
     return dataclasses.field(default=default, metadata=metadata)
@@ -144,7 +148,7 @@ def fields_of(kind: Any) -> tuple[Declared, ...]:
             continue
         default = each.default if each.default_factory is MISSING else each.default_factory()
         key = declared["key"] or (each.name.replace("_", "-") if kebab else each.name)
-        details = {name: declared[name] for name in ("help", "flat", "option")}
+        details = {name: declared[name] for name in ("help", "implied", "flat", "option")}
         found.append(Declared(each.name, key, types[each.name], default=default, **details))
     return tuple(found)
 
@@ -188,4 +192,4 @@ def one_of(*names: str, why: str) -> Rule:
 
 def unknown_key(key: object, known: Collection[str]) -> str:
     """The message about a key that is none of those known."""
-    return f"unknown key '{key}'{did_you_mean(str(key), known)} (known: {', '.join(known)})"
+    return f"unknown key {shorten(repr(key))}{did_you_mean(str(key), known)} (known: {', '.join(known)})"

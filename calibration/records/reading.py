@@ -261,6 +261,8 @@ def _made(kind: Any, document: Mapping[str, Any], place: Place, more: Mapping[st
             value = document[each.key]
             absent = value is None and nulls and NoneType in typing.get_args(each.type)
             values[each.name] = None if absent else read_as(each.type, value, place.below(each.key))
+        elif each.implied is not MISSING:
+            values[each.name] = read_as(each.type, each.implied, place.below(each.key))
         elif each.default is MISSING:
             raise place.fault(f"missing key '{each.key}'")
     try:

@@ -115,7 +115,9 @@ def _property(each: Declared, nulls: bool) -> dict[str, Any]:
         schema = _union([schema, {"type": "null"}])
     if each.help:
         schema = {"description": each.help, **{key: value for key, value in schema.items() if key != "description"}}
-    if each.default not in (MISSING, None, ()) and not is_record(type(each.default)):
+    if each.implied is not MISSING:
+        schema["default"] = each.implied
+    elif each.default not in (MISSING, None, ()) and not is_record(type(each.default)):
         default = value_of(each.default)
         if default != {} and not isinstance(each.default, Path):
             schema["default"] = default

@@ -2,22 +2,28 @@
 
 import base64
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Annotated, Literal
+
+from calibration.records import field as declared
+from calibration.records import length, matching, needs, record
+
+VariableName = Annotated[str, matching("[A-Za-z_][A-Za-z0-9_]*", "the name of a variable")]
+_TOGETHER = "username and password-variable go together: found one of them"
 
 
-@dataclass(frozen=True)
+@record(rules=(needs("username", "password-variable", _TOGETHER), needs("password-variable", "username", _TOGETHER)))
 class RegistrySettings:
-    """The key ``registry`` of an image specification: how to log in. A password is never in it."""
+    """How to log in to a registry. A password is never in it."""
 
-    username: str | None = None
-    password_variable: str | None = None
-    """The environment variable that holds the password or token."""
-    kind: Literal["ecr"] | None = None
-    """AWS's registry, where boto3 gets the password; recognised by its host too."""
-    create_repository: bool = False
-    """Whether a repository that ECR does not have is made."""
-    insecure: bool = False
-    """Whether the registry speaks HTTP without TLS; one on this machine does without being told."""
+    username: Annotated[str, length(1)] | None = declared("The user.", default=None)
+    password_variable: VariableName | None = declared(
+        "The environment variable that holds the password or token.", default=None
+    )
+    kind: Literal["ecr"] | None = declared(
+        "ecr: AWS gives the password; recognised by the registry's host too.", default=None
+    )
+    create_repository: bool = declared("Make a repository that ECR does not have.", default=False)
+    insecure: bool = declared("HTTP without TLS; one on this machine does so without being told.", default=False)
 
 
 @dataclass(frozen=True)

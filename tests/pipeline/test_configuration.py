@@ -92,7 +92,7 @@ def test_limits_for_all_systems_yield_to_a_system_s_own(tmp_path: Path) -> None:
         ("systems: {a: {dataset: a}}\nnoise: {translation: []}", "noise.translation"),
         ("systems: {a: {dataset: a}}\nnoise: {seeds: 2, seed-list: [1]}", "exclude each other"),
         ("systems: {a: {dataset: a}}\nstart: guess", "start"),
-        ("systems: {a: {dataset: a, rules: [{column: RMS}]}}", "systems.a.rules: rule 1"),
+        ("systems: {a: {dataset: a, rules: [{column: RMS}]}}", "systems.a.rules: rules.0"),
         ("systems: {a: {dataset: a, rules: [{column: RMS, min: 2, max: 1}]}}", "systems.a.rules"),
         ("systems: {a: {dataset: a, limits: {}}}", "systems.a.limits"),
         ("systems: {a: {dataset: '${NO_SUCH}'}}", "NO_SUCH is not set"),
