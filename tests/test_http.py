@@ -1,9 +1,9 @@
-"""What rooms that speak HTTP share."""
+"""What is common to all HTTP; how requests are repeated and bounded is tested with registries and Codacy."""
 
 import pytest
 import requests
 
-from calibration.http import innermost_cause, retry_after
+from calibration.http import innermost_cause, is_loopback, retry_after
 
 
 def test_the_cause_is_what_the_system_said() -> None:
@@ -31,3 +31,22 @@ def test_a_cause_without_words_is_named() -> None:
 )
 def test_retry_after(header: str, seconds: float | None) -> None:
     assert retry_after(header) == seconds
+
+
+@pytest.mark.parametrize(
+    ("host", "there"),
+    [
+        ("127.0.0.1:5000", True),
+        ("127.1.2.3", True),
+        ("localhost", True),
+        ("localhost:5000", True),
+        ("[::1]:5000", True),
+        ("ghcr.io", False),
+        ("127.0.0.1.evil.org", False),
+        ("127.0.0.1:5@evil.org", False),
+        ("localhost.evil.org", False),
+        ("[::1]@evil.org", False),
+    ],
+)
+def test_which_host_is_this_machine(host: str, there: bool) -> None:
+    assert is_loopback(host) is there

@@ -7,9 +7,8 @@ from dataclasses import dataclass
 from urllib.parse import urlencode, urlsplit
 
 from calibration.errors import WorldError
+from calibration.http import Http, is_loopback
 from calibration.registries.credentials import Credentials
-from calibration.registries.reference import is_loopback
-from calibration.registries.transport import Transport
 from calibration.workflow.text import one_line, shorten
 
 _SCHEME = re.compile(r"(?:^|,)\s*(bearer|basic)\b", re.IGNORECASE)
@@ -48,12 +47,12 @@ def basic(credentials: Credentials) -> str:
 
 
 def fetch_token(
-    transport: Transport, challenge: Challenge, credentials: Credentials | None, scope: str, registry: str
+    http: Http, challenge: Challenge, credentials: Credentials | None, scope: str, registry: str
 ) -> str | None:
     """Get a token where the registry says it is; None where that is denied.
 
     Args:
-        transport: the session.
+        http: the session.
         challenge: the registry's question.
         credentials: None for what anyone may do.
         scope: what is asked for, where the registry does not say it.
@@ -77,10 +76,10 @@ def fetch_token(
         form = {"grant_type": "refresh_token", "client_id": "calibration-ci", **asked}
         body = urlencode({**form, "refresh_token": credentials.identity_token}).encode()
         headers = {"Content-Type": "application/x-www-form-urlencoded"}
-        answer = transport.send("POST", challenge.realm, headers, body)
+        answer = http.send("POST", challenge.realm, headers, body)
     else:
         headers = {} if credentials is None else {"Authorization": basic(credentials)}
-        answer = transport.send("GET", url, headers)
+        answer = http.send("GET", url, headers)
     if answer.status in (400, 401, 403):
         return None
     try:

@@ -16,7 +16,6 @@ _REPOSITORY = re.compile(rf"{_PART}(?:/{_PART})*")
 _LABEL = r"[A-Za-z0-9](?:[A-Za-z0-9-]*[A-Za-z0-9])?"
 _REGISTRY = re.compile(rf"(?:{_LABEL}(?:\.{_LABEL})*|\[[0-9A-Fa-f:.]+\])(?::[0-9]{{1,5}})?")
 _TAG = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,127}")
-_LOOPBACK = re.compile(r"(?:localhost|\[::1\]|127(?:\.[0-9]{1,3}){3})(?::[0-9]{1,5})?")
 _DIGEST = re.compile(r"sha256:[0-9a-f]{64}|sha512:[0-9a-f]{128}")
 
 
@@ -106,11 +105,6 @@ def check_tag(tag: str) -> str:
 def is_digest(text: str) -> bool:
     """Whether a text is a digest: ``sha256:`` and 64 hexadecimal digits."""
     return _DIGEST.fullmatch(text) is not None
-
-
-def is_loopback(registry: str) -> bool:
-    """Whether a registry is on this machine, where the engine too speaks HTTP without TLS."""
-    return _LOOPBACK.fullmatch(registry) is not None
 
 
 def _looks_like_a_host(text: str) -> bool:

@@ -1,4 +1,10 @@
-"""A registry's own interface (OCI distribution): which image a name stands for, and other names for it."""
+"""Client of a registry (OCI distribution): which manifest a name stands for, and other tags for it.
+
+Why it is our own. oras-py 0.2.43 returns a manifest parsed, so that its bytes, of which the digest is, are lost; it
+compares no digest, reads any number of bytes, has no time limit, does not repeat after 429 or 503, and sends the
+password to whatever realm the registry names. ``docker buildx imagetools`` does not come with every Docker Engine that
+we support, has no structured errors, and takes passwords from a file alone.
+"""
 
 import hashlib
 import json
@@ -9,10 +15,10 @@ from typing import Self
 from urllib.parse import quote
 
 from calibration.errors import InputError, WorldError
+from calibration.http import Answer, Http, Limits, is_loopback
 from calibration.registries.challenge import basic, fetch_token, parse_challenge
 from calibration.registries.credentials import Credentials
-from calibration.registries.reference import DOCKER_HUB, Reference, is_digest, is_loopback, parse_reference
-from calibration.registries.transport import CONNECT_SECONDS, READ_SECONDS, Answer, Transport
+from calibration.registries.reference import DOCKER_HUB, Reference, is_digest, parse_reference
 from calibration.workflow.text import one_line, shorten
 
 MEDIA_TYPES = (
@@ -47,10 +53,11 @@ class RegistryClient:
         credentials: Credentials | None = None,
         *,
         pause: Callable[[float], None] = time.sleep,
-        seconds: tuple[float, float] = (CONNECT_SECONDS, READ_SECONDS),
+        limits: Limits | None = None,
     ) -> None:
-        """Open a session; ``pause`` and ``seconds`` are those of :class:`Transport`."""
-        self._transport = Transport(credentials.secrets if credentials else (), pause, seconds)
+        """Open a session; ``pause`` and ``limits`` are those of `Http`."""
+        secrets = credentials.secrets if credentials else ()
+        self._http = Http(secrets, address="the image's name", explain=_errors, pause=pause, limits=limits)
         self._credentials = credentials
         self._authorizations: dict[tuple[str, str, bool], str] = {}
 
@@ -58,7 +65,7 @@ class RegistryClient:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._transport.close()
+        self._http.close()
 
     def find_manifest(self, reference: Reference | str) -> str | None:
         """The digest of an image; None where there is none of that name.
@@ -94,7 +101,7 @@ class RegistryClient:
         answer = self._request("GET", reference, f"manifests/{_version(reference)}", {"Accept": ", ".join(MEDIA_TYPES)})
         if self._is_missing(answer, reference):
             return None
-        media_type = answer.headers.get("Content-Type", "").partition(";")[0].strip()
+        media_type = answer.content_type
         if media_type not in MEDIA_TYPES:
             found = shorten(one_line(media_type)) or "nothing"
             raise InputError(f"{reference}: the registry answers with {found}, an image's manifest was expected")
@@ -118,7 +125,7 @@ class RegistryClient:
         if answer.status in _DENIED:
             raise self._denied(answer, reference)
         if answer.status not in (200, 201):
-            message = f"{reference}: the registry does not take it: {answer.status}{self._transport.describe(answer)}"
+            message = f"{reference}: the registry does not take it: {answer.status}{self._http.quote(answer.body)}"
             raise InputError(message) if 400 <= answer.status < 500 else WorldError(message)
         kept = answer.headers.get("Docker-Content-Digest", manifest.digest).strip()
         if kept != manifest.digest:
@@ -160,7 +167,7 @@ class RegistryClient:
         credentials = None if own is None or own.anonymous else own
         key = (reference.registry, reference.repository, method == "PUT")
         known = self._authorizations.get(key)
-        answer = self._transport.send(method, url, headers | ({"Authorization": known} if known else {}), body)
+        answer = self._http.send(method, url, headers | ({"Authorization": known} if known else {}), body)
         if answer.status != 401:
             return answer
         challenge = parse_challenge(answer.headers.get("WWW-Authenticate", ""))
@@ -170,12 +177,12 @@ class RegistryClient:
             authorization = None if credentials is None else basic(credentials)
         else:
             scope = f"repository:{reference.repository}:pull{',push' if method == 'PUT' else ''}"
-            token = fetch_token(self._transport, challenge, credentials, scope, reference.registry)
+            token = fetch_token(self._http, challenge, credentials, scope, reference.registry)
             authorization = None if token is None else f"Bearer {token}"
         if authorization is None:
             return answer
         self._authorizations[key] = authorization
-        return self._transport.send(method, url, headers | {"Authorization": authorization}, body)
+        return self._http.send(method, url, headers | {"Authorization": authorization}, body)
 
     def _is_missing(self, answer: Answer, reference: Reference) -> bool:
         """Whether there is no such image.
@@ -192,14 +199,14 @@ class RegistryClient:
             if self._is_nobody(reference):
                 return True
             raise self._denied(answer, reference)
-        raise WorldError(f"{reference}: the registry answers {answer.status}{self._transport.describe(answer)}")
+        raise WorldError(f"{reference}: the registry answers {answer.status}{self._http.quote(answer.body)}")
 
     def _is_nobody(self, reference: Reference) -> bool:
         own = self._credentials
         return own is None or own.anonymous or own.registry != reference.registry
 
     def _denied(self, answer: Answer, reference: Reference) -> InputError:
-        return denied(reference, self._credentials, f"{answer.status}{self._transport.describe(answer)}")
+        return denied(reference, self._credentials, f"{answer.status}{self._http.quote(answer.body)}")
 
 
 def denied(reference: Reference, credentials: Credentials | None, said: str) -> InputError:
@@ -209,6 +216,14 @@ def denied(reference: Reference, credentials: Credentials | None, said: str) -> 
     else:
         who = f"check the password of {credentials.username or 'the token'}, and what it may do to this name"
     return InputError(f"{reference}: {reference.registry} denies access ({said}); {who}")
+
+
+def _errors(body: bytes) -> str:
+    """What a registry says went wrong; empty where it says it in no known form."""
+    try:
+        return "; ".join(f"{error['code']}: {error.get('message') or ''}" for error in json.loads(body)["errors"][:3])
+    except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
+        return ""
 
 
 def _parsed(reference: Reference | str) -> Reference:

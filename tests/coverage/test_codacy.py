@@ -12,11 +12,10 @@ import pytest
 
 from calibration.coverage.lines import FileCoverage
 from calibration.coverage.rate import Rate
-from calibration.coverage.services import posting
 from calibration.coverage.services.codacy import API_URL, Account, Codacy, parse_account, parse_api_url, report_body
-from calibration.coverage.services.posting import Limits, Poster
-from calibration.coverage.services.service import Request, Upload
+from calibration.coverage.services.service import Upload
 from calibration.errors import InputError, WorldError
+from calibration.http import ATTEMPTS, FIRST_PAUSE, MAX_BYTES, Http, Limits
 from tests.engine import wait_until
 
 from . import projects
@@ -43,8 +42,9 @@ def server() -> Iterator[projects.Codacy]:
 def client(url: str, account: Account | None = None, **limits: float) -> tuple[Codacy, list[float]]:
     """A client that notes its pauses in the place of making them, and has a minute for all else."""
     pauses: list[float] = []
-    poster = Poster([TOKEN], Limits(**{"connect": 60, "silence": 60, "whole": 60} | limits), pauses.append)
-    return Codacy(account or Account(TOKEN), url, poster=poster), pauses
+    waits = Limits(**{"connect": 60, "silence": 60, "whole": 60} | limits)
+    http = Http([TOKEN], address="the address (api-url)", limits=waits, pause=pauses.append)
+    return Codacy(account or Account(TOKEN), url, http=http), pauses
 
 
 def tell(codacy: Codacy, **options: bool) -> None:
@@ -110,7 +110,7 @@ def test_a_name_that_is_no_text_is_still_json() -> None:
 
 
 def test_no_token_in_what_is_printed() -> None:
-    codacy = Codacy(Account(TOKEN), API_URL, poster=Poster([TOKEN]))
+    codacy = Codacy(Account(TOKEN), API_URL, http=Http([TOKEN]))
     assert TOKEN not in repr([codacy, codacy.requests(Upload(SHA, FILES))])
 
 
@@ -139,9 +139,9 @@ HTML = "<!DOCTYPE html><html><body>Sign in</body></html>"
             302,
             "",
             {"Location": "https://user:pw@login.example.org/x"},
-            "sends on to https://login.example.org, where no",
+            "sends a POST on to https://login.example.org, which is not followed: check the address (api-url)",
         ),
-        (302, "", {"Location": "/x"}, "sends on to elsewhere, where no token is sent"),
+        (302, "", {"Location": "/x"}, "answered 302: sends a POST on to http://127.0.0.1, which is not followed"),
         (200, b"\xff\xfe", {}, "something else than JSON"),
         (200, '{"error": "\\u001b[2J::add-mask::x\\n\\n"}', {}, "answered 200 (\\x1b[2J::add-mask::x): check"),
         (200, json.dumps({"error": f"token {TOKEN} is wrong"}), {}, "answered 200 (token *** is wrong)"),
@@ -176,15 +176,15 @@ def test_what_passes_is_tried_again(server: projects.Codacy, status: int) -> Non
     tell(codacy)
     assert len(server.asked) == 3
     assert {asked.body for asked in server.asked} == {PYTHON}
-    assert pauses == [posting.FIRST_PAUSE, 7.0]
+    assert pauses == [FIRST_PAUSE, 7.0]
 
 
 @pytest.mark.parametrize(
     ("status", "body", "said"),
     [
-        (503, HTML, "answered 503 (3 attempts): the fault is on its side: run the job again later"),
-        (500, '{"error": "boom"}', 'answered 500 ({"error": "boom"}) (3 attempts): the fault is on its side'),
-        (429, "slow down", "answered 429 (slow down) (3 attempts): it has had too many requests"),
+        (503, HTML, "answered 503 (4 attempts): the fault is on its side: run it again later"),
+        (500, '{"error": "boom"}', 'answered 500 ({"error": "boom"}) (4 attempts): the fault is on its side'),
+        (429, "slow down", "answered 429 (slow down) (4 attempts): it has had too many requests"),
     ],
 )
 def test_what_does_not_pass(server: projects.Codacy, status: int, body: str, said: str) -> None:
@@ -194,8 +194,8 @@ def test_what_does_not_pass(server: projects.Codacy, status: int, body: str, sai
     with pytest.raises(WorldError) as failed:
         tell(codacy)
     assert said in str(failed.value)
-    assert len(server.asked) == posting.ATTEMPTS == 3
-    assert pauses == [1.0, 2.0]
+    assert len(server.asked) == ATTEMPTS == 4
+    assert pauses == [0.5, 1.0, 2.0]
 
 
 def test_a_long_wait_is_not_waited_for(server: projects.Codacy) -> None:
@@ -206,15 +206,15 @@ def test_a_long_wait_is_not_waited_for(server: projects.Codacy) -> None:
     assert pauses == []
     server.answer(503, "", Retry_After="Wed, 21 Oct 2026 07:28:00 GMT")  # a date is not understood
     tell(codacy)
-    assert pauses == [1.0]
+    assert pauses == [0.5]
 
 
 @pytest.mark.parametrize(
     ("fault", "limits", "said"),
     [
-        (projects.reset, {}, "no answer: Connection reset by peer (3 attempts): check the network"),
-        (projects.hang, {"silence": 0.5}, "no answer within 0.5 s (3 attempts)"),
-        (projects.drip, {"whole": 0.5}, "did not finish its answer within 0.5 s (3 attempts)"),
+        (projects.reset, {}, "no answer: Connection reset by peer (4 attempts): check the network"),
+        (projects.hang, {"silence": 0.5}, "no answer within 0.5 s (4 attempts)"),
+        (projects.drip, {"whole": 0.5}, "did not finish its answer within 0.5 s (4 attempts)"),
         (projects.cut, {}, "broke off in the middle of its answer"),
     ],
 )
@@ -227,8 +227,8 @@ def test_faults_of_the_network(
         tell(codacy)
     assert said in str(failed.value)
     assert "\n" not in str(failed.value)
-    wait_until(lambda: len(server.asked) == 3, "the server has heard of all")
-    assert pauses == [1.0, 2.0]
+    wait_until(lambda: len(server.asked) == 4, "the server has heard of all")
+    assert pauses == [0.5, 1.0, 2.0]
 
 
 def test_nobody_is_there() -> None:
@@ -236,10 +236,10 @@ def test_nobody_is_there() -> None:
         taken.bind(("127.0.0.1", 0))
         codacy, pauses = client(f"http://127.0.0.1:{taken.getsockname()[1]}")
         with pytest.raises(
-            WorldError, match=r"no answer: Connection refused \(3 attempts\): check the network, a proxy"
+            WorldError, match=r"no answer: Connection refused \(4 attempts\): check the network, a proxy"
         ):
             tell(codacy)
-    assert pauses == [1.0, 2.0]
+    assert pauses == [0.5, 1.0, 2.0]
 
 
 def test_no_such_host() -> None:
@@ -252,7 +252,7 @@ def test_tls_that_is_none(server: projects.Codacy) -> None:
     codacy, pauses = client(server.url.replace("http:", "https:"))
     with pytest.raises(WorldError, match=r"TLS is not trusted|no answer"):
         tell(codacy)
-    assert len(pauses) in (0, 2)
+    assert len(pauses) in (0, 3)
 
 
 def test_tls_that_nobody_vouches_for(tmp_path: Path) -> None:
@@ -288,15 +288,14 @@ def test_tls_that_nobody_vouches_for(tmp_path: Path) -> None:
 
 
 def test_an_answer_without_end(server: projects.Codacy) -> None:
-    server.answer(200, b" " * (posting.MAX_BYTES + 1))
-    with pytest.raises(WorldError, match="answers with more than 1048576 bytes"):
+    server.answer(200, b" " * (MAX_BYTES + 1))
+    with pytest.raises(WorldError, match="answers with more than 4194304 bytes"):
         tell(client(server.url, whole=30)[0])
 
 
 def test_a_request_that_cannot_be_made(server: projects.Codacy) -> None:
-    poster = Poster()
     with pytest.raises(WorldError, match="the request failed: "):
-        poster.post(Request("x", server.url, b"", {"bad\nname": "x"}))
+        Http().send("POST", server.url, {"bad\nname": "x"}, b"")
 
 
 def test_the_token_stays_with_this_server(
@@ -308,7 +307,7 @@ def test_the_token_stays_with_this_server(
     monkeypatch.setenv("http_proxy", "http://127.0.0.1:9")
     with projects.codacy() as other:
         server.answer(307, "", Location=other.url)
-        with pytest.raises(WorldError, match="sends on"):
+        with pytest.raises(WorldError, match="sends a POST on"):
             tell(client(server.url)[0])
         assert other.asked == []
     assert "Authorization" not in server.asked[0].headers
@@ -320,7 +319,7 @@ def test_the_password_of_another_is_sent_to_nobody(tmp_path: Path, monkeypatch: 
     for variable in ("http_proxy", "HTTP_PROXY", "all_proxy", "ALL_PROXY"):
         monkeypatch.delenv(variable, raising=False)
     with projects.codacy(host="127.0.0.2") as server:  # on this machine too, which we do not know of this address
-        Poster().post(Request("x", server.url, b"{}", {}))
+        Http().send("POST", server.url, {}, b"{}")
         assert "Authorization" not in server.asked[0].headers
 
 

@@ -8,17 +8,16 @@ from typing import NoReturn
 from urllib.parse import quote, urlsplit
 
 from calibration.coverage.lines import FileCoverage
-from calibration.coverage.services.posting import Answer, Poster
 from calibration.coverage.services.service import Request, Upload
 from calibration.coverage.sources import language_of
 from calibration.errors import InputError, WorldError
-from calibration.workflow.text import one_line, shorten
+from calibration.http import Answer, Http, is_loopback
+from calibration.workflow.text import shorten
 
 API_URL = "https://api.codacy.com"
 PROVIDERS = ("gh", "ghe", "gl", "gle", "bb", "bbe", "manual")
 MOST_HITS = 2**31 - 1
 """What Codacy takes for a line."""
-_LOOPBACK = ("localhost", "127.0.0.1", "::1")
 _NAME = re.compile(r"[A-Za-z0-9._~-]+")
 
 
@@ -46,7 +45,7 @@ class Codacy:
     api_url: str = API_URL
     language: str | None = None
     """Of all files, in the place of that of their suffixes."""
-    poster: Poster | None = field(default=None, repr=False, compare=False)
+    http: Http | None = field(default=None, repr=False, compare=False)
 
     def requests(self, upload: Upload) -> list[Request]:
         """A report for each language, and an end where there are several or it is asked for.
@@ -78,11 +77,12 @@ class Codacy:
         Raises:
             WorldError: Codacy did not take one; the first of these errors.
         """
-        poster = self.poster or Poster([self.account.token])
+        http = self.http or Http([self.account.token], address="the address (api-url)")
         first: WorldError | None = None
         for request in requests:
             try:
-                check_answer(poster.post(request), urlsplit(request.url).netloc, poster)
+                answer = http.send("POST", request.url, request.headers, request.body)
+                check_answer(answer, urlsplit(request.url).netloc, http)
             except WorldError as error:
                 first = first or WorldError(f"codacy: {error}")
         if first is not None:
@@ -121,7 +121,7 @@ def report_body(files: Mapping[str, FileCoverage]) -> bytes:
     return text.encode("utf-8", "backslashreplace")
 
 
-def check_answer(answer: Answer, host: str, poster: Poster) -> None:
+def check_answer(answer: Answer, host: str, http: Http) -> None:
     """Hold an answer to what Codacy says of itself: its JSON decides, whatever the status.
 
     Raises:
@@ -131,22 +131,18 @@ def check_answer(answer: Answer, host: str, poster: Poster) -> None:
     if isinstance(document, dict) and "error" not in document and isinstance(document.get("success"), str):
         return
     answered = f"{host}: answered {answer.status}"
-    if 300 <= answer.status < 400:
-        target = urlsplit(answer.location)
-        shown = shorten(one_line(f"{target.scheme}://{target.hostname or ''}")) if target.hostname else "elsewhere"
-        raise WorldError(f"{answered}: sends on to {shown}, where no token is sent: name the right address (api-url)")
     if isinstance(document, dict) and "error" in document:
-        _refused(answered, answer.status, poster.quote(str(document["error"]).encode("utf-8", "replace")))
+        _refused(answered, answer.status, http.quote(str(document["error"]).encode("utf-8", "replace")))
     if answer.status in (401, 403, 404):
-        _refused(answered, answer.status, poster.quote(answer.body))
+        _refused(answered, answer.status, http.quote(answer.body))
     if answer.content_type == "text/html" or answer.body.lstrip()[:1] == b"<":
         raise WorldError(
             f"{answered} with a page of HTML: something else than Codacy's API is there (api-url, a proxy)"
         )
     if document is None:
-        raise WorldError(f"{answered} with something else than JSON{poster.quote(answer.body)}: check api-url")
+        raise WorldError(f"{answered} with something else than JSON{http.quote(answer.body)}: check api-url")
     raise WorldError(
-        f"{answered} with JSON that says neither success nor error{poster.quote(answer.body)}: check api-url"
+        f"{answered} with JSON that says neither success nor error{http.quote(answer.body)}: check api-url"
     )
 
 
@@ -167,9 +163,9 @@ def parse_api_url(text: str) -> str:
         raise InputError("api-url: it names a user or a password, which belong into no address")
     if parts.path.strip("/") or parts.query or parts.fragment:
         raise InputError(f"api-url: found {shorten(text)!r}, expected only scheme and host, such as {API_URL}")
-    if parts.scheme == "http" and parts.hostname not in _LOOPBACK:
-        raise InputError(f"api-url: found {shorten(text)!r}, expected https: anyone on the way could read the token")
     host = f"[{parts.hostname}]" if ":" in parts.hostname else parts.hostname
+    if parts.scheme == "http" and not is_loopback(host):
+        raise InputError(f"api-url: found {shorten(text)!r}, expected https: anyone on the way could read the token")
     return f"{parts.scheme}://{host}{'' if port is None else f':{port}'}"
 
 

@@ -5,21 +5,23 @@ each time, so that a run may last longer than one. ``AWS_ENDPOINT_URL`` and ``AW
 elsewhere.
 """
 
+import json
 import os
 import threading
 from collections import Counter
 from functools import cached_property
 from typing import Any
+from urllib.parse import urlsplit
 
 from calibration.aws_errors import aws_errors
 from calibration.errors import WorldError
+from calibration.http import Http
 
 TRIES = 8
 """How often a call is made that AWS throttles or fails, with more and more time between."""
 CONNECTIONS = 32
 _AUDIENCE = "sts.amazonaws.com"
 _TOKEN_URL, _TOKEN = "ACTIONS_ID_TOKEN_REQUEST_URL", "ACTIONS_ID_TOKEN_REQUEST_TOKEN"
-_MOST_TOKEN = 64 * 1024
 
 
 class Aws:
@@ -133,20 +135,18 @@ def _token_of_github(url: str, secret: str) -> str:
     Raises:
         WorldError: it gives none.
     """
-    import json
-    from urllib.parse import urlsplit
-    from urllib.request import Request, urlopen
-
     if urlsplit(url).scheme not in ("https", "http"):
         raise WorldError(f"GitHub's token service: {_TOKEN_URL} is no URL")
-    request = Request(f"{url}&audience={_AUDIENCE}", headers={"Authorization": f"bearer {secret}"})  # noqa: S310
+    http = Http([secret], address=_TOKEN_URL)
     try:
-        with urlopen(request, timeout=30) as answer:  # noqa: S310 (checked above)
-            token = json.loads(answer.read(_MOST_TOKEN))["value"]
-    except (OSError, ValueError, LookupError, TypeError) as error:
-        kind = f"{type(error).__name__} {getattr(error, 'code', '')}".strip()
-        raise WorldError(f"GitHub's token service gives no token for a role in AWS ({kind})") from None
-    return str(token)
+        answer = http.send("GET", f"{url}&audience={_AUDIENCE}", {"Authorization": f"bearer {secret}"})
+        token = str(json.loads(answer.body)["value"])
+    except (WorldError, ValueError, LookupError, TypeError, RecursionError) as error:
+        why = f"answered {answer.status}" if not isinstance(error, WorldError) else error
+        raise WorldError(f"GitHub's token service gives no token for a role in AWS ({why})") from None
+    finally:
+        http.close()
+    return token
 
 
 def _has_own_endpoint() -> bool:

@@ -176,7 +176,7 @@ def test_no_token(
     assert "GitHub's token service gives no token for a role in AWS" in str(error)
     assert "planted" not in str(error)
     monkeypatch.setenv("ACTIONS_ID_TOKEN_REQUEST_TOKEN", "wrong")
-    assert "(HTTPError 403)" in str(failure(Aws(REGION)))
+    assert "(answered 403)" in str(failure(Aws(REGION)))
     monkeypatch.setenv("ACTIONS_ID_TOKEN_REQUEST_URL", "file:///etc/passwd")
     assert "is no URL" in str(failure(Aws(REGION)))
 
