@@ -18,6 +18,8 @@ Only the standard library is used, and a Python from 3.8 on reads this file far 
 
 import ast
 import contextlib
+import ctypes
+import fcntl
 import hashlib
 import importlib.util
 import os
@@ -81,7 +83,9 @@ ROOT = Path(__file__).resolve().parents[1]
 BASE_PYTHON: str = getattr(sys, "_base_executable", sys.executable)  # not that of a venv
 MARKER = "calibration-ci.txt"  # in a complete environment: the interpreter it is for, then its packages, a line each
 BAD_INPUT, WORLD = 2, 3  # exit codes, as in calibration/errors.py
+INSTALLER = ".installer-"  # folders in an environment, while it is made
 MUCH = 8  # packages that pip installs no sooner than uv and them
+PR_SET_PDEATHSIG = 1  # of Linux: the signal that a process gets when its parent ends
 TIMEOUT = 900  # seconds for an installation: steps of a composite action cannot have `timeout-minutes`
 
 
@@ -185,6 +189,8 @@ def create(folder: Path, lock: Path, project: list[Path] | None = None) -> None:
     if not python.exists():
         venv.create(folder, symlinks=True)
     (folder / MARKER).unlink(missing_ok=True)
+    for left in folder.glob(f"{INSTALLER}*"):  # by one that was killed
+        shutil.rmtree(left, ignore_errors=True)
     install(python, [*LOCKED, str(lock)], much=len(pins(lock)) >= MUCH)
     for path in project or []:
         install(python, ["--no-build-isolation", "--editable", str(path)])
@@ -249,24 +255,27 @@ def installers(python: Path, much: bool) -> Iterator[tuple[list[str], dict[str, 
     if uv:
         yield [uv, "pip", "install", "--python", str(python)], for_uv
 
+    def temporary_folder() -> tempfile.TemporaryDirectory[str]:
+        return tempfile.TemporaryDirectory(prefix=INSTALLER, dir=python.parents[1])
+
     with contextlib.ExitStack() as stack:
         pip = [BASE_PYTHON, "-I", "-m", "pip"]
         listing = subprocess.run([*pip, "config", "list"], capture_output=True, text=True, timeout=60, check=False)
         if listing.returncode:  # this Python has no pip: borrow the one that it can put into a venv
             if importlib.util.find_spec("ensurepip") is None:
                 return
-            tool = stack.enter_context(tempfile.TemporaryDirectory())
+            tool = stack.enter_context(temporary_folder())
             venv.create(tool, symlinks=True, with_pip=True)
             pip = [f"{tool}/bin/python", "-I", "-m", "pip"]
             listing = subprocess.run([*pip, "config", "list"], capture_output=True, text=True, timeout=60, check=False)
         settings = pip_settings(listing.stdout) | {"PIP_CONFIG_FILE": os.devnull, "PIP_NO_INPUT": "1"}
         options = ["--disable-pip-version-check", "--progress-bar", "off", "--no-warn-script-location"]
         if much and not uv and not settings.keys() & PIP_ONLY:
-            folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
+            folder = Path(stack.enter_context(temporary_folder()))
             venv.create(folder, symlinks=True)
             bring = [*pip, "--python", str(folder / "bin" / "python"), "install", *options, "--no-deps", *LOCKED]
             brought = run([*bring, str(ROOT / "requirements" / "uv.txt")], clean | settings)
-            if brought and os.access(folder / "bin" / "uv", os.X_OK):  # not where /tmp is mounted noexec
+            if brought and os.access(folder / "bin" / "uv", os.X_OK):
                 same = {UV_NAMES[name]: settings[name] for name in UV_NAMES if name in settings}
                 # As pip: any of the places will do, since the hashes say what is right.
                 command = [str(folder / "bin" / "uv"), "pip", "install", "--index-strategy", "unsafe-best-match"]
@@ -287,6 +296,13 @@ def pip_settings(listing: str) -> dict[str, str]:
 def run(command: list[str], variables: dict[str, str]) -> bool:
     """Run an installer; whether it succeeded. It ends with this process, with all that it has started."""
     ending = {signal.SIGINT, signal.SIGTERM}
+    libc = ctypes.CDLL(None)
+
+    def begin() -> None:
+        if sys.platform == "linux":
+            libc.prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, ending)
+
     # Held back until we can answer them: one that arrived while the installer starts would leave it behind.
     signal.pthread_sigmask(signal.SIG_BLOCK, ending)
     # Not in the workspace: a uv.toml there has no say. One stream: the order of the lines stays.
@@ -297,7 +313,7 @@ def run(command: list[str], variables: dict[str, str]) -> bool:
         stdin=subprocess.DEVNULL,
         stderr=subprocess.STDOUT,
         start_new_session=True,
-        preexec_fn=lambda: signal.pthread_sigmask(signal.SIG_UNBLOCK, ending),
+        preexec_fn=begin,
     ) as process:
         try:
             signal.pthread_sigmask(signal.SIG_UNBLOCK, ending)
@@ -324,9 +340,30 @@ def group(title: str) -> Iterator[None]:
 
 @contextlib.contextmanager
 def scratch_folder(home: Path) -> Iterator[Path]:
-    """Give a folder in `home`, on the same disk and with a name that no environment has; gone afterwards."""
-    with tempfile.TemporaryDirectory(prefix=".", dir=home, ignore_cleanup_errors=True) as scratch:
-        yield Path(scratch)
+    """Give a folder in `home`, on the same disk and with a name that no environment has; gone afterwards.
+
+    The process that makes one keeps it locked. What one left that was killed has no lock any more, and is removed here.
+    """
+    with contextlib.ExitStack() as stack:
+        with locked(home):
+            for left in home.glob(".*"):
+                with contextlib.suppress(OSError), locked(left, fcntl.LOCK_NB):
+                    shutil.rmtree(left)
+            scratch = tempfile.TemporaryDirectory(prefix=".", dir=home, ignore_cleanup_errors=True)
+            folder = Path(stack.enter_context(scratch))
+            stack.enter_context(locked(folder))
+        yield folder
+
+
+@contextlib.contextmanager
+def locked(folder: Path, flags: int = 0) -> Iterator[None]:
+    """Lock a folder against others that ask for it here."""
+    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | flags)
+        yield
+    finally:
+        os.close(descriptor)
 
 
 if __name__ == "__main__":

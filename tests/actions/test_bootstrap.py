@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from tests.engine import wait_until
-from tests.processes import group_runs
+from tests.processes import group_runs, runs
 
 from .conftest import PYTHON, Suite
 
@@ -122,7 +122,8 @@ def test_a_broken_environment_is_replaced(suite: Suite) -> None:
     assert suite.environments == [environment]
 
 
-def test_an_interrupted_installation_leaves_nothing(suite: Suite, tmp_path: Path) -> None:
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
+def test_an_interrupted_installation_leaves_nothing(suite: Suite, tmp_path: Path, number: signal.Signals) -> None:
     slow = tmp_path / "slow"
     slow.mkdir()
     (slow / "uv").write_text(f"#!/bin/bash\necho $$ >'{tmp_path}/started'\nsleep 60 & wait\n")
@@ -130,11 +131,21 @@ def test_an_interrupted_installation_leaves_nothing(suite: Suite, tmp_path: Path
     with suite.start("introspect-csv", PATH=f"{slow}:{suite.variables['PATH']}") as process:
         started = tmp_path / "started"
         wait_until(lambda: started.exists() and started.read_text().endswith("\n"), "it installs")
-        process.send_signal(signal.SIGTERM)
-        assert process.wait(60) == 143
-    assert suite.environments == []
-    wait_until(lambda: not group_runs(int(started.read_text())), "the installer has ended")
+        process.send_signal(number)
+        assert process.wait(60) == (143 if number == signal.SIGTERM else -number)
+    assert (suite.environments == []) is (number == signal.SIGTERM)  # the other cannot tidy up: the next one does
+    still = group_runs if number == signal.SIGTERM else runs
+    wait_until(lambda: not still(int(started.read_text())), "the installer has ended")
     assert suite.run("introspect-csv").returncode == 0
+    assert [path.name[0] for path in suite.environments] == ["i"]
+
+
+def test_what_another_one_is_making_is_left_alone(suite: Suite, bootstrap: ModuleType, tmp_path: Path) -> None:
+    with bootstrap.scratch_folder(tmp_path) as first:
+        with bootstrap.scratch_folder(tmp_path) as second:
+            assert first != second
+            assert first.is_dir()
+        assert list(tmp_path.glob(".*")) == [first]
 
 
 def test_two_at_once_share_what_the_first_has_made(suite: Suite) -> None:
