@@ -8,7 +8,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from benchmarks.rows import Bar, Row
-from calibration.pipeline.collection.collecting import CollectionRequest, collect_dataset
+from calibration.pipeline.collection.collecting import collect_dataset
+from calibration.pipeline.collection.request import CollectionRequest
 
 DATASETS = Path(__file__).parents[1] / "datasets"
 POSES = {"t2rgb": 22, "rlbot": 24, "riwbot": 24}

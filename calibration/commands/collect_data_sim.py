@@ -1,36 +1,46 @@
 """``collect-data-sim``: a system and a motion to a dataset, in simulation, proven by calibrating it."""
 
 import os
-from contextlib import ExitStack
+from contextlib import nullcontext
+from dataclasses import replace
 from typing import Any
 
 import click
 
-from calibration.commands.collection_in_containers import (
+from calibration.commands.collection_settings import (
+    Settings,
     application_options,
     application_request,
     applications_entry,
-    collect_once,
-    run_in_containers,
+    collection_request,
+    world_image,
 )
-from calibration.commands.collection_settings import Settings, collection_request
 from calibration.commands.parameters import boolean_option, count, non_negative, path, share, text
+from calibration.commands.place import place
 from calibration.errors import ExitCode, InputError
-from calibration.execution.backends import AWS_BATCH, CONTAINERS, DOCKER, EMBEDDED, check_backend
+from calibration.execution.backends import CONTAINERS, DOCKER, EMBEDDED, KINDS, Place, check_backend
 from calibration.pipeline.collection.collecting import collect_dataset
-from calibration.pipeline.collection.in_containers import ContainerRequest
 from calibration.pipeline.collection.report import pose_line, report_collection
+from calibration.pipeline.collection.request import (
+    MAX_SCENARIOS,
+    CollectionRequest,
+    ContainerRequest,
+    ScenarioRequest,
+)
 from calibration.pipeline.collection.scenario_report import report_scenarios, world_line
-from calibration.pipeline.collection.scenarios import MAX_SCENARIOS, ScenarioRequest, collect_world, run_worlds
+from calibration.pipeline.collection.world_folder import WorldFolder
+from calibration.pipeline.collection.worlds import run_worlds
 from calibration.simulation.collection.record import Record
 from calibration.simulation.motion.sequence import Motion
 from calibration.simulation.scenarios.result import ScenarioResult
-from calibration.simulation.scenarios.scenario import parse_id
 from calibration.simulation.system import System
 from calibration.workflow import Runner, stop_commands
 from calibration.workflow.progress import progress
+from calibration.workflow.streams import LogDisplay
 
 TITLE = "collect-data-sim"
+MOST_SHOWN = 16
+"""Of more worlds on this machine's engine the containers' logs are left in files only."""
 
 
 def seed_number(value: str | int) -> int:
@@ -99,127 +109,126 @@ def collect_data_sim(settings: Settings, runner: Runner) -> ExitCode:
         WorldError: the folder cannot be written, or a process died; its dataset is as before.
     """
     entry = applications_entry(settings)
-    default = str(entry.get("backend", DOCKER)) if entry else EMBEDDED
-    backend = settings.backend or default
+    backend = settings.backend or (str(entry.get("backend", DOCKER)) if entry else EMBEDDED)
     check_backend(backend)
+    _check(settings, backend, applications=bool(entry))
+    collection = application_request(settings, entry) if entry else collection_request(settings)
+    if settings.scenarios is not None:
+        return _many_worlds(settings, settings.scenarios, collection, backend, runner)
+    return _one_world(settings, collection, backend, runner)
+
+
+def _check(settings: Settings, backend: str, applications: bool) -> None:
+    """Refuse settings that do not go together.
+
+    Raises:
+        InputError: says which, and what to do.
+    """
+    containers = " or ".join(CONTAINERS)
     if settings.scenarios is not None and settings.minimum_coverage is not None:
         raise InputError("minimum-coverage: judges one dataset; with scenarios give minimum-detection-rate")
-    if entry:
+    if settings.scenarios is not None and settings.scenarios > MAX_SCENARIOS:
+        raise InputError(f"scenarios: found {settings.scenarios}, expected {MAX_SCENARIOS} at most")
+    if applications:
         if backend == EMBEDDED:
-            raise InputError(f"backend: found {EMBEDDED}; applications run in containers: {' or '.join(CONTAINERS)}")
-        return _applications(settings, entry, backend, runner)
+            raise InputError(f"backend: found {EMBEDDED}; applications run in containers: {containers}")
+        if settings.scenario_set is not None:
+            raise InputError("scenario-set: worlds vary in our own simulation only; applications are told {scenario}")
+        if settings.scenarios is not None and settings.scenario is not None:
+            raise InputError("scenario: give either scenarios (how many) or scenario (the id of one)")
+        if settings.resume and settings.scenarios is None and not KINDS[backend].resumes:
+            lasting = " or ".join(name for name, kind in KINDS.items() if kind.resumes)
+            raise InputError(
+                f"resume: one dataset has no part that could be missing; with scenarios, or with {lasting}"
+            )
+        return
     worlds = [asked for asked in (settings.scenarios, settings.scenario) if asked is not None]
     if settings.scenario_set is None and worlds:
         raise InputError("scenarios and scenario need a scenario-set: a YAML file of what varies between worlds")
     if settings.scenario_set is not None and len(worlds) != 1:
         raise InputError("scenario-set: give either scenarios (how many worlds) or scenario (the id of one) with it")
     if backend != EMBEDDED:
-        return _worlds_in_containers(settings, backend, runner)
+        if settings.scenarios is None:
+            raise InputError(
+                f"backend: found {backend}; it runs the team's applications (applications, or image with "
+                "simulation-command and robot-command), or many worlds (image with scenario-set and scenarios)"
+            )
+        return
     for name in ("image", "timeout", "run"):
         if getattr(settings, name) is not None:
             raise InputError(
                 f"{name}: is for containers: give applications, or simulation-command and robot-command, or backend "
-                f"{' or '.join(CONTAINERS)} with a scenario-set"
+                f"{containers} with a scenario-set"
             )
     if settings.resume:
-        raise InputError(f"resume: is for worlds in containers: backend {' or '.join(CONTAINERS)}")
-    if settings.scenarios is not None:
-        return _many_worlds(settings, runner)
-    return _one_world(settings, runner)
+        raise InputError(f"resume: is for worlds in containers: backend {containers}")
 
 
-def _applications(settings: Settings, entry: dict[str, Any], backend: str, runner: Runner) -> ExitCode:
-    """Collect with the team's applications, once or often."""
-    if settings.scenario_set is not None:
-        raise InputError("scenario-set: worlds vary in our own simulation only; applications are told {scenario}")
-    if settings.scenarios is not None and settings.scenario is not None:
-        raise InputError("scenario: give either scenarios (how many) or scenario (the id of one)")
-    if settings.resume and settings.scenarios is None and backend != AWS_BATCH:
-        raise InputError(f"resume: one dataset has no part that could be missing; with scenarios, or with {AWS_BATCH}")
-    if settings.scenarios is not None:
-        return _many_worlds(settings, runner, backend, application_request(settings, entry, settings.seed))
-    seed, number = (settings.seed, 0) if settings.scenario is None else parse_id(settings.scenario)
-    results = collect_once(settings, application_request(settings, entry, seed), number, backend, runner)
-    report_collection(results, settings.output, runner, TITLE)
-    return results.exit_code
-
-
-def _worlds_in_containers(settings: Settings, backend: str, runner: Runner) -> ExitCode:
-    """Collect worlds of our own simulation, each in a container."""
-    if settings.scenarios is None:
-        raise InputError(
-            f"backend: found {backend}; it runs the team's applications (applications, or image with "
-            "simulation-command and robot-command), or many worlds (image with scenario-set and scenarios)"
-        )
-    if settings.image is None:
-        raise InputError(f"image: missing: {backend} runs every world in an image that has calibration-ci")
-    return _many_worlds(settings, runner, backend)
-
-
-def _one_world(settings: Settings, runner: Runner) -> ExitCode:
-
-    request = collection_request(settings)
+def _one_world(
+    settings: Settings, request: CollectionRequest | ContainerRequest, backend: str, runner: Runner
+) -> ExitCode:
+    """Collect one dataset."""
 
     def begin(system: System, motion: Motion) -> None:
         world = "" if settings.scenario is None else f" in world {settings.scenario}"
         runner.log(f"{system.name}{world}: {len(motion)} poses of {motion.source}, seed {request.seed}")
 
-    finished = 0
-    try:
-        with stop_commands(runner), progress(runner, TITLE) as advance:  # names in files that others wrote
+    def done(count: int, total: int, record: Record) -> None:
+        advance(count, total, pose_line(record), important=not record.kept)
 
-            def done(count: int, total: int, record: Record) -> None:
-                nonlocal finished
-                finished = count
-                advance(count, total, pose_line(record), important=not record.kept)
-
-            to = (settings.output, settings.overwrite, settings.jobs, begin, done)
-            if settings.scenario is not None and settings.scenario_set is not None:
-                results = collect_world(request, settings.scenario_set, settings.scenario, *to)
-            else:
-                results = collect_dataset(request, *to)
-    except BaseException:
-        if finished:
-            runner.log(f"{finished} poses are done: the same command goes on from there")
-        raise
+    place, embedded = _place(settings, backend, runner), backend == EMBEDDED
+    with (
+        stop_commands(runner) if embedded else nullcontext(),  # names in files that others wrote
+        progress(runner, TITLE, bar=embedded, kept="poses") as advance,
+    ):
+        results = collect_dataset(request, settings.output, settings.overwrite, settings.jobs, place, begin, done)
     report_collection(results, settings.output, runner, TITLE)
     return results.exit_code
 
 
 def _many_worlds(
-    settings: Settings, runner: Runner, backend: str = "embedded", applications: ContainerRequest | None = None
+    settings: Settings, count: int, collection: CollectionRequest | ContainerRequest, backend: str, runner: Runner
 ) -> ExitCode:
-    """Run many worlds: of our own simulation, here or in containers, or the team's applications often."""
-    assert settings.scenarios is not None  # noqa: S101 (checked by the caller)
-    if settings.scenarios > MAX_SCENARIOS:
-        raise InputError(f"scenarios: found {settings.scenarios}, expected {MAX_SCENARIOS} at most")
+    """Collect many datasets, with one report over all."""
+    applications = isinstance(collection, ContainerRequest)
+    embedded = backend == EMBEDDED
     request = ScenarioRequest(
-        applications or collection_request(settings),
+        collection,
         settings.scenario_set,
-        settings.scenarios,
+        count,
         settings.minimum_success_rate,
         application_options(settings) if applications else (),
+        None if embedded or applications else world_image(settings, backend),
     )
 
     def begin(system: str, worlds: int) -> None:
-        of = f"worlds of {settings.scenario_set}" if applications is None else "datasets of the applications"
+        of = "datasets of the applications" if applications else f"worlds of {settings.scenario_set}"
         runner.log(f"{system}: {worlds} {of}, seed {settings.seed}")
 
-    embedded = backend == EMBEDDED
-    with ExitStack() as stack:
-        if embedded:
-            stack.enter_context(stop_commands(runner))
-        advance = stack.enter_context(progress(runner, TITLE, bar=embedded))
-        finished = 0
+    def done(count: int, total: int, result: ScenarioResult) -> None:
+        advance(count, total, world_line(result), important=not result.converged)
 
-        def done(result: ScenarioResult) -> None:
-            nonlocal finished
-            finished += 1
-            advance(finished, request.count, world_line(result), important=not result.converged)
-
-        if embedded:
-            results = run_worlds(request, settings.output, settings.jobs, begin, done)
-        else:
-            results = run_in_containers(settings, request, backend, runner, begin, done)
+    place = _place(settings, backend, runner)
+    if backend == DOCKER and count > MOST_SHOWN:
+        place = replace(place, show=None)
+    folder = WorldFolder(settings.output, settings.resume, settings.overwrite)
+    with (
+        stop_commands(runner) if embedded else nullcontext(),
+        progress(runner, TITLE, bar=embedded, kept="worlds" if embedded else "") as advance,
+    ):
+        results = run_worlds(request, folder, settings.jobs, place, begin, done)
     report_scenarios(results, settings.output, runner, TITLE)
     return results.exit_code
+
+
+def _place(settings: Settings, backend: str, runner: Runner) -> Place:
+    """Where containers run.
+
+    Raises:
+        InputError: nothing says where in the cloud, or which run is to be resumed.
+        WorldError: the name of the run cannot be kept.
+    """
+    if backend == EMBEDDED:
+        return Place()
+    found = place(backend, settings.aws_batch, settings.output, settings.run, settings.resume, runner)
+    return replace(found, show=LogDisplay(runner))

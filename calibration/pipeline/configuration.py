@@ -12,8 +12,7 @@ from calibration.image.specification import ImageSpecification, parse_image_spec
 from calibration.introspection.rule_set import parse_rules
 from calibration.json_schema import bundled, check_document
 from calibration.pipeline.collection.applications import Applications, applications_from
-from calibration.pipeline.collection.collecting import GENERATE, CollectionRequest
-from calibration.pipeline.collection.in_containers import ContainerRequest
+from calibration.pipeline.collection.request import GENERATE, CollectionRequest, ContainerRequest
 from calibration.pipeline.collection.results import CollectionChecks
 from calibration.pipeline.matrix.software import software_from
 from calibration.pipeline.system import Limits, Loss, NoiseGrid, Start, System, seed_range

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from calibration.errors import InputError
-from calibration.pipeline.collection.in_containers import ContainerRequest
+from calibration.pipeline.collection.request import ContainerRequest
 from calibration.pipeline.configuration import read_configuration
 from calibration.pipeline.system import Limits
 

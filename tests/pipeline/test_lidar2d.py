@@ -16,7 +16,8 @@ from calibration.estimation.calibrate import Options, calibrate
 from calibration.estimation.starting_noise import StartingNoise
 from calibration.evaluation.specification import parse_evaluation
 from calibration.geometry.transforms import inverse
-from calibration.pipeline.collection.collecting import CollectionRequest, collect_dataset
+from calibration.pipeline.collection.collecting import collect_dataset
+from calibration.pipeline.collection.request import CollectionRequest
 from calibration.pipeline.collection.results import SCHEMA, CollectionResults, collection_document
 from calibration.recorder.preview import preview
 from calibration.simulation.motion.expected import expected_dataset

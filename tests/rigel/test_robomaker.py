@@ -14,7 +14,7 @@ from calibration.execution.batch.requests.shape import shape_of
 from calibration.execution.batch.settings import BatchSettings, settings_from
 from calibration.execution.job_check import check_jobs
 from calibration.pipeline.collection.applications import collection_job
-from calibration.pipeline.collection.in_containers import ContainerRequest
+from calibration.pipeline.collection.request import ContainerRequest
 from calibration.pipeline.configuration import read_configuration
 from calibration.rigel.conversion import Conversion, convert
 from calibration.rigel.document import read_rigelfile

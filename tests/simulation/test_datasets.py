@@ -17,7 +17,8 @@ from calibration.geometry import transforms
 from calibration.geometry.joints import JOINT_PARAMETERS
 from calibration.geometry.transforms import apply, inverse
 from calibration.labelling.corners import corner_detector
-from calibration.pipeline.collection.collecting import CollectionRequest, collect_dataset
+from calibration.pipeline.collection.collecting import collect_dataset
+from calibration.pipeline.collection.request import CollectionRequest
 from calibration.simulation.motion.generation import generate_motion
 from calibration.simulation.motion.sequence import read_motion
 from calibration.simulation.system import System

@@ -2,81 +2,60 @@
 
 import hashlib
 import json
-import tempfile
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from calibration.execution.job import Job
 from calibration.execution.outcome import JobOutcome
-from calibration.pipeline.collection.applications import write_inputs
-from calibration.pipeline.collection.collecting import require_opencv
-from calibration.pipeline.collection.gathering_worlds import Gathering, Judged, WorldJob
-from calibration.pipeline.collection.in_containers import Plan, judged, read_plan
-from calibration.pipeline.collection.results import CollectionResults
-from calibration.pipeline.collection.scenarios import ScenarioRequest, ScenarioResults, write_scenario_results
-
-if TYPE_CHECKING:
-    from calibration.simulation.scenarios.result import ScenarioResult
+from calibration.pipeline.collection.application_dataset import Plan, judged, read_plan, write_inputs
+from calibration.pipeline.collection.request import ContainerRequest
+from calibration.pipeline.collection.world_folder import Judged, Worlds
+from calibration.simulation.motion.sequence import motion_document
+from calibration.simulation.scenarios.result import ScenarioResult
+from calibration.simulation.scenarios.run import seen
+from calibration.simulation.scenarios.scenario import scenario_id
 
 _HASH_DIGITS = 12
 
 
-def run_application_worlds(
-    request: ScenarioRequest,
-    gathering: Gathering,
-    begin: Callable[[str, int], None] | None = None,
-    done: "Callable[[ScenarioResult], None] | None" = None,
-) -> ScenarioResults:
-    """Collect with the team's applications as often as is asked, with one report over all.
+class ApplicationWorlds(Worlds):
+    """The collections of a request."""
 
-    The datasets are left in ``worlds/ID/``, the containers' logs in ``logs/ID/``.
+    stillness = None
 
-    Args:
-        request: how often, and what the applications are.
-        gathering: where they run, and where to what they leave goes.
-        begin: called with the system's name and the number of collections when everything was read and checked.
-        done: called after each collection that is run.
+    def __init__(self, request: ContainerRequest, count: int) -> None:
+        """Read the request's files.
 
-    Raises:
-        InputError: an input is wrong, an image is missing, or the folder has worlds already.
-        WorldError: the backend cannot be reached, or a file not be written.
-    """
-    require_opencv()
-    from calibration.simulation.scenarios.report import Report
-    from calibration.simulation.scenarios.scenario import parse_id
+        Raises:
+            InputError: one is missing or wrong.
+        """
+        self._plan = read_plan(request)
+        self.system = self._plan.name
+        names = [scenario_id(request.seed, number) for number in range(count)]
+        self.unseen = [
+            ScenarioResult(name, _hash(self._plan, self._plan.job(name, number, None)), {})
+            for number, name in enumerate(names)
+        ]
 
-    plan = read_plan(request.theirs)
-    if begin:
-        begin(plan.name, request.count)
-    gathering.make_room()
-    with tempfile.TemporaryDirectory(prefix=".worlds-", dir=gathering.output) as work:
-        inputs = write_inputs(Path(work, "in"), request.theirs.applications, plan.motion)
-        worlds = [_world(plan, index, inputs) for index in range(request.count)]
+    def write_inputs(self, folder: Path) -> Path | None:
+        """Write the motion and our player."""
+        return write_inputs(folder, self._plan)
 
-        def judge(unseen: "ScenarioResult", outcome: JobOutcome, new: Path) -> Judged:
-            new.mkdir()
-            return _judged(unseen, judged(plan, outcome, parse_id(unseen.id)[1], new))
+    def job(self, number: int, inputs: Path | None) -> Job:
+        """The job of a collection."""
+        return self._plan.job(self.unseen[number].id, number, inputs)
 
-        found, errors = gathering.run(worlds, judge, None, Path(work), done)
-    results = ScenarioResults(plan.name, request, Report(found, lost=tuple(errors)), errors=errors)
-    return write_scenario_results(results, gathering.output)
-
-
-def _world(plan: Plan, index: int, inputs: Path | None) -> WorldJob:
-    from calibration.simulation.scenarios.result import ScenarioResult
-    from calibration.simulation.scenarios.scenario import scenario_id
-
-    name = scenario_id(plan.request.seed, index)
-    job = plan.job(name, index, inputs)
-    return WorldJob(ScenarioResult(name, _hash(plan, job), {}), job)
+    def judge(self, number: int, outcome: JobOutcome, new: Path) -> Judged:
+        """What a collection is worth."""
+        new.mkdir()
+        unseen, results = self.unseen[number], judged(self._plan, outcome, number, new)
+        if results.failures:
+            return Judged(replace(unseen, reasons=results.failures), results.error, complete=results.error is None)
+        return Judged(seen(unseen, results.records, results.proof))
 
 
 def _hash(plan: Plan, job: Job) -> str:
     """What tells two collections apart: what runs, and on what."""
-    from calibration.simulation.motion.sequence import motion_document
-
     content = {
         "containers": [(container.name, container.image, container.command) for container in job.containers],
         "system": {name: hashlib.sha256(data).hexdigest() for name, data in plan.system.sources.items()}
@@ -86,13 +65,3 @@ def _hash(plan: Plan, job: Job) -> str:
     }
     text = json.dumps(content, sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:_HASH_DIGITS]
-
-
-def _judged(unseen: "ScenarioResult", results: CollectionResults) -> Judged:
-    from calibration.simulation.scenarios.run import seen
-
-    if results.error is not None:
-        return Judged(replace(unseen, reasons=results.failures), results.error, complete=False)
-    if results.failures:
-        return Judged(replace(unseen, reasons=results.failures))
-    return Judged(seen(unseen, results.records, results.proof))

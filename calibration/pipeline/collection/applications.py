@@ -9,8 +9,8 @@ of them share, ``{motion}`` the motion sequence, ``{system}`` the name of the sy
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 from calibration.errors import InputError
 from calibration.execution.document import container_from
@@ -19,10 +19,6 @@ from calibration.execution.job_check import check_job
 from calibration.execution.placeholders import fill
 from calibration.execution.ros import RosVersion, with_ros
 from calibration.execution.sizes import parse_seconds
-from calibration.files import write_atomically
-
-if TYPE_CHECKING:
-    from calibration.simulation.motion.sequence import Motion
 
 INPUTS = "/calibration/in"
 """A folder that all of them see, read-only."""
@@ -108,24 +104,6 @@ def _ros(entry: Mapping[str, Any]) -> RosVersion:
     return versions[str(entry.get("ros", "none"))]
 
 
-def write_inputs(folder: Path, applications: Applications, motion: "Motion | None") -> Path | None:
-    """Write what the containers see as `INPUTS` into a new folder; None where there is nothing to see.
-
-    Raises:
-        WorldError: it cannot be written.
-    """
-    from calibration.dataset.writing import write_document
-    from calibration.simulation.motion.sequence import motion_document
-    from calibration.simulation.players import player_file
-
-    if motion is None:
-        return None
-    write_document(motion_document(motion), folder / PurePosixPath(MOTION).name)
-    if applications.player is not None:
-        write_atomically(folder / PurePosixPath(PLAYER).name, player_file().read_bytes())
-    return folder
-
-
 def collection_job(
     applications: Applications, name: str, system: str, seed: int, scenario: int = 0, inputs: Path | None = None
 ) -> Job:
@@ -137,7 +115,7 @@ def collection_job(
         system: the system's name.
         seed: of its noise, for those that make some.
         scenario: the number of the collection among those of the seed.
-        inputs: the folder that `write_inputs` wrote; None where the team's player has its own motion.
+        inputs: the folder that they see as `INPUTS`; None where the team's player has its own motion.
 
     Raises:
         InputError: a command has a placeholder that there is not.

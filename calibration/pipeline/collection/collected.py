@@ -5,6 +5,9 @@ from typing import Any, Literal
 
 from calibration.errors import ExitCode
 
+COLLECTED = "collected"
+"""The folder of what was collected, in a pipeline's output folder."""
+
 
 @dataclass(frozen=True)
 class Collected:

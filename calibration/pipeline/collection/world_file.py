@@ -61,7 +61,7 @@ def read_world(folder: Path, expected: ScenarioResult, stillness: float | None) 
             f"{FILE}: made by calibration-ci {one_line(document['version'])}, this is {__version__}: "
             "another version makes other worlds; have the same in the image"
         )
-    found = _result(document["result"])
+    found = result_from(document["result"])
     for what, theirs, ours in (
         ("id", found.id, expected.id),
         ("hash", found.hash, expected.hash),
@@ -72,7 +72,12 @@ def read_world(folder: Path, expected: ScenarioResult, stillness: float | None) 
     return found
 
 
-def _result(entry: dict[str, Any]) -> ScenarioResult:
+def result_from(entry: dict[str, Any]) -> ScenarioResult:
+    """The result of a world whose fields stand in a document.
+
+    Raises:
+        KeyError, TypeError, AttributeError: it is none.
+    """
     lost = entry["lost"]
     return ScenarioResult(
         **{

@@ -8,7 +8,7 @@ from typing import Literal, TypeAlias
 from calibration.errors import InputError
 from calibration.estimation.starting_noise import StartingNoise
 from calibration.introspection.numbers import number_text
-from calibration.pipeline.collection.in_containers import ContainerRequest
+from calibration.pipeline.collection.request import ContainerRequest
 from calibration.pipeline.configuration import Configuration, Simulation
 from calibration.pipeline.distribution.slug import slugs
 from calibration.pipeline.matrix.cell import Cell

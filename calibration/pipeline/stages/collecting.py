@@ -4,25 +4,17 @@ import time
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from calibration.errors import CalibrationError
-from calibration.execution.backends import Place
-from calibration.pipeline.collection.collected import Collected
-from calibration.pipeline.collection.collecting import CollectionRequest, collect_dataset
-from calibration.pipeline.collection.in_containers import ContainerRequest, collect_in_containers
+from calibration.execution.backends import EMBEDDED, Place
+from calibration.pipeline.collection.collected import COLLECTED, Collected
+from calibration.pipeline.collection.collecting import collect_dataset
 from calibration.pipeline.collection.report import pose_line
-from calibration.pipeline.collection.results import CollectionResults
 from calibration.pipeline.configuration import Simulation
 from calibration.pipeline.results import Results, write_results
+from calibration.simulation.collection.record import Record
 from calibration.workflow import Runner
 from calibration.workflow.progress import progress
-
-if TYPE_CHECKING:
-    from calibration.simulation.collection.record import Record
-
-COLLECTED = "collected"
-"""The folder of what was collected, in the output folder."""
 
 
 def collect_stage(
@@ -43,7 +35,7 @@ def collect_stage(
         output: the folder between the stages.
         runner: where to show the progress.
         jobs: processes; None for one a core.
-        place: in the cloud, for those that run there.
+        place: what is known of the places where containers run; each says itself which it is.
 
     Raises:
         WorldError: a result cannot be written.
@@ -55,19 +47,20 @@ def collect_stage(
 
 
 def _collected(simulation: Simulation, output: Path, runner: Runner, jobs: int | None, place: Place) -> Collected:
-    folder, begin = f"{COLLECTED}/{simulation.name}", time.perf_counter()
+    name, folder, begin = simulation.name, f"{COLLECTED}/{simulation.name}", time.perf_counter()
+    place = replace(place, backend=simulation.backend)
     try:
-        match simulation.request:
-            case ContainerRequest() as request:
-                with replace(place, backend=simulation.backend).open() as backend:
-                    found = collect_in_containers(request, output / folder, backend, overwrite=True)
-            case CollectionRequest() as request:
-                found = _simulated(simulation.name, request, output / folder, runner, jobs)
+        with progress(runner, f"collect {name}", bar=simulation.backend == EMBEDDED) as advance:
+
+            def done(count: int, total: int, record: Record) -> None:
+                advance(count, total, f"{name}: {pose_line(record)}", important=not record.kept)
+
+            found = collect_dataset(simulation.request, output / folder, True, jobs, place, done=done)
     except CalibrationError as error:
-        return Collected(simulation.name, reasons=(str(error),), error=error.exit_code)
+        return Collected(name, reasons=(str(error),), error=error.exit_code)
     proof = found.proof
     return Collected(
-        name=simulation.name,
+        name=name,
         poses=len(found.records),
         kept=len(found.kept),
         corner_rms_px=found.corner_rms,
@@ -79,14 +72,3 @@ def _collected(simulation: Simulation, output: Path, runner: Runner, jobs: int |
         error=found.error,
         seconds=round(time.perf_counter() - begin, 4),
     )
-
-
-def _simulated(
-    name: str, request: CollectionRequest, folder: Path, runner: Runner, jobs: int | None
-) -> CollectionResults:
-    with progress(runner, f"collect {name}") as advance:
-
-        def done(count: int, total: int, record: "Record") -> None:
-            advance(count, total, f"{name}: {pose_line(record)}", important=not record.kept)
-
-        return collect_dataset(request, folder, overwrite=True, jobs=jobs, done=done)

@@ -7,13 +7,13 @@ from pathlib import Path
 from calibration.errors import InputError
 from calibration.execution.backends import Place
 from calibration.image.specification import ImageSpecification
-from calibration.pipeline.collection.in_containers import ContainerRequest
+from calibration.pipeline.collection.collected import COLLECTED
+from calibration.pipeline.collection.request import ContainerRequest
 from calibration.pipeline.configuration import Simulation
 from calibration.pipeline.matrix.matrix import Matrix
 from calibration.pipeline.report import report
 from calibration.pipeline.results import Results, clear_results
 from calibration.pipeline.stages.calibrating import calibrate_stage, introspect_stage
-from calibration.pipeline.stages.collecting import COLLECTED, collect_stage
 from calibration.pipeline.system import System
 from calibration.workflow import Runner
 from calibration.workflow.streams import LogDisplay
@@ -67,6 +67,8 @@ def run_stages(
         simulations = [_simulated_in(simulation, built.reference) for simulation in simulations]
         results = replace(results, image=built)
     if "collect" in stages and simulations:
+        from calibration.pipeline.stages.collecting import collect_stage  # OpenCV, which calibrating does without
+
         results = collect_stage(simulations, results, output, runner, jobs, place)
     if "calibrate" in stages:
         results = calibrate_stage(matrix, results, output, runner, title, jobs, fail_fast, place)

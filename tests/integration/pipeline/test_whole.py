@@ -12,7 +12,8 @@ from typing import Any
 
 import pytest
 
-from calibration.pipeline.collection.collecting import CollectionRequest, collect_dataset
+from calibration.pipeline.collection.collecting import collect_dataset
+from calibration.pipeline.collection.request import CollectionRequest
 from tests.engine import Registry
 
 PROJECT = Path(__file__).parents[3]

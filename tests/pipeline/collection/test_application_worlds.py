@@ -13,13 +13,15 @@ from calibration.commands.collect_data_sim import command
 from calibration.errors import ExitCode, InputError
 from calibration.execution.job import OUTPUT, Job
 from calibration.execution.outcome import JobOutcome
-from calibration.pipeline.collection.application_worlds import run_application_worlds
 from calibration.pipeline.collection.applications import applications_from
-from calibration.pipeline.collection.collecting import CollectionRequest, collect_dataset
-from calibration.pipeline.collection.gathering_worlds import Gathering
-from calibration.pipeline.collection.in_containers import ContainerRequest
+from calibration.pipeline.collection.collecting import collect_dataset
+from calibration.pipeline.collection.request import CollectionRequest, ContainerRequest, ScenarioRequest
 from calibration.pipeline.collection.results import CollectionChecks
-from calibration.pipeline.collection.scenarios import ScenarioRequest, replay
+from calibration.pipeline.collection.scenarios import ScenarioResults, replay
+from calibration.pipeline.collection.world_folder import WorldFolder
+from calibration.pipeline.collection.worlds import run_worlds
+from calibration.simulation.scenarios.result import ScenarioResult
+from tests.pipeline.places import at
 
 T2RGB = Path(__file__).parents[3] / "datasets" / "t2rgb"
 ENTRY = {
@@ -41,9 +43,7 @@ class Leaves:
     def __init__(self, *leave: Leave) -> None:
         self.leave, self.jobs = leave, list[Job]()
 
-    def run(
-        self, jobs: Sequence[Job], folder: Path, workers: int | None = None, done: object = None
-    ) -> Generator[tuple[int, JobOutcome]]:
+    def run(self, jobs: Sequence[Job], folder: Path, workers: int | None = None) -> Generator[tuple[int, JobOutcome]]:
         self.jobs += jobs
         for place, job in enumerate(jobs):
             number = int(job.name.rpartition("-")[2])
@@ -76,7 +76,7 @@ def good(collected: Path) -> Leave:
 
 @pytest.fixture(autouse=True)
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("calibration.simulation.scenarios.figure.figure", lambda *_: b"a picture")
+    monkeypatch.setattr("calibration.pipeline.collection.scenarios.figure", lambda *_: b"a picture")
 
 
 def lost(folder: Path) -> dict[str, Any]:
@@ -92,6 +92,16 @@ def hostile(folder: Path) -> None:
     (folder / "dataset.json").write_text("[" * 10_000)
 
 
+def run(
+    request: ScenarioRequest, backend: Leaves, output: Path, resume: bool = False, told: list[str] | None = None
+) -> ScenarioResults:
+    def done(_count: int, _total: int, result: ScenarioResult) -> None:
+        if told is not None:
+            told.append(result.id)
+
+    return run_worlds(request, WorldFolder(output, resume), place=at(backend), done=done)
+
+
 def asked(count: int, *options: str, **entry: Any) -> ScenarioRequest:
     applications = applications_from({**ENTRY, **entry}, Path(), "x")
     request = ContainerRequest("t2rgb", applications, T2RGB, seed=3, checks=CollectionChecks(3))
@@ -100,7 +110,7 @@ def asked(count: int, *options: str, **entry: Any) -> ScenarioRequest:
 
 def test_each_dataset_is_judged_by_itself(good: Leave, tmp_path: Path) -> None:
     backend, told = Leaves(good, failed, lost, good, hostile), list[str]()
-    found = run_application_worlds(asked(5), Gathering(backend, tmp_path), done=lambda result: told.append(result.id))
+    found = run(asked(5), backend, tmp_path, told=told)
     commands = [{c.name: c.command for c in job.containers} for job in backend.jobs]
     assert [words["simulation"][2::2] for words in commands] == [("3", str(i)) for i in range(5)]
     assert commands[4]["robot"][-1] == f"{OUTPUT}/set4"
@@ -124,13 +134,13 @@ def test_each_dataset_is_judged_by_itself(good: Leave, tmp_path: Path) -> None:
 
 
 def test_only_what_is_missing_runs_again(good: Leave, tmp_path: Path) -> None:
-    run_application_worlds(asked(3), Gathering(Leaves(good, failed, lost), tmp_path))
+    run(asked(3), Leaves(good, failed, lost), tmp_path)
     again = Leaves(good, good, good)
-    found = run_application_worlds(asked(3), Gathering(again, tmp_path, resume=True))
+    found = run(asked(3), again, tmp_path, resume=True)
     assert [job.name for job in again.jobs] == ["s3-00002"]  # a failure of the software is a result
     assert (found.success_rate, found.exit_code) == (0.666667, ExitCode.PASS)
     other = Leaves(good, good, good)
-    run_application_worlds(asked(3, image="robot:2"), Gathering(other, tmp_path, resume=True))
+    run(asked(3, image="robot:2"), other, tmp_path, resume=True)
     assert len(other.jobs) == 3
 
 
@@ -138,25 +148,16 @@ def test_without_a_system_or_a_motion(good: Leave, tmp_path: Path) -> None:
     applications = applications_from({**ENTRY, "containers": {"robot": {"command": "run"}}}, Path(), "x")
     request = ScenarioRequest(ContainerRequest("theirs", applications, truth="dataset"), None, 1)
     backend = Leaves(good)
-    found = run_application_worlds(request, Gathering(backend, tmp_path))
+    found = run(request, backend, tmp_path)
     assert found.exit_code == ExitCode.PASS
     assert backend.jobs[0].containers[0].mounts == ()
     with pytest.raises(InputError, match="exists already"):
-        run_application_worlds(request, Gathering(backend, tmp_path))
+        run(request, backend, tmp_path)
 
 
 def test_the_command_that_collects_one_again(good: Leave, tmp_path: Path) -> None:
     request = asked(1, "--applications", "my apps.yml")
-    words = shlex.split(replay(run_application_worlds(request, Gathering(Leaves(good), tmp_path)), "s3-00000"))
+    words = shlex.split(replay(run(request, Leaves(good), tmp_path), "s3-00000"))
     context = command.make_context("collect-data-sim", words[2:])
     assert context.params["applications"] == Path("my apps.yml")
     assert (context.params["scenario"], context.params["scenario_set"]) == ("s3-00000", None)
-
-
-def test_a_request_is_of_one_kind() -> None:
-    with pytest.raises(AssertionError):
-        _ = asked(1).own
-    with pytest.raises(AssertionError):
-        _ = asked(1).set_file
-    with pytest.raises(AssertionError):
-        _ = ScenarioRequest(CollectionRequest(T2RGB), None, 1).theirs

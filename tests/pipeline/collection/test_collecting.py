@@ -2,6 +2,8 @@
 
 import csv
 import json
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,9 +13,9 @@ import pytest
 
 from calibration.errors import ExitCode, InputError, WorldError
 from calibration.files import write_atomically
-from calibration.pipeline.collection import collecting as collection_module
-from calibration.pipeline.collection.collecting import CollectionRequest, collect_dataset
+from calibration.pipeline.collection.collecting import collect_dataset
 from calibration.pipeline.collection.report import outputs
+from calibration.pipeline.collection.request import CollectionRequest
 from calibration.pipeline.collection.results import (
     SCHEMA,
     Check,
@@ -237,9 +239,18 @@ def test_a_dataset_is_not_overwritten_unless_asked(
     assert snapshot(output) == before
 
 
-def test_without_opencv_it_says_what_to_install(
-    request_: CollectionRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setitem(__import__("sys").modules, "cv2", None)
-    with pytest.raises(WorldError, match=r"needs OpenCV: pip install opencv-python-headless"):
-        collection_module.require_opencv()
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("collect-data-sim", "--system", str(DATASETS / "t2rgb"), "--output"),
+        ("run", "--config", "calibration.yml", "--only", "collect", "--output"),
+    ],
+)
+def test_without_opencv_it_says_what_to_install(words: tuple[str, ...], tmp_path: Path) -> None:
+    (tmp_path / "calibration.yml").write_text(f"simulation: {{a: {{system: {DATASETS / 't2rgb'}}}}}\n")
+    code = "import sys; sys.modules['cv2'] = None; from calibration.__main__ import main; sys.exit(main())"
+    command = [sys.executable, "-c", code, *words, str(tmp_path / "output")]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=tmp_path)
+    assert done.returncode == ExitCode.WORLD
+    assert "the package cv2 is not installed: pip install opencv-python-headless" in done.stderr
+    assert len(done.stderr.splitlines()) == 1

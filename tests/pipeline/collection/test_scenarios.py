@@ -10,14 +10,12 @@ import pytest
 
 from calibration.commands.collect_data_sim import command
 from calibration.errors import ExitCode
-from calibration.pipeline.collection import scenarios
-from calibration.pipeline.collection.collecting import CollectionRequest
+from calibration.pipeline.collection.collecting import collect_dataset
+from calibration.pipeline.collection.request import MAX_SCENARIOS, CollectionRequest, ScenarioRequest, WorldOfSet
 from calibration.pipeline.collection.results import CollectionChecks
 from calibration.pipeline.collection.scenario_report import world_line
 from calibration.pipeline.collection.scenarios import (
-    ScenarioRequest,
     ScenarioResults,
-    collect_world,
     replay,
     scenario_document,
     scenario_markdown,
@@ -27,6 +25,7 @@ from calibration.pipeline.collection.scenarios import (
 from calibration.simulation.scenarios.report import Report
 from calibration.simulation.scenarios.result import ScenarioResult
 
+SYSTEM = Path(__file__).parents[3] / "datasets" / "t2rgb"
 GOOD = ScenarioResult(
     "s1-00000",
     "0123456789ab",
@@ -120,7 +119,7 @@ def test_the_command_that_replays_is_one_that_the_command_line_takes() -> None:
 def test_lines_of_the_progress() -> None:
     assert world_line(GOOD) == "s1-00000: 11/12 collections, 1 mm, 0.1 deg"
     assert world_line(BROKEN) == "s1-00002: nothing seen"
-    assert scenarios.MAX_SCENARIOS >= 10_000
+    assert MAX_SCENARIOS >= 10_000
 
 
 def test_a_world_does_not_go_on_with_what_another_set_made_of_its_id(tmp_path: Path) -> None:
@@ -130,13 +129,15 @@ def test_a_world_does_not_go_on_with_what_another_set_made_of_its_id(tmp_path: P
     def interrupt(*_: object) -> None:
         raise KeyboardInterrupt
 
-    request = CollectionRequest(Path(__file__).parents[3] / "datasets" / "t2rgb")
+    def world(name: str) -> CollectionRequest:
+        return CollectionRequest(SYSTEM, world=WorldOfSet(tmp_path / f"{name}.yml", "s1-00000"))
+
     for name, noise in (("a", 1), ("b", 5)):
         text = f"cameras: {{noise_levels: {noise}}}\nmotion: {{poses: 4}}\n"
         (tmp_path / f"{name}.yml").write_text(text)
     with pytest.raises(KeyboardInterrupt):
-        collect_world(request, tmp_path / "a.yml", "s1-00000", tmp_path / "out", jobs=1, done=interrupt)
+        collect_dataset(world("a"), tmp_path / "out", jobs=1, done=interrupt)
     assert (tmp_path / "out" / ".unfinished").exists()
     for folder in ("out", "fresh"):
-        collect_world(request, tmp_path / "b.yml", "s1-00000", tmp_path / folder, jobs=1)
+        collect_dataset(world("b"), tmp_path / folder, jobs=1)
     assert files(tmp_path / "out") == files(tmp_path / "fresh")

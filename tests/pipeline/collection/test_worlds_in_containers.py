@@ -18,12 +18,13 @@ from calibration.execution.job import OUTPUT, Job
 from calibration.execution.job_check import check_jobs
 from calibration.execution.outcome import JobOutcome
 from calibration.pipeline.collection.applications import INPUTS
-from calibration.pipeline.collection.collecting import CollectionRequest
-from calibration.pipeline.collection.gathering_worlds import Gathering
-from calibration.pipeline.collection.scenarios import ScenarioRequest, ScenarioResults, collect_world, run_worlds
+from calibration.pipeline.collection.collecting import collect_dataset
+from calibration.pipeline.collection.request import CollectionRequest, ScenarioRequest, WorldImage, WorldOfSet
+from calibration.pipeline.collection.scenarios import ScenarioResults
 from calibration.pipeline.collection.world_file import FILE, SCHEMA
-from calibration.pipeline.collection.worlds_in_containers import WorldImage, run_worlds_in_containers
-from calibration.simulation.collection.checks import Requirements
+from calibration.pipeline.collection.world_folder import WorldFolder
+from calibration.pipeline.collection.worlds import Done, run_worlds
+from tests.pipeline.places import at
 
 T2RGB = Path(__file__).parents[3] / "datasets" / "t2rgb"
 SET = """
@@ -46,9 +47,7 @@ class RunsHere:
     def __init__(self, **changes: Change) -> None:
         self.changes, self.jobs = changes, list[Job]()
 
-    def run(
-        self, jobs: Sequence[Job], folder: Path, workers: int | None = None, done: object = None
-    ) -> Generator[tuple[int, JobOutcome]]:
+    def run(self, jobs: Sequence[Job], folder: Path, workers: int | None = None) -> Generator[tuple[int, JobOutcome]]:
         check_jobs(jobs)
         self.jobs += jobs
         return self._outcomes(jobs, folder)
@@ -91,7 +90,7 @@ def kept(tmp_path_factory: pytest.TempPathFactory) -> None:
 @pytest.fixture(autouse=True)
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     """Leave the figure out, whose drawing takes longer than a world."""
-    monkeypatch.setattr("calibration.simulation.scenarios.figure.figure", lambda *_: b"a picture")
+    monkeypatch.setattr("calibration.pipeline.collection.scenarios.figure", lambda *_: b"a picture")
 
 
 @pytest.fixture
@@ -101,9 +100,30 @@ def asked(tmp_path: Path) -> ScenarioRequest:
     return ScenarioRequest(CollectionRequest(T2RGB, seed=5), path, WORLDS)
 
 
-def run(asked: ScenarioRequest, output: Path, backend: RunsHere | None = None, **how: bool) -> ScenarioResults:
-    gathering = Gathering(backend or RunsHere(), output, **how)
-    return run_worlds_in_containers(asked, WorldImage("robot:1", 60), gathering)
+def own(asked: ScenarioRequest) -> CollectionRequest:
+    assert isinstance(asked.collection, CollectionRequest)
+    return asked.collection
+
+
+def set_file(asked: ScenarioRequest) -> Path:
+    assert asked.scenario_set is not None
+    return asked.scenario_set
+
+
+def run(
+    asked: ScenarioRequest,
+    output: Path,
+    backend: RunsHere | None = None,
+    begin: Callable[[str, int], None] = lambda *_: None,
+    done: Done = lambda *_: None,
+    **how: bool,
+) -> ScenarioResults:
+    there = replace(asked, image=WorldImage("robot:1", 60))
+    return run_worlds(there, WorldFolder(output, **how), None, at(backend or RunsHere()), begin, done)
+
+
+def run_here(asked: ScenarioRequest, output: Path) -> ScenarioResults:
+    return run_worlds(asked, WorldFolder(output), 1)
 
 
 def snapshot(folder: Path) -> dict[str, bytes]:
@@ -114,18 +134,22 @@ def test_the_same_report_and_the_same_datasets_as_here(
     asked: ScenarioRequest, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     backend, begun, told = RunsHere(), list[tuple[str, int]](), list[str]()
-    gathering = Gathering(backend, tmp_path / "there")
-    found = run_worlds_in_containers(
-        asked, WorldImage("robot:1", 60), gathering, lambda *begin: begun.append(begin), lambda r: told.append(r.id)
+    found = run(
+        asked,
+        tmp_path / "there",
+        backend,
+        lambda *begin: begun.append(begin),
+        lambda _count, _total, result: told.append(result.id),
     )
-    run_worlds(asked, tmp_path / "here", 1)
+    run_here(asked, tmp_path / "here")
     assert snapshot(tmp_path / "there") == snapshot(tmp_path / "here")
     assert (found.exit_code, begun) == (ExitCode.PASS, [("t2rgb", WORLDS)])
     assert told == ["s5-00002", "s5-00001", "s5-00000"]
     assert {path.name for path in (tmp_path / "there").iterdir() if path.is_dir()} == {"worlds", "logs"}
     assert (tmp_path / "there" / "logs" / "s5-00001" / "world.log").read_text() == "began\nended with 0\n\n"
 
-    collect_world(asked.own, asked.set_file, "s5-00001", tmp_path / "one", jobs=1)
+    alone = replace(own(asked), world=WorldOfSet(tmp_path / "my worlds.yml", "s5-00001"))
+    collect_dataset(alone, tmp_path / "one", jobs=1)
     kept = snapshot(tmp_path / "there" / "worlds" / "s5-00001")
     assert kept == snapshot(tmp_path / "one")
     assert {"dataset.json", "ground_truth.json", "contact_sheet.png", FILE} <= kept.keys()
@@ -143,14 +167,14 @@ def test_a_robot_a_configuration_a_motion_and_a_requirement_of_its_own(asked: Sc
     poses = json.loads((T2RGB / "motion.json").read_text())
     motion = tmp_path / "m.json"
     motion.write_text(json.dumps({str(i): poses[str(i)] for i in range(1, 4)}))
-    collection = CollectionRequest(system, robot, config, str(motion), 5, Requirements(stillness=0.0017))
+    collection = CollectionRequest(system, robot, config, str(motion), 5, 0.0017)
     asked = replace(asked, collection=collection, count=1)
     run(asked, tmp_path / "there")
-    run_worlds(asked, tmp_path / "here", 1)
+    run_here(asked, tmp_path / "here")
     assert snapshot(tmp_path / "there") == snapshot(tmp_path / "here")
     asked = replace(asked, collection=replace(collection, motion="generate:3"))
     run(asked, tmp_path / "there", overwrite=True)
-    run_worlds(asked, tmp_path / "here", 1)
+    run_here(asked, tmp_path / "here")
     assert snapshot(tmp_path / "there") == snapshot(tmp_path / "here")
 
 
@@ -185,8 +209,7 @@ def test_only_what_is_missing_is_run_again(asked: ScenarioRequest, tmp_path: Pat
     with pytest.raises(InputError, match=r"out/worlds: exists already; --overwrite replaces the worlds, --resume runs"):
         run(asked, output)
     again, told = RunsHere(), list[str]()
-    gathering = Gathering(again, output, resume=True)
-    found = run_worlds_in_containers(asked, WorldImage("robot:1"), gathering, done=lambda each: told.append(each.id))
+    found = run(asked, output, again, done=lambda _count, _total, each: told.append(each.id), resume=True)
     assert told == ["s5-00000", "s5-00002", "s5-00001"]  # those that are kept, then those that come
     assert [job.name for job in again.jobs] == ["s5-00001", "s5-00002"]
     assert found.exit_code == ExitCode.PASS
@@ -194,18 +217,18 @@ def test_only_what_is_missing_is_run_again(asked: ScenarioRequest, tmp_path: Pat
     nothing = RunsHere()
     run(asked, output, nothing, resume=True)
     assert nothing.jobs == []
-    run(replace(asked, collection=replace(asked.own, seed=6), count=1), output, overwrite=True)
+    run(replace(asked, collection=replace(own(asked), seed=6), count=1), output, overwrite=True)
     assert [path.name for path in (output / "worlds").iterdir()] == ["s6-00000"]
 
 
 def test_what_was_another_world_is_not_kept(asked: ScenarioRequest, tmp_path: Path) -> None:
     asked = replace(asked, count=1)
     run(asked, tmp_path / "out")
-    asked.set_file.write_text(SET.replace("3]", "4]"))
+    set_file(asked).write_text(SET.replace("3]", "4]"))
     again = RunsHere()
     found = run(asked, tmp_path / "out", again, resume=True)
     assert len(again.jobs) == 1
-    strict = replace(asked, collection=replace(asked.own, requirements=Requirements(stillness=0.001)))
+    strict = replace(asked, collection=replace(own(asked), stillness=0.001))
     run(strict, tmp_path / "out", again, resume=True)
     assert len(again.jobs) == 2
     assert found.exit_code == ExitCode.PASS
@@ -287,11 +310,11 @@ def test_numbers_are_our_own(asked: ScenarioRequest, tmp_path: Path) -> None:
 
 
 def test_a_world_without_a_collection_is_a_result(asked: ScenarioRequest, tmp_path: Path) -> None:
-    asked.set_file.write_text("motion: {poses: 3, sway_mm: 50}\n")  # nothing is still
+    set_file(asked).write_text("motion: {poses: 3, sway_mm: 50}\n")  # nothing is still
     asked = replace(asked, count=1)
     found = run(asked, tmp_path / "out")
     assert found.failed == {"s5-00000": ["no pose gave a collection"]}
-    run_worlds(asked, tmp_path / "here", 1)
+    run_here(asked, tmp_path / "here")
     assert snapshot(tmp_path / "out") == snapshot(tmp_path / "here")
     again = RunsHere()
     run(asked, tmp_path / "out", again, resume=True)
@@ -304,11 +327,11 @@ def test_a_world_without_a_collection_is_a_result(asked: ScenarioRequest, tmp_pa
 def test_a_world_in_which_no_motion_is_found_is_a_result(
     asked: ScenarioRequest, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    asked.set_file.write_text("motion: {poses: 4, nearest_m: 900, farthest_m: 990}\n")
+    set_file(asked).write_text("motion: {poses: 4, nearest_m: 900, farthest_m: 990}\n")
     asked = replace(asked, count=1)
     found = run(asked, tmp_path / "out")
     assert "error" in capsys.readouterr().err
-    run_worlds(asked, tmp_path / "here", 1)
+    run_here(asked, tmp_path / "here")
     assert snapshot(tmp_path / "out") == snapshot(tmp_path / "here")
     assert (found.exit_code, found.errors) == (ExitCode.FAIL, {})
     assert [path.name for path in (tmp_path / "out" / "worlds" / "s5-00000").iterdir()] == [FILE]
@@ -316,14 +339,14 @@ def test_a_world_in_which_no_motion_is_found_is_a_result(
 
 def test_bad_input_before_anything_runs(asked: ScenarioRequest, tmp_path: Path) -> None:
     backend = RunsHere()
-    sound = asked.set_file.read_text()
-    asked.set_file.write_text("motion: {pose: 4}\n")
+    sound = set_file(asked).read_text()
+    set_file(asked).write_text("motion: {pose: 4}\n")
     with pytest.raises(InputError, match="pose"):
         run(asked, tmp_path / "out", backend)
     assert backend.jobs == []
     assert not (tmp_path / "out").exists()
     (tmp_path / "file").write_text("")
-    asked.set_file.write_text(sound)
+    set_file(asked).write_text(sound)
     with pytest.raises(WorldError, match="file: cannot be written: "):
         run(asked, tmp_path / "file", backend)
     assert backend.jobs == []
@@ -343,6 +366,33 @@ def test_an_interruption_keeps_what_is_done(asked: ScenarioRequest, tmp_path: Pa
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        run_worlds_in_containers(asked, WorldImage("i"), Gathering(RunsHere(), tmp_path / "out"), done=interrupt)
+        run(asked, tmp_path / "out", done=interrupt)
     assert {path.name for path in (tmp_path / "out").iterdir()} == {"worlds", "logs"}
     assert [path.name for path in (tmp_path / "out" / "worlds").iterdir()] == ["s5-00002"]
+
+
+def test_worlds_here_that_are_interrupted_go_on_unless_they_are_others(asked: ScenarioRequest, tmp_path: Path) -> None:
+    def interrupt(count: int, *_: object) -> None:
+        if count == 2:
+            raise KeyboardInterrupt
+
+    def run_again(asked: ScenarioRequest) -> list[int]:
+        with pytest.raises(KeyboardInterrupt):
+            run_worlds(asked, WorldFolder(tmp_path / "out"), 1, done=interrupt)
+        seen: list[int] = []
+        run_worlds(asked, WorldFolder(tmp_path / "out"), 1, done=lambda count, *_: seen.append(count))
+        return seen
+
+    run_here(asked, tmp_path / "at once")
+    assert run_again(asked) == [1, 2, 3]
+    assert snapshot(tmp_path / "out") == snapshot(tmp_path / "at once")
+    assert not [path for path in (tmp_path / "out").iterdir() if path.is_dir()]
+
+    with pytest.raises(KeyboardInterrupt):
+        run_worlds(asked, WorldFolder(tmp_path / "out"), 1, done=interrupt)
+    kept = snapshot(tmp_path / "out" / ".unfinished")
+    assert len([name for name in kept if name.endswith(".result.json")]) == 2
+    set_file(asked).write_text(SET.replace("3]", "4]"))
+    run_here(asked, tmp_path / "fresh")
+    run_here(asked, tmp_path / "out")
+    assert snapshot(tmp_path / "out") == snapshot(tmp_path / "fresh") != snapshot(tmp_path / "at once")

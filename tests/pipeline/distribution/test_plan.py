@@ -11,8 +11,7 @@ from hypothesis import strategies as st
 from calibration.errors import InputError
 from calibration.execution.job import Container
 from calibration.image.specification import ImageSpecification, parse_image_specification
-from calibration.pipeline.collection.collecting import CollectionRequest
-from calibration.pipeline.collection.in_containers import ContainerRequest
+from calibration.pipeline.collection.request import CollectionRequest, ContainerRequest
 from calibration.pipeline.configuration import Configuration, Simulation, parse_applications
 from calibration.pipeline.distribution.needs import Needs, parse_needs
 from calibration.pipeline.distribution.plan import (

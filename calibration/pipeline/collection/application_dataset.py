@@ -1,60 +1,46 @@
-"""Collect a dataset with the team's own applications: run them, bring the dataset out, prove it, judge it."""
+"""A dataset that the team's own applications collect: they run, the dataset is brought out, proven and judged."""
 
 import shutil
 import tempfile
 from collections.abc import Mapping
-from contextlib import closing
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from calibration.dataset import truth
+from calibration.dataset.model import CornerLabels, Dataset
+from calibration.dataset.reading import read_dataset
+from calibration.dataset.writing import write_document
 from calibration.errors import CalibrationError, ExitCode, InputError, WorldError
-from calibration.execution.backends import JobBackend
+from calibration.execution.backends import Place
 from calibration.execution.job import Job
 from calibration.execution.job_folder import ARTIFACTS, LOGS
 from calibration.execution.outcome import JobOutcome
-from calibration.files import read_bytes
+from calibration.execution.tasks import Task, run_tasks
+from calibration.files import read_bytes, write_atomically
 from calibration.json_file import parse_json
-from calibration.pipeline.collection.applications import (
-    REPORT,
-    Applications,
-    collection_job,
-    dataset_place,
-    write_inputs,
-)
-from calibration.pipeline.collection.collecting import GENERATE, pose_count, require_opencv
-from calibration.pipeline.collection.results import CollectionChecks, CollectionResults
+from calibration.pipeline.collection.applications import MOTION, PLAYER, REPORT, collection_job, dataset_place
+from calibration.pipeline.collection.motion import optional_motion
+from calibration.pipeline.collection.request import ContainerRequest
+from calibration.pipeline.collection.results import CollectionResults
 from calibration.pipeline.collection.writing import write_collection_results
+from calibration.simulation.collection.contact_sheet import write_contact_sheet
+from calibration.simulation.collection.dataset_folder import replacing_dataset
+from calibration.simulation.collection.document import truth_document
+from calibration.simulation.collection.play import play
+from calibration.simulation.collection.proof import prove
+from calibration.simulation.collection.record import Record, image_cells
+from calibration.simulation.motion.sequence import Motion, motion_document
+from calibration.simulation.players import check_motion, player_file
+from calibration.simulation.system import MOTION_FILE, System, read_system
 from calibration.workflow.text import one_line, shorten
-
-if TYPE_CHECKING:
-    from calibration.dataset.model import Dataset
-    from calibration.simulation.collection.record import Record
-    from calibration.simulation.motion.sequence import Motion
-    from calibration.simulation.system import System
 
 NO_FILE = "missing"
 """The name of an image that there is not."""
 MAX_REPORT = 16 * 1024 * 1024
 """Bytes of our player's report that are read."""
-
-
-@dataclass(frozen=True)
-class ContainerRequest:
-    """What is to be collected by applications."""
-
-    name: str
-    applications: Applications
-    system: Path | None = None
-    """The folder of a system: its sensors are expected in the dataset, and its robot is the truth."""
-    robot: Path | None = None
-    configuration: Path | None = None
-    motion: str | None = None
-    """A file, or ``generate:N``; the system's own motion where None."""
-    seed: int = 1
-    checks: CollectionChecks = field(default_factory=CollectionChecks)
-    truth: str | None = None
-    """As `calibration.dataset.truth.choose_truth`; None for the system's, where there is one."""
+JOB = "collection"
+"""The name of the job of one dataset."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,8 +48,8 @@ class Plan:
     """A request with its files read."""
 
     request: ContainerRequest
-    system: "System | None"
-    motion: "Motion | None"
+    system: System | None
+    motion: Motion | None
 
     @property
     def name(self) -> str:
@@ -81,33 +67,25 @@ class Plan:
         return PurePosixPath(dataset_place(request.applications, self.name, request.seed, scenario)).name
 
 
-def collect_in_containers(
-    request: ContainerRequest, output: Path, backend: JobBackend, overwrite: bool = False, scenario: int = 0
+def collect_by_applications(
+    request: ContainerRequest, output: Path, place: Place | None = None, overwrite: bool = False
 ) -> CollectionResults:
-    """Collect a dataset into a folder, with its results and the containers' logs beside it.
-
-    What the applications do wrong is a result, not an error.
-
-    Args:
-        request: what to collect.
-        output: the folder; what it has besides a dataset stays.
-        backend: where the containers run.
-        overwrite: whether a dataset that it has is replaced.
-        scenario: the number of the collection among those of the seed.
+    """Collect a dataset, as `calibration.pipeline.collection.collecting.collect_dataset` does.
 
     Raises:
         InputError: an input is missing or wrong, or the folder has a dataset and may not be overwritten.
         WorldError: there is no backend, or a file cannot be written.
     """
-    require_opencv()
-    from calibration.simulation.collection.dataset_folder import refuse_existing, replacing_dataset
-
-    refuse_existing(output, overwrite)
     plan = read_plan(request)
     with replacing_dataset(output, overwrite) as new, tempfile.TemporaryDirectory(prefix=".job-", dir=output) as work:
-        outcome = _run(plan, scenario, Path(work), backend)
-        _keep_logs(outcome, output)
-        return judged(plan, outcome, scenario, new)
+
+        def judge(outcome: JobOutcome) -> CollectionResults:
+            _keep_logs(outcome, output)
+            return judged(plan, outcome, request.scenario, new)
+
+        inputs = write_inputs(Path(work, "in"), plan)
+        job = plan.job(JOB, request.scenario, inputs)
+        return run_tasks([Task.containers(JOB, job, judge)], Path(work), place=place)[JOB]
 
 
 def read_plan(request: ContainerRequest) -> Plan:
@@ -116,11 +94,8 @@ def read_plan(request: ContainerRequest) -> Plan:
     Raises:
         InputError: one is missing or wrong.
     """
-    from calibration.simulation.players import check_motion
-    from calibration.simulation.system import read_system
-
     system = read_system(request.system, request.robot, request.configuration) if request.system else None
-    motion = _motion(request, system)
+    motion = optional_motion(request, system)
     if request.applications.player is not None:
         if motion is None:
             raise InputError(f"{request.name}: our player needs a motion: a file, or a system with one")
@@ -128,29 +103,18 @@ def read_plan(request: ContainerRequest) -> Plan:
     return Plan(request, system, motion)
 
 
-def _motion(request: ContainerRequest, system: "System | None") -> "Motion | None":
-    from calibration.simulation.motion.generation import generate_motion
-    from calibration.simulation.motion.sequence import read_motion
-    from calibration.simulation.system import MOTION_FILE
+def write_inputs(folder: Path, plan: Plan) -> Path | None:
+    """Write what the containers see as `INPUTS` into a new folder; None where there is nothing to see.
 
-    given = request.motion
-    if given is None and request.system is not None and (request.system / MOTION_FILE).exists():
-        given = str(request.system / MOTION_FILE)
-    if given is None:
+    Raises:
+        WorldError: it cannot be written.
+    """
+    if plan.motion is None:
         return None
-    if not given.startswith(GENERATE):
-        return read_motion(Path(given))
-    if system is None:
-        raise InputError(f"{request.name}: motion: found '{given}', but a motion is only generated for a system")
-    return generate_motion(system, pose_count(given), request.seed)
-
-
-def _run(plan: Plan, scenario: int, work: Path, backend: JobBackend) -> JobOutcome:
-    inputs = write_inputs(work / "in", plan.request.applications, plan.motion)
-    with closing(backend.run([plan.job("collection", scenario, inputs)], work, 1)) as outcomes:
-        for _, outcome in outcomes:
-            return outcome
-    raise AssertionError("a backend answers for every job")
+    write_document(motion_document(plan.motion), folder / PurePosixPath(MOTION).name)
+    if plan.request.applications.player is not None:
+        write_atomically(folder / PurePosixPath(PLAYER).name, player_file().read_bytes())
+    return folder
 
 
 def _keep_logs(outcome: JobOutcome, output: Path) -> None:
@@ -175,9 +139,6 @@ def judged(plan: Plan, outcome: JobOutcome, scenario: int, new: Path) -> Collect
 
 
 def _results(plan: Plan, outcome: JobOutcome, scenario: int, new: Path) -> CollectionResults:
-    from calibration.dataset.reading import read_dataset
-    from calibration.simulation.collection.contact_sheet import write_contact_sheet
-    from calibration.simulation.collection.proof import prove
 
     request = plan.request
     dataset, records, proof = None, [], None
@@ -214,7 +175,7 @@ def _results(plan: Plan, outcome: JobOutcome, scenario: int, new: Path) -> Colle
     )
 
 
-def _check_sensors(dataset: "Dataset", plan: Plan) -> None:
+def _check_sensors(dataset: Dataset, plan: Plan) -> None:
     """Hold a dataset's sensors to those of the system.
 
     Raises:
@@ -227,14 +188,6 @@ def _check_sensors(dataset: "Dataset", plan: Plan) -> None:
 
 def _describe(plan: Plan, new: Path) -> None:
     """Put the files of the system, the motion and the truth beside the dataset."""
-    from calibration.dataset import truth
-    from calibration.dataset.writing import write_document
-    from calibration.files import write_atomically
-    from calibration.simulation.collection.document import truth_document
-    from calibration.simulation.collection.play import play
-    from calibration.simulation.motion.sequence import motion_document
-    from calibration.simulation.system import MOTION_FILE
-
     if plan.motion is not None:
         write_document(motion_document(plan.motion), new / MOTION_FILE)
     if plan.system is None:
@@ -262,7 +215,7 @@ def _report(outcome: JobOutcome) -> list[dict[str, Any]]:
         raise InputError(f"{path.name}: this is no report of the player") from None
 
 
-def _records(dataset: "Dataset", report: list[dict[str, Any]]) -> "list[Record]":
+def _records(dataset: Dataset, report: list[dict[str, Any]]) -> list[Record]:
     """A record for each collection, and for each pose of which the robot application saved none."""
     saved = [pose["pose"] for pose in report if pose["saved"]]
     numbers = saved if len(saved) == len(dataset.collections) else list(range(1, len(dataset.collections) + 1))
@@ -271,19 +224,15 @@ def _records(dataset: "Dataset", report: list[dict[str, Any]]) -> "list[Record]"
     return sorted([*kept, *lost], key=lambda record: record.number)
 
 
-def _lost(dataset: "Dataset", number: int, answer: str) -> "Record":
-    from calibration.simulation.collection.record import Record
+def _lost(dataset: Dataset, number: int, answer: str) -> Record:
 
     reason = f"not saved: {shorten(one_line(answer), 200)}" if answer else "not saved"
     nothing = {"data": {name: {"data_file": NO_FILE} for name in dataset.sensors}, "labels": {}}
     return Record(number, (reason,), dict.fromkeys(dataset.sensors, 0), {}, {}, {}, nothing, {}, (), named="")
 
 
-def _record(dataset: "Dataset", index: int, number: int) -> "Record":
+def _record(dataset: Dataset, index: int, number: int) -> Record:
     """What a collection says of itself; nobody knows how far its labels are from the truth."""
-    from calibration.dataset.model import CornerLabels
-    from calibration.simulation.collection.record import Record, image_cells
-
     collection = dataset.collections[index]
     corners: dict[str, list[CornerLabels]] = {name: [] for name, s in dataset.sensors.items() if s.camera}
     labels, complete = dict.fromkeys(dataset.sensors, 0), dict.fromkeys(corners, False)
@@ -303,7 +252,7 @@ def _record(dataset: "Dataset", index: int, number: int) -> "Record":
     return Record(number, (), labels, complete, {}, cells, drawn, {}, (), named=collection.key)
 
 
-def _data_files(dataset: "Dataset", index: int) -> dict[str, dict[str, str]]:
+def _data_files(dataset: Dataset, index: int) -> dict[str, dict[str, str]]:
     """The file of each sensor, for the contact sheet; one that is no file of the dataset's folder is left out."""
     data = dataset.document["collections"][dataset.keys[index]].get("data")
     names = {name: data[name].get("data_file") for name in dataset.sensors} if isinstance(data, dict) else {}
@@ -311,10 +260,8 @@ def _data_files(dataset: "Dataset", index: int) -> dict[str, dict[str, str]]:
     return {name: {"data_file": inside.get(name, NO_FILE)} for name in dataset.sensors}
 
 
-def _drawn_labels(dataset: "Dataset", index: int) -> dict[str, dict[str, dict[str, Any]]]:
+def _drawn_labels(dataset: Dataset, index: int) -> dict[str, dict[str, dict[str, Any]]]:
     """The labels of each pattern and sensor in the form that the contact sheet draws: corners only."""
-    from calibration.dataset.model import CornerLabels
-
     found = dataset.collections[index].labels
 
     def entries(pattern: str, sensor: str) -> list[dict[str, float]]:

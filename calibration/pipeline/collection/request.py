@@ -1,0 +1,100 @@
+"""What is to be collected: a dataset, or many, by our own simulation or by the team's applications."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from calibration.errors import InputError
+from calibration.pipeline.collection.applications import SECONDS, Applications
+from calibration.pipeline.collection.results import CollectionChecks
+
+MAX_POSES = 1000
+"""No longer motion is generated."""
+GENERATE = "generate:"
+MAX_SCENARIOS = 100_000
+
+
+@dataclass(frozen=True)
+class WorldOfSet:
+    """One world of a scenario set."""
+
+    scenario_set: Path
+    id: str
+
+
+@dataclass(frozen=True)
+class CollectionRequest:
+    """What our own simulation is to collect."""
+
+    system: Path
+    """The folder of a system."""
+    robot: Path | None = None
+    """Another robot description than the system's."""
+    configuration: Path | None = None
+    """Another calibration configuration than the system's."""
+    motion: str | None = None
+    """A file, or ``generate:N``; the system's own motion where None."""
+    seed: int = 1
+    """Of the noise and of a generated motion, or of the worlds."""
+    stillness: float | None = None
+    """How far a pattern may move while the sensors look, m; None for the usual."""
+    checks: CollectionChecks = field(default_factory=CollectionChecks)
+    world: WorldOfSet | None = None
+    """None for the world that the system's files describe."""
+
+
+@dataclass(frozen=True)
+class ContainerRequest:
+    """What the team's applications are to collect."""
+
+    name: str
+    applications: Applications
+    system: Path | None = None
+    """The folder of a system: its sensors are expected in the dataset, and its robot is the truth."""
+    robot: Path | None = None
+    configuration: Path | None = None
+    motion: str | None = None
+    """A file, or ``generate:N``; the system's own motion where None."""
+    seed: int = 1
+    checks: CollectionChecks = field(default_factory=CollectionChecks)
+    truth: str | None = None
+    """As `calibration.dataset.truth.choose_truth`; None for the system's, where there is one."""
+    scenario: int = 0
+    """The number of the collection among those of the seed."""
+
+
+@dataclass(frozen=True)
+class WorldImage:
+    """An image with this package, in which worlds of our own simulation run."""
+
+    image: str
+    seconds: float = SECONDS
+    """A world that takes longer is stopped."""
+
+
+@dataclass(frozen=True)
+class ScenarioRequest:
+    """Many datasets."""
+
+    collection: CollectionRequest | ContainerRequest
+    """The system, the seed of the worlds, and what each of them has to keep to; a motion, if all have the same."""
+    scenario_set: Path | None
+    """Of our own simulation's worlds; None for the team's applications, which know themselves what varies."""
+    count: int
+    minimum_success_rate: float = 1.0
+    """The share of the worlds that has to pass."""
+    applications: tuple[str, ...] = ()
+    """The options of the command that say what the team's applications are."""
+    image: WorldImage | None = None
+    """None to run our own simulation's worlds in processes here."""
+
+
+def pose_count(motion: str) -> int:
+    """N of ``generate:N``.
+
+    Raises:
+        InputError: it is no number from 1 to `MAX_POSES`.
+    """
+    count = motion.removeprefix(GENERATE)
+    if not (count.isascii() and count.isdigit() and len(count) < 10 and 1 <= int(count) <= MAX_POSES):
+        raise InputError(f"motion: found '{motion}', expected {GENERATE}N with N from 1 to {MAX_POSES}")
+    return int(count)
