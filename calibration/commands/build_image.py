@@ -72,7 +72,7 @@ class Settings:
     "--promote", type=TEXT_LIST, help="Tags that the image gets in its registry, such as stable; it is pushed."
 )
 @click.option("--digest", type=text, help="The image to promote (sha256:...), with nothing built.")
-@click.option("--builder", type=text, help="auto, engine or buildkit (auto).")
+@click.option("--builder", type=text, help="auto (BuildKit where a docker does it), engine or buildkit (auto).")
 @boolean_option("--force", help="Build anew, though nothing has changed, and without a cache.")
 @boolean_option("--pull", help="Ask the registry whether there is a newer base.")
 @click.option("--render", type=path, help="Write the Dockerfile and all it copies into this folder, and build nothing.")

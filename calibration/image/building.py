@@ -73,7 +73,7 @@ def build_image(
         runner: takes the log.
         push: whether it goes to its registry; what the specification says where None.
         load: whether it has to be on the engine, so that it can be run here.
-        builder: auto takes BuildKit where the Dockerfile needs it, and for one of the user's own.
+        builder: auto takes BuildKit where a docker program on PATH does it, else the engine's own builder.
         force: build anew, without any cache.
         pull: ask the registries of the bases whether there are newer ones.
         leave_out: folders that are never part of the context: where results are written, which change each time.
@@ -191,7 +191,7 @@ class _Work:
 
         specification = self._specification
         own = specification.source if isinstance(specification.source, OwnDockerfile) else None
-        program = self._builder(plan, builder, is_own=own is not None)
+        program = self._builder(plan, builder)
         described = hashlib.sha256(plan.text.encode()).hexdigest()
         folder = own.context if own else Path()
         request = BuildRequest(
@@ -250,7 +250,7 @@ class _Work:
         digest = build_and_push(program, request, [reference], self.login(reference), log)
         return BuiltImage(reference, plan.key, built=True, digest=digest)
 
-    def _builder(self, plan: Plan, builder: BuilderName, *, is_own: bool) -> "Program | None":
+    def _builder(self, plan: Plan, builder: BuilderName) -> "Program | None":
         """The program to build with; None for the engine's own builder.
 
         Raises:
@@ -258,9 +258,9 @@ class _Work:
         """
         from calibration.image.builders.programs import find_buildkit
 
-        if builder == "engine" and plan.needs_buildkit:
-            raise InputError(f"builder: engine cannot build this: {_BUILDKIT_ONLY} need BuildKit")
-        if builder == "engine" or (builder == "auto" and not plan.needs_buildkit and not is_own):
+        if builder == "engine":
+            if plan.needs_buildkit:
+                raise InputError(f"builder: engine cannot build this: {_BUILDKIT_ONLY} need BuildKit")
             return None
         program = find_buildkit(os.environ.get("PATH", os.defpath))
         if program is None and (builder == "buildkit" or plan.needs_buildkit):

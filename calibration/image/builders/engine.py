@@ -1,4 +1,10 @@
-"""The engine's classic builder, through its own interface; it needs no program on this machine."""
+"""The engine's classic builder, by the engine's own interface: for machines where no ``docker`` program does BuildKit.
+
+The engine builds by BuildKit only for a client that keeps a session open beside the request (context, secrets, SSH),
+which the Docker SDK for Python does not. Programs that do are Docker's own with the plugin buildx, or of versions 18.09
+to 22. A job in a container that has only the engine's socket has none, nor has one whose Docker comes without the
+plugin; every engine from 18.09 on still has this builder.
+"""
 
 import re
 import tempfile

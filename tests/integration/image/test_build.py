@@ -346,3 +346,16 @@ def test_several_platforms_with_a_buildx(builds: Builds, registry: Registry, mon
     image = builds.build(name=name, base=BASE, push=True, tags=[], platforms=platforms)
     assert (image.built, image.id, image.digest) == (True, None, f"sha256:{'d' * 64}")
     assert f"<--tag><{image.reference}>" in (builds.folder / "calls").read_text()
+
+
+def test_buildkit_builds_where_a_docker_program_does_it(builds: Builds, monkeypatch: pytest.MonkeyPatch) -> None:
+    buildkit_or_skip()
+
+    def comments(image: str) -> set[str]:
+        return {str(layer["Comment"]) for layer in builds.engine.images.get(image).history()}
+
+    by_default = builds.build(base=BASE, commands=["true"])
+    monkeypatch.setenv("PATH", "/nowhere")
+    without_program = builds.build(base=BASE, commands=["true", "true"])
+    assert "buildkit.dockerfile.v0" in comments(by_default.reference)
+    assert "buildkit.dockerfile.v0" not in comments(without_program.reference)
