@@ -25,6 +25,7 @@ SCHEMAS = {
 }
 """What there is a schema of: package and file."""
 RECORDS = {
+    "scenario-set": "calibration.simulation.scenarios.parameters:ScenarioSetFile",
     "image": "calibration.image.specification:ImageDocument",
     "aws-batch": "calibration.execution.batch.settings:BatchFile",
 }

@@ -23,8 +23,8 @@ is no part of the document.
 - ``flat=True``: the keys of the record in this field stand among those of the record that has it.
 - `Converted`: a value that stands otherwise in the document (``10m``) than in the record (600.0).
 - `ByName`: a mapping whose keys are the names of the records in it.
-- ``@record(rules=...)``: which keys go together: `excludes`, `needs`, `one_of`; what else must hold of the values, a
-  record says in ``__post_init__`` by raising `Misfit`.
+- ``@record(rules=...)``: which keys go together: `excludes`, `needs`, `one_of`, `exactly_one`; what else must hold of
+  the values, a record says in ``__post_init__`` by raising `Misfit`.
 - ``@record(case="snake", nulls=True, unknown="ignore")`` is for results: null stands for None, and what a newer
   version has added is left alone.
 
@@ -44,7 +44,17 @@ from calibration.records.constraints import (
     length,
     matching,
 )
-from calibration.records.declaration import Misfit, excludes, field, flat_fields, needs, one_of, record
+from calibration.records.declaration import (
+    Misfit,
+    exactly_one,
+    excludes,
+    field,
+    flat_fields,
+    needs,
+    one_of,
+    record,
+    unknown_key,
+)
 from calibration.records.reading import Place, read, read_as, shown
 from calibration.records.schema import schema_of, schema_text
 from calibration.records.writing import document_of, text_of
@@ -60,6 +70,7 @@ __all__ = [
     "at_least",
     "between",
     "document_of",
+    "exactly_one",
     "excludes",
     "field",
     "flat_fields",
@@ -74,4 +85,5 @@ __all__ = [
     "schema_text",
     "shown",
     "text_of",
+    "unknown_key",
 ]

@@ -74,7 +74,10 @@ def length(least: int = 0, most: int | None = None) -> Constraint:
     def holds(value: Any) -> bool:
         return least <= len(value) and (most is None or len(value) <= most)
 
-    expected = "that is not empty" if most is None else f"of at most {most}" if not least else f"of {least} to {most}"
+    if most is None:
+        expected = "that is not empty" if least == 1 else f"of at least {least}"
+    else:
+        expected = f"of {least}" if least == most else f"of {least} to {most}" if least else f"of at most {most}"
     return Constraint(holds, expected, {"length": (least, most)})
 
 

@@ -190,6 +190,18 @@ def one_of(*names: str, why: str) -> Rule:
     )
 
 
+def exactly_one(*names: str) -> Rule:
+    """A rule that one of some keys is there, and no other of them."""
+
+    def fault(keys: Collection[str]) -> str | None:
+        found = [name for name in names if name in keys]
+        return (
+            None if len(found) == 1 else f"found {' and '.join(found) or 'nothing'}, expected one of {', '.join(names)}"
+        )
+
+    return Rule(fault, {"oneOf": [{"required": [name]} for name in names]})
+
+
 def unknown_key(key: object, known: Collection[str]) -> str:
     """The message about a key that is none of those known."""
     return f"unknown key {shorten(repr(key))}{did_you_mean(str(key), known)} (known: {', '.join(known)})"

@@ -43,6 +43,10 @@ class Place:
         """The error that says what was found here and what was expected."""
         return self.fault(f"found {shown(value)}, expected {expected}")
 
+    def misfit(self, misfit: Misfit) -> CalibrationError:
+        """The error about values here that are wrong together."""
+        return (self.below(misfit.key) if misfit.key else self).fault(str(misfit))
+
 
 def read(
     kind: type[_Record],
@@ -268,7 +272,7 @@ def _made(kind: Any, document: Mapping[str, Any], place: Place, more: Mapping[st
     try:
         return kind(**values)
     except Misfit as misfit:
-        raise (place.below(misfit.key) if misfit.key else place).fault(str(misfit)) from None
+        raise place.misfit(misfit) from None
 
 
 def _base(kind: Any) -> Any:

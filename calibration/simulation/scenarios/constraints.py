@@ -13,14 +13,12 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Annotated
 
-from calibration.dataset.document import Node
-from calibration.simulation.description import number, only
-from calibration.simulation.scenarios.parameters import Parameters
+from calibration.records import Misfit, exactly_one, excludes, field, length, record
 
 CLEARANCE = "scene.clearance_m"
 """The least distance from a sensor to a box, m, where the robot rests."""
-MAX_CONSTRAINTS = 100
 
 Value = Callable[[str], float]
 """The value of a parameter or of `CLEARANCE`, by its name."""
@@ -57,42 +55,33 @@ class Order:
 Constraint = Range | Order
 
 
-def read_constraints(node: Node, parameters: Parameters) -> tuple[Constraint, ...]:
-    """Read a list of constraints.
+@record(case="snake", rules=(exactly_one("parameter", "less"), excludes("less", "min"), excludes("less", "max")))
+class ConstraintEntry:
+    """A constraint as it is written."""
 
-    Raises:
-        InputError: an entry is of no known form, or names what does not vary.
-    """
-    if len(node.sequence()) > MAX_CONSTRAINTS:
-        raise node.unexpected(f"at most {MAX_CONSTRAINTS} constraints")
-    return tuple(_read(entry, parameters) for entry in node.elements())
+    parameter: Annotated[str, length(1)] | None = field("The name of what lies between min and max.", default=None)
+    min: float | None = field("The least value.", default=None)
+    max: float | None = field("The largest value.", default=None)
+    less: Annotated[tuple[Annotated[str, length(1)], ...], length(2)] | None = field(
+        "Names: each of them below the next.", default=None
+    )
 
+    def __post_init__(self) -> None:
+        """Refuse a parameter without limits, and limits that nothing lies between."""
+        if self.parameter is not None and self.min is None and self.max is None:
+            raise Misfit("found neither 'min' nor 'max', expected one of them or both")
+        if self.min is not None and self.max is not None and self.min > self.max:
+            raise Misfit(f"found min {self.min:g} above max {self.max:g}")
 
-def _read(node: Node, parameters: Parameters) -> Constraint:
-    only(node, "parameter", "min", "max", "less")
-    if node.get("less"):
-        only(node, "less")
-        if len(node["less"].sequence()) < 2:
-            raise node["less"].unexpected("a list of two names or more")
-        steps = tuple(_named(name, parameters) for name in node["less"].elements())
-        return Order(steps, " < ".join(node["less"].sequence()))
-    names = _named(node["parameter"], parameters)
-    if not node.get("min") and not node.get("max"):
-        raise node.fault("found neither 'min' nor 'max', expected one of them or both")
-    low, high = number(node, "min", -math.inf), number(node, "max", math.inf)
-    if low > high:
-        raise node.fault(f"found min {low:g} above max {high:g}")
-    limits = [f"at least {low:g}"] * math.isfinite(low) + [f"at most {high:g}"] * math.isfinite(high)
-    return Range(names, low, high, f"{node['parameter'].text()} {' and '.join(limits)}")
-
-
-def _named(node: Node, parameters: Parameters) -> tuple[str, ...]:
-    name = node.name()
-    names = (name,) if name == CLEARANCE else parameters.named(name)
-    if not names:
-        known = ", ".join((*parameters.groups, CLEARANCE))
-        raise node.fault(f"found '{name}', which this scenario set does not draw (it draws {known})")
-    return names
+    def constraint(self, named: Callable[[str], tuple[str, ...]]) -> "Constraint":
+        """The constraint itself; ``named`` gives the parameters behind a name."""
+        if self.less is not None:
+            return Order(tuple(map(named, self.less)), " < ".join(self.less))
+        name = self.parameter or ""
+        limits = [f"at least {self.min:g}"] if self.min is not None else []
+        limits += [f"at most {self.max:g}"] if self.max is not None else []
+        low, high = -math.inf if self.min is None else self.min, math.inf if self.max is None else self.max
+        return Range(named(name), low, high, f"{name} {' and '.join(limits)}")
 
 
 def broken(constraints: tuple[Constraint, ...], values: Mapping[str, float], clearance: Callable[[], float]) -> int:

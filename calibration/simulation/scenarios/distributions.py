@@ -12,13 +12,12 @@ Values have six significant digits, so that the last bits of a machine's arithme
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import dataclass
 from statistics import NormalDist
-from typing import Protocol
+from typing import Annotated, Protocol
 
-from calibration.dataset.document import Node
-from calibration.simulation.description import numbers, only
+from calibration.records import Converted, Misfit, Place, above, exactly_one, field, length, needs, record
 
 SIGNIFICANT_DIGITS = 6
 LEAST_KEPT = 1e-3
@@ -33,11 +32,6 @@ class Distribution(Protocol):
     @property
     def bounds(self) -> tuple[float, float]:
         """The least and the largest value, both possible."""
-        ...
-
-    @property
-    def is_whole(self) -> bool:
-        """Whether every value is a whole number."""
         ...
 
     def value(self, u: float) -> float:
@@ -57,11 +51,6 @@ class Choice:
         """The first and the last."""
         return self.values[0], self.values[-1]
 
-    @property
-    def is_whole(self) -> bool:
-        """Whether all are."""
-        return all(value.is_integer() for value in self.values)
-
     def value(self, u: float) -> float:
         """See `Distribution`."""
         return self.values[int(u * len(self.values))] + 0.0  # no negative zero
@@ -79,11 +68,6 @@ class Integers:
         """Both ends."""
         return float(self.low), float(self.high)
 
-    @property
-    def is_whole(self) -> bool:
-        """Always."""
-        return True
-
     def value(self, u: float) -> float:
         """See `Distribution`."""
         return float(self.low + int(u * (self.high - self.low + 1)))
@@ -100,11 +84,6 @@ class _Interval:
     def bounds(self) -> tuple[float, float]:
         """Both ends."""
         return self.low, self.high
-
-    @property
-    def is_whole(self) -> bool:
-        """Never."""
-        return False
 
 
 @dataclass(frozen=True)
@@ -140,11 +119,6 @@ class Normal:
         return self.low, self.high
 
     @property
-    def is_whole(self) -> bool:
-        """Never."""
-        return False
-
-    @property
     def _kept(self) -> tuple[float, float]:
         """The shares of the whole normal distribution below the two limits."""
         whole = NormalDist(self.mean, self.sigma)
@@ -169,87 +143,110 @@ def constant(value: float) -> Choice:
     return Choice((value,))
 
 
-def read_distribution(node: Node, low: float, high: float, *, whole: bool = False) -> Distribution:
-    """Read the distribution of a parameter.
+Pair = Annotated[tuple[float, ...], length(2, 2)]
+WholePair = Annotated[tuple[int, ...], length(2, 2)]
+
+
+@record(case="snake", rules=(exactly_one("choice", "integer"),))
+class WholeEntry:
+    """The distribution of a whole number."""
+
+    choice: Annotated[tuple[int, ...], length(1, MAX_CHOICES)] | None = field(
+        "Each as likely as the others.", default=None
+    )
+    integer: WholePair | None = field("Whole numbers, both ends included.", default=None)
+
+    def distribution(self, low: float, high: float) -> "Distribution":
+        """The distribution itself; ``low`` and ``high`` are the parameter's own limits."""
+        del low, high
+        if self.choice is not None:
+            return Choice(tuple(sorted(map(float, self.choice))))
+        first, last = _rising(self.integer or (), "integer")
+        return Integers(int(first), int(last))
+
+
+@record(
+    case="snake",
+    rules=(exactly_one("uniform", "log_uniform", "normal", "choice", "integer"), needs("within", "normal")),
+)
+class NumberEntry:
+    """The distribution of a number."""
+
+    uniform: Pair | None = field("Evenly from low to high.", default=None)
+    log_uniform: Annotated[tuple[Annotated[float, above(0)], ...], length(2, 2)] | None = field(
+        "Evenly by order of magnitude.", default=None
+    )
+    normal: Pair | None = field("Mean and standard deviation; cut at the parameter's own limits.", default=None)
+    within: Pair | None = field("Where a normal distribution is cut.", default=None)
+    choice: Annotated[tuple[float, ...], length(1, MAX_CHOICES)] | None = field(
+        "Each as likely as the others.", default=None
+    )
+    integer: WholePair | None = field("Whole numbers, both ends included.", default=None)
+
+    def distribution(self, low: float, high: float) -> "Distribution":
+        """The distribution itself; ``low`` and ``high`` are the parameter's own limits."""
+        if self.uniform is not None:
+            return Uniform(*_rising(self.uniform, "uniform"))
+        if self.log_uniform is not None:
+            lower, upper = _rising(self.log_uniform, "log_uniform")
+            if not math.isfinite(upper / lower):
+                raise Misfit(f"found [{lower:g}, {upper:g}], which are too far apart", "log_uniform")
+            return LogUniform(lower, upper)
+        if self.normal is not None:
+            mean, sigma = self.normal
+            return _cut_normal(mean, sigma, *(_rising(self.within, "within") if self.within else (low, high)))
+        if self.choice is not None:
+            return Choice(tuple(sorted(self.choice)))
+        return WholeEntry(integer=self.integer).distribution(low, high)
+
+
+@dataclass(frozen=True, eq=False)
+class Drawn(Converted):
+    """A field of a record whose value is drawn from the distribution that the document says."""
+
+    axes: str = ""
+    """Such as "xyz", where there is a value for each."""
+
+
+def drawn(low: float, high: float, *, axes: str = "", whole: bool = False) -> Drawn:
+    """A parameter whose values lie between two limits.
 
     Args:
-        node: where it stands.
         low: the least value that makes sense.
         high: the largest value that makes sense.
+        axes: such as "xyz", where it has a value for each.
         whole: whether only whole numbers make sense.
-
-    Raises:
-        InputError: it is none of those known, or may give a value that makes no sense.
     """
-    if type(node.value) in (int, float):
-        distribution: Distribution = constant(node.number())
-    else:
-        distribution = _read(node, low, high)
-    least, most = distribution.bounds
-    if not low <= least <= most <= high:
-        raise node.fault(f"found values from {least:g} to {most:g}, expected them from {low:g} to {high:g}")
-    if whole and not distribution.is_whole:
-        raise node.fault("found values between whole numbers, expected a whole number, an integer or a choice of some")
-    return distribution
+
+    def make(entry: float | WholeEntry | NumberEntry, place: Place) -> Distribution:
+        try:
+            distribution = constant(float(entry)) if isinstance(entry, int | float) else entry.distribution(low, high)
+        except Misfit as misfit:
+            raise place.misfit(misfit) from None
+        least, most = distribution.bounds
+        if not low <= least <= most <= high:
+            raise place.fault(f"found values from {least:g} to {most:g}, expected them from {low:g} to {high:g}")
+        return distribution
+
+    return Drawn(int | WholeEntry if whole else float | NumberEntry, make, axes)
 
 
-def _read(node: Node, low: float, high: float) -> Distribution:
-    kinds: dict[str, Callable[[Node], Distribution]] = {
-        "uniform": lambda node: Uniform(*_rising(node, "uniform")),
-        "log_uniform": _read_log_uniform,
-        "normal": lambda node: _read_normal(node, low, high),
-        "choice": _read_choice,
-        "integer": _read_integers,
-    }
-    if type(node.value) is not dict:
-        raise node.unexpected(f"a number, or one of {', '.join(kinds)} with its numbers")
-    found = [kind for kind in kinds if kind in node.mapping()]
-    only(node, *(["normal", "within"] if found == ["normal"] else kinds))
-    if len(found) != 1:
-        raise node.fault(f"found {' and '.join(found) or 'nothing'}, expected one of {', '.join(kinds)}")
-    return kinds[found[0]](node)
-
-
-def _rising(node: Node, key: str) -> tuple[float, float]:
-    low, high = numbers(node, key, 2)
-    if not low < high:
-        raise node[key].fault(f"found [{low:g}, {high:g}], expected two numbers, the second above the first")
-    if not math.isfinite(high - low):
-        raise node[key].fault(f"found [{low:g}, {high:g}], which are too far apart")
-    return low, high
-
-
-def _read_log_uniform(node: Node) -> LogUniform:
-    low, high = _rising(node, "log_uniform")
-    if low <= 0 or not math.isfinite(high / low):
-        raise node["log_uniform"].fault(f"found [{low:g}, {high:g}], expected numbers above 0")
-    return LogUniform(low, high)
-
-
-def _read_normal(node: Node, low: float, high: float) -> Normal:
-    mean, sigma = numbers(node, "normal", 2)
+def _cut_normal(mean: float, sigma: float, low: float, high: float) -> Normal:
     if sigma <= 0:
-        raise node["normal"].fault(f"found a standard deviation of {sigma:g}, expected one above 0")
-    if node.get("within"):
-        low, high = _rising(node, "within")
+        raise Misfit(f"found a standard deviation of {sigma:g}, expected one above 0", "normal")
     distribution = Normal(mean, sigma, low, high)
     if not distribution.kept >= LEAST_KEPT:
-        raise node.fault(f"nearly nothing of a normal distribution [{mean:g}, {sigma:g}] is from {low:g} to {high:g}")
+        raise Misfit(f"nearly nothing of a normal distribution [{mean:g}, {sigma:g}] is from {low:g} to {high:g}")
     return distribution
 
 
-def _read_choice(node: Node) -> Choice:
-    values = [element.number() for element in node["choice"].elements()]
-    if not 1 <= len(values) <= MAX_CHOICES:
-        raise node["choice"].unexpected(f"a list of 1 to {MAX_CHOICES} numbers")
-    return Choice(tuple(sorted(values)))
-
-
-def _read_integers(node: Node) -> Integers:
-    low, high = _rising(node, "integer")
-    if not (low.is_integer() and high.is_integer() and abs(low) < 2**53 and abs(high) < 2**53):
-        raise node["integer"].fault(f"found [{low:g}, {high:g}], expected whole numbers")
-    return Integers(int(low), int(high))
+def _rising(pair: Sequence[float], key: str) -> tuple[float, float]:
+    low, high = pair
+    if not low < high:
+        raise Misfit(f"found [{low:g}, {high:g}], expected two numbers, the second above the first", key)
+    if not math.isfinite(float(high) - float(low)):
+        raise Misfit(f"found [{low:g}, {high:g}], which are too far apart", key)
+    return low, high
 
 
 def _rounded(value: float, low: float, high: float) -> float:

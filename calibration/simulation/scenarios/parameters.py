@@ -6,85 +6,159 @@ that has axes, such as ``translation_mm`` under ``assembly``, has one for each o
 ``left_camera.translation_x_mm``.
 """
 
+import typing
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Annotated, Any
 
-from calibration.dataset.document import Node
 from calibration.geometry.joints import JOINT_PARAMETERS
-from calibration.simulation.description import only
+from calibration.records import Place, field, flat_fields, length, needs, record, unknown_key
 from calibration.simulation.joints import joint_model
-from calibration.simulation.scenarios.distributions import Distribution, read_distribution
+from calibration.simulation.scenarios.constraints import ConstraintEntry
+from calibration.simulation.scenarios.distributions import Distribution, Drawn, drawn
 from calibration.simulation.system import System
 
-
-@dataclass(frozen=True)
-class Kind:
-    """A kind of parameter: what its values may be."""
-
-    low: float
-    high: float
-    axes: str = ""
-    """Such as "xyz", where it has a value for each."""
-    whole: bool = False
-
-    def keys(self, key: str) -> list[str]:
-        """The keys of its values: the axis stands before the unit."""
-        stem, _, unit = key.rpartition("_")
-        return [f"{stem}_{axis}_{unit}" for axis in self.axes] if self.axes else [key]
+Varied = Distribution | None
 
 
-CAMERA = {
-    "exposure": Kind(0.01, 100),  # factor on the light
-    "noise_levels": Kind(0, 100),  # standard deviation, grey levels of 255
-    "blur_px": Kind(0, 20),  # standard deviation of the lens
-    "vignetting": Kind(0, 1),  # how much darker the corners of the image are
-    "k1": Kind(-1, 1),  # of the distortion, in place of the sensor's own
-    "k2": Kind(-1, 1),
-    "p1": Kind(-0.1, 0.1),
-    "p2": Kind(-0.1, 0.1),
-    "k3": Kind(-1, 1),
-}
-LIDAR = {"noise_m": Kind(0, 1)}  # standard deviation along the ray
-DEPTH_CAMERA = {"noise_m": Kind(0, 1)}
-ASSEMBLY = {  # a twist of the calibrated transform, in its child frame
-    "translation_mm": Kind(-1000, 1000, axes="xyz"),
-    "rotation_deg": Kind(-90, 90, axes="xyz"),
-}
-JOINTS = {  # of each parameter under calibration, in place of what the simulation's description says of it
-    "translation_mm": Kind(-1000, 1000),  # of those that are lengths
-    "rotation_deg": Kind(-45, 45),  # of those that are angles
-}
-PATTERN = {"bow_mm": Kind(-100, 100, axes="xy")}  # how far the middle stands out towards the viewer
-LIGHT = {
-    "ambient": Kind(0, 10),
-    "intensity": Kind(0, 10),
-    "elevation_deg": Kind(-90, 90),  # of the light above the horizon
-    "azimuth_deg": Kind(-360, 360),  # about the world's z axis, from its x axis
-}
-OCCLUDERS = {
-    "count": Kind(0, 100, whole=True),
-    "size_m": Kind(0.001, 100),  # the edge of the cubes
-}
-MOTION = {
-    "poses": Kind(1, 1000, whole=True),  # of a motion that is generated
-    "nearest_m": Kind(0.01, 1000),  # between the camera and the pattern's centre
-    "farthest_m": Kind(0.01, 1000),
-    "tilt_deg": Kind(0, 70),
-    "roll_deg": Kind(0, 180),
-    "partial": Kind(0, 1),  # the share of views that see only a part of the pattern
-    "sway_mm": Kind(0, 1000),  # how far a moved pattern still swings while the sensors look
-}
+def _varied(help: str) -> Any:  # noqa: A002 (as in `field`)
+    return field(help, default=None)
 
-_OF_SENSORS = {"cameras": CAMERA, "lidars": LIDAR, "depth_cameras": DEPTH_CAMERA, "assembly": ASSEMBLY}
-_OF_THE_WORLD = {"light": LIGHT, "occluders": OCCLUDERS, "motion": MOTION}
-GROUPS = (*_OF_THE_WORLD, "pattern", "joints", *_OF_SENSORS, "sensors")
-"""The keys of a scenario set that hold parameters."""
-_TOGETHER = (
-    ("occluders", "count", "size_m"),
-    ("motion", "nearest_m", "farthest_m"),
-    ("light", "elevation_deg", "azimuth_deg"),
-)
-"""Parameters of a group that mean nothing alone."""
+
+@record(case="snake", rules=(needs("elevation_deg", "azimuth_deg"), needs("azimuth_deg", "elevation_deg")))
+class Light:
+    """The light on the scene."""
+
+    ambient: Annotated[Varied, drawn(0, 10)] = _varied("Light from everywhere.")
+    intensity: Annotated[Varied, drawn(0, 10)] = _varied("Light from one direction.")
+    elevation_deg: Annotated[Varied, drawn(-90, 90)] = _varied("Of the light above the horizon, deg.")
+    azimuth_deg: Annotated[Varied, drawn(-360, 360)] = _varied(
+        "Of the light about the world's z axis, from its x axis, deg."
+    )
+
+
+@record(case="snake", rules=(needs("count", "size_m"), needs("size_m", "count")))
+class Occluders:
+    """Boxes between the cameras and the pattern."""
+
+    count: Annotated[Varied, drawn(0, 100, whole=True)] = _varied("How many boxes.")
+    size_m: Annotated[Varied, drawn(0.001, 100)] = _varied("The edge of the boxes, m.")
+
+
+@record(case="snake", rules=(needs("nearest_m", "farthest_m"), needs("farthest_m", "nearest_m")))
+class MotionEntry:
+    """How the pattern is moved."""
+
+    poses: Annotated[Varied, drawn(1, 1000, whole=True)] = _varied("Of a motion that is generated.")
+    nearest_m: Annotated[Varied, drawn(0.01, 1000)] = _varied(
+        "The least distance from a camera to the pattern's centre, m."
+    )
+    farthest_m: Annotated[Varied, drawn(0.01, 1000)] = _varied("The largest distance, m.")
+    tilt_deg: Annotated[Varied, drawn(0, 70)] = _varied(
+        "The largest angle between the pattern's normal and the line of sight, deg."
+    )
+    roll_deg: Annotated[Varied, drawn(0, 180)] = _varied("The largest turn about the line of sight, deg.")
+    partial: Annotated[Varied, drawn(0, 1)] = _varied("The share of views that see only a part of the pattern, 0 to 1.")
+    sway_mm: Annotated[Varied, drawn(0, 1000)] = _varied(
+        "How far a moved pattern still swings while the sensors look, mm."
+    )
+
+
+@record(case="snake")
+class PatternEntry:
+    """How each pattern differs from a flat one."""
+
+    bow_mm: Annotated[Varied, drawn(-100, 100, axes="xy")] = _varied(
+        "How far the middle of the pattern stands out towards the viewer, along x and along y, mm."
+    )
+
+
+@record(case="snake")
+class Joints:
+    """How far the parameters of joints that are calibrated are from what the robot's description says."""
+
+    translation_mm: Annotated[Varied, drawn(-1000, 1000)] = _varied("Error of those that are lengths, mm.")
+    rotation_deg: Annotated[Varied, drawn(-45, 45)] = _varied("Error of those that are angles, deg.")
+
+
+@record(case="snake")
+class Cameras:
+    """Every camera."""
+
+    exposure: Annotated[Varied, drawn(0.01, 100)] = _varied("Factor on the light.")
+    noise_levels: Annotated[Varied, drawn(0, 100)] = _varied(
+        "Standard deviation of a pixel's brightness, grey levels of 255."
+    )
+    blur_px: Annotated[Varied, drawn(0, 20)] = _varied("Standard deviation of the lens's blur, px.")
+    vignetting: Annotated[Varied, drawn(0, 1)] = _varied(
+        "How much darker the corners of the image are than its middle, 0 to 1."
+    )
+    k1: Annotated[Varied, drawn(-1, 1)] = _varied("Distortion (plumb_bob), in place of the sensor's own.")
+    k2: Annotated[Varied, drawn(-1, 1)] = _varied("Distortion.")
+    p1: Annotated[Varied, drawn(-0.1, 0.1)] = _varied("Distortion.")
+    p2: Annotated[Varied, drawn(-0.1, 0.1)] = _varied("Distortion.")
+    k3: Annotated[Varied, drawn(-1, 1)] = _varied("Distortion.")
+
+
+@record(case="snake")
+class Lidars:
+    """Every LiDAR."""
+
+    noise_m: Annotated[Varied, drawn(0, 1)] = _varied("Standard deviation of a measured distance, m.")
+
+
+@record(case="snake")
+class DepthCameras:
+    """Every depth camera."""
+
+    noise_m: Annotated[Varied, drawn(0, 1)] = _varied("Standard deviation of a measured distance, m.")
+
+
+@record(case="snake")
+class Assembly:
+    """How far each sensor that is calibrated is from where it was designed to be."""
+
+    translation_mm: Annotated[Varied, drawn(-1000, 1000, axes="xyz")] = _varied(
+        "Error of the calibrated transform along each axis of its child frame, mm."
+    )
+    rotation_deg: Annotated[Varied, drawn(-90, 90, axes="xyz")] = _varied(
+        "Error of the calibrated transform about each axis of its child frame, deg."
+    )
+
+
+@record(case="snake")
+class OneSensor:
+    """One sensor."""
+
+    cameras: Cameras = field(flat=True)
+    lidars: Lidars = field(flat=True)
+    depth_cameras: DepthCameras = field(flat=True)
+    assembly: Assembly = field(flat=True)
+
+
+@record(case="snake")
+class ScenarioSetFile:
+    """What varies between the worlds of a simulated system, and what they keep to."""
+
+    light: Light | None = field("The light on the scene.", default=None)
+    occluders: Occluders | None = field("Boxes between the cameras and the pattern.", default=None)
+    motion: MotionEntry | None = field("How the pattern is moved.", default=None)
+    pattern: PatternEntry | None = field("How each pattern differs from a flat one.", default=None)
+    joints: Joints | None = field(
+        "How far the parameters of joints that are calibrated are from what the robot's description says.", default=None
+    )
+    cameras: Cameras | None = field("Every camera.", default=None)
+    lidars: Lidars | None = field("Every LiDAR.", default=None)
+    depth_cameras: DepthCameras | None = field("Every depth camera.", default=None)
+    assembly: Assembly | None = field(
+        "How far each sensor that is calibrated is from where it was designed to be.", default=None
+    )
+    sensors: Mapping[str, OneSensor] = field(
+        "Single sensors by name, in place of what is said of all.", default_factory=dict
+    )
+    constraints: Annotated[tuple[ConstraintEntry, ...], length(0, 100)] = field(
+        "What every world keeps to; values that do not are drawn again.", default=()
+    )
 
 
 @dataclass(frozen=True)
@@ -101,58 +175,65 @@ class Parameters:
         return (name,) if name in self.distributions else self.groups.get(name, ())
 
 
-def read_parameters(root: Node, system: System) -> Parameters:
-    """Read what a scenario set says of parameters.
+def parameters_of(file: ScenarioSetFile, system: System, place: Place) -> Parameters:
+    """The parameters of a system that a scenario set speaks of.
 
     What ``sensors`` says of one sensor stands in place of what ``cameras``, ``lidars``,
     ``depth_cameras`` and ``assembly`` say of all.
 
     Raises:
-        InputError: a key is unknown, a sensor is not the system's, a distribution is wrong.
+        InputError: a sensor is not the system's, or has no such parameter; its place is below ``place``.
     """
     distributions: dict[str, Distribution] = {}
     groups: dict[str, list[str]] = {}
 
-    def read(node: Node | None, kinds: Mapping[str, Kind], group: str, things: list[str]) -> None:
-        if node is None:
-            return
-        only(node, *kinds)
-        for key, value in node.items():
-            add(value, kinds[key], group, key, things)
-
-    def add(value: Node, kind: Kind, group: str, key: str, things: list[str]) -> None:
-        distribution = read_distribution(value, kind.low, kind.high, whole=kind.whole)
-        for thing in things:
-            names = [f"{thing}.{each}" for each in kind.keys(key)]
+    def add(entry: Any, group: str, things: list[str]) -> None:
+        for key, distribution, axes in _given(entry):
+            own = _joint_parameters(system, key) if group == "joints" else things
+            names = [f"{thing}.{each}" for thing in own for each in _with_axes(key, axes)]
             distributions.update(dict.fromkeys(names, distribution))
             groups.setdefault(f"{group}.{key}", []).extend(names)
 
-    for group, kinds in _OF_THE_WORLD.items():
-        read(root.get(group), kinds, group, [group])
-    read(root.get("pattern"), PATTERN, "pattern", list(system.patterns))
-    if joints := root.get("joints"):
-        only(joints, *JOINTS)
-        for key, value in joints.items():
-            add(value, JOINTS[key], "joints", key, _joint_parameters(system, key))
-    for group, kinds in _OF_SENSORS.items():
-        read(root.get(group), kinds, group, _members(system)[group])
-    own = root.get("sensors")
-    if own is not None:
-        only(own, *system.sensors)
-        for sensor, node in own.items():
-            kinds = {}
-            for group, members in _members(system).items():
-                kinds.update(_OF_SENSORS[group] if sensor in members else {})
-            read(node, kinds, f"sensors.{sensor}", [sensor])
-    for group, *keys in _TOGETHER:
-        missing = [key for key in keys if f"{group}.{key}" not in distributions]
-        if missing and len(missing) < len(keys):
-            raise root[group].fault(f"missing key '{missing[0]}', expected {' and '.join(keys)} together")
+    members = _members(system)
+    for group in ("light", "occluders", "motion"):
+        add(getattr(file, group), group, [group])
+    add(file.pattern, "pattern", list(system.patterns))
+    add(file.joints, "joints", [])
+    for group, things in members.items():
+        add(getattr(file, group), group, things)
+    for sensor, own in file.sensors.items():
+        if sensor not in system.sensors:
+            raise place.below("sensors").fault(unknown_key(sensor, list(system.sensors)))
+        its = [getattr(own, group) for group, things in members.items() if sensor in things]
+        known = [key for entry in its for key in flat_fields(type(entry))]
+        for key in (key for group in members for key, *_ in _given(getattr(own, group))):
+            if key not in known:
+                raise place.below("sensors").below(sensor).fault(unknown_key(key, known))
+        for entry in its:
+            add(entry, f"sensors.{sensor}", [sensor])
     return Parameters(distributions, {name: tuple(dict.fromkeys(names)) for name, names in groups.items()})
 
 
+def _given(entry: Any) -> list[tuple[str, Distribution, str]]:
+    """Key, distribution and axes of each parameter that a part of a scenario set speaks of."""
+    if entry is None:
+        return []
+    found = []
+    for key, declared in flat_fields(type(entry)).items():
+        if (distribution := getattr(entry, declared.name)) is not None:
+            kind = next(each for each in typing.get_args(declared.type) if isinstance(each, Drawn))
+            found.append((key, distribution, kind.axes))
+    return found
+
+
+def _with_axes(key: str, axes: str) -> list[str]:
+    """The keys of a parameter's values: the axis stands before the unit."""
+    stem, _, unit = key.rpartition("_")
+    return [f"{stem}_{axis}_{unit}" for axis in axes] if axes else [key]
+
+
 def _joint_parameters(system: System, key: str) -> list[str]:
-    """The parameters under calibration that a key of `JOINTS` speaks of: "elbow.origin_yaw"."""
+    """The parameters under calibration that a key of `Joints` speaks of: "elbow.origin_yaw"."""
     unit = "m" if key == "translation_mm" else "rad"
     return [
         f"{name}.{parameter}"
@@ -168,7 +249,7 @@ def _members(system: System) -> dict[str, list[str]]:
     return {
         **{
             group: [name for name, sensor in system.sensors.items() if sensor.scenario_group == group]
-            for group in _OF_SENSORS
+            for group in ("cameras", "lidars", "depth_cameras")
         },
         "assembly": [name for name in system.sensors if name != anchored],
     }

@@ -24,14 +24,14 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from calibration.dataset.document import Node
 from calibration.errors import InputError
-from calibration.simulation.description import only
-from calibration.simulation.scenarios.constraints import Constraint, broken, read_constraints
-from calibration.simulation.scenarios.parameters import GROUPS, Parameters, read_parameters
+from calibration.records import Place, read
+from calibration.simulation.scenarios.constraints import CLEARANCE, Constraint, ConstraintEntry, broken
+from calibration.simulation.scenarios.parameters import Parameters, ScenarioSetFile, parameters_of
 from calibration.simulation.scenarios.scenario import Scenario
 from calibration.simulation.scenarios.world import build_world, clearance
 from calibration.simulation.system import System
+from calibration.workflow.text import shorten
 from calibration.yaml_file import read_yaml
 
 MAX_ATTEMPTS = 100
@@ -64,7 +64,7 @@ class ScenarioSet:
             failures[fault] += 1
         worst, count = failures.most_common(1)[0]
         raise InputError(
-            f"{self.path}: constraints/{worst}: '{self.constraints[worst].text}' is broken by {count} of "
+            f"{self.path}: constraints.{worst}: '{self.constraints[worst].text}' is broken by {count} of "
             f"{MAX_ATTEMPTS} draws of scenario {scenario.id}, and another by the rest; "
             "loosen it, or narrow the distributions"
         )
@@ -88,8 +88,20 @@ def read_scenario_set(path: Path, system: System) -> ScenarioSet:
         InputError: in one line with file and key, what is wrong: not YAML, an unknown key, a
             distribution that makes no sense, a constraint on what does not vary.
     """
-    root = Node(path, (), read_yaml(path, "a scenario set"))
-    only(root, *GROUPS, "constraints")
-    parameters = read_parameters(root, system)
-    constraints = root.get("constraints")
-    return ScenarioSet(path, system, parameters, read_constraints(constraints, parameters) if constraints else ())
+    place = Place(str(path))
+    file = read(ScenarioSetFile, read_yaml(path, "a scenario set"), str(path))
+    parameters = parameters_of(file, system, place)
+
+    def constraint(index: int, entry: ConstraintEntry) -> Constraint:
+        def named(name: str) -> tuple[str, ...]:
+            names = (name,) if name == CLEARANCE else parameters.named(name)
+            if not names:
+                known = ", ".join((*parameters.groups, CLEARANCE))
+                where = place.below("constraints").below(index)
+                raise where.fault(f"found '{shorten(name)}', which this scenario set does not draw (it draws {known})")
+            return names
+
+        return entry.constraint(named)
+
+    constraints = tuple(constraint(index, entry) for index, entry in enumerate(file.constraints))
+    return ScenarioSet(path, system, parameters, constraints)
