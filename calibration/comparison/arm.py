@@ -11,7 +11,6 @@ before which the arm turns enough; the other fixed ones are placed afterwards by
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from calibration.dataset.modalities import RGB
 from calibration.dataset.model import Dataset, Edge, Sensor
 from calibration.dataset.pattern import Pattern
 from calibration.errors import InputError, UndeterminedError
@@ -52,7 +51,7 @@ class ArmViews:
 
 def why_not_arm(dataset: Dataset) -> str | None:
     """One line that says why hand-eye methods do not apply to a dataset; None if they do."""
-    others = [s for s in dataset.sensors.values() if s.modality != RGB]
+    others = [s for s in dataset.sensors.values() if not s.modality.has_corners]
     if others:
         return f"it needs cameras only, and '{others[0].name}' is {others[0].modality}"
     if dataset.additional_transforms:

@@ -2,14 +2,14 @@
 
 from dataclasses import replace
 
-from calibration.dataset.modalities import DEPTH, LIDAR3D, RGB, Modality
+from calibration.dataset.modalities import MODALITIES, Modality
 from calibration.dataset.model import Dataset, Sensor
 from calibration.geometry.transforms import distance, inverse
 from calibration.geometry.types import Array
 
 Modalities = tuple[Modality, ...]
-CAMERAS: Modalities = (RGB,)
-RANGE_SENSORS: Modalities = (LIDAR3D, DEPTH)
+CAMERAS: Modalities = tuple(each for each in MODALITIES.values() if each.has_corners)
+RANGE_SENSORS: Modalities = tuple(each for each in MODALITIES.values() if not each.has_corners and not each.is_planar)
 """Those whose views of a pattern are surfaces."""
 
 

@@ -48,7 +48,7 @@ def read_labels(
                 if sensor not in sensors:
                     raise label.fault(f"no sensor '{sensor}' in the dataset (sensors: {', '.join(sensors)})")
                 if label["detected"].flag() and (idxs := label["idxs"]).sequence():
-                    kind = corners if sensors[sensor].modality.points is None else points
+                    kind = corners if sensors[sensor].modality.has_corners else points
                     kind.append(_Detection(i, pattern, sensor, label, idxs))
     found: list[dict[tuple[str, str], Labels]] = [{} for _ in collections]
     everything: list[tuple[_Detection, Labels]] = [
@@ -128,7 +128,7 @@ def _read_points(
     if not detections:
         return
     batch, index = _read_indices([detection.idxs for detection in detections])
-    data_of = [_point_data(sensors[detection.sensor]) for detection in detections]
+    data_of = [sensors[detection.sensor].modality.point_data for detection in detections]
     limit_lists = [_limits(each.label, data) for each, data in zip(detections, data_of, strict=True)]
     limit_batch, limits = _read_indices(limit_lists)
     positions, missing = batch.find(index, limit_batch, limits)
@@ -164,12 +164,6 @@ def _read_points(
     points.flags.writeable = positions.flags.writeable = False
     for part, limit_part in zip(batch.parts, limit_batch.parts, strict=True):
         yield PointLabels(points[part], positions[limit_part])
-
-
-def _point_data(sensor: Sensor) -> PointData:
-    if sensor.modality.points is None:
-        raise AssertionError(f"labels of a sensor {sensor.modality} are corners")
-    return sensor.modality.points
 
 
 def _limits(label: Node, data: PointData) -> Node:

@@ -1,7 +1,7 @@
 """The modalities of sensors: one object for each, with everything that a dataset says of that kind of sensor.
 
-What the rooms above need of a modality stands there, by these objects: the residuals of its labels in
-`calibration.estimation.terms`, its simulation in `calibration.simulation.sensors`.
+What the engine and the tables need of it stands here as facts (how many points make a view, whether they lie in a
+plane, how they err); how it is simulated, in `calibration.simulation.sensors`.
 """
 
 from collections.abc import Callable
@@ -21,6 +21,8 @@ from calibration.geometry.cameras import Camera
 from calibration.geometry.types import Array, IntArray
 
 Family = Literal["camera", "lidar", "depth camera"]
+NoiseKind = Literal["pixel", "range", "border", "depth_border", "lidar2d_range", "lidar2d_border"]
+"""What is measured of a label: a corner, px; a range, m; the direction in which a border is found, rad."""
 
 
 class IndexedPoints(Protocol):
@@ -61,6 +63,12 @@ class PointData:
     """What is wrong with a label where nothing was measured: "point {} of the cloud is not finite"."""
     read: Callable[[Node, Camera | None], IndexedPoints]
     """From the sensor's message in a collection, and its intrinsics."""
+    noise: tuple[NoiseKind, NoiseKind]
+    """How its ranges err, and its points on the border."""
+    minimum: int = 10
+    """So many labelled points make a view: fewer hardly make a plane (ATOM's rule too)."""
+    planar: bool = False
+    """They lie in one plane of the sensor, so that a view is a cut through the pattern, a line."""
     limits: tuple[str, ...] = ("idxs_limit_points",)
     """The keys that its limit points may have."""
 
@@ -79,6 +87,23 @@ class Modality:
     """It is a camera in its geometry: a dataset has its ``camera_info``."""
     points: PointData | None = None
     """How labels refer to its data; None where they are corners, which need no data."""
+
+    @property
+    def has_corners(self) -> bool:
+        """Whether its labels are corners in images."""
+        return self.points is None
+
+    @property
+    def point_data(self) -> PointData:
+        """How labels refer to its data; not for those that `has_corners`."""
+        if self.points is None:
+            raise AssertionError(f"labels of a sensor {self.name} are corners")
+        return self.points
+
+    @property
+    def is_planar(self) -> bool:
+        """Whether it sees a pattern only where one plane cuts it."""
+        return self.points is not None and self.points.planar
 
     def __str__(self) -> str:
         return self.name
@@ -114,7 +139,12 @@ LIDAR3D = Modality(
     "lidar3d",
     "lidar",
     "PointCloud2",
-    points=PointData("cloud's {} points", "point {} of the cloud is not finite; a labelled point must be", _read_cloud),
+    points=PointData(
+        "cloud's {} points",
+        "point {} of the cloud is not finite; a labelled point must be",
+        _read_cloud,
+        noise=("range", "border"),
+    ),
 )
 LIDAR2D = Modality(
     "lidar2d",
@@ -124,6 +154,9 @@ LIDAR2D = Modality(
         "scan's {} rays",
         "ray {} of the scan has no range; a labelled ray must",
         _read_scan,
+        noise=("lidar2d_range", "lidar2d_border"),
+        minimum=3,  # two points make a line, with nothing to check them by
+        planar=True,
         limits=("idxs_limit_points", "edge_idxs"),  # the latter is ATOM's
     ),
 )
@@ -133,7 +166,10 @@ DEPTH = Modality(
     "Image",
     has_intrinsics=True,
     points=PointData(
-        "image's {} pixels", "pixel {} of the image has no depth (or no ray); a labelled pixel must", _read_depth
+        "image's {} pixels",
+        "pixel {} of the image has no depth (or no ray); a labelled pixel must",
+        _read_depth,
+        noise=("range", "depth_border"),
     ),
 )
 MODALITIES = {modality.name: modality for modality in (RGB, LIDAR3D, LIDAR2D, DEPTH)}

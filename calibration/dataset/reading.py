@@ -92,7 +92,7 @@ def _check_image_sizes(dataset: Dataset, collections: Sequence[Node]) -> None:
         for _, name in collection.labels:
             camera = dataset.sensors[name].camera  # of a depth camera, the image itself is held to it
             data = node.get("data")
-            if camera and dataset.sensors[name].modality.points is None and data and (message := data.get(name)):
+            if camera and dataset.sensors[name].modality.has_corners and data and (message := data.get(name)):
                 for key, size in (("width", camera.width), ("height", camera.height)):
                     if (found := message.get(key)) and found.number() != size:
                         raise found.unexpected(f"{size} as in sensors/{name}/camera_info")

@@ -12,7 +12,6 @@ from calibration.dataset.document import Node
 from calibration.dataset.edges import is_constant, read_transforms, transform_documents
 from calibration.dataset.joints import joint_document
 from calibration.dataset.json_text import json_text
-from calibration.dataset.modalities import RGB
 from calibration.dataset.model import Dataset, Edge
 from calibration.dataset.pattern import Pattern
 from calibration.dataset.pattern_document import pattern_document
@@ -161,7 +160,7 @@ def _initial_poses(dataset: Dataset, pattern: Pattern) -> dict[str, Any]:
     edge = (pattern.parent_link, pattern.link)
     poses = {}
     for i, collection in enumerate(dataset.collections):
-        cameras = [s for p, s in collection.labels if p == pattern.name and dataset.sensors[s].modality == RGB]
+        cameras = [s for p, s in collection.labels if p == pattern.name and dataset.sensors[s].modality.has_corners]
         T = dataset.transforms[edge][i] if edge in dataset.transforms else None
         if cameras and T is not None and np.isfinite(T).all():
             poses[collection.key] = {"detected": True, "sensor": cameras[0], **transform_documents(edge, T[None])[0]}

@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calibration.dataset.modalities import DEPTH, LIDAR2D, LIDAR3D, Modality
 from calibration.dataset.model import CornerLabels, Dataset, Edge, Labels, PointLabels, Sensor
 from calibration.dataset.pattern import Pattern
 from calibration.errors import InputError, UndeterminedError
@@ -13,7 +12,7 @@ from calibration.estimation.depth_border import depth_border_rays
 from calibration.estimation.gauge import free_gauge
 from calibration.estimation.holding import held_blocks
 from calibration.estimation.intrinsics import CalibratedIntrinsics
-from calibration.estimation.problem import Block, Chain, FreeJoint, Link, NoiseKind, Problem, Term, ViewGroup
+from calibration.estimation.problem import Block, Chain, FreeJoint, Link, Problem, Term, ViewGroup
 from calibration.estimation.residuals import BorderTerm, RangeTerm
 from calibration.estimation.scan import border_rays
 from calibration.estimation.single_views import corner_term
@@ -194,17 +193,9 @@ def _terms(sensor: Sensor, pattern: Pattern, labels: list[Labels]) -> tuple[Term
     return (corner_term(sensor.camera, pattern, corners),)
 
 
-_KINDS: Mapping[Modality, tuple[NoiseKind, NoiseKind]] = {
-    LIDAR3D: ("range", "border"),
-    LIDAR2D: ("lidar2d_range", "lidar2d_border"),
-    DEPTH: ("range", "depth_border"),
-}
-"""How the ranges and the border points of a modality err."""
-
-
 def _point_terms(sensor: Sensor, pattern: Pattern, labels: list[PointLabels]) -> tuple[Term, ...]:
     ranges, present, rays = _padded([label.points for label in labels])
-    range_kind, border_kind = _KINDS[sensor.modality]
+    range_kind, border_kind = sensor.modality.point_data.noise
     terms: list[Term] = [RangeTerm(rays, ranges, present, range_kind)]
     ranges, present, rays = _padded([_border_rays(sensor, label) for label in labels])
     if present.any():

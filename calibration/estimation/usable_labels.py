@@ -5,17 +5,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from calibration.dataset.modalities import LIDAR2D, Modality
+from calibration.dataset.modalities import Modality
 from calibration.dataset.model import CornerLabels, Dataset, Labels
 from calibration.errors import InputError, UndeterminedError
 from calibration.estimation.planar_pose import planar_poses
 
 MINIMUM_CORNERS = 4
 """Fewer corners do not determine a pattern's pose, and would add flipped ones."""
-MINIMUM_POINTS = 10
-"""Fewer points of a 3D LiDAR or a depth camera hardly make a plane (ATOM's rule too)."""
-MINIMUM_SCAN_POINTS = 3
-"""Two points of a 2D LiDAR make a line, with nothing to check them by."""
 
 
 def usable_labels(dataset: Dataset) -> tuple[Dataset, tuple[str, ...]]:
@@ -77,8 +73,7 @@ def _too_few(label: Labels, modality: Modality) -> str:
     if isinstance(label, CornerLabels):
         count, minimum, what = len(label.ids), MINIMUM_CORNERS, "corners"
     else:
-        minimum = MINIMUM_SCAN_POINTS if modality == LIDAR2D else MINIMUM_POINTS
-        count, what = len(label.points), "points"
+        count, minimum, what = len(label.points), modality.point_data.minimum, "points"
     return f"{count} {what}, at least {minimum} are needed" if count < minimum else ""
 
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable
 
-from calibration.dataset.modalities import DEPTH, LIDAR3D, RGB, Modality, of_family
+from calibration.dataset.modalities import Modality, of_family
 from calibration.dataset.model import Dataset, Sensor
 from calibration.dataset.pattern import Pattern
 from calibration.errors import InputError
@@ -26,10 +26,7 @@ def camera_of(dataset: Dataset, name: str) -> tuple[Sensor, Camera]:
     Raises:
         InputError: the dataset has no such sensor, or it is no camera.
     """
-    sensor = _of_modality(dataset, name, RGB)
-    if sensor.camera is None:
-        raise InputError(f"{dataset.path}: sensor '{name}' has no intrinsics")
-    return sensor, sensor.camera
+    return _with_intrinsics(dataset, name, of_family("camera"))
 
 
 def lidar_of(dataset: Dataset, name: str) -> Sensor:
@@ -38,7 +35,7 @@ def lidar_of(dataset: Dataset, name: str) -> Sensor:
     Raises:
         InputError: the dataset has no such sensor, or it is no LiDAR.
     """
-    return _of_modality(dataset, name, *of_family("lidar"))
+    return _of_modality(dataset, name, of_family("lidar"))
 
 
 def lidar3d_of(dataset: Dataset, name: str) -> Sensor:
@@ -47,7 +44,7 @@ def lidar3d_of(dataset: Dataset, name: str) -> Sensor:
     Raises:
         InputError: the dataset has no such sensor, or it is no 3D LiDAR.
     """
-    return _of_modality(dataset, name, LIDAR3D)
+    return _of_modality(dataset, name, tuple(each for each in of_family("lidar") if not each.is_planar))
 
 
 def depth_of(dataset: Dataset, name: str) -> tuple[Sensor, Camera]:
@@ -56,13 +53,17 @@ def depth_of(dataset: Dataset, name: str) -> tuple[Sensor, Camera]:
     Raises:
         InputError: the dataset has no such sensor, or it is no depth camera.
     """
-    sensor = _of_modality(dataset, name, DEPTH)
+    return _with_intrinsics(dataset, name, of_family("depth camera"))
+
+
+def _with_intrinsics(dataset: Dataset, name: str, modalities: tuple[Modality, ...]) -> tuple[Sensor, Camera]:
+    sensor = _of_modality(dataset, name, modalities)
     if sensor.camera is None:
         raise InputError(f"{dataset.path}: sensor '{name}' has no intrinsics")
     return sensor, sensor.camera
 
 
-def _of_modality(dataset: Dataset, name: str, *modalities: Modality) -> Sensor:
+def _of_modality(dataset: Dataset, name: str, modalities: tuple[Modality, ...]) -> Sensor:
     sensor = sensor_of(dataset, name)
     if sensor.modality not in modalities:
         others = (s.name for s in dataset.sensors.values() if s.modality in modalities)

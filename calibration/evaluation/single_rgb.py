@@ -6,7 +6,6 @@ calibration fits to the same labels: for a pattern that moves it says how well a
 
 import numpy as np
 
-from calibration.dataset.modalities import RGB
 from calibration.dataset.model import CornerLabels, Dataset
 from calibration.dataset.pattern import Pattern
 from calibration.errors import InputError
@@ -33,7 +32,7 @@ def single_rgb(dataset: Dataset, camera: str | None = None, pattern: str | None 
         InputError: no such camera or pattern, a transform is missing, or no camera sees a pattern that has a pose.
     """
     patterns = list(dataset.patterns.values()) if pattern is None else [pattern_of(dataset, pattern)]
-    names = [s.name for s in dataset.sensors.values() if s.modality == RGB] if camera is None else [camera]
+    names = [s.name for s in dataset.sensors.values() if s.modality.has_corners] if camera is None else [camera]
     pairs = [(name, each) for each in patterns for name in names]
     values = np.full((len(dataset.keys), len(pairs)), np.nan)
     seen = np.zeros(values.shape, bool)

@@ -300,10 +300,14 @@ def test_any_number_will_do(tmp_path, value):
     assert dataset.collections[0].labels["board", "lidar"].limits.tolist() == [1, 0, 3]
 
 
-def test_a_byte_order_mark_and_repeated_keys(tmp_path):
+def test_a_byte_order_mark_is_accepted_and_a_repeated_key_is_not(tmp_path):
     path = documents.write(tmp_path, documents.document())
-    path.write_bytes(b"\xef\xbb\xbf" + path.read_bytes().replace(b'{"_metadata"', b'{"_metadata": 5, "_metadata"', 1))
+    text = path.read_bytes()
+    path.write_bytes(b"\xef\xbb\xbf" + text)
     assert read_dataset(path).version == "3.0"
+    path.write_bytes(text.replace(b'{"_metadata"', b'{"_metadata": 5, "_metadata"', 1))
+    with pytest.raises(InputError, match="the key '_metadata' stands twice"):
+        read_dataset(path)
 
 
 def test_a_symbolic_link_inside_the_folder_is_followed(tmp_path):

@@ -8,7 +8,7 @@ import pytest
 from calibration.dataset.model import CornerLabels, Dataset, Labels, PointLabels
 from calibration.errors import InputError, UndeterminedError
 from calibration.estimation.calibrate import calibrate
-from calibration.estimation.usable_labels import MINIMUM_CORNERS, MINIMUM_POINTS, MINIMUM_SCAN_POINTS, usable_labels
+from calibration.estimation.usable_labels import MINIMUM_CORNERS, usable_labels
 from tests.estimation.scenes import board, relabelled
 from tests.estimation.systems import camera_and_lidar, camera_and_lidar2d, eye_in_hand, stereo
 
@@ -74,7 +74,7 @@ def test_too_few_points_are_left_out():
         return PointLabels(label.points[:9], np.array([0, 8])) if (i, sensor) == (1, "lidar") else label
 
     usable, ignored = usable_labels(relabelled(camera_and_lidar(6).dataset(), few))
-    assert ignored == (f"collection 001, lidar: 9 points, at least {MINIMUM_POINTS} are needed",)
+    assert ignored == ("collection 001, lidar: 9 points, at least 10 are needed",)
     assert list(usable.collections[1].labels) == [("board", "cam")]
 
 
@@ -83,7 +83,7 @@ def test_a_cut_needs_fewer_points_than_a_plane():
         return PointLabels(label.points[: 2 + i], np.array([0, 1])) if sensor == "scan" and i < 2 else label
 
     usable, ignored = usable_labels(relabelled(camera_and_lidar2d(6).dataset(), few))
-    assert ignored == (f"collection 000, scan: 2 points, at least {MINIMUM_SCAN_POINTS} are needed",)
+    assert ignored == ("collection 000, scan: 2 points, at least 3 are needed",)
     assert ("board", "scan") in usable.collections[1].labels
 
 

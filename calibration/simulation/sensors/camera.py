@@ -17,11 +17,10 @@ from numpy.typing import NDArray
 
 from calibration.dataset.configuration import PatternConfiguration
 from calibration.dataset.document import Node
-from calibration.dataset.modalities import RGB, Modality
+from calibration.dataset.modalities import RGB, Modality, NoiseKind
 from calibration.dataset.model import CornerLabels, Labels
 from calibration.dataset.pattern import Pattern, grid
 from calibration.errors import InputError
-from calibration.estimation.problem import NoiseKind
 from calibration.geometry.cameras import Camera
 from calibration.geometry.transforms import apply
 from calibration.geometry.types import Array, BoolArray

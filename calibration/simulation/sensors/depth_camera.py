@@ -11,11 +11,10 @@ import numpy as np
 from calibration.dataset.configuration import PatternConfiguration
 from calibration.dataset.depth_image import NO_RETURN, UNIT, read_depth_image
 from calibration.dataset.document import Node
-from calibration.dataset.modalities import DEPTH, Modality
+from calibration.dataset.modalities import DEPTH, Modality, NoiseKind
 from calibration.dataset.model import PointLabels
 from calibration.dataset.pattern import Pattern
 from calibration.errors import InputError
-from calibration.estimation.problem import NoiseKind
 from calibration.geometry.cameras import Camera
 from calibration.geometry.transforms import apply, inverse
 from calibration.geometry.types import Array, BoolArray

@@ -10,10 +10,9 @@ import numpy as np
 
 from calibration.dataset.configuration import PatternConfiguration
 from calibration.dataset.document import Node
-from calibration.dataset.modalities import LIDAR2D, Modality
+from calibration.dataset.modalities import LIDAR2D, Modality, NoiseKind
 from calibration.dataset.pattern import Pattern
 from calibration.estimation.median import median
-from calibration.estimation.problem import NoiseKind
 from calibration.geometry.types import Array, BoolArray
 from calibration.labelling.cut import cut_ends
 from calibration.labelling.detection import Image

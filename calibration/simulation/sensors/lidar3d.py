@@ -11,11 +11,10 @@ from numpy.typing import NDArray
 
 from calibration.dataset.configuration import PatternConfiguration
 from calibration.dataset.document import Node
-from calibration.dataset.modalities import LIDAR3D, Modality
+from calibration.dataset.modalities import LIDAR3D, Modality, NoiseKind
 from calibration.dataset.pattern import Pattern
 from calibration.dataset.pointcloud import encode_pcd, read_points
 from calibration.errors import InputError
-from calibration.estimation.problem import NoiseKind
 from calibration.geometry.transforms import apply, inverse
 from calibration.geometry.types import Array, BoolArray
 from calibration.labelling.detection import Image

@@ -12,10 +12,9 @@ from numpy.typing import NDArray
 
 from calibration.dataset.configuration import PatternConfiguration
 from calibration.dataset.document import Node
-from calibration.dataset.modalities import Modality
+from calibration.dataset.modalities import Modality, NoiseKind
 from calibration.dataset.model import CornerLabels, Labels, PointLabels
 from calibration.dataset.pattern import Pattern
-from calibration.estimation.problem import NoiseKind
 from calibration.geometry.cameras import Camera
 from calibration.geometry.transforms import apply, inverse
 from calibration.geometry.types import Array, BoolArray
