@@ -12,12 +12,12 @@ import click
 from calibration.commands.parameters import path, text
 from calibration.errors import ExitCode
 from calibration.pipeline.distribution.clock import parse_seconds
-from calibration.pipeline.distribution.cost import cost_of_run, jobs_table, money
-from calibration.pipeline.distribution.gathering import gather
+from calibration.pipeline.distribution.cost import cost_of_run
+from calibration.pipeline.distribution.gathering import gather, report_of_run
 from calibration.pipeline.distribution.needs import parse_needs
-from calibration.pipeline.report import report
-from calibration.pipeline.results import clear_results, write_results
-from calibration.workflow import Annotation, Runner, add_summary, annotate, set_outputs
+from calibration.pipeline.results import clear_results
+from calibration.report import publish
+from calibration.workflow import Runner
 
 TITLE = "gather-results"
 
@@ -56,16 +56,7 @@ def gather_results(settings: Settings, runner: Runner) -> ExitCode:
     code = gathered.exit_code
     promotes = bool(gathered.plan.promote) and code == ExitCode.PASS
     cost = cost_of_run(gathered.plan, needs, settings.folder, _seconds_since(settings.began), promotes=promotes)
-    annotate(runner, [Annotation(line, title=TITLE) for line in gathered.problems])
-    if gathered.results.judged:
-        write_results(gathered.results, settings.output, {"cost": cost.document})
-        report(gathered.results, settings.output, runner, TITLE)
-    add_summary(runner, f"\n{jobs_table(gathered.jobs, cost)}")
-    verdict = "pass" if code == ExitCode.PASS else "fail"
-    # Of the jobs too, not of the results alone.
-    set_outputs(runner, {"verdict": verdict, "billed-minutes": cost.minutes, "cost": money(cost.amount)})
-    runner.log(cost.sentence)
-    runner.log(f"{verdict}: {', '.join(f'{job} {result}' for job, result in gathered.jobs.items())}")
+    publish(report_of_run(gathered, cost, settings.output, TITLE), runner, settings.output)
     return code
 
 

@@ -1,57 +1,313 @@
-"""What a user sees of a matrix: the table in the log, the summary, annotations, outputs."""
+"""The report of a pipeline, whose main table has noise pairs and other methods down, systems across."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
-from calibration.files import write_atomically
-from calibration.pipeline.results import FILE, Results, summarise
-from calibration.pipeline.summary import (
-    collections_grid,
-    failures,
-    grid,
-    image_line,
-    in_parts,
-    markdown,
-    sentence,
-    truth_grid,
-    without_result,
-)
-from calibration.workflow import Annotation, Level, Runner, add_summary, annotate, set_outputs, stop_commands
-from calibration.workflow.text import aligned
+from calibration.pipeline.collection.collected import Collected
+from calibration.pipeline.matrix.cell import OUR_METHOD, CellResult, Deviation, noise_text
+from calibration.pipeline.results import CELLS_FILE, ImageResult, Results, document, entry, own_file, summarise
+from calibration.report import Lines, Outcome, Report, Table, Text, count_of, results_document, results_text, shown
+
+REASONS_SHOWN = 4
+NOTES_SHOWN = 30
+SIDE_BY_SIDE = 3
+"""Systems beside each other in a log."""
+PARAMETERS_SHOWN = 200
 
 
-def report(results: Results, output: Path, runner: Runner, title: str) -> None:
-    """Show the results, and leave ``summary.md`` beside them.
+def write_results(results: Results, output: Path) -> None:
+    """Write the files of a stage's results into the output folder, for the next stage and for people.
 
     Raises:
         WorldError: a file cannot be written.
     """
-    tables = in_parts(grid(results)) if results.cells or results.comparisons else []
-    tables += [truth_grid(results)] if truth_grid(results).rows else []
-    tables += [collections_grid(results)] if results.collections else []
-    text = markdown(results)
-    write_atomically(output / "summary.md", text)
-    with stop_commands(runner):  # names of systems, columns and rows are the user's
-        for table in tables:
-            runner.log("")
-            runner.log(aligned(table.header, table.rows))
-        runner.log("")
-    failed = [Annotation(line, title=title) for line in failures(results)]
-    notes = [Annotation(line, Level.WARNING) for line in without_result(results)]
-    annotate(runner, [*failed, *notes])
-    add_summary(runner, text)
+    report(results, output, "calibration").write(output)
+
+
+def report(results: Results, output: Path, title: str) -> Report:
+    """Return the report.
+
+    Args:
+        results: what was found.
+        output: the folder of the results.
+        title: of the report and its annotations.
+    """
+    left_out = tuple(without_result(results))
     numbers = summarise(results)
-    set_outputs(
-        runner,
-        {
-            "verdict": results.verdict,
-            "results": output / FILE,
-            "summary": output / "summary.md",
+    worst = {f"worst-{name.replace('_', '-')}": numbers[f"worst_{name}"] for name in ("rms_px", "translation_mm")}
+    main = grid(results)
+    return Report(
+        title=title,
+        verdict=results.verdict,
+        error=results.exit_code,
+        sentence=_sentence(results),
+        reasons=tuple(failures(results)),
+        warnings=left_out,
+        blocks=(
+            main,
+            Text(_UNDER_GRID if main.rows else "", only="summary"),
+            truth_table(results),
+            Lines(tuple(other_methods(results)), only="summary"),
+            parameters_table(results),
+            collections_table(results),
+            Lines(_to_look_at(results), NOTES_SHOWN, title="To look at"),
+            Text(f"{image_line(results.image)}." if results.image else ""),
+            Lines(left_out, title="Methods without a result", only="summary"),
+        ),
+        suites=_suites(results),
+        results=document(results),
+        outputs={
             "output": output,
-            "success-rate": numbers["success_rate"],
-            "worst-rms-px": "" if numbers["worst_rms_px"] is None else numbers["worst_rms_px"],
-            "worst-translation-mm": "" if numbers["worst_translation_mm"] is None else numbers["worst_translation_mm"],
+            "success-rate": numbers["success_rate"] if results.judged else "",
+            **{name: "" if value is None else value for name, value in worst.items()},
         },
+        files={CELLS_FILE: cells_table(results).csv(), **_own_files(results)},
     )
-    if results.image is not None:
-        runner.log(image_line(results.image))
-    runner.log(f"{sentence(results)} ({output / FILE})")
+
+
+_UNDER_GRID = "RMS of the evaluation table, and, where it is known, the worst error of a calibrated sensor."
+
+
+def _own_files(results: Results) -> dict[str, str]:
+    """Return the text of each cell's own results, by its path."""
+    found = {}
+    for cell in (*results.cells, *results.comparisons):
+        if cell.details and (file := own_file(cell)):
+            own = {**document(Results((cell,))), "cells": [{**entry(cell), **cell.details}]}
+            found[file] = results_text(results_document(cell.verdict, own, cell.reasons))
+    return found
+
+
+def _suites(results: Results) -> dict[str, list[Outcome]]:
+    def outcome(group: str, each: CellResult | Collected) -> Outcome:
+        return Outcome(name=each.name, group=group, reasons=each.reasons, error=each.error, seconds=each.seconds)
+
+    suites = {s: [outcome(s, cell) for cell in results.cells if cell.system == s] for s in results.systems}
+    collected = [outcome("collected", each) for each in results.collections]
+    return suites | ({"collected": collected} if collected else {})
+
+
+def cells_table(results: Results) -> Table:
+    """Return a row for each cell and comparison, for ``cells.csv``: for introspect-csv, a spreadsheet or a plot."""
+
+    def row(cell: CellResult) -> tuple[str, ...]:
+        noise = (cell.translation_noise, cell.rotation_noise, cell.seed)
+        verdict = "" if cell.by_other_method else cell.verdict
+        truth = (cell.truth.translation_mm, cell.truth.rotation_deg) if cell.truth else (None, None)
+        numbers = ((cell.rms_px, ".4f"), (truth[0], ".4f"), (truth[1], ".5f"))
+        return (
+            *(cell.name, cell.system, cell.method),
+            *(shown(value, "g", empty="") for value in noise),
+            *(verdict, *(shown(value, form, empty="") for value, form in numbers)),
+        )
+
+    header = ("Cell", "System", "Method", "Translation noise (m)", "Rotation noise (rad)", "Seed", "Verdict")
+    rows = tuple(map(row, (*results.cells, *results.comparisons)))
+    return Table((*header, "RMS (pix)", "Trans error (mm)", "Rot error (deg)"), rows)
+
+
+def grid(results: Results) -> Table:
+    """For each noise pair and each other method (rows) and system (columns): RMS, and the error against the truth.
+
+    A system that the team's software calibrates has a second column: our engine on the same data and starts.
+    """
+    rows: dict[str, dict[str, list[CellResult]]] = {}
+    software = {cell.system for cell in results.cells if cell.method != OUR_METHOD}
+
+    def column(cell: CellResult) -> str:
+        if cell.system not in software:
+            return cell.system
+        return f"{cell.system}: {OUR_METHOD if cell.by_other_method else cell.method}"
+
+    everything = sorted((*results.cells, *results.comparisons), key=lambda c: results.systems.index(c.system))
+    columns = list(dict.fromkeys(map(column, everything)))
+    for cell in (*results.cells, *results.comparisons):
+        rows.setdefault(_row(cell), {}).setdefault(column(cell), []).append(cell)
+    return Table(
+        ("Start", *columns),
+        tuple((row, *(_text(found.get(column, ())) for column in columns)) for row, found in rows.items()),
+        most_columns=SIDE_BY_SIDE,
+    )
+
+
+def _row(cell: CellResult) -> str:
+    if cell.translation_noise is None or cell.rotation_noise is None:
+        return cell.method
+    start = noise_text(cell.translation_noise, cell.rotation_noise)
+    return f"{cell.method}, {start}" if cell.by_other_method else start
+
+
+def truth_table(results: Results) -> Table:
+    """A row for each system with a known truth: the worst error of its cells, and what they state themselves."""
+    rows = []
+    for system in results.systems:
+        own = [cell for cell in results.cells if cell.system == system]
+        truths, sigmas = [c.truth for c in own if c.truth], [c.sigma for c in own if c.sigma]
+        if truths and sigmas:
+            rows.append((system, ", ".join(_worst(truths)), ", ".join(_worst(sigmas))))
+    return Table(("Against the truth", "Worst error", "Standard deviation stated"), tuple(rows))
+
+
+def _text(cells: Sequence[CellResult]) -> str:
+    """The worst of the seeds: "0.6004 px, 0.42 mm, 0.028 deg"; with how many passed, where not all did."""
+    if not cells:
+        return "-"
+    parts = []
+    rms = [cell.rms_px for cell in cells if cell.rms_px is not None]
+    if rms:
+        parts.append(f"{max(rms):.4f} px")
+    parts += _worst([cell.truth for cell in cells if cell.truth is not None])
+    passed = sum(cell.verdict == "pass" for cell in cells)
+    if cells[0].by_other_method:
+        return ", ".join(parts) or "no result"
+    if passed < len(cells):
+        parts.append("FAIL" if len(cells) == 1 else f"FAIL: {passed}/{len(cells)} pass")
+    elif len(cells) > 1:
+        parts.append(f"{passed}/{len(cells)} pass")
+    return ", ".join(parts) or "no result"
+
+
+def _worst(deviations: Sequence[Deviation]) -> list[str]:
+    """The worst of each kind: "0.42 mm", "0.028 deg", "joints 0.01 mm, 0.002 deg"; nothing where there are none."""
+    if not deviations:
+        return []
+    lengths = [d.joint_mm for d in deviations if d.joint_mm is not None]
+    angles = [d.joint_deg for d in deviations if d.joint_deg is not None]
+    joints = [f"{max(lengths):.2g} mm"] if lengths else []
+    joints += [f"{max(angles):.2g} deg"] if angles else []
+    return [
+        f"{max(d.translation_mm for d in deviations):.3g} mm",
+        f"{max(d.rotation_deg for d in deviations):.2g} deg",
+        *([f"joints {', '.join(joints)}"] if joints else []),
+    ]
+
+
+def collections_table(results: Results) -> Table:
+    """A row for each dataset that was collected: what was kept, how well corners and sensors were found."""
+
+    def row(c: Collected) -> tuple[str, ...]:
+        truth = [
+            shown(value, form, unit)
+            for value, form, unit in ((c.translation_mm, ".3g", "mm"), (c.rotation_deg, ".2g", "deg"))
+            if value is not None
+        ]
+        verdict = [] if c.verdict == "pass" else ["FAIL"]
+        return (
+            c.name,
+            f"{c.kept} of {c.poses} poses",
+            shown(c.corner_rms_px, ".3f", "px"),
+            shown(c.rms_px, ".4f", "px"),
+            ", ".join((*truth, *verdict)) or "-",
+        )
+
+    return Table(
+        ("Collected", "Kept", "Corner error", "Calibrates with", "Against the truth"),
+        tuple(row(collected) for collected in results.collections),
+        title="Collected in simulation",
+    )
+
+
+def parameters_table(results: Results) -> Table:
+    """A row for each parameter of a joint or a camera that was calibrated, of each system's first cell that passed."""
+    passed = [cell for cell in (*results.cells, *results.comparisons) if cell.verdict == "pass" and cell.details]
+    first = {cell.system: cell for cell in reversed(passed)}
+    rows: list[tuple[str, ...]] = [
+        (
+            cell.system,
+            str(each["name"]),
+            str(each["parameter"]),
+            f"{each['value']:.6g}",
+            "-" if each["sigma"] is None else f"{each['sigma']:.2g}",
+            str(each["unit"]),
+        )
+        for system in results.systems
+        if (cell := first.get(system))
+        for kind in ("joints", "intrinsics")
+        for each in cell.details.get(kind, ())
+    ]
+    return Table(
+        ("System", "Joint or camera", "Parameter", "Value", "Sigma", "Unit"),
+        tuple(rows),
+        PARAMETERS_SHOWN,
+        title="Joints and intrinsics",
+        only="summary",
+    )
+
+
+def _sentence(results: Results) -> str:
+    """The verdict in one line."""
+    done, failed = [], []
+    for things, what, verb in ((results.cells, "cell", "calibrated"), (results.collections, "dataset", "collected")):
+        wrong = sum(thing.verdict == "fail" for thing in things)
+        count = count_of(len(things), what)
+        if wrong or (what == "cell" and not results.judged and results.image is None):
+            failed.append(f"{wrong} of {count} failed")
+        elif things:
+            done.append(f"{count} {verb}")
+    if results.image is not None and not results.judged:
+        done.append("the image is built" if results.image.built else "the image is there")
+    return ", ".join((*failed, *done))
+
+
+def failures(results: Results) -> list[str]:
+    """A line for everything that failed, with its first reasons; results.json has all of them."""
+    references = {cell.start_of_cell: cell for cell in results.comparisons if not cell.by_other_method}
+    cells = [
+        f"{cell.name}: {_first(cell.reasons)}{_whose_fault(references.get(cell.start_of_cell))}"
+        for cell in results.cells
+        if cell.verdict == "fail"
+    ]
+    return cells + [f"collected {c.name}: {_first(c.reasons)}" for c in results.collections if c.verdict == "fail"]
+
+
+def _whose_fault(reference: CellResult | None) -> str:
+    """What our engine, on the same data from the same start, tells of a cell that the team's software failed."""
+    if reference is None:
+        return ""
+    if reference.verdict == "pass":
+        rms = "" if reference.rms_px is None else f" ({reference.rms_px:.4f} px)"
+        return f". Our engine passes on the same data from the same start{rms}: look at the software"
+    return f". Our engine fails on the same data too ({_first(reference.reasons)}): look at the data"
+
+
+def _first(reasons: Sequence[str]) -> str:
+    more = len(reasons) - REASONS_SHOWN
+    return "; ".join(reasons[:REASONS_SHOWN]) + (f"; and {more} more" if more > 0 else "")
+
+
+def without_result(results: Results) -> list[str]:
+    """Why other methods have found nothing, once for all starts; our engine beside a team's software is no such one."""
+    return list(
+        dict.fromkeys(
+            f"{cell.system}, {cell.method}: {'; '.join(cell.reasons)}"
+            for cell in results.comparisons
+            if cell.reasons and cell.by_other_method
+        )
+    )
+
+
+def other_methods(results: Results) -> list[str]:
+    """Whose implementation of the other methods has run, and by what of the data where there is a choice."""
+    found: dict[str, dict[str, None]] = {}
+    for cell in results.comparisons:
+        if cell.detail is not None:
+            found.setdefault(f"{cell.system}: {cell.detail}", {})[cell.method] = None
+    return [f"{', '.join(methods)} on {detail}" for detail, methods in found.items()]
+
+
+def image_line(image: ImageResult) -> str:
+    """What was done about the image."""
+    what = f"built in {image.seconds:.0f} s" if image.built else "unchanged, nothing was built"
+    promoted = f"; promoted to {', '.join(image.promoted)}" if image.promoted else ""
+    return f"Image {image.reference}: {what}{promoted}"
+
+
+def _to_look_at(results: Results) -> tuple[str, ...]:
+    """What the cells warn of, once for each system; that a noisy guess is far away goes without saying."""
+    notes = dict.fromkeys(
+        f"{cell.system}: {warning}"
+        for cell in results.cells
+        for warning in cell.warnings
+        if not warning.startswith("the initial guess")
+    )
+    return tuple(notes)

@@ -9,11 +9,22 @@ from calibration.report.check import Check, at_least, at_most, expectation
 from calibration.report.outcome import Outcome, count_of, outcome_of_check
 from calibration.report.publishing import publish, remove_results
 from calibration.report.report import FILES, Report
-from calibration.report.table import Table
+from calibration.report.results_json import (
+    MOST_BYTES,
+    RESULTS_FILE,
+    SCHEMA_NUMBER,
+    reasons_in,
+    results_document,
+    results_text,
+)
+from calibration.report.table import Table, shown
 from calibration.report.verdict import Verdict, verdict_of
 
 __all__ = [
     "FILES",
+    "MOST_BYTES",
+    "RESULTS_FILE",
+    "SCHEMA_NUMBER",
     "Block",
     "Check",
     "Code",
@@ -29,6 +40,10 @@ __all__ = [
     "expectation",
     "outcome_of_check",
     "publish",
+    "reasons_in",
     "remove_results",
+    "results_document",
+    "results_text",
+    "shown",
     "verdict_of",
 ]

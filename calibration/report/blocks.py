@@ -39,7 +39,7 @@ class Text(Block):
 
     def markdown(self) -> str:
         """Return the paragraph, escaped."""
-        return escape_markdown(self.text) + "\n"
+        return f"{escape_markdown(self.text)}\n" if self.text else ""
 
 
 @dataclass(frozen=True)

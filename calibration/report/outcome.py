@@ -2,11 +2,15 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Self
+from typing import Annotated, Literal, Self
 
 from calibration.errors import CalibrationError, ExitCode
+from calibration.records import Converted
 from calibration.report.check import Check
 from calibration.report.verdict import Verdict, verdict_of
+
+ErrorCode = Annotated[ExitCode, Converted(Literal[2, 3], lambda code, _place: ExitCode(code))]
+"""Exit code of what could not be done because of bad input (2) or an infrastructure failure (3), in results.json."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -18,7 +22,7 @@ class Outcome:
     """Name that reports group outcomes by, such as a system."""
     reasons: tuple[str, ...] = ()
     """Why the verdict is fail, one line each."""
-    error: ExitCode | None = None
+    error: ErrorCode | None = None
     """Set if the work could not be done because of bad input (2) or an infrastructure failure (3)."""
     skipped: str | None = None
     """Why the work was not done, if that is no failure."""

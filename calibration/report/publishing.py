@@ -7,7 +7,8 @@ from itertools import accumulate, takewhile
 from pathlib import Path
 
 from calibration.errors import WorldError
-from calibration.report.report import RESULTS_FILE, SUMMARY_FILE, Report
+from calibration.report.report import SUMMARY_FILE, Report
+from calibration.report.results_json import RESULTS_FILE
 from calibration.workflow.annotations import annotate
 from calibration.workflow.groups import stop_commands
 from calibration.workflow.outputs import OutputValue, set_outputs

@@ -9,18 +9,16 @@ from calibration.errors import ExitCode
 from calibration.files import write_atomically
 from calibration.report.blocks import Block, Lines
 from calibration.report.outcome import Outcome
-from calibration.report.results_json import results_json
+from calibration.report.results_json import RESULTS_FILE, results_document, results_text
 from calibration.report.verdict import Verdict
 from calibration.workflow.annotations import Annotation, Level
 from calibration.workflow.outputs import OutputValue
 from calibration.workflow.summary import escape_markdown
 from calibration.workflow.text import one_line
 
-RESULTS_FILE, SUMMARY_FILE, JUNIT_FILE = "results.json", "summary.md", "junit.xml"
+SUMMARY_FILE, JUNIT_FILE = "summary.md", "junit.xml"
 FILES = (RESULTS_FILE, SUMMARY_FILE, JUNIT_FILE)
 """Written for every report."""
-SCHEMA = 1
-"""Number of the form of results.json. Keys may be added; none is renamed without a new number."""
 REASONS_SHOWN = 50
 
 
@@ -64,7 +62,7 @@ class Report:
     @property
     def document(self) -> dict[str, Any]:
         """Content of results.json."""
-        return {"schema": SCHEMA, "verdict": self.verdict, "reasons": list(self.reasons), **self.results}
+        return results_document(self.verdict, self.results, self.reasons)
 
     @property
     def line(self) -> str:
@@ -105,7 +103,10 @@ class Report:
         """Return the content of all files by their names."""
         from calibration.report.junit import junit_xml  # XML is slow to import
 
-        texts = {RESULTS_FILE: results_json(self.document), JUNIT_FILE: junit_xml(self.suites)}
+        texts = {
+            RESULTS_FILE: results_text(self.document),
+            JUNIT_FILE: junit_xml(self.suites),
+        }
         return {**self.files, **texts, SUMMARY_FILE: self.markdown()}
 
     def write(self, folder: Path) -> None:

@@ -11,9 +11,10 @@ from calibration.errors import ExitCode, InputError
 from calibration.pipeline.collection.collected import Collected
 from calibration.pipeline.configuration import read_configuration
 from calibration.pipeline.matrix.matrix import Matrix
+from calibration.pipeline.report import collections_table, report
 from calibration.pipeline.results import SCHEMA, Results, read_results
 from calibration.pipeline.stages import run_stages
-from calibration.pipeline.summary import collections_grid, markdown, sentence
+from calibration.report import Report
 from calibration.workflow import Runner
 from tests.pipeline.conftest import DATASETS
 from tests.pipeline.matrix.test_judgement import CELL
@@ -55,11 +56,15 @@ def run(path: Path, output: Path, *stages: str) -> tuple[Results, str]:
     return results, log.getvalue()
 
 
+def told(results: Results) -> Report:
+    return report(results, Path("out"), "calibration")
+
+
 def test_what_is_collected_stands_beside_the_matrix(tmp_path: Path, motion: Path) -> None:
     output = tmp_path / "output"
     results, log = run(configured(tmp_path, motion), output)
     assert results.verdict == "pass"
-    assert sentence(results) == "pass: 1 cell calibrated, 1 dataset collected"
+    assert told(results).line == "pass: 1 cell calibrated, 1 dataset collected"
     (collected,) = results.collections
     assert collected.kept == collected.poses == 3
     assert collected.dataset == "collected/small"
@@ -77,8 +82,8 @@ def test_red_in_simulation_is_red(tmp_path: Path, motion: Path) -> None:
     results, log = run(configured(tmp_path, motion, limit="0.000001"), tmp_path / "output")
     assert results.exit_code == ExitCode.FAIL
     assert "collected small: translation error against the truth: found" in log
-    assert sentence(results) == "fail: 1 of 1 dataset failed, 1 cell calibrated"
-    assert "FAIL" in collections_grid(results).rows[0][-1]
+    assert told(results).line == "fail: 1 of 1 dataset failed, 1 cell calibrated"
+    assert "FAIL" in collections_table(results).rows[0][-1]
 
 
 def test_what_cannot_be_collected_does_not_hide_the_rest(tmp_path: Path) -> None:
@@ -86,19 +91,19 @@ def test_what_cannot_be_collected_does_not_hide_the_rest(tmp_path: Path) -> None
     assert results.exit_code == ExitCode.BAD_INPUT
     assert results.cells[0].verdict == "pass"
     assert "no.json" in log
-    assert collections_grid(results).rows == (("small", "0 of 0 poses", "-", "-", "FAIL"),)
+    assert collections_table(results).rows == (("small", "0 of 0 poses", "-", "-", "FAIL"),)
 
 
 def test_alone(tmp_path: Path, motion: Path) -> None:
     results, log = run(configured(tmp_path, motion), tmp_path / "output", "collect")
-    assert sentence(results) == "pass: 1 dataset collected"
+    assert told(results).line == "pass: 1 dataset collected"
     assert "Start" not in log
-    assert "Collected in simulation" in markdown(results)
+    assert "Collected in simulation" in told(results).markdown()
 
 
 def test_nothing_at_all_is_no_pass() -> None:
-    assert Results(()).verdict == "fail"
-    assert sentence(Results(())) == "fail: 0 of 0 cells failed"
+    assert Results().verdict == "fail"
+    assert told(Results()).line == "fail: 0 of 0 cells failed"
     failed = Collected("a", reasons=("x",))
     assert Results((CELL,), collections=(failed,)).verdict == "fail"
     assert Results((CELL,), collections=(Collected("a"),)).verdict == "pass"

@@ -8,8 +8,7 @@ import pytest
 from calibration.errors import WorldError
 from calibration.image.specification import ImageSpecification, OwnDockerfile
 from calibration.pipeline.collection.collected import Collected
-from calibration.pipeline.image_result import ImageResult
-from calibration.pipeline.results import Results
+from calibration.pipeline.results import ImageResult, Results
 from calibration.pipeline.stages.building import promote_stage
 from calibration.workflow import Runner
 

@@ -10,17 +10,29 @@ import jsonschema
 import pytest
 
 from calibration.errors import ExitCode, InputError
-from calibration.pipeline.image_result import ImageResult
 from calibration.pipeline.matrix.cell import Deviation
 from calibration.pipeline.matrix.matrix import Matrix, run_matrix
-from calibration.pipeline.results import SCHEMA, Results, clear_results, read_results, summarise, write_results
-from calibration.pipeline.summary import failures, grid, in_parts, markdown, parameters_grid, sentence, truth_grid
+from calibration.pipeline.report import failures, grid, parameters_table, report, truth_table, write_results
+from calibration.pipeline.results import (
+    SCHEMA,
+    ImageResult,
+    Results,
+    clear_results,
+    read_results,
+    summarise,
+    without_verdicts,
+)
 from calibration.pipeline.system import NoiseGrid
+from calibration.report import Report
 from tests.pipeline.conftest import RIWBOT
 from tests.pipeline.matrix.test_judgement import CELL
 
 FAILED = replace(CELL, rotation_noise=0.5, converged=False, reasons=("a false minimum",), rms_px=None, truth=None)
 BROKEN = replace(FAILED, seed=2, reasons=("no labels | <b>",), error=ExitCode.BAD_INPUT)
+
+
+def told(results: Results) -> Report:
+    return report(results, Path("out"), "calibration")
 
 
 def test_real_results_follow_their_schema_and_read_back(tmp_path: Path) -> None:
@@ -36,7 +48,7 @@ def test_real_results_follow_their_schema_and_read_back(tmp_path: Path) -> None:
     own = json.loads((tmp_path / found.cells[0].dataset).with_name("results.json").read_text())
     jsonschema.validate(own, schema)
     assert own["cells"][0]["transforms"][0]["sigma_mm"] > 0
-    assert read_results(tmp_path) == results
+    assert without_verdicts(read_results(tmp_path), tmp_path) == results
 
 
 def test_writing_what_was_read_changes_nothing(tmp_path: Path) -> None:
@@ -44,7 +56,7 @@ def test_writing_what_was_read_changes_nothing(tmp_path: Path) -> None:
     write_results(Results(found.cells), tmp_path)
     before = {p: p.read_bytes() for p in tmp_path.rglob("results.json")}
 
-    write_results(read_results(tmp_path), tmp_path)
+    write_results(without_verdicts(read_results(tmp_path), tmp_path), tmp_path)
 
     assert {p: p.read_bytes() for p in tmp_path.rglob("results.json")} == before
     assert len(before) == 2
@@ -82,7 +94,7 @@ def test_the_table_has_noise_down_and_systems_across() -> None:
     other = replace(CELL, system="other", truth=None)
     table = grid(Results((CELL, FAILED, BROKEN, other), (replace(CELL, method="shah", translation_noise=None),)))
 
-    assert table.header == ("Start", "robot", "other")
+    assert table.columns == ("Start", "robot", "other")
     assert table.rows == (
         ("0.5 m, 0 rad", "0.6000 px, 0.5 mm, 0.02 deg", "0.6000 px"),
         ("0.5 m, 0.5 rad", "FAIL: 0/2 pass", "-"),
@@ -112,7 +124,7 @@ def test_a_method_that_depends_on_the_start_is_neither_our_engine_nor_judged(tmp
     results = icp_rows()
     write_results(results, tmp_path)
 
-    assert read_results(tmp_path) == results
+    assert without_verdicts(read_results(tmp_path), tmp_path) == results
     jsonschema.validate(json.loads((tmp_path / "results.json").read_text()), json.loads(SCHEMA.read_text()))
     rows = list(csv.DictReader((tmp_path / "cells.csv").read_text().splitlines()))
     assert [row["Verdict"] for row in rows] == ["pass", "fail", "", "", ""]
@@ -124,7 +136,7 @@ def test_the_summary_says_whose_the_other_methods_are() -> None:
     others = [replace(CELL, method=name, detail="OpenCV 4.14.0") for name in ("shah", "li")]
     results = icp_rows()
 
-    text = markdown(replace(results, comparisons=(*results.comparisons, *others)))
+    text = told(replace(results, comparisons=(*results.comparisons, *others))).markdown()
 
     assert "- icp on robot: built in\n- shah, li on robot: OpenCV 4.14.0\n" in text
     assert text.count("robot, icp: no points near") == 1
@@ -137,22 +149,22 @@ def test_errors_stand_beside_what_is_stated(tmp_path: Path) -> None:
     unknown = replace(CELL, system="unknown", truth=None, sigma=Deviation(9, 9))
     results = Results((known, worse, software, unknown))
 
-    assert truth_grid(results).rows == (("robot", "0.5 mm, 0.03 deg", "0.6 mm, 0.01 deg, joints 0.2 mm"),)
-    assert "| robot | 0.5 mm, 0.03 deg | 0.6 mm, 0.01 deg, joints 0.2 mm |" in markdown(results)
-    assert "Standard deviation" not in markdown(Results((software, unknown)))
+    assert truth_table(results).rows == (("robot", "0.5 mm, 0.03 deg", "0.6 mm, 0.01 deg, joints 0.2 mm"),)
+    assert "| robot | 0.5 mm, 0.03 deg | 0.6 mm, 0.01 deg, joints 0.2 mm |" in told(results).markdown()
+    assert "Standard deviation" not in told(Results((software, unknown))).markdown()
     write_results(results, tmp_path)
     document = json.loads((tmp_path / "results.json").read_text())
     jsonschema.validate(document, json.loads(SCHEMA.read_text()))
     assert document["cells"][0]["sigma"] == {"translation_mm": 0.4, "rotation_deg": 0.01, "joint_mm": 0.2}
-    assert read_results(tmp_path) == results
+    assert without_verdicts(read_results(tmp_path), tmp_path) == results
 
 
 def test_of_many_parameters_the_first_are_shown() -> None:
     rows = [{"name": "left", "parameter": f"p{i}", "value": 1.0, "unit": "1", "sigma": 0.1} for i in range(203)]
-    shown = parameters_grid(Results((replace(CELL, details={"intrinsics": rows}),))).rows
+    shown = parameters_table(Results((replace(CELL, details={"intrinsics": rows}),))).markdown().splitlines()
 
-    assert len(shown) == 201
-    assert shown[-1][0] == "and 3 more, see results.json"
+    assert len(shown) == 2 + 201
+    assert shown[-1].startswith("| and 3 more, see results.json |")
 
 
 def test_joints_stand_in_the_table_and_in_the_results(tmp_path: Path) -> None:
@@ -183,25 +195,25 @@ def test_many_systems_stand_in_several_tables(count: int, widths: list[int]) -> 
     """A method that only one of them has is a row where that one is."""
     cells = tuple(replace(CELL, system=f"robot{k}") for k in range(count))
     whole = grid(Results(cells, (replace(cells[-1], method="shah", translation_noise=None),)))
-    parts = in_parts(whole)
-    assert [len(part.header) for part in parts] == widths
-    assert [name for part in parts for name in part.header[1:]] == list(whole.header[1:])
-    assert all(part.header[0] == "Start" for part in parts)
+    parts = whole.parts()
+    assert [len(part.columns) for part in parts] == widths
+    assert [name for part in parts for name in part.columns[1:]] == list(whole.columns[1:])
+    assert all(part.columns[0] == "Start" for part in parts)
     assert [len(part.rows) for part in parts] == [1] * (len(parts) - 1) + [2]
-    assert all(len(row) == len(part.header) for part in parts for row in part.rows)
+    assert all(len(row) == len(part.columns) for part in parts for row in part.rows)
 
 
 def test_a_method_without_a_result_does_not_look_like_a_failure() -> None:
     missing = replace(BROKEN, method="opencv-stereo", translation_noise=None, reasons=("OpenCV is not installed",))
 
     assert grid(Results((CELL,), (missing,))).rows[1] == ("opencv-stereo", "no result")
-    assert "OpenCV is not installed" in markdown(Results((CELL,), (missing,)))
+    assert "OpenCV is not installed" in told(Results((CELL,), (missing,))).markdown()
 
 
 def test_the_summary_names_what_failed_and_escapes_it() -> None:
-    text = markdown(Results((CELL, FAILED, BROKEN)))
+    text = told(Results((CELL, FAILED, BROKEN))).markdown()
 
-    assert sentence(Results((CELL, FAILED, BROKEN))) == "fail: 2 of 3 cells failed"
+    assert told(Results((CELL, FAILED, BROKEN))).line == "fail: 2 of 3 cells failed"
     assert "robot, 0.5 m, 0.5 rad, seed 1: a false minimum" in text
     assert "<b>" not in text
 
@@ -209,7 +221,7 @@ def test_the_summary_names_what_failed_and_escapes_it() -> None:
 def test_the_summary_says_once_what_to_look_at() -> None:
     warned = replace(CELL, warnings=("3 of 90 labels rejected as outliers", "the initial guess of 'a' is far"))
 
-    text = markdown(Results((warned, replace(warned, seed=2))))
+    text = told(Results((warned, replace(warned, seed=2)))).markdown()
 
     assert text.count("3 of 90 labels rejected") == 1
     assert "initial guess" not in text
@@ -238,7 +250,7 @@ def test_no_results_are_bad_input(tmp_path: Path, text: str) -> None:
 
 
 def test_missing_results_are_bad_input(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="calibrate were expected here"):
+    with pytest.raises(InputError, match="results of calibrate-matrix or run was expected, but it cannot be read"):
         read_results(tmp_path)
 
 
@@ -285,7 +297,7 @@ def software_cells(reference_passes: bool) -> Results:
 def test_the_team_s_software_and_our_engine_side_by_side() -> None:
     table = grid(software_cells(True))
     system = CELL.system
-    assert table.header == ("Start", f"{system}: software", f"{system}: calibration-ci")
+    assert table.columns == ("Start", f"{system}: software", f"{system}: calibration-ci")
     start, other = table.rows
     assert start[1].startswith("3.0000 px")
     assert start[1].endswith("FAIL")
@@ -302,7 +314,7 @@ def test_whose_fault_it_is() -> None:
     )
     [line] = failures(software_cells(False))
     assert line.endswith("Our engine fails on the same data too (RMS: found 2.5): look at the data")
-    assert "Methods without a result" not in markdown(software_cells(False))
+    assert "Methods without a result" not in told(software_cells(False)).markdown()
 
 
 def test_our_engine_beside_the_software_has_no_part_in_the_verdict() -> None:
@@ -317,9 +329,9 @@ def test_the_image_is_part_of_the_results(tmp_path: Path) -> None:
     write_results(results, tmp_path)
     jsonschema.validate(json.loads((tmp_path / "results.json").read_text()), json.loads(SCHEMA.read_text()))
     assert read_results(tmp_path).image == image
-    assert "Image team/robot:key-1: unchanged, nothing was built; promoted to stable." in markdown(results)
+    assert "Image team/robot:key-1: unchanged, nothing was built; promoted to stable." in told(results).markdown()
 
 
 def test_only_an_image_is_a_pass_and_nothing_at_all_is_none() -> None:
-    assert sentence(Results((), image=ImageResult("team/robot:key-1", "1" * 64, True))) == "pass: the image is built"
-    assert sentence(Results(())) == "fail: 0 of 0 cells failed"
+    assert told(Results((), image=ImageResult("team/robot:key-1", "1" * 64, True))).line == "pass: the image is built"
+    assert told(Results()).line == "fail: 0 of 0 cells failed"

@@ -7,7 +7,6 @@ from calibration.pipeline.collection.results import CONTACT_SHEET, FILE, SUMMARY
 from calibration.pipeline.collection.summary import lost_line, markdown, sensors_grid, sentence
 from calibration.workflow import Annotation, Level, Runner, add_summary, annotate, set_outputs, stop_commands
 from calibration.workflow.outputs import OutputValue
-from calibration.workflow.text import aligned
 
 if TYPE_CHECKING:
     from calibration.simulation.collection.record import Record
@@ -29,7 +28,7 @@ def report_collection(results: CollectionResults, output: Path, runner: Runner, 
     table = sensors_grid(results)
     with stop_commands(runner):  # names are the user's
         runner.log("")
-        runner.log(aligned(table.header, table.rows))
+        runner.log(table.plain())
         runner.log("")
     lost = [Annotation(lost_line(record), Level.WARNING, title=title) for record in results.lost]
     annotate(runner, [*(Annotation(reason, title=title) for reason in results.reasons), *lost])

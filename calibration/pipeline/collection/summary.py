@@ -2,8 +2,8 @@
 
 from typing import TYPE_CHECKING
 
-from calibration.pipeline.summary import Grid
-from calibration.workflow.summary import escape_markdown, markdown_table
+from calibration.report import Table
+from calibration.workflow.summary import escape_markdown
 
 if TYPE_CHECKING:
     from calibration.pipeline.collection.results import CollectionResults, SensorNumbers
@@ -42,7 +42,7 @@ def _joints(proof: "Proof") -> str:
     return f", joints {' and '.join(shown)}" if shown else ""
 
 
-def sensors_grid(results: "CollectionResults") -> Grid:
+def sensors_grid(results: "CollectionResults") -> Table:
     """For each sensor: detections, corner errors, coverage, and how sure its transform is."""
     sigmas = (results.proof.sigmas if results.proof else None) or {}
     header = ("Sensor", "Detected", "Of them partial", "Corner error (px)", "Image covered", "Sigma of its transform")
@@ -58,7 +58,7 @@ def sensors_grid(results: "CollectionResults") -> Grid:
             f"{sigma.translation_mm:.3f} mm, {sigma.rotation_deg:.4f} deg" if sigma else "-",
         )
 
-    return Grid(header, tuple(row(name, numbers) for name, numbers in results.sensors.items()))
+    return Table(header, tuple(row(name, numbers) for name, numbers in results.sensors.items()))
 
 
 def lost_line(record: "Record") -> str:
@@ -72,7 +72,7 @@ def markdown(results: "CollectionResults") -> str:
     lines = [f"## Collection in simulation: {escape_markdown(sentence(results))}", ""]
     if results.reasons:
         lines += [*(f"- {escape_markdown(reason)}" for reason in results.reasons), ""]
-    lines += [markdown_table(table.header, table.rows)]
+    lines += [table.markdown()]
     if lost := results.lost:
         lines += ["### Lost", "", *(f"- {escape_markdown(lost_line(record))}" for record in lost[:LOST_SHOWN])]
         if len(lost) > LOST_SHOWN:

@@ -9,7 +9,7 @@ from calibration.introspection.numbers import number_text
 from calibration.pipeline.distribution.clock import read_seconds
 from calibration.pipeline.distribution.needs import Needs
 from calibration.pipeline.distribution.plan import Plan
-from calibration.workflow.summary import markdown_table
+from calibration.report import Table
 
 VERDICT, PROMOTE = "verdict", "promote"
 """The last jobs: the one that reckons, and the one that runs after it."""
@@ -110,15 +110,16 @@ def cost_of_run(plan: Plan, needs: Needs, folder: Path, seconds: int | None, *, 
     return Cost(tuple(times), plan.minute_rate)
 
 
-def jobs_table(results: Mapping[str, str], cost: Cost) -> str:
+def jobs_table(results: Mapping[str, str], cost: Cost) -> Table:
     """The table of all jobs: what became of each, what it took and what that costs."""
     results = {**results, VERDICT: "this job", **({PROMOTE: "to come"} if cost.of(PROMOTE).times else {})}
     rows = [(job, result, *_numbers(cost.of(job))) for job, result in results.items()]
-    header = ("Job", "Result", "Jobs", "Seconds", "Billed minutes")
+    header: tuple[str, ...] = ("Job", "Result", "Jobs", "Seconds", "Billed minutes")
     sums = ("all", "", *_numbers(cost))
     if cost.rate is None:
-        return markdown_table(header, [row[:-1] for row in (*rows, sums)])
-    return markdown_table((*header, f"Cost at {number_text(cost.rate)} a minute"), [*rows, sums])
+        return Table(header, tuple(row[:-1] for row in (*rows, sums)), title="Jobs", only="summary")
+    header = (*header, f"Cost at {number_text(cost.rate)} a minute")
+    return Table(header, (*rows, sums), title="Jobs", only="summary")
 
 
 def money(amount: float | None) -> str:

@@ -1,26 +1,21 @@
 """What the jobs of a workflow left, as one set of results with one verdict."""
 
-import json
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
 from calibration.errors import ExitCode, InputError
-from calibration.files import read_bytes
-from calibration.json_file import parse_json
-from calibration.json_schema import check_document
 from calibration.pipeline.collection.collected import Collected
+from calibration.pipeline.distribution.cost import Cost, jobs_table, money
 from calibration.pipeline.distribution.needs import SUCCESS, Needs
 from calibration.pipeline.distribution.plan import COLLECTED_DATA, JobCell, Plan
 from calibration.pipeline.distribution.plan_outputs import plan_of_outputs
-from calibration.pipeline.image_result import ImageResult
-from calibration.pipeline.matrix.cell import OUR_METHOD, Cell, CellResult, Deviation, nothing_yet
+from calibration.pipeline.matrix.cell import OUR_METHOD, Cell, CellResult, nothing_yet
 from calibration.pipeline.matrix.software import SOFTWARE
-from calibration.pipeline.results import FILE, SCHEMA, Results
+from calibration.pipeline.report import report
+from calibration.pipeline.results import Results, read_results
+from calibration.report import RESULTS_FILE, Report, Text, reasons_in, verdict_of
 
-MOST_BYTES = 64 * 1024**2
-"""The largest results file that is read."""
 NO_RESULT = "its job left no result: see the job's log"
 
 
@@ -52,7 +47,7 @@ def gather(needs: Needs, folder: Path) -> Gathered:
         InputError: a file is no results file, or has what was not planned.
     """
     if needs.results["plan"] != SUCCESS:
-        return Gathered(Results(()), {"plan": needs.results["plan"]}, (_problem("plan", needs.results["plan"]),))
+        return Gathered(Results(), {"plan": needs.results["plan"]}, (_problem("plan", needs.results["plan"], folder),))
     plan = plan_of_outputs(needs.plan)
     jobs = {"plan": SUCCESS} | {job: needs.results.get(job, "missing") for job, runs in plan.jobs.items() if runs}
     jobs |= {job: result for job, result in needs.unplanned.items() if result != "skipped"}
@@ -69,17 +64,43 @@ def gather(needs: Needs, folder: Path) -> Gathered:
         "calibrate-collected": _any_failed(zip(plan.cells, parts, strict=True), collected=True),
         "collect-data": any(each.verdict == "fail" for each in results.collections),
     }
-    problems = [_problem(job, result) for job, result in jobs.items() if result != SUCCESS and not failed.get(job)]
-    return Gathered(results, jobs, tuple(problems), plan)
+    lost = [job for job, result in jobs.items() if result != SUCCESS and not failed.get(job)]
+    return Gathered(results, jobs, tuple(_problem(job, jobs[job], folder) for job in lost), plan)
 
 
 def _any_failed(parts: Iterable[tuple[JobCell, Results]], *, collected: bool) -> bool:
     return any(found.verdict == "fail" for cell, part in parts if cell.collected is collected for found in part.cells)
 
 
-def _problem(job: str, result: str) -> str:
+def _problem(job: str, result: str, folder: Path) -> str:
+    """Why a job did not succeed: the reasons in its own results, if it left any."""
+    if reasons := reasons_in(folder / job):
+        return f"{job}: {'; '.join(reasons)}"
     what = {"failure": "failed", "cancelled": "was cancelled", "skipped": "did not run"}.get(result, f"is {result}")
     return f"the job {job} {what}: see its log"
+
+
+def report_of_run(gathered: Gathered, cost: Cost, output: Path, title: str) -> Report:
+    """Return the report of a whole run: its verdict is that of all jobs, not of the results alone.
+
+    Args:
+        gathered: what the jobs left.
+        cost: of the run.
+        output: the folder of the results.
+        title: of the report and its annotations.
+    """
+    found = report(gathered.results, output, title)
+    told = [f"{job} {result}" for job, result in gathered.jobs.items()]
+    return replace(
+        found,
+        verdict=verdict_of(gathered.exit_code == ExitCode.PASS),
+        error=gathered.exit_code,
+        sentence="; ".join((*([found.sentence] if gathered.results.judged else []), ", ".join(told))),
+        reasons=(*gathered.problems, *found.reasons),
+        blocks=(*found.blocks, jobs_table(gathered.jobs, cost), Text(cost.sentence)),
+        results={**found.results, "cost": cost.document},
+        outputs={**found.outputs, "billed-minutes": cost.minutes, "cost": money(cost.amount)},
+    )
 
 
 def _cells_of(job: JobCell, plan: Plan, folder: Path) -> Results:
@@ -90,7 +111,9 @@ def _cells_of(job: JobCell, plan: Plan, folder: Path) -> Results:
     cells = [by_start.get(start) or _missing(cell, job) for start, cell in planned.items()]
     if other := by_start.keys() - planned.keys():
         name = by_start[min(other, key=str)].name
-        raise InputError(f"{folder / job.slug / FILE}: has a result of {name}, which was not planned for this job")
+        raise InputError(
+            f"{folder / job.slug / RESULTS_FILE}: has a result of {name}, which was not planned for this job"
+        )
     return replace(found, cells=tuple(cells))
 
 
@@ -105,14 +128,14 @@ def _missing(cell: Cell, job: JobCell) -> CellResult:
 
 def _collections_of(plan: Plan, folder: Path) -> Results:
     if not plan.simulations:
-        return Results(())
+        return Results()
     found = _read(folder / COLLECTED_DATA)
     by_name = {each.name: each for each in found.collections}
     collections = [
         by_name.get(name) or Collected(name, reasons=(NO_RESULT,), error=ExitCode.WORLD) for name in plan.simulations
     ]
     if other := by_name.keys() - set(plan.simulations):
-        raise InputError(f"{folder / COLLECTED_DATA / FILE}: has {min(other)}, which was not planned")
+        raise InputError(f"{folder / COLLECTED_DATA / RESULTS_FILE}: has {min(other)}, which was not planned")
     return replace(found, collections=tuple(collections))
 
 
@@ -127,54 +150,19 @@ def _read(folder: Path) -> Results:
     Raises:
         InputError: the file is no results file.
     """
-    path = folder / FILE
-    if not path.exists():
-        return Results(())
-    try:
-        document = parse_json(read_bytes(path, MOST_BYTES, "a results file"))
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"{path}: this is not a results file: {error}") from None
-    check_document(document, json.loads(SCHEMA.read_text()), str(path), {})
-    try:
-        return Results(
-            tuple(_result(entry, folder.name, path) for entry in document["cells"]),
-            tuple(_result(entry, folder.name, path) for entry in document["comparisons"]),
-            tuple(_collected(entry, folder.name) for entry in document["collections"]),
-            ImageResult.of_document(document["image"]) if document["image"] else None,
-        )
-    except (KeyError, TypeError) as error:  # a field that this version does not know
-        raise InputError(f"{path}: these are not results of this version: {error}") from None
+    if not (folder / RESULTS_FILE).exists():
+        return Results()
+    found = read_results(folder)
 
+    def below(path: str | None) -> str | None:
+        return None if path is None else f"{folder.name}/{path}"
 
-def _result(entry: Mapping[str, Any], slug: str, path: Path) -> CellResult:
-    result = CellResult(
-        system=entry["system"],
-        method=entry["method"],
-        translation_noise=entry["translation_noise"],
-        rotation_noise=entry["rotation_noise"],
-        seed=entry["seed"],
-        start=entry["start"],
-        loss=entry.get("loss"),
-        converged=entry["converged"],
-        rms_px=entry["rms_px"],
-        table=_below(slug, entry["table"]),
-        dataset=_below(slug, entry["dataset"]),
-        truth=Deviation(**entry["truth"]) if entry["truth"] else None,
-        sigma=Deviation(**entry["sigma"]) if entry["sigma"] else None,
-        seconds=entry["seconds"],
-        reasons=tuple(entry["reasons"]),
-        error=None if entry["error"] is None else ExitCode(entry["error"]),
-        warnings=tuple(entry["warnings"]),
-        detail=entry["detail"],
+    def moved(cell: CellResult) -> CellResult:
+        return replace(cell, table=below(cell.table), dataset=below(cell.dataset))
+
+    return replace(
+        found,
+        cells=tuple(map(moved, found.cells)),
+        comparisons=tuple(map(moved, found.comparisons)),
+        collections=tuple(replace(each, dataset=below(each.dataset)) for each in found.collections),
     )
-    if result.verdict != entry["verdict"]:
-        raise InputError(f"{path}: {result.name}: says {entry['verdict']}, which its own numbers and reasons deny")
-    return result
-
-
-def _collected(entry: dict[str, Any], slug: str) -> Collected:
-    return replace(Collected.of_document(entry), dataset=_below(slug, entry["dataset"]))
-
-
-def _below(slug: str, path: str | None) -> str | None:
-    return None if path is None else f"{slug}/{path}"

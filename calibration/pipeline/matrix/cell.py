@@ -3,9 +3,10 @@
 import math
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from dataclasses import field as dataclass_field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -13,7 +14,7 @@ from calibration.comparison.methods import METHODS, method_of
 from calibration.dataset.model import Dataset
 from calibration.dataset.truth import Truth
 from calibration.dataset.writing import write_dataset
-from calibration.errors import CalibrationError, ExitCode
+from calibration.errors import CalibrationError
 from calibration.estimation.calibrate import Options, calibrate
 from calibration.estimation.intrinsics import CalibratedIntrinsics
 from calibration.estimation.intrinsics_file import FILE_NAME as INTRINSICS
@@ -27,9 +28,11 @@ from calibration.evaluation.truth import truth_error
 from calibration.geometry.rotations import to_quaternion
 from calibration.introspection.numbers import number_text
 from calibration.pipeline.system import Loss, Start
+from calibration.records import field, record
+from calibration.report import Verdict
+from calibration.report.outcome import ErrorCode
 
 OUR_METHOD = "calibration-ci"
-Verdict = Literal["pass", "fail"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +45,7 @@ class LoadedSystem:
     evaluation: Evaluation | None
     intrinsics: tuple[str, ...] = ()
     """Cameras whose intrinsics are calibrated too, or "all"."""
-    intrinsics_covariance: Mapping[str, CalibratedIntrinsics] = field(default_factory=dict)
+    intrinsics_covariance: Mapping[str, CalibratedIntrinsics] = dataclass_field(default_factory=dict)
     """How well intrinsics are known beforehand, by camera."""
     hold: tuple[str, ...] = ()
     """What stays as the dataset has it."""
@@ -93,57 +96,43 @@ class Comparison:
         return folder if self.noise is None else f"{folder}/{noise_folder(self.noise)}"
 
 
-@dataclass(frozen=True)
+@record(case="snake", unknown="ignore")
 class Deviation:
     """The worst of a calibration's sensors and joints: from the truth, gauge removed, or by its own covariance."""
 
-    translation_mm: float
-    rotation_deg: float
-    joint_mm: float | None = None
-    """The worst of the joints' parameters that are lengths; None where none is calibrated."""
-    joint_deg: float | None = None
-    """The worst of those that are angles."""
-
-    @property
-    def document(self) -> dict[str, float]:
-        """The numbers that there are, by name."""
-        return {name: value for name, value in vars(self).items() if value is not None}
+    translation_mm: float = field()
+    rotation_deg: float = field()
+    joint_mm: float | None = field("The worst of the joints' parameters that are lengths.", default=None)
+    joint_deg: float | None = field("The worst of the joints' parameters that are angles.", default=None)
 
 
-@dataclass(frozen=True)
+@record(case="snake", nulls=True, unknown="ignore", kw_only=True)
 class CellResult:
-    """What came of a cell, or of another method on a system's data."""
+    """Result of a cell, or of another method on a system's data."""
 
-    system: str
-    method: str
-    translation_noise: float | None
-    """m; None for another method that takes no start."""
-    rotation_noise: float | None
-    """rad."""
-    seed: int | None
-    start: str | None
-    loss: str | None
-    converged: bool
-    rms_px: float | None
-    table: str | None
-    """The CSV, relative to the output folder."""
-    dataset: str | None
-    """The calibrated dataset, relative to the output folder."""
-    truth: Deviation | None
-    """How far it is from the truth, where that is known."""
-    seconds: float
-    reasons: tuple[str, ...] = ()
-    """Why the verdict is fail; empty when it is pass."""
-    error: ExitCode | None = None
-    """Set when there is no calibration because of bad input (2) or a failing world (3)."""
-    warnings: tuple[str, ...] = ()
-    details: dict[str, Any] = field(default_factory=dict)
+    system: str = field()
+    method: str = field("calibration-ci, software (the team's own), or another method.")
+    translation_noise: float | None = field("None for another method that takes no start.", unit="m")
+    rotation_noise: float | None = field("Of the start.", unit="rad")
+    seed: int | None = field()
+    start: str | None = field()
+    loss: str | None = field(default=None)
+    converged: bool = field()
+    rms_px: float | None = field("Averages of the table, or of the reprojected corners.", unit="px")
+    table: str | None = field("The CSV, relative to the output folder.")
+    dataset: str | None = field("The calibrated dataset, relative to the output folder.")
+    truth: Deviation | None = field("How far the calibration is from the truth, if that is known.")
+    seconds: float = field()
+    reasons: tuple[str, ...] = field("Why the verdict is fail.", default=())
+    error: ErrorCode | None = field("Exit code of a cell that could not be calibrated.", default=None)
+    warnings: tuple[str, ...] = field(default=())
+    details: dict[str, Any] = dataclass_field(default_factory=dict)
     """Transforms, joints and intrinsics with their standard deviations, noise levels, rejected labels: for the cell's
     own results."""
-    sigma: Deviation | None = None
-    """The standard deviations that it states; None for other software, which states none."""
-    detail: str | None = None
-    """Of another method: whose implementation it is, and by what of the data it calibrates."""
+    sigma: Deviation | None = field("Standard deviations that our engine states.", default=None)
+    detail: str | None = field(
+        "Of another method: whose implementation it is, and by what of the data it calibrates.", default=None
+    )
 
     @property
     def verdict(self) -> Verdict:

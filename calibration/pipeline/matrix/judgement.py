@@ -8,6 +8,7 @@ from calibration.introspection.judge import judge
 from calibration.introspection.table import read_table
 from calibration.pipeline.matrix.cell import CellResult
 from calibration.pipeline.system import Limits, System
+from calibration.report import at_most
 
 
 def judge_cells(cells: Sequence[CellResult], systems: Sequence[System], output: Path) -> tuple[CellResult, ...]:
@@ -43,10 +44,5 @@ def _over_limits(cell: CellResult, limits: Limits) -> list[str]:
         ("joint translation error against the truth", truth.joint_mm if truth else None, limits.joint_mm, "mm"),
         ("joint rotation error against the truth", truth.joint_deg if truth else None, limits.joint_deg, "deg"),
     )
-    reasons = []
-    for what, value, limit, unit in judged:
-        if limit is not None and value is None:
-            reasons.append(f"{what}: no value, at most {limit:g} {unit} was expected")
-        elif limit is not None and value is not None and not value <= limit:
-            reasons.append(f"{what}: found {value:.4g} {unit}, at most {limit:g} {unit} was expected")
-    return reasons
+    checks = (at_most(what, value, limit, unit) for what, value, limit, unit in judged if limit is not None)
+    return [str(check) for check in checks if not check.passed]

@@ -6,8 +6,8 @@ from pathlib import Path
 from calibration.errors import WorldError
 from calibration.image.building import build_image
 from calibration.image.specification import ImageSpecification
-from calibration.pipeline.image_result import ImageResult
-from calibration.pipeline.results import Results, write_results
+from calibration.pipeline.report import write_results
+from calibration.pipeline.results import ImageResult, Results
 from calibration.registries.login import registry_login
 from calibration.registries.promotion import promote
 from calibration.workflow import Runner

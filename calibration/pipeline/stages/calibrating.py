@@ -7,7 +7,8 @@ from calibration.execution.backends import Place
 from calibration.pipeline.matrix.cell import CellResult
 from calibration.pipeline.matrix.judgement import judge_cells
 from calibration.pipeline.matrix.matrix import Matrix, run_matrix
-from calibration.pipeline.results import Results, read_results, write_results
+from calibration.pipeline.report import write_results
+from calibration.pipeline.results import Results, read_results, without_verdicts
 from calibration.pipeline.system import System
 from calibration.workflow import Runner
 from calibration.workflow.progress import progress
@@ -72,7 +73,7 @@ def introspect_stage(systems: tuple[System, ...], results: Results, output: Path
         WorldError: a file cannot be written.
     """
     names = {system.name for system in systems}
-    found = read_results(output)
+    found = without_verdicts(read_results(output), output)
     cells = [cell for cell in found.cells if cell.system in names]
     references = [cell for cell in found.comparisons if cell.system in names and not cell.by_other_method]
     others = [cell for cell in found.comparisons if cell.system in names and cell.by_other_method]

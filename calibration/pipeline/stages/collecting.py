@@ -11,7 +11,8 @@ from calibration.pipeline.collection.collected import COLLECTED, Collected
 from calibration.pipeline.collection.collecting import collect_dataset
 from calibration.pipeline.collection.report import pose_line
 from calibration.pipeline.configuration import Simulation
-from calibration.pipeline.results import Results, write_results
+from calibration.pipeline.report import write_results
+from calibration.pipeline.results import Results
 from calibration.simulation.collection.record import Record
 from calibration.workflow import Runner
 from calibration.workflow.progress import progress

@@ -15,6 +15,7 @@ from calibration.pipeline.report import report
 from calibration.pipeline.results import Results, clear_results
 from calibration.pipeline.stages.calibrating import calibrate_stage, introspect_stage
 from calibration.pipeline.system import System
+from calibration.report import publish
 from calibration.workflow import Runner
 from calibration.workflow.streams import LogDisplay
 from calibration.workflow.text import did_you_mean
@@ -78,7 +79,7 @@ def run_stages(
         from calibration.pipeline.stages.building import promote_stage
 
         results = promote_stage(image, results, output, runner)
-    report(results, output, runner, title)
+    publish(report(results, output, title), runner, output)
     return results
 
 

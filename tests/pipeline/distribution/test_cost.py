@@ -77,7 +77,7 @@ def test_every_job_that_ran_is_counted(tmp_path: Path) -> None:
     assert (cost.seconds, cost.minutes, cost.amount) == (272, 10, 0.08)
     assert cost.document["complete"] is True
     assert cost.document["jobs"][3] == {"job": "calibrate", "name": "two", "seconds": 100, "billed_minutes": 2}
-    table = jobs_table(ALL, cost)
+    table = jobs_table(ALL, cost).markdown()
     assert table.splitlines() == [
         "| Job | Result | Jobs | Seconds | Billed minutes | Cost at 0.008 a minute |",
         "| --- | --- | --- | --- | --- | --- |",
@@ -99,7 +99,7 @@ def test_what_is_not_known_is_said_and_not_guessed(tmp_path: Path) -> None:
     assert not cost.document["complete"]
     assert cost.document["jobs"][-1] == {"job": "promote", "name": "promote", "seconds": None, "billed_minutes": None}
     assert cost.sentence == "at least 2 billed minutes: 0.016 at 0.008 a minute"
-    rows = {line.split(" | ")[0].strip("| "): line for line in jobs_table(results, cost).splitlines()}
+    rows = {line.split(" | ")[0].strip("| "): line for line in jobs_table(results, cost).markdown().splitlines()}
     assert rows["calibrate"] == "| calibrate | cancelled | 2 | 30 + ? | 1 + ? | 0.008 + ? |"
     assert rows["calibrate-collected"] == "| calibrate-collected | failure | 1 | ? | ? | ? |"
     assert rows["promote"] == "| promote | to come | 1 | ? | ? | ? |"
@@ -116,12 +116,12 @@ def test_what_did_not_run_costs_nothing(tmp_path: Path) -> None:
     results = {"plan": "success", "image": "failure", "calibrate": "skipped", "unit-tests": "skipped"}
     cost = cost_of_run(PLAN, Needs(results, seconds={"plan": 1, "image": 2}), tmp_path, 3, promotes=False)
     assert [time.job for time in cost.times] == ["plan", "image", "verdict"]
-    assert "| calibrate | skipped | 0 | 0 | 0 | 0 |" in jobs_table(results, cost)
+    assert "| calibrate | skipped | 0 | 0 | 0 | 0 |" in jobs_table(results, cost).markdown()
 
 
 def test_without_a_rate_there_are_minutes_only(tmp_path: Path) -> None:
     cost = cost_of_run(Plan(), Needs({"plan": "failure"}, seconds={"plan": 1}), tmp_path, 3, promotes=False)
-    table = jobs_table({"plan": "failure"}, cost)
+    table = jobs_table({"plan": "failure"}, cost).markdown()
     assert "Cost" not in table
     assert "| all |  | 2 | 4 | 2 |" in table
     assert cost.document["cost"] is None

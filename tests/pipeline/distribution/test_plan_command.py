@@ -8,7 +8,8 @@ import pytest
 
 from calibration.__main__ import main, run_action
 from calibration.json_schema import check_document
-from calibration.pipeline.results import SCHEMA, Results, write_results
+from calibration.pipeline.report import write_results
+from calibration.pipeline.results import SCHEMA, Results
 from tests.pipeline.distribution.test_gathering import ONE, TWO, result
 
 CONFIGURATION = """
@@ -141,13 +142,15 @@ def test_one_table_and_one_verdict(
 ) -> None:
     assert gather(monkeypatch, {"calibrate": "success", "unit-tests": "success"}, planned) == 0
     summary = Path("summary.md").read_text()
-    assert summary.startswith("## Calibration: pass: 2 cells calibrated")
+    assert summary.startswith("## gather-results: pass: 2 cells calibrated; plan success, calibrate success")
     assert "| calibrate | success | 2 | 122 | 4 | 0.024 |" in summary
     assert summary.count("| Start | robot |") == 1
     assert outputs(Path("gathered"))["verdict"] == "pass"
     assert json.loads(Path("of all/results.json").read_text())["cost"]["jobs"][0]["seconds"] == 7
     assert {path.name for path in Path("of all").iterdir()} == {"results.json", "cells.csv", "junit.xml", "summary.md"}
-    assert capsys.readouterr().out.endswith("pass: plan success, calibrate success, unit-tests success\n")
+    assert capsys.readouterr().out.splitlines()[-1] == (
+        "pass: 2 cells calibrated; plan success, calibrate success, unit-tests success (of all/results.json)"
+    )
 
 
 def test_a_failed_job_beside_good_cells(
@@ -156,8 +159,23 @@ def test_a_failed_job_beside_good_cells(
     monkeypatch.setenv("GITHUB_ACTIONS", "true")
     assert gather(monkeypatch, {"calibrate": "success", "unit-tests": "failure"}, planned) == 1
     assert outputs(Path("gathered"))["verdict"] == "fail"
-    assert "::error title=gather-results::the job unit-tests failed: see its log" in capsys.readouterr().out
-    assert "| unit-tests | failure |" in Path("summary.md").read_text()
+    out, summary = capsys.readouterr().out, Path("summary.md").read_text()
+    assert "::error title=gather-results::the job unit-tests failed: see its log" in out
+    assert "| unit-tests | failure |" in summary
+    assert summary.startswith("## gather-results: fail: 2 cells calibrated; ")  # the verdict is that of everything
+    assert out.splitlines()[-1].startswith("fail: ")
+    found = json.loads(Path("of all/results.json").read_text())
+    assert (found["verdict"], found["reasons"]) == ("fail", ["the job unit-tests failed: see its log"])
+
+
+def test_a_failed_job_gives_the_reasons_of_its_own_results(
+    planned: dict[str, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    reason = "lines that are run: found 50.0 % (1 of 2), expected at least 60 % (minimum)"
+    Path("left", "unit-tests").mkdir(parents=True)
+    Path("left", "unit-tests", "results.json").write_text(json.dumps({"verdict": "fail", "reasons": [reason]}))
+    assert gather(monkeypatch, {"calibrate": "success", "unit-tests": "failure"}, planned) == 1
+    assert json.loads(Path("of all/results.json").read_text())["reasons"] == [f"unit-tests: {reason}"]
 
 
 def test_results_of_an_earlier_run_do_not_stay(planned: dict[str, str], monkeypatch: pytest.MonkeyPatch) -> None:
@@ -165,8 +183,10 @@ def test_results_of_an_earlier_run_do_not_stay(planned: dict[str, str], monkeypa
     monkeypatch.setenv("INPUT_NEEDS", json.dumps({"plan": {"result": "failure", "outputs": {}}}))
     Path("gathered").unlink()
     assert run_action("gather-results") == 1
-    assert not Path("of all", "results.json").exists()
-    assert outputs(Path("gathered")) == {"verdict": "fail", "billed-minutes": "0", "cost": ""}
+    found = json.loads(Path("of all", "results.json").read_text())
+    assert (found["cells"], found["verdict"]) == ([], "fail")
+    said = outputs(Path("gathered"))
+    assert [said[name] for name in ("verdict", "success-rate", "billed-minutes", "cost")] == ["fail", "", "0", ""]
 
 
 def test_what_the_run_costs(planned: dict[str, str], monkeypatch: pytest.MonkeyPatch) -> None:

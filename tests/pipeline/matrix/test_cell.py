@@ -19,15 +19,20 @@ from calibration.evaluation.specification import parse_evaluation
 from calibration.pipeline.matrix import cell as cells
 from calibration.pipeline.matrix.cell import CellResult, Comparison, LoadedSystem, run_comparison
 from calibration.pipeline.matrix.matrix import Matrix, run_matrix
+from calibration.pipeline.report import parameters_table, report
 from calibration.pipeline.results import Results
-from calibration.pipeline.summary import markdown, parameters_grid
 from calibration.pipeline.system import NoiseGrid
+from calibration.report import Report
 from tests.estimation.systems import jointed_arm
 from tests.evaluation.scene import T_LINK_OPTICAL, arm, range_pair, rgb, with_corners
 from tests.pipeline.conftest import DATASETS, T2RGB
 from tests.pipeline.matrix.test_judgement import CELL
 
 NOISES = NoiseGrid()
+
+
+def told(results: Results) -> Report:
+    return report(results, Path("out"), "calibration")
 
 
 def test_joints_are_told_with_their_sigmas() -> None:
@@ -201,14 +206,14 @@ def test_the_summary_shows_joints_and_intrinsics_of_the_first_cell_that_passed()
         replace(CELL, details={"joints": joint, "intrinsics": rows}),
         replace(CELL, details={"joints": [], "intrinsics": []}),
     )
-    assert parameters_grid(Results(cells)).rows == (
+    assert parameters_table(Results(cells)).rows == (
         ("robot", "elbow", "position_bias", "0.0123457", "0.0001", "rad"),
         ("robot", "left", "fx", "554.256", "0.12", "px"),
         ("robot", "left", "k1", "-0.1", "-", "1"),
     )
-    assert "| robot | left | fx | 554.256 | 0.12 | px |" in markdown(Results(cells))
-    assert "Joints and intrinsics" not in markdown(Results((CELL,)))
-    assert "Joints and intrinsics" not in markdown(Results(cells[2:]))
+    assert "| robot | left | fx | 554.256 | 0.12 | px |" in told(Results(cells)).markdown()
+    assert "Joints and intrinsics" not in told(Results((CELL,))).markdown()
+    assert "Joints and intrinsics" not in told(Results(cells[2:])).markdown()
 
 
 def test_what_most_labels_do_not_fit_is_no_pass(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

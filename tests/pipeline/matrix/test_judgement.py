@@ -56,7 +56,7 @@ def test_every_reason_is_listed(output: Path) -> None:
 
     assert cell.verdict == "fail"
     assert len(cell.reasons) == 5
-    assert "found 0.5 mm, at most 0.4 mm was expected" in cell.reasons[1]
+    assert "found 0.5 mm, expected at most 0.4 mm" in cell.reasons[1]
 
 
 @pytest.mark.parametrize("value", [None, float("nan"), float("inf")])
@@ -95,9 +95,9 @@ def test_joints_have_limits_of_their_own(output: Path) -> None:
 
     assert judged(cell, output, joint_mm=0.03, joint_deg=0.004).verdict == "pass"
     assert judged(cell, output, joint_mm=0.02, joint_deg=0.003).reasons == (
-        "joint translation error against the truth: found 0.03 mm, at most 0.02 mm was expected",
-        "joint rotation error against the truth: found 0.004 deg, at most 0.003 deg was expected",
+        "joint translation error against the truth: found 0.03 mm, expected at most 0.02 mm",
+        "joint rotation error against the truth: found 0.004 deg, expected at most 0.003 deg",
     )
     assert judged(CELL, output, joint_mm=1).reasons == (
-        "joint translation error against the truth: no value, at most 1 mm was expected",
+        "joint translation error against the truth: found no value, expected at most 1 mm",
     )

@@ -13,7 +13,8 @@ from calibration.errors import ExitCode, InputError, WorldError
 from calibration.pipeline.matrix import cell as cell_module
 from calibration.pipeline.matrix.cell import CellResult
 from calibration.pipeline.matrix.matrix import Matrix, run_matrix
-from calibration.pipeline.results import Results, write_results
+from calibration.pipeline.report import write_results
+from calibration.pipeline.results import Results
 from calibration.pipeline.system import NoiseGrid
 from tests.pipeline.conftest import DATASETS, RIWBOT, T2RGB
 
@@ -48,7 +49,7 @@ def test_the_same_bytes_with_any_number_of_processes(matrix: Matrix, tmp_path: P
         write_results(Results(found.cells, found.comparisons), output)
         written.append(files(output))
 
-    assert len(written[0]) == 8 * 3 + 2
+    assert len(written[0]) == 8 * 3 + 3
     assert written[0] == written[1]
 
 
