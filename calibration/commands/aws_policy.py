@@ -9,7 +9,7 @@ import click
 from calibration.commands.parameters import path
 from calibration.errors import ExitCode
 from calibration.execution.batch.policy import HOLDERS, policy, trust
-from calibration.execution.batch.section import read_section
+from calibration.execution.batch.settings import read_section
 
 _HOLDERS = ("caller", "job", "execution", "trust")
 

@@ -11,10 +11,9 @@ import click
 from calibration.commands.parameters import boolean_option, path, text
 from calibration.docker.engine import connect
 from calibration.errors import ExitCode, InputError
-from calibration.execution.batch.section import read_section
-from calibration.execution.batch.service.definitions import deregister, find_old
-from calibration.execution.batch.service.leftovers import CloudLeftover, find_in_queue, terminate
-from calibration.execution.batch.service.session import Aws
+from calibration.execution.batch.session import Aws
+from calibration.execution.batch.settings import read_section
+from calibration.execution.batch.submitting import CloudLeftover, deregister, find_in_queue, find_old, terminate
 from calibration.execution.docker.leftovers import Leftover, find_leftovers, remove
 from calibration.workflow import Runner, stop_commands
 from calibration.workflow.text import aligned

@@ -63,7 +63,7 @@ KINDS: Mapping[str, BackendKind] = {
     AWS_BATCH: BackendKind(
         "calibration.execution.batch.backend:open_batch",
         section="aws-batch",
-        settings="calibration.execution.batch.section:read_section",
+        settings="calibration.execution.batch.settings:read_section",
         resumes=True,
     ),
 }

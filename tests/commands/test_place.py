@@ -9,7 +9,7 @@ import pytest
 from calibration.__main__ import main
 from calibration.commands.place import place
 from calibration.errors import InputError
-from calibration.execution.batch.documents.job_document import TaskJob
+from calibration.execution.batch.documents import TaskJob
 from calibration.pipeline.run_name import FILE, name_of_run
 from calibration.workflow import Runner
 from tests.aws.emulator.attempt import Attempt

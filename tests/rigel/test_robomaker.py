@@ -8,9 +8,8 @@ import pytest
 import yaml
 
 from calibration.errors import InputError
-from calibration.execution.batch.requests.checks import check_for_batch
-from calibration.execution.batch.requests.definition import job_definition
-from calibration.execution.batch.requests.shape import shape_of
+from calibration.execution.batch.checks import check_for_batch
+from calibration.execution.batch.definition import job_definition, shape_of
 from calibration.execution.batch.settings import BatchSettings, settings_from
 from calibration.execution.job_check import check_jobs
 from calibration.pipeline.collection.applications import collection_job

@@ -8,16 +8,15 @@ from typing import Self
 
 from calibration.errors import InputError
 from calibration.execution.backends import Place
+from calibration.execution.batch.checks import check_for_batch
 from calibration.execution.batch.costs import Usage, total_size
-from calibration.execution.batch.requests.checks import check_for_batch
-from calibration.execution.batch.requests.shape import group_by_shape, shape_of
+from calibration.execution.batch.definition import group_by_shape, shape_of
+from calibration.execution.batch.job_queue import check_queue, with_digests
 from calibration.execution.batch.run import BatchRun
-from calibration.execution.batch.service.images import with_digests
-from calibration.execution.batch.service.leftovers import find_in_queue, terminate
-from calibration.execution.batch.service.preflight import check_queue
-from calibration.execution.batch.service.session import Aws
+from calibration.execution.batch.session import Aws
 from calibration.execution.batch.settings import BatchSettings
-from calibration.execution.batch.storage.store import Store
+from calibration.execution.batch.store import Store
+from calibration.execution.batch.submitting import find_in_queue, terminate
 from calibration.execution.batch.wire import check_run_name
 from calibration.execution.docker.labels import new_run
 from calibration.execution.job import Job

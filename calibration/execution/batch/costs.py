@@ -8,8 +8,7 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-from calibration.execution.batch.requests.shape import Shape
-from calibration.execution.batch.requests.task_size import Resources, task_size
+from calibration.execution.batch.definition import Resources, Shape, task_size
 from calibration.execution.batch.settings import BatchSettings, Platform, Prices
 from calibration.execution.job import Job
 

@@ -9,22 +9,8 @@ from pathlib import Path
 from calibration.aws_errors import AwsLostError
 from calibration.errors import CalibrationError
 from calibration.execution.batch.costs import Usage, billed, estimate, total_size
-from calibration.execution.batch.requests.definition import job_definition
-from calibration.execution.batch.requests.shape import Group
-from calibration.execution.batch.requests.submission import attempt_seconds, chunks, submission
-from calibration.execution.batch.requests.tags import run_tags
-from calibration.execution.batch.results.no_outcome import host_lost
-from calibration.execution.batch.results.results import Place, Results
-from calibration.execution.batch.service.definitions import ensure
-from calibration.execution.batch.service.following import AT_ONCE, Following, JobEnd, Look, batches, describe
-from calibration.execution.batch.service.leftovers import terminate
-from calibration.execution.batch.service.logs import LiveLogs
-from calibration.execution.batch.service.patience import Patience, patiently
-from calibration.execution.batch.service.session import Aws
-from calibration.execution.batch.service.stuck import Guard, likely_reasons
-from calibration.execution.batch.service.submitting import Submitting
-from calibration.execution.batch.settings import BatchSettings
-from calibration.execution.batch.storage.earlier import (
+from calibration.execution.batch.definition import Group, job_definition
+from calibration.execution.batch.earlier import (
     Result,
     find_results,
     group_name,
@@ -32,8 +18,16 @@ from calibration.execution.batch.storage.earlier import (
     mark_of,
     submitted_document,
 )
-from calibration.execution.batch.storage.inputs import Inputs, upload_jobs
-from calibration.execution.batch.storage.store import Store
+from calibration.execution.batch.following import AT_ONCE, Following, JobEnd, Look, batches, describe
+from calibration.execution.batch.inputs import Inputs, upload_jobs
+from calibration.execution.batch.job_queue import Guard, likely_reasons
+from calibration.execution.batch.logs import LiveLogs
+from calibration.execution.batch.results import Place, Results, host_lost
+from calibration.execution.batch.session import Aws, Patience, patiently
+from calibration.execution.batch.settings import BatchSettings
+from calibration.execution.batch.store import Store
+from calibration.execution.batch.submission import attempt_seconds, chunks, run_tags, submission
+from calibration.execution.batch.submitting import Submitting, ensure, terminate
 from calibration.execution.batch.wire import Location
 from calibration.execution.batch.workers import Workers
 from calibration.execution.docker.labels import new_run

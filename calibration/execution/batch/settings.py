@@ -1,10 +1,14 @@
-"""Where in AWS jobs run, as the section ``aws-batch`` of calibration.yml says it."""
+"""Where in AWS jobs run: the section ``aws-batch`` of calibration.yml, or of a file that has nothing else."""
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Annotated, Literal
 
+from calibration.errors import InputError
 from calibration.execution.sizes import Bytes, Seconds
 from calibration.records import Misfit, above, at_least, between, field, length, matching, needs, read, record
+from calibration.variables import with_variables
+from calibration.yaml_file import read_yaml
 
 SECTION = "aws-batch"
 """The key of calibration.yml."""
@@ -176,3 +180,16 @@ def settings_from(entry: object, where: str) -> BatchSettings:
         InputError: a key is unknown or missing, a value wrong, or two do not go together.
     """
     return read(BatchSettings, entry, where)
+
+
+def read_section(path: Path) -> BatchSettings:
+    """Read where in AWS jobs run; ``${NAME}`` in it is replaced by the environment variable.
+
+    Raises:
+        InputError: the file or the section is missing, or it is wrong; names file and key.
+    """
+    document = read_yaml(path, f"a file with a section {SECTION}")
+    if not isinstance(document, dict) or SECTION not in document:
+        raise InputError(f"{path}: missing {SECTION}: region, queue, bucket, tools-image and job-role")
+    where = f"{path}: {SECTION}"
+    return settings_from(with_variables(document[SECTION], where), where)

@@ -12,8 +12,7 @@ from typing import Any
 
 from calibration.errors import ExitCode
 from calibration.execution.batch.backend import BatchBackend
-from calibration.execution.batch.documents.job_document import TaskJob, read_job
-from calibration.execution.batch.documents.outcome_document import TaskOutcome, outcome_document
+from calibration.execution.batch.documents import TaskJob, TaskOutcome, outcome_document, read_job
 from calibration.execution.batch.settings import BatchSettings
 from calibration.execution.batch.wire import FIRST, JOBS_PER_FILE, LOCATION, OUTCOME_FILE, PREPARE, Location
 from calibration.execution.job import OUTPUT, Artifact, Container, Job

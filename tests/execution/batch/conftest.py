@@ -8,14 +8,14 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let the client look more often, and wait less; descriptions of AWS's services are read once."""
     import botocore.session
 
-    from calibration.execution.batch.service import following, leftovers, logs, patience, submitting
+    from calibration.execution.batch import following, logs, session, submitting
 
     monkeypatch.setattr(following, "_SHORTEST", 0.05)
-    monkeypatch.setattr(leftovers, "_LOOKING", 0.05)
+    monkeypatch.setattr(submitting, "_TAKING_NOTE", 0.05)
     monkeypatch.setattr(logs, "_LOOKING", 0.05)
     monkeypatch.setattr(logs, "_COMING", 0.0)
     monkeypatch.setattr(submitting, "_LOOKING", 0.05)
-    monkeypatch.setattr(patience, "_FIRST", 0.05)
+    monkeypatch.setattr(session, "_FIRST", 0.05)
     monkeypatch.setattr(botocore.session, "create_loader", _loader)
 
 

@@ -14,14 +14,14 @@ import pytest
 
 from calibration.aws_errors import AwsLostError
 from calibration.errors import ExitCode, WorldError
+from calibration.execution.batch import following
 from calibration.execution.batch import run as run_module
 from calibration.execution.batch.backend import BatchBackend
-from calibration.execution.batch.documents.job_document import TaskJob
-from calibration.execution.batch.results.results import Results
-from calibration.execution.batch.service import following
-from calibration.execution.batch.service.leftovers import terminate
-from calibration.execution.batch.service.patience import Patience
-from calibration.execution.batch.service.session import Aws as Client
+from calibration.execution.batch.documents import TaskJob
+from calibration.execution.batch.results import Results
+from calibration.execution.batch.session import Aws as Client
+from calibration.execution.batch.session import Patience
+from calibration.execution.batch.submitting import terminate
 from calibration.execution.batch.wire import PREPARE
 from calibration.execution.job import Limits, Mount
 from calibration.execution.outcome import End, JobOutcome

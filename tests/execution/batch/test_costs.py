@@ -5,8 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from calibration.execution.batch.costs import Usage, billed, estimate, total_size, usage_of
-from calibration.execution.batch.requests.shape import shape_of
-from calibration.execution.batch.requests.task_size import Resources
+from calibration.execution.batch.definition import Resources, shape_of
 from calibration.execution.batch.settings import Prices
 from tests.execution.batch.samples import EC2, SETTINGS, container, job
 

@@ -12,9 +12,8 @@ from botocore.session import Session
 from moto import mock_aws
 
 from calibration.execution.batch import policy as policy_module
+from calibration.execution.batch.definition import definition_name, shape_of
 from calibration.execution.batch.policy import HOLDERS, Holder, policy, trust
-from calibration.execution.batch.requests.definition import definition_name
-from calibration.execution.batch.requests.shape import shape_of
 from calibration.execution.batch.settings import BatchSettings
 from calibration.execution.batch.wire import Location
 from tests.execution.batch.samples import ACCOUNT, SETTINGS, TOKEN_ARN, job

@@ -14,7 +14,7 @@ import pytest
 
 from calibration.errors import CalibrationError, InputError, WorldError
 from calibration.execution.batch.backend import BatchBackend
-from calibration.execution.batch.documents.job_document import TaskJob
+from calibration.execution.batch.documents import TaskJob
 from calibration.execution.outcome import JobOutcome
 from calibration.workflow import Runner
 from calibration.workflow.streams import LogDisplay
@@ -68,7 +68,7 @@ class Clock:
 def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
     clock = Clock()
     monkeypatch.setattr("calibration.execution.batch.run.time", clock)
-    monkeypatch.setattr("calibration.execution.batch.service.stuck.time", clock)
+    monkeypatch.setattr("calibration.execution.batch.job_queue.time", clock)
     return clock
 
 
@@ -136,10 +136,10 @@ def test_a_signal_ends_all(batch_emulator: Aws, tmp_path: Path, number: signal.S
 def test_what_is_submitted_while_the_answer_is_lost_is_ended_too(
     batch_emulator: Aws, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from calibration.execution.batch.service import patience
+    from calibration.execution.batch import session
 
-    monkeypatch.setattr(patience, "PATIENCE", 0.0)
-    monkeypatch.setattr(patience.Patience.__init__, "__defaults__", (0.0,))
+    monkeypatch.setattr(session, "PATIENCE", 0.0)
+    monkeypatch.setattr(session.Patience.__init__, "__defaults__", (0.0,))
     Tasks(batch_emulator, hang)
     batch_emulator.faults.drop("SubmitJob", answered=True)
     with BatchBackend(SETTINGS) as backend, pytest.raises(WorldError, match="Connection was closed"):

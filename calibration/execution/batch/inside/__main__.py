@@ -7,23 +7,20 @@ that of `calibration.errors`. A task that is stopped (its job terminated, its ho
 import os
 import sys
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
+from calibration.aws_errors import aws_errors
 from calibration.errors import CalibrationError, InputError, WorldError
-from calibration.execution.batch.documents.job_document import MOST_BYTES, TaskJob, read_job
-from calibration.execution.batch.documents.outcome_document import TaskOutcome
-from calibration.execution.batch.inside.neighbours import ended_neighbours
+from calibration.execution.batch.documents import MOST_BYTES, TaskJob, TaskOutcome, outcome_document, read_job
 from calibration.execution.batch.inside.prepare import prepare
-from calibration.execution.batch.inside.signs import Signs
-from calibration.execution.batch.inside.uploading import Results
-from calibration.execution.batch.inside.watch import Watch
-from calibration.execution.batch.service.patience import patiently
-from calibration.execution.batch.service.session import Aws
-from calibration.execution.batch.storage.store import Store
+from calibration.execution.batch.inside.script import Signs
+from calibration.execution.batch.inside.watch import Watch, ended_neighbours
+from calibration.execution.batch.session import Aws, patiently
+from calibration.execution.batch.store import Store
 from calibration.execution.batch.wire import (
     ATTEMPT,
     FILES_FOLDER,
@@ -37,9 +34,82 @@ from calibration.execution.batch.wire import (
     REGION,
     Location,
 )
+from calibration.execution.batch.workers import Workers
+from calibration.execution.extraction import RefusedError
 from calibration.execution.job import OUTPUT
-from calibration.execution.outcome import ContainerOutcome, End
+from calibration.execution.outcome import BroughtOut, ContainerOutcome, End
 from calibration.workflow.signals import terminate_cleanly
+from calibration.workflow.text import shorten
+
+_WORKERS = 8
+_LARGE = 8 * 1024**2
+"""Bytes; a larger file is sent in parts."""
+_LONGEST_KEY = 1024
+"""Bytes that S3 takes."""
+
+
+class Results:
+    """The place in the bucket for what one attempt leaves."""
+
+    def __init__(self, aws: Aws, bucket: str, prefix: str) -> None:
+        """Nothing is sent yet; ``prefix`` ends with a slash."""
+        self._aws = aws
+        self._bucket = bucket
+        self._prefix = prefix
+
+    def send_files(self, files: Iterable[BroughtOut], folder: Path, below: str) -> None:
+        """Send files.
+
+        Args:
+            files: by their paths relative to ``folder``.
+            folder: has them.
+            below: where they go, relative to the place of the attempt.
+
+        Raises:
+            RefusedError: a name is longer than S3 takes.
+            InputError: it is not allowed.
+            AwsLostError: AWS does not answer.
+        """
+        keys = {file.path: f"{self._prefix}{below}/{file.path}" for file in files}
+        for path, key in keys.items():
+            if len(key.encode()) > _LONGEST_KEY:
+                raise RefusedError(f"artifact '{shorten(path)}' has a longer name than S3 takes")
+        crew: Workers[None] = Workers(_WORKERS)
+        try:
+            work = (partial(patiently, partial(self._send, key, folder / path)) for path, key in keys.items())
+            for _ in crew.all(work):
+                pass
+        finally:
+            crew.stop()
+
+    def send_outcome(self, outcome: TaskOutcome, name: str) -> None:
+        """Send the outcome; nothing comes after it.
+
+        Raises:
+            InputError: it is not allowed.
+            AwsLostError: AWS does not answer.
+        """
+        data = outcome_document(outcome)
+
+        def put() -> None:
+            with aws_errors(f"bucket '{self._bucket}'"):
+                self._aws.s3.put_object(
+                    Bucket=self._bucket, Key=f"{self._prefix}{name}", Body=data, ContentType="application/json"
+                )
+
+        patiently(put)
+
+    def _send(self, key: str, path: Path) -> None:
+        try:
+            with path.open("rb") as file, aws_errors(f"bucket '{self._bucket}'"):
+                if path.stat().st_size > _LARGE:
+                    self._aws.s3.upload_fileobj(file, self._bucket, key)
+                else:
+                    self._aws.s3.put_object(
+                        Bucket=self._bucket, Key=key, Body=file, ContentType="application/octet-stream"
+                    )
+        except OSError as error:
+            raise WorldError(f"{path}: cannot be read: {error.strerror}") from error
 
 
 @dataclass(frozen=True)

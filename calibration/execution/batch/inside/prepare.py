@@ -7,10 +7,9 @@ import tempfile
 from pathlib import Path
 
 from calibration.errors import WorldError
-from calibration.execution.batch.documents.job_document import Input, TaskJob
-from calibration.execution.batch.inside.script import script_of
-from calibration.execution.batch.inside.signs import Signs
-from calibration.execution.batch.storage.store import Store
+from calibration.execution.batch.documents import Input, TaskJob
+from calibration.execution.batch.inside.script import Signs, script_of
+from calibration.execution.batch.store import Store
 from calibration.execution.extraction import RefusedError, path_parts
 from calibration.files import write_atomically
 from calibration.workflow.text import one_line, shorten

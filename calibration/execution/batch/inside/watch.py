@@ -1,24 +1,206 @@
-"""The job of a task watched to its end: containers started in their order, stopped, judged, and brought out."""
+"""The job of a task, watched to its end: containers started in order, stopped, judged, their artifacts copied."""
 
+import json
+import os
+import re
+import socket
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from calibration.errors import CalibrationError, ExitCode
-from calibration.execution.batch.documents.outcome_document import TaskOutcome
+from calibration.execution.batch.documents import TaskOutcome
 from calibration.execution.batch.inside.local_archive import opener_of
-from calibration.execution.batch.inside.script import GRACE
-from calibration.execution.batch.inside.signs import Signs
-from calibration.execution.batch.inside.watched import SILENCE, WatchedContainer
+from calibration.execution.batch.inside.script import GRACE, LOG, READY_COMMAND, READY_FILE, Signs
 from calibration.execution.batch.wire import ARRIVAL_SECONDS
 from calibration.execution.bringing_out import Opener
-from calibration.execution.job import Job
+from calibration.execution.job import Container, Job
 from calibration.execution.job_check import start_order
-from calibration.execution.judging import is_running
+from calibration.execution.judging import how_it_ended, is_running, unmet
+from calibration.execution.log_file import LONGEST_LINE, MOST_BYTES
 from calibration.execution.outcome import End
-from calibration.execution.supervision import Supervisor
+from calibration.execution.supervision import Supervised, Supervisor
 from calibration.workflow.text import one_line
+
+ADDRESS = "ECS_CONTAINER_METADATA_URI_V4"
+"""The variable by which ECS tells each container where to ask."""
+_SECONDS = 2.0
+_MOST_BYTES = 4 * 1024**2
+
+
+def ended_neighbours(variables: Mapping[str, str]) -> dict[str, int | None]:
+    """The containers of this task that have ended, and with what exit code; none where nobody knows."""
+    from urllib.request import urlopen
+
+    address = variables.get(ADDRESS, "")
+    if not address.startswith("http://"):
+        return {}
+    try:
+        with urlopen(f"{address}/task", timeout=_SECONDS) as answer:  # noqa: S310 (checked above)
+            containers = json.loads(answer.read(_MOST_BYTES))["Containers"]
+        return {
+            str(each["Name"]): _code(each.get("ExitCode"))
+            for each in containers
+            if each.get("KnownStatus") == "STOPPED"
+        }
+    except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError):
+        return {}
+
+
+def _code(value: object) -> int | None:
+    return value if isinstance(value, int) else None
+
+
+_CHUNK = 1024**2
+
+
+class LogLine:
+    """Looks for a regular expression in every line, each of which is read once."""
+
+    def __init__(self, signs: Signs, name: str, pattern: str, most_bytes: int = MOST_BYTES) -> None:
+        """Begin; of the file no more is kept on the volume than ``most_bytes``."""
+        self.found = False
+        self._signs = signs
+        self._name = name
+        self._pattern = re.compile(pattern)
+        self._most = most_bytes
+        self._position = 0
+        self._rest = b""
+
+    def look(self) -> bool:
+        """Read on for a while; whether the line is there, or was."""
+        descriptor = self._signs.open(self._name, LOG)
+        if descriptor is not None:
+            try:
+                self._look(descriptor)
+            finally:
+                os.close(descriptor)
+        return self.found
+
+    def _look(self, descriptor: int) -> None:
+        if self.found:
+            self._position = os.fstat(descriptor).st_size
+        else:
+            data = os.pread(descriptor, _CHUNK, self._position)
+            self._position += len(data)
+            *lines, rest = (self._rest + data).split(b"\n")
+            self._rest = rest[-LONGEST_LINE:]
+            self.found = any(self._matches(line) for line in [*lines, *([rest] if len(rest) > LONGEST_LINE else [])])
+        if self._position > self._most:  # it has been read, and who writes appends
+            self._cut()
+            self._position = 0
+
+    def _cut(self) -> None:
+        descriptor = self._signs.open(self._name, LOG, os.O_WRONLY)
+        if descriptor is not None:
+            os.ftruncate(descriptor, 0)
+            os.close(descriptor)
+
+    def _matches(self, line: bytes) -> bool:
+        return self._pattern.search(line[:LONGEST_LINE].decode("utf-8", "replace")) is not None
+
+
+SILENCE = 20.0
+"""Seconds without a sign of life after which a container is gone: it gives two in a second."""
+_CHECKED = ("port", "file", "command")
+"""What a readiness may ask for; the line of the log is looked for apart."""
+_CONNECTING = 0.5
+
+
+class WatchedContainer(Supervised):
+    """A container that is to run, runs, or did.
+
+    It has no last line: its log is in CloudWatch, and may have secrets that the task does not know.
+    """
+
+    def __init__(self, container: Container, signs: Signs, silence: float = SILENCE) -> None:
+        super().__init__(container)
+        self._signs = signs
+        self._silence = silence
+        self._out_of_memory = False
+        self._beat: tuple[int | None, float] = (None, time.monotonic())
+        """The last sign of life, and when it was seen."""
+        readiness = container.readiness
+        self._line = LogLine(signs, self.name, readiness.log) if readiness and readiness.log else None
+        self._unmet = {name for name in _CHECKED if getattr(readiness, name, None)}
+        """What its readiness asks for and has not held."""
+
+    @property
+    def has_arrived(self) -> bool:
+        """Whether it is there, and waits for being started."""
+        return self._signs.beat(self.name) is not None
+
+    def start(self) -> None:
+        """Let it start its command.
+
+        Raises:
+            WorldError: it cannot be told.
+        """
+        self._signs.start(self.name)
+        self.started = time.monotonic()
+        self._beat = (None, self.started)
+        self.ready = self.container.readiness is None
+
+    def look(self) -> None:
+        """See whether it is ready, and whether it has ended."""
+        if self.started is None or self.ended is not None:
+            return
+        if not self.ready or self._line is not None:
+            self._look_whether_ready()
+        ended = self._signs.ended(self.name)
+        if ended is not None:
+            self.exit_code, self._out_of_memory = ended
+            self.ended = time.monotonic()
+        elif self._is_silent():
+            self.ended = time.monotonic()
+
+    def not_ready_for(self) -> str:
+        """What it is not ready for, for a message."""
+        readiness = self.container.readiness
+        return "" if readiness is None else unmet(readiness, self._unmet, self._line is None or self._line.found)
+
+    def read_end(self, ours: End | None) -> None:
+        """Conclude how it ended, as far as it was started.
+
+        Args:
+            ours: why we stopped it; None where it ended by itself.
+        """
+        if self.started is None:
+            return
+        if self.exit_code is None:
+            self.end = ours or End.LOST
+        else:
+            self.end, self.signal = how_it_ended(self.container, self.exit_code, self._out_of_memory, ours)
+
+    def _look_whether_ready(self) -> None:
+        checks: dict[str, Callable[[], bool]] = {
+            "port": self._port_answers,
+            "file": lambda: self._signs.has(self.name, READY_FILE),
+            "command": lambda: self._signs.has(self.name, READY_COMMAND),
+        }
+        self._unmet = {name for name in self._unmet if not checks[name]()}
+        has_line = self._line is None or self._line.look()
+        self.ready = not self._unmet and has_line
+
+    def _port_answers(self) -> bool:
+        """Whether a port of the task answers; its containers share an address."""
+        readiness = self.container.readiness
+        if readiness is None or readiness.port is None:
+            raise AssertionError("there is a port to ask for")
+        try:
+            with socket.create_connection(("127.0.0.1", readiness.port), _CONNECTING):
+                return True
+        except OSError:
+            return False
+
+    def _is_silent(self) -> bool:
+        """Whether it has given no sign of life for too long: all of it was killed."""
+        now, beat = time.monotonic(), self._signs.beat(self.name)
+        if beat != self._beat[0]:
+            self._beat = (beat, now)
+        return now - self._beat[1] > self._silence
+
 
 _LOOKING = 0.2
 """Seconds between two looks at the containers."""

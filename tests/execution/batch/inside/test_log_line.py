@@ -2,8 +2,8 @@ from pathlib import Path
 
 import pytest
 
-from calibration.execution.batch.inside.log_line import LogLine
-from calibration.execution.batch.inside.signs import LOG, Signs
+from calibration.execution.batch.inside.script import LOG, Signs
+from calibration.execution.batch.inside.watch import LogLine
 from calibration.execution.job import Container, Job
 from calibration.execution.log_file import LONGEST_LINE
 

@@ -17,12 +17,9 @@ import pytest
 pytest.importorskip("boto3")
 
 from calibration.errors import ExitCode, WorldError
-from calibration.execution.batch.documents.job_document import Input, job_entry, jobs_document
-from calibration.execution.batch.documents.outcome_document import TaskOutcome, read_outcome
-from calibration.execution.batch.inside.__main__ import Places, Task, main
-from calibration.execution.batch.inside.script import script_of
-from calibration.execution.batch.inside.signs import Signs
-from calibration.execution.batch.inside.uploading import _LARGE, Results
+from calibration.execution.batch.documents import Input, TaskOutcome, job_entry, jobs_document, read_outcome
+from calibration.execution.batch.inside.__main__ import _LARGE, Places, Results, Task, main
+from calibration.execution.batch.inside.script import Signs, script_of
 from calibration.execution.batch.wire import Location
 from calibration.execution.extraction import RefusedError
 from calibration.execution.job import OUTPUT, Artifact, Container, Job

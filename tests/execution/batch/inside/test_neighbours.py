@@ -8,9 +8,8 @@ import pytest
 
 from calibration.errors import ExitCode
 from calibration.execution.batch.inside import watch as watching
-from calibration.execution.batch.inside.neighbours import ADDRESS, ended_neighbours
-from calibration.execution.batch.inside.signs import BEAT, Signs
-from calibration.execution.batch.inside.watch import Patience, Watch
+from calibration.execution.batch.inside.script import BEAT, Signs
+from calibration.execution.batch.inside.watch import ADDRESS, Patience, Watch, ended_neighbours
 from calibration.execution.job import Container, Job
 
 

@@ -15,8 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from calibration.errors import InputError
-from calibration.execution.batch.inside.script import script_of
-from calibration.execution.batch.inside.signs import BEAT, READY_COMMAND, READY_FILE, Signs
+from calibration.execution.batch.inside.script import BEAT, READY_COMMAND, READY_FILE, Signs, script_of
 from calibration.execution.job import Container, Job, Readiness
 from tests.engine import wait_until
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from calibration.errors import WorldError
-from calibration.execution.batch.inside.signs import BEAT, ENDED, LOG, PIPE, Signs
+from calibration.execution.batch.inside.script import BEAT, ENDED, LOG, PIPE, Signs
 from calibration.execution.job import Container, Job
 
 JOB = Job("j", (Container("a", "i"),))

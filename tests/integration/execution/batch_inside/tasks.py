@@ -9,10 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import docker
 
-from calibration.execution.batch.documents.job_document import TaskJob
-from calibration.execution.batch.documents.outcome_document import TaskOutcome
+from calibration.execution.batch.documents import TaskJob, TaskOutcome
 from calibration.execution.batch.inside.prepare import prepare
-from calibration.execution.batch.inside.signs import Signs
+from calibration.execution.batch.inside.script import Signs
 from calibration.execution.batch.inside.watch import Patience, Watch
 from calibration.execution.batch.wire import JOB_FOLDER
 from calibration.execution.job import OUTPUT, Container, Job

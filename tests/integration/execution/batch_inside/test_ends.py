@@ -8,9 +8,9 @@ import pytest
 pytest.importorskip("docker")
 
 from calibration.errors import ExitCode
-from calibration.execution.batch.documents.job_document import TaskJob
+from calibration.execution.batch.documents import TaskJob
 from calibration.execution.batch.inside.prepare import prepare
-from calibration.execution.batch.inside.signs import Signs
+from calibration.execution.batch.inside.script import Signs
 from calibration.execution.batch.inside.watch import Patience, Watch
 from calibration.execution.job import OUTPUT, Container, Job, Limits, Readiness
 from calibration.execution.outcome import End

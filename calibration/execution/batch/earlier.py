@@ -1,0 +1,137 @@
+"""What an earlier run of the same name has left in S3, so that only what is missing runs again."""
+
+import hashlib
+import json
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from typing import Annotated, Any
+
+from calibration.aws_errors import AwsLostError
+from calibration.errors import ExitCode, WorldError
+from calibration.execution.batch.documents import MOST_BYTES, most_bytes, parse_json, read_outcome
+from calibration.execution.batch.following import Submitted
+from calibration.execution.batch.store import Store
+from calibration.execution.batch.wire import JOBS_PER_FILE, OUTCOME_FILE, Location
+from calibration.execution.job import Job
+from calibration.records import between, document_of, field, length, read, record
+
+_MOST = 10_000
+"""Jobs of an array."""
+
+
+@record(case="snake")
+class _Submission:
+    """An entry of ``submitted.json``: an array, or a single job."""
+
+    id: Annotated[str, length(most=128)] = field()
+    first: Annotated[int, between(0, 2**63 - 1)] = field()
+    count: Annotated[int, between(1, _MOST)] = field()
+
+
+@dataclass(frozen=True)
+class Result:
+    """Where the result of a job is."""
+
+    group: str
+    index: int
+    attempt: int
+    id: str | None
+    """Of the job in AWS Batch, where it is known."""
+
+
+def mark_of(shape: str, entry: Mapping[str, Any]) -> str:
+    """The same for a job that would do the same: of its shape, its command, its inputs."""
+    return hashlib.sha256(f"{shape} {json.dumps(entry, sort_keys=True)}".encode()).hexdigest()
+
+
+def group_name(shape: str, token: str) -> str:
+    """The name of a group of jobs of a shape in S3: jobs that are submitted later have another."""
+    return f"{shape}-{token}"
+
+
+def find_results(store: Store, location: Location) -> dict[str, Result]:
+    """The results of jobs that have one, by the `mark_of` the job.
+
+    Args:
+        store: where they are.
+        location: of any group of the run.
+
+    Raises:
+        InputError: it is not allowed.
+        WorldError: a file of jobs is broken.
+        AwsLostError: AWS does not answer.
+    """
+    found: dict[str, Result] = {}
+    root = f"{location.prefix}/runs/{location.run}/results/"
+    for group in store.folders(root):
+        place = replace(location, group=group)
+        attempts, ids = _attempts(store, root, group), _ids(store, place)
+        for first in sorted({index // JOBS_PER_FILE * JOBS_PER_FILE for index in attempts}):
+            for number, entry in enumerate(_entries(store, place, first)):
+                index = first + number
+                if index in attempts and isinstance(entry, dict):
+                    mark = mark_of(group.partition("-")[0], entry)
+                    found[mark] = Result(group, index, attempts[index], ids.get(index))
+    return found
+
+
+def has_verdict(store: Store, location: Location, result: Result, job: Job) -> bool:
+    """Whether a result says what the job is worth, good or bad: not that its input was wrong or that the world failed.
+
+    Args:
+        store: where it is.
+        location: of any group of the run.
+        result: from `find_results`.
+        job: that it is of.
+
+    Raises:
+        InputError: it is not allowed.
+        AwsLostError: AWS does not answer.
+    """
+    key = replace(location, group=result.group).result_key(result.index, result.attempt, OUTCOME_FILE)
+    data = store.get(key, most_bytes(job))
+    try:
+        return data is not None and read_outcome(data, job, result.attempt, key).exit_code <= ExitCode.FAIL
+    except AwsLostError:
+        raise
+    except WorldError:  # it is none of this job
+        return False
+
+
+def submitted_document(submitted: Iterable[Submitted]) -> bytes:
+    """The file that says under which ids a group was submitted."""
+    return json.dumps([document_of(_Submission(each.id, each.first, each.count)) for each in submitted]).encode()
+
+
+def _ids(store: Store, location: Location) -> dict[int, str]:
+    """The id of each job of a group; of none, where it is not known any more."""
+    key = location.submitted_key
+    data = store.get(key, MOST_BYTES)
+    ids: dict[int, str] = {}
+    for entry in _list(data, key):
+        submission = read(_Submission, entry, key, error=WorldError)
+        for child in range(submission.count):
+            ids[submission.first + child] = f"{submission.id}:{child}" if submission.count > 1 else submission.id
+    return ids
+
+
+def _attempts(store: Store, root: str, group: str) -> dict[int, int]:
+    """The newest complete attempt of each job of a group."""
+    pattern = re.compile(rf"{re.escape(f'{root}{group}/')}([0-9]{{1,9}})/([0-9]{{1,9}})/{re.escape(OUTCOME_FILE)}")
+    attempts: dict[int, int] = {}
+    for key in store.keys(f"{root}{group}/"):
+        if match := pattern.fullmatch(key):
+            index, attempt = int(match[1]), int(match[2])
+            attempts[index] = max(attempt, attempts.get(index, 0))
+    return attempts
+
+
+def _entries(store: Store, location: Location, first: int) -> list[Any]:
+    key = location.jobs_key(first)
+    return _list(store.get(key, MOST_BYTES), key)
+
+
+def _list(data: bytes | None, key: str) -> list[Any]:
+    document = [] if data is None else parse_json(data, MOST_BYTES, key)
+    return document if isinstance(document, list) else []

@@ -1,0 +1,213 @@
+"""What jobs read, packed and brought to S3: what their mounts hold, and the jobs themselves."""
+
+import hashlib
+import os
+import stat
+import tarfile
+import tempfile
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path, PurePosixPath
+from typing import IO, Any, Protocol, cast
+
+from calibration.errors import InputError, WorldError
+from calibration.execution.batch.documents import Input, job_entry, jobs_document, mount_targets
+from calibration.execution.batch.following import batches
+from calibration.execution.batch.session import patiently
+from calibration.execution.batch.wire import JOBS_PER_FILE, Location
+from calibration.execution.batch.workers import Workers
+from calibration.execution.job import Job
+
+
+@dataclass(frozen=True)
+class Packed:
+    """A tar that was written."""
+
+    sha256: str
+    size: int
+    """Bytes."""
+
+
+class _Hashing:
+    """A file that is written, and its digest."""
+
+    def __init__(self, file: IO[bytes]) -> None:
+        self._file = file
+        self.digest = hashlib.sha256()
+        self.size = 0
+
+    def write(self, data: bytes) -> int:
+        self.digest.update(data)
+        self.size += len(data)
+        return self._file.write(data)
+
+
+def pack(folder: Path, file: IO[bytes]) -> Packed:
+    """Write a folder's content as a tar.
+
+    Everybody may read what is in it. Links inside stay links.
+
+    Raises:
+        InputError: something cannot be read, is no file or folder, or a link that leads out.
+        WorldError: the tar cannot be written.
+    """
+    root = folder.resolve()
+    hashing = _Hashing(file)
+    try:
+        with tarfile.open(fileobj=cast("IO[bytes]", hashing), mode="w|", format=tarfile.PAX_FORMAT) as archive:
+            for path in _all_in(root):
+                _add(archive, root, path)
+    except OSError as error:
+        raise WorldError(f"{folder}: cannot be packed: {error.strerror or error}") from error
+    return Packed(hashing.digest.hexdigest(), hashing.size)
+
+
+def _all_in(folder: Path) -> Iterator[Path]:
+    """Everything below a folder, in an order that is always the same."""
+    try:
+        entries = sorted(folder.iterdir())
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be read: {error.strerror}") from None
+    for path in entries:
+        yield path
+        if path.is_dir() and not path.is_symlink():
+            yield from _all_in(path)
+
+
+def _add(archive: tarfile.TarFile, root: Path, path: Path) -> None:
+    status = path.lstat()
+    entry = tarfile.TarInfo(path.relative_to(root).as_posix())
+    executable = status.st_mode & 0o100
+    entry.mode = 0o755 if executable or stat.S_ISDIR(status.st_mode) else 0o644
+    if stat.S_ISLNK(status.st_mode):
+        entry.type, entry.linkname = tarfile.SYMTYPE, _link_inside(root, path)
+        archive.addfile(entry)
+    elif stat.S_ISDIR(status.st_mode):
+        entry.type = tarfile.DIRTYPE
+        archive.addfile(entry)
+    elif stat.S_ISREG(status.st_mode):
+        entry.size = status.st_size
+        try:
+            content = path.open("rb")
+        except OSError as error:
+            raise InputError(f"{path}: cannot be read: {error.strerror}") from None
+        with content:
+            archive.addfile(entry, content)  # an OSError where it became shorter
+    else:
+        raise InputError(f"{path}: is no file or folder, but a device, a pipe or a socket: AWS Batch cannot have it")
+
+
+def _link_inside(root: Path, path: Path) -> str:
+    """What a link names, which is in the folder.
+
+    Raises:
+        InputError: it is not.
+    """
+    name = os.fspath(path.readlink())
+    to = os.path.normpath(path.parent / name)
+    if PurePosixPath(name).is_absolute() or not Path(to).is_relative_to(root):
+        raise InputError(f"{path}: is a link to '{name}', which leads out of the folder: put a copy in its place")
+    return name
+
+
+_IN_MEMORY = 4 * 1024**2
+"""Bytes of a tar; a larger one goes through a file."""
+
+
+class Objects(Protocol):
+    """Takes objects by their keys: `calibration.execution.batch.store.Store`, or what stands for it."""
+
+    def put(self, key: str, data: bytes) -> None:
+        """Write an object."""
+
+    def upload(self, key: str, file: IO[bytes], size: int) -> None:
+        """Write an object of any size from a file, unless it is there; its key tells its content."""
+
+
+@dataclass(frozen=True)
+class _Done:
+    source: Path
+    packed: Packed
+
+
+class Inputs:
+    """Knows the tar of each folder that is mounted somewhere; each is made and sent once."""
+
+    def __init__(self, store: Objects, location: Location, memory: int) -> None:
+        """Begin.
+
+        Args:
+            store: takes them.
+            location: of any group; inputs are shared.
+            memory: bytes, of a container that says none.
+        """
+        self._store = store
+        self._location = location
+        self._memory = memory
+        self._packed: dict[Path, Packed] = {}
+
+    def upload(self, jobs: Iterable[Job], workers: int) -> None:
+        """Send what the mounts of jobs hold, unless it is there.
+
+        Raises:
+            InputError: something cannot be read, or the bucket not be written.
+            WorldError: a file changes meanwhile, or the disk is full.
+            AwsLostError: AWS does not answer.
+        """
+        sources = dict.fromkeys(
+            mount.source.resolve() for job in jobs for container in job.containers for mount in container.mounts
+        )
+        crew: Workers[_Done] = Workers(workers)
+        try:
+            for done in crew.all(partial(self._upload, source) for source in sources):
+                self._packed[done.source] = done.packed
+        finally:
+            crew.stop()
+
+    def entry(self, job: Job) -> dict[str, Any]:
+        """The entry of a job whose mounts have been sent."""
+        return job_entry(job, self._inputs(job), self._memory)
+
+    def _inputs(self, job: Job) -> Iterator[Input]:
+        mounts = {mount.target.rstrip("/"): mount for c in job.containers for mount in c.mounts}
+        writable = {m.target.rstrip("/") for c in job.containers for m in c.mounts if m.writable}
+        for volume, target in enumerate(mount_targets(job)):
+            packed = self._packed[mounts[target].source.resolve()]
+            key = self._location.input_key(packed.sha256)
+            yield Input(volume, key, packed.sha256, packed.size, target in writable)
+
+    def _upload(self, source: Path) -> _Done:
+        with tempfile.SpooledTemporaryFile(max_size=_IN_MEMORY) as file:
+            packed = pack(source, file)
+
+            def send() -> None:
+                file.seek(0)
+                self._store.upload(self._location.input_key(packed.sha256), file, packed.size)
+
+            patiently(send)
+        return _Done(source, packed)
+
+
+def upload_jobs(
+    store: Objects, location: Location, jobs: Sequence[Job], entry: Callable[[Job], dict[str, Any]], workers: int
+) -> None:
+    """Send the entries of the jobs of a group, in files of some each.
+
+    Raises:
+        InputError: the bucket cannot be written.
+        AwsLostError: AWS does not answer.
+    """
+    crew: Workers[None] = Workers(workers)
+
+    def pieces() -> Iterator[Callable[[], None]]:
+        for number, some in enumerate(batches(jobs, JOBS_PER_FILE)):
+            data = jobs_document([entry(job) for job in some])
+            key = location.jobs_key(number * JOBS_PER_FILE)
+            yield partial(patiently, partial(store.put, key, data))
+
+    try:
+        for _ in crew.all(pieces(), ahead=2 * workers):
+            pass
+    finally:
+        crew.stop()

@@ -1,0 +1,226 @@
+"""Whether the queue can run what is about to be submitted, and why jobs get no host in it."""
+
+import time
+from collections.abc import Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from calibration.aws_errors import aws_errors, error_code
+from calibration.errors import CalibrationError, InputError
+from calibration.execution.batch.definition import Resources
+from calibration.execution.batch.following import Look, records
+from calibration.execution.batch.session import Aws
+from calibration.execution.batch.settings import BatchSettings
+from calibration.registries.ecr import parse_host
+from calibration.registries.reference import Reference, parse_reference
+from calibration.workflow.text import one_line, shorten
+
+if TYPE_CHECKING:
+    from botocore.exceptions import ClientError
+
+_MISSING = ("RepositoryNotFoundException", "ImageNotFoundException")
+
+
+def with_digests(aws: Aws, images: Iterable[str]) -> dict[str, str]:
+    """Each image by its digest where it is in ECR; as it is written where it is elsewhere, or has one already.
+
+    Raises:
+        InputError: there is no such image, or it is not for us.
+        AwsLostError: ECR does not answer.
+    """
+    return {image: _with_digest(aws, image) for image in dict.fromkeys(images)}
+
+
+def _with_digest(aws: Aws, image: str) -> str:
+    reference = parse_reference(image)
+    host = parse_host(reference.registry)
+    if host is None or reference.digest is not None:
+        return image
+    tag = reference.tag or "latest"
+    with aws_errors(f"image {image}"):
+        details = _describe(aws.ecr(host.region), reference, host.account, tag)
+    if not details:
+        raise InputError(f"image {image}: it is not in ECR: push it (calibration build-image --push true)")
+    return str(reference.with_digest(str(details[0]["imageDigest"])))
+
+
+def _describe(ecr: Any, reference: Reference, account: str, tag: str) -> list[dict[str, Any]]:
+    import botocore.exceptions
+
+    try:
+        answer: dict[str, Any] = ecr.describe_images(
+            registryId=account, repositoryName=reference.repository, imageIds=[{"imageTag": tag}]
+        )
+    except botocore.exceptions.ClientError as error:
+        if _is_missing(error):
+            return []
+        raise
+    return list(answer["imageDetails"])
+
+
+def _is_missing(error: "ClientError") -> bool:
+    return error_code(error) in _MISSING
+
+
+_TYPES = {"fargate": ("FARGATE", "FARGATE_SPOT"), "ec2": ("EC2", "SPOT", "ECS_MANAGED_INSTANCES")}
+_SPOT = ("SPOT", "FARGATE_SPOT")
+
+
+def check_queue(aws: Aws, settings: BatchSettings, needs: Sequence[Resources]) -> None:
+    """Refuse a queue that takes no jobs, or not these.
+
+    Args:
+        aws: where it is.
+        settings: name it, and say what is expected of it.
+        needs: what tasks ask for.
+
+    Raises:
+        InputError: there is no such queue, it is disabled or broken, or its hosts are of another kind or too small.
+        AwsLostError: AWS does not answer.
+    """
+    where = f"queue '{settings.queue}'"
+    with aws_errors(where):
+        queues = aws.batch.describe_job_queues(jobQueues=[settings.queue])["jobQueues"]
+    if not queues:
+        raise InputError(f"{where}: there is none in {aws.region}: check its name and the region")
+    queue = queues[0]
+    if queue["state"] != "ENABLED" or queue["status"] != "VALID":
+        raise InputError(f"{where}: it is {queue['state']} and {queue['status']}{_why(queue)}: no job would start")
+    environments = _environments(aws, queue, where)
+    usable = [each for each in environments if each["state"] == "ENABLED" and each["status"] == "VALID"]
+    if not usable:
+        states = "; ".join(
+            f"{_name(each)} is {each['state']} and {each['status']}{_why(each)}" for each in environments
+        )
+        raise InputError(f"{where}: none of its compute environments takes jobs: {states or 'it has none'}")
+    _check_kinds(usable, settings, where)
+    _check_sizes(usable, needs, where)
+
+
+def _environments(aws: Aws, queue: Mapping[str, Any], where: str) -> list[dict[str, Any]]:
+    names = [entry["computeEnvironment"] for entry in queue.get("computeEnvironmentOrder", ())]
+    if not names:
+        return []
+    with aws_errors(where):
+        found: list[dict[str, Any]] = aws.batch.describe_compute_environments(computeEnvironments=names)[
+            "computeEnvironments"
+        ]
+    return found
+
+
+def _check_kinds(environments: Sequence[Mapping[str, Any]], settings: BatchSettings, where: str) -> None:
+    for environment in environments:
+        if environment.get("containerOrchestrationType") == "EKS":
+            raise InputError(f"{where}: {_name(environment)} is of Kubernetes (EKS), expected one of ECS")
+    kinds = {str(each.get("computeResources", {}).get("type", "EC2")) for each in environments}  # unmanaged: EC2
+    if wrong := kinds - set(_TYPES[settings.platform]):
+        other = "ec2" if settings.platform == "fargate" else "fargate"
+        raise InputError(
+            f"{where}: its hosts are {', '.join(sorted(wrong))}, but platform is {settings.platform}: say {other}, or "
+            "name another queue"
+        )
+    if settings.spot and not kinds & set(_SPOT):
+        raise InputError(
+            f"{where}: spot is asked for, but its hosts are {', '.join(sorted(kinds))}: name another queue"
+        )
+
+
+def _check_sizes(environments: Sequence[Mapping[str, Any]], needs: Sequence[Resources], where: str) -> None:
+    limits = [each.get("computeResources", {}).get("maxvCpus") for each in environments]
+    known = [limit for limit in limits if limit is not None]
+    most = max((need.cpus for need in needs), default=0.0)
+    if known and len(known) == len(limits) and most > max(known):
+        raise InputError(
+            f"{where}: a job needs {most:g} vCPUs, but its compute environments have at most {max(known)} (maxvCpus): "
+            "it would wait for ever"
+        )
+
+
+def _name(record: Mapping[str, Any]) -> str:
+    return f"compute environment '{record['computeEnvironmentName']}'"
+
+
+def _why(record: Mapping[str, Any]) -> str:
+    reason = record.get("statusReason")
+    return f" ({shorten(one_line(reason), 200)})" if reason and record["status"] != "VALID" else ""
+
+
+class Guard:
+    """Notices that nothing of a run has run, or come to its end, for a time: what waits behind others is not stuck."""
+
+    def __init__(self, seconds: float) -> None:
+        self.seconds = seconds
+        self._since: float | None = None
+
+    def is_stuck(self, look: Look, done: int) -> bool:
+        """Take a look at the run.
+
+        Args:
+            look: what it showed.
+            done: results that were brought home since the last.
+        """
+        now = time.monotonic()
+        if self._since is None or look.running_count or look.ended or done or not look.queued_count:
+            self._since = now
+        return now - self._since >= self.seconds
+
+
+def likely_reasons(aws: Aws, settings: BatchSettings, waiting: Sequence[str]) -> list[str]:
+    """Why jobs get no host, the likeliest first; never empty.
+
+    Args:
+        aws: where.
+        settings: name the queue.
+        waiting: ids of jobs, at most a hundred.
+    """
+    reasons: list[str] = []
+    try:
+        jobs = records(aws, waiting)
+        said = [_clean(job["statusReason"]) for job in jobs if job.get("statusReason")]
+        reasons += [f"AWS Batch says: {line}" for line in dict.fromkeys(said)]
+        reasons += _of_the_queue(aws, settings)
+    except CalibrationError as error:
+        reasons.append(f"it cannot be found out: {error}")
+    if settings.platform == "fargate":
+        no_way_out = " (public-ip is false: then the subnet needs NAT or endpoints of ECR, S3 and Logs)"
+        reasons.append(
+            "no capacity, or a subnet without free addresses or a way to pull images"
+            + ("" if settings.public_ip else no_way_out)
+        )
+    else:
+        reasons.append("instance types too small for a job, an instance role that may not join, or no capacity")
+    if settings.spot:
+        reasons.append("no Spot capacity at the moment")
+    reasons.append("jobs of others in the queue, or the account's quota of vCPUs")
+    return reasons
+
+
+def _of_the_queue(aws: Aws, settings: BatchSettings) -> list[str]:
+    with aws_errors(f"queue '{settings.queue}'"):
+        queue = aws.batch.describe_job_queues(jobQueues=[settings.queue])["jobQueues"][0]
+        names = [entry["computeEnvironment"] for entry in queue.get("computeEnvironmentOrder", ())]
+        environments = (
+            aws.batch.describe_compute_environments(computeEnvironments=names)["computeEnvironments"] if names else []
+        )
+    reasons = [] if _is_fine(queue) else [f"the queue is {_state(queue)}"]
+    for environment in environments:
+        name = environment["computeEnvironmentName"]
+        if not _is_fine(environment):
+            reasons.append(f"compute environment '{name}' is {_state(environment)}")
+        resources = environment.get("computeResources", {})
+        if resources.get("maxvCpus") == 0:
+            reasons.append(f"compute environment '{name}' may have no vCPUs (maxvCpus: 0)")
+    return reasons
+
+
+def _is_fine(record: dict[str, Any]) -> bool:
+    return (record["state"], record["status"]) == ("ENABLED", "VALID")
+
+
+def _state(record: dict[str, Any]) -> str:
+    reason = record.get("statusReason")
+    why = f" ({_clean(reason)})" if reason and record["status"] != "VALID" else ""
+    return f"{record['state']} and {record['status']}{why}"
+
+
+def _clean(text: str) -> str:
+    return shorten(one_line(text), 200)

@@ -1,0 +1,369 @@
+"""Results brought home: an outcome that is believed only as far as it can be checked, and the files that it names."""
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import TypeVar
+
+from calibration.aws_errors import AwsLostError
+from calibration.errors import CalibrationError, ExitCode, WorldError
+from calibration.execution.batch.documents import TaskOutcome, most_bytes, read_outcome
+from calibration.execution.batch.following import Attempt, ContainerEnd, Description
+from calibration.execution.batch.logs import is_ours, secrets_of, streams, write_log
+from calibration.execution.batch.session import Aws, patiently
+from calibration.execution.batch.settings import BatchSettings
+from calibration.execution.batch.store import Store
+from calibration.execution.batch.wire import FILES_FOLDER, OUTCOME_FILE, PREPARE, WATCH, Location
+from calibration.execution.bringing_out import complete_or_not_at_all
+from calibration.execution.job import Container, Job
+from calibration.execution.job_folder import ARTIFACTS, LOGS, make_job_folder
+from calibration.execution.judging import failure_of, how_it_ended
+from calibration.execution.manifest import write_manifest
+from calibration.execution.outcome import BroughtOut, ContainerOutcome, End, JobOutcome
+from calibration.files import write_atomically
+from calibration.workflow.masks import redact
+from calibration.workflow.text import one_line, shorten
+
+_HOST_LOST = ("Host EC2", "Your Spot Task was interrupted")
+_TIMEOUT = "Job attempt duration exceeded timeout"
+_CANNOT_PULL = "CannotPull"
+_NO_SUCH_IMAGE = ("not found", "manifest unknown", "does not exist", "repository does not exist", "invalid reference")
+_NO_RESOURCE = "ResourceInitializationError"
+_OURS = {PREPARE: "its inputs could not be brought in", WATCH: "its results could not be brought out"}
+
+
+@dataclass(frozen=True)
+class Why:
+    """Why there is no outcome."""
+
+    reason: str
+    exit_code: ExitCode = ExitCode.WORLD
+
+
+def host_lost(attempt: Attempt) -> bool:
+    """Whether an attempt ended because its host went away."""
+    return attempt.status_reason.startswith(_HOST_LOST)
+
+
+def why_no_outcome(job: Job, description: Description, given_up: str, last_lines: Mapping[str, str]) -> Why:
+    """Find out why a job has no outcome.
+
+    Args:
+        job: that ended.
+        description: what Batch says of it.
+        given_up: why we have ended all that was left; empty where we have not.
+        last_lines: of the containers' logs, by name.
+    """
+    attempts = description.attempts
+    if given_up and (description.terminated or not attempts or given_up[:100] in description.status_reason):
+        return Why(given_up)
+    containers = attempts[-1].containers if attempts else description.running
+    said = description.status_reason or "it gives no reason"
+    if description.terminated:
+        return Why(f"somebody has ended it: {said}")
+    if (lost := sum(map(host_lost, attempts))) and host_lost(attempts[-1]):
+        times = "once" if lost == 1 else f"{lost} times"
+        return Why(f"its host was lost {times}, in {len(attempts)} attempts: {attempts[-1].status_reason}")
+    reasons = [(container.name, container.reason) for container in containers]
+    for name, reason in [*reasons, ("", said)]:
+        if reason.startswith(_CANNOT_PULL):
+            image = next((c.image for c in job.containers if c.name == name), "")
+            missing = any(sign in reason.lower() for sign in _NO_SUCH_IMAGE)
+            which = f"container '{name}': the image {image}".rstrip() if name else "an image"
+            return Why(f"{which} cannot be pulled: {reason}", ExitCode.BAD_INPUT if missing else ExitCode.WORLD)
+        if reason.startswith(_NO_RESOURCE):
+            return Why(f"its task could not be set up: check roles, secrets and the way to the network: {reason}")
+    if description.status_reason.startswith(_TIMEOUT):
+        return Why(f"AWS Batch has ended it before our own limit of {job.seconds or 0:g} s did: {said}")
+    for container in containers:
+        if container.name in _OURS and container.exit_code:
+            last = f": {last_lines[container.name]}" if last_lines.get(container.name) else ""
+            how = container.reason or f"{container.name} ended with exit code {container.exit_code}"
+            return Why(f"{_OURS[container.name]}: {how}{last}")
+    if description.status == "SUCCEEDED":
+        return Why("AWS Batch says that it succeeded, but its task has left no outcome in S3")
+    ends = [f"{c.name}: {c.reason or f'exit code {c.exit_code}'}" for c in containers if c.exit_code or c.reason]
+    return Why(f"AWS Batch says that it failed: {'; '.join([said, *ends])}")
+
+
+_OUT_OF_MEMORY = "OutOfMemory"
+_LAST_CODE = 255
+
+
+@dataclass(frozen=True)
+class _Ended:
+    """A container that has ended, as a judge sees it."""
+
+    container: Container
+    end: End
+    exit_code: int | None
+    signal: str | None
+    last_line: str = ""
+    ready: bool = True
+    started: float | None = 0.0
+    ended: float | None = 0.0
+
+    def not_ready_for(self) -> str:
+        raise AssertionError("nobody asks one that has ended")
+
+
+def with_ends(
+    outcome: TaskOutcome, job: Job, ends: Iterable[ContainerEnd], last_lines: Mapping[str, str]
+) -> TaskOutcome:
+    """Add to an outcome what its task could not see.
+
+    A reason that the task gives for the end of a container has another in its place then, in the same words as
+    any backend.
+
+    Args:
+        outcome: that the task has written.
+        job: with the memory that its containers had.
+        ends: what Batch says of the containers of that attempt.
+        last_lines: of their logs, by name.
+    """
+    known = {end.name: end for end in ends}
+    asked = {container.name: container for container in job.containers}
+    reasons = list(outcome.reasons)
+    containers = []
+    for before in outcome.containers:
+        container = asked[before.name]
+        after = _known_better(before, container, known.get(before.name))
+        containers.append(after)
+        old, new = _failure(before, container), _failure(after, container)
+        place = next((i for i, reason in enumerate(reasons) if old is not None and reason.startswith(old)), None)
+        if new is not None and place is not None:
+            rest = reasons[place].removeprefix(old or "")  # such as why it was not ready
+            reasons[place] = f"{new}{rest}" if rest else _failure(after, container, last_lines) or new
+        elif new is not None and after.end != before.end and (container.essential or reasons):
+            reasons.append(_failure(after, container, last_lines) or new)
+    failed = ExitCode.FAIL if reasons else ExitCode.PASS
+    exit_code = outcome.exit_code if outcome.exit_code != ExitCode.PASS else failed
+    return replace(outcome, exit_code=exit_code, reasons=tuple(reasons), containers=tuple(containers))
+
+
+def ends_alone(job: Job, ends: Iterable[ContainerEnd]) -> tuple[ContainerOutcome, ...]:
+    """How the containers of a job ended of which its task says nothing."""
+    known = {end.name: end for end in ends}
+    return tuple(
+        _known_better(ContainerOutcome(container.name, End.LOST), container, known.get(container.name))
+        for container in job.containers
+    )
+
+
+def _known_better(before: ContainerOutcome, container: Container, end: ContainerEnd | None) -> ContainerOutcome:
+    if end is None:
+        return before
+    code = before.exit_code if before.exit_code is not None else _code(end)
+    if end.reason.startswith(_OUT_OF_MEMORY):
+        _, signal = how_it_ended(container, code or 0, True, None)
+        return replace(before, end=End.OUT_OF_MEMORY, exit_code=code, signal=signal)
+    if before.end != End.LOST or code is None:
+        return before
+    how, signal = how_it_ended(container, code, False, None)
+    return replace(before, end=how, exit_code=code, signal=signal)
+
+
+def _code(end: ContainerEnd) -> int | None:
+    return end.exit_code if end.exit_code is not None and 0 <= end.exit_code <= _LAST_CODE else None
+
+
+def _failure(
+    outcome: ContainerOutcome, container: Container, last_lines: Mapping[str, str] | None = None
+) -> str | None:
+    last_line = (last_lines or {}).get(container.name, "")
+    return failure_of(_Ended(container, outcome.end, outcome.exit_code, outcome.signal, last_line))
+
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where the result of a job is to be found, and what is known of its end."""
+
+    location: Location
+    index: int
+    description: Description | None
+    """None for the result of an earlier run."""
+    attempt: int | None = None
+    """Of which a result is known to be there."""
+    given_up: str = ""
+    """Why we have ended all that was left, if we have."""
+
+
+class _WrongFileError(WorldError):
+    """A file in S3 is not what the task says."""
+
+
+class Results:
+    """Brings results into folders. May be used from many threads."""
+
+    def __init__(
+        self,
+        aws: Aws,
+        settings: BatchSettings,
+        store: Store,
+        folder: Path,
+        all_logs: bool,
+        go_on: Callable[[], bool],
+    ) -> None:
+        """Begin.
+
+        Args:
+            aws: where they are.
+            settings: of the run.
+            store: has them.
+            folder: each job has its own in it.
+            all_logs: whether the logs of jobs that succeeded are brought too.
+            go_on: whether it is worth trying again what AWS does not answer.
+        """
+        self._aws = aws
+        self._settings = settings
+        self._store = store
+        self._folder = folder
+        self._all_logs = all_logs
+        self._go_on = go_on
+
+    def bring(self, job: Job, place: Place) -> JobOutcome:
+        """Bring the result of a job that has ended.
+
+        Raises:
+            WorldError: a file cannot be written.
+            InputError: it is not allowed.
+            AwsLostError: AWS has not answered for a long time.
+        """
+        folder = self._folder / job.name
+        make_job_folder(folder)
+        asked = _with_memory(job, self._settings.memory)
+        try:
+            found = self._outcome(asked, place)
+        except AwsLostError:
+            raise
+        except WorldError as error:  # it is no outcome of this job
+            found = _failed(asked, place.description, str(error), ExitCode.WORLD)
+        attempt = 0 if found is None else found.attempt
+        lines: dict[str, str] = {}
+        if self._all_logs or found is None or found.exit_code != ExitCode.PASS:
+            lines = self._logs(job, place.description, attempt, folder / LOGS, ours=attempt == 0)
+        if found is None and place.description is not None:
+            why = why_no_outcome(job, place.description, place.given_up, lines)
+            found = _failed(asked, place.description, why.reason, why.exit_code)
+        elif found is None:
+            found = _failed(asked, None, "its result is in S3 no more", ExitCode.WORLD)
+        elif attempt:
+            found = with_ends(found, asked, _ends(place.description, attempt), lines)
+        found = self._files(found, place, attempt, folder / ARTIFACTS)
+        outcome = self._job_outcome(job, found, folder, lines)
+        write_manifest(outcome, place.location.run)
+        return outcome
+
+    def _outcome(self, job: Job, place: Place) -> TaskOutcome | None:
+        """The newest complete outcome, or None where there is none.
+
+        Raises:
+            WorldError: it is no outcome of this job.
+        """
+        expected = place.attempt or (len(place.description.attempts) if place.description else 0)
+        found = self._read(job, place, expected) if expected else None
+        if found is None:
+            there = self._ask(lambda: list(self._store.folders(place.location.attempts_key(place.index))))
+            for attempt in sorted({int(name) for name in there if name.isdecimal()} - {0, expected}, reverse=True):
+                if (found := self._read(job, place, attempt)) is not None:
+                    break
+        return found
+
+    def _read(self, job: Job, place: Place, attempt: int) -> TaskOutcome | None:
+        key = place.location.result_key(place.index, attempt, OUTCOME_FILE)
+        data = self._ask(lambda: self._store.get(key, most_bytes(job)))
+        return None if data is None else read_outcome(data, job, attempt, key)
+
+    def _logs(
+        self, job: Job, description: Description | None, attempt: int, folder: Path, ours: bool
+    ) -> dict[str, str]:
+        """Bring the logs of an attempt; the last line of each."""
+        if description is None:
+            return {}
+        attempt = attempt or len(description.attempts)
+        known = {container.name for container in job.containers}
+        lines: dict[str, str] = {}
+        for name, stream in streams(description, attempt).items():
+            if name in known or (ours and is_ours(name)):
+                path = folder / f"{name}.log"
+                write = partial(write_log, self._aws, self._settings.log_group, stream, path, secrets_of(job))
+                try:
+                    lines[name] = self._ask(write)
+                except CalibrationError as error:  # a result is worth more than its log
+                    write_atomically(path, f"(the log cannot be read: {error})\n")
+                    lines[name] = ""
+        return lines
+
+    def _files(self, found: TaskOutcome, place: Place, attempt: int, folder: Path) -> TaskOutcome:
+        """Bring the files that an outcome names: all of them, or none."""
+        try:
+            with complete_or_not_at_all(folder) as fresh:
+                for file in found.artifacts:
+                    self._file(file, place.location.result_key(place.index, attempt, FILES_FOLDER), fresh)
+        except _WrongFileError as error:
+            code = found.exit_code or ExitCode.WORLD
+            return replace(found, artifacts=(), exit_code=code, reasons=(*found.reasons, str(error)))
+        return found
+
+    def _file(self, file: BroughtOut, folder: str, fresh: Path) -> None:
+        path = fresh / file.path
+        path.parent.mkdir(parents=True, exist_ok=True)
+
+        def download() -> str:
+            path.unlink(missing_ok=True)
+            return self._store.download(f"{folder}/{file.path}", path, file.size)
+
+        if self._ask(download) != file.sha256:
+            raise _WrongFileError(f"artifact '{shorten(file.path)}' in S3 is not what the task says that it has left")
+
+    def _job_outcome(self, job: Job, found: TaskOutcome, folder: Path, lines: Mapping[str, str]) -> JobOutcome:
+        secrets = secrets_of(job)
+        images = {container.name: container.image for container in job.containers}
+        return JobOutcome(
+            job=job.name,
+            folder=folder,
+            containers=tuple(
+                replace(
+                    each,
+                    image=images[each.name],
+                    log=folder / LOGS / f"{each.name}.log" if each.name in lines else None,
+                )
+                for each in found.containers
+            ),
+            artifacts=found.artifacts,
+            left_out=found.left_out,
+            reasons=tuple(one_line(redact(reason, secrets)) for reason in found.reasons),
+            exit_code=found.exit_code,
+            seconds=found.seconds,
+        )
+
+    def _ask(self, ask: Callable[[], T]) -> T:
+        return patiently(ask, self._go_on)
+
+
+def _ends(description: Description | None, attempt: int) -> Iterable[ContainerEnd]:
+    """What Batch says of the containers of an attempt."""
+    if description is None:
+        return ()
+    tries = description.attempts
+    return tries[attempt - 1].containers if attempt <= len(tries) else description.running
+
+
+def _failed(job: Job, description: Description | None, reason: str, code: ExitCode) -> TaskOutcome:
+    """The outcome of a job of which its task says nothing that can be believed."""
+    ends = () if description is None else _ends(description, max(1, len(description.attempts)))
+    return TaskOutcome(job.name, 0, code, (reason,), containers=ends_alone(job, ends))
+
+
+def _with_memory(job: Job, memory: int) -> Job:
+    """The job with the limits that its containers had on Batch, where each has one."""
+    return replace(job, containers=tuple(_limited(container, memory) for container in job.containers))
+
+
+def _limited(container: Container, memory: int) -> Container:
+    limits = container.limits
+    return replace(container, limits=replace(limits, memory=memory if limits.memory is None else limits.memory))

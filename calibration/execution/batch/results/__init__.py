@@ -1,1 +1,0 @@
-"""What came of jobs: outcomes held against what AWS knows, files checked and landed."""

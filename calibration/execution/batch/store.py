@@ -1,0 +1,168 @@
+"""The bucket: what a run puts into it, and what it takes out."""
+
+import hashlib
+from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
+from typing import IO, TYPE_CHECKING, Any
+
+from calibration.aws_errors import aws_errors, error_code
+from calibration.errors import InputError, WorldError
+from calibration.execution.batch.session import Aws
+
+if TYPE_CHECKING:
+    from botocore.exceptions import ClientError
+
+_CHUNK = 1024**2
+
+
+class Store:
+    """Objects of a bucket, by their keys."""
+
+    def __init__(self, aws: Aws, bucket: str) -> None:
+        self._aws = aws
+        self._bucket = bucket
+        self._where = f"bucket '{bucket}'"
+
+    @property
+    def _s3(self) -> Any:
+        return self._aws.s3
+
+    def check(self) -> None:
+        """See whether it is there, for us, and in the region.
+
+        Raises:
+            InputError: it is not.
+            AwsLostError: AWS does not answer.
+        """
+        with aws_errors(self._where):
+            answer = self._s3.head_bucket(Bucket=self._bucket)
+        region = answer.get("BucketRegion")
+        if region and region != self._aws.region:
+            raise InputError(f"{self._where}: it is in {region}, the jobs in {self._aws.region}: take one of there")
+
+    def put(self, key: str, data: bytes) -> None:
+        """Write an object.
+
+        Raises:
+            InputError: it is not allowed.
+            AwsLostError: AWS does not answer.
+        """
+        with aws_errors(self._where):
+            self._s3.put_object(Bucket=self._bucket, Key=key, Body=data, ContentType="application/octet-stream")
+
+    def upload(self, key: str, file: IO[bytes], size: int) -> None:
+        """Write an object of any size from a file, unless it is there; its key tells its content.
+
+        Raises:
+            InputError: it is not allowed.
+            AwsLostError: AWS does not answer.
+        """
+        if self._size(key) == size:
+            return
+        with aws_errors(self._where):
+            self._s3.upload_fileobj(file, self._bucket, key)
+
+    def get(self, key: str, most: int) -> bytes | None:
+        """Read an object of at most ``most`` bytes; None where there is none.
+
+        Raises:
+            InputError: it is not allowed.
+            WorldError: it is larger.
+            AwsLostError: AWS does not answer.
+        """
+        answer = self._open(key)
+        if answer is None:
+            return None
+        with closing(answer["Body"]) as body:
+            if answer["ContentLength"] > most:
+                raise WorldError(
+                    f"{self._where}: {key} has {answer['ContentLength']} bytes, at most {most} were expected"
+                )
+            with aws_errors(self._where):
+                data: bytes = body.read(most)
+        return data
+
+    def download(self, key: str, path: Path, size: int) -> str:
+        """Write an object of so many bytes into a new file.
+
+        Returns:
+            Its SHA-256; nothing where there is no such object, or it has another size.
+
+        Raises:
+            InputError: it is not allowed.
+            WorldError: the file cannot be written.
+            AwsLostError: AWS does not answer.
+        """
+        answer = self._open(key)
+        if answer is None:
+            return ""
+        digest = hashlib.sha256()
+        with closing(answer["Body"]) as body:
+            if answer["ContentLength"] != size:
+                return ""
+            try:
+                with path.open("xb") as file:
+                    while chunk := self._read(body):
+                        digest.update(chunk)
+                        file.write(chunk)
+            except OSError as error:
+                raise WorldError(f"{path}: cannot be written: {error.strerror or error}") from error
+        return digest.hexdigest()
+
+    def keys(self, prefix: str) -> Iterator[str]:
+        """All keys below a prefix.
+
+        Raises:
+            InputError: it is not allowed.
+            AwsLostError: AWS does not answer.
+        """
+        for page in self._pages(Prefix=prefix):
+            yield from (str(entry["Key"]) for entry in page.get("Contents", ()))
+
+    def folders(self, prefix: str) -> Iterator[str]:
+        """The names of what lies below a prefix that ends with a slash and has something in it itself.
+
+        Raises:
+            InputError: it is not allowed.
+            AwsLostError: AWS does not answer.
+        """
+        for page in self._pages(Prefix=prefix, Delimiter="/"):
+            found = page.get("CommonPrefixes", ())
+            yield from (str(entry["Prefix"]).removeprefix(prefix).rstrip("/") for entry in found)
+
+    def _pages(self, **settings: str) -> Iterator[dict[str, Any]]:
+        pages = iter(self._s3.get_paginator("list_objects_v2").paginate(Bucket=self._bucket, **settings))
+        while True:
+            with aws_errors(self._where):
+                page = next(pages, None)
+            if page is None:
+                return
+            yield page
+
+    def _open(self, key: str) -> dict[str, Any] | None:
+        import botocore.exceptions
+
+        with aws_errors(self._where):
+            try:
+                answer: dict[str, Any] = self._s3.get_object(Bucket=self._bucket, Key=key)
+            except botocore.exceptions.ClientError as error:
+                if _is_missing(error):
+                    return None
+                raise
+        return answer
+
+    def _size(self, key: str) -> int | None:
+        """Of an object; asked so that it needs no right to read it."""
+        with aws_errors(self._where):
+            page = self._s3.list_objects_v2(Bucket=self._bucket, Prefix=key, MaxKeys=1)
+        return next((int(entry["Size"]) for entry in page.get("Contents", ()) if entry["Key"] == key), None)
+
+    def _read(self, body: Any) -> bytes:
+        with aws_errors(self._where):
+            data: bytes = body.read(_CHUNK)
+        return data
+
+
+def _is_missing(error: "ClientError") -> bool:
+    return error_code(error) in ("NoSuchKey", "404", "NotFound")

@@ -1,0 +1,213 @@
+"""The ends of jobs are told once each, in few calls."""
+
+import random
+import threading
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from calibration.execution.batch import following
+from calibration.execution.batch.following import AT_ONCE, Following, Submitted, batches
+from tests.execution.batch.client import wait_for
+
+
+class Batch:
+    """Answers as DescribeJobs does, of arrays whose children a test ends."""
+
+    def __init__(self) -> None:
+        self.states: dict[str, list[str]] = {}
+        self.parents: dict[str, str] = {}
+        self.calls = 0
+        self.unknown: set[str] = set()
+        self.late: set[str] = set()
+        """Children that are told as they were."""
+
+    def add(self, identifier: str, count: int) -> Submitted:
+        self.states[identifier] = ["RUNNABLE"] * count
+        return Submitted(identifier, f"group-{identifier}", 10, count)
+
+    def describe_jobs(self, jobs: list[str]) -> dict[str, Any]:
+        self.calls += 1
+        assert 0 < len(jobs) <= AT_ONCE
+        assert len(set(jobs)) == len(jobs)
+        return {"jobs": [self._record(job) for job in jobs if job not in self.unknown]}
+
+    def _record(self, job: str) -> dict[str, Any]:
+        parent, colon, child = job.partition(":")
+        states = self.states[parent]
+        if colon:
+            state = "RUNNING" if job in self.late else states[int(child)]
+            return {"jobId": job, "status": state, "arrayProperties": {"index": int(child)}}
+        if len(states) == 1:
+            return {"jobId": job, "status": states[0]}
+        summary = {state: states.count(state) for state in set(states)}
+        ended = all(state in ("SUCCEEDED", "FAILED") for state in states)
+        status = ("FAILED" if "FAILED" in states else "SUCCEEDED") if ended else "PENDING"
+        return {"jobId": job, "status": status, "arrayProperties": {"statusSummary": summary, "size": len(states)}}
+
+
+class FakeAws:
+    def __init__(self) -> None:
+        self.batch = Batch()
+
+
+def setup(*counts: int) -> tuple[Following, Batch]:
+    aws: Any = FakeAws()
+    found = Following(aws)
+    for number, count in enumerate(counts):
+        found.add(aws.batch.add(f"job{number}", count))
+    return found, aws.batch
+
+
+@settings(deadline=None, max_examples=40)
+@given(st.lists(st.integers(1, 350), min_size=1, max_size=3), st.integers(0, 2**32), st.integers(1, 300))
+def test_each_end_is_told_once_whatever_the_order(counts: list[int], seed: int, most: int) -> None:
+    chance = random.Random(seed)
+    found, batch = setup(*counts)
+    waiting = [(job, child) for job, states in batch.states.items() for child in range(len(states))]
+    chance.shuffle(waiting)
+    total, told = len(waiting), []
+    for _ in range(100_000):
+        for _ in range(min(len(waiting), chance.randrange(0, 200))):
+            job, child = waiting.pop()
+            batch.states[job][child] = chance.choice(["SUCCEEDED", "FAILED"])
+        look = found.look(most)
+        told += [(end.group, end.index) for end in look.ended]
+        assert look.queued_count + look.running_count + len(told) <= total
+        if not found.ids:
+            break
+    assert sorted(told) == sorted(
+        (f"group-{job}", 10 + n) for job, states in batch.states.items() for n in range(len(states))
+    )
+    assert not list(found.left)
+
+
+@pytest.mark.parametrize("in_order", [True, False])
+def test_calls_are_bounded_whatever_the_order(in_order: bool) -> None:
+    count = 4000
+    found, batch = setup(count)
+    order = list(range(count))
+    if not in_order:
+        random.Random(1).shuffle(order)
+    looks = 0
+    for some in batches(order, 50):
+        for child in some:
+            batch.states["job0"][child] = "SUCCEEDED"
+        found.look(1000)
+        looks += 1
+    while found.ids:
+        found.look(1000)
+        looks += 1
+    assert batch.calls <= (3 * looks + 2 * count / AT_ONCE if in_order else count)
+
+
+def test_jobs_that_run_are_told_where_they_are_few() -> None:
+    found, batch = setup(3, 1)
+    look = found.look()
+    assert (look.queued_count, look.running_count, look.running, look.ended) == (4, 0, (), ())
+    assert batch.calls == 1
+    assert found.oldest == ("job0:0", "job0:1", "job0:2", "job1")
+    batch.states["job0"][1] = batch.states["job1"][0] = "RUNNING"
+    look = found.look()
+    assert {(end.group, end.index) for end in look.running} == {("group-job0", 11), ("group-job1", 10)}
+    assert (look.queued_count, look.running_count) == (2, 2)
+
+
+def test_what_batch_does_not_know_yet_is_waited_for() -> None:
+    found, batch = setup(2, 1)
+    batch.unknown = {"job0", "job1"}
+    assert found.look().ended == ()
+    batch.unknown = set()
+    batch.states = {"job0": ["SUCCEEDED", "FAILED"], "job1": ["SUCCEEDED"]}
+    assert len(found.look().ended) == 3
+
+
+def test_what_batch_does_not_know_any_more_is_lost_after_a_while(monkeypatch: pytest.MonkeyPatch) -> None:
+    found, batch = setup(3, 1)
+    batch.states["job0"] = ["SUCCEEDED", "SUCCEEDED", "SUCCEEDED"]
+    batch.unknown, batch.late = {"job0:1", "job1"}, {"job0:2"}
+    assert [end.index for end in found.look().ended] == [10]
+    now = following.time.monotonic()
+    monkeypatch.setattr(following.time, "monotonic", lambda: now + following._SETTLING - 1)
+    assert found.look().ended == ()
+    monkeypatch.setattr(following.time, "monotonic", lambda: now + following._SETTLING + 1)
+    ended = found.look().ended
+    assert [(end.group, end.index) for end in ended] == [("group-job0", 11), ("group-job0", 12), ("group-job1", 10)]
+    assert {end.description.status_reason for end in ended} == {"AWS Batch does not know what became of it"}
+    assert found.ids == ()
+    assert not found.may_run("job0")
+
+
+def test_what_waits_for_room_is_not_lost(monkeypatch: pytest.MonkeyPatch) -> None:
+    found, batch = setup(500)
+    batch.states["job0"] = ["SUCCEEDED"] * 500
+    now = following.time.monotonic()
+    told = 0
+    for minute in range(20):
+        monkeypatch.setattr(following.time, "monotonic", lambda minute=minute: now + 70 * minute)
+        look = found.look(0 if minute % 2 else 50)
+        assert all(end.description.status == "SUCCEEDED" for end in look.ended)
+        told += len(look.ended)
+    assert told == 500
+
+
+def test_looks_are_rarer_the_longer_a_run_takes(monkeypatch: pytest.MonkeyPatch) -> None:
+    found, _ = setup(1)
+    now = following.time.monotonic()
+    delays = []
+    for age in (0, 100, 1000, 100_000):
+        monkeypatch.setattr(following.time, "monotonic", lambda age=age: now + age)
+        delays.append(round(found.delay, 1))
+    assert delays == [1.0, 2.0, 20.0, 30.0]
+
+
+def test_workers() -> None:
+    from calibration.execution.batch.workers import Workers
+
+    def numbers() -> Iterator[Callable[[], int]]:
+        for number in range(50):
+            yield lambda number=number: number * number
+
+    crew: Workers[int] = Workers(3)
+    assert sorted(crew.all(numbers(), ahead=5)) == [number * number for number in range(50)]
+    assert crew.take(0.01) == []
+    gate = threading.Event()
+    crew.give(lambda: int(gate.wait(20)))
+    assert crew.take(0.01) == []
+    crew.give(lambda: 1 // 0)
+    with pytest.raises(ZeroDivisionError):
+        crew.take(None)
+    gate.set()
+    assert crew.take(None) == [1]
+    crew.stop()
+    crew.join(5)
+    wait_for(lambda: not any(thread.is_alive() for thread in crew._threads))
+
+
+def test_patience(monkeypatch: pytest.MonkeyPatch) -> None:
+    from calibration.aws_errors import AwsLostError
+    from calibration.execution.batch import session
+
+    monkeypatch.setattr(session, "_FIRST", 0.0)
+    answers = [AwsLostError("away"), AwsLostError("away"), 7]
+
+    def ask() -> object:
+        answer = answers.pop(0)
+        if isinstance(answer, Exception):
+            raise answer
+        return answer
+
+    assert session.patiently(ask) == 7
+    answers[:] = [AwsLostError("away")]
+    with pytest.raises(AwsLostError, match="away"):
+        session.patiently(ask, lambda: False)
+    waited = session.Patience(0.0)
+    with pytest.raises(AwsLostError, match="gone"):
+        waited.failed(AwsLostError("gone"))
+    waited = session.Patience(100.0)
+    first = waited.failed(AwsLostError("away"))
+    waited.answered()
+    assert first == waited.failed(AwsLostError("away")) == 0.0
