@@ -4,11 +4,14 @@ Exit codes are those of :class:`calibration.errors.ExitCode`; a command that is 
 or SIGTERM cleans up and answers 130 or 143 (128 and the signal's number), as shells do.
 """
 
+import errno
 import importlib
 import os
 import sys
+import warnings
 from collections.abc import Mapping, Sequence
 from importlib.util import find_spec
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import click
@@ -135,12 +138,14 @@ def _execute(command: click.Command | str, name: str, arguments: Sequence[str], 
     # Processes are the parallelism; and one thread gives the same bytes on every machine.
     for variable in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
         os.environ.setdefault(variable, "1")
+    _open_closed_streams()
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):  # a test may have put another stream there
             stream.reconfigure(errors="backslashreplace", line_buffering=True)
     runner = Runner.from_environment(os.environ)
     try:
-        with terminate_cleanly():
+        # Warnings of packages are for us: what is wrong with the data is said in an error.
+        with terminate_cleanly(), warnings.catch_warnings(record=not runner.debug):
             loaded = load_command(command) if isinstance(command, str) else command
             with loaded.make_context(name, list(arguments), **settings) as context:
                 code = loaded.invoke(context)
@@ -162,7 +167,7 @@ def _execute(command: click.Command | str, name: str, arguments: Sequence[str], 
     except BrokenPipeError:
         return ExitCode.WORLD  # nobody reads what would be said
     except OSError as error:
-        report_error(runner, str(error))
+        report_error(runner, _failure(error))
         return ExitCode.WORLD
     except ModuleNotFoundError as error:
         if error.name is None or error.name.partition(".")[0] == "calibration":
@@ -174,12 +179,37 @@ def _execute(command: click.Command | str, name: str, arguments: Sequence[str], 
         return _report_bug(runner)
 
 
+def _open_closed_streams() -> None:
+    """Open standard streams that the caller has closed (``>&-``) on nothing.
+
+    Or what is printed is an error, and the next file that is opened takes the place of the log.
+    """
+    for descriptor, name in enumerate(("stdin", "stdout", "stderr")):
+        try:
+            os.fstat(descriptor)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # takes the lowest number that is free: this one
+        if getattr(sys, name) is None:
+            setattr(sys, name, Path(os.devnull).open("r" if descriptor == 0 else "w"))  # noqa: SIM115 (until the end)
+
+
 def _usage_message(error: click.ClickException, is_action: bool) -> str:
     message = error.format_message()
     context = getattr(error, "ctx", None)
     if is_action or context is None:
         return message
     return f"{message.rstrip('.')} (see {context.command_path} --help)"
+
+
+def _failure(error: OSError) -> str:
+    """What failed where, and what to do."""
+    if error.filename is None or error.strerror is None:
+        return str(error)
+    advice = {
+        errno.EACCES: ": let this user read and write it, or name another place",
+        errno.ENOSPC: ": make room, or name another place",
+    }
+    return f"{os.fsdecode(error.filename)}: {error.strerror}{advice.get(error.errno or 0, '')}"
 
 
 def _report_bug(runner: Runner) -> int:

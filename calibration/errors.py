@@ -1,7 +1,19 @@
 """The errors that a user sees: one line each, and the exit code that goes with it."""
 
 import enum
+import re
 from collections.abc import Iterable
+
+LONGEST_MESSAGE = 2000
+_LONG_WORD = re.compile(r"([^\s/]{60})[^\s/]{180,}([^\s/]{16})")
+"""Longer than a name of a file can be."""
+
+
+def brief(message: str) -> str:
+    """Cut the middle of what a message quotes too long, and of a message that is still too long."""
+    message = _LONG_WORD.sub(r"\1…\2", message)
+    end = LONGEST_MESSAGE // 4
+    return message if len(message) <= LONGEST_MESSAGE else f"{message[: LONGEST_MESSAGE - end]}…{message[-end:]}"
 
 
 class ExitCode(enum.IntEnum):
@@ -25,12 +37,13 @@ def exit_code_of(passed: bool, errors: Iterable[ExitCode | None]) -> ExitCode:
 class CalibrationError(Exception):
     """An error whose message is meant for the user: one line that says where, what was found, what to do.
 
-    Messages quote what others wrote; what does not print, line ends among it, is escaped.
+    Messages quote what others wrote; what does not print, line ends among it, is escaped, and what is long is cut.
     """
 
     exit_code: ExitCode = ExitCode.WORLD
 
     def __init__(self, message: str) -> None:
+        message = brief(message)
         if not message.isprintable():
             message = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in message)
         super().__init__(message)

@@ -3,8 +3,10 @@
 import os
 import shutil
 import stat
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from glob import glob, has_magic
+from itertools import takewhile
 from pathlib import Path
 
 from calibration.errors import InputError, WorldError
@@ -35,6 +37,30 @@ def read_bytes(path: Path | str, limit: int, what: str) -> bytes:
         raise WorldError(f"{path}: {what} cannot be read: {reason}") from error
     finally:
         os.close(descriptor)
+
+
+def matching(patterns: Iterable[str]) -> list[str]:
+    """Return the files that paths and patterns (``results/**/*.csv``) name, each once, those of a pattern in order.
+
+    Raises:
+        InputError: a pattern matches no file, or would search the whole machine.
+    """
+    files: dict[str, None] = {}
+    for pattern in patterns:
+        if os.path.exists(pattern) or not has_magic(pattern):  # noqa: PTH110 (Path.exists may raise)
+            files[pattern] = None
+            continue
+        parts = Path(pattern).parts
+        if Path(pattern).is_absolute() and "**" in parts[1:2]:
+            raise InputError(f"{pattern}: this searches the whole machine: a folder was expected before the first **")
+        found = sorted(file for file in glob(pattern, recursive=True) if os.path.isfile(file))  # noqa: PTH113, PTH207
+        if not found:
+            folder = Path(*takewhile(lambda part: not has_magic(part), parts))
+            closed = os.path.isdir(folder) and not os.access(folder, os.R_OK | os.X_OK)  # noqa: PTH112
+            said = f"the folder {folder} cannot be read" if closed else "no file matches this pattern"
+            raise InputError(f"{pattern}: {said}")
+        files.update(dict.fromkeys(found))
+    return list(files)
 
 
 def write_atomically(path: Path | str, content: bytes | str) -> None:

@@ -10,7 +10,6 @@ from typing import Any
 
 import click
 
-from calibration.commands.introspect_csv import expand
 from calibration.commands.parameters import TEXT_LIST, boolean_option, number, path, text
 from calibration.coverage.badge import badge
 from calibration.coverage.changes import changed_lines, coverage_of_change, find_base
@@ -28,7 +27,7 @@ from calibration.coverage.services.service import Request, Service, Upload
 from calibration.coverage.sources import Sources, find_sources
 from calibration.errors import ExitCode, InputError, WorldError
 from calibration.execution.sizes import parse_seconds
-from calibration.files import write_atomically
+from calibration.files import matching, write_atomically
 from calibration.programs import hide
 from calibration.report import FILES, publish, remove_results
 from calibration.workflow import Runner, add_mask, set_outputs
@@ -280,7 +279,7 @@ def _reports(settings: Settings, begin: float | None) -> list[Path]:
     Raises:
         InputError: a pattern matches none, or one is older than the run of the tests that should have written it.
     """
-    files = [Path(file) for file in expand([str(settings.directory / name) for name in settings.reports])]
+    files = [Path(file) for file in matching([str(settings.directory / name) for name in settings.reports])]
     for file in files:
         if begin is not None and file.exists() and file.stat().st_mtime < begin - CLOCK:
             raise InputError(f"{file}: it is older than this run of the tests, which should have written it (reports)")

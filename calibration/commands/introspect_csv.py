@@ -1,9 +1,7 @@
 """``introspect-csv``: tables and rules to a verdict."""
 
 import os
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from glob import glob
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +9,7 @@ import click
 
 from calibration.commands.parameters import TEXT_LIST, boolean_option, count, number, path, text
 from calibration.errors import ExitCode, InputError
+from calibration.files import matching
 from calibration.introspection.judge import judge
 from calibration.introspection.report import report
 from calibration.introspection.rule_set import RuleEntry, RuleSet, checked
@@ -100,32 +99,13 @@ def introspect(settings: Settings, runner: Runner) -> ExitCode:
     """
     if settings.output is not None:
         remove_results(settings.output, FILES)
-    tables = [read_table(file, settings.delimiter, settings.encoding) for file in expand(settings.files)]
+    tables = [read_table(file, settings.delimiter, settings.encoding) for file in matching(settings.files)]
     baseline = None
     if settings.baseline is not None:
         baseline = read_table(settings.baseline, settings.delimiter, settings.encoding)
     found = report([judge(table, settings.rules, baseline) for table in tables])
     publish(found, runner, settings.output)
     return found.exit_code
-
-
-def expand(patterns: Sequence[str]) -> list[str]:
-    """Return the files that paths and patterns name, each once, those of a pattern in order.
-
-    Raises :class:`InputError` for a pattern that matches no file, or would search the whole machine.
-    """
-    files: dict[str, None] = {}
-    for pattern in patterns:
-        if Path(pattern).exists() or not any(character in pattern for character in "*?["):
-            files[pattern] = None
-            continue
-        if Path(pattern).is_absolute() and "**" in Path(pattern).parts[1:2]:
-            raise InputError(f"{pattern}: this searches the whole machine: a folder was expected before the first **")
-        found = sorted(file for file in glob(pattern, recursive=True) if Path(file).is_file())  # noqa: PTH207
-        if not found:
-            raise InputError(f"{pattern}: no file matches this pattern")
-        files.update(dict.fromkeys(found))
-    return list(files)
 
 
 def _rules(given: dict[str, Any]) -> RuleSet:

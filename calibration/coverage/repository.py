@@ -127,6 +127,8 @@ def _git(directory: Path, *arguments: str) -> tuple[int, bytes, bytes]:
     except OSError as error:
         if not directory.is_dir():
             raise InputError(f"{directory}: there is no such folder") from None
+        if not os.access(directory, os.X_OK):
+            raise InputError(f"{directory}: this folder cannot be entered: {error.strerror}") from None
         raise WorldError(f"git cannot be started: {error.strerror}") from None
     return done.returncode, done.stdout, done.stderr
 

@@ -5,6 +5,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from xml.etree import ElementTree as ET
 
 from calibration.report.outcome import Outcome
+from calibration.workflow.text import visible
 
 _INVALID = re.compile(r"[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
@@ -57,4 +58,4 @@ def _counts(outcomes: Iterable[Outcome]) -> dict[str, str]:
 
 
 def _valid(text: str) -> str:
-    return _INVALID.sub("", text)
+    return visible(_INVALID.sub("", text))

@@ -5,9 +5,10 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
+from calibration.errors import brief
 from calibration.workflow.commands import workflow_command
 from calibration.workflow.runner import Runner
-from calibration.workflow.text import one_line
+from calibration.workflow.text import one_line, visible
 
 ANNOTATION_LIMIT = 9
 """GitHub keeps ten annotations of a level per step; the tenth says how many more there are."""
@@ -56,7 +57,7 @@ def annotate(runner: Runner, annotations: Iterable[Annotation]) -> None:
 
 def report_error(runner: Runner, message: str) -> None:
     """Say in one line on stderr why the command stops; on GitHub as an annotation too."""
-    message = one_line(message)
+    message = brief(one_line(message))
     print(f"error: {message}", file=runner.stderr, flush=True)
     if runner.github:
         runner.log(workflow_command("error", message))
@@ -65,11 +66,11 @@ def report_error(runner: Runner, message: str) -> None:
 def _command(runner: Runner, annotation: Annotation) -> str:
     file = None if annotation.file is None else runner.relative(annotation.file)
     return workflow_command(
-        annotation.level, annotation.message, file=file, line=annotation.line, title=annotation.title
+        annotation.level, brief(visible(annotation.message)), file=file, line=annotation.line, title=annotation.title
     )
 
 
 def _plain(annotation: Annotation) -> str:
     place = "" if annotation.file is None else f"{annotation.file}:"
     place += f"{annotation.line}:" if place and annotation.line is not None else ""
-    return one_line(f"{annotation.level}: {place}{' ' if place else ''}{annotation.message}")
+    return brief(one_line(f"{annotation.level}: {place}{' ' if place else ''}{annotation.message}"))

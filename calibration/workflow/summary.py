@@ -5,6 +5,7 @@ from collections.abc import Iterable, Sequence
 
 from calibration.errors import WorldError
 from calibration.workflow.runner import Runner
+from calibration.workflow.text import visible
 
 SUMMARY_LIMIT = 1024 * 1024
 """Bytes of summary that GitHub takes from a step; a longer one is dropped as a whole."""
@@ -37,7 +38,7 @@ def markdown_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 
 def escape_markdown(text: str) -> str:
     """Escape a text so that Markdown shows it as it is, in a table's cell too: no markup, no HTML."""
-    return _SPECIAL.sub(_escape, text)
+    return _SPECIAL.sub(_escape, visible(text))
 
 
 def code_block(text: str) -> str:

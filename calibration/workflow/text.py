@@ -4,18 +4,25 @@ import re
 from collections.abc import Iterable, Sequence
 
 _LINE_BREAKS = re.compile(r"[ \t]*[\n\v\f\r\x1c-\x1e\x85\u2028\u2029]+[ \t]*")
-_UNPRINTABLE = re.compile(r"[\x00-\x08\x0e-\x1b\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069\ud800-\udfff]")
+_UNPRINTABLE = re.compile(
+    r"[\x00-\x08\x0e-\x1b\x1f\x7f-\x9f\u061c\u200b\u200e\u200f\u202a-\u202e\u2060-\u206f\ufeff\ud800-\udfff"
+    r"\U000e0000-\U000e007f]"
+)
+"""Control characters, changes of the writing direction, invisible characters, halves of surrogate pairs."""
 
 
 def one_line(text: str) -> str:
     """Put a text on one line that cannot command a terminal or the runner.
 
-    Line breaks become spaces; control characters and changes of the writing direction become
-    visible escapes; ``##[``, which the runner reads as a command anywhere in a line, is broken up.
+    Line breaks become spaces; what does not print becomes a visible escape; ``##[``, which the runner reads as a
+    command anywhere in a line, is broken up.
     """
-    text = _LINE_BREAKS.sub(" ", text.strip())
-    text = _UNPRINTABLE.sub(lambda match: match[0].encode("unicode_escape").decode("ascii"), text)
-    return text.replace("##[", "## [")
+    return visible(_LINE_BREAKS.sub(" ", text.strip())).replace("##[", "## [")
+
+
+def visible(text: str) -> str:
+    """Replace control characters, changes of the writing direction and invisible characters by escapes."""
+    return _UNPRINTABLE.sub(lambda match: match[0].encode("unicode_escape").decode("ascii"), text)
 
 
 def shorten(text: str, length: int = 80) -> str:

@@ -8,8 +8,9 @@ import pytest
 from defusedxml.ElementTree import parse
 
 from calibration.__main__ import main, run_action
-from calibration.commands.introspect_csv import command, expand
+from calibration.commands.introspect_csv import command
 from calibration.errors import InputError
+from calibration.files import matching
 
 RMS = "RMS (pix)"
 ATOM = """Collection #,RMS (pix),X err (pix),Y err (pix),Trans (mm),Rot (deg)
@@ -165,17 +166,17 @@ def test_files_and_patterns(folder: Path) -> None:
     (folder / "a" / "b").mkdir(parents=True)
     for name in ("a/y.csv", "a/b/x.csv", "a/[1].csv"):
         (folder / name).write_text(ATOM)
-    assert expand(["t.csv", "a/**/*.csv", "t.csv"]) == ["t.csv", "a/[1].csv", "a/b/x.csv", "a/y.csv"]
-    assert expand(["a/[1].csv"]) == ["a/[1].csv"]
-    assert expand(["none.csv"]) == ["none.csv"]
+    assert matching(["t.csv", "a/**/*.csv", "t.csv"]) == ["t.csv", "a/[1].csv", "a/b/x.csv", "a/y.csv"]
+    assert matching(["a/[1].csv"]) == ["a/[1].csv"]
+    assert matching(["none.csv"]) == ["none.csv"]
     with pytest.raises(InputError, match=r"a/\*\.txt: no file matches this pattern"):
-        expand(["a/*.txt"])
+        matching(["a/*.txt"])
     with pytest.raises(
         InputError, match=r"^/\*\*/x\.csv: this searches the whole machine: a folder was expected before"
     ):
-        expand(["/**/x.csv"])  # such as ${{ steps.calibrate.outputs.output }}/**/x.csv, where that is empty
+        matching(["/**/x.csv"])  # such as ${{ steps.calibrate.outputs.output }}/**/x.csv, where that is empty
     with pytest.raises(InputError, match="no file matches"):
-        expand(["?"])  # there is the folder a
+        matching(["?"])  # there is the folder a
 
 
 def test_every_file_is_judged(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

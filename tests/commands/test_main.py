@@ -1,7 +1,9 @@
+import ctypes
 import os
 import signal
 import subprocess
 import sys
+import warnings
 from pathlib import Path
 
 import click
@@ -142,7 +144,7 @@ def test_the_exit_code_is_what_the_command_returns(ends_with: list[object], end:
         (InputError("a.csv: is\nwrong"), 2, "error: a.csv: is\\nwrong\n"),
         (UndeterminedError("one axis"), 2, "error: one axis\n"),
         (WorldError("disk full"), 3, "error: disk full\n"),
-        (OSError(28, "No space left", "/x"), 3, "error: [Errno 28] No space left: '/x'\n"),
+        (OSError(28, "No space left", "/x"), 3, "error: /x: No space left: make room, or name another place\n"),
         (KeyboardInterrupt(), 130, "error: stopped by SIGINT\n"),
         (
             ModuleNotFoundError("No module named 'cv2'", name="cv2.x"),
@@ -167,6 +169,99 @@ def test_errors_are_one_line(
     out, err = capsys.readouterr()
     assert err == line
     assert out == (line.replace("error: ", "::error::") if github else "")
+
+
+@pytest.mark.parametrize("number", [1, 2])
+@pytest.mark.parametrize(
+    ("arguments", "code"), [("schema", 0), ("calibrate-matrix --dataset none", 2), ("version", 0), ("none", 2)]
+)
+def test_a_stream_that_the_caller_has_closed(arguments: str, code: int, number: int) -> None:
+    command = ["bash", "-c", f'exec {number}>&-; exec "$@"', "bash", sys.executable, "-m", "calibration"]
+    done = subprocess.run([*command, *arguments.split()], capture_output=True, text=True, check=False)
+    assert done.returncode == code
+    assert "Traceback" not in done.stderr
+    assert "bug" not in done.stderr
+    assert done.stderr.count("\n") == (number == 1 and code == 2)
+
+
+def test_a_file_takes_no_place_of_a_closed_stream() -> None:
+    program = "import os, sys; from calibration.__main__ import main; main(['version'])"
+    program += "; sys.exit(os.open('/dev/null', 0) < 3)"
+    command = ["bash", "-c", 'exec 1>&- 0<&-; exec "$@"', "bash", sys.executable, "-c", program]
+    assert subprocess.run(command, check=False).returncode == 0
+
+
+def test_warnings_of_packages_stand_beside_no_error(
+    ends_with: list[object], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Warns:
+        def __int__(self) -> int:
+            warnings.warn("overflow encountered", RuntimeWarning, stacklevel=1)
+            return 0
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("always")
+        ends_with.append(Warns())
+        assert main(["end"]) == 0
+        assert capsys.readouterr().err == ""
+
+
+@pytest.mark.parametrize("error", [InputError, WorldError, click.UsageError])
+@pytest.mark.parametrize("quoted", ["x" * 100_000, "ab " * 30_000, "a/" * 30_000])
+def test_what_an_error_quotes_is_shortened(
+    ends_with: list[object], capsys: pytest.CaptureFixture[str], error: type[Exception], quoted: str
+) -> None:
+    ends_with.append(error(f"a.json: found '{quoted}', expected a frame"))
+    assert main(["end"]) > 1
+    err = capsys.readouterr().err
+    assert len(err) < 2100
+    assert err.startswith("error: a.json: found '")
+    assert "', expected a frame" in err
+    assert err.count("\n") == 1
+
+
+@pytest.mark.parametrize("character", "\u202e\u2066\u200f\u061c\u200b\ufeff\x1b")
+def test_characters_that_mislead_are_shown(
+    ends_with: list[object], capsys: pytest.CaptureFixture[str], character: str
+) -> None:
+    ends_with.append(click.UsageError(f"cam{character}era"))
+    assert main(["end"]) == 2
+    assert f"cam{character.encode('unicode_escape').decode()}era" in capsys.readouterr().err
+
+
+def without_the_rights_of_root() -> None:
+    """Give up what lets root read everything: CAP_DAC_OVERRIDE, CAP_DAC_READ_SEARCH."""
+    for capability in (1, 2):
+        ctypes.CDLL(None).prctl(24, capability, 0, 0, 0)  # PR_CAPBSET_DROP
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "line"),
+    [
+        ("introspect-csv --file locked/x.csv --column a --max 1", 2, "locked/x.csv: a CSV file was expected, but it"),
+        ("introspect-csv --file locked/*.csv --column a --max 1", 2, "locked/*.csv: the folder locked cannot be read"),
+        ("coverage-upload --service none --reports x --directory locked", 2, "locked: this folder cannot be entered:"),
+        ("record-motion --system system --output locked/x.json", 3, "locked/x.json: Permission denied: let this user"),
+    ],
+)
+def test_a_folder_that_may_not_be_read_is_named(tmp_path: Path, arguments: str, code: int, line: str) -> None:
+    locked = tmp_path / "locked"
+    locked.mkdir()
+    locked.chmod(0)
+    (tmp_path / "system").symlink_to(Path(__file__).parents[2] / "datasets/t2rgb")
+    done = subprocess.run(
+        [sys.executable, "-m", "calibration", *arguments.split()],
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])},
+        capture_output=True,
+        text=True,
+        preexec_fn=without_the_rights_of_root,
+        check=False,
+    )
+    locked.chmod(0o700)
+    [said] = done.stderr.splitlines()
+    assert said.startswith(f"error: {line}")
+    assert done.returncode == code
 
 
 @pytest.mark.parametrize(

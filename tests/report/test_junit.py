@@ -6,6 +6,7 @@ from hypothesis import strategies as st
 from calibration.errors import ExitCode
 from calibration.report import Outcome
 from calibration.report.junit import junit_xml
+from calibration.workflow.text import visible
 
 
 def test_suites_and_cases() -> None:
@@ -46,7 +47,7 @@ def test_any_text_makes_valid_xml(name: str, failure: str) -> None:
     allowed = [
         c for c in name if c in "\t\n\r" or 0x20 <= ord(c) <= 0xD7FF or 0xE000 <= ord(c) <= 0xFFFD or ord(c) > 0xFFFF
     ]
-    assert root[0].attrib["name"] == "".join(allowed)
+    assert root[0].attrib["name"] == visible("".join(allowed))
 
 
 @pytest.mark.parametrize("character", ["\x00", "\x1b", "\x0b", "\ufffe", "\ud800"])
