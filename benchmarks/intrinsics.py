@@ -12,6 +12,7 @@ from benchmarks.rig_arrays import RigArrays, corner_pixels
 from benchmarks.rows import Bar, Row
 from benchmarks.scenes import CAMERA, rig
 from benchmarks.timing import seconds
+from calibration.estimation.blocks import Values
 from calibration.estimation.build import build
 from calibration.estimation.calibrate import Options, calibrate
 from calibration.estimation.intrinsics import CalibratedIntrinsics
@@ -19,7 +20,7 @@ from calibration.estimation.least_squares import minimise
 from calibration.estimation.linear_start import linear_start
 from calibration.estimation.noise_levels import NoiseLevels
 from calibration.estimation.normal_equations import Weighting
-from calibration.estimation.problem import Problem, Values
+from calibration.estimation.problem import Problem
 from calibration.estimation.result import Calibration
 from calibration.geometry.cameras import Camera
 from calibration.geometry.distortion import Distortion, Equidistant, PlumbBob, Rational

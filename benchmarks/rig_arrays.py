@@ -7,11 +7,11 @@ import numpy as np
 
 from benchmarks.scenes import CAMERA, rig
 from calibration.dataset.model import Collection, CornerLabels
+from calibration.estimation.blocks import Values
 from calibration.estimation.build import Setup, build
 from calibration.estimation.linear_start import linear_start
 from calibration.estimation.noise_levels import NoiseLevels
 from calibration.estimation.optimisation import WeightedOptimum, optimise
-from calibration.estimation.problem import Values
 from calibration.geometry.transforms import inverse, translation
 from calibration.geometry.types import Array
 
@@ -90,7 +90,7 @@ def rig_problem(collections: int, cameras: int = 2, seed: int = 0) -> RigProblem
         ),
         pattern.centre,
     )
-    assert [problem.setup.edges.index(sensor.edge) for sensor in dataset.sensors.values()] == list(range(cameras))
+    assert [problem.setup.block(sensor.edge) for sensor in dataset.sensors.values()] == list(range(cameras))
     return problem
 
 

@@ -11,12 +11,13 @@ from benchmarks.rows import Bar, Row
 from benchmarks.timing import interleaved
 from calibration.dataset.model import Dataset
 from calibration.errors import UndeterminedError
+from calibration.estimation.blocks import Values
 from calibration.estimation.build import build
 from calibration.estimation.calibrate import Options, calibrate
 from calibration.estimation.least_squares import minimise
 from calibration.estimation.linear_start import linear_start
 from calibration.estimation.normal_equations import Weighting
-from calibration.estimation.problem import Problem, Values
+from calibration.estimation.problem import Problem
 from calibration.estimation.starting_noise import StartingNoise
 from calibration.geometry.joints import JOINT_PARAMETERS, JointParameter
 from calibration.geometry.transforms import distance
@@ -76,14 +77,15 @@ def _cost(rounds: int) -> Iterator[Row]:
     np.ones(2_000_000)  # a block so large, given back, makes the allocator keep what is freed after it for all works
     for collections in (24, 200, 400):
         arms = {
-            name: jointed_arm(collections, free=free, pixel_noise=0.3).dataset(1)
+            name: _solve(jointed_arm(collections, free=free, pixel_noise=0.3).dataset(1))
             for name, free in (("none", {}), ("joint", JOINT))
         }
-        yield _ratio("a joint on the chain", {k: _solve(d) for k, d in arms.items()}, collections, rounds)
+        yield _ratio("a joint on the chain", arms, collections, rounds)
+    for collections in (12, 24, 50, 200, 400):
         several = two_patterns(collections, pixel_noise=0.3)
         one = stereo(collections, pixel_noise=0.3, anchored="left")
-        boards = {"none": one.dataset(1), "pattern": several.dataset(1)}
-        yield _ratio("a pattern more", {k: _solve(d) for k, d in boards.items()}, collections, rounds)
+        boards = {"none": _solve(one.dataset(1)), "pattern": _solve(several.dataset(1))}
+        yield _ratio("a pattern more", boards, collections, rounds)
 
 
 def _solve(dataset: Dataset) -> tuple[Problem, Values]:
@@ -99,10 +101,7 @@ def _ratio(what: str, problems: dict[str, tuple[Problem, Values]], collections: 
     more = min(with_it) / min(without) - 1  # a few milliseconds: what else the machine does would decide the median
     iterations = " and ".join(str(minimise(p, v, WEIGHTS).iterations) for p, v in problems.values())
     note = f"{1e3 * min(without):.2f} ms without, {iterations} iterations; the fastest of {rounds} rounds"
-    # a group of views makes as many calls of numpy whatever its size, and a second pattern doubles the groups (4, each
-    # of half the views, in place of 2): it holds the bar once there are enough views in each
-    bar = None if what == "a pattern more" and collections < 400 else Bar(high=20)
-    return Row(f"robots/{what}, N={collections}", 100 * more, "% more", bar, note)
+    return Row(f"robots/{what}, N={collections}", 100 * more, "% more", Bar(high=20), note)
 
 
 def _refusals() -> Row:

@@ -4,7 +4,8 @@
 
 The rooms of the engine, in the order of the work:
 
-- ``problem``: what is unknown (blocks), how the unknowns make up each view's pose (chains);
+- ``blocks``: what is unknown, and what its parameters do; ``views``: how the unknowns make up each view's pose
+  (chains); ``batches``: views that are evaluated in one pass; ``problem``: all of it;
 - ``usable_labels``, ``scan``, ``build``: a dataset as such a problem;
 - ``planar_pose``, ``single_views``, ``plane_alignment``, ``robot_world``, ``linear_start``: a start
   that needs no guess;

@@ -1,23 +1,26 @@
 """A dataset as a least-squares problem: which transforms are unknown, and how the labels depend on them."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from calibration.dataset.model import CornerLabels, Dataset, Edge, Labels, PointLabels, Sensor
 from calibration.dataset.pattern import Pattern
 from calibration.errors import InputError, UndeterminedError
+from calibration.estimation.blocks import Block, FreeJoint
 from calibration.estimation.depth_border import depth_border_rays
 from calibration.estimation.gauge import free_gauge
 from calibration.estimation.holding import held_blocks
 from calibration.estimation.intrinsics import CalibratedIntrinsics
-from calibration.estimation.problem import Block, Chain, FreeJoint, Link, Problem, Term, ViewGroup
+from calibration.estimation.problem import Problem
 from calibration.estimation.residuals import BorderTerm, RangeTerm
 from calibration.estimation.scan import border_rays
 from calibration.estimation.single_views import corner_term
-from calibration.estimation.unknown_intrinsics import intrinsics_blocks, intrinsics_name
+from calibration.estimation.unknown_intrinsics import intrinsics_blocks
 from calibration.estimation.usable_labels import usable_labels
+from calibration.estimation.views import Chain, Link, Term, ViewGroup
 from calibration.geometry.transforms import inverse
 from calibration.geometry.types import Array, BoolArray, IntArray
 
@@ -29,9 +32,7 @@ class Setup:
     dataset: Dataset
     """Only the collections that count."""
     problem: Problem
-    edges: tuple[Edge, ...]
-    """The edge of each block of a transform: those of sensors and additional transforms first, then joints, then the
-    patterns. Blocks of intrinsics come after them."""
+    """Its blocks: those of sensors and additional transforms first, then joints, patterns, intrinsics."""
     gauge: str | None
     """The sensor that is held because nothing else fixes the world; None where something does."""
     gauge_patterns: tuple[str, ...]
@@ -41,7 +42,11 @@ class Setup:
 
     def block(self, edge: Edge) -> int:
         """The block of an edge."""
-        return self.edges.index(edge)
+        return self._blocks[edge]
+
+    @cached_property
+    def _blocks(self) -> dict[Edge, int]:
+        return {block.edge: i for i, block in enumerate(self.problem.blocks) if block.edge}
 
     def pattern_edge(self, pattern: str) -> Edge:
         """The edge of a pattern: its parent to its link."""
@@ -69,16 +74,13 @@ def build(
             depends on a transform.
     """
     dataset, ignored = usable_labels(dataset)
-    blocks, edges = _blocks(dataset)
-    cameras = intrinsics_blocks(dataset, intrinsics, intrinsics_covariance or {})
-    blocks = held_blocks(dataset, (*blocks, *cameras), edges, hold)
-    transforms, cameras = blocks[: len(edges)], blocks[len(edges) :]
-    groups = tuple(_groups(dataset, transforms, edges, [camera.name for camera in cameras]))
-    gauge = free_gauge(dataset, groups, transforms, edges)
+    blocks = (*_blocks(dataset), *intrinsics_blocks(dataset, intrinsics, intrinsics_covariance or {}))
+    blocks = held_blocks(dataset, blocks, hold)
+    groups = tuple(_groups(dataset, blocks))
+    gauge = free_gauge(dataset, groups, blocks)
     fixing = [dataset.sensors[gauge.sensor].edge] if gauge.sensor else []
     fixing += [(p.parent_link, p.link) for p in (dataset.patterns[name] for name in gauge.patterns)]
-    transforms = tuple(replace(b, held=b.held or edge in fixing) for b, edge in zip(transforms, edges, strict=True))
-    blocks = (*transforms, *cameras)
+    blocks = tuple(replace(block, held=block.held or block.edge in fixing) for block in blocks)
     problem = Problem(blocks, groups, len(dataset.collections))
     if all(blocks[i].name in dataset.patterns for i in (*problem.shared, *problem.local)):
         raise UndeterminedError(
@@ -87,15 +89,17 @@ def build(
             f"a single sensor needs a robot that moves it or the pattern"
         )
     used = {link.block for group in groups for link in group.chain.links}
-    if idle := [block.name for i, block in enumerate(transforms) if i not in used and not block.held]:
+    idle = [block.name for i, block in enumerate(blocks) if i not in used and not block.held and block.edge]
+    if idle:
         raise UndeterminedError(
             f"{dataset.path}: '{idle[0]}' does not lie between any sensor and a pattern that it sees, so no label "
             f"tells it; leave it out, or add the sensor that needs it"
         )
-    return Setup(dataset, problem, edges, gauge.sensor, gauge.patterns, ignored)
+    return Setup(dataset, problem, gauge.sensor, gauge.patterns, ignored)
 
 
-def _blocks(dataset: Dataset) -> tuple[tuple[Block, ...], tuple[Edge, ...]]:
+def _blocks(dataset: Dataset) -> list[Block]:
+    """Of all unknown transforms."""
     blocks: dict[Edge, Block] = {}
     for sensor in dataset.sensors.values():
         held = sensor.name == dataset.anchored or (sensor.edge in blocks and blocks[sensor.edge].held)
@@ -103,43 +107,31 @@ def _blocks(dataset: Dataset) -> tuple[tuple[Block, ...], tuple[Edge, ...]]:
     for edge in dataset.additional_transforms:
         blocks.setdefault(edge, Block("-".join(edge), per_collection=edge in dataset.moving_transforms))
     for joint in dataset.joints.values():
-        blocks[joint.edge] = Block(f"joint-{joint.name}", joint=FreeJoint(joint.model, joint.parameters))
+        blocks[joint.edge] = Block(f"joint-{joint.name}", parameters=FreeJoint(joint.model, joint.parameters))
     for pattern in dataset.patterns.values():
         blocks[pattern.parent_link, pattern.link] = Block(pattern.name, per_collection=not pattern.fixed)
-    return tuple(blocks.values()), tuple(blocks)
+    return [replace(block, edge=edge) for edge, block in blocks.items()]
 
 
-def _groups(
-    dataset: Dataset, blocks: tuple[Block, ...], edges: tuple[Edge, ...], cameras: Sequence[str]
-) -> list[ViewGroup]:
-    """The views of each sensor and pattern; ``cameras`` are the names of the blocks that come after the transforms'."""
-    groups = []
+def _groups(dataset: Dataset, blocks: Sequence[Block]) -> Iterator[ViewGroup]:
+    """The views of each sensor and pattern."""
+    intrinsics = {block.intrinsics.sensor: i for i, block in enumerate(blocks) if block.intrinsics}
     for pattern in dataset.patterns.values():
         for sensor in dataset.sensors.values():
             detections = dataset.detections(pattern.name, sensor.name)
             if detections:
                 collections = np.array([i for i, _ in detections])
-                chain = _chain(dataset, sensor, pattern, blocks, edges, collections)
-                labels = [label for _, label in detections]
-                terms = _terms(sensor, pattern, labels)
-                own = intrinsics_name(sensor.name)
-                intrinsics = len(edges) + cameras.index(own) if own in cameras else None
-                groups.append(ViewGroup(sensor.name, pattern.name, collections, chain, terms, intrinsics))
-    return groups
+                chain = _chain(dataset, sensor, pattern, blocks, collections)
+                terms = _terms(sensor, pattern, [label for _, label in detections])
+                yield ViewGroup(sensor.name, pattern.name, collections, chain, terms, intrinsics.get(sensor.name))
 
 
-def _chain(
-    dataset: Dataset,
-    sensor: Sensor,
-    pattern: Pattern,
-    blocks: tuple[Block, ...],
-    edges: tuple[Edge, ...],
-    collections: IntArray,
-) -> Chain:
+def _chain(dataset: Dataset, sensor: Sensor, pattern: Pattern, blocks: Sequence[Block], collections: IntArray) -> Chain:
     """``T_sensor_pattern`` as constants and blocks; neighbouring constants are multiplied out.
 
     What the encoder of a joint tells is a constant: it follows the joint's block.
     """
+    at = {block.edge: i for i, block in enumerate(blocks)}
     motions = {joint.edge: joint.model.motion(joint.positions)[collections] for joint in dataset.joints.values()}
     before: Array | None = None
     links: list[Link] = []
@@ -160,19 +152,18 @@ def _chain(
                 f"{dataset.path}: pattern '{pattern.name}': its parent '{pattern.parent_link}' hangs on pattern "
                 f"'{others[edge]}', expected a frame of the robot or the world"
             )
-        if edge in edges:
+        if edge in at:
             motion = motions.get(edge)
             if motion is not None and step.inverted:
                 constant = inverse(motion) if constant is None else constant @ inverse(motion)
             follow_with(_simplified(constant))
-            block = edges.index(edge)
-            links.append(Link(block, step.inverted, joint=blocks[block].joint))
+            links.append(Link(at[edge], step.inverted))
             constant = None if step.inverted else motion
         else:
             T = dataset.transform(*(edge if not step.inverted else edge[::-1]))[collections]
             constant = T if constant is None else constant @ T
     follow_with(_simplified(constant))
-    links.append(Link(edges.index((pattern.parent_link, pattern.link)), inverted=False))
+    links.append(Link(at[pattern.parent_link, pattern.link], inverted=False))
     return Chain(before, tuple(links))
 
 

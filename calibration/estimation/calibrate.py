@@ -8,6 +8,7 @@ import numpy as np
 
 from calibration.dataset.model import Dataset, Edge, PointLabels
 from calibration.errors import UndeterminedError
+from calibration.estimation.blocks import Pose, Values
 from calibration.estimation.build import Setup, build
 from calibration.estimation.consider import considered_covariance
 from calibration.estimation.intrinsics import CalibratedIntrinsics
@@ -16,10 +17,10 @@ from calibration.estimation.linear_start import free_patterns, linear_start, pat
 from calibration.estimation.noise_levels import NoiseLevels
 from calibration.estimation.observability import covariances, open_directions
 from calibration.estimation.optimisation import WeightedOptimum, optimise, unflipped
-from calibration.estimation.problem import BORDERS, Values
 from calibration.estimation.result import CalibratedJoint, Calibration, RejectedLabel, ViewResiduals
 from calibration.estimation.starting_noise import StartingNoise, perturb
-from calibration.estimation.unknown_intrinsics import contradicted_priors, intrinsics_name
+from calibration.estimation.unknown_intrinsics import contradicted_priors
+from calibration.estimation.views import BORDERS
 from calibration.geometry.transforms import adjoint, distance, inverse, translation
 from calibration.geometry.types import Array, IntArray
 
@@ -84,19 +85,20 @@ def _initial_values(setup: Setup) -> Values:
 
     Patterns have no place yet, unless they are held at it.
     """
-    joints = {joint.edge: joint.values for joint in setup.dataset.joints.values()}
-    values = []
-    for block, edge in zip(setup.problem.blocks, setup.edges, strict=False):
-        pattern = setup.dataset.patterns.get(block.name)
-        if pattern and (not block.held or pattern.name in setup.gauge_patterns):
+    dataset, joints = setup.dataset, {joint.edge: joint.values for joint in setup.dataset.joints.values()}
+    values: list[Array] = []
+    for block in setup.problem.blocks:
+        pattern = dataset.patterns.get(block.name)
+        if block.intrinsics:
+            values.append(block.intrinsics.camera.intrinsics)
+        elif pattern and (not block.held or pattern.name in setup.gauge_patterns):
             shape = (setup.problem.collections, 4, 4) if block.per_collection else (4, 4)
             values.append(np.broadcast_to(np.eye(4), shape).copy())
-        elif edge in joints:
-            values.append(joints[edge])
-        else:
-            T = setup.dataset.transforms[edge] if block.per_collection else setup.dataset.transform(*edge)[0]
+        elif block.edge in joints:
+            values.append(joints[block.edge])
+        elif block.edge:
+            T = dataset.transforms[block.edge] if block.per_collection else dataset.transform(*block.edge)[0]
             values.append(T @ translation(pattern.centre) if pattern else T)
-    values += [block.intrinsics.camera.intrinsics for block in setup.problem.blocks if block.intrinsics]
     return place_gauge_patterns(setup, tuple(values))
 
 
@@ -174,7 +176,8 @@ def _result(
         undetermined, weakly = open_directions(problem, optimum.equations, size)
         if undetermined:
             named = "; ".join(direction.describe(names) for direction in undetermined[:3])
-            several = problem.has_vectors or setup.dataset.additional_transforms
+            has_names = any(problem.blocks[i].parameters.free for i in problem.shared)
+            several = has_names or setup.dataset.additional_transforms
             held = next((name for each in undetermined if (name := each.to_hold(names))), "")
             hold = f", or hold one of them{f', such as {held!r}' if held else ''}" if several else ""
             raise UndeterminedError(
@@ -231,7 +234,7 @@ def _intrinsics(setup: Setup, values: Values, covariance: Mapping[int, Array]) -
     for i, block in enumerate(setup.problem.blocks):
         if (intrinsics := block.intrinsics) and not block.held:
             k = len(intrinsics.free)
-            found[block.name.removeprefix(intrinsics_name(""))] = CalibratedIntrinsics(
+            found[intrinsics.sensor] = CalibratedIntrinsics(
                 model=intrinsics.camera.distortion.ros_name,
                 parameters=intrinsics.free,
                 values=values[i][intrinsics.at],
@@ -257,7 +260,10 @@ def _far_guesses(setup: Setup, values: Values, guess: Values) -> list[str]:
 
 def _of_transforms(setup: Setup, covariance: Mapping[int, Array]) -> dict[Edge, Array]:
     """The covariances of the shared blocks that are poses; of patterns about their own frame, not their centre."""
-    found = {setup.edges[i]: C for i, C in covariance.items() if not setup.problem.blocks[i].vector}
+    blocks = setup.problem.blocks
+    found = {
+        edge: C for i, C in covariance.items() if isinstance(blocks[i].parameters, Pose) and (edge := blocks[i].edge)
+    }
     for name, pattern in setup.dataset.patterns.items():
         if (edge := setup.pattern_edge(name)) in found:
             to_frame = adjoint(translation(pattern.centre))
@@ -270,8 +276,8 @@ def _transforms(setup: Setup, values: Values) -> dict[Edge, Array]:
     patterns = {setup.pattern_edge(name): p for name, p in setup.dataset.patterns.items()}
     return {
         edge: value @ inverse(translation(patterns[edge].centre)) if edge in patterns else value
-        for edge, value in zip(setup.edges, values, strict=False)
-        if value.ndim == 2
+        for block, value in zip(setup.problem.blocks, values, strict=True)
+        if (edge := block.edge) and value.ndim == 2
     }
 
 
@@ -283,23 +289,20 @@ def _calibrated(setup: Setup, values: Values, dataset: Dataset) -> Dataset:
     moving = {}
     kept = set(setup.dataset.keys)
     used = np.array([i for i, key in enumerate(dataset.keys) if key in kept])
-    for i, (block, edge) in enumerate(zip(setup.problem.blocks, setup.edges, strict=False)):
-        if not block.per_collection or block.held:
+    for i, block in enumerate(setup.problem.blocks):
+        if not block.per_collection or block.held or not block.edge:
             continue
-        seen = np.zeros(len(used), bool)
-        for group in setup.problem.groups:
-            if any(link.block == i for link in group.chain.links):
-                seen[group.collections] = True
+        seen = setup.problem.collections_with(i)
         if pattern := setup.dataset.patterns.get(block.name):
             poses = np.full((len(dataset.collections), 4, 4), np.nan)
             poses[used[seen]] = values[i][seen] @ inverse(translation(pattern.centre))
         else:
-            poses = dataset.transforms[edge].copy()
+            poses = dataset.transforms[block.edge].copy()
             poses[used[seen]] = values[i][seen]
-        moving[edge] = poses
+        moving[block.edge] = poses
     joints = {name: values[setup.block(joint.edge)] for name, joint in setup.dataset.joints.items()}
     cameras = {
-        block.name.removeprefix(intrinsics_name("")): block.intrinsics.camera.with_intrinsics(value)
+        block.intrinsics.sensor: block.intrinsics.camera.with_intrinsics(value)
         for block, value in zip(setup.problem.blocks, values, strict=True)
         if block.intrinsics and not block.held
     }

@@ -10,9 +10,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from calibration.estimation.blocks import Block, Values
 from calibration.estimation.intrinsics import FreeIntrinsics, Prior
 from calibration.estimation.normal_equations import Weighting, assemble
-from calibration.estimation.problem import Block, Problem, Values
+from calibration.estimation.problem import Problem
 from calibration.geometry.types import Array
 
 
@@ -49,7 +50,7 @@ def _opened(block: Block) -> Block:
         return block
     known = {intrinsics.camera.parameters[i] for i in intrinsics.prior.at}
     free = known if block.held else known | set(intrinsics.free)
-    return replace(block, held=False, intrinsics=intrinsics.with_free(tuple(free)))
+    return replace(block, held=False, parameters=intrinsics.with_free(tuple(free)))
 
 
 def _among(intrinsics: FreeIntrinsics, prior: Prior) -> Array:

@@ -13,7 +13,8 @@ import numpy as np
 
 from calibration.dataset.model import Dataset, Edge
 from calibration.errors import UndeterminedError
-from calibration.estimation.problem import Block, ViewGroup
+from calibration.estimation.blocks import Block
+from calibration.estimation.views import ViewGroup
 
 RIGID = 1e-9
 """Transforms that differ by less (m, and elements of rotations) are the same in all collections."""
@@ -29,7 +30,7 @@ class Gauge:
     """Fixed patterns that stay where their first views put them by the guess."""
 
 
-def free_gauge(dataset: Dataset, groups: Sequence[ViewGroup], blocks: Sequence[Block], edges: Sequence[Edge]) -> Gauge:
+def free_gauge(dataset: Dataset, groups: Sequence[ViewGroup], blocks: Sequence[Block]) -> Gauge:
     """What to hold.
 
     A free body is held by a sensor, or by a fixed pattern where no sensor is fixed to it: only the
@@ -43,7 +44,7 @@ def free_gauge(dataset: Dataset, groups: Sequence[ViewGroup], blocks: Sequence[B
             its own of make up for each other.
     """
     parts = _linked(dataset, groups, blocks)
-    free = [bodies for part in parts if (bodies := _free_bodies(dataset, part, groups, blocks, edges))]
+    free = [bodies for part in parts if (bodies := _free_bodies(dataset, part, groups, blocks))]
     if free and len(parts) > 1:
         listed = " and ".join("{" + ", ".join(part) + "}" for part in parts)
         raise UndeterminedError(
@@ -52,24 +53,22 @@ def free_gauge(dataset: Dataset, groups: Sequence[ViewGroup], blocks: Sequence[B
         )
     gauge = Gauge()
     for attached in (body for bodies in free for body in bodies):
-        additional = any(edges[b] in dataset.additional_transforms for b in attached)
-        if not additional or any(blocks[b].per_collection for b in attached):
-            gauge = _held(dataset, gauge, attached, blocks, edges)
+        additional = any(block.edge in dataset.additional_transforms for block in attached)
+        if not additional or any(block.per_collection for block in attached):
+            gauge = _held(dataset, gauge, attached)
     return gauge
 
 
-def _held(
-    dataset: Dataset, gauge: Gauge, attached: Sequence[int], blocks: Sequence[Block], edges: Sequence[Edge]
-) -> Gauge:
+def _held(dataset: Dataset, gauge: Gauge, attached: Sequence[Block]) -> Gauge:
     """The gauge with one more body held, by one of the blocks attached to it."""
-    constant = [edges[b] for b in attached if not blocks[b].per_collection]
+    constant = [block.edge for block in attached if not block.per_collection]
     for sensor in dataset.sensors.values():
         if gauge.sensor is None and sensor.edge in constant:
             return Gauge(sensor.name, gauge.patterns)
     for pattern in dataset.patterns.values():
         if (pattern.parent_link, pattern.link) in constant:
             return Gauge(gauge.sensor, (*gauge.patterns, pattern.name))
-    names = " and ".join(f"'{blocks[b].name}'" for b in attached)
+    names = " and ".join(f"'{block.name}'" for block in attached)
     raise UndeterminedError(
         f"{dataset.path}: {names} make up for each other, so no label tells them; hold one of them or leave it out"
     )
@@ -99,26 +98,22 @@ def _linked(dataset: Dataset, groups: Sequence[ViewGroup], blocks: Sequence[Bloc
 
 
 def _free_bodies(
-    dataset: Dataset,
-    sensors: Sequence[str],
-    groups: Sequence[ViewGroup],
-    blocks: Sequence[Block],
-    edges: Sequence[Edge],
-) -> list[list[int]]:
+    dataset: Dataset, sensors: Sequence[str], groups: Sequence[ViewGroup], blocks: Sequence[Block]
+) -> list[list[Block]]:
     """The bodies that these sensors' views leave anywhere: of each, the blocks attached to it."""
     views = [group for group in groups if group.sensor in sensors]
-    used = sorted({link.block for group in views for link in group.chain.links if not blocks[link.block].joint})
-    bodies = _Bodies(dataset, [edge for edge, block in zip(edges, blocks, strict=True) if not block.joint])
+    used = [blocks[i] for i in sorted({link.block for group in views for link in group.chain.links})]
+    bodies = _Bodies(dataset, [block.edge for block in blocks if block.edge and not block.joint])
     seen = {bodies.of(dataset.sensors[group.sensor].frame) for group in views}
     seen |= {bodies.of(dataset.patterns[group.pattern].link) for group in views}
-    attached: dict[str, list[tuple[int, str]]] = {}
+    attached: dict[str, list[tuple[Block, str]]] = {}
     for block in used:
-        for frame in edges[block]:
+        for frame in () if block.joint else block.edge or ():
             attached.setdefault(bodies.of(frame), []).append((block, frame))
     free = []
     for body, ends in attached.items():
-        constant = [frame for block, frame in ends if not blocks[block].per_collection]
-        if body not in seen and not any(blocks[block].held for block, _ in ends) and _rigid(dataset, constant):
+        constant = [frame for block, frame in ends if not block.per_collection]
+        if body not in seen and not any(block.held for block, _ in ends) and _rigid(dataset, constant):
             free.append([block for block, _ in ends])
     return free
 

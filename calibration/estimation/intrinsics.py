@@ -7,6 +7,7 @@ from typing import Literal
 
 import numpy as np
 
+from calibration.estimation.motion import Motion
 from calibration.geometry.cameras import Camera
 from calibration.geometry.types import Array, BoolArray
 
@@ -61,6 +62,8 @@ class Prior:
 class FreeIntrinsics:
     """A camera some of whose intrinsics are unknown."""
 
+    sensor: str
+    """Whose camera it is."""
     camera: Camera
     """With its nominal intrinsics."""
     free: tuple[str, ...]
@@ -69,10 +72,21 @@ class FreeIntrinsics:
     """(2, n): where its labels lie, as normalised coordinates."""
     prior: Prior | None = None
 
+    @property
+    def dimension(self) -> int:
+        """How many parameters are free."""
+        return len(self.free)
+
     @cached_property
     def at(self) -> list[int]:
         """Where the free parameters stand among all."""
         return [self.camera.parameters.index(parameter) for parameter in self.free]
+
+    def motions(self, size: float) -> list[Motion]:
+        """What each free parameter does to the rays of the labels; the ``size`` of a pattern plays no part."""
+        units, extents = self.unit, self.unit * self.reach
+        parts = zip(self.free, units.tolist(), extents.tolist(), strict=True)
+        return [Motion("ray", 1, *part) for part in parts]
 
     def with_free(self, parameters: Sequence[str]) -> "FreeIntrinsics":
         """The same with these parameters free, in any order."""

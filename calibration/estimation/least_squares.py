@@ -4,8 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calibration.estimation.blocks import Values
 from calibration.estimation.normal_equations import NormalEquations, Weighting, assemble
-from calibration.estimation.problem import Problem, Values
+from calibration.estimation.problem import Problem
 from calibration.geometry.types import Array, BoolArray
 
 STALLED = 20

@@ -5,8 +5,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calibration.dataset.modalities import NoiseKind
+from calibration.estimation.blocks import Values
 from calibration.estimation.median import median
-from calibration.estimation.problem import NoiseKind, Problem, Values
+from calibration.estimation.problem import Problem
 from calibration.geometry.types import Array
 
 FLOORS: dict[NoiseKind, float] = {

@@ -1,26 +1,41 @@
-"""The normal equations of all views, with the blocks of each collection eliminated.
+"""The normal equations of all views, and their solution with the blocks of each collection eliminated.
 
-A view's Hessian M (6x6, from `calibration.estimation.residuals`) becomes the block (a, b) of the
-normal equations as ``J_a^T M J_b``, where J maps a block's parameters (the six of a twist, or those
-of a joint) to the view's twist: chain length costs products of 6x6 matrices per view, never work per
-label. Free intrinsics of a camera are rows and columns of M of their own. Blocks that each collection
-has its own of (moving patterns) are eliminated collection by collection in one batched solve, and what
-remains is one small dense matrix for the shared blocks, the Schur complement. A Jacobian is never stored.
+The cost is ``sum r^T r`` over all residuals in standard deviations, the parameters are those x that all collections
+share (S) and those y_c that each collection c has its own of (P; the pose of a moving pattern). Gauss-Newton's step
+solves ``H step = -g`` with ``H = J^T J`` and ``g = J^T r``, which has the form of an arrow, as no residual depends on
+two collections::
+
+    [ H_xx   H_x1  H_x2 ... ] [ dx  ]     [ g_x ]      H_shared  H_xx (S, S)    g_shared  g_x (S)
+    [ H_x1^T H_11           ] [ dy_1]     [ g_1 ]      H_mixed   H_xc (N, S, P)
+    [ H_x2^T       H_22     ] [ dy_2] = - [ g_2 ]      H_local   H_cc (N, P, P) g_local   g_c (N, P)
+
+The rows of c give ``dy_c = -H_cc^-1 (g_c + H_xc^T dx)``, one batched solve; put into the first row they leave the
+Schur complement, one small dense system::
+
+    (H_xx - sum_c H_xc H_cc^-1 H_xc^T) dx = -(g_x - sum_c H_xc H_cc^-1 g_c)
+
+Its matrix is the information of the data on x with all y being free, its inverse the covariance of x.
+
+A view's labels depend on the twist t of its pose alone (see `calibration.estimation.residuals`, which squeezes them
+to ``M = sum (dr/dt)^T (dr/dt)`` (6, 6) and ``m = sum (dr/dt)^T r`` (6)), and on free intrinsics of its camera, whose
+rows and columns follow those of t. With ``A = dt/d(x, y)`` (6, C) of the C parameters on the view's chain
+(`calibration.estimation.batches`) it adds ``A^T M A`` to H and ``A^T m`` to g: the length of a chain costs products of
+6x6 matrices per view, never work per label.
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import accumulate
-from typing import NamedTuple
 
 import numpy as np
 
-from calibration.estimation.problem import NoiseKind, Problem, Term, Values, ViewGroup
-from calibration.geometry.types import Array, IntArray
+from calibration.dataset.modalities import NoiseKind
+from calibration.estimation.batches import Batch, index_of, table_of
+from calibration.estimation.blocks import Values
+from calibration.estimation.problem import Problem
+from calibration.estimation.views import Term
+from calibration.geometry.types import Array
 
-VIEWS_AT_A_TIME = 1024
-"""Bounds the temporaries: 1024 views of 50 corners pass through in about 10 MB."""
 ONE_THREAD = 1 << 18
 """Multiplications in a product of matrices up to which BLAS starts no threads, which wait for each other on a busy
 machine."""
@@ -38,7 +53,7 @@ class Weighting:
 
 @dataclass(frozen=True, eq=False)
 class NormalEquations:
-    """``H step = -g``: S parameters of shared blocks, P of local ones in each of N collections."""
+    """``H step = -g``: S parameters of shared blocks, P of local ones in each of N collections; see above."""
 
     cost: Array
     """(N,): the cost of each collection; the sum of squared residuals in standard deviations."""
@@ -102,27 +117,28 @@ class NormalEquations:
 
 def assemble(problem: Problem, values: Values, weighting: Weighting) -> NormalEquations:
     """Form the normal equations at some values."""
-    N = problem.collections
-    S, P = (sum(problem.blocks[i].dimension for i in blocks) for blocks in (problem.shared, problem.local))
+    N, (S, P) = problem.collections, problem.sizes
     equations = NormalEquations(
         np.zeros(N), np.zeros((S, S)), np.zeros((N, S, P)), np.zeros((N, P, P)), np.zeros(S), np.zeros((N, P))
     )
-    for group in problem.groups:
-        if not _possible(problem, group, values):
-            equations.cost[group.collections] = np.inf
+    table = table_of(problem.blocks, values)
+    for batch in problem.batches:
+        if not _possible(problem, batch, values):
+            for part in batch.parts:
+                equations.cost[part.collections] = np.inf
             continue
-        terms = problem.terms(group, values)
-        for start in range(0, len(group.collections), VIEWS_AT_A_TIME):
-            views = slice(start, min(start + VIEWS_AT_A_TIME, len(group.collections)))
-            _add(equations, problem, group, terms, views, values, weighting)
+        T, A = batch.linearise(table, values)
+        cost, M, m = linearise(problem.terms(batch, values), T, weighting)
+        _add(equations, batch, A, cost, M, m, problem.intrinsics_at(batch))
     _fill_unobserved(equations.H_local)
     return _with_priors(equations, problem, values)
 
 
-def _possible(problem: Problem, group: ViewGroup, values: Values) -> bool:
+def _possible(problem: Problem, batch: Batch, values: Values) -> bool:
     """Whether there can be a camera with such intrinsics."""
-    free = problem.free_intrinsics(group)
-    return free is None or free[1].possible(values[free[0]])
+    if batch.intrinsics is None or (intrinsics := problem.blocks[batch.intrinsics].intrinsics) is None:
+        return True
+    return intrinsics.possible(values[batch.intrinsics])
 
 
 def _with_priors(equations: NormalEquations, problem: Problem, values: Values) -> NormalEquations:
@@ -138,130 +154,47 @@ def _with_priors(equations: NormalEquations, problem: Problem, values: Values) -
     return replace(equations, prior=cost) if cost else equations
 
 
-def linearise(terms: Sequence[Term], T: Array, views: slice, weighting: Weighting) -> tuple[Array, Array, Array]:
-    """Cost (v,), Hessian (v, 6 + m, 6 + m) and gradient (v, 6 + m) of some views at their poses, all terms together."""
-
-    def of(term: Term) -> tuple[Array, Array, Array]:
-        return term.linearise(T, views, weighting.scales[term.kind], weighting.huber)
-
-    cost, M, g = of(terms[0])
-    for term in terms[1:]:
-        more_cost, more_M, more_g = of(term)
-        cost, M, g = cost + more_cost, M + more_M, g + more_g
-    return cost, M, g
+def linearise(terms: Sequence[Term], T: Array, weighting: Weighting) -> tuple[Array, Array, Array]:
+    """Cost (V,), Hessian (V, 6 + m, 6 + m) and gradient (V, 6 + m) of views at their poses, all terms together."""
+    each = [term.linearise(T, weighting.scales[term.kind], weighting.huber) for term in terms]
+    cost, M, m = each[0]
+    for more in each[1:]:
+        cost, M, m = cost + more[0], M + more[1], m + more[2]
+    return cost, M, m
 
 
 def _add(
-    equations: NormalEquations,
-    problem: Problem,
-    group: ViewGroup,
-    terms: Sequence[Term],
-    views: slice,
-    values: Values,
-    weighting: Weighting,
+    equations: NormalEquations, batch: Batch, A: Array, cost: Array, M: Array, m: Array, intrinsics: slice
 ) -> None:
-    """Add some views of a group to the equations."""
-    collections = group.collections[views]
-    T, jacobians = group.chain.jacobians(values, views, collections, problem.held)
-    cost, M, g = linearise(terms, T, views, weighting)
-    equations.cost[collections] += cost
-    columns = _columns(problem, jacobians)
-    free = problem.free_intrinsics(group)
-    if free is not None:
-        _add_intrinsics(equations, problem.shared_parameters[free[0]], collections, columns, M, g)
-        M, g = M[:, :6, :6], g[:, :6]
-    for i, a in enumerate(columns):
-        gradient = (np.swapaxes(a.J, 1, 2) @ g[..., None])[..., 0]
-        if a.local:
-            equations.g_local[collections, a.at] += gradient
-        else:
-            equations.g_shared[a.at] += gradient.sum(0)
-        MJ = M @ a.J
-        for b in columns[: i + 1]:
-            if a.local or b.local:
-                block = np.swapaxes(b.J, 1, 2) @ MJ  # (v, k_b, k_a): row b, column a
-                _add_local(equations, collections, a, b, block)
-            else:
-                total = _sum_of_products(b.J, MJ)
-                equations.H_shared[b.at, a.at] += total
-                if a is not b:
-                    equations.H_shared[a.at, b.at] += total.T
+    """Add a batch of views to the equations; free intrinsics stand at ``intrinsics``."""
+    MA = M[:, :, :6] @ A  # (V, 6 + m, C)
+    for part in batch.parts:
+        v, collections = part.views, part.collections
+        equations.cost[collections] += cost[v]
+        left, right = (np.ascontiguousarray(each[v, :6, part.shared]) for each in (A, MA))
+        equations.H_shared[part.in_shared] += _sum_of_products(left, right)
+        equations.g_shared[part.shared_at] += left.reshape(6 * len(left), -1).T @ np.ravel(m[v, :6])
+        if part.has_local:
+            own = np.swapaxes(A[v, :, part.local], 1, 2)
+            block = own @ MA[v, :6]  # (v, local parameters of a view, C)
+            equations.H_local[part.in_local] += block[:, :, part.local]
+            equations.H_mixed[part.in_mixed] += np.swapaxes(block[:, :, part.shared], 1, 2)
+            equations.g_local[collections, part.local_at] += (own @ m[v, :6, None])[..., 0]
+        if intrinsics.stop:
+            mixed = MA[v, 6:]
+            total = mixed[:, :, part.shared].sum(0)
+            equations.H_shared[intrinsics, intrinsics] += M[v, 6:, 6:].sum(0)
+            equations.H_shared[intrinsics, part.shared_at] += total
+            equations.H_shared[part.shared_at, intrinsics] += total.T
+            equations.g_shared[intrinsics] += m[v, 6:].sum(0)
+            if part.has_local:
+                equations.H_mixed[index_of(collections, intrinsics, part.local_at)] += mixed[:, :, part.local]
 
 
-def _add_intrinsics(
-    equations: NormalEquations, at: slice, collections: IntArray, columns: "list[_Columns]", M: Array, g: Array
-) -> None:
-    """Add the rows and columns of intrinsics, which stand at ``at``, from M (v, 6 + m, 6 + m) and g (v, 6 + m)."""
-    equations.H_shared[at, at] += M[:, 6:, 6:].sum(0)
-    equations.g_shared[at] += g[:, 6:].sum(0)
-    mixed = M[:, 6:, :6]
-    for a in columns:
-        if a.local:
-            equations.H_mixed[collections, at, a.at] += mixed @ a.J
-        else:
-            total = mixed.sum(0) @ a.J[0] if len(a.J) == 1 else (mixed @ a.J).sum(0)
-            equations.H_shared[at, a.at] += total
-            equations.H_shared[a.at, at] += total.T
-
-
-class _Columns(NamedTuple):
-    """Some columns of the Jacobian of views: those of a block, or of shared blocks that are neighbours."""
-
-    J: Array
-    """(v or 1, 6, k)."""
-    at: slice
-    """Where its parameters stand among those of all shared or all local blocks."""
-    local: bool
-
-
-def _columns(problem: Problem, jacobians: list[tuple[int, Array]]) -> list[_Columns]:
-    """The columns of each block; where there are joints all shared ones side by side: a few products do for many."""
-    shared, local = problem.shared_parameters, problem.local_parameters
-    if not any(problem.blocks[block].joint for block, _ in jacobians):
-        return [_Columns(J, local[i] if i in local else shared[i], i in local) for i, J in jacobians]
-    columns = [_Columns(J, local[block], True) for block, J in jacobians if block in local]
-    parts = [(shared[block], J) for block, J in jacobians if block in shared]
-    parts.sort(key=lambda part: part[0].start)
-    run: list[Array] = []
-    for k, (at, J) in enumerate(parts):
-        run.append(J)
-        if k + 1 == len(parts) or parts[k + 1][0].start != at.stop:
-            width = sum(each.shape[-1] for each in run)
-            columns.append(_Columns(_side_by_side(run), slice(at.stop - width, at.stop), False))
-            run = []
-    return columns
-
-
-def _side_by_side(matrices: list[Array]) -> Array:
-    """Jacobians (v or 1, 6, k) as one."""
-    if len(matrices) == 1:
-        return matrices[0]
-    ends = list(accumulate(J.shape[-1] for J in matrices))
-    out = np.empty((max(len(J) for J in matrices), matrices[0].shape[1], ends[-1]))
-    for J, end in zip(matrices, ends, strict=True):
-        out[..., end - J.shape[-1] : end] = J
-    return out
-
-
-def _add_local(equations: NormalEquations, collections: IntArray, a: _Columns, b: _Columns, block: Array) -> None:
-    """Add blocks (v, k_b, k_a) of row b and column a, at least one of them local."""
-    if a.local and b.local:
-        equations.H_local[collections, b.at, a.at] += block
-        if a is not b:
-            equations.H_local[collections, a.at, b.at] += np.swapaxes(block, 1, 2)
-    elif a.local:
-        equations.H_mixed[collections, b.at, a.at] += block
-    else:
-        equations.H_mixed[collections, a.at, b.at] += np.swapaxes(block, 1, 2)
-
-
-def _sum_of_products(J: Array, MJ: Array) -> Array:
-    """The sum over views of ``J^T M J``, as few products of tall matrices."""
-    if len(J) == 1:
-        single: Array = J[0].T @ MJ.sum(0)
-        return single
-    left, right = J.reshape(-1, J.shape[-1]), MJ.reshape(-1, MJ.shape[-1])
-    rows = max(1, ONE_THREAD // (left.shape[1] * right.shape[1]))
+def _sum_of_products(A: Array, MA: Array) -> Array:
+    """The sum over views of ``A^T MA`` (v, 6, k), as few products of tall matrices."""
+    left, right = A.reshape(6 * len(A), -1), MA.reshape(6 * len(A), -1)
+    rows = max(1, ONE_THREAD // max(1, left.shape[1] * right.shape[1]))
     total: Array = left[:rows].T @ right[:rows]
     for start in range(rows, len(left), rows):
         total += left[start : start + rows].T @ right[start : start + rows]

@@ -5,10 +5,14 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from calibration.dataset.modalities import NoiseKind
+from calibration.estimation.batches import table_of
+from calibration.estimation.blocks import Values
 from calibration.estimation.intrinsics import root_mean_square
+from calibration.estimation.motion import Motion
 from calibration.estimation.normal_equations import NormalEquations, Weighting
-from calibration.estimation.problem import NoiseKind, Problem, Values
-from calibration.geometry.types import Array, IntArray
+from calibration.estimation.problem import Problem
+from calibration.geometry.types import Array
 
 SINGULAR = 1e-12
 """Information in one direction relative to the best one, below which rounding has made it."""
@@ -75,8 +79,8 @@ def open_directions(
         size: the pattern's (see `calibration.dataset.pattern.Pattern.size`), m.
     """
     S = equations.schur
-    parts = _parts(problem, size)
-    unit = np.concatenate([np.full(part.length, part.unit) for part in parts])
+    parts = [(i, motion) for i in problem.shared for motion in problem.blocks[i].parameters.motions(size)]
+    unit = problem.units(size)
     information, directions = np.linalg.eigh(unit[:, None] * S * unit)
     undetermined, weak = [], []
     for value, direction in zip(information, directions.T, strict=True):
@@ -109,58 +113,27 @@ def _weak_intrinsics(problem: Problem, equations: NormalEquations) -> list[WeakD
     return weak
 
 
-@dataclass(frozen=True)
-class _Part:
-    """Parameters that make one motion: a block's translation or rotation, or one parameter of a joint or a camera."""
-
-    block: int
-    kind: str
-    length: int
-    parameter: str = ""
-    unit: float = 1.0
-    """What is taken for one, as a change of the parameters: the size of the pattern, 1 rad, or what a camera has."""
-    extent: float = 1.0
-    """How far that moves the block, m or rad."""
-
-
-def _parts(problem: Problem, size: float) -> list[_Part]:
-    """The parts of the shared blocks, in the order of their parameters; ``size`` is the pattern's, m."""
-    parts: list[_Part] = []
-    for i in problem.shared:
-        if joint := problem.blocks[i].joint:
-            kinds = ["translation" if joint.model.unit(p) == "m" else "rotation" for p in joint.free]
-            each = zip(kinds, joint.free, strict=True)
-            parts += [_Part(i, kind, 1, name, *(2 * [size] if kind == "translation" else ())) for kind, name in each]
-        elif intrinsics := problem.blocks[i].intrinsics:
-            units, extents = intrinsics.unit, intrinsics.unit * intrinsics.reach
-            rays = zip(intrinsics.free, units.tolist(), extents.tolist(), strict=True)
-            parts += [_Part(i, "ray", 1, *part) for part in rays]
-        else:
-            parts += [_Part(i, "translation", 3, "", size, size), _Part(i, "rotation", 3)]
-    return parts
-
-
-def _named(parts: list[_Part], direction: Array, sigma: float, moving_from: float) -> WeakDirection:
-    """Name one direction (S,), in units of the parts, by the block and the axis that move most.
+def _named(parts: list[tuple[int, Motion]], direction: Array, sigma: float, moving_from: float) -> WeakDirection:
+    """Name one direction (S,), in units of the motions of blocks, by the block and the axis that move most.
 
     Others are named from ``moving_from`` times that motion.
     """
-    pieces = np.split(direction, np.cumsum([part.length for part in parts])[:-1])
+    pieces = np.split(direction, np.cumsum([motion.length for _, motion in parts])[:-1])
     length = np.array([np.linalg.norm(piece) for piece in pieces])
-    most = parts[k := int(length.argmax())]
+    block, most = parts[k := int(length.argmax())]
     axis = np.zeros(3)
     axis[: most.length] = pieces[k] / length[k]
     axis = axis * np.sign(axis[np.abs(axis).argmax()])
-    moving = [int(m) for m in np.argsort(-length, kind="stable") if length[m] > moving_from * length[k]]
-    blocks = dict.fromkeys(parts[m].block for m in moving)
-    parameters = {b: tuple(parts[m].parameter for m in moving if parts[m].block == b) for b in blocks}
+    moving = [parts[m] for m in np.argsort(-length, kind="stable") if length[m] > moving_from * length[k]]
+    blocks = dict.fromkeys(b for b, _ in moving)
+    parameters = {b: tuple(motion.parameter for own, motion in moving if own == b) for b in blocks}
     return WeakDirection(
-        block=most.block,
+        block=block,
         kind=most.kind,
         axis=axis,
         sigma=float(sigma * length[k] * most.extent),
-        others=tuple(block for block in blocks if block != most.block),
-        parameters={block: each for block, each in parameters.items() if each[0]},
+        others=tuple(other for other in blocks if other != block),
+        parameters={b: each for b, each in parameters.items() if each[0]},
     )
 
 
@@ -199,20 +172,22 @@ def determined_parameters(
     pose and C that pose's covariance (W. Foerstner's redundancy numbers, 1979).
     """
     kinds = {term.kind for group in problem.groups for term in group.terms}
+    S, _ = problem.sizes
     if len(kinds) == 1:
-        observed = sum(np.count_nonzero(np.bincount(_collections_of(problem, block))) for block in problem.local)
-        shared = sum(problem.blocks[i].dimension for i in problem.shared)
-        return {kinds.pop(): shared + 6.0 * observed - _known_beforehand(problem, values, equations)}
+        observed = sum(np.count_nonzero(problem.collections_with(block)) for block in problem.local)
+        return {kinds.pop(): S + 6.0 * observed - _known_beforehand(problem, values, equations)}
     shares = dict.fromkeys(kinds, 0.0)
-    pose_covariance = _PoseCovariance(problem, equations)
-    for group in problem.groups:
-        T, jacobians = group.chain.jacobians(values, slice(None), group.collections, problem.held)
-        if (free := problem.free_intrinsics(group)) is not None:
-            C = pose_covariance.with_intrinsics(group.collections, jacobians, free[0])
-        else:
-            C = pose_covariance.of(group.collections, jacobians)
-        for term in problem.terms(group, values):
-            _, M, _ = term.linearise(T, slice(None), weighting.scales[term.kind], weighting.huber)
+    schur_inverse, local_inverse = np.linalg.inv(equations.schur), np.linalg.inv(equations.H_local)
+    gain = np.linalg.solve(equations.H_local, np.swapaxes(equations.H_mixed, 1, 2))  # (N, P, S)
+    table = table_of(problem.blocks, values)
+    for batch in problem.batches:
+        T, A = batch.linearise(table, values)
+        J_shared, J_local = batch.spread(A, problem.sizes, problem.intrinsics_at(batch))
+        J = J_shared - J_local @ gain[batch.collections]
+        C = J @ schur_inverse @ np.swapaxes(J, 1, 2)
+        C += J_local @ local_inverse[batch.collections] @ np.swapaxes(J_local, 1, 2)
+        for term in problem.terms(batch, values):
+            _, M, _ = term.linearise(T, weighting.scales[term.kind], weighting.huber)
             shares[term.kind] += float(np.einsum("vij,vji->", M, C))
     return shares
 
@@ -228,49 +203,3 @@ def _known_beforehand(problem: Problem, values: Values, equations: NormalEquatio
             _, _, information = intrinsics.pull(values[block])
             known += float(np.einsum("ij,ji->", information, covariance[at, at]))
     return known
-
-
-class _PoseCovariance:
-    """The covariance of views' poses from that of the blocks on their chain."""
-
-    def __init__(self, problem: Problem, equations: NormalEquations) -> None:
-        self._shared, self._local = problem.shared_parameters, problem.local_parameters
-        self._schur_inverse = np.linalg.inv(equations.schur)
-        self._gain = np.linalg.solve(equations.H_local, np.swapaxes(equations.H_mixed, 1, 2))  # (N, P, S)
-        self._local_inverse = np.linalg.inv(equations.H_local)
-
-    def of(self, collections: IntArray, jacobians: list[tuple[int, Array]]) -> Array:
-        """(v, 6, 6), for a twist in the sensor's frame; jacobians as `Chain.jacobians` gives them."""
-        return self._propagated(collections, *self._columns(len(collections), jacobians))
-
-    def with_intrinsics(self, collections: IntArray, jacobians: list[tuple[int, Array]], block: int) -> Array:
-        """(v, 6 + m, 6 + m), for that twist and the m free intrinsics of a block."""
-        at = self._shared[block]
-        J_shared, J_local = self._columns(len(collections), jacobians)
-        own = np.zeros((len(collections), at.stop - at.start, J_shared.shape[-1]))
-        own[:, :, at] = np.eye(own.shape[1])
-        none = np.zeros((*own.shape[:2], J_local.shape[-1]))
-        return self._propagated(collections, np.concatenate([J_shared, own], 1), np.concatenate([J_local, none], 1))
-
-    def _columns(self, v: int, jacobians: list[tuple[int, Array]]) -> tuple[Array, Array]:
-        """The Jacobian (v, 6, S) to the shared parameters, and (v, 6, P) to the local ones."""
-        J_shared = np.zeros((v, 6, len(self._schur_inverse)))
-        J_local = np.zeros((v, 6, self._local_inverse.shape[-1]))
-        for block, J in jacobians:
-            if block in self._local:
-                J_local[:, :, self._local[block]] = J
-            else:
-                J_shared[:, :, self._shared[block]] = J
-        return J_shared, J_local
-
-    def _propagated(self, collections: IntArray, J_shared: Array, J_local: Array) -> Array:
-        J = J_shared - J_local @ self._gain[collections]
-        shared: Array = J @ self._schur_inverse @ np.swapaxes(J, 1, 2)
-        local: Array = J_local @ self._local_inverse[collections] @ np.swapaxes(J_local, 1, 2)
-        return shared + local
-
-
-def _collections_of(problem: Problem, block: int) -> IntArray:
-    """The collections of the views that depend on a block, one after the other."""
-    groups = [g for g in problem.groups if any(link.block == block for link in g.chain.links)]
-    return np.concatenate([group.collections for group in groups])

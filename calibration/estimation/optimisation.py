@@ -5,14 +5,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from calibration.dataset.modalities import NoiseKind
+from calibration.estimation.blocks import Values
 from calibration.estimation.least_squares import Optimum, Termination, choose, minimise, settle
 from calibration.estimation.median import median
 from calibration.estimation.noise_levels import FLOORS, NoiseLevels, estimate_scales
 from calibration.estimation.normal_equations import NormalEquations, Weighting
 from calibration.estimation.observability import determined_parameters
 from calibration.estimation.planar_pose import mirrored_poses
-from calibration.estimation.problem import Chain, NoiseKind, Problem, Values, ViewGroup
+from calibration.estimation.problem import Problem
 from calibration.estimation.residuals import CornerTerm
+from calibration.estimation.views import ViewGroup
 from calibration.geometry.transforms import inverse
 from calibration.geometry.types import Array, BoolArray
 
@@ -167,8 +170,8 @@ def _mirrored(problem: Problem, group: ViewGroup, values: Values) -> Values | No
     (k,) = moving
     links = group.chain.links
     mirrored = mirrored_poses(problem.poses(group, values), np.zeros(3))
-    before = Chain(group.chain.before, links[:k]).poses(values, slice(None), group.collections)
-    after = Chain(links[k].after, links[k + 1 :]).poses(values, slice(None), group.collections)
+    parts = (group.chain.part(-1, k), group.chain.part(k, len(links)))
+    before, after = (part.poses(problem.transforms(values), group.collections) for part in parts)
     moved = inverse(before) @ mirrored @ inverse(after)
     poses = values[links[k].block].copy()
     poses[group.collections] = inverse(moved) if links[k].inverted else moved

@@ -1,209 +1,16 @@
-"""What is unknown, and how it makes up the pose of every view.
-
-A *view* is one sensor seeing one pattern in one collection. All that its labels depend on is the
-pose ``T_sensor_pattern``, a product of constants and of unknown transforms, the *blocks*. A block is
-a pose with its six parameters, or a joint of which some parameters are free. Where the intrinsics
-of a camera are unknown too, they are a block that stands in no chain: its views depend on the pose and on
-them. Views of the same sensor and pattern share the same chain of blocks and form a *group*; all arrays of a
-group have its views as their first axis.
-
-The pattern frame of this module is the pattern's, moved to the centre of its corners: a twist about
-the centre turns the pattern without moving it, which keeps rotation and translation apart.
-"""
+"""What is unknown, and all views that depend on it: blocks, and groups of views over N collections."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Literal, Protocol
 
 import numpy as np
 
-from calibration.estimation.intrinsics import FreeIntrinsics
-from calibration.geometry.cameras import Camera
-from calibration.geometry.joints import JOINT_PARAMETERS, JointModel, JointParameter
-from calibration.geometry.transforms import adjoint, inverse, moved_twists, retract
-from calibration.geometry.types import Array, BoolArray, IntArray
-
-NoiseKind = Literal["pixel", "range", "border", "depth_border", "lidar2d_range", "lidar2d_border"]
-"""What a residual is measured in: corners in px, ranges of LiDARs and depth cameras in m, the pattern's border in rad,
-which a depth camera finds more finely than a LiDAR. A 2D LiDAR has its own: it is another device with another step."""
-BORDERS: frozenset[NoiseKind] = frozenset({"border", "depth_border", "lidar2d_border"})
-
-
-@dataclass(frozen=True)
-class FreeJoint:
-    """A joint some of whose parameters are unknown."""
-
-    model: JointModel
-    free: tuple[JointParameter, ...]
-    """In the order of `JOINT_PARAMETERS`."""
-
-    @cached_property
-    def at(self) -> list[int]:
-        """Where the free parameters stand among all."""
-        return [JOINT_PARAMETERS.index(parameter) for parameter in self.free]
-
-    def without(self, parameter: str) -> "FreeJoint":
-        """The same with one parameter fewer free."""
-        return FreeJoint(self.model, tuple(each for each in self.free if each != parameter))
-
-    def columns(self, value: Array) -> Array:
-        """(6, k): how each free parameter moves the joint's pose, as a twist in its child frame."""
-        columns: Array = self.model.columns(value)[:, self.at]
-        return columns
-
-    def moved(self, value: Array, step: Array) -> Array:
-        """The parameters (7,) after a step (k,)."""
-        out = value.copy()
-        out[self.at] += step
-        return out
-
-
-@dataclass(frozen=True)
-class Block:
-    """An unknown transform: six parameters, or six for each collection; or free parameters of a joint or a camera."""
-
-    name: str
-    per_collection: bool = False
-    held: bool = False
-    """Kept at its start: an anchored sensor, or the one that fixes a free gauge."""
-    joint: FreeJoint | None = None
-    intrinsics: FreeIntrinsics | None = None
-
-    @property
-    def vector(self) -> FreeJoint | FreeIntrinsics | None:
-        """What has parameters of its own, in the place of a twist's."""
-        return self.joint or self.intrinsics
-
-    @property
-    def dimension(self) -> int:
-        """How many parameters it has, in each collection if it is per collection."""
-        return len(self.vector.free) if self.vector else 6
-
-
-Values = tuple[Array, ...]
-"""One array for each block: (4, 4), or (N, 4, 4) when it is per collection; all parameters of a joint (7,) or of a
-camera (4 + n,)."""
-
-
-@dataclass(frozen=True, eq=False)
-class Link:
-    """A block in a chain, and the constant that follows it."""
-
-    block: int
-    inverted: bool
-    after: Array | None = None
-    """(4, 4), or (V, 4, 4) when it differs between collections; None for the identity."""
-    joint: FreeJoint | None = None
-    """The block's, where it is one."""
-
-
-@dataclass(frozen=True, eq=False)
-class Chain:
-    """``T_sensor_pattern`` as ``before * link * link ...``, each link a block and a constant."""
-
-    before: Array | None
-    links: tuple[Link, ...]
-
-    def poses(self, values: Values, views: slice, collections: IntArray) -> Array:
-        """``T_sensor_pattern`` of some views, (v, 4, 4)."""
-        T = _at(self.before, views)
-        for link in self.links:
-            T = _times(T, self._link(link, values, collections))
-            T = _times(T, _at(link.after, views))
-        return _broadcast(T, collections)
-
-    def jacobians(
-        self, values: Values, views: slice, collections: IntArray, held: Sequence[bool]
-    ) -> tuple[Array, list[tuple[int, Array]]]:
-        """The poses, and for each free block how its twist moves them.
-
-        The Jacobian of a block maps its twist (in its child frame) to the twist of the pose in the
-        sensor's frame: (1, 6, 6) where it is the same for all views, else (v, 6, 6). It is the
-        adjoint of the chain up to the block; minus that, up to before it, when it is inverted. A
-        joint's, (1 or v, 6, k), is that of the twists which its k free parameters make.
-        """
-        T = _at(self.before, views)
-        jacobians: dict[int, Array] = {}
-        for link in self.links:
-            before = T
-            T = _times(T, self._link(link, values, collections))
-            if not held[link.block]:
-                prefix = before if link.inverted else T
-                prefix = np.eye(4)[None] if prefix is None else prefix.reshape(-1, 4, 4)
-                J = moved_twists(prefix, link.joint.columns(values[link.block])) if link.joint else adjoint(prefix)
-                J = -J if link.inverted else J
-                jacobians[link.block] = jacobians[link.block] + J if link.block in jacobians else J
-            T = _times(T, _at(link.after, views))
-        return _broadcast(T, collections), list(jacobians.items())
-
-    def take(self, views: IntArray) -> "Chain":
-        """That of only some of the views."""
-        links = tuple(replace(link, after=_at(link.after, views)) for link in self.links)
-        return Chain(_at(self.before, views), links)
-
-    @staticmethod
-    def _link(link: Link, values: Values, collections: IntArray) -> Array:
-        value = values[link.block]
-        if link.joint:
-            value = link.joint.model.pose(value)
-        T = value[collections] if value.ndim == 3 else value
-        return inverse(T) if link.inverted else T
-
-
-class Term(Protocol):
-    """The labels of a group's views, of one kind; see `calibration.estimation.residuals`."""
-
-    @property
-    def kind(self) -> NoiseKind:
-        """What its residuals are measured in."""
-
-    @property
-    def dimension(self) -> int:
-        """Residuals per label: 2 for a corner (its two axes go together), 1 for a distance."""
-
-    @property
-    def counts(self) -> IntArray:
-        """(V,): the labels of each view."""
-
-    def take(self, views: IntArray | slice) -> "Term":
-        """Only some of the views."""
-
-    def seen_with(self, camera: Camera, free: Sequence[int]) -> "Term":
-        """The same labels of a camera with other intrinsics, m of which (by their places among all) are free."""
-
-    def linearise(self, T: Array, views: slice, scale: float, huber: float | None) -> tuple[Array, Array, Array]:
-        """Cost (v,), Hessian (v, 6 + m, 6 + m) and gradient (v, 6 + m) for a twist in the sensor's frame.
-
-        The m free intrinsics come after the six of the twist.
-
-        ``scale`` is the standard deviation that divides the residuals, ``huber`` the threshold in
-        standard deviations beyond which the loss grows linearly. A view that cannot be (a pattern
-        behind its camera) costs infinity.
-        """
-
-    def magnitudes(self, T: Array) -> Array:
-        """(V, L): the norm of each label's residual in px, m or rad; NaN where there is no label."""
-
-
-@dataclass(frozen=True, eq=False)
-class ViewGroup:
-    """The views of one sensor and one pattern."""
-
-    sensor: str
-    pattern: str
-    collections: IntArray
-    """(V,): the collection of each view, ascending, each once."""
-    chain: Chain
-    terms: tuple[Term, ...]
-    """With the nominal intrinsics of a camera; see `Problem.terms`."""
-    intrinsics: int | None = None
-    """The block of the camera's intrinsics, where it has one."""
-
-    def take(self, views: IntArray) -> "ViewGroup":
-        """Only some of the views."""
-        terms = tuple(term.take(views) for term in self.terms)
-        return replace(self, collections=self.collections[views], chain=self.chain.take(views), terms=terms)
+from calibration.estimation.batches import Batch, batches
+from calibration.estimation.blocks import Block, Pose, Values
+from calibration.estimation.views import Term, ViewGroup
+from calibration.geometry.transforms import retract
+from calibration.geometry.types import Array, BoolArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -211,13 +18,9 @@ class Problem:
     """Blocks and groups of views over N collections."""
 
     blocks: tuple[Block, ...]
+    """Those of transforms first, then those of intrinsics."""
     groups: tuple[ViewGroup, ...]
     collections: int
-
-    @cached_property
-    def held(self) -> list[bool]:
-        """For each block, whether it is held."""
-        return [block.held for block in self.blocks]
 
     @cached_property
     def shared(self) -> list[int]:
@@ -243,6 +46,22 @@ class Problem:
         ends = np.cumsum([0, *(self.blocks[i].dimension for i in blocks)]).tolist()
         return {block: slice(*ends[k : k + 2]) for k, block in enumerate(blocks)}
 
+    @cached_property
+    def sizes(self) -> tuple[int, int]:
+        """S and P: how many parameters all collections share, and how many each has its own of."""
+        dimensions = [[self.blocks[i].dimension for i in blocks] for blocks in (self.shared, self.local)]
+        return sum(dimensions[0]), sum(dimensions[1])
+
+    def units(self, size: float) -> Array:
+        """(S,): what counts as one of each shared parameter: for lengths ``size`` (m), for angles 1 rad."""
+        motions = (motion for i in self.shared for motion in self.blocks[i].parameters.motions(size))
+        return np.concatenate([np.full(motion.length, motion.unit) for motion in motions])
+
+    @cached_property
+    def batches(self) -> tuple[Batch, ...]:
+        """All views, in the parts in which they are evaluated."""
+        return batches(self.blocks, self.groups, self.collections, self.shared_parameters, self.local_parameters)
+
     @property
     def residuals(self) -> int:
         """How many residuals all labels make."""
@@ -253,59 +72,52 @@ class Problem:
         groups = (group.take(np.flatnonzero(which[group.collections])) for group in self.groups)
         return replace(self, groups=tuple(group for group in groups if len(group.collections)))
 
-    @property
-    def has_vectors(self) -> bool:
-        """Whether parameters of a joint or a camera are free."""
-        return any(self.blocks[i].vector for i in self.shared)
+    def collections_with(self, block: int) -> BoolArray:
+        """(N,): the collections that have a view which depends on the transform of a block."""
+        seen = np.zeros(self.collections, bool)
+        for group in self.groups:
+            if any(link.block == block for link in group.chain.links):
+                seen[group.collections] = True
+        return seen
 
     @property
     def has_priors(self) -> bool:
         """Whether anything is known beforehand of what is free."""
         return any(b.intrinsics is not None and b.intrinsics.prior is not None and not b.held for b in self.blocks)
 
-    def free_intrinsics(self, group: ViewGroup) -> tuple[int, FreeIntrinsics] | None:
-        """The block of intrinsics that a group's views depend on, where it is free."""
-        if group.intrinsics is None or self.held[group.intrinsics]:
-            return None
-        intrinsics = self.blocks[group.intrinsics].intrinsics
-        return (group.intrinsics, intrinsics) if intrinsics else None
-
-    def terms(self, group: ViewGroup, values: Values) -> tuple[Term, ...]:
-        """A group's terms with the intrinsics that its camera has at some values."""
-        free = self.free_intrinsics(group)
-        if free is None:
-            return group.terms
-        block, intrinsics = free
+    def terms(self, views: ViewGroup | Batch, values: Values) -> tuple[Term, ...]:
+        """The terms of a group or a batch with the intrinsics that its camera has at some values."""
+        block = views.intrinsics
+        if block is None or self.blocks[block].held or (intrinsics := self.blocks[block].intrinsics) is None:
+            return views.terms
         camera = intrinsics.camera.with_intrinsics(values[block])
-        return tuple(term.seen_with(camera, intrinsics.at) for term in group.terms)
+        return tuple(term.seen_with(camera, intrinsics.at) for term in views.terms)
+
+    def intrinsics_at(self, batch: Batch) -> slice:
+        """Where the free intrinsics that a batch depends on stand among the shared parameters; empty without any."""
+        return slice(0, 0) if batch.intrinsics is None else self.shared_parameters[batch.intrinsics]
 
     def poses(self, group: ViewGroup, values: Values) -> Array:
         """``T_sensor_pattern`` (V, 4, 4) of all views of a group."""
-        return group.chain.poses(values, slice(None), group.collections)
+        return group.chain.poses(self.transforms(values), group.collections)
+
+    def transforms(self, values: Sequence[Array]) -> list[Array]:
+        """The transform of each block, (4, 4) or (N, 4, 4), those of joints among them."""
+        return [block.pose(value) for block, value in zip(self.blocks, values, strict=True)]
 
     def moved(self, values: Values, shared: Array, local: Array) -> Values:
         """The values after a step of all S shared parameters (S,) and the P local ones of each collection (N, P)."""
         out = list(values)
-        for block, at in self.shared_parameters.items():
-            vector = self.blocks[block].vector
-            out[block] = vector.moved(values[block], shared[at]) if vector else retract(values[block], shared[at])
-        for block, at in self.local_parameters.items():
-            out[block] = retract(values[block], local[:, at])
+        steps = [(i, values[i][None], shared[None, at]) for i, at in self.shared_parameters.items()]
+        steps += [(i, values[i], local[:, at]) for i, at in self.local_parameters.items()]
+        poses = [step for step in steps if isinstance(self.blocks[step[0]].parameters, Pose)]
+        for i, value, step in steps:
+            if not isinstance(self.blocks[i].parameters, Pose):
+                out[i] = self.blocks[i].parameters.moved(value[0], step[0])
+        if poses:  # all at once: few numbers each
+            moved = retract(np.concatenate([T for _, T, _ in poses]), np.concatenate([step for _, _, step in poses]))
+            start = 0
+            for i, T, _ in poses:
+                out[i] = moved[start : start + len(T)].reshape(values[i].shape)
+                start += len(T)
         return tuple(out)
-
-
-def _at(constant: Array | None, views: slice | IntArray) -> Array | None:
-    return constant[views] if constant is not None and constant.ndim == 3 else constant
-
-
-def _times(A: Array | None, B: Array | None) -> Array | None:
-    if A is None or B is None:
-        return A if B is None else B
-    product: Array = A @ B
-    return product
-
-
-def _broadcast(T: Array | None, collections: IntArray) -> Array:
-    if T is not None and T.shape == (len(collections), 4, 4):
-        return np.ascontiguousarray(T)  # the usual case, at a fraction of the cost
-    return np.ascontiguousarray(np.broadcast_to(np.eye(4) if T is None else T, (len(collections), 4, 4)))

@@ -15,7 +15,7 @@ from functools import cached_property
 
 import numpy as np
 
-from calibration.estimation.problem import NoiseKind
+from calibration.dataset.modalities import NoiseKind
 from calibration.geometry.cameras import Camera
 from calibration.geometry.types import Array, BoolArray, IntArray
 
@@ -47,8 +47,9 @@ class CornerTerm:
     """Corners of a pattern in the images of a camera: reprojection errors in pixels."""
 
     camera: Camera
+    """Of `side_by_side`, its numbers are arrays (V, 1), one for each view."""
     corners: Array
-    """(K, 3): about the pattern's centre."""
+    """(K, 3): about the pattern's centre; (V, K, 3) where views are of several patterns."""
     pixels: Array
     """(V, 2, K): structure of arrays; anything where a corner is not seen."""
     seen: BoolArray | None
@@ -77,25 +78,23 @@ class CornerTerm:
         return replace(self, pixels=self.pixels[views], seen=None if self.seen is None else self.seen[views])
 
     def seen_with(self, camera: Camera, free: Sequence[int]) -> "CornerTerm":
-        """See `calibration.estimation.problem.Term`."""
+        """See `calibration.estimation.views.Term`."""
         return replace(self, camera=camera, free=tuple(free))
 
-    def linearise(self, T: Array, views: slice, scale: float, huber: float | None) -> Linearised:
-        """See `calibration.estimation.problem.Term`."""
-        pixels = self.pixels[views]
-        seen = None if self.seen is None else self.seen[views]
+    def linearise(self, T: Array, scale: float, huber: float | None) -> Linearised:
+        """See `calibration.estimation.views.Term`."""
         size = 6 + len(self.free)
         cost, H, g = np.empty(len(T)), np.empty((len(T), size, size)), np.empty((len(T), size))
-        for part in chunks(len(T), len(self.corners)):
+        for part in chunks(len(T), self.pixels.shape[-1]):
             cost[part], H[part], g[part] = self._linearise(
-                T[part], pixels[part], None if seen is None else seen[part], scale, huber
+                T[part], self.pixels[part], None if self.seen is None else self.seen[part], scale, huber
             )
         return cost, H, g
 
     def magnitudes(self, T: Array) -> Array:
         """(V, K): distance from each label to the projected corner (px); NaN where not seen or behind."""
-        out = np.empty((len(T), len(self.corners)))
-        for part in chunks(len(T), len(self.corners)):
+        out = np.empty((len(T), self.pixels.shape[-1]))
+        for part in chunks(len(T), self.pixels.shape[-1]):
             seen = None if self.seen is None else self.seen[part]
             x, y, _, front = self._normalised(T[part], seen)
             xd, yd = self.camera.distortion.distort(x, y)
@@ -106,7 +105,7 @@ class CornerTerm:
 
     def _normalised(self, T: Array, seen: BoolArray | None) -> tuple[Array, Array, Array, BoolArray]:
         """Normalised coordinates x, y and inverse depth (v, K), and which lie in front of the camera."""
-        P = T[:, :3, :3] @ self.corners.T + T[:, :3, 3:]
+        P = T[:, :3, :3] @ np.swapaxes(self.corners, -1, -2) + T[:, :3, 3:]
         z = P[:, 2]
         front = z > 1e-6
         if seen is not None or not front.all():
@@ -142,7 +141,7 @@ class CornerTerm:
         if seen is not None:
             weight = seen.astype(float) if weight is None else weight * seen
         size = 6 + len(self.free)
-        rows = _SCRATCH.rows(len(T), size + 1, 2, len(self.corners))
+        rows = _SCRATCH.rows(len(T), size + 1, 2, x.shape[-1])
         _corner_rows(rows[:, :, 0], ux, uy, ru, x, y, inverse_z, weight)
         _corner_rows(rows[:, :, 1], vx, vy, rv, x, y, inverse_z, weight)
         if self.free:
@@ -169,6 +168,46 @@ class CornerTerm:
                     np.divide(yd if axis else xd, scale, out=rows[:, k, axis])
                 else:
                     rows[:, k, axis] = 1 / scale
+
+
+def side_by_side(terms: Sequence[CornerTerm]) -> CornerTerm:
+    """Few views of several cameras and patterns as one term, to be linearised in one pass.
+
+    Args:
+        terms: of cameras with the same model of distortion; about `CHUNK` labels together.
+    """
+    counts = [len(term.pixels) for term in terms]
+    K = max(term.pixels.shape[-1] for term in terms)
+    pixels, seen = np.zeros((sum(counts), 2, K)), np.zeros((sum(counts), K), bool)
+    start = 0
+    for term, count in zip(terms, counts, strict=True):
+        part, own = slice(start, start + count), slice(term.pixels.shape[-1])
+        pixels[part, :, own], seen[part, own] = term.pixels, True if term.seen is None else term.seen
+        start += count
+    first = terms[0]
+    return replace(
+        first,
+        camera=first.camera if all(term.camera == first.camera for term in terms) else _camera_of_views(terms, counts),
+        corners=_corners_of_views(terms, counts, K),
+        pixels=pixels,
+        seen=None if seen.all() else seen,
+    )
+
+
+def _camera_of_views(terms: Sequence[CornerTerm], counts: Sequence[int]) -> Camera:
+    """Several cameras as one whose numbers are arrays (V, 1)."""
+    numbers = np.repeat([term.camera.intrinsics for term in terms], counts, axis=0).T[..., None]
+    model = type(terms[0].camera.distortion)
+    fx, fy, cx, cy = numbers[:4]
+    return replace(terms[0].camera, fx=fx, fy=fy, cx=cx, cy=cy, distortion=model(*numbers[4:]))
+
+
+def _corners_of_views(terms: Sequence[CornerTerm], counts: Sequence[int], K: int) -> Array:
+    """(K, 3) where all patterns are alike, else (V, K, 3), filled up with zeros."""
+    if all(np.array_equal(term.corners, terms[0].corners) for term in terms):
+        return terms[0].corners
+    filled = [np.pad(term.corners, ((0, K - len(term.corners)), (0, 0))) for term in terms]
+    return np.repeat(filled, counts, axis=0)
 
 
 def _corner_rows(
@@ -231,17 +270,15 @@ class RangeTerm:
         return replace(self, rays=self.rays[views], ranges=self.ranges[views], present=self.present[views])
 
     def seen_with(self, camera: Camera, free: Sequence[int]) -> "RangeTerm":
-        """See `calibration.estimation.problem.Term`; what a depth camera measures is taken as points."""
+        """See `calibration.estimation.views.Term`; what a depth camera measures is taken as points."""
         return self
 
-    def linearise(self, T: Array, views: slice, scale: float, huber: float | None) -> Linearised:
-        """See `calibration.estimation.problem.Term`."""
-        rays, ranges, present = self.rays[views], self.ranges[views], self.present[views]
+    def linearise(self, T: Array, scale: float, huber: float | None) -> Linearised:
+        """See `calibration.estimation.views.Term`."""
         cost, H, g = np.empty(len(T)), np.empty((len(T), 6, 6)), np.empty((len(T), 6))
-        for part in chunks(len(T), rays.shape[-1]):
-            cost[part], H[part], g[part] = _range_rows(
-                _Meeting(T[part], rays[part], ranges[part]), present[part], scale, huber
-            )
+        for part in chunks(len(T), self.rays.shape[-1]):
+            meeting = _Meeting(T[part], self.rays[part], self.ranges[part])
+            cost[part], H[part], g[part] = _range_rows(meeting, self.present[part], scale, huber)
         return cost, H, g
 
     def magnitudes(self, T: Array) -> Array:
@@ -285,13 +322,12 @@ class BorderTerm:
         return replace(self, rays=self.rays[views], ranges=self.ranges[views], present=self.present[views])
 
     def seen_with(self, camera: Camera, free: Sequence[int]) -> "BorderTerm":
-        """See `calibration.estimation.problem.Term`; what a depth camera measures is taken as points."""
+        """See `calibration.estimation.views.Term`; what a depth camera measures is taken as points."""
         return self
 
-    def linearise(self, T: Array, views: slice, scale: float, huber: float | None) -> Linearised:
-        """See `calibration.estimation.problem.Term`."""
-        ranges, present = self.ranges[views], self.present[views]
-        meeting = _Meeting(T, self.rays[views], ranges)
+    def linearise(self, T: Array, scale: float, huber: float | None) -> Linearised:
+        """See `calibration.estimation.views.Term`."""
+        meeting = _Meeting(T, self.rays, self.ranges)
         signed, side = self._distances(T, meeting.hits)
         m = np.einsum("vij,vlj->vil", T[:, :3, :2], self.normals[side])  # the line's normal in the sensor's frame
         # the line moves by m . (dt + dw x hit), and the hit slides along the ray as the plane moves and turns
@@ -303,8 +339,8 @@ class BorderTerm:
         J[:, :3] = falls[:, None] * meeting.n - m
         J[:, 3:6] = turns[:, None] * meeting.d_cosine - _cross(meeting.hits, m)
         J[:, 6] = signed
-        J /= (scale * ranges)[:, None]
-        return _squeezed(J, present, huber)
+        J /= (scale * self.ranges)[:, None]
+        return _squeezed(J, self.present, huber)
 
     def magnitudes(self, T: Array) -> Array:
         """(V, L): distance to the nearest border line over the range, rad; NaN where there is no ray."""

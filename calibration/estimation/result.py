@@ -7,10 +7,10 @@ from typing import Literal
 
 import numpy as np
 
+from calibration.dataset.modalities import NoiseKind
 from calibration.dataset.model import Dataset, Edge
 from calibration.estimation.intrinsics import CalibratedIntrinsics
 from calibration.estimation.noise_levels import NoiseLevels
-from calibration.estimation.problem import NoiseKind
 from calibration.geometry.joints import JointParameter
 from calibration.geometry.types import Array
 

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from calibration.dataset.model import Dataset, Edge
+from calibration.estimation.blocks import Values
 from calibration.estimation.build import Setup
-from calibration.estimation.problem import Values
 from calibration.estimation.usable_labels import usable_labels
 from calibration.geometry import rotations
 from calibration.geometry.transforms import transform

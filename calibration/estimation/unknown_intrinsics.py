@@ -7,8 +7,8 @@ import numpy as np
 from calibration.dataset.modalities import RGB
 from calibration.dataset.model import CornerLabels, Dataset
 from calibration.errors import InputError
+from calibration.estimation.blocks import Block, Values
 from calibration.estimation.intrinsics import CalibratedIntrinsics, FreeIntrinsics, Prior
-from calibration.estimation.problem import Block, Values
 from calibration.geometry.cameras import Camera
 from calibration.geometry.types import Array
 
@@ -16,11 +16,6 @@ ALL = "all"
 """Stands for every camera."""
 CONTRADICTION = 6
 """A prior farther from the result than expected, by more than this in standard deviations, is contradicted."""
-
-
-def intrinsics_name(sensor: str) -> str:
-    """What the block of a camera's intrinsics is called."""
-    return f"intrinsics-{sensor}"
 
 
 def intrinsics_blocks(
@@ -58,8 +53,8 @@ def intrinsics_blocks(
         if sensor.camera and (chosen or name in known):
             prior = _prior(dataset, name, sensor.camera, known[name], chosen) if name in known else None
             free = sensor.camera.parameters if chosen else ()
-            intrinsics = FreeIntrinsics(sensor.camera, free, _rays(dataset, sensor.name, sensor.camera), prior)
-            blocks.append(Block(intrinsics_name(name), held=not chosen, intrinsics=intrinsics))
+            intrinsics = FreeIntrinsics(name, sensor.camera, free, _rays(dataset, name, sensor.camera), prior)
+            blocks.append(Block(f"intrinsics-{name}", held=not chosen, parameters=intrinsics))
     return tuple(blocks)
 
 

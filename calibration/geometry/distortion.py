@@ -6,6 +6,7 @@ The Jacobian of each model here is symmetric, so three numbers describe it.
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, fields
+from functools import cached_property
 from typing import ClassVar, Self
 
 import numpy as np
@@ -17,7 +18,10 @@ DistortionJacobian = tuple[Array, Array, Array]
 
 
 class Distortion(ABC):
-    """A model with its coefficients, which are the fields of a dataclass in ROS's order."""
+    """A model with its coefficients, which are the fields of a dataclass in ROS's order.
+
+    A coefficient may also be an array that broadcasts with the coordinates, as (V, 1) for those of V views (V, K).
+    """
 
     ros_name: ClassVar[str]
     """``distortion_model`` of a sensor_msgs/CameraInfo."""
@@ -71,10 +75,10 @@ class _RadialTangential(Distortion):
     p2: float = 0.0
     k3: float = 0.0
 
-    @property
+    @cached_property
     def is_identity(self) -> bool:
         """Whether the model leaves every point where it is."""
-        return not (self.k1 or self.k2 or self.p1 or self.p2 or self.k3)
+        return not any(np.any(getattr(self, name)) for name in self.names())
 
     def distort(self, x: Array, y: Array) -> Distorted:
         """See `Distortion`."""
@@ -173,11 +177,6 @@ class Rational(_RadialTangential):
     k4: float = 0.0
     k5: float = 0.0
     k6: float = 0.0
-
-    @property
-    def is_identity(self) -> bool:
-        """Whether the model leaves every point where it is."""
-        return super().is_identity and not (self.k4 or self.k5 or self.k6)
 
     def derivatives(self, x: Array, y: Array) -> list[Distorted]:
         """See `Distortion`."""

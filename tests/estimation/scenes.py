@@ -9,8 +9,8 @@ import numpy as np
 from calibration.dataset.modalities import DEPTH, LIDAR2D, LIDAR3D, RGB
 from calibration.dataset.model import Collection, CornerLabels, Dataset, Edge, Joint, Labels, PointLabels, Sensor
 from calibration.dataset.pattern import Pattern, grid, outline
+from calibration.estimation.blocks import Values
 from calibration.estimation.build import Setup
-from calibration.estimation.problem import Values
 from calibration.estimation.result import Calibration
 from calibration.geometry import rotations
 from calibration.geometry.cameras import Camera
@@ -208,15 +208,16 @@ def true_values(setup: Setup) -> Values:
     """The truth of all blocks, the dataset's transforms and intrinsics being true; patterns about their centre."""
     joints = {joint.edge: joint.values for joint in setup.dataset.joints.values()}
     centres = {setup.pattern_edge(name): translation(p.centre) for name, p in setup.dataset.patterns.items()}
-    cameras = [block.intrinsics.camera.intrinsics for block in setup.problem.blocks if block.intrinsics]
-    transforms = tuple(
-        joints[edge]
-        if edge in joints
-        else (setup.dataset.transforms[edge] if block.per_collection else setup.dataset.transforms[edge][0])
-        @ centres.get(edge, np.eye(4))
-        for edge, block in zip(setup.edges, setup.problem.blocks, strict=False)
-    )
-    return (*transforms, *cameras)
+    values = []
+    for block in setup.problem.blocks:
+        if block.intrinsics:
+            values.append(block.intrinsics.camera.intrinsics)
+        elif block.edge in joints:
+            values.append(joints[block.edge])
+        else:
+            T = setup.dataset.transforms[block.edge]
+            values.append((T if block.per_collection else T[0]) @ centres.get(block.edge, np.eye(4)))
+    return tuple(values)
 
 
 def shaken(setup: Setup, values: Values, size: float, seed: int = 0) -> Values:

@@ -2,8 +2,10 @@
 
 import numpy as np
 
-from calibration.estimation.problem import Block, Chain, FreeJoint, Link, Problem, Values, ViewGroup
+from calibration.estimation.blocks import Block, FreeJoint, Values
+from calibration.estimation.problem import Problem
 from calibration.estimation.residuals import CornerTerm, RangeTerm
+from calibration.estimation.views import Chain, Link, ViewGroup
 from calibration.geometry import rotations
 from calibration.geometry.joints import JOINT_PARAMETERS, JointModel
 from calibration.geometry.transforms import apply, inverse, transform
@@ -20,9 +22,13 @@ BLOCKS = (
     Block("fixed"),
     Block("other moving", per_collection=True),
     Block("c"),
-    Block("joint-1", joint=FreeJoint(JointModel(False, (0.0, 0.6, 0.8)), JOINT_PARAMETERS[:4] + JOINT_PARAMETERS[6:])),
-    Block("joint-2", joint=FreeJoint(JointModel(True, (0.6, 0.8, 0.0)), ("origin_y", "origin_yaw", "position_bias"))),
-    Block("joint-3", joint=FreeJoint(JointModel(False, (0.0, 0.0, 1.0)), ("origin_roll",))),
+    Block(
+        "joint-1", parameters=FreeJoint(JointModel(False, (0.0, 0.6, 0.8)), JOINT_PARAMETERS[:4] + JOINT_PARAMETERS[6:])
+    ),
+    Block(
+        "joint-2", parameters=FreeJoint(JointModel(True, (0.6, 0.8, 0.0)), ("origin_y", "origin_yaw", "position_bias"))
+    ),
+    Block("joint-3", parameters=FreeJoint(JointModel(False, (0.0, 0.0, 1.0)), ("origin_roll",))),
 )
 
 
@@ -35,11 +41,7 @@ def tangled(noise: float = 0.0, seed: int = 0) -> tuple[Problem, Values]:
     rng = np.random.default_rng(seed)
     values = tuple(random_poses(rng, COLLECTIONS) if b.per_collection else random_poses(rng) for b in BLOCKS[:J1])
     values += tuple(np.random.default_rng(seed + 1).normal(size=7) for _ in BLOCKS[J1:])
-    joints = {k: BLOCKS[k].joint for k in (J1, J2, J3)}
     one, many = random_poses(rng), random_poses(rng, COLLECTIONS)
-
-    def joint(k: int, after: Array | None = None, inverted: bool = False) -> Link:
-        return Link(k, inverted, after, joints[k])
 
     plan = [
         ("left", "moving", [0, 1, 2, 3], (Link(A, True, many[:4]), Link(P, False))),
@@ -48,15 +50,21 @@ def tangled(noise: float = 0.0, seed: int = 0) -> tuple[Problem, Values]:
         ("right", "other", [0, 3, 4], (Link(HELD, False, many[:3]), Link(C, False), Link(Q, False))),
         ("lidar", "moving", [1, 3], (Link(A, False), Link(P, True, one), Link(F, True, many[2:4]))),
         ("left", "other", [3, 4], (Link(P, False, one), Link(Q, False))),
-        ("arm", "fixed", [0, 1, 5], (joint(J2), joint(J1, many[:3]), Link(C, False), joint(J3), Link(F, False))),
-        ("arm", "moving", [0, 2], (joint(J3, one), Link(A, True), joint(J1, one, inverted=True), Link(P, False))),
+        (
+            "arm",
+            "fixed",
+            [0, 1, 5],
+            (Link(J2, False), Link(J1, False, many[:3]), Link(C, False), Link(J3, False), Link(F, False)),
+        ),
+        ("arm", "moving", [0, 2], (Link(J3, False, one), Link(A, True), Link(J1, True, one), Link(P, False))),
     ]
+    transforms = [block.pose(value) for block, value in zip(BLOCKS, values, strict=True)]
     groups = []
     for k, (sensor, pattern, which, links) in enumerate(plan):
         collections = np.array(which)
         views = looks(len(which), seed=10 * seed + k)
         views[:, :3, 3] = apply(views, board().centre[None])[:, 0]
-        rest = Chain(None, links).poses(values, slice(None), collections)
+        rest = Chain(None, links).poses(transforms, collections)
         term = _ranges(views, noise, rng) if sensor == "lidar" else _corners(views, noise, rng, partial=k == 1)
         groups.append(ViewGroup(sensor, pattern, collections, Chain(views @ inverse(rest), links), (term,)))
     return Problem(BLOCKS, tuple(groups), COLLECTIONS), values

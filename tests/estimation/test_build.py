@@ -60,7 +60,7 @@ def test_blocks(scene, held, shared, local, gauge):
     assert [blocks[i].name for i in setup.problem.shared] == shared
     assert [blocks[i].name for i in setup.problem.local] == local
     assert setup.gauge == gauge
-    assert [setup.block(edge) for edge in setup.edges] == list(range(len(blocks)))
+    assert [setup.block(block.edge) for block in blocks] == list(range(len(blocks)))
 
 
 def test_constants_are_multiplied_out_and_kept_once_where_they_do_not_change():

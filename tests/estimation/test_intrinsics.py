@@ -299,7 +299,7 @@ def test_cameras_that_cannot_be(parameter, value, possible):
     """Of a radius r (1 - 0.5 r^2) the image is folded over from r = 0.82."""
     camera = lens(PlumbBob())
     rays = np.array([[0.1, -0.9, 0.2], [0.0, 0.2, 0.3]])
-    intrinsics = FreeIntrinsics(camera, camera.parameters, rays)
+    intrinsics = FreeIntrinsics("left", camera, camera.parameters, rays)
     trial = camera.intrinsics
     trial[camera.parameters.index(parameter)] = value
     assert intrinsics.possible(trial) is possible
@@ -318,10 +318,10 @@ def test_a_step_to_a_camera_that_cannot_be_costs_infinity():
 
 def test_a_lens_that_folds_over_beyond_its_labels_is_possible():
     camera = lens(PlumbBob(-0.5))
-    near = FreeIntrinsics(camera, camera.parameters, np.array([[0.5], [0.3]]))
+    near = FreeIntrinsics("left", camera, camera.parameters, np.array([[0.5], [0.3]]))
     assert near.possible(camera.intrinsics)
     # what the nominal camera folds over already does not speak against others
-    far = FreeIntrinsics(camera, camera.parameters, np.array([[0.9], [0.3]]))
+    far = FreeIntrinsics("left", camera, camera.parameters, np.array([[0.9], [0.3]]))
     assert far.possible(camera.intrinsics)
 
 

@@ -74,8 +74,9 @@ def test_a_joint_that_is_walked_upwards():
     swapped = replace(scene, transforms=transforms, sensors=[camera("cam")], patterns=[board(parent="j6", fixed=True)])
     for each, inverted in ((scene, True), (swapped, False)):
         dataset = each.dataset()
-        (group,) = build(dataset).problem.groups
-        assert {link.inverted for link in group.chain.links if link.joint} == {inverted}
+        setup = build(dataset)
+        (group,) = setup.problem.groups
+        assert {link.inverted for link in group.chain.links if setup.problem.blocks[link.block].joint} == {inverted}
         result = calibrate(nominal(dataset, 0.03))
         assert np.abs(joint_errors(result, dataset)).max() < 1e-8
 

@@ -32,15 +32,16 @@ EXACT = Weighting({"pixel": 1.0, "range": 0.01, "border": 0.01, "lidar2d_range":
 def start_of(setup: Setup, noise: StartingNoise | None = None) -> LinearStart:
     """With guesses of the patterns that say nothing."""
     nothing = tuple(
-        np.broadcast_to(np.eye(4), v.shape).copy() if edge[1].endswith("_link") else v
-        for v, edge in zip(true_values(setup), setup.edges, strict=True)
+        np.broadcast_to(np.eye(4), v.shape).copy() if block.edge[1].endswith("_link") else v
+        for v, block in zip(true_values(setup), setup.problem.blocks, strict=True)
     )
     return linear_start(setup, perturb(setup, nothing, noise or StartingNoise()))
 
 
 def shared_errors(setup: Setup, start: LinearStart) -> tuple[float, float]:
     """Of all but the patterns."""
-    found = {e: T for e, T in zip(setup.edges, start.values, strict=True) if T.ndim == 2 and not e[1].endswith("_link")}
+    edges = [block.edge for block in setup.problem.blocks]
+    found = {e: T for e, T in zip(edges, start.values, strict=True) if T.ndim == 2 and not e[1].endswith("_link")}
     return errors(setup.dataset, found, setup.gauge)
 
 
@@ -203,7 +204,7 @@ def test_a_motion_that_is_too_poor_is_passed_over_for_one_that_is_not():
 def test_patterns_are_put_where_the_cameras_see_them():
     setup = build(hand_and_world(pixel_noise=0.1).dataset())
     truth = true_values(setup)
-    nothing = tuple(np.eye(4) if setup.edges[i][1] == "board_link" else T for i, T in enumerate(truth))
+    nothing = tuple(np.eye(4) if setup.problem.blocks[i].edge[1] == "board_link" else T for i, T in enumerate(truth))
     found = pattern_poses(setup, nothing)
     pattern = setup.block(("world", "board_link"))
     assert distance(found[pattern], truth[pattern])[0] < 0.01

@@ -1,12 +1,15 @@
 """The normal equations: against differences of the cost, and the elimination against the dense system."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from calibration.estimation import normal_equations
+from calibration.estimation import batches
+from calibration.estimation.blocks import Values
 from calibration.estimation.normal_equations import NormalEquations, Weighting, assemble
 from calibration.estimation.observability import covariances
-from calibration.estimation.problem import Problem, Values
+from calibration.estimation.problem import Problem
 from calibration.geometry.types import Array
 from tests.estimation.tangled import COLLECTIONS, tangled
 
@@ -131,8 +134,11 @@ def test_the_cost_of_a_collection_is_that_of_its_views():
 def test_a_few_views_at_a_time_give_the_same(monkeypatch):
     problem, values = tangled(noise=0.5)
     whole = assemble(problem, values, ROBUST)
-    monkeypatch.setattr(normal_equations, "VIEWS_AT_A_TIME", 1)
-    one_by_one = assemble(problem, values, ROBUST)
+    monkeypatch.setattr(batches, "VIEWS_AT_A_TIME", 1)
+    monkeypatch.setattr(batches, "CHUNK", 0)
+    alone = replace(problem)
+    assert {batch.views for batch in alone.batches} == {1}
+    one_by_one = assemble(alone, values, ROBUST)
     np.testing.assert_allclose(dense(one_by_one), dense(whole), rtol=1e-10, atol=1e-9 * np.abs(dense(whole)).max())
     np.testing.assert_allclose(gradient(one_by_one), gradient(whole), rtol=1e-9, atol=1e-9)
     np.testing.assert_allclose(one_by_one.cost, whole.cost)

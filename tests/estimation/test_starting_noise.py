@@ -23,7 +23,9 @@ SIGNS = np.array(list(itertools.product([-1.0, 1.0], repeat=3)))
 
 
 def changed(setup: Setup, before: Values, after: Values) -> set[tuple[str, str]]:
-    return {e for e, a, b in zip(setup.edges, before, after, strict=True) if not np.array_equal(a, b)}
+    return {
+        block.edge for block, a, b in zip(setup.problem.blocks, before, after, strict=True) if not np.array_equal(a, b)
+    }
 
 
 def turned(before: Array, after: Array, angle: float) -> bool:
@@ -111,7 +113,7 @@ def test_a_dataset_gets_the_guess_that_the_engine_starts_from():
     noisy = with_starting_noise(dataset, noise)
     setup = build(dataset)
     for edge in (("world", "base"), ("flange", "mount")):
-        values = tuple(dataset.transform(*e)[0] for e in setup.edges)
+        values = tuple(dataset.transform(*block.edge)[0] for block in setup.problem.blocks)
         guess = perturb(setup, values, noise)[setup.block(edge)]
         np.testing.assert_array_equal(noisy.transforms[edge], np.broadcast_to(guess, noisy.transforms[edge].shape))
         assert np.linalg.norm(guess[:3, 3] - dataset.transform(*edge)[0, :3, 3]) == pytest.approx(0.3)

@@ -9,9 +9,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calibration.dataset.modalities import NoiseKind
+from calibration.estimation.batches import table_of
+from calibration.estimation.blocks import Values
 from calibration.estimation.build import Setup, build
 from calibration.estimation.normal_equations import Weighting, linearise
-from calibration.estimation.problem import Block, NoiseKind, Problem, Values
+from calibration.estimation.problem import Problem
 from calibration.geometry.transforms import inverse, translation
 from calibration.geometry.types import Array, IntArray
 from calibration.simulation.motion.expected import expected_dataset
@@ -43,14 +46,7 @@ class Information:
 
     def units(self, length: float) -> Array:
         """(S,): what each parameter is measured in so that all compare: lengths in ``length`` (m), angles in rad."""
-        problem = self.setup.problem
-        return np.concatenate([_units(problem.blocks[i], length) for i in problem.shared])
-
-
-def _units(block: Block, length: float) -> Array:
-    if block.joint is None:
-        return np.repeat([length, 1.0], 3)
-    return np.array([length if block.joint.model.unit(parameter) == "m" else 1.0 for parameter in block.joint.free])
+        return self.setup.problem.units(length)
 
 
 def information(system: System, placement: Placement) -> Information:
@@ -72,22 +68,18 @@ def informations(problem: Problem, values: Values, weighting: Weighting) -> Arra
 
     Their sum is `calibration.estimation.normal_equations.NormalEquations.schur`.
     """
-    shared, local = (sum(problem.blocks[i].dimension for i in blocks) for blocks in (problem.shared, problem.local))
-    at = problem.shared_parameters | {
-        block: slice(shared + own.start, shared + own.stop) for block, own in problem.local_parameters.items()
-    }
-    H = np.zeros((problem.collections, shared + local, shared + local))
-    for group in problem.groups:
-        T, jacobians = group.chain.jacobians(values, slice(None), group.collections, problem.held)
-        _, M, _ = linearise(group.terms, T, slice(None), weighting)
-        J = np.zeros((len(T), 6, shared + local))
-        for block, J_block in jacobians:
-            J[:, :, at[block]] = J_block
-        H[group.collections] += np.swapaxes(J, 1, 2) @ M @ J
-    H_local, H_mixed = H[:, shared:, shared:], H[:, :shared, shared:]
+    S, P = problem.sizes
+    H = np.zeros((problem.collections, S + P, S + P))
+    table = table_of(problem.blocks, values)
+    for batch in problem.batches:
+        T, A = batch.linearise(table, values)
+        _, M, _ = linearise(batch.terms, T, weighting)
+        J = np.concatenate(batch.spread(A, problem.sizes, problem.intrinsics_at(batch)), -1)
+        np.add.at(H, batch.collections, np.swapaxes(J, 1, 2) @ M @ J)
+    H_local, H_mixed = H[:, S:, S:], H[:, :S, S:]
     index = np.arange(H_local.shape[-1])
     H_local[:, index, index] += H_local[:, index, index] == 0  # nothing sees it: it takes no part
-    reduced: Array = H[:, :shared, :shared] - H_mixed @ np.linalg.solve(H_local, np.swapaxes(H_mixed, 1, 2))
+    reduced: Array = H[:, :S, :S] - H_mixed @ np.linalg.solve(H_local, np.swapaxes(H_mixed, 1, 2))
     return 0.5 * (reduced + np.swapaxes(reduced, 1, 2))
 
 
@@ -107,7 +99,9 @@ def _truth(system: System, setup: Setup, placement: Placement, poses: IntArray) 
     patterns = {setup.pattern_edge(name): pattern for name, pattern in setup.dataset.patterns.items()}
     world, tree = system.configuration.world_link, system.robot.tree
     values = []
-    for block, edge in zip(setup.problem.blocks, setup.edges, strict=True):
+    for block in setup.problem.blocks:
+        if (edge := block.edge) is None:  # a camera's intrinsics
+            raise ValueError("the intrinsics are no unknowns of a motion")
         if edge in patterns:
             pattern = patterns[edge]
             T_world_parent = compose(tree, placement.transforms, world, pattern.parent_link)

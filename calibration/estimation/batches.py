@@ -1,0 +1,273 @@
+"""Views that are evaluated in one pass, because many calls on few numbers cost more than one on many.
+
+A batch is a part of a big group, or several small groups together, of whichever sensors and patterns, whose chains
+have the same form: as many links, inverted alike, constants in the same places. The transforms of all blocks lie in
+one table, and what a link stands for in each view is a row of it.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+
+import numpy as np
+
+from calibration.estimation.blocks import Block, FreeJoint, Pose, Values
+from calibration.estimation.intrinsics import FreeIntrinsics
+from calibration.estimation.residuals import CHUNK, CornerTerm, side_by_side
+from calibration.estimation.views import Link, Term, ViewGroup, per_view, times
+from calibration.geometry.transforms import inverse
+from calibration.geometry.types import Array, IntArray
+
+VIEWS_AT_A_TIME = 1024
+"""Bounds the temporaries: 1024 views of 50 corners pass through in about 10 MB."""
+VIEWS_OF_SEVERAL_CAMERAS = 128
+"""So many go in one pass: numbers that differ from view to view cost more for each view, calls saved weigh less."""
+Columns = slice | IntArray
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """The views of one group in a batch, and which parameters the columns of the batch's Jacobian belong to."""
+
+    views: slice
+    collections: IntArray
+    """(v,)."""
+    shared: Columns
+    """The columns of shared blocks."""
+    shared_at: Columns
+    """Where their parameters stand among those of all shared blocks."""
+    local: Columns
+    """The columns of local blocks."""
+    local_at: Columns
+    """Where their parameters stand among those of a collection."""
+
+    @cached_property
+    def has_local(self) -> bool:
+        """Whether its views depend on local blocks."""
+        return self.local != slice(0, 0)
+
+    @cached_property
+    def in_shared(self) -> tuple[Columns, ...]:
+        """Where the rows and columns of its shared parameters stand in a matrix (S, S) of all of them."""
+        return index_of(self.shared_at, self.shared_at)
+
+    @cached_property
+    def in_mixed(self) -> tuple[Columns, ...]:
+        """Where those of its shared and local parameters stand in (N, S, P)."""
+        return index_of(self.collections, self.shared_at, self.local_at)
+
+    @cached_property
+    def in_local(self) -> tuple[Columns, ...]:
+        """Where those of its local parameters stand in (N, P, P)."""
+        return index_of(self.collections, self.local_at, self.local_at)
+
+
+@dataclass(frozen=True, eq=False)
+class _Step:
+    """A link of all views of a batch."""
+
+    rows: IntArray
+    """(V,), or (1,) where it is the same in all: rows of the table of transforms."""
+    inverted: bool
+    after: Array | None
+    """(4, 4) or (V, 4, 4); None for the identity."""
+    block: int
+    """The block of the first view; where it is a joint, of all."""
+    parameters: Pose | FreeJoint | None
+    """What is free of it; None where all are held."""
+    columns: slice
+    """Where its columns stand in the Jacobian."""
+
+
+@dataclass(frozen=True, eq=False)
+class Batch:
+    """V views of one or more groups."""
+
+    before: Array | None
+    steps: tuple[_Step, ...]
+    terms: tuple[Term, ...]
+    """Each of all V views; with the nominal intrinsics of a camera."""
+    parts: tuple[Part, ...]
+    intrinsics: int | None
+    """The block of intrinsics that all views depend on, where they are free."""
+
+    @property
+    def views(self) -> int:
+        """V."""
+        return sum(len(part.collections) for part in self.parts)
+
+    def linearise(self, table: Array, values: Values) -> tuple[Array, Array]:
+        """The poses of the views, and how the parameters move them.
+
+        A block's columns map its parameters to the twist of the pose in the sensor's frame: the adjoint of the
+        chain up to the block; minus that, up to before it, when it is inverted. A joint's are those of the twists
+        which its k free parameters make.
+
+        Args:
+            table: (R, 4, 4), see `table_of`.
+            values: of all blocks.
+
+        Returns:
+            ``T_sensor_pattern`` (V, 4, 4) and the Jacobian (V, 6, C), the steps' columns side by side.
+        """
+        J = np.empty((self.views, 6, self.steps[-1].columns.stop))
+        T = self.before
+        for step in self.steps:
+            X, before = table[step.rows], T
+            T = times(T, inverse(X) if step.inverted else X)
+            if step.parameters is not None:
+                prefix = before if step.inverted else T
+                prefix = np.eye(4)[None] if prefix is None else prefix.reshape(-1, 4, 4)
+                columns = step.parameters.jacobian(prefix, values[step.block])
+                J[:, :, step.columns] = -columns if step.inverted else columns
+            T = times(T, step.after)
+        return per_view(T, self.views), J
+
+    @property
+    def collections(self) -> IntArray:
+        """(V,): the collection of each view."""
+        return np.concatenate([part.collections for part in self.parts])
+
+    def spread(self, J: Array, sizes: tuple[int, int], intrinsics: slice) -> tuple[Array, Array]:
+        """The Jacobian (V, 6, C) with a column for every parameter: of S shared ones, and of P local ones.
+
+        The m free intrinsics have rows of their own below the twist's: (V, 6 + m, S) and (V, 6 + m, P).
+
+        Args:
+            J: as `linearise` gives it.
+            sizes: S and P.
+            intrinsics: where those of this batch stand among the shared parameters.
+        """
+        m = intrinsics.stop - intrinsics.start
+        J_shared, J_local = (np.zeros((len(J), 6 + m, size)) for size in sizes)
+        J_shared[:, 6:, intrinsics] = np.eye(m)
+        for part in self.parts:
+            J_shared[part.views, :6, part.shared_at] = J[part.views, :, part.shared]
+            J_local[part.views, :6, part.local_at] = J[part.views, :, part.local]
+        return J_shared, J_local
+
+
+def table_of(blocks: Sequence[Block], values: Values) -> Array:
+    """(R, 4, 4): the transforms of all blocks, one row each, or N where it is per collection."""
+    transforms = (block.pose(value) for block, value in zip(blocks, values, strict=True) if not block.intrinsics)
+    return np.concatenate([T.reshape(-1, 4, 4) for T in transforms])
+
+
+def batches(
+    blocks: Sequence[Block],
+    groups: Sequence[ViewGroup],
+    collections: int,
+    shared: Mapping[int, slice],
+    local: Mapping[int, slice],
+) -> tuple[Batch, ...]:
+    """All views, batch by batch.
+
+    Args:
+        blocks: all.
+        groups: all views.
+        collections: N.
+        shared: where the parameters of each free shared block stand among those of all of them.
+        local: where those of each free local block stand among those of a collection.
+    """
+    gathered: dict[object, list[list[ViewGroup]]] = {}
+    for group in sorted(groups, key=lambda each: each.sensor):  # views of one camera fit together best
+        for start in range(0, len(group.collections), VIEWS_AT_A_TIME):
+            small = len(group.collections) <= VIEWS_AT_A_TIME
+            piece = group if small else group.take(slice(start, start + VIEWS_AT_A_TIME))
+            alike = gathered.setdefault(_form(piece, blocks), [])
+            if (fitting := next((each for each in alike if _fit([*each, piece])), None)) is not None:
+                fitting.append(piece)
+            else:
+                alike.append([piece])
+    rows = [0 if block.intrinsics else collections if block.per_collection else 1 for block in blocks]
+    starts = np.cumsum([0, *rows])
+    return tuple(_batch(each, blocks, starts, shared, local) for alike in gathered.values() for each in alike)
+
+
+def _form(group: ViewGroup, blocks: Sequence[Block]) -> object:
+    """What the groups of a batch have in common."""
+    term = group.terms[0]
+    if len(group.terms) > 1 or not isinstance(term, CornerTerm):
+        return id(group)
+    links = ((link.inverted, link.after is None, blocks[link.block].joint and link.block) for link in group.chain.links)
+    return group.chain.before is None, *links, type(term.camera.distortion), _free_intrinsics(group, blocks)
+
+
+def _free_intrinsics(group: ViewGroup, blocks: Sequence[Block]) -> int | None:
+    return None if group.intrinsics is None or blocks[group.intrinsics].held else group.intrinsics
+
+
+def _fit(groups: Sequence[ViewGroup]) -> bool:
+    """Whether groups fit into one pass: few labels, about as many corners each, few views of different cameras."""
+    terms = [term for group in groups for term in group.terms if isinstance(term, CornerTerm)]
+    corners, views = [term.pixels.shape[-1] for term in terms], sum(len(group.collections) for group in groups)
+    few = views <= VIEWS_OF_SEVERAL_CAMERAS or len({id(term.camera) for term in terms}) == 1
+    return few and max(corners) <= 2 * min(corners) and max(corners) * views <= CHUNK
+
+
+def _batch(
+    groups: list[ViewGroup],
+    blocks: Sequence[Block],
+    rows: IntArray,
+    shared: Mapping[int, slice],
+    local: Mapping[int, slice],
+) -> Batch:
+    counts = [len(group.collections) for group in groups]
+    ends = np.cumsum([0, *counts]).tolist()
+    steps: list[_Step] = []
+    for links in zip(*(group.chain.links for group in groups), strict=True):
+        width = steps[-1].columns.stop if steps else 0
+        free = [blocks[link.block].parameters for link in links if not blocks[link.block].held]
+        parameters = next((each for each in free if not isinstance(each, FreeIntrinsics)), None)
+        steps.append(
+            _Step(
+                rows=_rows(links, groups, blocks, rows),
+                inverted=links[0].inverted,
+                after=_together([link.after for link in links], counts),
+                block=links[0].block,
+                parameters=parameters,
+                columns=slice(width, width + (parameters.dimension if parameters else 0)),
+            )
+        )
+    parts = []
+    for i, group in enumerate(groups):
+        links = group.chain.links
+        placed = [[k for k, link in enumerate(links) if link.block in of] for of in (shared, local)]
+        spans = [_span([steps[k].columns for k in placed[0]]), _span([shared[links[k].block] for k in placed[0]])]
+        spans += [_span([steps[k].columns for k in placed[1]]), _span([local[links[k].block] for k in placed[1]])]
+        parts.append(Part(slice(*ends[i : i + 2]), group.collections, *spans))
+    corners = [term for group in groups for term in group.terms if isinstance(term, CornerTerm)]
+    terms = groups[0].terms if len(groups) == 1 else (side_by_side(corners),)
+    before = _together([group.chain.before for group in groups], counts)
+    return Batch(before, tuple(steps), terms, tuple(parts), _free_intrinsics(groups[0], blocks))
+
+
+def _rows(links: Sequence[Link], groups: Sequence[ViewGroup], blocks: Sequence[Block], rows: IntArray) -> IntArray:
+    """(V,): the rows of the table that a link stands for; (1,) where it is the same in all views."""
+    if len({link.block for link in links}) == 1 and not blocks[links[0].block].per_collection:
+        return rows[[links[0].block]]
+    moves = [blocks[link.block].per_collection for link in links]
+    parts = zip(links, groups, moves, strict=True)
+    return np.concatenate([rows[link.block] + moving * group.collections for link, group, moving in parts])
+
+
+def _together(constants: Sequence[Array | None], counts: Sequence[int]) -> Array | None:
+    """The constant of all views of several groups; they have one all or none."""
+    if len(constants) == 1 or constants[0] is None:
+        return constants[0]
+    return np.concatenate([per_view(constant, count) for constant, count in zip(constants, counts, strict=True)])
+
+
+def _span(slices: Sequence[slice]) -> Columns:
+    """Several slices as one where they run on without a gap, else as indices."""
+    if all(a.stop == b.start for a, b in pairwise(slices)):
+        return slice(slices[0].start, slices[-1].stop) if slices else slice(0, 0)
+    return np.concatenate([np.arange(each.start, each.stop) for each in slices])
+
+
+def index_of(first: Columns, *others: Columns) -> tuple[Columns, ...]:
+    """The index of a block of rows and columns: slices, which are fast, unless parameters lie apart."""
+    if all(isinstance(each, slice) for each in others):
+        return first, *others
+    return np.ix_(*(np.arange(each.start, each.stop) if isinstance(each, slice) else each for each in (first, *others)))
