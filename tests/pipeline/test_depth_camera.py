@@ -17,31 +17,9 @@ from calibration.pipeline.collection.collecting import collect_dataset
 from calibration.pipeline.collection.request import CollectionRequest
 from calibration.pipeline.collection.results import CollectionResults
 from tests.pipeline.conftest import DATASETS
+from tests.pipeline.systems import with_depth_camera
 
 POSES = 10
-MAST = """
-  <link name="depth_link"/>
-  <link name="depth_optical"/>
-  <joint name="to_depth_link" type="fixed">
-    <parent link="tripod_left_support"/>
-    <child link="depth_link"/>
-    <origin xyz="0.015 -0.1 0.06" rpy="0.02 0.03 -0.1"/>
-  </joint>
-  <joint name="to_depth_optical" type="fixed">
-    <parent link="depth_link"/>
-    <child link="depth_optical"/>
-    <origin xyz="0 0 0" rpy="-1.5707963267949 0 -1.5707963267949"/>
-  </joint>
-</robot>"""
-SENSOR = """
-  depth:
-    link: depth_optical
-    parent_link: tripod_left_support
-    child_link: depth_link
-    topic_name: /depth/image_raw
-    modality: depth
-    throttle:
-additional_tfs:"""
 
 
 def collected(system: Path, output: Path) -> CollectionResults:
@@ -62,14 +40,8 @@ def rgb_and_depth(tmp_path_factory: pytest.TempPathFactory) -> tuple[CollectionR
 @pytest.fixture(scope="module")
 def with_lidar(tmp_path_factory: pytest.TempPathFactory) -> tuple[CollectionResults, Path]:
     """rlbot with a depth camera, whose lens is bent, beside its camera and its LiDAR."""
-    system, output = tmp_path_factory.mktemp("system"), tmp_path_factory.mktemp("output")
-    source = DATASETS / "rlbot"
-    simulation = (source / "simulation.yml").read_text()
-    lens = "  depth: {width: 640, height: 480, hfov_deg: 65, distortion: [0.05, -0.03, 0.001, -0.001, 0]}\nscene:"
-    (system / "robot.urdf").write_text((source / "robot.urdf").read_text().replace("\n</robot>", MAST))
-    (system / "config.yml").write_text((source / "config.yml").read_text().replace("\nadditional_tfs:", SENSOR))
-    (system / "simulation.yml").write_text(simulation.replace("scene:", lens, 1))
-    return collected(system, output), output
+    output = tmp_path_factory.mktemp("output")
+    return collected(with_depth_camera(tmp_path_factory.mktemp("system")), output), output
 
 
 def errors_in_sigmas(folder: Path) -> np.ndarray:

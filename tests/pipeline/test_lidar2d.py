@@ -28,22 +28,11 @@ from calibration.simulation.random_streams import stream
 from calibration.simulation.scene import Scene
 from calibration.simulation.sensors import SimulatedLidar2d
 from calibration.simulation.system import System, read_system
+from tests.pipeline.systems import with_scanner
 from tests.simulation.conftest import DATASETS, detects
 
 POSES = 12
 LIDAR = "lidar_right"
-
-
-def scanner(folder: Path) -> Path:
-    """rlbot with a 2D LiDAR in the place of its LiDAR."""
-    source = DATASETS / "rlbot"
-    simulation = (source / "simulation.yml").read_text()
-    start, end = simulation.index("    rings: 16"), simulation.index("scene:")
-    flat = "    rays: 1081\n    angle_deg: [-135, 135]\n    range_m: [0.1, 30]\n    noise_m: 0.01\n"
-    (folder / "robot.urdf").write_bytes((source / "robot.urdf").read_bytes())
-    (folder / "config.yml").write_text((source / "config.yml").read_text().replace("lidar3d", "lidar2d"))
-    (folder / "simulation.yml").write_text(simulation[:start] + flat + simulation[end:])
-    return folder
 
 
 def lidar_of(system: System) -> SimulatedLidar2d:
@@ -54,12 +43,12 @@ def lidar_of(system: System) -> SimulatedLidar2d:
 
 @pytest.fixture(scope="module")
 def system(tmp_path_factory: pytest.TempPathFactory) -> System:
-    return read_system(scanner(tmp_path_factory.mktemp("system")))
+    return read_system(with_scanner(tmp_path_factory.mktemp("system")))
 
 
 @pytest.fixture(scope="module")
 def collected(tmp_path_factory: pytest.TempPathFactory) -> tuple[CollectionResults, Path]:
-    folder, output = scanner(tmp_path_factory.mktemp("system")), tmp_path_factory.mktemp("output")
+    folder, output = with_scanner(tmp_path_factory.mktemp("system")), tmp_path_factory.mktemp("output")
     return collect_dataset(CollectionRequest(folder, motion=f"generate:{POSES}"), output), output
 
 

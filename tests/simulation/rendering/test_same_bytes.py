@@ -1,16 +1,13 @@
 """The same bytes on processors of other kinds, whose vectors are wider or narrower."""
 
 import hashlib
-import os
-import subprocess
-import sys
 
 import numpy as np
-import pytest
 
 from calibration.simulation.random_streams import stream
 from calibration.simulation.scene import Box, Scene
 from calibration.simulation.sensors import SimulatedCamera, SimulatedDepthCamera, SimulatedLidar
+from tests.processors import on_a_lesser_processor, on_linux
 from tests.simulation.rendering.views import CHARUCO, DISTORTION, T_WORLD_CAMERA, board, camera, random_pose
 
 
@@ -30,21 +27,6 @@ def digest() -> str:
     return seen.hexdigest()
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="the switches of OpenBLAS are those of Linux on x86")
+@on_linux
 def test_a_lesser_processor_makes_the_same_bytes() -> None:
-    try:
-        from numpy._core._multiarray_umath import __cpu_dispatch__ as optional
-    except ImportError:  # numpy 1
-        from numpy.core._multiarray_umath import __cpu_dispatch__ as optional
-    lesser = {
-        "OPENBLAS_CORETYPE": "Prescott",
-        "OPENCV_IPP": "disabled",
-        "OPENCV_CPU_DISABLE": "AVX512-SKX,AVX2,FMA3,AVX,FP16,SSE4.2,SSE4.1",
-        "NPY_DISABLE_CPU_FEATURES": " ".join(optional),
-        "OPENCV_LOG_LEVEL": "SILENT",
-    }
-    command = [sys.executable, "-W", "ignore", "-c", f"from {__name__} import digest; print(digest())"]
-    answer = subprocess.run(
-        command, env={**os.environ, **lesser, "PYTHONPATH": os.pathsep.join(sys.path)}, capture_output=True, check=True
-    )
-    assert answer.stdout.decode().strip() == digest()
+    assert on_a_lesser_processor(__name__, "digest()") == digest()
