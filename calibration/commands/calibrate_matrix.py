@@ -25,7 +25,7 @@ from calibration.introspection.rulesfile import read_rules
 from calibration.pipeline.configuration import Configuration, read_configuration
 from calibration.pipeline.matrix.matrix import Matrix
 from calibration.pipeline.matrix.software import adjusted_software
-from calibration.pipeline.stages import run_stages
+from calibration.pipeline.stages import Run, run_stages
 from calibration.pipeline.system import NoiseGrid, System, seed_range
 from calibration.registries.credentials import RegistrySettings
 from calibration.workflow import Runner
@@ -138,9 +138,8 @@ def calibrate_matrix(settings: Settings, runner: Runner) -> ExitCode:
     matrix = matrix_of(settings)
     place = place_of(settings, matrix, runner)
     pull(settings, runner)
-    stages = ("calibrate", "introspect")
-    results = run_stages(matrix, settings.output, runner, TITLE, settings.jobs, settings.fail_fast, stages, place=place)
-    return results.exit_code
+    run = Run(matrix, settings.output, runner, TITLE, settings.jobs, settings.fail_fast, place=place)
+    return run_stages(run, ("calibrate", "introspect")).exit_code
 
 
 def place_of(settings: Settings, matrix: Matrix, runner: Runner) -> Place:

@@ -12,7 +12,7 @@ from calibration.errors import ExitCode
 from calibration.image.specification import ImageSpecification
 from calibration.pipeline.configuration import read_configuration
 from calibration.pipeline.matrix.matrix import Matrix
-from calibration.pipeline.stages import STAGES, run_stages
+from calibration.pipeline.stages import STAGES, Run, run_stages
 from calibration.workflow import Runner, set_outputs
 
 
@@ -50,18 +50,16 @@ def run(settings: Settings, runner: Runner) -> ExitCode:
     """
     configuration = read_configuration(settings.config)
     matrix = Matrix(configuration.systems, configuration.noise, configuration.start, configuration.loss)
-    stages = settings.only or STAGES
-    results = run_stages(
+    asked = Run(
         matrix,
         settings.output,
         runner,
-        "calibration run",
-        settings.jobs,
-        stages=stages,
+        jobs=settings.jobs,
         simulations=configuration.simulations,
         image=_image(configuration.image, settings.push),
         place=configuration.place,
     )
+    results = run_stages(asked, settings.only or STAGES)
     image = results.image
     set_outputs(runner, {"image": image.reference if image else "", "digest": (image.digest if image else None) or ""})
     return results.exit_code

@@ -46,7 +46,7 @@ class Workspace(Generic[Result]):
 
     def find(self, name: str) -> Result | None:
         """The result of a task that is done; None for one that is not, or cannot be read."""
-        with suppress(OSError, ValueError, TypeError, KeyError, AttributeError):
+        with suppress(OSError, ValueError, TypeError, KeyError, AttributeError, InputError):
             return self._decode(self._path(name).read_bytes())
         return None
 

@@ -253,16 +253,16 @@ def failures(results: Results) -> list[str]:
     """A line for everything that failed, with its first reasons; results.json has all of them."""
     references = {cell.start_of_cell: cell for cell in results.comparisons if not cell.by_other_method}
     cells = [
-        f"{cell.name}: {_first(cell.reasons)}{_whose_fault(references.get(cell.start_of_cell))}"
+        f"{cell.name}: {_first(cell.reasons)}{_whose_fault(cell, references.get(cell.start_of_cell))}"
         for cell in results.cells
         if cell.verdict == "fail"
     ]
     return cells + [f"collected {c.name}: {_first(c.reasons)}" for c in results.collections if c.verdict == "fail"]
 
 
-def _whose_fault(reference: CellResult | None) -> str:
+def _whose_fault(cell: CellResult, reference: CellResult | None) -> str:
     """What our engine, on the same data from the same start, tells of a cell that the team's software failed."""
-    if reference is None:
+    if reference is None or cell.error is not None:  # an engine that has died is nobody's software
         return ""
     if reference.verdict == "pass":
         rms = "" if reference.rms_px is None else f" ({reference.rms_px:.4f} px)"

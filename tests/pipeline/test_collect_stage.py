@@ -13,7 +13,7 @@ from calibration.pipeline.configuration import read_configuration
 from calibration.pipeline.matrix.matrix import Matrix
 from calibration.pipeline.report import collections_table, report
 from calibration.pipeline.results import SCHEMA, Results, read_results
-from calibration.pipeline.stages import run_stages
+from calibration.pipeline.stages import Run, run_stages
 from calibration.report import Report
 from calibration.workflow import Runner
 from tests.pipeline.conftest import DATASETS
@@ -44,15 +44,9 @@ def run(path: Path, output: Path, *stages: str) -> tuple[Results, str]:
     configuration = read_configuration(path)
     log = io.StringIO()
     runner = Runner(stdout=log, stderr=log)
-    results = run_stages(
-        Matrix(configuration.systems, configuration.noise),
-        output,
-        runner,
-        "run",
-        1,
-        stages=stages or ("calibrate", "introspect", "collect"),
-        simulations=configuration.simulations,
-    )
+    matrix = Matrix(configuration.systems, configuration.noise)
+    asked = Run(matrix, output, runner, simulations=configuration.simulations, jobs=1)
+    results = run_stages(asked, stages or ("calibrate", "introspect", "collect"))
     return results, log.getvalue()
 
 

@@ -8,8 +8,11 @@ import pytest
 from calibration.errors import WorldError
 from calibration.image.specification import ImageSpecification, OwnDockerfile
 from calibration.pipeline.collection.collected import Collected
+from calibration.pipeline.matrix.matrix import Matrix
 from calibration.pipeline.results import ImageResult, Results
+from calibration.pipeline.stages import Run
 from calibration.pipeline.stages.building import promote_stage
+from calibration.pipeline.system import NoiseGrid
 from calibration.workflow import Runner
 
 SPECIFICATION = ImageSpecification(
@@ -19,9 +22,14 @@ IMAGE = ImageResult("127.0.0.1:9/team/robot:key-1", "1", built=True, digest="sha
 PASSED = Results((), (), (Collected("fresh"),), IMAGE)
 
 
+def asked(results: Results, output: Path, pull_request: bool = False) -> Run:
+    runner = Runner(pull_request=pull_request)
+    return Run(Matrix((), NoiseGrid()), output, runner, image=SPECIFICATION, results=results)
+
+
 def test_a_pull_request_promotes_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert PASSED.verdict == "pass"
-    assert promote_stage(SPECIFICATION, PASSED, tmp_path, Runner(pull_request=True)) is PASSED
+    assert promote_stage(asked(PASSED, tmp_path, pull_request=True)).results is PASSED
     assert capsys.readouterr().out == "not promoted: a pull request is not merged yet\n"
 
 
@@ -30,9 +38,9 @@ def test_an_image_that_was_not_pushed_cannot_be_promoted(tmp_path: Path) -> None
     with pytest.raises(
         WorldError, match=r"^image\.promote: .* is in no registry; add push: true to the section image$"
     ):
-        promote_stage(SPECIFICATION, results, tmp_path, Runner())
+        promote_stage(asked(results, tmp_path))
 
 
 def test_anything_else_asks_the_registry(tmp_path: Path) -> None:
     with pytest.raises(WorldError, match=r"127\.0\.0\.1:9"):
-        promote_stage(SPECIFICATION, PASSED, tmp_path, Runner())
+        promote_stage(asked(PASSED, tmp_path))

@@ -315,6 +315,10 @@ def test_whose_fault_it_is() -> None:
     [line] = failures(software_cells(False))
     assert line.endswith("Our engine fails on the same data too (RMS: found 2.5): look at the data")
     assert "Methods without a result" not in told(software_cells(False)).markdown()
+    died = software_cells(True)
+    died = replace(died, cells=(replace(died.cells[0], reasons=("the engine is gone",), error=ExitCode.WORLD),))
+    [line] = failures(died)
+    assert line.endswith(": the engine is gone")  # which is not the software's fault
 
 
 def test_our_engine_beside_the_software_has_no_part_in_the_verdict() -> None:

@@ -9,7 +9,7 @@ import json
 import shutil
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
-from dataclasses import asdict, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -17,14 +17,15 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from calibration import __version__
-from calibration.errors import ExitCode, InputError
+from calibration.errors import InputError
 from calibration.execution.backends import Place
 from calibration.execution.tasks import run_tasks
 from calibration.execution.workspace import identity, workspace
-from calibration.pipeline.matrix.cell import OUR_METHOD, CellResult, Deviation
+from calibration.pipeline.matrix.cell import OUR_METHOD, CellResult
 from calibration.pipeline.matrix.judgement import judge_cells
 from calibration.pipeline.matrix.matrix import Done, Matrix, matrix_tasks
 from calibration.pipeline.system import Limits, Start, System
+from calibration.records import document_of, read
 
 CELLS = "cells"
 """The folder, in the output folder, of what the team's software leaves."""
@@ -113,15 +114,11 @@ def _files(system: System) -> Iterator[Path]:
 
 
 def _encoded(cell: CellResult) -> str:
-    return json.dumps(asdict(cell))
+    return json.dumps(document_of(cell))
 
 
 def _decoded(text: bytes) -> CellResult:
-    document = json.loads(text)
-    deviations = {name: Deviation(**document[name]) if document[name] else None for name in ("truth", "sigma")}
-    error = None if document["error"] is None else ExitCode(document["error"])
-    lines = {name: tuple(document[name]) for name in ("reasons", "warnings")}
-    return CellResult(**{**document, **deviations, **lines, "error": error})
+    return read(CellResult, json.loads(text), "a start")
 
 
 def _judged(cell: CellResult, systems: Sequence[System], ours: Path, theirs: Path) -> CellResult:

@@ -1,5 +1,5 @@
 """The stages of a pipeline, one after the other; files go between them, so each can run alone."""
 
-from calibration.pipeline.stages.running import STAGES, run_stages
+from calibration.pipeline.stages.running import STAGES, Run, run_stages
 
-__all__ = ["STAGES", "run_stages"]
+__all__ = ["STAGES", "Run", "run_stages"]

@@ -1,47 +1,65 @@
 """The stages build and promote: the image of a run, and its release tags after a verdict that is pass."""
 
 from dataclasses import replace
-from pathlib import Path
 
 from calibration.errors import WorldError
 from calibration.image.building import build_image
-from calibration.image.specification import ImageSpecification
-from calibration.pipeline.report import write_results
-from calibration.pipeline.results import ImageResult, Results
+from calibration.pipeline.collection.request import ContainerRequest
+from calibration.pipeline.configuration import Simulation
+from calibration.pipeline.results import ImageResult
+from calibration.pipeline.stages.running import Run
+from calibration.pipeline.system import System
 from calibration.registries.login import registry_login
 from calibration.registries.promotion import promote
-from calibration.workflow import Runner
 
 
-def build_stage(specification: ImageSpecification, output: Path, runner: Runner) -> ImageResult:
-    """Find the image, or build it; and push it where the specification says so.
+def build_stage(run: Run) -> Run:
+    """Find the image, or build it, push it where the specification says so, and run in it what names no other.
 
     Raises:
         InputError: the specification, or a file that it names, is wrong.
         WorldError: there is no engine, or a registry does not answer.
         CalibrationError: a step of the build failed (exit code 1).
     """
-    built = build_image(specification, runner, leave_out=[output])  # it changes with every run
-    return ImageResult(built.reference, built.key, built.built, built.digest, round(built.seconds, 4))
+    if run.image is None:
+        return run
+    built = build_image(run.image, run.runner, leave_out=[run.output])  # it changes with every run
+    image = ImageResult(built.reference, built.key, built.built, built.digest, round(built.seconds, 4))
+    systems = tuple(_in_image(system, image.reference) for system in run.matrix.systems)
+    return replace(
+        run,
+        matrix=replace(run.matrix, systems=systems),
+        simulations=tuple(_simulated_in(simulation, image.reference) for simulation in run.simulations),
+        results=replace(run.results, image=image),
+    )
 
 
-def promote_stage(specification: ImageSpecification, results: Results, output: Path, runner: Runner) -> Results:
+def _in_image(system: System, image: str) -> System:
+    return system if system.software is None else replace(system, software=system.software.with_image(image))
+
+
+def _simulated_in(simulation: Simulation, image: str) -> Simulation:
+    request = simulation.request
+    if not isinstance(request, ContainerRequest):
+        return simulation
+    return replace(simulation, request=replace(request, applications=request.applications.with_image(image)))
+
+
+def promote_stage(run: Run) -> Run:
     """Give the image that was tested its release tags, if the verdict is pass; nothing is built or pulled.
 
     Raises:
         WorldError: the registry does not answer, or the image was not pushed.
     """
-    image = results.image
-    if image is None or results.verdict != "pass":
-        runner.log(f"not promoted: the verdict is {results.verdict}")
-        return results
-    if runner.pull_request:
-        runner.log("not promoted: a pull request is not merged yet")
-        return results
+    specification, image = run.image, run.results.image
+    if specification is None or image is None or run.results.verdict != "pass":
+        run.runner.log(f"not promoted: the verdict is {run.results.verdict}")
+        return run
+    if run.runner.pull_request:
+        run.runner.log("not promoted: a pull request is not merged yet")
+        return run
     if image.digest is None:
         raise WorldError(f"image.promote: {image.reference} is in no registry; add push: true to the section image")
-    credentials = registry_login(specification.registry, specification.name, runner)
-    promoted = promote(specification.name, image.digest, specification.promote, credentials, runner)
-    results = replace(results, image=replace(image, promoted=tuple(promoted)))
-    write_results(results, output)
-    return results
+    credentials = registry_login(specification.registry, specification.name, run.runner)
+    promoted = promote(specification.name, image.digest, specification.promote, credentials, run.runner)
+    return replace(run, results=replace(run.results, image=replace(image, promoted=tuple(promoted))))

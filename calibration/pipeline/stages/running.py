@@ -1,89 +1,108 @@
-"""All stages, one after the other, and the report of what they found."""
+"""A run of the pipeline: its stages, one after the other, and the report of what they found.
 
-from collections.abc import Sequence
-from dataclasses import replace
+A stage takes a `Run` and gives it back with what it has found; it says only what to run and what counts. One more is a
+function in a module of its own, and a line in `STAGES`.
+"""
+
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from calibration.errors import InputError
-from calibration.execution.backends import Place
+from calibration.execution.backends import Place, imported
 from calibration.image.specification import ImageSpecification
 from calibration.pipeline.collection.collected import COLLECTED
 from calibration.pipeline.collection.request import ContainerRequest
 from calibration.pipeline.configuration import Simulation
 from calibration.pipeline.matrix.matrix import Matrix
-from calibration.pipeline.report import report
+from calibration.pipeline.report import report, write_results
 from calibration.pipeline.results import Results, clear_results
-from calibration.pipeline.stages.calibrating import calibrate_stage, introspect_stage
-from calibration.pipeline.system import System
 from calibration.report import publish
 from calibration.workflow import Runner
 from calibration.workflow.streams import LogDisplay
 from calibration.workflow.text import did_you_mean
 
-STAGES = ("build", "collect", "calibrate", "introspect", "promote")
+
+@dataclass(frozen=True)
+class Run:
+    """What a run of the pipeline is asked, and what its stages have found so far."""
+
+    matrix: Matrix
+    """What to calibrate, and how to judge it."""
+    output: Path
+    """The folder between the stages."""
+    runner: Runner
+    """Where progress, logs of containers and the report are shown."""
+    title: str = "calibration run"
+    """Of the progress and the annotations."""
+    jobs: int | None = None
+    """Processes, or containers at once; None for as many as the machine holds."""
+    fail_fast: bool = False
+    """Whether the first cell that fails stops the others."""
+    simulations: tuple[Simulation, ...] = ()
+    """What the stage collect collects."""
+    image: ImageSpecification | None = None
+    """What the stage build builds."""
+    place: Place = field(default_factory=Place)
+    """Where containers run, and what is known of other places."""
+    results: Results = field(default_factory=Results)
+
+    @property
+    def wants_image(self) -> bool:
+        """Whether a container has no image of its own."""
+        software = [software.container for software in self.matrix.software.values()]
+        requests = [each.request for each in self.simulations]
+        theirs = [c for r in requests if isinstance(r, ContainerRequest) for c in r.applications.containers]
+        return not all(container.image for container in (*software, *theirs))
+
+
+@dataclass(frozen=True)
+class Stage:
+    """A stage of the pipeline."""
+
+    target: str
+    """``module:function`` from `Run` to `Run`; imported when it runs, as it may need packages that others do not."""
+    applies: Callable[[Run], bool] = lambda _: True
+    """Whether there is anything to do."""
+
+
+STAGES: Mapping[str, Stage] = {
+    "build": Stage("calibration.pipeline.stages.building:build_stage", lambda run: run.image is not None),
+    "collect": Stage("calibration.pipeline.stages.collecting:collect_stage", lambda run: bool(run.simulations)),
+    "calibrate": Stage("calibration.pipeline.stages.calibrating:calibrate_stage"),
+    "introspect": Stage("calibration.pipeline.stages.calibrating:introspect_stage"),
+    "promote": Stage(
+        "calibration.pipeline.stages.building:promote_stage", lambda run: bool(run.image and run.image.promote)
+    ),
+}
 """In their order."""
 
 
-def run_stages(
-    matrix: Matrix,
-    output: Path,
-    runner: Runner,
-    title: str,
-    jobs: int | None = None,
-    fail_fast: bool = False,
-    stages: Sequence[str] = STAGES,
-    simulations: Sequence[Simulation] = (),
-    image: ImageSpecification | None = None,
-    place: Place | None = None,
-) -> Results:
+def run_stages(run: Run, stages: Collection[str] = tuple(STAGES)) -> Results:
     """Run stages, and report what they found.
 
     Args:
-        matrix: what to calibrate, and how to judge it.
-        output: the folder between the stages.
-        runner: where to report.
-        title: of the annotations.
-        jobs: processes, or containers at once; None for as many as the machine holds.
-        fail_fast: whether the first cell that fails stops the others.
-        stages: which ones.
-        simulations: what the stage collect collects.
-        image: what the stage build builds.
-        place: where the team's software runs, and what is known of the cloud; this machine's engine unless given.
+        run: what is asked.
+        stages: which ones; an image that containers lack is built without being asked for.
 
     Raises:
         InputError: there is no such stage, or an input is wrong.
         WorldError: a file cannot be written, a process died, an engine or a registry does not answer.
     """
     _check(stages)
-    matrix = _placed(matrix, output)
-    place = replace(place or Place(), show=LogDisplay(runner))
-    results = Results(())
+    run = _placed(run)
     if "calibrate" in stages or "collect" in stages:
-        clear_results(output, _inputs(matrix))
-    if image is not None and ("build" in stages or _needs_image(matrix, simulations)):
-        from calibration.pipeline.stages.building import build_stage  # the engine's SDK, for those who need it
-
-        built = build_stage(image, output, runner)
-        matrix = replace(matrix, systems=tuple(_in_image(system, built.reference) for system in matrix.systems))
-        simulations = [_simulated_in(simulation, built.reference) for simulation in simulations]
-        results = replace(results, image=built)
-    if "collect" in stages and simulations:
-        from calibration.pipeline.stages.collecting import collect_stage  # OpenCV, which calibrating does without
-
-        results = collect_stage(simulations, results, output, runner, jobs, place)
-    if "calibrate" in stages:
-        results = calibrate_stage(matrix, results, output, runner, title, jobs, fail_fast, place)
-    if "introspect" in stages:
-        results = introspect_stage(matrix.systems, results, output)
-    if image is not None and image.promote and "promote" in stages:
-        from calibration.pipeline.stages.building import promote_stage
-
-        results = promote_stage(image, results, output, runner)
-    publish(report(results, output, title), runner, output)
-    return results
+        clear_results(run.output, _inputs(run.matrix))
+    for name, stage in STAGES.items():
+        if stage.applies(run) and (name in stages or (name == "build" and run.wants_image)):
+            run = imported(stage.target)(run)
+            if run.results.judged:  # what an earlier run left there is not replaced by an image
+                write_results(run.results, run.output)
+    publish(report(run.results, run.output, run.title), run.runner, run.output)
+    return run.results
 
 
-def _check(stages: Sequence[str]) -> None:
+def _check(stages: Collection[str]) -> None:
     for stage in stages:
         if stage not in STAGES:
             raise InputError(f"only: there is no stage '{stage}'{did_you_mean(stage, STAGES)}: {', '.join(STAGES)}")
@@ -91,33 +110,17 @@ def _check(stages: Sequence[str]) -> None:
         raise InputError("only: promote needs the verdict of this run: add calibrate and introspect")
 
 
-def _placed(matrix: Matrix, output: Path) -> Matrix:
-    """The matrix with the datasets that are collected where this run, or an earlier one, puts them."""
+def _placed(run: Run) -> Run:
+    """The run with the datasets that are collected where it, or an earlier one, puts them, and logs shown."""
     systems = [
-        system if system.collected is None else replace(system, dataset=output / COLLECTED / system.collected)
-        for system in matrix.systems
+        system if system.collected is None else replace(system, dataset=run.output / COLLECTED / system.collected)
+        for system in run.matrix.systems
     ]
-    return replace(matrix, systems=tuple(systems))
+    place = replace(run.place, show=LogDisplay(run.runner))
+    return replace(run, matrix=replace(run.matrix, systems=tuple(systems)), place=place)
 
 
 def _inputs(matrix: Matrix) -> list[Path]:
     folders = [system.dataset for system in matrix.systems]
     known = [system.intrinsics_covariance for system in matrix.systems if system.intrinsics_covariance]
     return [path / "dataset.json" if path.is_dir() else path for path in folders] + known
-
-
-def _needs_image(matrix: Matrix, simulations: Sequence[Simulation]) -> bool:
-    software = any(not software.container.image for software in matrix.software.values())
-    requests = [s.request for s in simulations if isinstance(s.request, ContainerRequest)]
-    return software or any(not container.image for r in requests for container in r.applications.containers)
-
-
-def _in_image(system: System, image: str) -> System:
-    return system if system.software is None else replace(system, software=system.software.with_image(image))
-
-
-def _simulated_in(simulation: Simulation, image: str) -> Simulation:
-    request = simulation.request
-    if not isinstance(request, ContainerRequest):
-        return simulation
-    return replace(simulation, request=replace(request, applications=request.applications.with_image(image)))
