@@ -9,14 +9,15 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path, PurePosixPath
-from typing import IO, Any, Protocol, cast
+from typing import IO, Any
 
 from calibration.errors import InputError, WorldError
 from calibration.execution.batch.documents import Input, job_entry, jobs_document, mount_targets
 from calibration.execution.batch.following import batches
 from calibration.execution.batch.session import patiently
+from calibration.execution.batch.store import Store
 from calibration.execution.batch.wire import JOBS_PER_FILE, Location
-from calibration.execution.batch.workers import Workers
+from calibration.execution.batch.workers import in_threads
 from calibration.execution.job import Job
 
 
@@ -29,20 +30,6 @@ class Packed:
     """Bytes."""
 
 
-class _Hashing:
-    """A file that is written, and its digest."""
-
-    def __init__(self, file: IO[bytes]) -> None:
-        self._file = file
-        self.digest = hashlib.sha256()
-        self.size = 0
-
-    def write(self, data: bytes) -> int:
-        self.digest.update(data)
-        self.size += len(data)
-        return self._file.write(data)
-
-
 def pack(folder: Path, file: IO[bytes]) -> Packed:
     """Write a folder's content as a tar.
 
@@ -53,14 +40,15 @@ def pack(folder: Path, file: IO[bytes]) -> Packed:
         WorldError: the tar cannot be written.
     """
     root = folder.resolve()
-    hashing = _Hashing(file)
     try:
-        with tarfile.open(fileobj=cast("IO[bytes]", hashing), mode="w|", format=tarfile.PAX_FORMAT) as archive:
+        with tarfile.open(fileobj=file, mode="w", format=tarfile.PAX_FORMAT) as archive:
             for path in _all_in(root):
                 _add(archive, root, path)
     except OSError as error:
         raise WorldError(f"{folder}: cannot be packed: {error.strerror or error}") from error
-    return Packed(hashing.digest.hexdigest(), hashing.size)
+    size = file.tell()
+    file.seek(0)
+    return Packed(hashlib.file_digest(file, "sha256").hexdigest(), size)  # type: ignore[arg-type]
 
 
 def _all_in(folder: Path) -> Iterator[Path]:
@@ -115,26 +103,10 @@ _IN_MEMORY = 4 * 1024**2
 """Bytes of a tar; a larger one goes through a file."""
 
 
-class Objects(Protocol):
-    """Takes objects by their keys: `calibration.execution.batch.store.Store`, or what stands for it."""
-
-    def put(self, key: str, data: bytes) -> None:
-        """Write an object."""
-
-    def upload(self, key: str, file: IO[bytes], size: int) -> None:
-        """Write an object of any size from a file, unless it is there; its key tells its content."""
-
-
-@dataclass(frozen=True)
-class _Done:
-    source: Path
-    packed: Packed
-
-
 class Inputs:
     """Knows the tar of each folder that is mounted somewhere; each is made and sent once."""
 
-    def __init__(self, store: Objects, location: Location, memory: int) -> None:
+    def __init__(self, store: Store, location: Location, memory: int) -> None:
         """Begin.
 
         Args:
@@ -158,12 +130,7 @@ class Inputs:
         sources = dict.fromkeys(
             mount.source.resolve() for job in jobs for container in job.containers for mount in container.mounts
         )
-        crew: Workers[_Done] = Workers(workers)
-        try:
-            for done in crew.all(partial(self._upload, source) for source in sources):
-                self._packed[done.source] = done.packed
-        finally:
-            crew.stop()
+        self._packed.update(in_threads(workers, (partial(self._upload, source) for source in sources)))
 
     def entry(self, job: Job) -> dict[str, Any]:
         """The entry of a job whose mounts have been sent."""
@@ -177,7 +144,7 @@ class Inputs:
             key = self._location.input_key(packed.sha256)
             yield Input(volume, key, packed.sha256, packed.size, target in writable)
 
-    def _upload(self, source: Path) -> _Done:
+    def _upload(self, source: Path) -> tuple[Path, Packed]:
         with tempfile.SpooledTemporaryFile(max_size=_IN_MEMORY) as file:
             packed = pack(source, file)
 
@@ -186,11 +153,11 @@ class Inputs:
                 self._store.upload(self._location.input_key(packed.sha256), file, packed.size)
 
             patiently(send)
-        return _Done(source, packed)
+        return source, packed
 
 
 def upload_jobs(
-    store: Objects, location: Location, jobs: Sequence[Job], entry: Callable[[Job], dict[str, Any]], workers: int
+    store: Store, location: Location, jobs: Sequence[Job], entry: Callable[[Job], dict[str, Any]], workers: int
 ) -> None:
     """Send the entries of the jobs of a group, in files of some each.
 
@@ -198,7 +165,6 @@ def upload_jobs(
         InputError: the bucket cannot be written.
         AwsLostError: AWS does not answer.
     """
-    crew: Workers[None] = Workers(workers)
 
     def pieces() -> Iterator[Callable[[], None]]:
         for number, some in enumerate(batches(jobs, JOBS_PER_FILE)):
@@ -206,8 +172,5 @@ def upload_jobs(
             key = location.jobs_key(number * JOBS_PER_FILE)
             yield partial(patiently, partial(store.put, key, data))
 
-    try:
-        for _ in crew.all(pieces(), ahead=2 * workers):
-            pass
-    finally:
-        crew.stop()
+    for _ in in_threads(workers, pieces(), ahead=2 * workers):
+        pass

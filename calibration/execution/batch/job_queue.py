@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from calibration.aws_errors import aws_errors, error_code
 from calibration.errors import CalibrationError, InputError
@@ -11,11 +11,8 @@ from calibration.execution.batch.following import Look, records
 from calibration.execution.batch.session import Aws
 from calibration.execution.batch.settings import BatchSettings
 from calibration.registries.ecr import parse_host
-from calibration.registries.reference import Reference, parse_reference
+from calibration.registries.reference import parse_reference
 from calibration.workflow.text import one_line, shorten
-
-if TYPE_CHECKING:
-    from botocore.exceptions import ClientError
 
 _MISSING = ("RepositoryNotFoundException", "ImageNotFoundException")
 
@@ -31,34 +28,26 @@ def with_digests(aws: Aws, images: Iterable[str]) -> dict[str, str]:
 
 
 def _with_digest(aws: Aws, image: str) -> str:
+    import botocore.exceptions
+
     reference = parse_reference(image)
     host = parse_host(reference.registry)
     if host is None or reference.digest is not None:
         return image
-    tag = reference.tag or "latest"
     with aws_errors(f"image {image}"):
-        details = _describe(aws.ecr(host.region), reference, host.account, tag)
-    if not details:
+        try:
+            answer = aws.ecr(host.region).describe_images(
+                registryId=host.account,
+                repositoryName=reference.repository,
+                imageIds=[{"imageTag": reference.tag or "latest"}],
+            )
+        except botocore.exceptions.ClientError as error:
+            if error_code(error) not in _MISSING:
+                raise
+            answer = {"imageDetails": []}
+    if not answer["imageDetails"]:
         raise InputError(f"image {image}: it is not in ECR: push it (calibration build-image --push true)")
-    return str(reference.with_digest(str(details[0]["imageDigest"])))
-
-
-def _describe(ecr: Any, reference: Reference, account: str, tag: str) -> list[dict[str, Any]]:
-    import botocore.exceptions
-
-    try:
-        answer: dict[str, Any] = ecr.describe_images(
-            registryId=account, repositoryName=reference.repository, imageIds=[{"imageTag": tag}]
-        )
-    except botocore.exceptions.ClientError as error:
-        if _is_missing(error):
-            return []
-        raise
-    return list(answer["imageDetails"])
-
-
-def _is_missing(error: "ClientError") -> bool:
-    return error_code(error) in _MISSING
+    return str(reference.with_digest(str(answer["imageDetails"][0]["imageDigest"])))
 
 
 _TYPES = {"fargate": ("FARGATE", "FARGATE_SPOT"), "ec2": ("EC2", "SPOT", "ECS_MANAGED_INSTANCES")}
@@ -78,33 +67,27 @@ def check_queue(aws: Aws, settings: BatchSettings, needs: Sequence[Resources]) -
         AwsLostError: AWS does not answer.
     """
     where = f"queue '{settings.queue}'"
-    with aws_errors(where):
-        queues = aws.batch.describe_job_queues(jobQueues=[settings.queue])["jobQueues"]
-    if not queues:
-        raise InputError(f"{where}: there is none in {aws.region}: check its name and the region")
-    queue = queues[0]
-    if queue["state"] != "ENABLED" or queue["status"] != "VALID":
-        raise InputError(f"{where}: it is {queue['state']} and {queue['status']}{_why(queue)}: no job would start")
-    environments = _environments(aws, queue, where)
-    usable = [each for each in environments if each["state"] == "ENABLED" and each["status"] == "VALID"]
+    queue, environments = _described(aws, settings.queue)
+    if not _is_fine(queue):
+        raise InputError(f"{where}: it is {_state(queue)}: no job would start")
+    usable = [each for each in environments if _is_fine(each)]
     if not usable:
-        states = "; ".join(
-            f"{_name(each)} is {each['state']} and {each['status']}{_why(each)}" for each in environments
-        )
+        states = "; ".join(f"{_name(each)} is {_state(each)}" for each in environments)
         raise InputError(f"{where}: none of its compute environments takes jobs: {states or 'it has none'}")
     _check_kinds(usable, settings, where)
     _check_sizes(usable, needs, where)
 
 
-def _environments(aws: Aws, queue: Mapping[str, Any], where: str) -> list[dict[str, Any]]:
-    names = [entry["computeEnvironment"] for entry in queue.get("computeEnvironmentOrder", ())]
-    if not names:
-        return []
+def _described(aws: Aws, name: str) -> tuple[dict[str, Any], list[dict[str, Any]]]:
+    """What Batch says of a queue and of its compute environments."""
+    where = f"queue '{name}'"
     with aws_errors(where):
-        found: list[dict[str, Any]] = aws.batch.describe_compute_environments(computeEnvironments=names)[
-            "computeEnvironments"
-        ]
-    return found
+        queues = aws.batch.describe_job_queues(jobQueues=[name])["jobQueues"]
+        if not queues:
+            raise InputError(f"{where}: there is none in {aws.region}: check its name and the region")
+        names = [entry["computeEnvironment"] for entry in queues[0].get("computeEnvironmentOrder", ())]
+        answer = aws.batch.describe_compute_environments(computeEnvironments=names) if names else {}
+    return queues[0], answer.get("computeEnvironments", [])
 
 
 def _check_kinds(environments: Sequence[Mapping[str, Any]], settings: BatchSettings, where: str) -> None:
@@ -139,9 +122,18 @@ def _name(record: Mapping[str, Any]) -> str:
     return f"compute environment '{record['computeEnvironmentName']}'"
 
 
-def _why(record: Mapping[str, Any]) -> str:
+def _is_fine(record: Mapping[str, Any]) -> bool:
+    return (record["state"], record["status"]) == ("ENABLED", "VALID")
+
+
+def _state(record: Mapping[str, Any]) -> str:
     reason = record.get("statusReason")
-    return f" ({shorten(one_line(reason), 200)})" if reason and record["status"] != "VALID" else ""
+    why = f" ({_clean(reason)})" if reason and record["status"] != "VALID" else ""
+    return f"{record['state']} and {record['status']}{why}"
+
+
+def _clean(text: str) -> str:
+    return shorten(one_line(text), 200)
 
 
 class Guard:
@@ -195,32 +187,11 @@ def likely_reasons(aws: Aws, settings: BatchSettings, waiting: Sequence[str]) ->
 
 
 def _of_the_queue(aws: Aws, settings: BatchSettings) -> list[str]:
-    with aws_errors(f"queue '{settings.queue}'"):
-        queue = aws.batch.describe_job_queues(jobQueues=[settings.queue])["jobQueues"][0]
-        names = [entry["computeEnvironment"] for entry in queue.get("computeEnvironmentOrder", ())]
-        environments = (
-            aws.batch.describe_compute_environments(computeEnvironments=names)["computeEnvironments"] if names else []
-        )
+    queue, environments = _described(aws, settings.queue)
     reasons = [] if _is_fine(queue) else [f"the queue is {_state(queue)}"]
     for environment in environments:
-        name = environment["computeEnvironmentName"]
         if not _is_fine(environment):
-            reasons.append(f"compute environment '{name}' is {_state(environment)}")
-        resources = environment.get("computeResources", {})
-        if resources.get("maxvCpus") == 0:
-            reasons.append(f"compute environment '{name}' may have no vCPUs (maxvCpus: 0)")
+            reasons.append(f"{_name(environment)} is {_state(environment)}")
+        if environment.get("computeResources", {}).get("maxvCpus") == 0:
+            reasons.append(f"{_name(environment)} may have no vCPUs (maxvCpus: 0)")
     return reasons
-
-
-def _is_fine(record: dict[str, Any]) -> bool:
-    return (record["state"], record["status"]) == ("ENABLED", "VALID")
-
-
-def _state(record: dict[str, Any]) -> str:
-    reason = record.get("statusReason")
-    why = f" ({_clean(reason)})" if reason and record["status"] != "VALID" else ""
-    return f"{record['state']} and {record['status']}{why}"
-
-
-def _clean(text: str) -> str:
-    return shorten(one_line(text), 200)

@@ -29,7 +29,7 @@ from calibration.execution.batch.store import Store
 from calibration.execution.batch.submission import attempt_seconds, chunks, run_tags, submission
 from calibration.execution.batch.submitting import Submitting, ensure, terminate
 from calibration.execution.batch.wire import Location
-from calibration.execution.batch.workers import Workers
+from calibration.execution.batch.workers import Workers, in_threads
 from calibration.execution.docker.labels import new_run
 from calibration.execution.job import Job
 from calibration.execution.outcome import JobOutcome
@@ -167,7 +167,7 @@ class BatchRun:
             ask = partial(has_verdict, self._store, location, found[place], self._jobs[place])
             return place, patiently(ask)
 
-        final = dict(Workers[tuple[int, bool]](_WORKERS).all(partial(judged, place) for place in found))
+        final = dict(in_threads(_WORKERS, (partial(judged, place) for place in found)))
         missing = {
             shape: places
             for shape, group in self._shapes.items()
@@ -188,7 +188,7 @@ class BatchRun:
             self._places[group] = places
             seconds = attempt_seconds(jobs)
             submitted = []
-            for chunk in chunks(range(len(places))):
+            for chunk in chunks(len(places)):
                 request = submission(chunk, location, definition, self._settings, seconds=seconds, tags=tags)
                 submitted.append(self._submitting.submit(request, group, chunk.first))
                 self._following.add(submitted[-1])

@@ -58,8 +58,16 @@ class Store:
             InputError: it is not allowed.
             AwsLostError: AWS does not answer.
         """
-        if self._size(key) == size:
-            return
+        if self._size(key) != size:
+            self.write(key, file)
+
+    def write(self, key: str, file: IO[bytes]) -> None:
+        """Write an object of any size from a file; needs no right to see what is there.
+
+        Raises:
+            InputError: it is not allowed.
+            AwsLostError: AWS does not answer.
+        """
         with aws_errors(self._where):
             self._s3.upload_fileobj(file, self._bucket, key)
 

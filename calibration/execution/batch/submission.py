@@ -1,6 +1,6 @@
 """The jobs of a group submitted: pure functions to the requests ``SubmitJob``.
 
-Neighbours in the group go as one array, at most 10 000 of them; one alone as a job without an array.
+They go as arrays of at most 10 000; one alone as a job without an array.
 """
 
 import math
@@ -59,26 +59,11 @@ class Chunk:
     """Index in the group."""
     count: int
 
-    @property
-    def is_array(self) -> bool:
-        """Whether it has children; an array of one is none."""
-        return self.count > 1
 
-    def index(self, child: int | None) -> int:
-        """Index in the group of a child, or of the job itself where it is no array."""
-        return self.first + (child or 0)
-
-
-def chunks(indexes: Iterable[int]) -> tuple[Chunk, ...]:
-    """Put indexes of a group together: those that follow each other, as many as an array takes."""
-    found: list[Chunk] = []
-    for index in sorted(set(indexes)):
-        last = found[-1] if found else None
-        if last is not None and index == last.first + last.count and last.count < MOST_CHILDREN:
-            found[-1] = Chunk(last.first, last.count + 1)
-        else:
-            found.append(Chunk(index, 1))
-    return tuple(found)
+def chunks(count: int) -> tuple[Chunk, ...]:
+    """Divide the jobs of a group into arrays that are as long as Batch takes them."""
+    firsts = range(0, count, MOST_CHILDREN)
+    return tuple(Chunk(first, min(MOST_CHILDREN, count - first)) for first in firsts)
 
 
 def attempt_seconds(jobs: Iterable[Job]) -> int | None:
@@ -121,7 +106,7 @@ def submission(
         "propagateTags": True,
         "tags": {**settings.tags, **tags},
     }
-    if chunk.is_array:
+    if chunk.count > 1:
         request["arrayProperties"] = {"size": chunk.count}
     if seconds is not None:
         request["timeout"] = {"attemptDurationSeconds": seconds}

@@ -52,14 +52,6 @@ class Workers(Generic[Result]):
             found.append(answer)
         return found
 
-    def all(self, work: Iterable[Callable[[], Result]], ahead: int = 1000) -> Iterator[Result]:
-        """Do all of some work; the answers as they come."""
-        for piece in work:
-            self.give(piece)
-            yield from self.take(None if self.waiting > ahead else 0.0)
-        while self.waiting:
-            yield from self.take(None)
-
     def stop(self) -> None:
         """Begin nothing more."""
         self._stopping = True
@@ -77,6 +69,23 @@ class Workers(Generic[Result]):
                 self._answers.put(work())
             except BaseException as error:  # whatever it is, who waits has to know of it
                 self._answers.put(_Failure(error))
+
+
+def in_threads(count: int, work: Iterable[Callable[[], Result]], ahead: int = 1000) -> Iterator[Result]:
+    """Do all of some work in so many threads; the answers as they come.
+
+    Raises:
+        BaseException: what a piece of work has raised; nothing more is begun then.
+    """
+    workers: Workers[Result] = Workers(count)
+    try:
+        for piece in work:
+            workers.give(piece)
+            yield from workers.take(None if workers.waiting > ahead else 0.0)
+        while workers.waiting:
+            yield from workers.take(None)
+    finally:
+        workers.stop()
 
 
 class _Failure:

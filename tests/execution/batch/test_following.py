@@ -165,14 +165,14 @@ def test_looks_are_rarer_the_longer_a_run_takes(monkeypatch: pytest.MonkeyPatch)
 
 
 def test_workers() -> None:
-    from calibration.execution.batch.workers import Workers
+    from calibration.execution.batch.workers import Workers, in_threads
 
     def numbers() -> Iterator[Callable[[], int]]:
         for number in range(50):
             yield lambda number=number: number * number
 
+    assert sorted(in_threads(3, numbers(), ahead=5)) == [number * number for number in range(50)]
     crew: Workers[int] = Workers(3)
-    assert sorted(crew.all(numbers(), ahead=5)) == [number * number for number in range(50)]
     assert crew.take(0.01) == []
     gate = threading.Event()
     crew.give(lambda: int(gate.wait(20)))

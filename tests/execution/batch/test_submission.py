@@ -1,10 +1,7 @@
 from dataclasses import replace
-from itertools import pairwise
 from typing import Any
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from calibration.execution.batch.settings import BatchSettings
 from calibration.execution.batch.submission import Chunk, attempt_seconds, chunks, submission
@@ -69,26 +66,12 @@ def test_any_name_of_a_run() -> None:
     assert len(name) == 128
 
 
-def test_chunks_of_known_indexes() -> None:
-    assert chunks([]) == ()
-    assert chunks([7]) == (Chunk(7, 1),)
-    assert chunks([5, 3, 4, 9, 4]) == (Chunk(3, 3), Chunk(9, 1))
-    assert chunks(range(10_000)) == (Chunk(0, 10_000),)
-    assert chunks(range(10_001)) == (Chunk(0, 10_000), Chunk(10_000, 1))
-    assert chunks(range(25_000)) == (Chunk(0, 10_000), Chunk(10_000, 10_000), Chunk(20_000, 5_000))
-
-
-@given(st.sets(st.integers(0, 200)))
-def test_every_index_is_submitted_once(indexes: set[int]) -> None:
-    found = chunks(indexes)
-    submitted = [chunk.index(child) for chunk in found for child in range(chunk.count)]
-    assert submitted == sorted(indexes)
-    assert all(chunk.is_array == (chunk.count >= 2) for chunk in found)
-    assert all(b.first > a.first + a.count for a, b in pairwise(found))  # no fewer would do
-
-
-def test_index_of_a_job_that_is_no_array() -> None:
-    assert Chunk(7, 1).index(None) == 7
+def test_arrays_are_no_longer_than_batch_takes_them() -> None:
+    assert chunks(0) == ()
+    assert chunks(1) == (Chunk(0, 1),)
+    assert chunks(10_000) == (Chunk(0, 10_000),)
+    assert chunks(10_001) == (Chunk(0, 10_000), Chunk(10_000, 1))
+    assert chunks(25_000) == (Chunk(0, 10_000), Chunk(10_000, 10_000), Chunk(20_000, 5_000))
 
 
 @pytest.mark.parametrize(

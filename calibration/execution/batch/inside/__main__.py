@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from calibration.aws_errors import aws_errors
 from calibration.errors import CalibrationError, InputError, WorldError
 from calibration.execution.batch.documents import MOST_BYTES, TaskJob, TaskOutcome, outcome_document, read_job
 from calibration.execution.batch.inside.prepare import prepare
@@ -34,7 +33,7 @@ from calibration.execution.batch.wire import (
     REGION,
     Location,
 )
-from calibration.execution.batch.workers import Workers
+from calibration.execution.batch.workers import in_threads
 from calibration.execution.extraction import RefusedError
 from calibration.execution.job import OUTPUT
 from calibration.execution.outcome import BroughtOut, ContainerOutcome, End
@@ -42,74 +41,40 @@ from calibration.workflow.signals import terminate_cleanly
 from calibration.workflow.text import shorten
 
 _WORKERS = 8
-_LARGE = 8 * 1024**2
-"""Bytes; a larger file is sent in parts."""
 _LONGEST_KEY = 1024
 """Bytes that S3 takes."""
 
 
-class Results:
-    """The place in the bucket for what one attempt leaves."""
+def send_files(store: Store, files: Iterable[BroughtOut], folder: Path, place: str) -> None:
+    """Send what a job has left.
 
-    def __init__(self, aws: Aws, bucket: str, prefix: str) -> None:
-        """Nothing is sent yet; ``prefix`` ends with a slash."""
-        self._aws = aws
-        self._bucket = bucket
-        self._prefix = prefix
+    Args:
+        store: takes it.
+        files: by their paths relative to ``folder``.
+        folder: has them.
+        place: where they go: the beginning of their keys.
 
-    def send_files(self, files: Iterable[BroughtOut], folder: Path, below: str) -> None:
-        """Send files.
+    Raises:
+        RefusedError: a name is longer than S3 takes.
+        InputError: it is not allowed.
+        AwsLostError: AWS does not answer.
+    """
 
-        Args:
-            files: by their paths relative to ``folder``.
-            folder: has them.
-            below: where they go, relative to the place of the attempt.
-
-        Raises:
-            RefusedError: a name is longer than S3 takes.
-            InputError: it is not allowed.
-            AwsLostError: AWS does not answer.
-        """
-        keys = {file.path: f"{self._prefix}{below}/{file.path}" for file in files}
-        for path, key in keys.items():
-            if len(key.encode()) > _LONGEST_KEY:
-                raise RefusedError(f"artifact '{shorten(path)}' has a longer name than S3 takes")
-        crew: Workers[None] = Workers(_WORKERS)
+    def send(key: str, path: Path) -> None:
         try:
-            work = (partial(patiently, partial(self._send, key, folder / path)) for path, key in keys.items())
-            for _ in crew.all(work):
-                pass
-        finally:
-            crew.stop()
-
-    def send_outcome(self, outcome: TaskOutcome, name: str) -> None:
-        """Send the outcome; nothing comes after it.
-
-        Raises:
-            InputError: it is not allowed.
-            AwsLostError: AWS does not answer.
-        """
-        data = outcome_document(outcome)
-
-        def put() -> None:
-            with aws_errors(f"bucket '{self._bucket}'"):
-                self._aws.s3.put_object(
-                    Bucket=self._bucket, Key=f"{self._prefix}{name}", Body=data, ContentType="application/json"
-                )
-
-        patiently(put)
-
-    def _send(self, key: str, path: Path) -> None:
-        try:
-            with path.open("rb") as file, aws_errors(f"bucket '{self._bucket}'"):
-                if path.stat().st_size > _LARGE:
-                    self._aws.s3.upload_fileobj(file, self._bucket, key)
-                else:
-                    self._aws.s3.put_object(
-                        Bucket=self._bucket, Key=key, Body=file, ContentType="application/octet-stream"
-                    )
+            with path.open("rb") as file:
+                store.write(key, file)
         except OSError as error:
             raise WorldError(f"{path}: cannot be read: {error.strerror}") from error
+
+    keys = {file.path: f"{place}/{file.path}" for file in files}
+    for path, key in keys.items():
+        if len(key.encode()) > _LONGEST_KEY:
+            raise RefusedError(f"artifact '{shorten(path)}' has a longer name than S3 takes")
+    for _ in in_threads(
+        _WORKERS, (partial(patiently, partial(send, key, folder / path)) for path, key in keys.items())
+    ):
+        pass
 
 
 @dataclass(frozen=True)
@@ -139,7 +104,19 @@ class Task:
             raise InputError(f"the variables of the task are not those of a job: {error}") from None
         self.aws = Aws(region)
         self.store = Store(self.aws, self.location.bucket)
-        self.results = Results(self.aws, self.location.bucket, self.location.result_key(self.index, self.attempt))
+
+    def key(self, name: str) -> str:
+        """The key of something that this attempt leaves."""
+        return self.location.result_key(self.index, self.attempt, name)
+
+    def send_outcome(self, outcome: TaskOutcome) -> None:
+        """Send the outcome; nothing comes after it.
+
+        Raises:
+            InputError: it is not allowed.
+            AwsLostError: AWS does not answer.
+        """
+        patiently(partial(self.store.put, self.key(OUTCOME_FILE), outcome_document(outcome)))
 
     def job(self) -> TaskJob:
         """The job.
@@ -183,7 +160,7 @@ def _prepare(task: Task, places: Places, _: Mapping[str, str]) -> None:
         reasons = (str(error),)
         failed = TaskOutcome(described.job.name, task.attempt, error.exit_code, reasons, containers=containers)
         with suppress(CalibrationError):  # the line in the log has to do
-            task.results.send_outcome(failed, OUTCOME_FILE)
+            task.send_outcome(failed)
         raise
 
 
@@ -194,10 +171,10 @@ def _watch(task: Task, places: Places, variables: Mapping[str, str]) -> None:
         files = Path(folder, "artifacts")
         watch.run(files)
         try:
-            task.results.send_files(watch.outcome(task.attempt).artifacts, files, FILES_FOLDER)
+            send_files(task.store, watch.outcome(task.attempt).artifacts, files, task.key(FILES_FOLDER))
         except CalibrationError as error:
             watch.fail(error)
-        task.results.send_outcome(watch.outcome(task.attempt), OUTCOME_FILE)
+        task.send_outcome(watch.outcome(task.attempt))
 
 
 if __name__ == "__main__":

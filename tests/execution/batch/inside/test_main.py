@@ -18,7 +18,7 @@ pytest.importorskip("boto3")
 
 from calibration.errors import ExitCode, WorldError
 from calibration.execution.batch.documents import Input, TaskOutcome, job_entry, jobs_document, read_outcome
-from calibration.execution.batch.inside.__main__ import _LARGE, Places, Results, Task, main
+from calibration.execution.batch.inside.__main__ import Places, Task, main, send_files
 from calibration.execution.batch.inside.script import Signs, script_of
 from calibration.execution.batch.wire import Location
 from calibration.execution.extraction import RefusedError
@@ -30,6 +30,8 @@ from tests.engine import wait_until
 if TYPE_CHECKING:
     from tests.aws.fixtures import Aws
 
+_LARGE = 8 * 1024**2
+"""Bytes; S3 gets what is larger in parts."""
 LOCATION = Location(BUCKET, "team/robots", "run-1", "0a")
 JOB = Job("set/103", (Container("a", "", ("sh", "-c", "exit 3")),))
 
@@ -256,13 +258,12 @@ def test_a_longer_name_than_s3_takes(aws: "Aws") -> None:
     path = "/".join(["d" * 200] * 6)
     task = Task(variables())
     with pytest.raises(RefusedError, match="has a longer name than S3 takes"):
-        task.results.send_files([BroughtOut(path, "a", 1, "")], Path("/nonexistent"), "files")
+        send_files(task.store, [BroughtOut(path, "a", 1, "")], Path("/nonexistent"), "p/files")
 
 
 def test_a_file_that_is_not_there_any_more(aws: "Aws", tmp_path: Path) -> None:
-    results = Results(Task(variables()).aws, BUCKET, "p/")
     with pytest.raises(WorldError, match="cannot be read: No such file"):
-        results.send_files([BroughtOut("gone", "a", 1, "")], tmp_path, "files")
+        send_files(Task(variables()).store, [BroughtOut("gone", "a", 1, "")], tmp_path, "p/files")
 
 
 def test_stopped_it_asks_the_containers_to_end_and_leaves_no_outcome(
