@@ -22,9 +22,9 @@ if TYPE_CHECKING:
     from calibration.errors import CalibrationError as CalibrationError
     from calibration.errors import InputError as InputError
     from calibration.errors import UndeterminedError as UndeterminedError
-    from calibration.estimation.calibrate import Options as Options
     from calibration.estimation.calibrate import calibrate as calibrate
     from calibration.estimation.noise_levels import NoiseLevels as NoiseLevels
+    from calibration.estimation.options import Options as Options
     from calibration.estimation.result import Calibration as Calibration
     from calibration.estimation.starting_noise import StartingNoise as StartingNoise
 
@@ -35,7 +35,7 @@ _HOMES = {
     "Dataset": "calibration.dataset.model",
     "InputError": "calibration.errors",
     "NoiseLevels": "calibration.estimation.noise_levels",
-    "Options": "calibration.estimation.calibrate",
+    "Options": "calibration.estimation.options",
     "StartingNoise": "calibration.estimation.starting_noise",
     "UndeterminedError": "calibration.errors",
     "calibrate": "calibration.estimation.calibrate",

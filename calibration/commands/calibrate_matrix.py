@@ -1,22 +1,16 @@
 """``calibrate-matrix``: every system from every noisy start, with a verdict."""
 
 import os
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import Any
 
 import click
 
-from calibration.commands.parameters import (
-    INTEGER_LIST,
-    NON_NEGATIVE_LIST,
-    TEXT_LIST,
-    boolean_option,
-    count,
-    path,
-    text,
-)
+from calibration.commands.parameters import TEXT_LIST, boolean_option, count, path, text
 from calibration.commands.place import place
+from calibration.commands.record_options import given, record_options
 from calibration.commands.registry_password import EVERYWHERE, password_variable, registry_password_option
 from calibration.errors import ExitCode, InputError
 from calibration.execution.backends import AWS_BATCH, CONTAINERS, DOCKER, Place, check_backend
@@ -24,47 +18,46 @@ from calibration.image.pulling import pull_image
 from calibration.introspection.rulesfile import read_rules
 from calibration.pipeline.configuration import Configuration, read_configuration
 from calibration.pipeline.matrix.matrix import Matrix
-from calibration.pipeline.matrix.software import adjusted_software
+from calibration.pipeline.matrix.software import Software, adjusted_software
 from calibration.pipeline.stages import Run, run_stages
-from calibration.pipeline.system import NoiseGrid, System, seed_range
+from calibration.pipeline.system import Noise, System
+from calibration.records import changed, read
 from calibration.registries.credentials import RegistrySettings
 from calibration.workflow import Runner
 
 TITLE = "calibrate-matrix"
-_Value = TypeVar("_Value")
+
+
+NOISE = {"translation": "translation-noise", "rotation": "rotation-noise"}
+"""Options for the noise that are not called as its keys."""
+OF_SOFTWARE = {
+    "image": "Image with the team's own calibration, which takes the place of our engine.",
+    "command": "What it runs, without a shell: calibrate {start} {output} --seed {seed}; see README.",
+    "artifacts": "Files to bring out of it, with wildcards ({output}/*).",
+    "table": "Which of them is the table to judge (*.csv).",
+    "calibrated": "Which of them is the calibrated dataset, held against the truth.",
+    "ros": "1 starts a ROS master beside it (none).",
+    "memory": "The most memory it may use, such as 2g (no limit).",
+    "timeout": "How long it may take, such as 10m (1h).",
+}
+"""The keys of the team's software that are options, and what the options say."""
 
 
 @dataclass(frozen=True)
 class Settings:
-    """What ``calibrate-matrix`` is asked; None where the configuration, or its default, decides."""
+    """What ``calibrate-matrix`` is asked; what is empty or None the configuration, or its default, decides."""
 
     dataset: Path | None = None
     config: Path | None = None
     systems: tuple[str, ...] = ()
-    translation_noise: tuple[float, ...] | None = None
-    rotation_noise: tuple[float, ...] | None = None
-    seeds: int | None = None
-    seed_list: tuple[int, ...] | None = None
-    start: Literal["linear", "given"] | None = None
-    loss: Literal["huber", "linear"] | None = None
-    evaluate: str | None = None
-    truth: str | None = None
-    compare: tuple[str, ...] = ()
+    noise: Noise = field(default_factory=Noise)
+    of_systems: Mapping[str, Any] = field(default_factory=dict)
+    """Keys of a system that take the place of the configuration's."""
     rules: Path | None = None
-    intrinsics: tuple[str, ...] = ()
-    intrinsics_covariance: Path | None = None
-    hold: tuple[str, ...] = ()
-    image: str | None = None
-    """What the team's software runs in; with it, or with a command, that calibrates in the place of our engine."""
-    command: str | None = None
-    artifacts: tuple[str, ...] = ()
-    table: str | None = None
-    calibrated: str | None = None
-    ros: str | None = None
-    memory: str | None = None
-    timeout: str | None = None
+    software: Mapping[str, Any] = field(default_factory=dict)
+    """Keys of the team's software, which calibrates in the place of our engine, likewise."""
     registry_username: str | None = None
-    """Who pulls ``image``; nobody, or whom docker knows, where None."""
+    """Who pulls the image; nobody, or whom docker knows, where None."""
     password_variable: str | None = None
     backend: str | None = None
     """Where the software's containers run; what the configuration says, or docker, where None."""
@@ -78,38 +71,23 @@ class Settings:
     fail_fast: bool = False
     output: Path = Path("output")
 
+    @classmethod
+    def of_options(cls, options: Mapping[str, Any]) -> "Settings":
+        """The settings that the options of a command make."""
+        own = {each.name: value for each in fields(cls) if (value := options.get(each.name)) is not None}
+        noise = read(Noise, given(Noise, options, names=NOISE), "options")
+        software = given(Software, options, *OF_SOFTWARE)
+        return cls(**{**own, "noise": noise, "of_systems": given(System, options), "software": software})
+
 
 @click.command(TITLE)
 @click.option("--dataset", type=path, help="A dataset's folder, or its JSON file; instead of config.")
 @click.option("--config", type=path, help="A calibration.yml with the systems; instead of dataset.")
 @click.option("--systems", type=TEXT_LIST, help="Only these systems of the configuration.")
-@click.option("--translation-noise", type=NON_NEGATIVE_LIST, help="Errors of the starting translations, m: 0,0.5.")
-@click.option("--rotation-noise", type=NON_NEGATIVE_LIST, help="Errors of the starting Euler angles, rad: 0,0.5.")
-@click.option("--seeds", type=count, help="How many seeds for each pair of noises (1).")
-@click.option("--seed-list", type=INTEGER_LIST, help="The seeds themselves, instead of their number: 3,7.")
-@click.option("--start", type=click.Choice(["linear", "given"]), help="Own linear start, or the noisy guess (linear).")
-@click.option("--loss", type=click.Choice(["huber", "linear"]), help="Robust, or plain least squares (huber).")
-@click.option("--evaluate", type=text, help="The table: rgb-to-rgb:SOURCE:TARGET, lidar-to-rgb:LIDAR:CAMERA, ...")
-@click.option("--truth", type=text, help="ground_truth.json's path, dataset or none (the file beside the dataset).")
-@click.option("--compare", type=TEXT_LIST, help="Other methods on the same data: opencv-stereo, shah, tsai, icp, ...")
+@record_options(Noise, names=NOISE)
+@record_options(System)
 @click.option("--rules", type=path, help="YAML file of rules for the table of every cell.")
-@click.option("--intrinsics", type=TEXT_LIST, help="Cameras whose intrinsics are calibrated too, or all.")
-@click.option(
-    "--intrinsics-covariance", type=path, help="JSON file of how well intrinsics are known: an earlier intrinsics.json."
-)
-@click.option(
-    "--hold", type=TEXT_LIST, help="What stays as it is: sensors, transforms, patterns, intrinsics-left-k3 ..."
-)
-@click.option("--image", type=text, help="Image with the team's own calibration, which takes the place of our engine.")
-@click.option(
-    "--command", type=text, help="What it runs, without a shell: calibrate {start} {output} --seed {seed}; see README."
-)
-@click.option("--artifacts", type=TEXT_LIST, help="Files to bring out of it, with wildcards ({output}/*).")
-@click.option("--table", type=text, help="Which of them is the table to judge (*.csv).")
-@click.option("--calibrated", type=text, help="Which of them is the calibrated dataset, held against the truth.")
-@click.option("--ros", type=click.Choice(["none", "1", "2"]), help="1 starts a ROS master beside it (none).")
-@click.option("--memory", type=text, help="The most memory it may use, such as 2g (no limit).")
-@click.option("--timeout", type=text, help="How long it may take, such as 10m (1h).")
+@record_options(Software, *OF_SOFTWARE, helps=OF_SOFTWARE)
 @click.option("--registry-username", type=text, help="User of the registry of image, where it is private.")
 @registry_password_option
 @click.option("--backend", type=text, help="Where its containers run: docker (this machine), or aws-batch (docker).")
@@ -124,7 +102,7 @@ def command(click_context: click.Context, /, **options: Any) -> ExitCode:
     """Calibrate systems from every noisy start; the verdict is fail when one of them is."""
     runner = Runner.from_environment(os.environ)
     options["password_variable"] = password_variable(click_context, options.pop("registry_password"), runner)
-    settings = Settings(**{name: value for name, value in options.items() if value is not None})
+    settings = Settings.of_options(options)
     return calibrate_matrix(settings, runner)
 
 
@@ -176,11 +154,11 @@ def pull(settings: Settings, runner: Runner) -> None:
     if settings.registry_username is None or settings.password_variable is None:
         missing = "registry-username" if settings.registry_username is None else "registry-password"
         raise InputError(f"{missing} is not given: user and password go together")
-    if settings.image is None:
+    if (image := settings.software.get("image")) is None:
         raise InputError("registry-username is given without the image that it is for")
 
     login = RegistrySettings(username=settings.registry_username, password_variable=settings.password_variable)
-    pull_image(settings.image, login, runner, TITLE)
+    pull_image(image, login, runner, TITLE)
 
 
 def matrix_of(settings: Settings) -> Matrix:
@@ -191,56 +169,25 @@ def matrix_of(settings: Settings) -> Matrix:
     """
     if (settings.dataset is None) == (settings.config is None):
         raise InputError("exactly one of dataset and config is to be given: a dataset's folder, or a calibration.yml")
-    if settings.seeds is not None and settings.seed_list is not None:
-        raise InputError("seeds and seed-list exclude each other: a number of seeds, or the seeds themselves")
     configuration = _configuration(settings)
-    noise = configuration.noise
-    seeds = settings.seed_list or (seed_range(settings.seeds) if settings.seeds else noise.seeds)
     systems = tuple(_adjusted(system, settings) for system in configuration.only(settings.systems))
-    return Matrix(
-        systems,
-        NoiseGrid(
-            _each_once(settings.translation_noise or noise.translations),
-            _each_once(settings.rotation_noise or noise.rotations),
-            _each_once(seeds),
-        ),
-        settings.start or configuration.start,
-        settings.loss or configuration.loss,
-    )
+    return Matrix(systems, settings.noise.grid(configuration.noise))
 
 
 def _configuration(settings: Settings) -> Configuration:
-
     if settings.config is not None:
         return read_configuration(settings.config)
     assert settings.dataset is not None  # noqa: S101 (checked by the caller)
     folder = settings.dataset.resolve()
     name = folder.parent.name if folder.suffix == ".json" else folder.name
-    return Configuration((System(name, settings.dataset),))
+    return Configuration(systems=(System(name, settings.dataset),))
 
 
 def _adjusted(system: System, settings: Settings) -> System:
     """A system with what the settings say in the place of what the configuration says."""
-    changes: dict[str, Any] = {
-        name: value for name in _OF_A_SYSTEM if (value := getattr(settings, name)) not in (None, ())
-    }
+    system = changed(system, settings.of_systems, "options")
     if settings.rules is not None:
-        changes["rules"] = read_rules(settings.rules)
-    if entry := _software(settings):
-        changes["software"] = adjusted_software(system.software, entry, Path.cwd())
-    return replace(system, **changes)
-
-
-_OF_A_SYSTEM = ("evaluate", "truth", "compare", "intrinsics", "intrinsics_covariance", "hold")
-"""Settings that stand in the place of a system's own."""
-
-
-def _software(settings: Settings) -> dict[str, Any]:
-    """The settings about the team's software, as the keys of ``software`` in calibration.yml."""
-    names = ("image", "command", "table", "calibrated", "ros", "memory", "timeout")
-    given = {name: value for name in names if (value := getattr(settings, name)) is not None}
-    return given | ({"artifacts": list(settings.artifacts)} if settings.artifacts else {})
-
-
-def _each_once(values: tuple[_Value, ...]) -> tuple[_Value, ...]:
-    return tuple(dict.fromkeys(values))
+        system = replace(system, rules=read_rules(settings.rules))
+    if settings.software:
+        system = replace(system, software=adjusted_software(system.software, settings.software, Path.cwd()))
+    return system

@@ -7,18 +7,20 @@ from typing import Any, cast
 
 import click
 
+from calibration.commands.calibrate_matrix import OF_SOFTWARE, matrix_of, place_of, pull
 from calibration.commands.calibrate_matrix import Settings as MatrixSettings
 from calibration.commands.calibrate_matrix import command as calibrate_matrix
-from calibration.commands.calibrate_matrix import matrix_of, place_of, pull
 from calibration.commands.parameters import INTEGER_LIST, TEXT_LIST, count, integer, non_negative, path
+from calibration.commands.record_options import option_keys
 from calibration.commands.registry_password import password_variable
 from calibration.errors import ExitCode, InputError
+from calibration.estimation.options import Start
 from calibration.pipeline.convergence.convergence_map import maps_of
 from calibration.pipeline.convergence.report import ALL_FILES, TITLE, report
 from calibration.pipeline.convergence.results import ConvergenceResults, Minimums
 from calibration.pipeline.convergence.sweep import run_sweep, sweep_matrices
 from calibration.pipeline.matrix.cell import CellResult
-from calibration.pipeline.system import Start
+from calibration.pipeline.system import System
 from calibration.report import publish, remove_results
 from calibration.workflow import Runner
 from calibration.workflow.progress import progress
@@ -33,9 +35,8 @@ MOST_STARTS = 1_000_000
 """Of one map."""
 SHARED = frozenset(
     {
-        *("dataset", "config", "systems", "loss", "intrinsics", "intrinsics_covariance", "hold"),
-        *("evaluate", "truth", "rules", "jobs"),
-        *("image", "command", "artifacts", "table", "calibrated", "ros", "memory", "timeout"),
+        *(key.replace("-", "_") for key in (*option_keys(System), *OF_SOFTWARE) if key not in ("start", "compare")),
+        *("dataset", "config", "systems", "rules", "jobs"),
         *("registry_username", "registry_password", "backend", "aws_batch", "run", "resume"),
     }
 )
@@ -125,9 +126,8 @@ def command(click_context: click.Context, /, **options: Any) -> ExitCode:
     """
     runner = Runner.from_environment(os.environ)
     options["password_variable"] = password_variable(click_context, options.pop("registry_password"), runner)
-    given = {name: value for name, value in options.items() if value is not None}
-    own = {field.name: given.pop(field.name) for field in fields(Settings) if field.name in given}
-    return convergence(Settings(MatrixSettings(**given), **own), runner)
+    own = {each.name: options.pop(each.name) for each in fields(Settings) if options.get(each.name) is not None}
+    return convergence(Settings(MatrixSettings.of_options(options), **own), runner)
 
 
 def convergence(settings: Settings, runner: Runner) -> ExitCode:
@@ -170,16 +170,16 @@ def _with_seeds(settings: Settings) -> MatrixSettings:
     """
     asked = settings.matrix
     for axis in ("translation", "rotation"):
-        last = max(getattr(asked, f"{axis}_noise"))
+        last = max(getattr(asked.noise, axis))
         minimum = getattr(settings, f"minimum_{axis}_noise")
         if minimum is not None and minimum > last:
             raise InputError(f"minimum-{axis}-noise: found {minimum:g}, but the sweep ends at {last:g}")
     if not settings.start:
         raise InputError(f"start is empty: expected {' or '.join(STARTS)}, or both")
-    if asked.seeds is None and not asked.seed_list:
-        asked = replace(asked, seeds=SEEDS, seed_list=None)
-    pairs = len(asked.translation_noise or ()) * len(asked.rotation_noise or ())
-    total = pairs * (asked.seeds or len(asked.seed_list or ()))
+    if asked.noise.seeds is None and asked.noise.seed_list is None:
+        asked = replace(asked, noise=replace(asked.noise, seeds=SEEDS))
+    grid = asked.noise.grid()
+    total = len(grid.translations) * len(grid.rotations) * len(grid.seeds)
     if total > MOST_STARTS:
         raise InputError(f"found {total} starts for each system, at most {MOST_STARTS} were expected: take fewer seeds")
     return asked

@@ -1,30 +1,30 @@
 """``plan-matrix``: the pipeline as jobs of a workflow; what the reusable workflow's first job runs."""
 
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
 import click
 
 from calibration.commands.parameters import (
-    INTEGER_LIST,
-    NON_NEGATIVE_LIST,
     PATH_LIST,
     TEXT_LIST,
     boolean_option,
-    count,
     non_negative,
     path,
     text,
 )
+from calibration.commands.record_options import given, record_options
 from calibration.errors import ExitCode, InputError
 from calibration.pipeline.configuration import DEFAULT_FILE, Configuration, read_configuration
 from calibration.pipeline.distribution.plan import Plan, Wishes, datasets_as_configuration, plan_jobs
 from calibration.pipeline.distribution.plan_outputs import plan_outputs
-from calibration.pipeline.system import NoiseGrid, seed_range
+from calibration.pipeline.system import Noise
+from calibration.records import read
 from calibration.workflow import Runner, set_outputs, stop_commands
 
+NOISE = {"translation": "translation-noise", "rotation": "rotation-noise"}
 HIGHEST_RATE = 1000.0
 """Of a minute, in any currency: more is a slip of the pen."""
 
@@ -36,10 +36,7 @@ class Settings:
     config: Path | None = None
     datasets: tuple[Path, ...] = ()
     systems: tuple[str, ...] = ()
-    translation_noise: tuple[float, ...] | None = None
-    rotation_noise: tuple[float, ...] | None = None
-    seeds: int | None = None
-    seed_list: tuple[int, ...] | None = None
+    noise: Noise = field(default_factory=Noise)
     noise_inside_cells: bool = False
     image: str | None = None
     command: str | None = None
@@ -62,10 +59,7 @@ def minute_rate(value: str | float) -> float:
 @click.option("--config", type=path, help="The configuration (calibration.yml).")
 @click.option("--datasets", type=PATH_LIST, help="Datasets, each a system; instead of config.")
 @click.option("--systems", type=TEXT_LIST, help="Only these systems.")
-@click.option("--translation-noise", type=NON_NEGATIVE_LIST, help="Errors of the starting translations, m: 0,0.5.")
-@click.option("--rotation-noise", type=NON_NEGATIVE_LIST, help="Errors of the starting Euler angles, rad: 0,0.5.")
-@click.option("--seeds", type=count, help="How many seeds for each pair of noises (1); always inside a job.")
-@click.option("--seed-list", type=INTEGER_LIST, help="The seeds themselves, instead of their number: 3,7.")
+@record_options(Noise, names=NOISE, helps={"seeds": "How many seeds for each pair of noises (1); always inside a job."})
 @boolean_option("--noise-inside-cells", help="One job calibrates a system from all its noises.")
 @click.option("--image", type=text, help="Image with the team's own calibration.")
 @click.option("--command", type=text, help="What it runs.")
@@ -76,7 +70,8 @@ def minute_rate(value: str | float) -> float:
 @click.option("--minute-rate", type=minute_rate, help="What a minute of a job costs, in your currency: 0.006.")
 def command(**options: Any) -> ExitCode:
     """Plan the jobs of a workflow: one for each system and pair of noises, as the matrix of a GitHub job."""
-    settings = Settings(**{name: value for name, value in options.items() if value is not None})
+    own = {each.name: value for each in fields(Settings) if (value := options.get(each.name)) is not None}
+    settings = Settings(**own, noise=read(Noise, given(Noise, options, names=NOISE), "options"))
     return plan_matrix(settings, Runner.from_environment(os.environ))
 
 
@@ -105,8 +100,6 @@ def plan_of(settings: Settings) -> Plan:
     Raises:
         InputError: the configuration is wrong, there is nothing to do, or the matrix is too large.
     """
-    if settings.seeds is not None and settings.seed_list is not None:
-        raise InputError("seeds and seed-list exclude each other: a number of seeds, or the seeds themselves")
     if settings.config is not None and settings.datasets:
         raise InputError("config and datasets exclude each other: a calibration.yml, or the datasets themselves")
     configuration = _configuration(settings)
@@ -121,7 +114,8 @@ def plan_of(settings: Settings) -> Plan:
         minute_rate=settings.minute_rate,
     )
     systems = configuration.only(settings.systems) if configuration else ()
-    return plan_jobs(configuration, systems, _noise(settings, configuration), wishes, by_path=bool(settings.datasets))
+    noise = settings.noise.grid(configuration.noise if configuration else None)
+    return plan_jobs(configuration, systems, noise, wishes, by_path=bool(settings.datasets))
 
 
 def _configuration(settings: Settings) -> Configuration | None:
@@ -132,14 +126,3 @@ def _configuration(settings: Settings) -> Configuration | None:
     if settings.config is None and only_tests and not DEFAULT_FILE.exists():
         return None
     return read_configuration(settings.config or DEFAULT_FILE)
-
-
-def _noise(settings: Settings, configuration: Configuration | None) -> NoiseGrid:
-
-    noise = configuration.noise if configuration else NoiseGrid()
-    seeds = settings.seed_list or (seed_range(settings.seeds) if settings.seeds else noise.seeds)
-    return NoiseGrid(
-        tuple(dict.fromkeys(settings.translation_noise or noise.translations)),
-        tuple(dict.fromkeys(settings.rotation_noise or noise.rotations)),
-        tuple(dict.fromkeys(seeds)),
-    )

@@ -49,7 +49,7 @@ def run(settings: Settings, runner: Runner) -> ExitCode:
         WorldError: a result cannot be written.
     """
     configuration = read_configuration(settings.config)
-    matrix = Matrix(configuration.systems, configuration.noise, configuration.start, configuration.loss)
+    matrix = Matrix(configuration.systems, configuration.noise)
     asked = Run(
         matrix,
         settings.output,

@@ -1,14 +1,12 @@
 """``schema``: the JSON Schemas that ship, for editors and other programs."""
 
-import json
 import sys
 from importlib import import_module
-from importlib.resources import as_file, files
+from importlib.resources import files
 
 import click
 
 from calibration.errors import ExitCode
-from calibration.json_schema import bundled
 from calibration.records import schema_text
 
 SCHEMAS = {
@@ -25,6 +23,7 @@ SCHEMAS = {
 }
 """What there is a schema of: package and file."""
 RECORDS = {
+    "calibration.yml": "calibration.pipeline.configuration:Configuration",
     "scenario-set": "calibration.simulation.scenarios.parameters:ScenarioSetFile",
     "image": "calibration.image.specification:ImageDocument",
     "aws-batch": "calibration.execution.batch.settings:BatchFile",
@@ -37,11 +36,7 @@ RECORDS = {
 def command(name: str) -> ExitCode:
     """Print a JSON Schema: of calibration.yml, of another file that is read, or of the results of a command."""
     package, file = SCHEMAS[name]
-    with as_file(files(package).joinpath(file)) as path:
-        text = path.read_text(encoding="utf-8")
-        if '"$ref": ".' in text:  # it refers to other files, which an editor far away has not
-            text = json.dumps(bundled(path), indent=2) + "\n"
-    sys.stdout.write(text)
+    sys.stdout.write(files(package).joinpath(file).read_text(encoding="utf-8"))
     return ExitCode.PASS
 
 

@@ -1,8 +1,6 @@
 """Calibrate a dataset: from its labels to transforms, their error bars, and what to think of them."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import Literal
 
 import numpy as np
 
@@ -17,6 +15,7 @@ from calibration.estimation.linear_start import free_patterns, linear_start, pat
 from calibration.estimation.noise_levels import NoiseLevels
 from calibration.estimation.observability import covariances, open_directions
 from calibration.estimation.optimisation import WeightedOptimum, optimise, unflipped
+from calibration.estimation.options import Options as Options
 from calibration.estimation.result import CalibratedJoint, Calibration, RejectedLabel, ViewResiduals
 from calibration.estimation.starting_noise import StartingNoise, perturb
 from calibration.estimation.unknown_intrinsics import contradicted_priors
@@ -27,26 +26,6 @@ from calibration.geometry.types import Array, IntArray
 FAR = (0.25, 0.25)
 """A given guess farther from the result than this (m, rad) is worth a warning."""
 FLIP_ROUNDS = 3
-
-
-@dataclass(frozen=True)
-class Options:
-    """How to calibrate."""
-
-    start: Literal["linear", "given"] = "linear"
-    """From our own linear solution, or from the (noisy) initial guess as the software under test must."""
-    loss: Literal["huber", "linear"] = "huber"
-    """Robust, or plain least squares."""
-    noise_levels: NoiseLevels = field(default_factory=NoiseLevels)
-    """Standard deviations of the labels; those not given are estimated."""
-    hold: tuple[str, ...] = ()
-    """What stays as the dataset has it: names of sensors, transforms, patterns, joints, intrinsics and their
-    parameters (see `calibration.estimation.holding`)."""
-    intrinsics: tuple[str, ...] = ()
-    """Cameras whose intrinsics are calibrated too; "all" for every one."""
-    intrinsics_covariance: Mapping[str, CalibratedIntrinsics] = field(default_factory=dict)
-    """By camera, how well its intrinsics are known: a prior where they are calibrated; else they stay, and the
-    covariance of the result is the wider for it."""
 
 
 def calibrate(dataset: Dataset, options: Options | None = None, noise: StartingNoise | None = None) -> Calibration:
@@ -62,7 +41,7 @@ def calibrate(dataset: Dataset, options: Options | None = None, noise: StartingN
         InputError: the labels cannot be used.
     """
     options = options or Options()
-    setup = build(dataset, options.hold, options.intrinsics, options.intrinsics_covariance)
+    setup = build(dataset, options.hold, options.intrinsics, options.known_intrinsics())
     exact = _initial_values(setup)
     guess = perturb(setup, exact, noise or StartingNoise())
     robust = options.loss == "huber"

@@ -2,12 +2,16 @@
 
 import re
 from dataclasses import replace
-from typing import Literal
+from typing import Annotated, Literal
 
 from calibration.errors import InputError
 from calibration.execution.job import Container, Job, Readiness
+from calibration.records import Converted
 
 RosVersion = Literal["none", "1", "2"]
+Ros = Annotated[RosVersion, Converted(Literal["none", "1", "2", 1, 2], lambda version, _: str(version))]
+"""A field of a record: the version, also as a number."""
+ROS_HELP = "1: a ROS master is started, and everybody told where it is. 2: a domain of its own."
 MASTER = "master"
 """The name of the container with the ROS master."""
 PORT = 11311

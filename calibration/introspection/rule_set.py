@@ -162,7 +162,8 @@ class RuleEntry:
         return tuple(rules)
 
 
-def _unfolded(entries: Sequence[RuleEntry], _: Place) -> tuple[Rule, ...]:
+def unfolded(entries: Sequence[RuleEntry]) -> tuple[Rule, ...]:
+    """The rules that entries stand for."""
     return tuple(rule for entry in entries for rule in entry.rules)
 
 
@@ -170,7 +171,7 @@ def _unfolded(entries: Sequence[RuleEntry], _: Place) -> tuple[Rule, ...]:
 class RuleSet:
     """Rules for a table; what is None is not said."""
 
-    rules: Annotated[tuple[Rule, ...], Converted(tuple[RuleEntry, ...], _unfolded)] = field(
+    rules: Annotated[tuple[Rule, ...], Converted(tuple[RuleEntry, ...], lambda entries, _: unfolded(entries))] = field(
         "What the cells of columns must be.", default=()
     )
     key_column: Name | None = field("Column of the rows' labels (found unless given).", default=None)

@@ -1,67 +1,158 @@
-"""What ``calibration.yml`` says; its JSON Schema is ``calibration.schema.json`` beside this module."""
+"""What ``calibration.yml`` says."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
 from calibration.errors import InputError
-from calibration.execution.backends import AWS_BATCH, CONTAINERS, DOCKER, EMBEDDED, Place
-from calibration.execution.batch.settings import SECTION, BatchSettings, settings_from
-from calibration.image.specification import ImageSpecification, parse_image_specification
-from calibration.introspection.rule_set import parse_rules
-from calibration.json_schema import bundled, check_document
-from calibration.pipeline.collection.applications import Applications, applications_from
+from calibration.estimation.options import Options
+from calibration.execution.backends import AWS_BATCH, CONTAINERS
+from calibration.execution.backends import Place as Backend
+from calibration.execution.batch.settings import BatchSettings
+from calibration.image.specification import ImageDocument, ImageSpecification, parse_image_specification
+from calibration.pipeline.collection.applications import Applications, checked_applications
 from calibration.pipeline.collection.request import GENERATE, CollectionRequest, ContainerRequest
 from calibration.pipeline.collection.results import CollectionChecks
-from calibration.pipeline.matrix.software import software_from
-from calibration.pipeline.system import Limits, Loss, NoiseGrid, Start, System, seed_range
+from calibration.pipeline.system import Limit, Limits, Noise, NoiseGrid, System, Text, Truth
+from calibration.records import (
+    ByName,
+    Converted,
+    Place,
+    at_least,
+    field,
+    flat_fields,
+    matching,
+    needs,
+    one_of,
+    read,
+    record,
+)
 from calibration.variables import with_variables
 from calibration.workflow.text import did_you_mean
 from calibration.yaml_file import read_yaml
 
-SCHEMA = Path(__file__).with_name("calibration.schema.json")
-ADVICE = {
-    "not": "seeds and seed-list exclude each other",
-    "anyOf": "expected systems to calibrate, or a simulation to collect data from",
-    "simulation anyOf": "expected a system, or containers that simulate and collect",
-    "oneOf": "this has none of the forms that are known: see `calibration schema`",
-}
 DEFAULT_FILE = Path("calibration.yml")
-COLLECTED = "simulation:"
-"""Begins a system's dataset that an entry of ``simulation`` collects."""
+ContainersRunIn = Literal["docker", "aws-batch"]
+RunsIn = Literal["embedded", "docker", "aws-batch"]
+_NAME = matching("[A-Za-z0-9][A-Za-z0-9_.-]{0,63}", "letters, digits and _ . -, at most 64 of them")
+_OF_CONTAINERS = ("player", "ros", "network", "timeout", "dataset", "image", "truth")
 
 
-@dataclass(frozen=True)
+def _motion(text: str, place: Place) -> str:
+    return text if text.startswith(GENERATE) else str(place.folder / text)
+
+
+def _image(document: object, place: Place) -> ImageSpecification:
+    return parse_image_specification(document, place.folder, str(place))
+
+
+@record(rules=(one_of("translation-mm", "rotation-deg", why="expected translation-mm or rotation-deg"),))
+class CollectionLimits:
+    """The largest errors of sensors and joints against the truth that pass."""
+
+    translation_mm: Limit | None = field("Of the worst sensor, and of the worst length of a joint (5).", default=None)
+    rotation_deg: Limit | None = field("Likewise, of the worst angle, in degrees (0.3).", default=None)
+
+
+@record(
+    rules=(
+        one_of("system", "containers", why="expected a system, or containers that simulate and collect"),
+        *(needs(key, "containers") for key in _OF_CONTAINERS),
+    )
+)
 class Simulation:
     """A dataset to collect in simulation, and to calibrate."""
 
     name: str
-    request: CollectionRequest | ContainerRequest
-    """For our own simulation, or for the team's applications."""
-    backend: str = EMBEDDED
-    """Where it runs."""
+    system: Path | None = field(
+        "The folder of a system (robot.urdf, config.yml, simulation.yml), relative to this file.", default=None
+    )
+    applications: Applications = field(flat=True, default_factory=Applications)
+    truth: Truth | None = field(
+        "What the calibrated dataset is compared with: a file, 'dataset' for the transforms in it, 'none'; by default "
+        "the system's.",
+        default=None,
+    )
+    backend: RunsIn | None = field(
+        "embedded: our own simulation. docker, aws-batch: where the containers run; by default where the others do.",
+        default=None,
+    )
+    robot: Path | None = field("Another robot description (URDF).", default=None)
+    config: Path | None = field("Another calibration configuration.", default=None)
+    motion: Annotated[str, Converted(Text, _motion)] | None = field(
+        "A motion sequence (JSON), or generate:N; by default the system's motion.json.", default=None
+    )
+    seed: Annotated[int, at_least(0)] = field("Of the noise and of a generated motion.", default=1)
+    checks: CollectionChecks = field(flat=True, default_factory=CollectionChecks)
+    limits: CollectionLimits = field(
+        "The largest errors of sensors and joints against the truth that pass (5 mm, 0.3 degrees).",
+        default_factory=CollectionLimits,
+    )
 
+    def checked(self, backend: ContainersRunIn, place: Place) -> "Simulation":
+        """The simulation as it runs; one of containers on a backend unless it names its own.
 
-@dataclass(frozen=True)
-class Configuration:
-    """A whole pipeline."""
-
-    systems: tuple[System, ...]
-    noise: NoiseGrid = field(default_factory=NoiseGrid)
-    start: Start = "linear"
-    loss: Loss = "huber"
-    simulations: tuple[Simulation, ...] = ()
-    image: ImageSpecification | None = None
-    backend: str = DOCKER
-    """Where the team's software runs, and applications that say nothing else."""
-    batch: BatchSettings | None = None
-    """What AWS Batch has to know."""
+        Raises:
+            InputError: the containers make no sense, or there are none for the backend; names the key.
+        """
+        contained = bool(self.applications.containers)
+        found: RunsIn = self.backend or (backend if contained else "embedded")
+        if (found in CONTAINERS) != contained:
+            raise place.below("backend").fault(
+                f"found {found}; containers run with {' or '.join(CONTAINERS)}, and these need containers"
+            )
+        applications = checked_applications(self.applications, place) if contained else self.applications
+        return replace(self, applications=applications, backend=found)
 
     @property
-    def place(self) -> Place:
+    def request(self) -> CollectionRequest | ContainerRequest:
+        """For our own simulation, or for the team's applications."""
+        usual = (None, None) if self.truth == "none" else (self.checks.max_translation_mm, self.checks.max_rotation_deg)
+        given = (self.limits.translation_mm, self.limits.rotation_deg)
+        mm, deg = (limit if limit is not None else other for limit, other in zip(given, usual, strict=True))
+        checks = replace(self.checks, max_translation_mm=mm, max_rotation_deg=deg)
+        files = (self.robot, self.config, self.motion, self.seed)
+        if self.applications.containers:
+            return ContainerRequest(self.name, self.applications, self.system, *files, checks, self.truth)
+        assert self.system is not None  # noqa: S101 (a rule of the record)
+        return CollectionRequest(self.system, *files, checks=checks)
+
+
+@record(
+    rules=(one_of("systems", "simulation", why="expected systems to calibrate, or a simulation to collect data from"),)
+)
+class Configuration:
+    """What Calibration CI does with this repository on every push."""
+
+    image: Annotated[ImageSpecification, Converted(dict, _image, described_as=ImageDocument)] | None = field(
+        "The image with the team's software: built when something changed, pushed, and given its release tags when "
+        "the verdict is pass.",
+        default=None,
+    )
+    noise: Annotated[NoiseGrid, Converted(Noise, lambda noise, _: noise.grid())] = field(
+        "How far the starting guesses are off: every combination is one cell of the matrix.", default=NoiseGrid()
+    )
+    options: Options = field(flat=True, default_factory=Options)
+    """Of every system that does not say otherwise; the systems have them too."""
+    limits: Limits | None = field("For every system that has none of its own.", default=None)
+    backend: ContainersRunIn = field(
+        "Where containers run: docker, this machine's engine; or aws-batch, the queue that the section of this name "
+        "describes.",
+        default="docker",
+    )
+    batch: BatchSettings | None = field(
+        "Where in AWS containers run that are to run there.", default=None, key="aws-batch"
+    )
+    systems: Annotated[tuple[System, ...], ByName(_NAME)] = field("The robots to calibrate, by name.", default=())
+    simulations: Annotated[tuple[Simulation, ...], ByName(_NAME)] = field(
+        "Datasets to collect in simulation and to calibrate, by name.", default=(), key="simulation"
+    )
+
+    @property
+    def place(self) -> Backend:
         """Where the team's software runs."""
-        return Place(self.backend, self.batch)
+        return Backend(self.backend, self.batch)
 
     def only(self, names: tuple[str, ...]) -> tuple[System, ...]:
         """The systems of these names, or all where there are none.
@@ -85,35 +176,28 @@ def read_configuration(path: Path, environment: Mapping[str, str] | None = None)
     the file.
 
     Raises:
-        InputError: the file is missing, is no YAML, or does not follow its schema; names file and key.
+        InputError: the file is missing, is no YAML, or a key or a value is wrong; names file and key.
     """
     document = read_yaml(path, "a pipeline configuration")
-    batch, image = None, None
-    if isinstance(document, dict) and "image" in document:  # first, since it says more of what is wrong
-        document["image"] = with_variables(document["image"], f"{path}: image", environment)
-        image = parse_image_specification(document["image"], path.parent, f"{path}: image")
-    if isinstance(document, dict) and SECTION in document:
-        document[SECTION] = with_variables(document[SECTION], f"{path}: {SECTION}", environment)
-        batch = settings_from(document[SECTION], f"{path}: {SECTION}")
-    check_document(document, bundled(SCHEMA), str(path), ADVICE)
-    assert isinstance(document, dict)  # noqa: S101 (the schema says so)
-    document = {key: with_variables(value, f"{path}: {key}", environment) for key, value in document.items()}
-    common = document.get("limits")
-    backend = document.get("backend", DOCKER)
-    entries = document.get("simulation", {})
-    simulations = tuple(_simulation(name, entry, path, backend) for name, entry in entries.items())
-    configuration = Configuration(
-        systems=tuple(_system(name, entry, common, path) for name, entry in document.get("systems", {}).items()),
-        noise=_noise(document.get("noise", {})),
-        start=document.get("start", "linear"),
-        loss=document.get("loss", "huber"),
-        simulations=simulations,
-        image=image,
-        backend=backend,
-        batch=batch,
-    )
+    if isinstance(document, dict):
+        document = {key: with_variables(value, f"{path}: {key}", environment) for key, value in document.items()}
+        document = _with_common(document)
+    found = read(Configuration, document, str(path), path.parent)
+    place = Place(str(path), ("simulation",), path.parent)
+    simulations = (each.checked(found.backend, place.below(each.name)) for each in found.simulations)
+    configuration = replace(found, simulations=tuple(simulations))
     _check_references(configuration, path)
     return configuration
+
+
+def _with_common(document: dict[Any, Any]) -> dict[Any, Any]:
+    """The document; what stands at its top for all systems stands also in those that do not say otherwise."""
+    systems = document.get("systems")
+    if not isinstance(systems, dict):
+        return document
+    common = {key: document[key] for key in (*flat_fields(Options), "limits") if key in document}
+    merged = {name: {**common, **entry} if isinstance(entry, dict) else entry for name, entry in systems.items()}
+    return {**document, "systems": merged}
 
 
 def _check_references(configuration: Configuration, path: Path) -> None:
@@ -125,7 +209,7 @@ def _check_references(configuration: Configuration, path: Path) -> None:
     if configuration.batch is None:
         wanting = [f"simulation.{each.name}.backend" for each in configuration.simulations if each.backend == AWS_BATCH]
         for key in ["backend"] if configuration.backend == AWS_BATCH else wanting:
-            raise InputError(f"{path}: {key}: found {AWS_BATCH}, but there is no section {SECTION}")
+            raise InputError(f"{path}: {key}: found {AWS_BATCH}, but there is no section aws-batch")
     collected = {simulation.name for simulation in configuration.simulations}
     for system in configuration.systems:
         where = f"{path}: systems.{system.name}"
@@ -137,8 +221,7 @@ def _check_references(configuration: Configuration, path: Path) -> None:
         if configuration.image is None and system.software is not None and not system.software.container.image:
             raise InputError(f"{where}.software: missing image, as there is no section image that builds one")
     for simulation in configuration.simulations:
-        request = simulation.request
-        for container in request.applications.containers if isinstance(request, ContainerRequest) else ():
+        for container in simulation.applications.containers:
             if configuration.image is None and not container.image:
                 where = f"{path}: simulation.{simulation.name}.containers.{container.name}"
                 raise InputError(f"{where}: missing image, as there is no section image that builds one")
@@ -148,76 +231,7 @@ def parse_applications(entry: Mapping[str, Any], folder: Path, where: str) -> Ap
     """Read a description of applications from outside a configuration: an entry of ``simulation`` in it.
 
     Raises:
-        InputError: it does not follow the schema; names the key.
+        InputError: a key or a value is wrong; names the key.
     """
-    schema = bundled(SCHEMA)
-    check_document(entry, {**schema["$defs"]["simulation"], "$defs": schema["$defs"]}, where, ADVICE)
-    return applications_from(with_variables(entry, where), folder, where)
-
-
-def _system(name: str, entry: Mapping[str, Any], common_limits: Mapping[str, float] | None, path: Path) -> System:
-    place = entry["dataset"]
-    return System(
-        name=name,
-        dataset=path.parent / place,
-        evaluate=entry.get("evaluate"),
-        truth=_truth(entry, path),
-        compare=tuple(entry.get("compare", ())),
-        rules=parse_rules(entry["rules"], f"{path}: systems.{name}.rules") if "rules" in entry else None,
-        limits=Limits(**{key.replace("-", "_"): v for key, v in (entry.get("limits") or common_limits or {}).items()}),
-        software=software_from(entry["software"], path.parent, f"{path}: systems.{name}.software")
-        if "software" in entry
-        else None,
-        intrinsics=tuple(entry.get("intrinsics", ())),
-        intrinsics_covariance=path.parent / entry["intrinsics-covariance"]
-        if "intrinsics-covariance" in entry
-        else None,
-        hold=tuple(entry.get("hold", ())),
-        collected=place.removeprefix(COLLECTED) if place.startswith(COLLECTED) else None,
-    )
-
-
-def _simulation(name: str, entry: Mapping[str, Any], path: Path, containers: str) -> Simulation:
-    where = f"{path}: simulation.{name}"
-    motion = entry.get("motion")
-    if motion is not None and not motion.startswith(GENERATE):
-        motion = str(path.parent / motion)
-    backend = entry.get("backend", containers if "containers" in entry else EMBEDDED)
-    if (backend in CONTAINERS) != ("containers" in entry):
-        raise InputError(
-            f"{where}.backend: found {backend}; "
-            f"containers run with {' or '.join(CONTAINERS)}, and these need containers"
-        )
-    robot = path.parent / entry["robot"] if "robot" in entry else None
-    configuration = path.parent / entry["config"] if "config" in entry else None
-    system = path.parent / entry["system"] if "system" in entry else None
-    seed, checks = entry.get("seed", 1), _checks(entry)
-    if "containers" not in entry:
-        if system is None:
-            raise AssertionError("the schema asks for a system")
-        return Simulation(name, CollectionRequest(system, robot, configuration, motion, seed, None, checks))
-    applications = applications_from(entry, path.parent, where)
-    truth = _truth(entry, path)
-    request = ContainerRequest(name, applications, system, robot, configuration, motion, seed, checks, truth)
-    return Simulation(name, request, backend)
-
-
-def _checks(entry: Mapping[str, Any]) -> CollectionChecks:
-    limits = {f"max_{key.replace('-', '_')}": value for key, value in entry.get("limits", {}).items()}
-    if entry.get("truth") == "none":
-        limits = {"max_translation_mm": None, "max_rotation_deg": None, **limits}
-    least = {key.replace("-", "_"): value for key, value in entry.items() if key.startswith("minimum-")}
-    return CollectionChecks(**limits, **least)
-
-
-def _truth(entry: Mapping[str, Any], path: Path) -> str | None:
-    truth: str | None = entry.get("truth")
-    return truth if truth in (None, "dataset", "none") else str(path.parent / str(truth))
-
-
-def _noise(entry: Mapping[str, Any]) -> NoiseGrid:
-    return NoiseGrid(
-        translations=tuple(float(t) for t in entry.get("translation", (0.0,))),
-        rotations=tuple(float(r) for r in entry.get("rotation", (0.0,))),
-        seeds=tuple(entry["seed-list"]) if "seed-list" in entry else seed_range(entry.get("seeds", 1)),
-    )
+    found = read(Simulation, with_variables(entry, where), where, folder, name="applications")
+    return checked_applications(found.applications, Place(where))

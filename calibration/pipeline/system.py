@@ -1,56 +1,108 @@
 """Systems to calibrate, and the starts to calibrate them from: what the stages share with the configuration."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Annotated
 
-from calibration.introspection.rule_set import RuleSet
-from calibration.pipeline.matrix.software import Software
+from calibration.estimation.options import Options
+from calibration.introspection.rule_set import RuleEntry, RuleSet, checked, unfolded
+from calibration.pipeline.matrix.software import Software, checked_software
+from calibration.records import UNIQUE, Converted, Place, at_least, between, excludes, field, length, one_of, record
 
-Start = Literal["linear", "given"]
-"""The engine's own linear start, or the noisy guess."""
-Loss = Literal["huber", "linear"]
+COLLECTED = "simulation:"
+"""Begins a system's dataset that an entry of ``simulation`` collects."""
+Limit = Annotated[float, at_least(0)]
+Text = Annotated[str, length(1)]
+_LIMITS = ("rms-px", "translation-mm", "rotation-deg", "joint-mm", "joint-deg")
 
 
-@dataclass(frozen=True)
+def _dataset(text: str, place: Place) -> Path:
+    return Path(text) if text.startswith(COLLECTED) else place.folder / text
+
+
+def _truth(text: str, place: Place) -> str:
+    return text if text in ("dataset", "none") else str(place.folder / text)
+
+
+def _rules(found: RuleSet | tuple[RuleEntry, ...], place: Place) -> RuleSet:
+    return checked(RuleSet(unfolded(found)) if isinstance(found, tuple) else found, str(place))
+
+
+Truth = Annotated[str, Converted(Text, _truth)]
+"""A path, "dataset" or "none"."""
+
+
+@record(rules=(one_of(*_LIMITS, why=f"expected a limit: {', '.join(_LIMITS)}"),))
 class Limits:
-    """The largest values that pass; None where there is no limit."""
+    """The largest values that pass, in every cell; None where there is no limit."""
 
-    rms_px: float | None = None
-    translation_mm: float | None = None
-    rotation_deg: float | None = None
-    joint_mm: float | None = None
-    joint_deg: float | None = None
+    rms_px: Limit | None = field("Root mean square of the table's errors.", default=None, unit="px")
+    translation_mm: Limit | None = field("Error against the truth.", default=None, unit="mm")
+    rotation_deg: Limit | None = field("Error against the truth.", default=None, unit="degrees")
+    joint_mm: Limit | None = field("Error of a joint's length against the truth.", default=None, unit="mm")
+    joint_deg: Limit | None = field("Error of a joint's angle against the truth.", default=None, unit="degrees")
 
 
-@dataclass(frozen=True)
+@record
 class System:
     """A robot to calibrate."""
 
     name: str
-    dataset: Path
-    evaluate: str | None = None
-    """The table to make, such as ``rgb-to-rgb:right_camera:left_camera``; None for reprojection errors."""
-    truth: str | None = None
-    """A file, "dataset" or "none"; None for ground_truth.json beside the dataset, where there is one."""
-    compare: tuple[str, ...] = ()
-    rules: RuleSet | None = None
-    limits: Limits = field(default_factory=Limits)
-    software: Software | None = None
-    """The team's own calibration, in the place of our engine, which then only compares."""
-    intrinsics: tuple[str, ...] = ()
-    """Cameras whose intrinsics are calibrated too, or "all"."""
-    intrinsics_covariance: Path | None = None
-    """A file that says how well intrinsics are known, such as an earlier run's ``intrinsics.json``."""
-    hold: tuple[str, ...] = ()
-    """What stays as the dataset has it."""
-    collected: str | None = None
-    """The entry of `simulation` that makes its dataset, whose place only a run knows."""
+    dataset: Annotated[Path, Converted(Text, _dataset)] = field(
+        "A folder with dataset.json, or the file, relative to this one; simulation:NAME for what that entry of "
+        "simulation collects in this run.",
+        option=False,
+    )
+    evaluate: Text | None = field(
+        "The table: rgb-to-rgb:SOURCE:TARGET, lidar-to-rgb:LIDAR:CAMERA, depth-to-rgb:DEPTH:CAMERA, "
+        "lidar-to-lidar:SOURCE:TARGET, lidar-to-depth:LIDAR:DEPTH or depth-to-depth:SOURCE:TARGET, each also as "
+        "inter-collection-...; single-rgb, ground-truth-transform:PARENT:CHILD or ground-truth-frame:FRAME. "
+        "':PATTERN' may follow two sensors.",
+        default=None,
+        option="The table: rgb-to-rgb:SOURCE:TARGET, lidar-to-rgb:LIDAR:CAMERA, ...",
+    )
+    """None for reprojection errors."""
+    truth: Truth | None = field(
+        "What the result is compared with: a file, 'dataset' for the transforms in it, 'none'. By default "
+        "ground_truth.json beside the dataset, where there is one.",
+        default=None,
+        option="ground_truth.json's path, dataset or none (the file beside the dataset).",
+    )
+    compare: Annotated[tuple[Text, ...], UNIQUE] = field(
+        "Other methods on the same data, as rows of the same table: opencv-stereo, opencv-stereo-fixed, shah, li, "
+        "tsai, park, horaud, andreff, daniilidis, icp, icp-average, icp-best.",
+        default=(),
+        option="Other methods on the same data: opencv-stereo, shah, tsai, icp, ...",
+    )
+    rules: Annotated[RuleSet, Converted(RuleSet | tuple[RuleEntry, ...], _rules)] | None = field(
+        "Rules over the table of every cell, as introspect-csv takes them.",
+        default=None,
+        option=False,
+    )
+    options: Options = field(flat=True, default_factory=Options)
+    limits: Limits = field("The largest values that pass, in every cell.", default_factory=Limits, option=False)
+    software: Annotated[Software, Converted(Software, checked_software)] | None = field(
+        "The team's own calibration, in the place of our engine, which then only compares.",
+        default=None,
+        option=False,
+    )
+
+    @property
+    def collected(self) -> str | None:
+        """The entry of ``simulation`` that makes its dataset, whose place only a run knows."""
+        place = str(self.dataset)
+        return place.removeprefix(COLLECTED) if place.startswith(COLLECTED) else None
+
+
+Magnitudes = Annotated[tuple[Annotated[float, between(0, 1000)], ...], length(1), UNIQUE]
+
+
+Seeds = Annotated[tuple[Annotated[int, at_least(0)], ...], length(1), UNIQUE]
 
 
 @dataclass(frozen=True)
 class NoiseGrid:
-    """How far the starting guesses are off."""
+    """How far the starting guesses are off: every combination is one cell of the matrix."""
 
     translations: tuple[float, ...] = (0.0,)
     """m."""
@@ -59,6 +111,27 @@ class NoiseGrid:
     seeds: tuple[int, ...] = (1,)
 
 
-def seed_range(count: int) -> tuple[int, ...]:
-    """The seeds 1 to count."""
-    return tuple(range(1, count + 1))
+@record(rules=(excludes("seeds", "seed-list"),))
+class Noise:
+    """How far the starting guesses are off: every combination is one cell of the matrix."""
+
+    translation: Magnitudes | None = field(
+        "Lengths of the displacement, m.", default=None, option="Errors of the starting translations, m: 0,0.5."
+    )
+    rotation: Magnitudes | None = field(
+        "Sizes of the error of each Euler angle, rad.",
+        default=None,
+        option="Errors of the starting Euler angles, rad: 0,0.5.",
+    )
+    seeds: Annotated[int, between(1, 100_000)] | None = field(
+        "How many seeds: 1, 2, ...", default=None, option="How many seeds for each pair of noises (1)."
+    )
+    seed_list: Seeds | None = field(
+        "The seeds themselves.", default=None, option="The seeds themselves, instead of their number: 3,7."
+    )
+
+    def grid(self, other: NoiseGrid | None = None) -> NoiseGrid:
+        """The grid; what is not said is as in another one."""
+        other = other or NoiseGrid()
+        seeds = self.seed_list or (tuple(range(1, self.seeds + 1)) if self.seeds else other.seeds)
+        return NoiseGrid(self.translation or other.translations, self.rotation or other.rotations, seeds)

@@ -55,7 +55,7 @@ from calibration.records.declaration import (
     record,
     unknown_key,
 )
-from calibration.records.reading import Place, read, read_as, shown
+from calibration.records.reading import Place, changed, read, read_as, shown
 from calibration.records.schema import schema_of, schema_text
 from calibration.records.writing import document_of, text_of
 
@@ -69,6 +69,7 @@ __all__ = [
     "above",
     "at_least",
     "between",
+    "changed",
     "document_of",
     "exactly_one",
     "excludes",

@@ -33,6 +33,8 @@ class Converted:
 
     accepts: Any
     make: Callable[[Any, "Place"], Any]
+    described_as: Any = field(default=None, kw_only=True)
+    """What the schema says, where that is more than ``accepts``."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -76,6 +76,7 @@ def field(
     unit: str | None = None,
     flat: bool = False,
     option: bool | str = True,
+    repr: bool = True,  # noqa: A002 (dataclasses' word)
 ) -> Any:
     """Declare a field of a record.
 
@@ -88,12 +89,13 @@ def field(
         unit: of the value; added to the help.
         flat: whether the keys of the record in this field stand among those of the record that has it.
         option: whether a command has an option for it; or another sentence of help for the option.
+        repr: whether it is shown in the record's ``repr``; not where it may hold secrets.
     """
     text = f"{help.removesuffix('.')}, {unit}." if unit else help
     metadata = {_DECLARED: {"key": key, "help": text, "implied": implied, "flat": flat, "option": option}}
     if default_factory is not MISSING:
-        return dataclasses.field(default_factory=default_factory, metadata=metadata)
-    return dataclasses.field(default=default, metadata=metadata)
+        return dataclasses.field(default_factory=default_factory, metadata=metadata, repr=repr)
+    return dataclasses.field(default=default, metadata=metadata, repr=repr)
 
 
 @typing.overload

@@ -73,6 +73,30 @@ def read(
     return found
 
 
+def changed(record: _Record, document: Mapping[str, Any], where: str, folder: Path | None = None) -> _Record:
+    """A record with what a document says in the place of what the record says.
+
+    Args:
+        record: as it is.
+        document: some of its keys; those of flat records in it too.
+        where: what messages begin with.
+        folder: where relative paths begin; they stay as they are where None.
+
+    Raises:
+        InputError: as `read`.
+    """
+    place = Place(where, folder=folder or Path())
+    values: dict[str, Any] = {}
+    kind: Any = type(record)
+    for each in fields_of(kind):
+        if each.flat:
+            values[each.name] = changed(getattr(record, each.name), document, where, folder)
+        elif each.key in document:
+            values[each.name] = read_as(each.type, document[each.key], place.below(each.key))
+    made: _Record = replace(typing.cast("Any", record), **values)
+    return made
+
+
 def read_as(kind: Any, value: object, place: Place) -> Any:
     """Read a value as any type that a field of a record may have.
 
@@ -193,7 +217,7 @@ def fits(kind: Any, value: object) -> bool:
         return isinstance(value, dict)
     if base in (int, float):
         return _is_number(value) and (base is float or isinstance(value, int))
-    return isinstance(value, str if base is Path else base)
+    return value != "" and isinstance(value, str) if base is Path else isinstance(value, base)
 
 
 def _is_number(value: object) -> bool:
@@ -231,7 +255,9 @@ def _by_name(kind: Any, value: object, extra: ByName, place: Place) -> tuple[Any
         raise place.unexpected(value, "a mapping of names, at least one")
     for name in value:
         if not isinstance(name, str) or (extra.names and not extra.names.holds(name)):
-            raise place.fault(f"found the name {shown(name)}, expected {extra.names.expected if extra.names else ''}")
+            expected = extra.names.expected if extra.names else "a text"
+            hint = "" if isinstance(name, str) else ": put it in quotes"
+            raise place.fault(f"found the name {shown(name)}, expected {expected}{hint}")
     return tuple(_record(kind, each, place.below(name), {"name": name}) for name, each in value.items())
 
 

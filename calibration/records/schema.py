@@ -47,7 +47,7 @@ def schema_of(kind: Any) -> dict[str, Any]:
         names = {key: value for key, value in schema_of(arguments[0]).items() if key != "type"}
         schema: dict[str, Any] = {"type": "object"} | ({"propertyNames": names} if names else {})
         return schema | {"additionalProperties": schema_of(arguments[1])}
-    return {"type": _TYPES[kind]}
+    return {"type": _TYPES[kind]} | ({"minLength": 1} if kind is Path else {})
 
 
 def _annotated(base: Any, extras: tuple[Any, ...]) -> dict[str, Any]:
@@ -57,7 +57,7 @@ def _annotated(base: Any, extras: tuple[Any, ...]) -> dict[str, Any]:
         schema |= {"propertyNames": dict(special.names.schema)} if special.names else {}
         return schema | {"additionalProperties": schema_of(typing.get_args(base)[0])}
     if special is not None:
-        return schema_of(special.accepts)
+        return schema_of(special.described_as or special.accepts)
     schema = schema_of(base)
     for extra in extras:
         if isinstance(extra, Constraint):
@@ -115,12 +115,9 @@ def _property(each: Declared, nulls: bool) -> dict[str, Any]:
         schema = _union([schema, {"type": "null"}])
     if each.help:
         schema = {"description": each.help, **{key: value for key, value in schema.items() if key != "description"}}
-    if each.implied is not MISSING:
-        schema["default"] = each.implied
-    elif each.default not in (MISSING, None, ()) and not is_record(type(each.default)):
-        default = value_of(each.default)
-        if default != {} and not isinstance(each.default, Path):
-            schema["default"] = default
+    default = value_of(each.default) if each.implied is MISSING else each.implied
+    if isinstance(default, str | int | float | list) and default != [] and not isinstance(each.default, Path):
+        schema["default"] = default
     return schema
 
 

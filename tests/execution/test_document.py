@@ -8,12 +8,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from calibration.errors import InputError
-from calibration.execution.document import SCHEMA, container_from
+from calibration.execution.document import with_secrets
 from calibration.execution.job import Artifact, Container, Limits, Mount, Readiness, Relaxations
-from calibration.json_schema import bundled
+from calibration.records import flat_fields, read, schema_of
 
 FOLDER = Path("/team")
-KEYS = set(bundled(SCHEMA)["$defs"]["container"]["properties"])
+KEYS = set(flat_fields(Container))
+
+
+def container_from(entry: dict[str, Any], environment: dict[str, str]) -> Container:
+    container = read(Container, entry, "here", FOLDER, name="robot")
+    return with_secrets(container, "here", environment)
 
 
 def test_every_key() -> None:
@@ -43,7 +48,7 @@ def test_every_key() -> None:
         "privileged": True,
     }
     assert set(entry) == KEYS
-    container = container_from("robot", entry, FOLDER, "here", {"TOKEN": "s3cret"})
+    container = container_from(entry, {"TOKEN": "s3cret"})
     assert container == Container(
         name="robot",
         image="team/robot:1",
@@ -66,7 +71,7 @@ def test_every_key() -> None:
 
 
 def test_everything_is_forbidden_by_default() -> None:
-    assert container_from("a", {"image": ""}, FOLDER, "here") == Container("a", "")
+    assert container_from({"image": ""}, {}) == Container("robot", "")
 
 
 @pytest.mark.parametrize(
@@ -74,11 +79,11 @@ def test_everything_is_forbidden_by_default() -> None:
     [
         ({"comand": "x"}, "here: unknown key 'comand': did you mean 'command'?"),
         ({"command": []}, "here: command"),
-        ({"command": "a 'b"}, "here.command: 'a 'b' cannot be split"),
+        ({"command": "a 'b"}, "here: command: 'a 'b' cannot be split"),
         ({"command": ["a", 1]}, "here: command"),
-        ({"memory": "much"}, "here.memory: found 'much'"),
-        ({"timeout": "soon"}, "here.timeout: found 'soon'"),
-        ({"ready": {"port": 80, "timeout": "x"}}, "here.ready.timeout"),
+        ({"memory": "much"}, "here: memory: found 'much'"),
+        ({"timeout": "soon"}, "here: timeout: found 'soon'"),
+        ({"ready": {"port": 80, "timeout": "x"}}, "here: ready.timeout"),
         ({"ready": {}}, "here: ready"),
         ({"mounts": ["data"]}, "here: mounts.0"),
         ({"mounts": ["data:/data:rw"]}, "here: mounts.0"),
@@ -92,7 +97,7 @@ def test_everything_is_forbidden_by_default() -> None:
 )
 def test_what_is_wrong_is_named(entry: dict[str, Any], message: str) -> None:
     with pytest.raises(InputError) as caught:
-        container_from("a", entry, FOLDER, "here", {"TOKEN": "x"})
+        container_from(entry, {"TOKEN": "x"})
     assert message in str(caught.value)
 
 
@@ -107,8 +112,12 @@ VALUES = st.recursive(
 @given(st.dictionaries(st.sampled_from(sorted(KEYS)), VALUES, max_size=3))
 def test_any_document_is_a_container_or_an_error(entry: dict[str, Any]) -> None:
     with suppress(InputError):
-        assert container_from("a", entry, FOLDER, "here", {}).name == "a"
+        assert container_from(entry, {}).name == "robot"
 
 
-def test_the_schema_is_one() -> None:
-    jsonschema.Draft202012Validator.check_schema(bundled(SCHEMA))
+def test_the_schema_takes_what_is_read() -> None:
+    validator = jsonschema.Draft202012Validator(schema_of(Container))
+    validator.check_schema(validator.schema)
+    entry = {"command": "run", "success": 3, "mounts": ["a:/b"], "artifacts": ["x"], "ready": {"port": 1}}
+    assert validator.is_valid(entry)
+    assert not validator.is_valid({"comand": "run"})

@@ -13,7 +13,6 @@ from typing import Any
 import yaml
 
 from calibration.commands.schema import SCHEMAS
-from calibration.json_schema import bundled
 
 from .yaml_lines import ACTIONS, PROJECT, WORKFLOWS
 
@@ -91,17 +90,13 @@ def made_whole(part: Any) -> tuple[str | None, Any]:
 
 def check(schema: str, paths: list[Path]) -> Iterator[str]:
     """What check-jsonschema says of files."""
-    with tempfile.TemporaryDirectory() as folder:
-        if schema in SCHEMAS:
-            package, name = SCHEMAS[schema]
-            file = Path(folder) / "schema.json"
-            file.write_text(json.dumps(bundled(Path(str(files(package).joinpath(name))))))
-            arguments = ["--schemafile", str(file)]
-        else:
-            arguments = ["--builtin-schema", schema]
-        done = subprocess.run(
-            [str(CHECK), "--color", "never", *arguments, *map(str, paths)], capture_output=True, text=True
-        )
+    if schema in SCHEMAS:
+        package, name = SCHEMAS[schema]
+        arguments = ["--schemafile", str(files(package).joinpath(name))]
+    else:
+        arguments = ["--builtin-schema", schema]
+    command = [str(CHECK), "--color", "never", *arguments, *map(str, paths)]
+    done = subprocess.run(command, capture_output=True, text=True)
     if done.returncode:
         yield (done.stdout + done.stderr).replace(f"{PROJECT}/", "").strip()
 

@@ -106,11 +106,14 @@ def test_nothing_at_all_is_no_pass() -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("simulation: {}", "simulation: {} should be non-empty"),
+        ("simulation: {}", "simulation: found an empty mapping, expected a mapping of names"),
         ("simulation: {a: {}}", "simulation.a: expected a system, or containers"),
         ("simulation: {a: {system: x, motoin: y}}", "simulation.a: unknown key 'motoin': did you mean 'motion'"),
-        ("simulation: {a: {system: x, minimum-coverage: 2}}", "simulation.a.minimum-coverage: 2 is greater than"),
-        ("simulation: {../a: {system: x}}", "does not match"),
+        (
+            "simulation: {a: {system: x, minimum-coverage: 2}}",
+            "simulation.a.minimum-coverage: found 2, expected a number",
+        ),
+        ("simulation: {../a: {system: x}}", "simulation: found the name '../a', expected letters"),
     ],
 )
 def test_a_wrong_simulation(text: str, message: str, tmp_path: Path) -> None:

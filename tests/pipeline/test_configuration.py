@@ -41,9 +41,18 @@ def test_a_system_says_what_of_it_is_calibrated(tmp_path: Path) -> None:
 
     (system,) = read_configuration(write(tmp_path, f"systems: {{a: {text}}}")).systems
 
-    assert system.intrinsics == ("left", "right")
-    assert system.intrinsics_covariance == tmp_path / "known" / "intrinsics.json"
-    assert system.hold == ("left", "board")
+    assert system.options.intrinsics == ("left", "right")
+    assert system.options.intrinsics_covariance == tmp_path / "known" / "intrinsics.json"
+    assert system.options.hold == ("left", "board")
+
+
+def test_options_at_the_top_are_for_every_system_that_does_not_say_otherwise(tmp_path: Path) -> None:
+    text = "{start: given, hold: [left], systems: {a: {dataset: a}, b: {dataset: b, start: linear, hold: []}}}"
+
+    first, second = read_configuration(write(tmp_path, text)).systems
+
+    assert (first.options.start, first.options.hold) == ("given", ("left",))
+    assert (second.options.start, second.options.hold) == ("linear", ())
 
 
 @pytest.mark.parametrize("entry", ["intrinsics: left", "hold: [left, left]", "hold: ['']", "intrinsics-covariance: 3"])
@@ -57,8 +66,9 @@ def test_defaults(tmp_path: Path) -> None:
 
     assert configuration.noise.translations == (0.0,)
     assert configuration.noise.seeds == (1,)
-    assert (configuration.start, configuration.loss) == ("linear", "huber")
-    assert configuration.systems[0].limits == Limits()
+    [system] = configuration.systems
+    assert (system.options.start, system.options.loss) == ("linear", "huber")
+    assert system.limits == Limits()
 
 
 def test_a_number_of_seeds_means_the_seeds_from_one(tmp_path: Path) -> None:
@@ -80,7 +90,7 @@ def test_limits_for_all_systems_yield_to_a_system_s_own(tmp_path: Path) -> None:
     ("text", "expected"),
     [
         ("systems: {}", "systems"),
-        ("- 1", "object"),
+        ("- 1", "found a list of 1, expected keys: image, noise"),
         ("system: {a: {dataset: a}}", "unknown key 'system': did you mean 'systems'?"),
         ("image: {name: a, base: b}", "expected systems to calibrate, or a simulation"),
         ("systems: {a: {dataset: a, evalute: x}}", "systems.a: unknown key 'evalute': did you mean 'evaluate'?"),
@@ -92,7 +102,7 @@ def test_limits_for_all_systems_yield_to_a_system_s_own(tmp_path: Path) -> None:
         ("systems: {a: {dataset: a}}\nnoise: {translation: []}", "noise.translation"),
         ("systems: {a: {dataset: a}}\nnoise: {seeds: 2, seed-list: [1]}", "exclude each other"),
         ("systems: {a: {dataset: a}}\nstart: guess", "start"),
-        ("systems: {a: {dataset: a, rules: [{column: RMS}]}}", "systems.a.rules: rules.0"),
+        ("systems: {a: {dataset: a, rules: [{column: RMS}]}}", "systems.a.rules.0: RMS: the rule has no limit"),
         ("systems: {a: {dataset: a, rules: [{column: RMS, min: 2, max: 1}]}}", "systems.a.rules"),
         ("systems: {a: {dataset: a, limits: {}}}", "systems.a.limits"),
         ("systems: {a: {dataset: '${NO_SUCH}'}}", "NO_SUCH is not set"),

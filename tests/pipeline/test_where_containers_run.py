@@ -56,12 +56,12 @@ def test_nothing_said_is_this_machine(tmp_path: Path) -> None:
             "backend: found aws-batch, but there is no section aws-batch",
         ),
         (SIMULATIONS, "simulation.there.backend: found aws-batch, but there is no section aws-batch"),
-        ("backend: embedded\nsystems: {a: {dataset: d}}", "backend: 'embedded' is not one of"),
+        ("backend: embedded\nsystems: {a: {dataset: d}}", "backend: found 'embedded', expected docker or aws-batch"),
         (SECTION.replace("region", "reggion") + SIMULATIONS, "aws-batch: unknown key 'reggion': did you mean 'region'"),
         (SECTION.replace("QUEUE", "QUEU") + SIMULATIONS, "aws-batch.queue: the environment variable QUEU is not set"),
         (
             SECTION.replace("${QUEUE}", "a b") + SIMULATIONS,
-            "aws-batch: queue: found 'a b', expected the name or the ARN",
+            "aws-batch.queue: found 'a b', expected the name or the ARN",
         ),
         (
             "simulation: {a: {system: s, backend: aws-batch}}",

@@ -8,17 +8,18 @@ of them share, ``{motion}`` the motion sequence, ``{system}`` the name of the sy
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
 from calibration.errors import InputError
-from calibration.execution.document import container_from
-from calibration.execution.job import OUTPUT, Artifact, Container, Job, Mount, Network
+from calibration.execution.document import with_secrets
+from calibration.execution.job import NETWORK_HELP, OUTPUT, Artifact, Container, Job, Mount, Network
 from calibration.execution.job_check import check_job
 from calibration.execution.placeholders import fill
-from calibration.execution.ros import RosVersion, with_ros
-from calibration.execution.sizes import parse_seconds
+from calibration.execution.ros import ROS_HELP, Ros, with_ros
+from calibration.execution.sizes import Seconds
+from calibration.records import ByName, Converted, Place, between, field, length, matching, read, record
 
 INPUTS = "/calibration/in"
 """A folder that all of them see, read-only."""
@@ -29,37 +30,54 @@ PLACEHOLDERS = ("output", "motion", "system", "seed", "scenario")
 SECONDS = 3600.0
 
 
-@dataclass(frozen=True)
+Text = Annotated[str, length(1)]
+_Name = matching("[a-z0-9][a-z0-9-]{0,62}", "small letters, digits and -")
+_Topic = Annotated[str, matching("/?[A-Za-z0-9_/]+", "the name of a topic or a service")]
+
+
+@record
 class Ros1Player:
     """Our player for ROS 1: a script that needs nothing but rospy in the image that it runs in."""
 
-    image: str = ""
-    """That of the first application unless given."""
-    after: tuple[str, ...] = ()
-    """The containers that have to be ready before; all unless given."""
-    pose_topic: str = "/pattern/pose"
-    """Where it publishes the pattern's pose (geometry_msgs/PoseStamped)."""
-    frame: str = "world"
-    service: str = "/collect_data/save_collection"
-    """What it calls at every pose; any type with an empty request."""
-    settle: float = 0.5
-    """Between the pose and the call, s."""
+    kind: Literal["ros1"] = field("ros1, the only one.")
+    image: str = field("What it runs in (the image of the first container).", default="")
+    after: tuple[str, ...] = field("The containers that have to be ready before (all).", default=())
+    pose_topic: _Topic = field(
+        "Where the pattern's pose is published (geometry_msgs/PoseStamped).", default="/pattern/pose"
+    )
+    frame: Text = field("The frame of the pose.", default="world")
+    service: _Topic = field(
+        "What saves a collection; any type with an empty request.", default="/collect_data/save_collection"
+    )
+    settle: Annotated[float, between(0, 600)] = field("Seconds between the pose and the call.", default=0.5)
 
 
-@dataclass(frozen=True)
+def _player(value: str | Ros1Player, _: Place) -> Ros1Player:
+    return Ros1Player("ros1") if isinstance(value, str) else value
+
+
+@record
 class Applications:
-    """The containers of a collection."""
+    """The applications that simulate and collect, in the place of our own simulation."""
 
-    containers: tuple[Container, ...]
-    """Their commands still have the placeholders; an empty image stands for the one that the pipeline builds."""
-    player: Ros1Player | None = None
-    """None where one of the containers plays."""
-    ros: RosVersion = "none"
-    network: Network = "private"
-    seconds: float = SECONDS
-    """A longer collection is stopped."""
-    dataset: str = "{output}/dataset"
-    """The folder of the dataset in the containers."""
+    containers: Annotated[tuple[Container, ...], ByName(_Name)] = field(
+        "The applications that simulate and collect, in the place of our own: each runs in its container, all in one "
+        "network. In their commands {output}, {motion}, {system}, {seed} and {scenario} are filled in.",
+        default=(),
+    )
+    """An empty image stands for the one that the pipeline builds."""
+    image: str = field("Of the containers that name none; by default the one that the pipeline builds.", default="")
+    player: Annotated[Ros1Player, Converted(Literal["ros1"] | Ros1Player, _player)] | None = field(
+        "What moves the pattern and asks for collections: ros1 for ours, in the image of the applications; by default "
+        "one of the containers does.",
+        default=None,
+    )
+    ros: Ros = field(ROS_HELP, default="none")
+    network: Network = field(NETWORK_HELP, default="private")
+    seconds: Seconds = field("A longer collection is stopped, and has failed.", default=SECONDS, key="timeout")
+    dataset: Text = field(
+        "The folder of the dataset; outside of {output} that of the last container.", default="{output}/dataset"
+    )
 
     def with_image(self, image: str) -> "Applications":
         """The same, in this image where a container names none."""
@@ -67,41 +85,31 @@ class Applications:
         return replace(self, containers=containers)
 
 
+def checked_applications(applications: Applications, place: Place) -> Applications:
+    """The applications as they run, with the values of their secrets, if their job can run.
+
+    Raises:
+        InputError: a secret is not set, or the job makes no sense; names the key.
+    """
+    named = applications.with_image(applications.image)
+    containers = tuple(with_secrets(each, str(place.below("containers").below(each.name))) for each in named.containers)
+    applications = replace(named, containers=containers)
+    if applications.player is not None and applications.ros != "1":
+        raise place.below("player").fault("ros1 needs a ROS master; add ros: 1")
+    try:  # what is wrong is found before anything runs
+        check_job(collection_job(applications.with_image("any"), "applications", "any", 1))
+    except InputError as error:
+        raise InputError(f"{place}: {error}") from None
+    return applications
+
+
 def applications_from(entry: Mapping[str, Any], folder: Path, where: str) -> Applications:
-    """Read what an entry of ``simulation`` in calibration.yml, which follows the schema, says of containers.
+    """Read a description of applications: the keys of an entry of ``simulation`` in calibration.yml that are theirs.
 
     Raises:
         InputError: a value is wrong; names the key.
     """
-    containers = tuple(
-        container_from(name, {"image": entry.get("image", ""), **container}, folder, f"{where}.containers.{name}")
-        for name, container in entry["containers"].items()
-    )
-    player = entry.get("player")
-    settings = {} if isinstance(player, str) else {k: v for k, v in (player or {}).items() if k != "kind"}
-    names: dict[str, Any] = {
-        key.replace("-", "_"): tuple(v) if isinstance(v, list) else v for key, v in settings.items()
-    }
-    applications = Applications(
-        containers,
-        player=Ros1Player(**names) if player is not None else None,
-        ros=_ros(entry),
-        network=entry.get("network", "private"),
-        seconds=parse_seconds(entry["timeout"], f"{where}.timeout") if "timeout" in entry else SECONDS,
-        dataset=entry.get("dataset", Applications.dataset),
-    )
-    if applications.player is not None and applications.ros != "1":
-        raise InputError(f"{where}.player: ros1 needs a ROS master; add ros: 1")
-    try:  # what is wrong is found before anything runs
-        check_job(collection_job(applications.with_image("any"), "applications", "any", 1))
-    except InputError as error:
-        raise InputError(f"{where}: {error}") from None
-    return applications
-
-
-def _ros(entry: Mapping[str, Any]) -> RosVersion:
-    versions: dict[str, RosVersion] = {"none": "none", "1": "1", "2": "2"}
-    return versions[str(entry.get("ros", "none"))]
+    return checked_applications(read(Applications, entry, where, folder), Place(where))
 
 
 def collection_job(
@@ -133,7 +141,7 @@ def collection_job(
     if applications.player is not None:
         # roslaunch answers 0 when a node has died: whatever it answers, it is too early
         containers = [replace(container, success=()) for container in containers]
-        containers.append(_player(applications, applications.player, mounts))
+        containers.append(_player_container(applications, applications.player, mounts))
     brought = [Artifact(dataset_place(applications, system, seed, scenario))]
     if applications.player is not None:
         brought.append(Artifact(REPORT, required=False))
@@ -156,7 +164,7 @@ def _values(system: str, seed: int, scenario: int) -> dict[str, str]:
     return {"output": OUTPUT, "motion": MOTION, "system": system, "seed": str(seed), "scenario": str(scenario)}
 
 
-def _player(applications: Applications, player: Ros1Player, mounts: tuple[Mount, ...]) -> Container:
+def _player_container(applications: Applications, player: Ros1Player, mounts: tuple[Mount, ...]) -> Container:
     options = {
         "--motion": MOTION,
         "--report": REPORT,

@@ -1,14 +1,17 @@
 """What came of a collection in simulation: the verdict, ``results.json``, a table of poses, JUnit."""
 
 import csv
+import dataclasses
 import io
 import math
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
+from calibration import records
 from calibration.errors import ExitCode
+from calibration.records import at_least, between, field
 from calibration.report import Outcome
 
 if TYPE_CHECKING:
@@ -23,15 +26,16 @@ SUMMARY_FILE = "summary.md"
 CONTACT_SHEET = "contact_sheet.png"
 
 
-@dataclass(frozen=True)
+Share = Annotated[float, between(0, 1)]
+
+
+@records.record
 class CollectionChecks:
     """What a collected dataset has to keep to; None where there is no limit."""
 
-    minimum_collections: int = 3
-    minimum_detection_rate: float | None = None
-    """Of every sensor, 0 to 1."""
-    minimum_coverage: float | None = None
-    """The share of every camera's image (of a grid's cells) where a corner was seen, 0 to 1."""
+    minimum_collections: Annotated[int, at_least(1)] = field("Fewer make it fail.", default=3)
+    minimum_detection_rate: Share | None = field("Share of the poses that every sensor detects.", default=None)
+    minimum_coverage: Share | None = field("Share of every image that the corners cover.", default=None)
     max_translation_mm: float | None = 5.0
     """Of the worst sensor against the truth, and of the worst length of a joint."""
     max_rotation_deg: float | None = 0.3
@@ -108,7 +112,7 @@ class CollectionResults:
     records: "tuple[Record, ...]"
     proof: "Proof | None"
     """None where no collection was kept."""
-    limits: CollectionChecks = field(default_factory=CollectionChecks)
+    limits: CollectionChecks = dataclasses.field(default_factory=CollectionChecks)
     failures: tuple[str, ...] = ()
     """Why the applications of a team collected nothing, or not everything."""
     error: ExitCode | None = None

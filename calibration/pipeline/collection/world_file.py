@@ -13,7 +13,7 @@ from calibration import __version__
 from calibration.errors import InputError
 from calibration.files import read_bytes, write_atomically
 from calibration.json_file import parse_json
-from calibration.json_schema import bundled, check_document
+from calibration.json_schema import check_document
 from calibration.simulation.scenarios.result import ScenarioResult
 from calibration.workflow.text import one_line, shorten
 
@@ -55,7 +55,7 @@ def read_world(folder: Path, expected: ScenarioResult, stillness: float | None) 
         document = parse_json(text)
     except (ValueError, RecursionError):
         raise InputError(f"{FILE}: this is no JSON") from None
-    check_document(document, bundled(SCHEMA), FILE, {})
+    check_document(document, json.loads(SCHEMA.read_text()), FILE)
     if document["version"] != __version__:
         raise InputError(
             f"{FILE}: made by calibration-ci {one_line(document['version'])}, this is {__version__}: "

@@ -18,13 +18,14 @@ import numpy as np
 
 from calibration import __version__
 from calibration.errors import InputError
+from calibration.estimation.options import Start
 from calibration.execution.backends import Place
 from calibration.execution.tasks import run_tasks
 from calibration.execution.workspace import identity, workspace
 from calibration.pipeline.matrix.cell import OUR_METHOD, CellResult
 from calibration.pipeline.matrix.judgement import judge_cells
 from calibration.pipeline.matrix.matrix import Done, Matrix, matrix_tasks
-from calibration.pipeline.system import Limits, Start, System
+from calibration.pipeline.system import Limits, System
 from calibration.records import document_of, read
 
 CELLS = "cells"
@@ -37,7 +38,7 @@ def sweep_matrices(matrix: Matrix, starts: Sequence[Start]) -> tuple[Matrix, ...
     """The matrix for each kind of start. The team's software starts from the given guess; it is run in that one only.
 
     Args:
-        matrix: systems, noise and loss; its own start does not count.
+        matrix: systems and noise; the systems' own starts do not count.
         starts: each once.
 
     Raises:
@@ -48,9 +49,15 @@ def sweep_matrices(matrix: Matrix, starts: Sequence[Start]) -> tuple[Matrix, ...
             raise InputError(f"start: found linear, but the software of {name} starts from the guess: add given")
         if not software.container.image:
             raise InputError(f"systems.{name}.software: missing image, or give image; nothing is built here")
-    systems = tuple(replace(system, compare=()) for system in matrix.systems)  # other methods take no start
-    ours = tuple(replace(system, software=None) for system in systems)
-    return tuple(replace(matrix, systems=systems if start == "given" else ours, start=start) for start in starts)
+    return tuple(
+        replace(matrix, systems=tuple(_starting(system, start) for system in matrix.systems)) for start in starts
+    )
+
+
+def _starting(system: System, start: Start) -> System:
+    """A system with another start, and without other methods, which take none."""
+    software = system.software if start == "given" else None
+    return replace(system, compare=(), software=software, options=replace(system.options, start=start))
 
 
 def run_sweep(
@@ -83,10 +90,11 @@ def run_sweep(
         work = stack.enter_context(workspace(output, _identity(matrices), _encoded, _decoded))
         cells = Path(stack.enter_context(TemporaryDirectory(dir=work.folder, ignore_cleanup_errors=True)))
         for matrix in matrices:
-            folder = cells / matrix.start
+            start = matrix.systems[0].options.start
+            folder = cells / start
             found = stack.enter_context(matrix_tasks(matrix, folder, output / CELLS))
             judge = partial(_judged, systems=matrix.systems, ours=folder, theirs=output / CELLS)
-            named = (replace(task, name=f"{matrix.start}/{task.name}") for task in (*found.cells, *found.references))
+            named = (replace(task, name=f"{start}/{task.name}") for task in (*found.cells, *found.references))
             tasks += [work.keeping(task.then(judge)) for task in named]
         results = run_tasks(tasks, output / CELLS, jobs, place, work.find, done)
     return _of_the_same_optimum(list(results.values()), matrices[0].systems)
@@ -94,7 +102,7 @@ def run_sweep(
 
 def _identity(matrices: Sequence[Matrix]) -> str:
     """What a cell depends on beside its noise: the versions, what is asked, and the files."""
-    asked = [(matrix.systems, matrix.start, matrix.loss) for matrix in matrices]
+    asked = [matrix.systems for matrix in matrices]
     files = [
         (str(path), status.st_size, status.st_mtime_ns)
         for system in matrices[0].systems
@@ -108,8 +116,8 @@ def _files(system: System) -> Iterator[Path]:
     """The files that a system's calibration reads."""
     folder = system.dataset if system.dataset.is_dir() else system.dataset.parent
     yield from (path for path in folder.rglob("*") if path.is_file())
-    for path in (system.intrinsics_covariance, Path(system.truth) if system.truth else None):
-        if path is not None and path.is_file():
+    for path in (system.options.intrinsics_covariance, Path(system.truth) if system.truth else None):
+        if isinstance(path, Path) and path.is_file():
             yield path
 
 

@@ -8,7 +8,6 @@ from typing import Literal, TypeAlias
 from calibration.errors import InputError
 from calibration.estimation.starting_noise import StartingNoise
 from calibration.introspection.numbers import number_text
-from calibration.pipeline.collection.request import ContainerRequest
 from calibration.pipeline.configuration import Configuration, Simulation
 from calibration.pipeline.distribution.slug import slugs
 from calibration.pipeline.matrix.cell import Cell
@@ -134,7 +133,7 @@ def datasets_as_configuration(datasets: Sequence[Path]) -> Configuration:
                 "or name the systems in a calibration.yml"
             )
         named[name] = System(name, dataset)
-    return Configuration(tuple(named.values()))
+    return Configuration(systems=tuple(named.values()))
 
 
 def plan_jobs(
@@ -184,8 +183,7 @@ def plan_jobs(
 
 
 def _runs_in_built_image(simulation: Simulation) -> bool:
-    request = simulation.request
-    return isinstance(request, ContainerRequest) and any(not c.image for c in request.applications.containers)
+    return any(not container.image for container in simulation.applications.containers)
 
 
 def _wanted(wishes: Wishes, systems: bool, simulations: bool) -> list[str]:

@@ -2,7 +2,6 @@
 
 import math
 import time
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from dataclasses import field as dataclass_field
 from pathlib import Path
@@ -15,10 +14,11 @@ from calibration.dataset.model import Dataset
 from calibration.dataset.truth import Truth
 from calibration.dataset.writing import write_dataset
 from calibration.errors import CalibrationError
-from calibration.estimation.calibrate import Options, calibrate
+from calibration.estimation.calibrate import calibrate
 from calibration.estimation.intrinsics import CalibratedIntrinsics
 from calibration.estimation.intrinsics_file import FILE_NAME as INTRINSICS
 from calibration.estimation.intrinsics_file import write_intrinsics
+from calibration.estimation.options import Loss, Options, Start
 from calibration.estimation.result import CalibratedJoint, Calibration
 from calibration.estimation.starting_noise import StartingNoise, with_starting_noise
 from calibration.evaluation.reprojection import reprojection
@@ -27,7 +27,6 @@ from calibration.evaluation.table import RMS_PIX, Table
 from calibration.evaluation.truth import truth_error
 from calibration.geometry.rotations import to_quaternion
 from calibration.introspection.numbers import number_text
-from calibration.pipeline.system import Loss, Start
 from calibration.records import field, record
 from calibration.report import Verdict
 from calibration.report.outcome import ErrorCode
@@ -43,22 +42,8 @@ class LoadedSystem:
     dataset: Dataset
     truth: Truth | None
     evaluation: Evaluation | None
-    intrinsics: tuple[str, ...] = ()
-    """Cameras whose intrinsics are calibrated too, or "all"."""
-    intrinsics_covariance: Mapping[str, CalibratedIntrinsics] = dataclass_field(default_factory=dict)
-    """How well intrinsics are known beforehand, by camera."""
-    hold: tuple[str, ...] = ()
-    """What stays as the dataset has it."""
-
-    def options(self, start: Start, loss: Loss) -> Options:
-        """How our engine calibrates it."""
-        return Options(
-            start,
-            loss,
-            hold=self.hold,
-            intrinsics=self.intrinsics,
-            intrinsics_covariance=self.intrinsics_covariance,
-        )
+    options: Options = dataclass_field(default_factory=Options)
+    """How our engine calibrates it."""
 
 
 @dataclass(frozen=True)
@@ -199,7 +184,8 @@ def run_cell(cell: Cell, system: LoadedSystem, output: Path, folder: str | None 
     begin = time.perf_counter()
     result = nothing_yet(cell)
     try:
-        calibration = calibrate(system.dataset, system.options(cell.start, cell.loss), cell.noise)
+        options = replace(system.options, start=cell.start, loss=cell.loss)
+        calibration = calibrate(system.dataset, options, cell.noise)
         result = _described(result, calibration)
         if np.isfinite(calibration.cost):
             result = _written(result, calibration.dataset, system, output, folder or cell.folder, calibration)

@@ -7,7 +7,7 @@ can be told apart.
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -16,7 +16,6 @@ from calibration.comparison.methods import METHODS, method_of
 from calibration.dataset.reading import read_dataset
 from calibration.dataset.truth import choose_truth
 from calibration.errors import InputError
-from calibration.estimation.intrinsics_file import read_intrinsics
 from calibration.estimation.starting_noise import StartingNoise
 from calibration.evaluation.specification import parse_evaluation
 from calibration.execution.backends import Place
@@ -33,7 +32,7 @@ from calibration.pipeline.matrix.cell import (
 )
 from calibration.pipeline.matrix.software import Software
 from calibration.pipeline.matrix.software_cell import software_task
-from calibration.pipeline.system import Loss, NoiseGrid, Start, System
+from calibration.pipeline.system import NoiseGrid, System
 from calibration.workflow.text import did_you_mean
 
 Done = Callable[[int, int, CellResult], None]
@@ -46,13 +45,15 @@ class Matrix:
 
     systems: tuple[System, ...]
     noise: NoiseGrid
-    start: Start = "linear"
-    loss: Loss = "huber"
 
     @property
     def cells(self) -> list[Cell]:
         """Every combination, system by system."""
-        return [Cell(system.name, noise, self.start, self.loss) for system in self.systems for noise in self._starts]
+        return [
+            Cell(system.name, noise, system.options.start, system.options.loss)
+            for system in self.systems
+            for noise in self._starts
+        ]
 
     @property
     def software(self) -> dict[str, Software]:
@@ -196,5 +197,5 @@ def load(system: System) -> LoadedSystem:
                 f"evaluation '{evaluation}': {dataset.path} has no sensor '{sensor}'"
                 f"{did_you_mean(sensor, dataset.sensors)} (sensors: {', '.join(dataset.sensors)})"
             )
-    known = read_intrinsics(system.intrinsics_covariance) if system.intrinsics_covariance else {}
-    return LoadedSystem(system.name, dataset, truth, evaluation, system.intrinsics, known, system.hold)
+    options = replace(system.options, intrinsics_covariance=system.options.known_intrinsics())
+    return LoadedSystem(system.name, dataset, truth, evaluation, options)

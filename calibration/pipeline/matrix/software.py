@@ -7,16 +7,17 @@ whose files are brought out, and ``{system}``, ``{translation_noise}`` (m), ``{r
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 from calibration.errors import InputError
-from calibration.execution.document import container_from
-from calibration.execution.job import OUTPUT, Artifact, Container, Job, Mount, Network
+from calibration.execution.document import with_secrets
+from calibration.execution.job import NETWORK_HELP, OUTPUT, Artifact, Container, Job, Mount, Network
 from calibration.execution.job_check import check_job
 from calibration.execution.placeholders import fill
-from calibration.execution.ros import RosVersion, with_ros
+from calibration.execution.ros import ROS_HELP, Ros, with_ros
+from calibration.records import Place, changed, field, length, read, record
 
 SOFTWARE = "software"
 """The method of its cells."""
@@ -24,39 +25,41 @@ DATASET, START = "/calibration/dataset", "/calibration/start"
 """Where it finds the two folders, read-only."""
 PLACEHOLDERS = ("dataset", "start", "output", "system", "translation_noise", "rotation_noise", "seed")
 EVERYTHING = Artifact(f"{OUTPUT}/*")
-OWN_KEYS = frozenset({"ros", "table", "calibrated", "network"})
-"""The keys of ``software`` in calibration.yml that are not the container's."""
+Pattern = Annotated[str, length(1)]
 
 
-@dataclass(frozen=True)
+@record
 class Software:
-    """What runs in every cell."""
+    """The team's own calibration, in the place of our engine, which then only compares.
 
-    container: Container
+    In its command {dataset}, {start} (the dataset with the noisy starting guess), {output}, {system},
+    {translation_noise}, {rotation_noise} and {seed} are filled in.
+    """
+
+    container: Container = field(flat=True, default_factory=Container)
     """Its command still has the placeholders; an empty image stands for the one that the pipeline builds."""
-    ros: RosVersion = "none"
-    network: Network = "private"
-    table: str | None = None
-    """A pattern for the path of its table among the artifacts; None for the only CSV file."""
-    calibrated: str | None = None
-    """A pattern for the path of its calibrated dataset, which is then held against the truth."""
+    ros: Ros = field(ROS_HELP, default="none")
+    network: Network = field(NETWORK_HELP, default="private")
+    table: Pattern | None = field("A pattern for the path of its table among the artifacts (*.csv).", default=None)
+    calibrated: Pattern | None = field(
+        "A pattern for the path of its calibrated dataset (JSON), which is held against the truth.", default=None
+    )
 
     def with_image(self, image: str) -> "Software":
         """The same in this image, unless it names its own."""
         return self if self.container.image else replace(self, container=replace(self.container, image=image))
 
 
-def software_from(entry: Mapping[str, Any], folder: Path, where: str) -> Software:
-    """Read an entry ``software`` of calibration.yml, which follows the schema.
+def checked_software(software: Software, place: Place) -> Software:
+    """The software as it runs, with the values of its secrets, if its job can run.
 
     Raises:
-        InputError: a value is wrong; names the key.
+        InputError: a secret is not set, or the job makes no sense; names the key.
     """
-    container = {key: value for key, value in entry.items() if key not in OWN_KEYS}
-    own: dict[str, Any] = {key: str(v) if key == "ros" else v for key, v in entry.items() if key in OWN_KEYS}
-    software = Software(container_from("calibration", container, folder, where), **own)
+    where = str(place)
     if not software.container.command:
         raise InputError(f"{where}: missing command, which calibrates {{start}} and writes its table to {{output}}")
+    software = replace(software, container=with_secrets(software.container, where))
     values = {**dict.fromkeys(PLACEHOLDERS, "0"), "output": OUTPUT}
     job = job_of(software.with_image("any"), "software", values, (), where)
     try:
@@ -64,6 +67,15 @@ def software_from(entry: Mapping[str, Any], folder: Path, where: str) -> Softwar
     except InputError as error:
         raise InputError(f"{where}: {error}") from None
     return software
+
+
+def software_from(entry: Mapping[str, Any], folder: Path, where: str) -> Software:
+    """Read an entry ``software`` of calibration.yml.
+
+    Raises:
+        InputError: a value is wrong; names the key.
+    """
+    return checked_software(read(Software, entry, where, folder), Place(where))
 
 
 def adjusted_software(software: Software | None, entry: Mapping[str, Any], folder: Path) -> Software:
@@ -77,17 +89,7 @@ def adjusted_software(software: Software | None, entry: Mapping[str, Any], folde
         if "image" not in entry or "command" not in entry:
             raise InputError(f"{where}: image and command belong together: what runs, and in which image")
         return software_from(entry, folder, where)
-    complete = {"image": software.container.image, "command": list(software.container.command), **entry}
-    asked = software_from(complete, folder, where)
-    limits = software.container.limits
-    if "memory" in entry:
-        limits = replace(limits, memory=asked.container.limits.memory)
-    if "timeout" in entry:
-        limits = replace(limits, seconds=asked.container.limits.seconds)
-    container = replace(software.container, image=asked.container.image, command=asked.container.command, limits=limits)
-    if "artifacts" in entry:
-        container = replace(container, artifacts=asked.container.artifacts)
-    return replace(software, container=container, **{key: getattr(asked, key) for key in OWN_KEYS if key in entry})
+    return checked_software(changed(software, entry, where, folder), Place(where))
 
 
 def job_of(software: Software, name: str, values: Mapping[str, str], mounts: tuple[Mount, ...], where: str) -> Job:
@@ -101,6 +103,7 @@ def job_of(software: Software, name: str, values: Mapping[str, str], mounts: tup
     artifacts = tuple(replace(artifact, path=path) for artifact, path in zip(container.artifacts, paths, strict=True))
     filled = replace(
         container,
+        name="calibration",
         command=fill(container.command, values, f"{where}.command"),
         artifacts=artifacts or (EVERYTHING,),
         mounts=(*container.mounts, *mounts),

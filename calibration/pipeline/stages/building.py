@@ -4,7 +4,6 @@ from dataclasses import replace
 
 from calibration.errors import WorldError
 from calibration.image.building import build_image
-from calibration.pipeline.collection.request import ContainerRequest
 from calibration.pipeline.configuration import Simulation
 from calibration.pipeline.results import ImageResult
 from calibration.pipeline.stages.running import Run
@@ -39,10 +38,7 @@ def _in_image(system: System, image: str) -> System:
 
 
 def _simulated_in(simulation: Simulation, image: str) -> Simulation:
-    request = simulation.request
-    if not isinstance(request, ContainerRequest):
-        return simulation
-    return replace(simulation, request=replace(request, applications=request.applications.with_image(image)))
+    return replace(simulation, applications=simulation.applications.with_image(image))
 
 
 def promote_stage(run: Run) -> Run:

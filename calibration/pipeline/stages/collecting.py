@@ -25,7 +25,7 @@ def collect_stage(run: Run) -> Run:
 
 def _collected(simulation: Simulation, run: Run) -> Collected:
     name, folder, begin = simulation.name, f"{COLLECTED}/{simulation.name}", time.perf_counter()
-    place = replace(run.place, backend=simulation.backend)
+    place = replace(run.place, backend=simulation.backend or EMBEDDED)
     try:
         with progress(run.runner, f"collect {name}", bar=simulation.backend == EMBEDDED) as advance:
 

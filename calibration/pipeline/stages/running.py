@@ -12,7 +12,6 @@ from calibration.errors import InputError
 from calibration.execution.backends import Place, imported
 from calibration.image.specification import ImageSpecification
 from calibration.pipeline.collection.collected import COLLECTED
-from calibration.pipeline.collection.request import ContainerRequest
 from calibration.pipeline.configuration import Simulation
 from calibration.pipeline.matrix.matrix import Matrix
 from calibration.pipeline.report import report, write_results
@@ -51,8 +50,7 @@ class Run:
     def wants_image(self) -> bool:
         """Whether a container has no image of its own."""
         software = [software.container for software in self.matrix.software.values()]
-        requests = [each.request for each in self.simulations]
-        theirs = [c for r in requests if isinstance(r, ContainerRequest) for c in r.applications.containers]
+        theirs = [container for each in self.simulations for container in each.applications.containers]
         return not all(container.image for container in (*software, *theirs))
 
 
@@ -122,5 +120,5 @@ def _placed(run: Run) -> Run:
 
 def _inputs(matrix: Matrix) -> list[Path]:
     folders = [system.dataset for system in matrix.systems]
-    known = [system.intrinsics_covariance for system in matrix.systems if system.intrinsics_covariance]
+    known = [path for system in matrix.systems if isinstance(path := system.options.intrinsics_covariance, Path)]
     return [path / "dataset.json" if path.is_dir() else path for path in folders] + known

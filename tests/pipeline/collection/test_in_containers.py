@@ -124,12 +124,12 @@ def test_one_of_the_containers_plays() -> None:
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"ros": "none"}, "x.player: ros1 needs a ROS master; add ros: 1"),
+        ({"ros": "none"}, "x: player: ros1 needs a ROS master; add ros: 1"),
         ({"containers": {"robot": {"command": "run {sed}"}}}, "did you mean 'seed'"),
         ({"containers": {"master": {"command": "run"}}}, "master"),
         ({"containers": {"robot": {"command": "run", "after": ["robt"]}}}, "robt"),
         ({"dataset": "data"}, "data"),
-        ({"timeout": "x"}, "x.timeout"),
+        ({"timeout": "x"}, "x: timeout: found 'x', expected a time"),
     ],
 )
 def test_what_is_wrong_is_said_before_anything_runs(changes: dict[str, Any], message: str) -> None:

@@ -4,10 +4,11 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from calibration.errors import ExitCode
+from calibration.estimation.options import Start
 from calibration.estimation.starting_noise import StartingNoise
 from calibration.pipeline.convergence.convergence_map import ConvergenceMap, maps_of
 from calibration.pipeline.matrix.cell import OUR_METHOD, Cell, CellResult, nothing_yet
-from calibration.pipeline.system import NoiseGrid, Start
+from calibration.pipeline.system import NoiseGrid
 
 
 def cell(

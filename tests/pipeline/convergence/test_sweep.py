@@ -36,8 +36,8 @@ def rules(maximum: float) -> System:
 def test_software_starts_from_the_guess_and_other_methods_are_left_out() -> None:
     system = replace(T2RGB, software=software(), compare=("shah",))
     given, linear = sweep_matrices(matrix(system), ("given", "linear"))
-    assert (given.start, list(given.software), given.comparisons) == ("given", ["t2rgb"], [])
-    assert (linear.start, linear.software, linear.comparisons) == ("linear", {}, [])
+    assert (given.systems[0].options.start, list(given.software), given.comparisons) == ("given", ["t2rgb"], [])
+    assert (linear.systems[0].options.start, linear.software, linear.comparisons) == ("linear", {}, [])
 
 
 def test_software_needs_a_given_start_and_an_image() -> None:

@@ -222,7 +222,7 @@ def edited(path: Path, change: Callable[[dict[str, Any]], object]) -> None:
     ("change", "message"),
     [
         (lambda d: d["cells"][0].update(verdict="pass"), "says pass, which its own numbers and reasons deny"),
-        (lambda d: d["cells"][0].update(rms_px=float("nan")), "NaN is no number"),
+        (lambda d: d["cells"][0].update(rms_px=float("nan")), "found NaN, a finite number was expected"),
         (lambda d: d["cells"][0].pop("converged"), r"cells\.0.*converged"),
         (lambda d: d.update(schema=2), "schema: found 2, expected 1"),
         (lambda d: d["cells"][0].update(rms_px="good"), r"cells\.0\.rms_px: found 'good', expected a number"),

@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 from calibration.errors import InputError
 from calibration.execution.job import Container
 from calibration.image.specification import ImageSpecification, parse_image_specification
-from calibration.pipeline.collection.request import CollectionRequest, ContainerRequest
 from calibration.pipeline.configuration import Configuration, Simulation, parse_applications
 from calibration.pipeline.distribution.needs import Needs, parse_needs
 from calibration.pipeline.distribution.plan import (
@@ -27,8 +26,8 @@ from calibration.pipeline.matrix.software import Software
 from calibration.pipeline.system import NoiseGrid, System
 
 ROBOT, ARM = System("robot", Path("data/robot")), System("arm", Path("data/arm"))
-FRESH = Simulation("fresh", CollectionRequest(Path("data/robot")))
-COLLECTED = replace(ROBOT, name="fresh", collected="fresh")
+FRESH = Simulation("fresh", Path("data/robot"))
+COLLECTED = replace(ROBOT, name="fresh", dataset=Path("simulation:fresh"))
 GRID = NoiseGrid((0.0, 0.5), (0.0, 0.1), (1, 2))
 
 
@@ -40,7 +39,7 @@ def planned(
     by_path: bool = False,
     **wishes: object,
 ) -> Plan:
-    configuration = Configuration(systems, simulations=simulations, image=section)
+    configuration = Configuration(systems=systems, simulations=simulations, image=section)
     return plan_jobs(configuration, systems, noise, Wishes(**wishes), by_path=by_path)  # type: ignore[arg-type]
 
 
@@ -170,11 +169,11 @@ def test_a_simulation_needs_the_image_where_a_container_names_none(
 ) -> None:
     entry = {"containers": {"sim": {"command": ["simulate"], **image}}, "truth": "none"}
     applications = parse_applications(entry, tmp_path, "simulation")
-    request = ContainerRequest("fresh", applications, None)
-    plan = planned(ROBOT, simulations=(Simulation("fresh", request),), section=image_section(True, tmp_path))
+    simulations = (Simulation("fresh", applications=applications),)
+    plan = planned(ROBOT, simulations=simulations, section=image_section(True, tmp_path))
     assert plan.image is built
     assert plan.collects_in_image is built
-    fork = planned(simulations=(Simulation("fresh", request),), section=image_section(True, tmp_path), push=False)
+    fork = planned(simulations=simulations, section=image_section(True, tmp_path), push=False)
     assert (fork.image, fork.collects_in_image) == (False, built)
 
 

@@ -14,6 +14,7 @@ from calibration.dataset.truth import truth_of
 from calibration.errors import ExitCode, InputError
 from calibration.estimation.calibrate import calibrate
 from calibration.estimation.intrinsics_file import read_intrinsics
+from calibration.estimation.options import Options
 from calibration.estimation.starting_noise import StartingNoise
 from calibration.evaluation.specification import parse_evaluation
 from calibration.pipeline.matrix import cell as cells
@@ -143,7 +144,9 @@ def test_a_method_that_fails_tells_nothing_of_itself(tmp_path: Path) -> None:
 
 def test_intrinsics_are_told_with_their_sigmas_and_left_for_the_next_run(tmp_path: Path) -> None:
     written = run_matrix(
-        Matrix((replace(T2RGB, intrinsics=("all",), hold=("intrinsics-left_camera-k3",)),), NOISES), tmp_path, 1
+        Matrix((replace(T2RGB, options=Options(intrinsics=("all",), hold=("intrinsics-left_camera-k3",))),), NOISES),
+        tmp_path,
+        1,
     )
     (cell,) = written.cells
     assert cell.verdict == "pass"
@@ -171,10 +174,10 @@ def test_intrinsics_are_told_with_their_sigmas_and_left_for_the_next_run(tmp_pat
     found = read_dataset(folder).sensors["left_camera"].camera
     assert found is not None
     np.testing.assert_array_equal(known["left_camera"].values, found.intrinsics[:8])
-    later = replace(T2RGB, dataset=folder, truth="none", intrinsics_covariance=folder / "intrinsics.json")
-    wider = run_matrix(
-        Matrix((later, replace(later, name="plain", intrinsics_covariance=None)), NOISES), tmp_path / "later", 1
+    later = replace(
+        T2RGB, dataset=folder, truth="none", options=Options(intrinsics_covariance=folder / "intrinsics.json")
     )
+    wider = run_matrix(Matrix((later, replace(later, name="plain", options=Options())), NOISES), tmp_path / "later", 1)
     sigmas = [[each["sigma_mm"] for each in c.details["transforms"] if each["sigma_mm"]] for c in wider.cells]
     assert min(sigmas[0]) > 2 * max(sigmas[1])
     assert wider.cells[0].rms_px == wider.cells[1].rms_px
@@ -182,7 +185,9 @@ def test_intrinsics_are_told_with_their_sigmas_and_left_for_the_next_run(tmp_pat
 
 
 def test_intrinsics_that_are_not_there_are_a_cell_s_bad_input(tmp_path: Path) -> None:
-    (cell,) = run_matrix(Matrix((replace(T2RGB, intrinsics=("middle_camera",)),), NOISES), tmp_path, 1).cells
+    (cell,) = run_matrix(
+        Matrix((replace(T2RGB, options=Options(intrinsics=("middle_camera",))),), NOISES), tmp_path, 1
+    ).cells
     assert cell.error == ExitCode.BAD_INPUT
     assert (
         "intrinsics: 'middle_camera' is no sensor, expected all or cameras (left_camera, right_camera)"
@@ -192,7 +197,11 @@ def test_intrinsics_that_are_not_there_are_a_cell_s_bad_input(tmp_path: Path) ->
 
 def test_a_wrong_covariance_stops_before_anything_is_calibrated(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"none\.json: a JSON document was expected"):
-        run_matrix(Matrix((replace(T2RGB, intrinsics_covariance=tmp_path / "none.json"),), NOISES), tmp_path, 1)
+        run_matrix(
+            Matrix((replace(T2RGB, options=Options(intrinsics_covariance=tmp_path / "none.json")),), NOISES),
+            tmp_path,
+            1,
+        )
 
 
 def test_the_summary_shows_joints_and_intrinsics_of_the_first_cell_that_passed() -> None:

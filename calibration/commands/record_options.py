@@ -1,0 +1,74 @@
+"""Options of commands that are the fields of a record: type, limits and help stand there."""
+
+import typing
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from types import NoneType, UnionType
+from typing import Any, Literal, TypeVar
+
+import click
+
+from calibration.commands.parameters import count, integer, list_of, non_negative, number, path, share, text
+from calibration.records import Constraint, Converted, flat_fields
+
+_Callback = TypeVar("_Callback", bound=Callable[..., Any])
+
+
+def option_keys(kind: type) -> tuple[str, ...]:
+    """The keys of a record, and of flat records in it, that are options of commands."""
+    return tuple(key for key, each in flat_fields(kind).items() if each.option is not False)
+
+
+def record_options(
+    kind: type, *keys: str, names: Mapping[str, str] | None = None, helps: Mapping[str, str] | None = None
+) -> Callable[[_Callback], _Callback]:
+    """Declare options for fields of a record.
+
+    Args:
+        kind: the record.
+        keys: of the fields, in the order of the options; all of `option_keys` unless given.
+        names: of options that are not called as their keys.
+        helps: the sentences of options that need others than the record has, by key.
+    """
+    fields = flat_fields(kind)
+
+    def declare(command: _Callback) -> _Callback:
+        for key in reversed(keys or option_keys(kind)):
+            own = fields[key].option
+            sentence = (helps or {}).get(key) or (own if isinstance(own, str) else fields[key].help)
+            click.option(f"--{(names or {}).get(key, key)}", type=_type_of(fields[key].type), help=sentence)(command)
+        return command
+
+    return declare
+
+
+def given(kind: type, options: Mapping[str, Any], *keys: str, names: Mapping[str, str] | None = None) -> dict[str, Any]:
+    """The document that the options of `record_options` make; an option that is not given, or empty, has no key."""
+    document = {}
+    for key in keys or option_keys(kind):
+        value = options.get((names or {}).get(key, key).replace("-", "_"))
+        if value not in (None, ()):
+            document[key] = list(dict.fromkeys(value)) if isinstance(value, tuple) else value
+    return {key: str(value) if isinstance(value, Path) else value for key, value in document.items()}
+
+
+def _type_of(kind: Any, limits: tuple[Constraint, ...] = ()) -> Any:
+    """The type of click's that reads a value of a field's type."""
+    origin, arguments = typing.get_origin(kind), typing.get_args(kind)
+    if origin is typing.Annotated:
+        special = next((each for each in arguments if isinstance(each, Converted)), None)
+        own = tuple(each for each in arguments if isinstance(each, Constraint))
+        return _type_of(special.accepts if special else arguments[0], (*limits, *own))
+    if origin in (typing.Union, UnionType):
+        return _type_of(next(each for each in arguments if each is not NoneType), limits)
+    if origin is Literal:
+        return click.Choice(list(dict.fromkeys(map(str, arguments))))
+    if origin is tuple:
+        return list_of(_type_of(arguments[0]))
+    bounds = {name: value for limit in limits for name, value in limit.schema.items()}
+    if kind is int:
+        return count if bounds.get("minimum") == 1 else integer
+    if kind is float:
+        least, most = bounds.get("minimum"), bounds.get("maximum")
+        return share if (least, most) == (0, 1) else non_negative if least == 0 else number
+    return path if kind is Path else text

@@ -1,0 +1,62 @@
+"""Options of a calibration, declared once: for commands, calibration.yml and the engine."""
+
+import dataclasses
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Literal
+
+from calibration.estimation.intrinsics import CalibratedIntrinsics
+from calibration.estimation.intrinsics_file import read_intrinsics
+from calibration.estimation.noise_levels import NoiseLevels
+from calibration.records import UNIQUE, Converted, field, length, record
+
+Start = Literal["linear", "given"]
+"""The engine's own linear start, or the noisy guess."""
+Loss = Literal["huber", "linear"]
+Names = Annotated[tuple[Annotated[str, length(1, 400)], ...], length(most=1000), UNIQUE]
+KnownIntrinsics = Path | Mapping[str, CalibratedIntrinsics]
+"""A file, or what it says, by camera."""
+
+
+@record
+class Options:
+    """How to calibrate."""
+
+    start: Start = field(
+        "linear: our own solution, which needs no guess. given: the noisy guess, as software under test must.",
+        default="linear",
+        option="Own linear start, or the noisy guess (linear).",
+    )
+    loss: Loss = field(
+        "huber: robust. linear: plain least squares.",
+        default="huber",
+        option="Robust, or plain least squares (huber).",
+    )
+    noise_levels: NoiseLevels = dataclasses.field(default_factory=NoiseLevels)
+    """Standard deviations of the labels; those not given are estimated."""
+    hold: Names = field(
+        "What stays as the dataset has it: sensors, transforms (parent-child), patterns, joints (joint-elbow, "
+        "joint-elbow-origin_yaw), intrinsics (intrinsics-left, intrinsics-left-k3).",
+        default=(),
+        option="What stays as it is: sensors, transforms, patterns, intrinsics-left-k3 ...",
+    )
+    intrinsics: Names = field(
+        "Cameras whose intrinsics are calibrated too, with their error bars; all for every one.",
+        default=(),
+        option="Cameras whose intrinsics are calibrated too, or all.",
+    )
+    intrinsics_covariance: Annotated[KnownIntrinsics, Converted(Path, lambda path, _: path)] | None = field(
+        "A JSON file that says how well intrinsics are known, such as the intrinsics.json of an earlier run: a prior "
+        "of those that are calibrated; the others stay, and the result's error bars are the wider.",
+        default=None,
+        option="JSON file of how well intrinsics are known: an earlier intrinsics.json.",
+    )
+
+    def known_intrinsics(self) -> Mapping[str, CalibratedIntrinsics]:
+        """How well intrinsics are known beforehand, by camera.
+
+        Raises:
+            InputError: the file cannot be read, or is none.
+        """
+        known = self.intrinsics_covariance
+        return read_intrinsics(known) if isinstance(known, Path) else known or {}
