@@ -2,10 +2,11 @@
 
 Knows nothing of calibration.
 
-- ``lines``, ``rate``: what is covered;
-- ``measuring``: tests run and measured in the team's own Python;
-- ``reports``: reports of others (coverage.py, Cobertura, LCOV);
-- ``repository``, ``paths``, ``changes``: the git repository, and what is covered of it and of a change;
-- ``commit``, ``services``: the commit that it is for, and who is told;
-- ``results``, ``badge``, ``presentation``: the verdict, and how it is shown.
+- ``upload``: the process of the command;
+- ``lines``: what is covered;
+- ``command``, ``tests``: what is run, and what came of it; ``injection``: how the team's own Python is measured;
+- ``data_file``, ``formats``, ``junit``: what coverage.py, other tools (Cobertura, LCOV) and pytest write;
+- ``repository``, ``sources``, ``reading``, ``changes``: what is covered of the repository, and of a change;
+- ``commit``, ``codacy``: the commit that it is for, and who is told;
+- ``results``, ``report``, ``badge``: the verdict, and how it is shown.
 """

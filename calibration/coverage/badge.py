@@ -1,6 +1,6 @@
 """A badge: an image for a README that says how much is covered, made without a service."""
 
-from calibration.coverage.rate import Rate
+from calibration.coverage.lines import Rate
 
 _LABEL = "coverage"
 _GOOD, _FAIR, _BAD, _NONE = "#3a7d1e", "#946200", "#b3261e", "#6b6b6b"

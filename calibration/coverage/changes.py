@@ -3,8 +3,7 @@
 import re
 from collections.abc import Iterable, Mapping
 
-from calibration.coverage.lines import FileCoverage
-from calibration.coverage.rate import Rate
+from calibration.coverage.lines import FileCoverage, Rate
 from calibration.coverage.repository import Repository
 from calibration.errors import InputError
 

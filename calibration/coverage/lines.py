@@ -1,9 +1,33 @@
-"""Which lines of files tests run, and how reports of the same files are combined."""
+"""Which lines of files tests run, how many of how many, and how reports of the same files are combined."""
 
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
-from calibration.coverage.rate import Rate
+
+@dataclass(frozen=True)
+class Rate:
+    """So many of so many."""
+
+    covered: int = 0
+    total: int = 0
+
+    def __add__(self, other: "Rate") -> "Rate":
+        return Rate(self.covered + other.covered, self.total + other.total)
+
+    @property
+    def percent(self) -> float | None:
+        """With two decimals, rounded down, so that only all is 100; None of nothing."""
+        return None if self.total == 0 else self.covered * 10_000 // self.total / 100
+
+    def reaches(self, minimum: float) -> bool:
+        """Whether it is at least so many percent; nothing reaches no limit."""
+        return self.total > 0 and self.covered * 100 >= minimum * self.total
+
+    def __str__(self) -> str:
+        if self.percent is None:
+            return "-"
+        return f"{math.floor(self.percent * 10) / 10:.1f} % ({self.covered} of {self.total})"
 
 
 @dataclass(frozen=True)

@@ -5,10 +5,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from calibration.coverage.lines import FileCoverage, ranges
-from calibration.coverage.rate import Rate
+from calibration.coverage.formats import tracefile
+from calibration.coverage.lines import FileCoverage, Rate, ranges
 from calibration.coverage.reading import Found
-from calibration.coverage.reports.lcov import tracefile
 from calibration.coverage.results import Results, Uploaded
 from calibration.errors import ExitCode
 from calibration.report import Lines, Outcome, Report, Table, outcome_of_check, verdict_of

@@ -4,10 +4,9 @@ import enum
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from calibration.coverage.lines import FileCoverage
-from calibration.coverage.measuring.tests import Tests
-from calibration.coverage.rate import Rate
+from calibration.coverage.lines import FileCoverage, Rate
 from calibration.coverage.reading import Found
+from calibration.coverage.tests import Tests
 from calibration.report import Check
 
 

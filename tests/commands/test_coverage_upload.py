@@ -17,7 +17,7 @@ from defusedxml.ElementTree import parse
 
 from calibration import coverage
 from calibration.__main__ import COMMANDS, LazyCommand, main, run_action
-from calibration.commands import coverage_upload
+from calibration.coverage.upload import Settings
 from tests.coverage import projects
 from tests.coverage.projects import NAMING, TOKEN, commit, git, robot, write
 from tests.processes import runs
@@ -538,4 +538,4 @@ def test_a_signal_stops_the_tests(root: Path, number: signal.Signals) -> None:
 
 
 def test_no_secret_in_what_is_printed_of_the_settings() -> None:
-    assert TOKEN not in repr(coverage_upload.Settings(project_token=TOKEN, api_token=TOKEN))
+    assert TOKEN not in repr(Settings(project_token=TOKEN, api_token=TOKEN))

@@ -5,8 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from calibration.coverage.changes import changed_lines, coverage_of_change, find_base
-from calibration.coverage.lines import FileCoverage
-from calibration.coverage.rate import Rate
+from calibration.coverage.lines import FileCoverage, Rate
 from calibration.coverage.repository import Repository
 from calibration.errors import InputError
 

@@ -10,10 +10,8 @@ from urllib.parse import urlsplit
 
 import pytest
 
-from calibration.coverage.lines import FileCoverage
-from calibration.coverage.rate import Rate
-from calibration.coverage.services.codacy import API_URL, Account, Codacy, parse_account, parse_api_url, report_body
-from calibration.coverage.services.service import Upload
+from calibration.coverage.codacy import API_URL, Account, Codacy, Upload, parse_account, parse_api_url, report_body
+from calibration.coverage.lines import FileCoverage, Rate
 from calibration.errors import InputError, WorldError
 from calibration.http import ATTEMPTS, FIRST_PAUSE, MAX_BYTES, Http, Limits
 from tests.engine import wait_until

@@ -3,7 +3,7 @@ from pathlib import Path
 
 import pytest
 
-from calibration.coverage.measuring.command import Command, parse_command
+from calibration.coverage.command import Command, parse_command
 from calibration.errors import InputError
 
 from .projects import write

@@ -3,8 +3,7 @@ from itertools import pairwise
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calibration.coverage.lines import FileCoverage, combined, ranges
-from calibration.coverage.rate import Rate
+from calibration.coverage.lines import FileCoverage, Rate, combined, ranges
 
 LINES = st.sets(st.integers(1, 60))
 FILES = st.builds(

@@ -7,10 +7,9 @@ from pathlib import Path
 import coverage
 import pytest
 
-from calibration.coverage.measuring.configuration import _option, team_settings, write_settings
-from calibration.coverage.measuring.injection import bring_coverage, measuring, plain
-from calibration.coverage.measuring.tests import Measurement, Tests, _Unittest, measured_environment, measurement
-from calibration.coverage.reports.junit import Tally
+from calibration.coverage.injection import _option, bring_coverage, measuring, plain, team_settings, write_settings
+from calibration.coverage.junit import Tally
+from calibration.coverage.tests import Measurement, Tests, _Unittest, measured_environment, measurement
 from calibration.errors import InputError
 
 from .projects import TOKEN

@@ -2,9 +2,9 @@ from pathlib import Path
 
 import pytest
 
+from calibration.coverage.formats import Report
 from calibration.coverage.lines import FileCoverage
-from calibration.coverage.paths import MAX_COPY, PathMap, mapped
-from calibration.coverage.reports.report import Report
+from calibration.coverage.reading import MAX_COPY, PathMap, mapped
 from calibration.coverage.repository import Repository
 
 from .projects import commit, write

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from calibration.coverage.measuring.process import run
+from calibration.coverage.tests import run
 from calibration.errors import InputError, WorldError
 from tests.engine import wait_until
 from tests.processes import runs
@@ -86,7 +86,7 @@ import os, sys
 from pathlib import Path
 from typing import Any
 from calibration import programs
-from calibration.coverage.measuring import process
+from calibration.coverage import tests as process
 from calibration.workflow.signals import terminate_cleanly
 programs.GRACE = 0.2
 try:

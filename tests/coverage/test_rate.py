@@ -2,7 +2,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calibration.coverage.rate import Rate
+from calibration.coverage.lines import Rate
 
 
 @pytest.mark.parametrize(

@@ -11,11 +11,10 @@ from typing import Any
 import pytest
 from coverage import CoverageData
 
-from calibration.coverage.lines import FileCoverage
-from calibration.coverage.rate import Rate
+from calibration.coverage import data_file
+from calibration.coverage.formats import MAX_BYTES
+from calibration.coverage.lines import FileCoverage, Rate
 from calibration.coverage.reading import Found, read_reports
-from calibration.coverage.reports import data_file
-from calibration.coverage.reports.report import MAX_BYTES
 from calibration.coverage.repository import Repository
 from calibration.coverage.sources import find_sources
 from calibration.errors import InputError, WorldError

@@ -9,14 +9,12 @@ from defusedxml.ElementTree import fromstring
 
 from calibration import coverage
 from calibration.coverage.badge import badge
-from calibration.coverage.lines import FileCoverage
-from calibration.coverage.measuring.tests import Tests
-from calibration.coverage.paths import Mapped
-from calibration.coverage.rate import Rate
-from calibration.coverage.reading import Found
+from calibration.coverage.junit import Failure, Tally
+from calibration.coverage.lines import FileCoverage, Rate
+from calibration.coverage.reading import Found, Mapped
 from calibration.coverage.report import remarks, report
-from calibration.coverage.reports.junit import Failure, Tally
 from calibration.coverage.results import Change, Limit, Results, Uploaded
+from calibration.coverage.tests import Tests
 from calibration.errors import ExitCode
 from calibration.report.junit import junit_xml
 from calibration.workflow import Runner, annotate

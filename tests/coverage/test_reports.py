@@ -7,11 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calibration.coverage.lines import FileCoverage
-from calibration.coverage.rate import Rate
-from calibration.coverage.reports.cobertura import parse_cobertura
-from calibration.coverage.reports.junit import Failure, Tally, parse_junit
-from calibration.coverage.reports.lcov import parse_lcov, tracefile
+from calibration.coverage.formats import parse_cobertura, parse_lcov, tracefile
+from calibration.coverage.junit import Failure, Tally, parse_junit
+from calibration.coverage.lines import FileCoverage, Rate
 from calibration.errors import InputError
 
 COBERTURA = """<?xml version="1.0" ?>

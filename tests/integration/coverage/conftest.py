@@ -8,13 +8,12 @@ from pathlib import Path
 
 import pytest
 
-from calibration.coverage.measuring.command import parse_command
-from calibration.coverage.measuring.configuration import team_settings
-from calibration.coverage.measuring.injection import plain
-from calibration.coverage.measuring.tests import Measurement, Tests, measured_environment, measurement, run_tests
+from calibration.coverage.command import parse_command
+from calibration.coverage.injection import plain, team_settings
 from calibration.coverage.reading import Found, read_reports
 from calibration.coverage.repository import Repository
 from calibration.coverage.sources import find_sources
+from calibration.coverage.tests import Measurement, Tests, measured_environment, measurement, run_tests
 from calibration.workflow import Runner
 from tests.coverage.projects import TOKEN, robot
 

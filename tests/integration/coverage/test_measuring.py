@@ -6,9 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from calibration.coverage.lines import FileCoverage
-from calibration.coverage.rate import Rate
-from calibration.coverage.reports.junit import Tally
+from calibration.coverage.junit import Tally
+from calibration.coverage.lines import FileCoverage, Rate
 from calibration.errors import InputError, WorldError
 from tests.coverage.projects import NAMING, TOKEN, commit, git, write
 

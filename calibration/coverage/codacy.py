@@ -8,11 +8,36 @@ from typing import NoReturn
 from urllib.parse import quote, urlsplit
 
 from calibration.coverage.lines import FileCoverage
-from calibration.coverage.services.service import Request, Upload
 from calibration.coverage.sources import language_of
 from calibration.errors import InputError, WorldError
 from calibration.http import Answer, Http, is_loopback
 from calibration.workflow.text import shorten
+
+
+@dataclass(frozen=True)
+class Upload:
+    """What a service is to be told."""
+
+    commit: str
+    files: Mapping[str, FileCoverage]
+    """By path in the repository."""
+    partial: bool = False
+    """Other jobs tell more of this commit."""
+    final: bool = False
+    """Nothing more is told of this commit."""
+
+
+@dataclass(frozen=True)
+class Request:
+    """One request of HTTP, a POST of JSON."""
+
+    what: str
+    """In a few words, for the log."""
+    url: str
+    body: bytes
+    headers: Mapping[str, str] = field(repr=False)
+    """With the token."""
+
 
 API_URL = "https://api.codacy.com"
 PROVIDERS = ("gh", "ghe", "gl", "gle", "bb", "bbe", "manual")
@@ -93,19 +118,15 @@ class Codacy:
         return Request(what, self.api_url + path, body, headers)
 
     def _report_path(self, commit: str, language: str) -> str:
-        language = quote(language, safe="")
-        if self.account.provider is None:
-            return f"/2.0/coverage/{commit}/{language}"
-        return f"/2.0/{self._repository_path()}/commit/{commit}/coverage/{language}"
+        place = f"commit/{commit}/coverage" if self.account.provider else f"coverage/{commit}"
+        return f"/2.0/{self._repository_path()}{place}/{quote(language, safe='')}"
 
     def _final_path(self, commit: str) -> str:
-        if self.account.provider is None:
-            return f"/2.0/commit/{commit}/coverageFinal"
-        return f"/2.0/{self._repository_path()}/commit/{commit}/coverageFinal"
+        return f"/2.0/{self._repository_path()}commit/{commit}/coverageFinal"
 
     def _repository_path(self) -> str:
         parts = (self.account.provider, self.account.organisation, self.account.repository)
-        return "/".join(quote(part or "", safe="") for part in parts)
+        return "".join(f"{quote(part, safe='')}/" for part in parts if part)
 
 
 def report_body(files: Mapping[str, FileCoverage]) -> bytes:

@@ -1,27 +1,78 @@
-"""The team's tests, run and judged: by their exit code, and by how many ran."""
+"""The team's tests: run, measured, and judged by their exit code and by how many ran."""
 
 import json
+import os
 import re
+import selectors
 import signal
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from calibration.coverage.measuring.command import Command
-from calibration.coverage.measuring.configuration import write_settings
-from calibration.coverage.measuring.injection import bring_coverage, measuring
-from calibration.coverage.measuring.process import run
-from calibration.coverage.reports.data_file import measured_names
-from calibration.coverage.reports.junit import Tally, parse_junit
-from calibration.coverage.reports.report import MAX_BYTES
-from calibration.errors import InputError
+from calibration.coverage.command import Command
+from calibration.coverage.data_file import measured_names
+from calibration.coverage.formats import MAX_BYTES
+from calibration.coverage.injection import bring_coverage, measuring, write_settings
+from calibration.coverage.junit import Tally, parse_junit
+from calibration.errors import InputError, WorldError
 from calibration.execution.log_file import LogFile
 from calibration.files import read_bytes
+from calibration.programs import has_ended, started
 from calibration.workflow.runner import Runner
 from calibration.workflow.streams import LogDisplay
 from calibration.workflow.text import one_line, shorten
+
+_PAUSE = 0.1
+
+
+def run(
+    arguments: Sequence[str],
+    directory: Path,
+    environment: Mapping[str, str],
+    seconds: float,
+    feed: Callable[[bytes], None],
+) -> int:
+    """Run a program, and return its exit code (below 0: of the signal that killed it).
+
+    Whatever it leaves running in its process group is ended too, then and when this is interrupted.
+
+    Args:
+        arguments: the program first.
+        directory: that it runs in.
+        environment: all its variables.
+        seconds: that it may take.
+        feed: is given its output and its errors as they come.
+
+    Raises:
+        InputError: it cannot be started.
+        WorldError: it takes longer.
+    """
+    deadline = time.monotonic() + seconds
+    with ExitStack() as stack, selectors.DefaultSelector() as selector:
+        try:
+            process = stack.enter_context(started(arguments, environment, directory))
+        except (OSError, ValueError) as error:
+            raise InputError(f"run: {arguments[0]} cannot be started: {error}") from None
+        if process.stdout is None:
+            raise AssertionError("its output is a pipe")
+        selector.register(process.stdout, selectors.EVENT_READ)
+        more = True
+        while True:
+            if time.monotonic() > deadline:
+                raise WorldError(f"the tests took longer than {seconds:g} s (timeout) and were stopped")
+            if more and selector.select(_PAUSE):
+                data = os.read(process.stdout.fileno(), 64 * 1024)
+                feed(data)
+                more = bool(data)
+            elif has_ended(process):  # what it has started may go on, and hold the output open
+                break
+            elif not more:
+                time.sleep(_PAUSE)
+    return process.returncode
+
 
 _RAN = re.compile(r"Ran ([0-9]{1,9}) tests? in ")
 _FAILED = re.compile(r"FAILED \((.*)\)")

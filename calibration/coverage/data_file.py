@@ -12,10 +12,8 @@ from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from calibration.coverage.measuring.configuration import write_settings
-from calibration.coverage.measuring.injection import REPORTER, bring_coverage, reporting
-from calibration.coverage.reports.cobertura import parse_cobertura
-from calibration.coverage.reports.report import MAX_BYTES, MAX_LINE, Report
+from calibration.coverage.formats import MAX_BYTES, MAX_LINE, Report, parse_cobertura
+from calibration.coverage.injection import REPORTER, bring_coverage, reporting, write_settings
 from calibration.errors import InputError, WorldError
 from calibration.files import read_bytes
 from calibration.workflow.text import one_line, shorten

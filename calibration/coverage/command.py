@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 
-from calibration.coverage.measuring.injection import plain
+from calibration.coverage.injection import plain
 from calibration.errors import InputError
 
 _PYTEST = ("pytest", "py.test")

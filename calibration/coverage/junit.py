@@ -4,7 +4,7 @@ import re
 from dataclasses import dataclass
 from xml.etree.ElementTree import Element
 
-from calibration.coverage.reports.xml import elements
+from calibration.coverage.formats import elements
 from calibration.errors import InputError
 from calibration.workflow.text import one_line, shorten
 

@@ -1,1 +1,0 @@
-"""Services that keep the coverage of commits and show it."""

@@ -1,0 +1,273 @@
+"""The process of ``coverage-upload``: tests are run or reports read, judged, told to a service, and reported."""
+
+import os
+import tempfile
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from calibration.coverage.badge import badge
+from calibration.coverage.changes import changed_lines, coverage_of_change, find_base
+from calibration.coverage.codacy import API_URL, Account, Codacy, Request, Upload, parse_account, parse_api_url
+from calibration.coverage.command import parse_command
+from calibration.coverage.commit import Event, find_commit
+from calibration.coverage.injection import plain, team_settings
+from calibration.coverage.reading import Found, read_reports
+from calibration.coverage.report import LCOV, report, what_is_left_out
+from calibration.coverage.repository import Repository
+from calibration.coverage.results import Change, Limit, Results, Uploaded
+from calibration.coverage.sources import Sources, find_sources
+from calibration.coverage.tests import Tests, measured_environment, measurement, run_tests
+from calibration.errors import ExitCode, InputError, WorldError
+from calibration.execution.sizes import parse_seconds
+from calibration.files import matching, write_atomically
+from calibration.report import FILES, publish, remove_results
+from calibration.workflow import Runner, set_outputs
+from calibration.workflow.text import one_line
+
+SERVICES = ("codacy", "none")
+CLOCK = 2.0
+"""Seconds by which the times of files may be wrong."""
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What ``coverage-upload`` is asked."""
+
+    run: str | None = None
+    reports: tuple[str, ...] = ()
+    directory: Path = Path()
+    interpreter: str | None = None
+    source: tuple[str, ...] = ()
+    exclude: tuple[str, ...] | None = None
+    timeout: str = "30m"
+    goal: float = 60.0
+    minimum: float | None = None
+    minimum_change: float | None = None
+    base: str | None = None
+    badge: Path | None = None
+    service: str = SERVICES[0]
+    project_token: str | None = field(default=None, repr=False)
+    api_token: str | None = field(default=None, repr=False)
+    provider: str | None = None
+    organisation: str | None = None
+    repository: str | None = None
+    api_url: str | None = None
+    language: str | None = None
+    partial: bool = False
+    final: bool = False
+    if_token_missing: str = "fail"  # noqa: S105 (no password)
+    commit: str | None = None
+    dry_run: bool = False
+    output: Path | None = None
+    """Folder for results.json, junit.xml, summary.md, and what the tests wrote."""
+
+
+def upload(settings: Settings, runner: Runner) -> ExitCode:
+    """Run the tests or read reports, judge, tell the service, and report.
+
+    Raises:
+        InputError: an input or a report is wrong or missing.
+        WorldError: the tests take too long, or a result cannot be written. A result of an earlier run
+            is removed first, so that none is mistaken for this one's.
+    """
+    if settings.output is not None:
+        uploads = [file.name for file in settings.output.glob("upload-*.json")]
+        remove_results(settings.output, (*FILES, LCOV, "tests.xml", "tests.log", *uploads))
+    _check(settings)
+    repository = Repository.around(settings.directory)
+    event = Event.from_environment(os.environ)
+    commit, source = find_commit(settings.commit, event, repository)
+    runner.log(f"commit {commit} ({source})")
+    service, skipped = _service(settings, event)
+    if settings.run is None and not settings.reports:
+        return _only_final(settings, commit, service, skipped, runner)
+    with tempfile.TemporaryDirectory(prefix="calibration-coverage-") as folder:
+        results = _judged(settings, repository, event, commit, Path(folder), runner)
+    results = replace(results, service=settings.service)
+    results = _told(results, settings, service, skipped, runner)
+    if settings.badge is not None:
+        write_atomically(settings.badge, badge(results.lines, results.goal))
+    found = report(results, settings.directory, settings.badge)
+    publish(found, runner, settings.output)
+    return found.exit_code
+
+
+def _check(settings: Settings) -> None:
+    for name, known in (("service", SERVICES), ("if_token_missing", ("fail", "skip"))):
+        if (found := getattr(settings, name)) not in known:
+            raise InputError(f"{name.replace('_', '-')}: found {found!r}, expected {' or '.join(known)}")
+    if settings.partial and settings.final:
+        raise InputError("partial and final are both given: either more uploads follow, or this is the last one")
+    if settings.run is None and not settings.reports and not settings.final:
+        raise InputError("neither run nor reports is given: say how the tests run, or which reports there are")
+    if settings.interpreter and settings.run is None:
+        raise InputError("interpreter is given without run, which it is for")
+
+
+def _service(settings: Settings, event: Event) -> tuple[Codacy | None, str]:
+    """Who is told, or None and why not.
+
+    Raises:
+        InputError: there is no token, and there should be one; or what belongs to it is wrong.
+    """
+    if settings.service == "none":
+        return None, ""
+    account = parse_account(
+        settings.project_token, settings.api_token, settings.provider, settings.organisation, settings.repository
+    )
+    if account is None and settings.dry_run:
+        account = Account("", settings.provider, settings.organisation, settings.repository)
+    if account is not None:
+        return Codacy(account, parse_api_url(settings.api_url or API_URL), settings.language), ""
+    if event.without_secrets is not None:
+        return None, event.without_secrets
+    if settings.if_token_missing == "skip":  # noqa: S105 (no password)
+        return None, "there is no token"
+    raise InputError(
+        "CODACY_PROJECT_TOKEN is not set, nor CODACY_API_TOKEN: put the token there (in the action: project-token), "
+        "or say service: none"
+    )
+
+
+def _judged(
+    settings: Settings, repository: Repository, event: Event, commit: str, folder: Path, runner: Runner
+) -> Results:
+    """Run the tests where there are any to run, and judge what they cover."""
+    sources = find_sources(repository, settings.directory, map(Path, settings.source), settings.exclude)
+    options = team_settings(settings.directory)
+    base, no_change = _base(settings, repository, event)
+    tests: Tests | None = None
+    files: list[Path] = []
+    executable = None
+    begin = time.time()
+    if settings.run is not None:
+        tests, files, executable = _run(settings, sources, options, folder, runner)
+    failed = tests is not None and tests.problem is not None
+    try:
+        if settings.reports:
+            files = _reports(settings, None if tests is None else begin)
+        found = read_reports(files, sources, options, _made(folder / "reading"), executable)
+    except InputError as error:
+        if not failed:
+            raise
+        found = Found.nothing()  # tests that fail need not write a report
+        runner.log(one_line(f"no coverage: {error}"))
+    change = None
+    if base is not None:
+        change = Change(base, *coverage_of_change(changed_lines(repository.difference(base)), found.files))
+    results = Results(found, settings.goal, commit, tests, change, no_change)
+    if results.lines.total == 0 and not failed:
+        why = "; ".join(["the reports speak of no file that counts (source, exclude)", *what_is_left_out(found)])
+        raise InputError(f"no line was found that can be run: {why}")
+    limits = []
+    if settings.minimum is not None:
+        limits.append(Limit("minimum", settings.minimum, results.lines))
+    if settings.minimum_change is not None and change is not None:
+        limits.append(Limit("minimum-change", settings.minimum_change, change.rate, of_change=True))
+    return replace(results, limits=tuple(limits))
+
+
+def _base(settings: Settings, repository: Repository, event: Event) -> tuple[str | None, str]:
+    """The commit that the change set out from; or None, and why there is none.
+
+    Raises:
+        InputError: it is asked for, and cannot be found.
+    """
+    try:
+        return find_base(repository, settings.base, event.bases), ""
+    except InputError as error:
+        if settings.base is not None or settings.minimum_change is not None:
+            raise
+        return None, str(error)
+
+
+def _reports(settings: Settings, begin: float | None) -> list[Path]:
+    """The files of the reports.
+
+    Raises:
+        InputError: a pattern matches none, or one is older than the run of the tests that should have written it.
+    """
+    files = [Path(file) for file in matching([str(settings.directory / name) for name in settings.reports])]
+    for file in files:
+        if begin is not None and file.exists() and file.stat().st_mtime < begin - CLOCK:
+            raise InputError(f"{file}: it is older than this run of the tests, which should have written it (reports)")
+    return files
+
+
+def _run(
+    settings: Settings, sources: Sources, options: Mapping[str, Any], folder: Path, runner: Runner
+) -> tuple[Tests, list[Path], str | None]:
+    """Run the tests; what came of them, the data that was measured, and the Python that measured."""
+    seconds = parse_seconds(settings.timeout, "timeout")
+    output = (settings.output or folder).absolute()
+    environment = plain(os.environ)
+    called = parse_command(
+        settings.run or "", settings.directory, settings.interpreter, environment, output / "tests.xml"
+    )
+    if not settings.reports:  # else the tests measure themselves
+        environment = measured_environment(os.environ, options, sources.measured(), _made(folder / "measuring"))
+    log = output / "tests.log"
+    secrets = tuple(filter(None, (settings.project_token, settings.api_token)))
+    tests = run_tests(called, settings.directory, environment, seconds, runner, log, secrets)
+    if settings.reports:
+        return tests, [], None
+    measured = measurement(folder / "measuring")
+    for problem in measured.problems:
+        runner.log(one_line(problem))
+    if not measured.files and tests.problem is None:
+        why = "; ".join(measured.problems) or (
+            "no Python was started that heeds PYTHONPATH; tests that measure themselves name their report (reports)"
+        )
+        raise InputError(f"run: the tests passed, and nothing was measured: {why}")
+    return tests, list(measured.files), measured.executable
+
+
+def _only_final(settings: Settings, commit: str, service: Codacy | None, skipped: str, runner: Runner) -> ExitCode:
+    """Say that nothing more is told of the commit."""
+    state = Uploaded.NONE if settings.service == "none" else Uploaded.SKIPPED
+    if service is not None:
+        requests = service.requests(Upload(commit, {}, final=True))
+        state = _send(service, requests, settings, runner)
+    set_outputs(runner, {"uploaded": state.value, "commit": commit})
+    runner.log(f"{state}{f': {skipped}' if skipped else ''}: nothing more is told of {commit}")
+    return ExitCode.PASS
+
+
+def _told(results: Results, settings: Settings, service: Codacy | None, skipped: str, runner: Runner) -> Results:
+    """Tell the service, and say what came of it."""
+    if service is None:
+        state = Uploaded.NONE if settings.service == "none" else Uploaded.SKIPPED
+        return replace(results, uploaded=state, upload_reason=skipped)
+    if results.lines.total == 0:
+        return replace(results, uploaded=Uploaded.SKIPPED, upload_reason="nothing was measured")
+    upload = Upload(results.commit, results.files, settings.partial, settings.final)
+    try:
+        return replace(results, uploaded=_send(service, service.requests(upload), settings, runner))
+    except WorldError as error:
+        return replace(results, uploaded=Uploaded.FAILED, upload_reason=str(error))
+
+
+def _send(service: Codacy, requests: Sequence[Request], settings: Settings, runner: Runner) -> Uploaded:
+    """Send the requests, or only show them.
+
+    Raises:
+        WorldError: the service did not take one.
+    """
+    for request in requests:
+        verb = "would be sent" if settings.dry_run else "goes"
+        runner.log(one_line(f"{request.what}: {len(request.body)} bytes of JSON {verb} to {request.url}"))
+    if settings.dry_run:
+        for number, request in enumerate(requests, 1):
+            if settings.output is not None:
+                write_atomically(settings.output / f"upload-{number}.json", request.body)
+        return Uploaded.DRY_RUN
+    service.send(requests)
+    return Uploaded.YES
+
+
+def _made(folder: Path) -> Path:
+    folder.mkdir()
+    return folder
