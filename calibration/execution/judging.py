@@ -130,7 +130,7 @@ class Judge:
                 name = container.container.name
                 self.fail(f"container '{name}' was never started: another ended the job", ExitCode.FAIL)
         if not self.reasons and not any(c.end == End.EXITED for c in essential):
-            raise AssertionError("a job that nothing essential has ended has failed")
+            self.fail("nobody knows how the job ended", ExitCode.WORLD)
         if self.reasons:  # what else went wrong may be why
             others = [c for c in containers if not c.container.essential and c is not early]
             self.reasons += [self._clean(failure) for c in others if (failure := failure_of(c)) is not None]

@@ -7,29 +7,26 @@ import base64
 import json
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING
+
+import docker.errors
+import requests
+from docker import APIClient
 
 from calibration.docker.engine import engine_errors
 from calibration.execution.bringing_out import Archive, NothingThereError, Opener
-
-if TYPE_CHECKING:
-    from docker import APIClient
 
 _CHUNK = 1024**2
 _FACTS = "X-Docker-Container-Path-Stat"
 
 
 @contextmanager
-def open_archive(api: "APIClient", container: str, path: str) -> Iterator[Archive]:
+def open_archive(api: APIClient, container: str, path: str) -> Iterator[Archive]:
     """Read a file or folder.
 
     Raises:
         docker.errors.NotFound: there is none.
         docker.errors.APIError: the engine refuses.
     """
-    import docker.errors
-    import requests
-
     headers = {"Accept-Encoding": "identity"}
     response = api.get(
         _address(api, container), params={"path": path}, headers=headers, stream=True, timeout=api.timeout
@@ -45,9 +42,8 @@ def open_archive(api: "APIClient", container: str, path: str) -> Iterator[Archiv
         response.close()
 
 
-def opener_of(api: "APIClient", container: str, name: str) -> Opener:
+def opener_of(api: APIClient, container: str, name: str) -> Opener:
     """What opens the files of a container, whose name is for messages."""
-    import docker.errors
 
     @contextmanager
     def opened(path: str) -> Iterator[Archive]:
@@ -61,11 +57,11 @@ def opener_of(api: "APIClient", container: str, name: str) -> Opener:
     return opened
 
 
-def exists(api: "APIClient", container: str, path: str) -> bool:
+def exists(api: APIClient, container: str, path: str) -> bool:
     """Whether there is a file or folder."""
     with api.head(_address(api, container), params={"path": path}, timeout=api.timeout) as response:
         return response.ok
 
 
-def _address(api: "APIClient", container: str) -> str:
+def _address(api: APIClient, container: str) -> str:
     return f"{api.base_url}/v{api.api_version}/containers/{container}/archive"

@@ -5,7 +5,11 @@ import time
 from collections.abc import Mapping
 from contextlib import ExitStack
 from queue import SimpleQueue
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import docker.errors
+from docker import APIClient, DockerClient
+from requests import Response
 
 from calibration.docker.engine import Engine, engine_errors, lost
 from calibration.errors import CalibrationError
@@ -17,10 +21,6 @@ from calibration.execution.judging import how_it_ended
 from calibration.execution.log_file import LogFile
 from calibration.execution.outcome import End
 from calibration.execution.supervision import Supervised
-
-if TYPE_CHECKING:
-    from docker import APIClient, DockerClient
-    from requests import Response
 
 GRACE = 5
 """Seconds between the polite and the impolite request to end."""
@@ -36,14 +36,15 @@ class ContainerRun(Supervised):
         super().__init__(container)
         self.image = image
         self.log = log.path
-        self.id: str | None = None
+        self.id = ""
+        """Of the engine; empty until it has been created."""
         self._output = log
         self._engine = engine
         self._probe: Probe | None = None
         self._follower: threading.Thread | None = None
         self._problem: CalibrationError | None = None
 
-    def create(self, api: "APIClient", prefix: str, settings: Mapping[str, Any]) -> str:
+    def create(self, api: APIClient, prefix: str, settings: Mapping[str, Any]) -> str:
         """Create it under a name that nothing else has.
 
         Returns:
@@ -52,19 +53,17 @@ class ContainerRun(Supervised):
         Raises:
             docker.errors.APIError: the engine refuses.
         """
-        import docker.errors
-
-        for attempt in range(_TRIES):
+        tries = _TRIES
+        while not self.id:
             try:
                 self.id = api.create_container(self.image, name=f"{prefix}-{new_run()}", **settings)["Id"]
             except docker.errors.APIError as error:
-                if error.status_code != 409 or attempt == _TRIES - 1:
+                tries -= 1
+                if error.status_code != 409 or not tries:
                     raise
-            else:
-                return self.id
-        raise AssertionError("either created or refused")
+        return self.id
 
-    def start(self, api: "APIClient", ends: "SimpleQueue[ContainerRun]", host_network: bool) -> None:
+    def start(self, api: APIClient, ends: "SimpleQueue[ContainerRun]", host_network: bool) -> None:
         """Start it, with its log followed; it is put into the queue when it has ended.
 
         Raises:
@@ -74,24 +73,17 @@ class ContainerRun(Supervised):
             client = self._engine.client()
             opened.callback(client.close)
             # before it starts, so that nothing of its output is missed
-            stream = opened.enter_context(attach(client.api, self.identifier))
-            api.start(self.identifier)
+            stream = opened.enter_context(attach(client.api, self.id))
+            api.start(self.id)
             opened.pop_all()  # they are the follower's now
         self.started = time.monotonic()
         if self.container.readiness is not None:
-            self._probe = Probe(api, self.identifier, self.container.readiness, host_network)
+            self._probe = Probe(api, self.id, self.container.readiness, host_network)
         self.ready = self._probe is None
         self._follower = threading.Thread(
             target=self._follow, args=(client, stream, ends), name=f"log of {self.name}", daemon=True
         )
         self._follower.start()
-
-    @property
-    def identifier(self) -> str:
-        """Its id; it has been created."""
-        if self.id is None:
-            raise AssertionError("it has been created")
-        return self.id
 
     def look(self) -> None:
         """Ask the engine whether it is ready; a container that ends meanwhile is not.
@@ -99,8 +91,6 @@ class ContainerRun(Supervised):
         Raises:
             EngineLostError: the engine does not answer.
         """
-        import docker.errors
-
         if not self.ready and self._probe is not None:
             with engine_errors():
                 try:
@@ -125,7 +115,7 @@ class ContainerRun(Supervised):
         if self._problem is not None:
             raise self._problem
 
-    def read_end(self, api: "APIClient", ours: End | None) -> None:
+    def read_end(self, api: APIClient, ours: End | None) -> None:
         """Ask the engine how it ended.
 
         Args:
@@ -136,11 +126,11 @@ class ContainerRun(Supervised):
             EngineLostError: the engine does not answer.
         """
         with engine_errors(f"container '{self.name}'"):
-            state = api.inspect_container(self.identifier)["State"]
+            state = api.inspect_container(self.id)["State"]
             settled = time.monotonic() + (_SETTLING if self.container.limits.memory is not None else 0)
             while not state.get("OOMKilled") and time.monotonic() < settled:
                 time.sleep(_SETTLING / 10)
-                state = api.inspect_container(self.identifier)["State"]
+                state = api.inspect_container(self.id)["State"]
         self.exit_code = int(state["ExitCode"])
         self.end, self.signal = how_it_ended(self.container, self.exit_code, bool(state.get("OOMKilled")), ours)
 
@@ -149,7 +139,7 @@ class ContainerRun(Supervised):
         """Of its log."""
         return self._output.last_line
 
-    def _follow(self, client: "DockerClient", stream: "Response", ends: "SimpleQueue[ContainerRun]") -> None:
+    def _follow(self, client: DockerClient, stream: Response, ends: "SimpleQueue[ContainerRun]") -> None:
         """In a thread: bring its output into the log until it has ended."""
         try:
             with engine_errors(f"container '{self.name}'"):
@@ -158,7 +148,7 @@ class ContainerRun(Supervised):
                         self._feed(chunk)
                 except (OSError, ValueError) as error:  # what a broken connection raises below the SDK
                     raise lost(error) from None
-                client.api.wait(self.identifier, timeout=None)
+                client.api.wait(self.id, timeout=None)
         except CalibrationError as error:
             self._problem = self._problem or error
         finally:

@@ -4,18 +4,17 @@ import io
 import tarfile
 import tempfile
 from collections.abc import Iterable
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any, cast
+
+from docker import APIClient
 
 from calibration.errors import InputError
 from calibration.execution.job import OUTPUT, Mount
 
-if TYPE_CHECKING:
-    from docker import APIClient
-
 _IN_MEMORY = 16 * 1024**2
 
 
-def open_output(api: "APIClient", container: str) -> None:
+def open_output(api: APIClient, container: str) -> None:
     """Let every user of the image write to the job's volume, which belongs to root else."""
     entry = tarfile.TarInfo(OUTPUT.strip("/"))
     entry.type, entry.mode = tarfile.DIRTYPE, 0o1777
@@ -25,7 +24,7 @@ def open_output(api: "APIClient", container: str) -> None:
     api.put_archive(container, "/", file.getvalue())
 
 
-def copy_in(api: "APIClient", container: str, mounts: Iterable[Mount]) -> None:
+def copy_in(api: APIClient, container: str, mounts: Iterable[Mount]) -> None:
     """Copy what an engine that does not see our files cannot mount.
 
     Raises:

@@ -1,14 +1,14 @@
 """Images are there before anything is started."""
 
 from collections.abc import Iterable
-from typing import TYPE_CHECKING
+
+import docker.errors
+from docker import APIClient
+from docker.utils import parse_repository_tag
 
 from calibration.docker.engine import engine_errors, engine_message
 from calibration.errors import InputError, WorldError
 from calibration.workflow.text import one_line, shorten
-
-if TYPE_CHECKING:
-    from docker import APIClient
 
 _NOT_THERE = (
     "not found",
@@ -25,7 +25,7 @@ _NOT_THERE = (
 """What registries say where there is no such image, or not for us."""
 
 
-def find_images(api: "APIClient", images: Iterable[str]) -> dict[str, str]:
+def find_images(api: APIClient, images: Iterable[str]) -> dict[str, str]:
     """Find images on the engine, or else pull them.
 
     Returns:
@@ -38,9 +38,7 @@ def find_images(api: "APIClient", images: Iterable[str]) -> dict[str, str]:
     return {image: _find(api, image) or _pull(api, image) for image in dict.fromkeys(images)}
 
 
-def _find(api: "APIClient", image: str) -> str | None:
-    import docker.errors
-
+def _find(api: APIClient, image: str) -> str | None:
     with engine_errors(f"image '{image}'"):
         try:
             return str(api.inspect_image(image)["Id"])  # type: ignore[no-untyped-call]
@@ -48,10 +46,7 @@ def _find(api: "APIClient", image: str) -> str | None:
             return None
 
 
-def _pull(api: "APIClient", image: str) -> str:
-    import docker.errors
-    from docker.utils import parse_repository_tag
-
+def _pull(api: APIClient, image: str) -> str:
     repository, tag = parse_repository_tag(image)
     with engine_errors(f"image '{image}'"):
         try:

@@ -154,7 +154,7 @@ class JobRun(Supervisor[ContainerRun]):
         with engine_errors(f"container '{run.name}'"):
             network = self._network or self._network_mode
             settings = container_settings(api, run.container, network, str(self._volume), labels, binds)
-            first = all(other.id is None for other in self.containers)
+            first = all(not other.id for other in self.containers)
             identifier = run.create(api, self._prefix(run.name), settings)
             if first:
                 open_output(api, identifier)
@@ -186,7 +186,7 @@ class JobRun(Supervisor[ContainerRun]):
         client = self._run.engine.client(_SETTLING)
         try:
             with engine_errors():
-                client.api.stop(container.identifier, timeout=GRACE)
+                client.api.stop(container.id, timeout=GRACE)
         except CalibrationError:
             pass  # that the engine is gone is found out by whoever asks for the container's end
         finally:
@@ -196,14 +196,14 @@ class JobRun(Supervisor[ContainerRun]):
         container.read_end(self._api, ours)
 
     def _opener(self, container: ContainerRun) -> Opener:
-        return opener_of(self._api, container.identifier, container.name)
+        return opener_of(self._api, container.id, container.name)
 
     def _remove(self) -> None:
         """Remove everything of the job; what cannot be removed now, the run tries again at its end."""
         if self._lost:
             return
         with suppress(WorldError):
-            remove(self._api, [Leftover.of("container", c.id) for c in self.containers if c.id is not None])
+            remove(self._api, [Leftover.of("container", c.id) for c in self.containers if c.id])
             for container in self.containers:
                 container.join(_SETTLING)
             if self._network is not None:

@@ -62,7 +62,7 @@ def remove(api: "APIClient", leftovers: Sequence[Leftover]) -> list[Leftover]:
     Raises:
         WorldError: something cannot be removed; the rest has been. Or the engine does not answer.
     """
-    import docker.errors
+    import docker.errors  # here, as `cleanup --cloud` does without the SDK
 
     removed, problems = [], []
     for leftover in _in_order(leftovers):

@@ -9,14 +9,13 @@ import threading
 from collections import defaultdict
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+
+import docker.errors
+from docker import APIClient
 
 from calibration.docker.engine import EngineLostError, engine_errors
 from calibration.errors import CalibrationError, WorldError
 from calibration.execution.docker.labels import new_run
-
-if TYPE_CHECKING:
-    from docker import APIClient
 
 _NO_TALKING = {"com.docker.network.bridge.enable_icc": "false"}
 
@@ -42,7 +41,7 @@ class Networks:
         self._shared: dict[bool, Network | None] = {}
         self._lock = threading.Lock()
 
-    def shared(self, api: "APIClient", internal: bool) -> Network:
+    def shared(self, api: APIClient, internal: bool) -> Network:
         """The network for jobs with one container; one of its own where the engine cannot keep them apart.
 
         Raises:
@@ -59,7 +58,7 @@ class Networks:
             found = self._shared[internal]
         return found or self.take(api, internal)
 
-    def take(self, api: "APIClient", internal: bool) -> Network:
+    def take(self, api: APIClient, internal: bool) -> Network:
         """A network on which there is nobody.
 
         Raises:
@@ -76,9 +75,7 @@ class Networks:
             with self._lock:
                 self._free[network.internal].append(network)
 
-    def _make(self, api: "APIClient", internal: bool, shared: bool) -> Network:
-        import docker.errors
-
+    def _make(self, api: APIClient, internal: bool, shared: bool) -> Network:
         network = Network(f"calibration-{self._run}-{new_run()}", internal, shared)
         options = _NO_TALKING if shared else {}
         with engine_errors("network"):

@@ -5,24 +5,21 @@ The SDK reads it from the bare socket, which it then leaves open; this is the sa
 
 import struct
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from docker import APIClient
-    from requests import Response
+import docker.errors
+import requests
+from docker import APIClient
+from requests import Response
 
 _HEADER = struct.Struct(">BxxxL")
 
 
-def attach(api: "APIClient", container: str) -> "Response":
+def attach(api: APIClient, container: str) -> Response:
     """Begin to listen: from now on nothing is missed. Whoever asks closes it.
 
     Raises:
         docker.errors.APIError: the engine refuses.
     """
-    import docker.errors
-    import requests
-
     url = f"{api.base_url}/v{api.api_version}/containers/{container}/attach"
     asked = {"stream": 1, "stdout": 1, "stderr": 1}
     response = api.post(url, params=asked, stream=True, timeout=(api.timeout, None))  # silence may last
@@ -34,7 +31,7 @@ def attach(api: "APIClient", container: str) -> "Response":
     return response
 
 
-def pieces(response: "Response") -> Iterator[bytes]:
+def pieces(response: Response) -> Iterator[bytes]:
     """What comes, stdout and stderr in the order of arrival, until the container has ended."""
     while len(header := response.raw.read(_HEADER.size)) == _HEADER.size:
         _, size = _HEADER.unpack(header)

@@ -1,13 +1,13 @@
 """A container of the job model as the engine wants it: everything is forbidden that is not asked for."""
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+from docker import APIClient
+from docker.types import DeviceRequest, LogConfig, Mount
 
 from calibration.execution.docker.networks import Network
 from calibration.execution.job import OUTPUT, Container
-
-if TYPE_CHECKING:
-    from docker import APIClient
 
 DEFAULT_BRIDGE = "bridge"
 """The engine's network for containers that ask for none."""
@@ -16,7 +16,7 @@ _GRACE = 5
 
 
 def container_settings(
-    api: "APIClient", container: Container, network: Network | str, volume: str, labels: Mapping[str, str], binds: bool
+    api: APIClient, container: Container, network: Network | str, volume: str, labels: Mapping[str, str], binds: bool
 ) -> dict[str, Any]:
     """The arguments that create a container, but for its name and image.
 
@@ -28,8 +28,6 @@ def container_settings(
         labels: of the run, the job and the container.
         binds: whether the engine sees our files; else they are copied in later.
     """
-    from docker.types import DeviceRequest, LogConfig, Mount
-
     relaxed = container.relaxations
     mounts = [Mount(OUTPUT, volume, type="volume", no_copy=True)]
     if binds:

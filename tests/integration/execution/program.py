@@ -48,7 +48,7 @@ def jobs(kind: str, argument: str) -> list[Job]:
 
 def start_what_is_gone(run: ContainerRun, api: "APIClient", *arguments: Any) -> None:
     """Start a container that somebody has removed since it was created; waits until somebody has."""
-    while api.containers(all=True, filters={"id": run.identifier}):
+    while api.containers(all=True, filters={"id": run.id}):
         time.sleep(0.05)
     plain_start(run, api, *arguments)
 
