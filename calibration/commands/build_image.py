@@ -8,8 +8,14 @@ from typing import Any
 
 import click
 
-from calibration.commands.parameters import TEXT_LIST, boolean_option, path, text
-from calibration.commands.registry_password import password_variable, registry_password_option
+from calibration.commands.parameters import (
+    TEXT_LIST,
+    boolean_option,
+    password_variable,
+    path,
+    registry_password_option,
+    text,
+)
 from calibration.errors import ExitCode, InputError
 from calibration.image.builders.failure import BuildFailedError
 from calibration.image.building import BUILDERS, build_image

@@ -8,10 +8,18 @@ from typing import Any
 
 import click
 
-from calibration.commands.parameters import TEXT_LIST, boolean_option, count, path, text
+from calibration.commands.parameters import (
+    EVERYWHERE,
+    TEXT_LIST,
+    boolean_option,
+    count,
+    password_variable,
+    path,
+    registry_password_option,
+    text,
+)
 from calibration.commands.place import place
 from calibration.commands.record_options import given, record_options
-from calibration.commands.registry_password import EVERYWHERE, password_variable, registry_password_option
 from calibration.errors import ExitCode, InputError
 from calibration.execution.backends import AWS_BATCH, CONTAINERS, DOCKER, Place, check_backend
 from calibration.image.pulling import pull_image

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from calibration.commands.system_folder import find_system, system_folder
+from calibration.commands.parameters import find_system, system_folder
 from calibration.errors import InputError
 from calibration.execution.sizes import parse_seconds
 from calibration.pipeline.collection.applications import SECONDS

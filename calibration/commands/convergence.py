@@ -10,9 +10,16 @@ import click
 from calibration.commands.calibrate_matrix import OF_SOFTWARE, matrix_of, place_of, pull
 from calibration.commands.calibrate_matrix import Settings as MatrixSettings
 from calibration.commands.calibrate_matrix import command as calibrate_matrix
-from calibration.commands.parameters import INTEGER_LIST, TEXT_LIST, count, integer, non_negative, path
+from calibration.commands.parameters import (
+    INTEGER_LIST,
+    TEXT_LIST,
+    count,
+    integer,
+    non_negative,
+    password_variable,
+    path,
+)
 from calibration.commands.record_options import option_keys
-from calibration.commands.registry_password import password_variable
 from calibration.errors import ExitCode, InputError
 from calibration.estimation.options import Start
 from calibration.pipeline.convergence.convergence_map import maps_of

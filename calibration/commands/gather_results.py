@@ -11,10 +11,9 @@ import click
 
 from calibration.commands.parameters import path, text
 from calibration.errors import ExitCode
-from calibration.pipeline.distribution.clock import parse_seconds
 from calibration.pipeline.distribution.cost import cost_of_run
 from calibration.pipeline.distribution.gathering import gather, report_of_run
-from calibration.pipeline.distribution.needs import parse_needs
+from calibration.pipeline.distribution.jobs import parse_needs, parse_seconds
 from calibration.pipeline.results import clear_results
 from calibration.report import publish
 from calibration.workflow import Runner

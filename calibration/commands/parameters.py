@@ -5,6 +5,7 @@ everything is text: so lists are one value with separators, and truth values can
 """
 
 import math
+import os
 import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -12,6 +13,13 @@ from typing import Any, TypeVar
 
 import click
 
+from calibration.errors import InputError
+from calibration.workflow import Runner, add_mask
+
+SYSTEMS = Path("datasets")
+"""Where the name of a system is looked up, from the working directory."""
+EVERYWHERE, IN_ACTIONS = "CALIBRATION_REGISTRY_PASSWORD", "INPUT_REGISTRY_PASSWORD"
+"""The variables that a password is read from, the first of them on the command line too."""
 _TRUTH = {"true": True, "yes": True, "1": True, "false": False, "no": False, "0": False}
 _SEPARATOR = re.compile(r"[,\r\n]")
 _Item = TypeVar("_Item")
@@ -114,3 +122,46 @@ def boolean_option(
 
     # Not click's own default: with one, click 8.3.0 and 8.3.1 want a value after the flag.
     return click.option(*names, type=boolean, is_flag=False, flag_value="true", callback=or_default, help=help)
+
+
+def find_system(system: str) -> Path | None:
+    """The folder of a system, by its name in `SYSTEMS` or by its path; None where there is none."""
+    return next((folder for folder in (SYSTEMS / system, Path(system)) if system and folder.is_dir()), None)
+
+
+def system_folder(system: str) -> Path:
+    """The folder of a system, as `find_system` finds it.
+
+    Raises:
+        InputError: there is none.
+    """
+    if (folder := find_system(system)) is not None:
+        return folder
+    known = sorted(folder.parent.name for folder in SYSTEMS.glob("*/simulation.yml"))
+    names = f"one of {', '.join(known)} or a folder" if known else "a folder"
+    raise InputError(f"system: found '{system}', expected {names}")
+
+
+registry_password_option = click.option(
+    "--registry-password",
+    envvar=EVERYWHERE,
+    help="Password or token of this user; on a command line by the variable CALIBRATION_REGISTRY_PASSWORD instead.",
+)
+"""Declares the option; `password_variable` takes its value."""
+
+
+def password_variable(context: click.Context, password: str | None, runner: Runner) -> str | None:
+    """Mask a password, and return the variable that holds it; None where there is no password.
+
+    Raises:
+        InputError: it stands on the command line.
+    """
+    if not password or not password.strip():
+        return None
+    add_mask(runner, password)
+    if context.get_parameter_source("registry_password") is click.core.ParameterSource.COMMANDLINE:
+        raise InputError(
+            "registry-password: found on the command line, where every process reads it: "
+            f"put it into the environment variable {EVERYWHERE}"
+        )
+    return EVERYWHERE if os.environ.get(EVERYWHERE) else IN_ACTIONS

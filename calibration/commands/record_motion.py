@@ -8,8 +8,7 @@ from typing import Any
 
 import click
 
-from calibration.commands.parameters import boolean_option, integer, path, text
-from calibration.commands.system_folder import system_folder
+from calibration.commands.parameters import boolean_option, integer, path, system_folder, text
 from calibration.errors import ExitCode, InputError, WorldError
 from calibration.workflow import Runner
 

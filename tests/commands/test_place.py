@@ -7,10 +7,9 @@ from pathlib import Path
 import pytest
 
 from calibration.__main__ import main
-from calibration.commands.place import place
+from calibration.commands.place import RUN_FILE, name_of_run, place
 from calibration.errors import InputError
 from calibration.execution.batch.documents import TaskJob
-from calibration.pipeline.run_name import FILE, name_of_run
 from calibration.workflow import Runner
 from tests.aws.emulator.attempt import Attempt
 from tests.aws.fixtures import BUCKET, QUEUE, REGION, Aws
@@ -55,7 +54,7 @@ def test_the_matrix_in_the_cloud(batch_emulator: Aws, capsys: pytest.CaptureFixt
     assert [cell["rms_px"] for cell in document["cells"]] == [0.1, 0.2]
     assert {cell["method"] for cell in document["comparisons"]} == {"calibration-ci"}
     assert len(tasks.ran) == 2
-    name = Path("output", FILE).read_text().strip()
+    name = Path("output", RUN_FILE).read_text().strip()
     assert f"run {name} on AWS Batch, queue {QUEUE}; with --run {name} --resume only what is missing is run" in out
 
     assert main([*words, "--backend", "aws-batch", "--resume"]) == 0  # the name stands in the output folder
@@ -63,7 +62,7 @@ def test_the_matrix_in_the_cloud(batch_emulator: Aws, capsys: pytest.CaptureFixt
     assert len(tasks.ran) == 2
     assert main([*words, "--backend", "aws-batch", "--run", "other"]) == 0
     assert len(tasks.ran) == 4
-    assert Path("output", FILE).read_text() == "other\n"
+    assert Path("output", RUN_FILE).read_text() == "other\n"
 
 
 @pytest.mark.usefixtures("quick")
@@ -138,7 +137,7 @@ def test_a_file_without_the_section(text: str, tmp_path: Path) -> None:
     Path("cloud.yml").write_text(text)
     with pytest.raises(InputError, match=r"cloud\.yml: .*region"):
         place("aws-batch", Path("cloud.yml"), tmp_path, "r", False, Runner.from_environment({}))
-    assert not (tmp_path / FILE).exists()
+    assert not (tmp_path / RUN_FILE).exists()
 
 
 def test_the_name_of_a_run(tmp_path: Path) -> None:

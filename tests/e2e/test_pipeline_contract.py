@@ -10,8 +10,7 @@ import yaml
 
 from calibration.__main__ import load_command
 from calibration.errors import InputError
-from calibration.pipeline.distribution.clock import FILE
-from calibration.pipeline.distribution.needs import SECONDS
+from calibration.pipeline.distribution.jobs import FILE, SECONDS
 from calibration.pipeline.distribution.plan import Plan
 from calibration.pipeline.distribution.plan_outputs import plan_outputs
 from calibration.registries.promotion import promote

@@ -6,8 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from calibration.introspection.numbers import number_text
-from calibration.pipeline.distribution.clock import read_seconds
-from calibration.pipeline.distribution.needs import Needs
+from calibration.pipeline.distribution.jobs import Needs, read_seconds
 from calibration.pipeline.distribution.plan import Plan
 from calibration.report import Table
 

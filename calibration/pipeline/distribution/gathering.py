@@ -7,7 +7,7 @@ from pathlib import Path
 from calibration.errors import ExitCode, InputError
 from calibration.pipeline.collection.collected import Collected
 from calibration.pipeline.distribution.cost import Cost, jobs_table, money
-from calibration.pipeline.distribution.needs import SUCCESS, Needs
+from calibration.pipeline.distribution.jobs import SUCCESS, Needs
 from calibration.pipeline.distribution.plan import COLLECTED_DATA, JobCell, Plan
 from calibration.pipeline.distribution.plan_outputs import plan_of_outputs
 from calibration.pipeline.matrix.cell import OUR_METHOD, Cell, CellResult, nothing_yet

@@ -1,5 +1,6 @@
 """Which jobs a workflow runs for a pipeline, and what each of them calibrates."""
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,13 +10,15 @@ from calibration.errors import InputError
 from calibration.estimation.starting_noise import StartingNoise
 from calibration.introspection.numbers import number_text
 from calibration.pipeline.configuration import Configuration, Simulation
-from calibration.pipeline.distribution.slug import slugs
 from calibration.pipeline.matrix.cell import Cell
 from calibration.pipeline.system import NoiseGrid, System
 from calibration.workflow.text import did_you_mean
 
 JOBS = ("calibrate", "collect-data", "unit-tests")
 """The jobs that a user can choose from."""
+LONGEST = 80
+"""Characters of a slug."""
+_NOT_IN_SLUG = re.compile(r"[^A-Za-z0-9._-]+")
 MOST_JOBS = 256
 """GitHub refuses a larger matrix."""
 COLLECTED_DATA, UNIT_TESTS = "collected-data", "unit-tests"
@@ -254,3 +257,25 @@ def _image_source(system: System, wishes: Wishes) -> ImageSource:
     if wishes.image:
         return "given"
     return "own" if system.software is not None and system.software.container.image else "built"
+
+
+def slugs(names: Sequence[str], taken: Sequence[str] = ()) -> list[str]:
+    """A slug for each name: what a file system, an artifact and a URL take as it is.
+
+    Letters, digits, dots, dashes and underscores, no two alike in any case.
+
+    Args:
+        names: what is to be told apart; equal names get different slugs too.
+        taken: slugs that none may have.
+    """
+    used = {slug.lower() for slug in taken}
+    found = []
+    for name in names:
+        plain = _NOT_IN_SLUG.sub("_", name).strip("._-")[:LONGEST] or "unnamed"
+        slug, number = plain, 1
+        while slug.lower() in used:
+            number += 1
+            slug = f"{plain}_{number}"
+        used.add(slug.lower())
+        found.append(slug)
+    return found

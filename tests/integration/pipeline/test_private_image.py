@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from calibration.__main__ import main, run_action
-from calibration.commands.registry_password import EVERYWHERE
+from calibration.commands.parameters import EVERYWHERE
 from tests.engine import Registry
 
 if TYPE_CHECKING:

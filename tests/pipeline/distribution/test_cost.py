@@ -6,9 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calibration.pipeline.distribution.clock import FILE
 from calibration.pipeline.distribution.cost import Cost, JobTime, cost_of_run, jobs_table, money
-from calibration.pipeline.distribution.needs import Needs
+from calibration.pipeline.distribution.jobs import FILE, Needs
 from calibration.pipeline.distribution.plan import JobCell, Plan
 
 ONE = JobCell("one", "slug-of-one", "robot", (0.0,), (0.0,))

@@ -11,7 +11,7 @@ import pytest
 from calibration.errors import ExitCode, InputError
 from calibration.pipeline.collection.collected import Collected
 from calibration.pipeline.distribution.gathering import NO_RESULT, gather
-from calibration.pipeline.distribution.needs import Needs
+from calibration.pipeline.distribution.jobs import Needs
 from calibration.pipeline.distribution.plan import JobCell, Plan
 from calibration.pipeline.distribution.plan_outputs import plan_outputs
 from calibration.pipeline.matrix.cell import CellResult

@@ -12,7 +12,7 @@ from calibration.errors import InputError
 from calibration.execution.job import Container
 from calibration.image.specification import ImageSpecification, parse_image_specification
 from calibration.pipeline.configuration import Configuration, Simulation, parse_applications
-from calibration.pipeline.distribution.needs import Needs, parse_needs
+from calibration.pipeline.distribution.jobs import Needs, parse_needs
 from calibration.pipeline.distribution.plan import (
     MOST_JOBS,
     JobCell,

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calibration.pipeline.distribution.slug import LONGEST, slugs
+from calibration.pipeline.distribution.plan import LONGEST, slugs
 
 
 @given(st.lists(st.text()), st.lists(st.sampled_from(["taken", "unnamed", "a"])))
