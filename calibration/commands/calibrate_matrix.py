@@ -22,7 +22,7 @@ from calibration.commands.place import place
 from calibration.commands.record_options import given, record_options
 from calibration.errors import ExitCode, InputError
 from calibration.execution.backends import AWS_BATCH, CONTAINERS, DOCKER, Place, check_backend
-from calibration.image.pulling import pull_image
+from calibration.image.bases import pull_image
 from calibration.introspection.rulesfile import read_rules
 from calibration.pipeline.configuration import Configuration, read_configuration
 from calibration.pipeline.matrix.matrix import Matrix

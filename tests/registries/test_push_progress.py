@@ -1,4 +1,4 @@
-from calibration.registries.push_progress import PushProgress
+from calibration.registries.push import PushProgress
 
 
 class Log:

@@ -1,5 +1,7 @@
 """BuildKit, through a ``docker`` program: it keeps secrets out of layers, and builds for several platforms."""
 
+import base64
+import json
 import os
 import re
 import secrets
@@ -13,13 +15,41 @@ from typing import IO
 
 from calibration.errors import InputError, WorldError
 from calibration.image.builders.build_log import LAST_LINES, BuildLog
-from calibration.image.builders.login_file import write_login
-from calibration.image.builders.problems import build_problem
-from calibration.image.builders.processes import lines_of
-from calibration.image.builders.programs import Program, docker_environment
+from calibration.image.builders.failure import build_problem
+from calibration.image.builders.programs import Program, docker_environment, lines_of
 from calibration.image.builders.request import BuildRequest
 from calibration.image.secret_values import secret_files
 from calibration.registries.credentials import Credentials
+from calibration.registries.reference import DOCKER_HUB
+
+
+def write_login(credentials: Credentials, folder: Path) -> dict[str, str]:
+    """Write docker's configuration with a login into a folder, for this user alone.
+
+    Args:
+        credentials: for one registry; where there are none, the user's own configuration counts.
+        folder: private, and removed by whoever made it.
+
+    Returns:
+        The variables that make a ``docker`` use it; its plugins are still found.
+    """
+    if credentials.anonymous:
+        return {}
+    registry = "https://index.docker.io/v1/" if credentials.registry == DOCKER_HUB else credentials.registry
+    if credentials.identity_token:
+        login = {"identitytoken": credentials.identity_token}
+    else:
+        pair = f"{credentials.username}:{credentials.password}"
+        login = {"auth": base64.b64encode(pair.encode()).decode("ascii")}
+    home = folder / "docker"
+    home.mkdir(mode=0o700)
+    with os.fdopen(os.open(home / "config.json", os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w") as file:
+        json.dump({"auths": {registry: login}}, file)
+    plugins = Path(os.environ.get("DOCKER_CONFIG") or Path("~/.docker").expanduser()) / "cli-plugins"
+    if plugins.is_dir():
+        (home / "cli-plugins").symlink_to(plugins)
+    return {"DOCKER_CONFIG": str(home)}
+
 
 _VERTEX = re.compile(r"^#(\d+) (.*)$")
 _STEP = re.compile(r"^\[(?:\S+ +)?(\d+)/(\d+)\] (.*)$")
@@ -96,7 +126,7 @@ def _follow(
     Raises:
         BuildFailedError, InputError, WorldError: it failed.
     """
-    reader = _Reader(log)
+    reader = BuildKitOutput(log)
     status = None
     with closing(lines_of(command, context, environment)) as lines:
         for line in lines:
@@ -108,7 +138,7 @@ def _follow(
         raise build_problem(request.name, reader.failed_step, reader.problem or f"exit code {status}", log)
 
 
-class _Reader:
+class BuildKitOutput:
     """Makes sense of what BuildKit prints: ``#7 [2/4] RUN make``, ``#7 0.31 output``, ``#7 ERROR: ...``."""
 
     def __init__(self, log: BuildLog) -> None:

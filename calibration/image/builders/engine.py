@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from calibration.errors import CalibrationError, WorldError
 from calibration.image.builders.build_log import BuildLog
-from calibration.image.builders.problems import build_problem
+from calibration.image.builders.failure import build_problem
 from calibration.image.builders.request import BuildRequest
 
 if TYPE_CHECKING:

@@ -1,8 +1,10 @@
-"""A build that failed because of what was to be built."""
+"""A build that failed: because of what was to be built, of a missing base, or of the world."""
 
+import re
 from collections.abc import Sequence
 
-from calibration.errors import CalibrationError, ExitCode
+from calibration.errors import CalibrationError, ExitCode, InputError, WorldError
+from calibration.image.builders.build_log import BuildLog
 from calibration.workflow.text import one_line, shorten
 
 
@@ -24,3 +26,39 @@ class BuildFailedError(CalibrationError):
         self.lines = tuple(lines)
         last = f"; its last line: {shorten(self.lines[-1], 200)}" if self.lines else ""
         super().__init__(one_line(self.headline + last))
+
+
+_WORLD = re.compile(
+    r"no space left on device|failed to create endpoint|connection refused|connection reset|i/o timeout|no such host"
+    r"|tls handshake|too ?many ?requests|context deadline|temporary failure|unreachable|bad gateway"
+    r"|cannot connect to the docker daemon|error during connect|shutting down|service unavailable|unexpected eof",
+    re.IGNORECASE,
+)
+_MISSING_BASE = re.compile(
+    r"manifest unknown|pull access denied|repository does not exist|manifest for \S+ not found"
+    r"|failed to resolve source metadata .*(not found|denied|authorization failed)",
+    re.IGNORECASE,
+)
+_RAN = re.compile(r"^exit code \d+$")
+
+
+def build_problem(name: str, step: str, message: str, log: BuildLog) -> CalibrationError:
+    """Make the error of a build.
+
+    Args:
+        name: of the image.
+        step: the one that it was at; empty where it had not begun.
+        message: ``exit code 3``, or the builder's words.
+        log: has the last lines of the step.
+
+    Returns:
+        BuildFailedError, unless the words speak of a missing base (InputError) or of the world (WorldError).
+    """
+    log.end_line()
+    message = shorten(log.clean(message), 400)
+    if not _RAN.match(message):
+        if _MISSING_BASE.search(message):
+            return InputError(f"image {name}: a base image is missing: {message}: check its name, or log in")
+        if _WORLD.search(message):
+            return WorldError(f"image {name}: the build broke off: {message}")
+    return BuildFailedError(name, step, message, tuple(log.last_lines))

@@ -4,9 +4,8 @@ import pytest
 
 from calibration.errors import ExitCode, InputError, WorldError
 from calibration.image.builders.build_log import LAST_LINES, LONGEST, BuildLog
-from calibration.image.builders.buildkit import _Reader
-from calibration.image.builders.failure import BuildFailedError
-from calibration.image.builders.problems import build_problem
+from calibration.image.builders.buildkit import BuildKitOutput
+from calibration.image.builders.failure import BuildFailedError, build_problem
 from calibration.workflow import Runner
 
 OLD = """#1 [internal] load build definition from Dockerfile
@@ -114,7 +113,7 @@ def test_a_terminal_has_a_bar_and_no_output(runner: Runner) -> None:
 )
 def test_what_buildkit_says(runner: Runner, text: str, step: str, problem: str, lines: list[str] | None) -> None:
     log = make(runner)
-    reader = _Reader(log)
+    reader = BuildKitOutput(log)
     for line in text.splitlines():
         reader.read(line)
     assert reader.failed_step == step

@@ -12,9 +12,8 @@ import pytest
 
 from calibration.errors import WorldError
 from calibration.image.builders import programs
-from calibration.image.builders.login_file import write_login
-from calibration.image.builders.processes import lines_of
-from calibration.image.builders.programs import Program, find_buildkit
+from calibration.image.builders.buildkit import write_login
+from calibration.image.builders.programs import Program, find_buildkit, lines_of
 from calibration.registries.credentials import Credentials
 from tests.engine import wait_until
 from tests.processes import runs
@@ -72,7 +71,7 @@ def test_an_interrupt_stops_the_program(tmp_path: Path) -> None:
     script = """
 import os, sys
 from contextlib import closing
-from calibration.image.builders.processes import lines_of
+from calibration.image.builders.programs import lines_of
 command = ["sh", "-c", "echo $$; exec sleep 3600"]
 with open(os.devnull, "rb") as stdin, closing(lines_of(command, stdin, os.environ)) as lines:
     for line in lines:
