@@ -7,10 +7,10 @@ from benchmarks.shared_data import ROOT
 from benchmarks.timing import seconds
 from calibration.execution.tasks import run_tasks
 from calibration.simulation.collection.collecting import single_threaded_opencv
-from calibration.simulation.scenarios.report import Report
 from calibration.simulation.scenarios.result import ScenarioResult
 from calibration.simulation.scenarios.run import scenario_task
 from calibration.simulation.scenarios.scenario_set import read_scenario_set
+from calibration.simulation.scenarios.statistics import Statistics
 from calibration.simulation.system import read_system
 
 
@@ -26,7 +26,7 @@ def measure(quick: bool) -> Iterator[Row]:
             results.extend(run_tasks(tasks).values())
 
     took = seconds(run)
-    report = Report(results)
+    report = Statistics(results)
     errors = report.percentiles("translation_mm")
     note = f"{count} worlds of t2rgb with 12 poses each"
     yield Row("scenarios/worlds per second", count / took, "1/s", Bar(low=100 / 120), note)

@@ -19,17 +19,19 @@ from calibration.commands.parameters import boolean_option, count, non_negative,
 from calibration.commands.place import place
 from calibration.errors import ExitCode, InputError
 from calibration.execution.backends import CONTAINERS, DOCKER, EMBEDDED, KINDS, Place, check_backend
+from calibration.pipeline.collection import report, scenario_report
 from calibration.pipeline.collection.collecting import collect_dataset
-from calibration.pipeline.collection.report import pose_line, report_collection
+from calibration.pipeline.collection.report import TITLE, pose_line
 from calibration.pipeline.collection.request import (
     MAX_SCENARIOS,
     CollectionRequest,
     ContainerRequest,
     ScenarioRequest,
 )
-from calibration.pipeline.collection.scenario_report import report_scenarios, world_line
+from calibration.pipeline.collection.scenario_report import world_line
 from calibration.pipeline.collection.world_folder import WorldFolder
 from calibration.pipeline.collection.worlds import run_worlds
+from calibration.report import publish, show
 from calibration.simulation.collection.record import Record
 from calibration.simulation.motion.sequence import Motion
 from calibration.simulation.scenarios.result import ScenarioResult
@@ -38,7 +40,6 @@ from calibration.workflow import Runner, stop_commands
 from calibration.workflow.progress import progress
 from calibration.workflow.streams import LogDisplay
 
-TITLE = "collect-data-sim"
 MOST_SHOWN = 16
 """Of more worlds on this machine's engine the containers' logs are left in files only."""
 
@@ -182,8 +183,9 @@ def _one_world(
         progress(runner, TITLE, bar=embedded, kept="poses") as advance,
     ):
         results = collect_dataset(request, settings.output, settings.overwrite, settings.jobs, place, begin, done)
-    report_collection(results, settings.output, runner, TITLE)
-    return results.exit_code
+    found = report.report(results, settings.output)
+    show(found, runner, settings.output)
+    return found.exit_code
 
 
 def _many_worlds(
@@ -217,8 +219,9 @@ def _many_worlds(
         progress(runner, TITLE, bar=embedded, kept="worlds" if embedded else "") as advance,
     ):
         results = run_worlds(request, folder, settings.jobs, place, begin, done)
-    report_scenarios(results, settings.output, runner, TITLE)
-    return results.exit_code
+    found = scenario_report.report(results, settings.output)
+    publish(found, runner, settings.output)
+    return found.exit_code
 
 
 def _place(settings: Settings, backend: str, runner: Runner) -> Place:

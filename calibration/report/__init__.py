@@ -7,7 +7,7 @@ A command says what it found in a :class:`Report`: its verdict, the :class:`Chec
 from calibration.report.blocks import Block, Code, Lines, Text
 from calibration.report.check import Check, at_least, at_most, expectation
 from calibration.report.outcome import Outcome, count_of, outcome_of_check
-from calibration.report.publishing import publish, remove_results
+from calibration.report.publishing import publish, remove_results, show
 from calibration.report.report import FILES, Report
 from calibration.report.results_json import (
     MOST_BYTES,
@@ -44,6 +44,7 @@ __all__ = [
     "remove_results",
     "results_document",
     "results_text",
+    "show",
     "shown",
     "verdict_of",
 ]

@@ -103,7 +103,7 @@ def test_red_is_red(motion: Path, tmp_path: Path, capsys: pytest.CaptureFixture[
     arguments = ("--system", "t2rgb", "--motion", motion, "--output", tmp_path / "output")
     assert run(*arguments, "--minimum-collections", "5") == 1
     out, err = capsys.readouterr()
-    assert "collections: found 4, at least 5 was expected" in out + err
+    assert "collections: found 4, expected at least 5" in out + err
     assert out.splitlines()[-1].startswith("fail: t2rgb: 4 of 4 collections kept")
     assert run(*arguments, "--overwrite", "--max-translation-mm", "0.000001") == 1
     assert run(*arguments, "--overwrite", "--minimum-coverage", "1") == 1
@@ -243,7 +243,7 @@ def test_outputs_of_the_step(motion: Path, tmp_path: Path, monkeypatch: pytest.M
     assert 0 < float(found["rotation-deg"]) < 0.1
     assert Path(found["contact-sheet"]).exists()
     assert Path(found["results"]).exists()
-    assert "Collection in simulation: pass" in (tmp_path / "summary").read_text()
+    assert "## collect-data-sim: pass" in (tmp_path / "summary").read_text()
 
 
 def test_many_worlds_and_one_of_them_again(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -17,8 +17,9 @@ from calibration.estimation.starting_noise import StartingNoise
 from calibration.evaluation.specification import parse_evaluation
 from calibration.geometry.transforms import inverse
 from calibration.pipeline.collection.collecting import collect_dataset
+from calibration.pipeline.collection.report import SCHEMA, report
 from calibration.pipeline.collection.request import CollectionRequest
-from calibration.pipeline.collection.results import SCHEMA, CollectionResults, collection_document
+from calibration.pipeline.collection.results import CollectionResults
 from calibration.recorder.preview import preview
 from calibration.simulation.motion.expected import expected_dataset
 from calibration.simulation.motion.information import expected_noise
@@ -69,7 +70,7 @@ def test_it_calibrates_to_the_truth_as_well_as_it_says(collected: tuple[Collecti
 
 
 def test_what_is_written_of_it_keeps_to_the_schema(collected: tuple[CollectionResults, Path]) -> None:
-    written = json.loads(json.dumps(collection_document(collected[0])))
+    written = json.loads(json.dumps(report(collected[0], Path()).document))
     jsonschema.validate(written, json.loads(SCHEMA.read_text()))
 
 

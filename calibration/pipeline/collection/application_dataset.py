@@ -21,9 +21,9 @@ from calibration.files import read_bytes, write_atomically
 from calibration.json_file import parse_json
 from calibration.pipeline.collection.applications import MOTION, PLAYER, REPORT, collection_job, dataset_place
 from calibration.pipeline.collection.motion import optional_motion
+from calibration.pipeline.collection.report import report
 from calibration.pipeline.collection.request import ContainerRequest
 from calibration.pipeline.collection.results import CollectionResults
-from calibration.pipeline.collection.writing import write_collection_results
 from calibration.simulation.collection.contact_sheet import write_contact_sheet
 from calibration.simulation.collection.dataset_folder import replacing_dataset
 from calibration.simulation.collection.document import truth_document
@@ -134,7 +134,7 @@ def judged(plan: Plan, outcome: JobOutcome, scenario: int, new: Path) -> Collect
         WorldError: a file cannot be written.
     """
     results = _results(plan, outcome, scenario, new)
-    write_collection_results(results, new)
+    report(results, new).write(new)
     return results
 
 

@@ -14,10 +14,10 @@ from calibration.execution.backends import Place
 from calibration.execution.workspace import identity, workspace
 from calibration.pipeline.collection.application_dataset import collect_by_applications
 from calibration.pipeline.collection.motion import required_motion
+from calibration.pipeline.collection.report import report
 from calibration.pipeline.collection.request import CollectionRequest, ContainerRequest
 from calibration.pipeline.collection.results import CollectionResults
 from calibration.pipeline.collection.world_file import write_world
-from calibration.pipeline.collection.writing import write_collection_results
 from calibration.simulation.collection.checks import Requirements
 from calibration.simulation.collection.collecting import collect, kept
 from calibration.simulation.collection.contact_sheet import write_contact_sheet
@@ -124,7 +124,7 @@ def _collected(
                 limits=request.checks,
             )
             write_contact_sheet(new, played.system, records, work.folder)
-            write_collection_results(results, new)
+            report(results, new).write(new)
     return results
 
 

@@ -1,61 +1,166 @@
-"""What a user sees of a collection in simulation: lines in the log, the summary, annotations, outputs."""
+"""The report of a collection in simulation."""
 
+from collections.abc import Iterable
+from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
-from calibration.pipeline.collection.results import CONTACT_SHEET, FILE, SUMMARY_FILE, CollectionResults
-from calibration.pipeline.collection.summary import lost_line, markdown, sensors_grid, sentence
-from calibration.workflow import Annotation, Level, Runner, add_summary, annotate, set_outputs, stop_commands
-from calibration.workflow.outputs import OutputValue
+import cv2
+import numpy as np
 
-if TYPE_CHECKING:
-    from calibration.simulation.collection.record import Record
+from calibration import __version__
+from calibration.pipeline.collection.results import CollectionResults, SensorNumbers
+from calibration.report import Lines, Outcome, Report, Table, Text, outcome_of_check
+from calibration.simulation.collection.proof import Proof
+from calibration.simulation.collection.record import Record
+
+SCHEMA = Path(__file__).with_name("collection.schema.json")
+TITLE = "collect-data-sim"
+POSES_FILE = "poses.csv"
+CONTACT_SHEET = "contact_sheet.png"
+LOST_SHOWN = 50
 
 
-def pose_line(record: "Record") -> str:
+def report(results: CollectionResults, output: Path) -> Report:
+    """Return the report. It says no times: the same input gives the same bytes.
+
+    Args:
+        results: what was found.
+        output: the folder of the dataset.
+    """
+    proof, kept = results.proof, len(results.kept)
+    lost = [{"pose": record.number + 1, "reasons": list(record.lost)} for record in results.lost]
+    lines = tuple(map(lost_line, results.lost))
+    sheet = results.contact_sheet
+    numbers = {
+        "corner-error-px": results.corner_rms,
+        "translation-mm": proof.translation_mm if proof else None,
+        "rotation-deg": proof.rotation_deg if proof else None,
+    }
+    return Report(
+        title=TITLE,
+        verdict=results.verdict,
+        error=results.exit_code,
+        sentence=f"{results.system}: {kept} of {len(results.records)} collections kept, {_calibration_text(results)}",
+        reasons=tuple(results.reasons),
+        warnings=lines,
+        blocks=(
+            sensors_table(results),
+            Lines(lines, LOST_SHOWN, POSES_FILE, title="Lost", only="summary"),
+            Text(f"Motion: {results.motion}, seed {results.seed}.", only="summary"),
+        ),
+        suites={f"{TITLE} {results.system}": list(_outcomes(results))},
+        results={
+            "system": results.system,
+            "seed": results.seed,
+            "motion": results.motion,
+            "poses": len(results.records),
+            "kept": kept,
+            "lost": lost,
+            "sensors": {name: asdict(numbers) for name, numbers in results.sensors.items()},
+            "corner_rms_px": results.corner_rms,
+            "calibration": _calibration(proof) if proof else None,
+            "checks": [check.document for check in results.checks],
+            "reasons": results.reasons,
+            "dataset": "dataset.json" if kept else None,
+            "contact_sheet": CONTACT_SHEET if sheet else None,
+            "made_with": {"calibration": __version__, "numpy": np.__version__, "opencv": cv2.__version__},
+        },
+        outputs={
+            "dataset": output if kept else "",
+            "collections": kept,
+            "lost": lost,
+            "detection-rate": {name: each.detection_rate for name, each in results.sensors.items()},
+            **{name: "" if value is None else value for name, value in numbers.items()},
+            **dict.fromkeys(("success-rate", "worst-worlds"), ""),  # of several worlds
+            "contact-sheet": output / CONTACT_SHEET if sheet else "",
+        },
+        files={POSES_FILE: poses_table(results).csv()},
+    )
+
+
+def pose_line(record: Record) -> str:
     """What came of one pose, for the progress."""
     if not record.kept:
         return lost_line(record)
     return f"pose {record.number + 1}: " + ", ".join(f"{name} {count}" for name, count in record.labels.items())
 
 
-def report_collection(results: CollectionResults, output: Path, runner: Runner, title: str) -> None:
-    """Show the results that stand in the output folder.
-
-    Raises:
-        WorldError: a file of the runner cannot be written.
-    """
-    table = sensors_grid(results)
-    with stop_commands(runner):  # names are the user's
-        runner.log("")
-        runner.log(table.plain())
-        runner.log("")
-    lost = [Annotation(lost_line(record), Level.WARNING, title=title) for record in results.lost]
-    annotate(runner, [*(Annotation(reason, title=title) for reason in results.reasons), *lost])
-    add_summary(runner, markdown(results))
-    set_outputs(runner, outputs(results, output))
-    runner.log(f"{sentence(results)} ({output / FILE})")
+def lost_line(record: Record) -> str:
+    """Why a pose is not part of the dataset."""
+    return f"pose {record.number + 1} lost: {'; '.join(record.lost)}"
 
 
-def outputs(results: CollectionResults, output: Path) -> dict[str, OutputValue]:
-    """The outputs of the action; empty text where there is no number, and for what only several worlds have."""
+def sensors_table(results: CollectionResults) -> Table:
+    """For each sensor: detections, corner errors, coverage, and how sure its transform is."""
+    sigmas = (results.proof.sigmas if results.proof else None) or {}
+    header = ("Sensor", "Detected", "Of them partial", "Corner error (px)", "Image covered", "Sigma of its transform")
+
+    def row(name: str, numbers: SensorNumbers) -> tuple[str, ...]:
+        error, sigma = numbers.corner_error, sigmas.get(name)
+        return (
+            name,
+            f"{numbers.detected}/{len(results.records)}",
+            str(numbers.partial) if numbers.coverage is not None else "-",
+            f"RMS {error['rms_px']:.3f}, max {error['max_px']:.2f}" if error else "-",
+            f"{100 * numbers.coverage:.0f} %" if numbers.coverage is not None else "-",
+            f"{sigma.translation_mm:.3f} mm, {sigma.rotation_deg:.4f} deg" if sigma else "-",
+        )
+
+    return Table(header, tuple(row(name, numbers) for name, numbers in results.sensors.items()))
+
+
+def poses_table(results: CollectionResults) -> Table:
+    """Return a row for each pose, for ``poses.csv``: whether it was kept, and what each sensor labelled."""
+    cameras = [name for name, modality in results.modalities.items() if modality == "rgb"]
+    labels = [f"{name} labels" for name in results.modalities]
+    errors = [f"{name} RMS error (pix)" for name in cameras]
+    rows = (
+        (
+            *(record.key, str(record.number + 1), "yes" if record.kept else "no"),
+            *(str(record.labels[name]) for name in results.modalities),
+            *(f"{record.errors[name].rms:.4f}" if name in record.errors else "" for name in cameras),
+            "; ".join(record.lost),
+        )
+        for record in results.records
+    )
+    return Table(("Collection #", "Pose", "Kept", *labels, *errors, "Reasons"), tuple(rows))
+
+
+def _calibration_text(results: CollectionResults) -> str:
+    """What the calibration of the dataset found, in a few words."""
     proof = results.proof
+    if proof is None or not proof.converged:
+        return "does not calibrate"
+    error = (
+        ""
+        if proof.translation_mm is None
+        else f", {proof.translation_mm:.3g} mm and {proof.rotation_deg:.2g} deg{_joints(proof)} from the truth"
+    )
+    return f"calibrates with {proof.rms_px:.4f} px{error}" if proof.rms_px is not None else f"calibrates{error}"
 
-    def known(value: float | None) -> float | str:
-        return "" if value is None else value
 
-    return {
-        "verdict": results.verdict,
-        "dataset": output if results.kept else "",
-        "collections": len(results.kept),
-        "lost": [{"pose": record.number + 1, "reasons": list(record.lost)} for record in results.lost],
-        "detection-rate": {name: numbers.detection_rate for name, numbers in results.sensors.items()},
-        "corner-error-px": known(results.corner_rms),
-        "translation-mm": known(proof.translation_mm if proof else None),
-        "rotation-deg": known(proof.rotation_deg if proof else None),
-        "success-rate": "",
-        "worst-worlds": "",
-        "contact-sheet": output / CONTACT_SHEET if results.contact_sheet else "",
-        "results": output / FILE,
-        "summary": output / SUMMARY_FILE,
-    }
+def _joints(proof: Proof) -> str:
+    """The worst errors of joints, where some were calibrated."""
+    shown = [
+        f"{error:{form}} {unit}"
+        for error, form, unit in ((proof.joint_mm, ".3g", "mm"), (proof.joint_deg, ".2g", "deg"))
+        if error is not None
+    ]
+    return f", joints {' and '.join(shown)}" if shown else ""
+
+
+def _outcomes(results: CollectionResults) -> Iterable[Outcome]:
+    """Return the cases of JUnit: whether the dataset calibrates, and each check."""
+    calibrates = results.proof is not None and results.proof.converged
+    reasons = () if calibrates else tuple(results.reasons)
+    yield Outcome(name="the dataset calibrates", group=results.system, reasons=reasons)
+    for check in results.checks:
+        yield outcome_of_check(check, results.system)
+
+
+def _calibration(proof: Proof) -> dict[str, Any]:
+    document = asdict(proof)
+    if not proof.joints:
+        del document["joints"]
+    return document

@@ -1,23 +1,94 @@
-"""What a user sees of many worlds: the distribution of errors in the log, the summary, annotations, outputs."""
+"""The report on many worlds of one system."""
 
+import re
+import shlex
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import asdict, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
-from calibration.pipeline.collection.scenarios import (
-    FIGURE_FILE,
-    FILE,
-    SUMMARY_FILE,
-    ScenarioResults,
-    scenario_markdown,
-)
-from calibration.workflow import Annotation, Level, Runner, add_summary, annotate, set_outputs, stop_commands
-from calibration.workflow.text import aligned
+from calibration.errors import InputError
+from calibration.pipeline.collection.report import TITLE
+from calibration.pipeline.collection.scenarios import ScenarioResults
+from calibration.report import FILES, Block, Code, Lines, Outcome, Report, Table, Text, count_of, shown
+from calibration.simulation.scenarios.drivers import SIGNIFICANT
+from calibration.simulation.scenarios.figure import figure
+from calibration.simulation.scenarios.result import ScenarioResult
+from calibration.simulation.scenarios.statistics import PERCENTILES, Statistics, why_unknown
 
-if TYPE_CHECKING:
-    from calibration.simulation.scenarios.result import ScenarioResult
+TABLE_FILE, FIGURE_FILE = "worlds.csv", "worlds.png"
+REPORT_FILES = (*FILES, TABLE_FILE, FIGURE_FILE)
+WORST_SHOWN = 5
+DRIVERS_SHOWN = 8
+REASONS_SHOWN = 20
+_NAMES = {0: "least", 50: "median", 100: "worst"}
+_MEASURES = {
+    "translation_mm": "Translation error (mm)",
+    "rotation_deg": "Rotation error (deg)",
+    "joint_mm": "Joint error (mm)",
+    "joint_deg": "Joint error (deg)",
+    "rms_px": "RMS of the reprojection (px)",
+    "corner_rms_px": "Corners against the truth (px)",
+}
+_NUMBER = re.compile(r"\d+(\.\d+)?")
 
 
-def world_line(result: "ScenarioResult") -> str:
+def report(results: ScenarioResults, output: Path) -> Report:
+    """Return the report, with its picture if it can be drawn.
+
+    Args:
+        results: what was found.
+        output: the folder for the results.
+    """
+    statistics, checks = results.statistics, results.request.collection.checks
+    notes: tuple[str, ...] = ()
+    pictures: dict[str, str | bytes] = {}
+    try:
+        drawn = figure(statistics, results.title, checks.max_translation_mm, checks.max_rotation_deg)
+        pictures = {FIGURE_FILE: drawn}
+    except InputError as error:  # what draws it is not installed
+        notes = (str(error),)
+    worst = [result.id for result in statistics.worst(WORST_SHOWN)]
+    largest = {name: statistics.percentiles(name).get(100, "") for name in ("translation_mm", "rotation_deg")}
+    passed = len(statistics.results) - len(results.failed)
+    return Report(
+        title=TITLE,
+        verdict=results.verdict,
+        error=results.exit_code,
+        sentence=f"{passed} of {results.title} pass",
+        reasons=tuple(results.reasons),
+        warnings=tuple(f"{each}: {'; '.join(why)}" for each, why in results.failed.items()),
+        notes=notes,
+        blocks=(
+            Text(_sentence(statistics), only="summary"),
+            distribution(statistics),
+            Text("Over the worlds that calibrate; errors are those of the worst sensor.", only="summary"),
+            *_worst(results),
+            *drivers(statistics),
+            _losses(statistics),
+        ),
+        suites={f"worlds of {results.system}": [_outcome(results, result) for result in statistics.results]},
+        results={
+            "system": results.system,
+            "seed": results.request.collection.seed,
+            "success_rate": results.success_rate,
+            "failed": results.failed,
+            "errors": dict(results.errors),
+            **document(statistics),
+        },
+        outputs={
+            **dict.fromkeys(("dataset", "collections", "lost", "detection-rate", "corner-error-px"), ""),
+            "success-rate": results.success_rate,
+            "worst-worlds": worst,
+            **{name.replace("_", "-"): value for name, value in largest.items()},
+            "contact-sheet": output / FIGURE_FILE if pictures else "",
+        },
+        files={TABLE_FILE: worlds_table(statistics.results).csv(), **pictures},
+    )
+
+
+def world_line(result: ScenarioResult) -> str:
     """What came of one world, for the progress."""
     if not result.converged:
         return f"{result.id}: {'; '.join(result.reasons) or 'does not calibrate'}"
@@ -25,48 +96,140 @@ def world_line(result: "ScenarioResult") -> str:
     return f"{result.id}: {result.kept}/{result.poses} collections{error}"
 
 
-def report_scenarios(results: ScenarioResults, output: Path, runner: Runner, title: str) -> None:
-    """Show the results that stand in the output folder.
-
-    Raises:
-        WorldError: a file of the runner cannot be written.
-    """
-    report = results.report
-    columns = {50: "median", 95: "95 %", 100: "worst"}
-    rows = []
-    for measure, name in (("translation_mm", "Translation error (mm)"), ("rotation_deg", "Rotation error (deg)")):
-        if found := report.percentiles(measure):
-            rows.append((name, *(f"{found[p]:.3g}" for p in columns)))
-    with stop_commands(runner):
-        runner.log("")
-        if rows:
-            runner.log(aligned(("", *columns.values()), rows))
-        runner.log(f"worst worlds: {', '.join(result.id for result in report.worst(5))}")
-        strong = [d for d in report.drivers if d.stands_out][:5]
-        drivers = ", ".join(f"{d.parameter} ({d.correlation:+.2f})" for d in strong) or "nothing stands out"
-        runner.log(f"what drives the error: {drivers}")
-        runner.log("")
-    failed = [f"{each}: {'; '.join(why)}" for each, why in results.failed.items()]
-    annotations = [Annotation(reason, title=title) for reason in results.reasons]
-    annotations += [Annotation(line, Level.WARNING, title=title) for line in failed]
-    annotations += [Annotation(note, Level.NOTICE, title=title) for note in results.notes]
-    annotate(runner, annotations)
-    add_summary(runner, scenario_markdown(results))
-    worst = report.percentiles("translation_mm").get(100)
-    turned = report.percentiles("rotation_deg").get(100)
-    set_outputs(
-        runner,
-        {
-            "verdict": results.verdict,
-            **dict.fromkeys(("dataset", "collections", "lost", "detection-rate", "corner-error-px"), ""),
-            "success-rate": results.success_rate,
-            "worst-worlds": [result.id for result in report.worst(5)],
-            "translation-mm": "" if worst is None else worst,
-            "rotation-deg": "" if turned is None else turned,
-            "contact-sheet": "" if results.notes else output / FIGURE_FILE,
-            "results": output / FILE,
-            "summary": output / SUMMARY_FILE,
+def document(statistics: Statistics) -> dict[str, Any]:
+    """Return the statistics for ``results.json``."""
+    return {
+        "worlds": len(statistics.results),
+        "calibrated": len(statistics.calibrated),
+        "percentiles": {
+            measure: {str(p): value for p, value in statistics.percentiles(measure).items()} for measure in _MEASURES
         },
+        "worst": [result.id for result in statistics.worst(WORST_SHOWN)],
+        "drivers": [{**asdict(driver), "stands_out": driver.stands_out} for driver in statistics.drivers],
+        "scenarios": [{**asdict(result), "kept": result.kept} for result in statistics.results],
+    }
+
+
+def _outcome(results: ScenarioResults, result: ScenarioResult) -> Outcome:
+    reasons = tuple(results.failed.get(result.id, ()))
+    return Outcome(name=result.id, group=results.system, reasons=reasons, error=results.errors.get(result.id))
+
+
+def _sentence(statistics: Statistics) -> str:
+    poses, kept = (sum(getattr(result, what) for result in statistics.results) for what in ("poses", "kept"))
+    worlds = count_of(len(statistics.results), "world")
+    return f"{len(statistics.calibrated)} of {worlds} calibrate; {kept} of {poses} poses gave a collection."
+
+
+def distribution(statistics: Statistics) -> Table:
+    """Return the percentiles of each error."""
+    rows = (
+        (name, *(f"{value:.3g}" for value in found.values()))
+        for measure, name in _MEASURES.items()
+        if (found := statistics.percentiles(measure))
     )
-    passed = len(report.results) - len(results.failed)
-    runner.log(f"{results.verdict}: {passed} of {results.title} pass ({output / FILE})")
+    return Table(("", *(_NAMES.get(p, f"{p} %") for p in PERCENTILES)), tuple(rows))
+
+
+def _worst(results: ScenarioResults) -> list[Block]:
+    """Return the worst worlds, and folded their parameters and how to replay them."""
+    statistics = results.statistics
+    worst = statistics.worst(WORST_SHOWN)
+    rows = (
+        (
+            result.id,
+            shown(result.translation_mm, ".3g"),
+            shown(result.rotation_deg, ".2g"),
+            shown(result.sigma_mm, ".3g"),
+            f"{result.kept}/{result.poses}",
+            "; ".join(result.reasons) or "calibrates",
+        )
+        for result in worst
+    )
+    header = ("World", "Error (mm)", "Error (deg)", "Stated sigma (mm)", "Collections", "Outcome")
+    first = statistics.results[0].values
+    names = [name for name in first if any(result.values[name] != first[name] for result in statistics.results)]
+    values = tuple((name, *(f"{result.values[name]:g}" for result in worst)) for name in names)
+    parameters = Table(("Parameter", *(result.id for result in worst)), values)
+    commands = "\n".join(replay(results, result.id) for result in worst)
+    return [
+        Table(header, tuple(rows), title="Worst worlds"),
+        replace(parameters, title="Their parameters", folded=True, only="summary"),
+        Code(commands, title="How to replay them", folded=True, only="summary"),
+    ]
+
+
+def replay(results: ScenarioResults, scenario: str) -> str:
+    """The command that collects one of the worlds."""
+    of, request = results.request.collection, results.request
+    words = ["calibration", "collect-data-sim", "--system", str(of.system or results.system)]
+    words += [*request.applications, "--scenario", scenario]
+    options = (("scenario-set", request.scenario_set), ("robot", of.robot), ("config", of.configuration))
+    for option, value in (*options, ("motion", of.motion)):
+        words += [f"--{option}", str(value)] if value is not None else []
+    return shlex.join([*words, "--output", scenario])
+
+
+def drivers(statistics: Statistics) -> list[Block]:
+    """Return the parameters that go with the translation error, as far as they stand out."""
+    title, found = "What drives the error", statistics.drivers
+    strong = [driver for driver in found if driver.stands_out]
+    if not found:
+        return [Text(f"Not known: {why_unknown(len(statistics.ran))}.", title=title)]
+    if not strong:
+        text = (
+            f"None of the parameters that vary ({len(found)}) stands out. The strongest is {found[0].parameter}, rank "
+            f"correlation {found[0].correlation:+.2f}: chance gives as much with probability {found[0].p:.2g}."
+        )
+        return [Text(text, title=title)]
+    rows = tuple((d.parameter, f"{d.correlation:+.2f}", f"{d.p:.2g}") for d in strong[:DRIVERS_SHOWN])
+    text = (
+        f"Spearman's; p (below {SIGNIFICANT:g} here) is the probability that chance gives as much with any of the "
+        f"{len(found)} parameters. Between bars: a parameter's magnitude. A world without a calibration counts as the "
+        "worst."
+    )
+    header = ("Parameter", "Rank correlation with the translation error", "p")
+    return [Table(header, rows, title=title), Text(text, only="summary")]
+
+
+def _losses(statistics: Statistics) -> Lines:
+    """Return why poses were lost, the most frequent reasons first; numbers in them do not tell them apart."""
+    lost = [each for result in statistics.results for reasons in (result.lost or {}).values() for each in reasons]
+    examples: dict[str, str] = {}
+    for reason in lost:
+        examples.setdefault(_NUMBER.sub("#", reason), reason)
+    counts = Counter(_NUMBER.sub("#", reason) for reason in lost)
+    listed = sorted(counts.items(), key=lambda item: (-item[1], item[0]))
+    lines = tuple(f"{count}: {examples[kind]}" for kind, count in listed)
+    title = "Why poses were lost: one example of each reason"
+    return Lines(lines, REASONS_SHOWN, title=title, only="summary")
+
+
+def worlds_table(results: Sequence[ScenarioResult]) -> Table:
+    """Return a row for each world, for ``worlds.csv``; an empty cell where there is no value."""
+    rows = [{name: "" if value is None else str(value) for name, value in _row(each).items()} for each in results]
+    return Table(tuple(rows[0]) if rows else (), tuple(tuple(row.values()) for row in rows))
+
+
+def _row(result: ScenarioResult) -> dict[str, object]:
+    measures = (
+        "corner_rms_px",
+        "rms_px",
+        "translation_mm",
+        "rotation_deg",
+        "joint_mm",
+        "joint_deg",
+        "sigma_mm",
+        "sigma_deg",
+    )
+    return {
+        "id": result.id,
+        "hash": result.hash,
+        "converged": int(result.converged),
+        "poses": result.poses,
+        "kept": result.kept,
+        "detection_rate": min((result.detection or {}).values(), default=0.0),
+        **{measure: getattr(result, measure) for measure in measures},
+        **result.values,
+        "reasons": "; ".join(result.reasons),
+    }

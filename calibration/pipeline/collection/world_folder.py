@@ -11,7 +11,7 @@ from calibration.execution.job import Job
 from calibration.execution.job_folder import LOGS
 from calibration.execution.outcome import JobOutcome
 from calibration.execution.tasks import Task
-from calibration.pipeline.collection.scenarios import REPORT_FILES
+from calibration.pipeline.collection.scenario_report import REPORT_FILES
 from calibration.pipeline.collection.world_file import read_world, write_world
 from calibration.simulation.scenarios.result import ScenarioResult
 

@@ -1,4 +1,4 @@
-"""Many datasets, of our own simulation's worlds or of the team's applications: run, judged, and one report over all."""
+"""Many datasets, of our own simulation's worlds or of the team's applications: run and judged."""
 
 import json
 import tempfile
@@ -13,12 +13,12 @@ from calibration.execution.workspace import workspace
 from calibration.pipeline.collection.application_worlds import ApplicationWorlds
 from calibration.pipeline.collection.own_worlds import OwnWorlds
 from calibration.pipeline.collection.request import ContainerRequest, ScenarioRequest
-from calibration.pipeline.collection.scenarios import ScenarioResults, write_scenario_results
+from calibration.pipeline.collection.scenarios import ScenarioResults
 from calibration.pipeline.collection.world_file import result_from
 from calibration.pipeline.collection.world_folder import Judged, WorldFolder, Worlds
 from calibration.simulation.collection.collecting import single_threaded_opencv
-from calibration.simulation.scenarios.report import Report
 from calibration.simulation.scenarios.result import ScenarioResult
+from calibration.simulation.scenarios.statistics import Statistics
 
 Begin = Callable[[str, int], None]
 """Called with the system's name and the number of worlds when everything was read and checked."""
@@ -34,7 +34,7 @@ def run_worlds(
     begin: Begin = lambda *_: None,
     done: Done = lambda *_: None,
 ) -> ScenarioResults:
-    """Run the worlds 0 to count - 1 of a seed, and leave the report in a folder.
+    """Run the worlds 0 to count - 1 of a seed.
 
     Worlds of our own simulation run in processes here, and one that is interrupted goes on where it was; or, where
     the request has an image, in containers, as the team's applications do. These leave the datasets too in
@@ -42,7 +42,7 @@ def run_worlds(
 
     Args:
         request: which worlds.
-        folder: for results, table, summary and figure.
+        folder: for the datasets and logs.
         jobs: processes, or containers at once; None for as many as the machine holds.
         place: where containers run; this machine's engine unless given.
         begin: see `Begin`.
@@ -62,8 +62,8 @@ def run_worlds(
     else:
         found = _run_in_containers(worlds, folder, jobs, place, done)
     errors = {each.result.id: each.error for each in found if each.error is not None}
-    report = Report([each.result for each in found], lost=tuple(errors))
-    return write_scenario_results(ScenarioResults(worlds.system, request, report, errors=errors), folder.output)
+    statistics = Statistics([each.result for each in found], lost=tuple(errors))
+    return ScenarioResults(worlds.system, request, statistics, errors)
 
 
 def _run_here(worlds: OwnWorlds, output: Path, jobs: int | None, done: Done) -> list[Judged]:

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 from calibration.errors import InputError
 from calibration.simulation.scenarios.drivers import Driver
-from calibration.simulation.scenarios.report import Report, why_unknown
+from calibration.simulation.scenarios.statistics import Statistics, why_unknown
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -25,7 +25,7 @@ _STYLE: Any = {
 
 
 def figure(
-    report: Report, title: str, translation_limit: float | None = None, rotation_limit: float | None = None
+    report: Statistics, title: str, translation_limit: float | None = None, rotation_limit: float | None = None
 ) -> bytes:
     """Draw the report as a PNG; the same report gives the same bytes with the same matplotlib.
 
@@ -63,7 +63,7 @@ def figure(
     return png.getvalue()
 
 
-def _distribution(axes: "Axes", report: Report, measure: str, label: str, limit: float | None) -> None:
+def _distribution(axes: "Axes", report: Statistics, measure: str, label: str, limit: float | None) -> None:
     """The share of all worlds whose error is at most so large; it ends below 100 % where some do not calibrate."""
     values = sorted(value for result in report.calibrated if (value := getattr(result, measure)) is not None)
     total = len(report.results)
@@ -86,7 +86,7 @@ def _distribution(axes: "Axes", report: Report, measure: str, label: str, limit:
     axes.set_yticks(range(0, 101, 20))
 
 
-def _scatter(axes: "Axes", report: Report, driver: Driver) -> None:
+def _scatter(axes: "Axes", report: Statistics, driver: Driver) -> None:
     """The error over one parameter; a cross at the top for each world without a calibration."""
     places = {result.id: driver.of(result.values) for result in report.results}
     errors = {result.id: result.translation_mm for result in report.calibrated if result.translation_mm is not None}

@@ -17,7 +17,8 @@ from calibration.pipeline.collection.applications import applications_from
 from calibration.pipeline.collection.collecting import collect_dataset
 from calibration.pipeline.collection.request import CollectionRequest, ContainerRequest, ScenarioRequest
 from calibration.pipeline.collection.results import CollectionChecks
-from calibration.pipeline.collection.scenarios import ScenarioResults, replay
+from calibration.pipeline.collection.scenario_report import replay, report
+from calibration.pipeline.collection.scenarios import ScenarioResults
 from calibration.pipeline.collection.world_folder import WorldFolder
 from calibration.pipeline.collection.worlds import run_worlds
 from calibration.simulation.scenarios.result import ScenarioResult
@@ -76,7 +77,7 @@ def good(collected: Path) -> Leave:
 
 @pytest.fixture(autouse=True)
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("calibration.pipeline.collection.scenarios.figure", lambda *_: b"a picture")
+    monkeypatch.setattr("calibration.pipeline.collection.scenario_report.figure", lambda *_: b"a picture")
 
 
 def lost(folder: Path) -> dict[str, Any]:
@@ -99,7 +100,9 @@ def run(
         if told is not None:
             told.append(result.id)
 
-    return run_worlds(request, WorldFolder(output, resume), place=at(backend), done=done)
+    found = run_worlds(request, WorldFolder(output, resume), place=at(backend), done=done)
+    report(found, output).write(output)
+    return found
 
 
 def asked(count: int, *options: str, **entry: Any) -> ScenarioRequest:

@@ -235,7 +235,7 @@ def test_a_file_outside_of_the_folder_is_not_drawn(collected: Path, tmp_path: Pa
 
 def test_checks_and_truth(collected: Path, tmp_path: Path) -> None:
     few = reasons_of(collected, tmp_path, checks=CollectionChecks(minimum_collections=9))
-    assert few.reasons == ["collections: found 4, at least 9 was expected"]
+    assert few.reasons == ["collections: found 4, expected at least 9"]
     none = CollectionChecks(max_translation_mm=None, max_rotation_deg=None)
     shutil.rmtree(tmp_path / "out")
     free = reasons_of(collected, tmp_path, truth="none", checks=none)

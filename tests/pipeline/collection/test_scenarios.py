@@ -13,17 +13,10 @@ from calibration.errors import ExitCode
 from calibration.pipeline.collection.collecting import collect_dataset
 from calibration.pipeline.collection.request import MAX_SCENARIOS, CollectionRequest, ScenarioRequest, WorldOfSet
 from calibration.pipeline.collection.results import CollectionChecks
-from calibration.pipeline.collection.scenario_report import world_line
-from calibration.pipeline.collection.scenarios import (
-    ScenarioResults,
-    replay,
-    scenario_document,
-    scenario_markdown,
-    world_reasons,
-    write_scenario_results,
-)
-from calibration.simulation.scenarios.report import Report
+from calibration.pipeline.collection.scenario_report import replay, report, world_line
+from calibration.pipeline.collection.scenarios import ScenarioResults, world_reasons
 from calibration.simulation.scenarios.result import ScenarioResult
+from calibration.simulation.scenarios.statistics import Statistics
 
 SYSTEM = Path(__file__).parents[3] / "datasets" / "t2rgb"
 GOOD = ScenarioResult(
@@ -51,7 +44,7 @@ def results(*found: ScenarioResult, rate: float = 1.0, **checks: float) -> Scena
         len(found),
         rate,
     )
-    return ScenarioResults("robot", request, Report(found))
+    return ScenarioResults("robot", request, Statistics(found))
 
 
 def test_a_world_passes_within_its_limits() -> None:
@@ -59,7 +52,7 @@ def test_a_world_passes_within_its_limits() -> None:
     assert world_reasons(BROKEN, CollectionChecks()) == ["nothing seen"]
     assert world_reasons(replace(BROKEN, reasons=()), CollectionChecks()) == ["it does not calibrate"]
     assert world_reasons(FAR, CollectionChecks()) == [
-        "translation error against the truth: found 7 mm, at most 5 mm was expected"
+        "translation error against the truth: found 7 mm, expected at most 5 mm"
     ]
     strict = CollectionChecks(minimum_collections=12, minimum_detection_rate=0.95, max_rotation_deg=0.05)
     assert [reason.partition(":")[0] for reason in world_reasons(GOOD, strict)] == [
@@ -69,39 +62,41 @@ def test_a_world_passes_within_its_limits() -> None:
     ]
     assert world_reasons(replace(GOOD, translation_mm=None), CollectionChecks()) != []
     assert world_reasons(replace(GOOD, joint_mm=4.0, joint_deg=0.4), CollectionChecks()) == [
-        "joint rotation error against the truth: found 0.4 deg, at most 0.3 deg was expected"
+        "joint rotation error against the truth: found 0.4 deg, expected at most 0.3 deg"
     ]
 
 
 def test_every_world_has_to_pass_unless_a_rate_is_given() -> None:
     assert results(GOOD).exit_code == ExitCode.PASS
     assert results(GOOD, FAR).exit_code == ExitCode.FAIL
-    assert results(GOOD, FAR).reasons == ["success rate: found 0.5, at least 1 was expected"]
+    assert results(GOOD, FAR).reasons == ["success rate: found 0.5, expected at least 1"]
     assert results(GOOD, FAR, rate=0.5).exit_code == ExitCode.PASS
     assert results(GOOD, FAR, BROKEN, rate=0.5).exit_code == ExitCode.FAIL
     assert results(FAR, max_translation_mm=10).exit_code == ExitCode.PASS
 
 
 def test_what_it_leaves(tmp_path: Path) -> None:
-    found = write_scenario_results(results(GOOD, FAR, BROKEN), tmp_path)
+    found = report(results(GOOD, FAR, BROKEN), tmp_path)
+    found.write(tmp_path)
     assert found.notes == ()
     assert {path.name for path in tmp_path.iterdir()} == {
         *("results.json", "worlds.csv", "worlds.png", "summary.md", "junit.xml")
     }
     document = json.loads((tmp_path / "results.json").read_text())
-    assert document == json.loads(json.dumps(scenario_document(found)))
+    assert document == json.loads(json.dumps(found.document))
     assert document["failed"].keys() == {"s1-00001", "s1-00002"}
     assert document["worst"][0] == "s1-00002"
     rows = list(csv.DictReader((tmp_path / "worlds.csv").read_text().splitlines()))
     assert [row["id"] for row in rows] == ["s1-00000", "s1-00001", "s1-00002"]
     assert 'tests="3" failures="2"' in (tmp_path / "junit.xml").read_text()
-    assert "success rate: found 0.3333, at least 1 was expected" in scenario_markdown(found)
+    assert "success rate: found 0.3333, expected at least 1" in found.markdown()
 
 
 def test_without_what_draws_the_figure_there_is_a_note(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(__import__("sys").modules, "matplotlib", None)
     monkeypatch.setitem(__import__("sys").modules, "matplotlib.figure", None)
-    found = write_scenario_results(results(GOOD), tmp_path)
+    found = report(results(GOOD), tmp_path)
+    found.write(tmp_path)
     assert found.notes == ("the figure needs matplotlib: pip install matplotlib",)
     assert not (tmp_path / "worlds.png").exists()
     assert (tmp_path / "results.json").exists()

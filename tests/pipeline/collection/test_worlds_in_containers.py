@@ -20,6 +20,7 @@ from calibration.execution.outcome import JobOutcome
 from calibration.pipeline.collection.applications import INPUTS
 from calibration.pipeline.collection.collecting import collect_dataset
 from calibration.pipeline.collection.request import CollectionRequest, ScenarioRequest, WorldImage, WorldOfSet
+from calibration.pipeline.collection.scenario_report import report
 from calibration.pipeline.collection.scenarios import ScenarioResults
 from calibration.pipeline.collection.world_file import FILE, SCHEMA
 from calibration.pipeline.collection.world_folder import WorldFolder
@@ -90,7 +91,7 @@ def kept(tmp_path_factory: pytest.TempPathFactory) -> None:
 @pytest.fixture(autouse=True)
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     """Leave the figure out, whose drawing takes longer than a world."""
-    monkeypatch.setattr("calibration.pipeline.collection.scenarios.figure", lambda *_: b"a picture")
+    monkeypatch.setattr("calibration.pipeline.collection.scenario_report.figure", lambda *_: b"a picture")
 
 
 @pytest.fixture
@@ -110,6 +111,11 @@ def set_file(asked: ScenarioRequest) -> Path:
     return asked.scenario_set
 
 
+def written(found: ScenarioResults, output: Path) -> ScenarioResults:
+    report(found, output).write(output)
+    return found
+
+
 def run(
     asked: ScenarioRequest,
     output: Path,
@@ -119,11 +125,11 @@ def run(
     **how: bool,
 ) -> ScenarioResults:
     there = replace(asked, image=WorldImage("robot:1", 60))
-    return run_worlds(there, WorldFolder(output, **how), None, at(backend or RunsHere()), begin, done)
+    return written(run_worlds(there, WorldFolder(output, **how), None, at(backend or RunsHere()), begin, done), output)
 
 
 def run_here(asked: ScenarioRequest, output: Path) -> ScenarioResults:
-    return run_worlds(asked, WorldFolder(output), 1)
+    return written(run_worlds(asked, WorldFolder(output), 1), output)
 
 
 def snapshot(folder: Path) -> dict[str, bytes]:
@@ -191,7 +197,7 @@ def test_a_lost_world_loses_no_other_and_is_no_pass(asked: ScenarioRequest, tmp_
     found = run(asked, tmp_path / "out", RunsHere(s5_00001=lost))
     assert found.failed == {"s5-00001": ["the host i-1 was lost"]}
     assert (found.verdict, found.exit_code, found.success_rate) == ("fail", ExitCode.WORLD, 0.666667)
-    assert [each.id for each in found.report.ran] == ["s5-00000", "s5-00002"]
+    assert [each.id for each in found.statistics.ran] == ["s5-00000", "s5-00002"]
     document = json.loads((tmp_path / "out" / "results.json").read_text())
     assert document["errors"] == {"s5-00001": 3}
     assert [each["converged"] for each in document["scenarios"]] == [True, False, True]
@@ -213,7 +219,7 @@ def test_only_what_is_missing_is_run_again(asked: ScenarioRequest, tmp_path: Pat
     assert told == ["s5-00000", "s5-00002", "s5-00001"]  # those that are kept, then those that come
     assert [job.name for job in again.jobs] == ["s5-00001", "s5-00002"]
     assert found.exit_code == ExitCode.PASS
-    assert found.report.results == run(asked, tmp_path / "at once").report.results
+    assert found.statistics.results == run(asked, tmp_path / "at once").statistics.results
     nothing = RunsHere()
     run(asked, output, nothing, resume=True)
     assert nothing.jobs == []
@@ -303,8 +309,8 @@ def test_numbers_are_our_own(asked: ScenarioRequest, tmp_path: Path) -> None:
         (place / "artifacts" / "dataset" / "dataset.json").write_text("{}")
 
     found = run(replace(asked, count=2), tmp_path / "out", RunsHere(s5_00000=lies, s5_00001=broken))
-    first, second = found.report.results
-    assert first == run(replace(asked, count=1), tmp_path / "honest").report.results[0]
+    first, second = found.statistics.results
+    assert first == run(replace(asked, count=1), tmp_path / "honest").statistics.results[0]
     assert not second.converged
     assert second.reasons[0].startswith("dataset.json: ")
 
@@ -380,7 +386,8 @@ def test_worlds_here_that_are_interrupted_go_on_unless_they_are_others(asked: Sc
         with pytest.raises(KeyboardInterrupt):
             run_worlds(asked, WorldFolder(tmp_path / "out"), 1, done=interrupt)
         seen: list[int] = []
-        run_worlds(asked, WorldFolder(tmp_path / "out"), 1, done=lambda count, *_: seen.append(count))
+        found = run_worlds(asked, WorldFolder(tmp_path / "out"), 1, done=lambda count, *_: seen.append(count))
+        written(found, tmp_path / "out")
         return seen
 
     run_here(asked, tmp_path / "at once")

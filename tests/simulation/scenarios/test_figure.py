@@ -6,13 +6,13 @@ import pytest
 
 from calibration.errors import InputError
 from calibration.simulation.scenarios.figure import figure
-from calibration.simulation.scenarios.report import Report
 from calibration.simulation.scenarios.result import ScenarioResult
+from calibration.simulation.scenarios.statistics import Statistics
 
 
-def report(count: int, lost: int = 0) -> Report:
+def report(count: int, lost: int = 0) -> Statistics:
     random = np.random.default_rng(0)
-    return Report(
+    return Statistics(
         [
             ScenarioResult(
                 f"s1-{i:05d}",

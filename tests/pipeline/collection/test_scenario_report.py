@@ -4,14 +4,17 @@ import json
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
-from calibration.simulation.scenarios.report import Report, document, markdown, table
+from calibration.pipeline.collection.request import CollectionRequest, ScenarioRequest
+from calibration.pipeline.collection.scenario_report import document, report, worlds_table
+from calibration.pipeline.collection.scenarios import ScenarioResults
+from calibration.report import Report
 from calibration.simulation.scenarios.result import ScenarioResult
+from calibration.simulation.scenarios.statistics import Statistics
 
 
 def result(index: int, error: float | None, **values: float) -> ScenarioResult:
@@ -32,83 +35,75 @@ def result(index: int, error: float | None, **values: float) -> ScenarioResult:
     )
 
 
-def many(errors: Sequence[float | None]) -> Report:
-    return Report([result(i, error, **{"motion.sway_mm": float(i % 7)}) for i, error in enumerate(errors)])
+def many(errors: Sequence[float | None]) -> Statistics:
+    return Statistics([result(i, error, **{"motion.sway_mm": float(i % 7)}) for i, error in enumerate(errors)])
 
 
-def replay(world: str) -> str:
-    return f"calibration collect-data-sim --system t2rgb --scenario {world}"
+@pytest.fixture(autouse=True)
+def _no_picture(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Save the time to draw one."""
+    monkeypatch.setattr("calibration.pipeline.collection.scenario_report.figure", lambda *_: b"")
 
 
-@settings(deadline=None)
-@given(st.lists(st.floats(0, 1e3), min_size=1, max_size=60))
-def test_percentiles_are_values_of_worlds(errors: list[float]) -> None:
-    found = many(errors).percentiles("translation_mm")
-    assert list(found) == [0, 5, 25, 50, 75, 95, 100]
-    assert (found[0], found[100]) == (min(errors), max(errors))
-    expected = np.percentile(errors, list(found), method="inverted_cdf")
-    assert list(found.values()) == expected.tolist()
-
-
-def test_the_worst_are_those_without_a_calibration_then_the_largest_errors() -> None:
-    report = many([0.5, None, 3.0, 0.1, None, 3.0])
-    assert [r.id for r in report.worst(4)] == ["s1-00001", "s1-00004", "s1-00002", "s1-00005"]
-    assert len(report.worst(100)) == 6
+def told(statistics: Statistics) -> Report:
+    request = ScenarioRequest(CollectionRequest(Path("t2rgb")), None, len(statistics.results))
+    return report(ScenarioResults("<b>t2rgb</b>", request, statistics), Path("out"))
 
 
 def test_the_report_says_it_all() -> None:
     errors = [0.2 + 0.1 * (i % 7) + 0.001 * i for i in range(40)]
-    text = markdown(many([*errors[:-1], None]), "40 worlds of <b>t2rgb</b>", replay, worst=2)
-    assert "## 40 worlds of &lt;b&gt;t2rgb&lt;/b&gt;" in text
+    text = told(many([*errors[:-1], None])).markdown()
+    assert text.startswith("## collect-data-sim: fail: 39 of 40 worlds of &lt;b&gt;t2rgb&lt;/b&gt; pass\n\n- success")
     assert "39 of 40 worlds calibrate; 440 of 480 poses gave a collection." in text
     assert "| Translation error (mm) | 0.2 |" in text
     assert "| s1-00039 | - | - | - | 11/12 | no collection &#124; has labels |" in text
     assert "| s1-00034 | 0.834 | 0.083 | 0.3 | 11/12 | calibrates |" in text
-    assert "| motion.sway\\_mm | 4 | 6 |" in text
-    assert "```\n" + replay("s1-00039") + "\n" + replay("s1-00034") + "\n```" in text
+    assert "| motion.sway\\_mm | 4 | 6 | " in text
+    command = "calibration collect-data-sim --system t2rgb --scenario {0} --output {0}\n"
+    assert f"```\n{command.format('s1-00039')}{command.format('s1-00034')}" in text
     assert "| motion.sway\\_mm | +0.9" in text
     assert "- 40: left\\_camera: 0 markers, more than 8 needed" in text
 
 
 def test_where_nothing_drives_the_error_it_says_so() -> None:
     errors = np.random.default_rng(1).random(40).tolist()
-    text = markdown(many(errors), "40 worlds", replay)
+    text = told(many(errors)).markdown()
     assert (
         "None of the parameters that vary (1) stands out. The strongest is motion.sway\\_mm, rank correlation" in text
     )
 
 
 def test_few_worlds_tell_nothing_of_drivers() -> None:
-    text = markdown(many([0.1, 0.2]), "2 worlds", replay)
+    text = told(many([0.1, 0.2])).markdown()
     assert "Not known: it takes 10 worlds." in text
     assert "| motion.sway\\_mm | 1 | 0 |" in text
-    assert "motion.sway" not in markdown(many([0.1]), "1 world", replay)  # it varies between none
-    assert "Not known: nothing varies." in markdown(Report([result(i, 0.1) for i in range(12)]), "12 worlds", replay)
+    assert "motion.sway" not in told(many([0.1])).markdown()  # it varies between none
+    assert "Not known: nothing varies." in told(Statistics([result(i, 0.1) for i in range(12)])).markdown()
 
 
 def test_a_report_of_worlds_that_all_fail() -> None:
-    text = markdown(many([None] * 12), "12 worlds", replay)
+    text = told(many([None] * 12)).markdown()
     assert "0 of 12 worlds calibrate" in text
     assert "Translation error (mm)" not in text
-    assert markdown(many([None]), "1 world", replay).count("0 of 1 world calibrate;") == 1
+    assert told(many([None])).markdown().count("0 of 1 world calibrate;") == 1
 
 
 def test_the_table_has_a_row_for_each_world() -> None:
     results = many([0.5, None]).results
-    first, second = csv.DictReader(io.StringIO(table(results)))
+    first, second = csv.DictReader(io.StringIO(worlds_table(results).csv()))
     assert first["id"] == "s1-00000"
     assert float(first["translation_mm"]) == 0.5
     assert (first["converged"], first["kept"], first["motion.sway_mm"]) == ("1", "11", "0.0")
     assert (second["converged"], second["translation_mm"], second["rms_px"]) == ("0", "", "")
     assert second["reasons"] == "no collection | has labels"
-    assert "\r" not in table(results)
-    assert table(results) == table([replace(each) for each in results])
-    assert table(results[1:]).splitlines()[1] == table(results).splitlines()[2]
+    assert "\r" not in worlds_table(results).csv()
+    assert worlds_table(results).csv() == worlds_table([replace(each) for each in results]).csv()
+    assert worlds_table(results[1:]).csv().splitlines()[1] == worlds_table(results).csv().splitlines()[2]
 
 
 def test_the_document_is_strict_json_with_all_of_it() -> None:
-    report = many([0.5, None, *[0.1] * 10])
-    read = json.loads(json.dumps(document(report), allow_nan=False))
+    statistics = many([0.5, None, *[0.1] * 10])
+    read = json.loads(json.dumps(document(statistics), allow_nan=False))
     assert (read["worlds"], read["calibrated"]) == (12, 11)
     assert read["percentiles"]["translation_mm"]["100"] == 0.5
     assert read["worst"][:2] == ["s1-00001", "s1-00000"]
@@ -121,6 +116,6 @@ def test_the_document_is_strict_json_with_all_of_it() -> None:
 
 @pytest.mark.parametrize("errors", [[math.pi], [None], [0.1] * 30])
 def test_any_report_can_be_written(errors: list[float | None]) -> None:
-    report = many(errors)
-    assert markdown(report, "worlds", replay)
-    assert json.dumps(document(report), allow_nan=False)
+    statistics = many(errors)
+    assert told(statistics).markdown()
+    assert json.dumps(document(statistics), allow_nan=False)
