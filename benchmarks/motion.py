@@ -11,7 +11,7 @@ from benchmarks.timing import interleaved
 from calibration.geometry.types import IntArray
 from calibration.simulation.motion.candidates import Candidates, find_candidates
 from calibration.simulation.motion.generation import generate_motion
-from calibration.simulation.motion.prediction import predicted_sigmas
+from calibration.simulation.motion.information import predicted_sigmas
 from calibration.simulation.motion.sequence import Motion
 from calibration.simulation.placement import place
 from calibration.simulation.system import System, read_system

@@ -7,8 +7,8 @@ from benchmarks.shared_data import ROOT
 from benchmarks.timing import seconds
 from calibration.execution.tasks import run_tasks
 from calibration.simulation.collection.collecting import single_threaded_opencv
-from calibration.simulation.scenarios.result import ScenarioResult
 from calibration.simulation.scenarios.run import scenario_task
+from calibration.simulation.scenarios.scenario import ScenarioResult
 from calibration.simulation.scenarios.scenario_set import read_scenario_set
 from calibration.simulation.scenarios.statistics import Statistics
 from calibration.simulation.system import read_system

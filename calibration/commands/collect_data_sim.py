@@ -34,7 +34,7 @@ from calibration.pipeline.collection.worlds import run_worlds
 from calibration.report import publish, show
 from calibration.simulation.collection.record import Record
 from calibration.simulation.motion.sequence import Motion
-from calibration.simulation.scenarios.result import ScenarioResult
+from calibration.simulation.scenarios.scenario import ScenarioResult
 from calibration.simulation.system import System
 from calibration.workflow import Runner, stop_commands
 from calibration.workflow.progress import progress

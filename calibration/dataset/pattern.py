@@ -4,11 +4,14 @@ The pattern frame: x along a row of corners, y along a column, z into the board 
 that sees it), all corners at z = 0. Metres.
 """
 
-from dataclasses import dataclass
-from typing import Literal
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any, Literal
 
 import numpy as np
 
+from calibration.dataset.corners import read_corners
+from calibration.dataset.document import Node
 from calibration.geometry.types import Array
 
 PatternKind = Literal["charuco", "chessboard"]
@@ -66,3 +69,66 @@ def corner_origin(kind: PatternKind, version: str, square: float) -> tuple[float
     chessboard, and a charuco board of version 2, on the first inner corner.
     """
     return (square, square) if kind == "charuco" and not version.startswith("2") else (0.0, 0.0)
+
+
+CORNERS = ("top_left", "top_right", "bottom_right", "bottom_left")
+SIDES = {"top": (0, 1), "bottom": (3, 2), "left": (0, 3), "right": (1, 2)}
+"""The sides of the border, each from one of `CORNERS` to another."""
+SPACING = 0.02
+"""How far apart ATOM samples the sides of the border (m)."""
+MAX_SAMPLES = 10_000
+"""The largest number of samples on one side."""
+MAX_COORDINATE = 1e6
+"""The largest coordinate in a pattern's frame (m)."""
+
+
+def with_explicit_geometry(pattern: Pattern, node: Node) -> Pattern:
+    """The pattern with the corners and the border that the document gives; what it lacks stays as it is.
+
+    Raises:
+        InputError: something in it is wrong.
+    """
+    corners, frame = node.get("corners"), node.get("frame")
+    if corners and corners.sequence():
+        pattern = replace(pattern, corners=_corners(corners))
+    if frame and (border := frame.get("corners")):
+        pattern = replace(pattern, outline=np.array([[_coordinate(border[c][axis]) for axis in "xy"] for c in CORNERS]))
+    return pattern
+
+
+def _coordinate(node: Node) -> float:
+    return node.within(-MAX_COORDINATE, MAX_COORDINATE)
+
+
+def _corners(node: Node) -> Array:
+    """(K, 3) by id; the ids must be 0 to K - 1, in any order."""
+    ids, places = read_corners([node])
+    order = np.argsort(ids, kind="stable")
+    if not np.array_equal(ids[order], np.arange(len(ids))):
+        raise node.fault(f"found other ids than 0 to {len(ids) - 1}, each once, for the {len(ids)} corners")
+    if (far := (abs(places) > MAX_COORDINATE).any(-1)).any():
+        raise node.fault(f"found corner {int(ids[far.argmax()])} more than {MAX_COORDINATE:g} m away")
+    corners = np.zeros((len(ids), 3))
+    corners[:, :2] = places[order]
+    return corners
+
+
+def pattern_document(pattern: Pattern, transforms_initial: Mapping[str, Any]) -> dict[str, Any]:
+    """The ``patterns[name]`` of a version 3 dataset; ``transforms_initial`` is kept as it is given."""
+    ends = pattern.outline.tolist()
+    return {
+        "corners": [{"id": i, "x": x, "y": y} for i, (x, y, _) in enumerate(pattern.corners.tolist())],
+        "frame": {
+            "corners": {name: {"x": x, "y": y} for name, (x, y) in zip(CORNERS, ends, strict=True)},
+            "lines_sampled": {
+                side: _sampled(pattern.outline[start], pattern.outline[end]) for side, (start, end) in SIDES.items()
+            },
+        },
+        "transitions": {"horizontal": [], "vertical": []},
+        "transforms_initial": dict(transforms_initial),
+    }
+
+
+def _sampled(start: Array, end: Array) -> list[dict[str, float]]:
+    count = min(max(2, round(float(np.linalg.norm(end - start)) / SPACING)), MAX_SAMPLES)
+    return [{"x": x, "y": y} for x, y in np.linspace(start, end, count).tolist()]

@@ -14,8 +14,7 @@ from calibration.dataset.joints import read_joints
 from calibration.dataset.labels import read_labels
 from calibration.dataset.layout import check_layouts
 from calibration.dataset.model import Dataset, Edge
-from calibration.dataset.pattern import Pattern
-from calibration.dataset.pattern_document import with_explicit_geometry
+from calibration.dataset.pattern import Pattern, with_explicit_geometry
 from calibration.dataset.sensors import read_sensors
 from calibration.geometry.types import Array
 

@@ -13,8 +13,7 @@ from calibration.dataset.edges import is_constant, read_transforms, transform_do
 from calibration.dataset.joints import joint_document
 from calibration.dataset.json_text import json_text
 from calibration.dataset.model import Dataset, Edge
-from calibration.dataset.pattern import Pattern
-from calibration.dataset.pattern_document import pattern_document
+from calibration.dataset.pattern import Pattern, pattern_document
 from calibration.dataset.payload import locate
 from calibration.dataset.reading import FILE_NAME
 from calibration.dataset.sensors import camera_document, read_camera

@@ -42,7 +42,7 @@ A board with fewer than 33 markers needs more than a quarter of them.
 
 
 class CharucoDetector:
-    """Finds the corners of one charuco board; see `calibration.labelling.corners.CornerDetector`."""
+    """Finds the corners of one charuco board; see `calibration.labelling.detection.CornerDetector`."""
 
     def __init__(self, pattern: PatternConfiguration) -> None:
         """For a pattern as it is printed; whether in OpenCV's modern or legacy layout, each image tells.

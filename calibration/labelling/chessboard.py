@@ -36,7 +36,7 @@ MARGIN = 4
 
 
 class ChessboardDetector:
-    """Finds the corners of one chessboard; see `calibration.labelling.corners.CornerDetector`."""
+    """Finds the corners of one chessboard; see `calibration.labelling.detection.CornerDetector`."""
 
     def __init__(self, pattern: PatternConfiguration) -> None:
         """For a pattern as it is printed.

@@ -14,10 +14,9 @@ from calibration.errors import InputError
 from calibration.geometry.types import Array, BoolArray, IntArray
 from calibration.labelling.detection import Image, NotDetected
 from calibration.labelling.points import PatternPoints
-from calibration.simulation.collection.capture import Capture, capture
-from calibration.simulation.collection.checks import Requirements, reasons_to_lose
-from calibration.simulation.collection.play import play
+from calibration.simulation.collection.capture import Capture, Requirements, capture, reasons_to_lose
 from calibration.simulation.motion.sequence import Motion
+from calibration.simulation.placement import play
 from calibration.simulation.sensors.sensor import Found
 from calibration.simulation.system import System
 

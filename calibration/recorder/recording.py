@@ -10,7 +10,7 @@ from calibration.recorder.page import Page
 from calibration.recorder.preview import preview
 from calibration.recorder.server import address, is_loopback, serving
 from calibration.recorder.session import Session
-from calibration.simulation.motion.prediction import predicted_sigmas
+from calibration.simulation.motion.information import predicted_sigmas
 from calibration.simulation.motion.sequence import read_motion
 from calibration.simulation.system import read_system
 from calibration.workflow import Runner, stop_commands

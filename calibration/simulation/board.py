@@ -8,7 +8,7 @@ from calibration.dataset.configuration import PatternConfiguration
 from calibration.dataset.pattern import Pattern
 from calibration.geometry.transforms import apply, inverse, translation
 from calibration.geometry.types import Array, BoolArray
-from calibration.simulation.directions import turned
+from calibration.simulation.scene import turned
 
 
 @dataclass(frozen=True, eq=False)

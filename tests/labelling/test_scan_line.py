@@ -6,10 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from calibration.geometry.transforms import apply
-from calibration.labelling.cut import cut_ends
 from calibration.labelling.detection import NotDetected
 from calibration.labelling.points import PatternPoints
-from calibration.labelling.scan_line import label_scan_line
+from calibration.labelling.scan_line import cut_ends, label_scan_line
 from tests.labelling.worlds import BOARD, Measured, board, displaced, measure, standing, true_border, upright
 
 ANGLES = np.radians(np.arange(-135, 135.1, 0.25))

@@ -6,7 +6,7 @@ import pytest
 from calibration.geometry.cameras import Camera
 from calibration.geometry.distortion import PlumbBob
 from calibration.geometry.transforms import from_xyz_rpy
-from calibration.simulation.visibility import MAX_VIEW_ANGLE, corners_in_image, facing
+from calibration.simulation.sensors.sensor import MAX_VIEW_ANGLE, corners_in_image, facing
 
 CENTRE = np.array([0.3, 0.2, 0.0])
 

@@ -27,10 +27,10 @@ from calibration.pipeline.collection.results import CollectionResults
 from calibration.simulation.collection.contact_sheet import write_contact_sheet
 from calibration.simulation.collection.dataset_folder import replacing_dataset
 from calibration.simulation.collection.document import truth_document
-from calibration.simulation.collection.play import play
 from calibration.simulation.collection.proof import prove
 from calibration.simulation.collection.record import Record, image_cells
 from calibration.simulation.motion.sequence import Motion, motion_document
+from calibration.simulation.placement import play
 from calibration.simulation.players import check_motion, player_file
 from calibration.simulation.system import MOTION_FILE, System, read_system
 from calibration.workflow.text import one_line, shorten

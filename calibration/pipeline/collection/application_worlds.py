@@ -11,9 +11,8 @@ from calibration.pipeline.collection.application_dataset import Plan, judged, re
 from calibration.pipeline.collection.request import ContainerRequest
 from calibration.pipeline.collection.world_folder import Judged, Worlds
 from calibration.simulation.motion.sequence import motion_document
-from calibration.simulation.scenarios.result import ScenarioResult
 from calibration.simulation.scenarios.run import seen
-from calibration.simulation.scenarios.scenario import scenario_id
+from calibration.simulation.scenarios.scenario import ScenarioResult, scenario_id
 
 _HASH_DIGITS = 12
 

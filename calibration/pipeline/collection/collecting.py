@@ -18,14 +18,14 @@ from calibration.pipeline.collection.report import report
 from calibration.pipeline.collection.request import CollectionRequest, ContainerRequest
 from calibration.pipeline.collection.results import CollectionResults
 from calibration.pipeline.collection.world_file import write_world
-from calibration.simulation.collection.checks import Requirements
+from calibration.simulation.collection.capture import Requirements
 from calibration.simulation.collection.collecting import collect, kept
 from calibration.simulation.collection.contact_sheet import write_contact_sheet
 from calibration.simulation.collection.dataset_folder import refuse_existing, replacing_dataset, write_dataset
-from calibration.simulation.collection.play import Play, play
 from calibration.simulation.collection.proof import prove
 from calibration.simulation.collection.record import Record
 from calibration.simulation.motion.sequence import Motion, motion_document
+from calibration.simulation.placement import Play, play
 from calibration.simulation.scenarios.run import prepare, seen, unseen
 from calibration.simulation.scenarios.scenario import parse_id
 from calibration.simulation.scenarios.scenario_set import read_scenario_set

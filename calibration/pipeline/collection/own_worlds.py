@@ -26,8 +26,8 @@ from calibration.pipeline.collection.world_file import FILE, read_world
 from calibration.pipeline.collection.world_folder import Judged, Worlds
 from calibration.simulation.collection.proof import prove
 from calibration.simulation.motion.sequence import motion_document
-from calibration.simulation.scenarios.result import ScenarioResult
 from calibration.simulation.scenarios.run import proven, run_scenario, unseen
+from calibration.simulation.scenarios.scenario import ScenarioResult
 from calibration.simulation.scenarios.scenario_set import read_scenario_set
 from calibration.simulation.system import read_system
 from calibration.workflow.text import one_line, shorten

@@ -14,7 +14,7 @@ from calibration.report import Check, Verdict, at_least, at_most, verdict_of
 if TYPE_CHECKING:
     from calibration.simulation.collection.proof import Proof
     from calibration.simulation.collection.record import CornerErrors, Record
-    from calibration.simulation.scenarios.result import ScenarioResult
+    from calibration.simulation.scenarios.scenario import ScenarioResult
 
 
 Share = Annotated[float, between(0, 1)]

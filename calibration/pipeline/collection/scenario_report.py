@@ -14,7 +14,7 @@ from calibration.pipeline.collection.scenarios import ScenarioResults
 from calibration.report import FILES, Block, Code, Lines, Outcome, Report, Table, Text, count_of, shown
 from calibration.simulation.scenarios.drivers import SIGNIFICANT
 from calibration.simulation.scenarios.figure import figure
-from calibration.simulation.scenarios.result import ScenarioResult
+from calibration.simulation.scenarios.scenario import ScenarioResult
 from calibration.simulation.scenarios.statistics import PERCENTILES, Statistics, why_unknown
 
 TABLE_FILE, FIGURE_FILE = "worlds.csv", "worlds.png"

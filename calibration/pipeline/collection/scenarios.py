@@ -8,7 +8,7 @@ from calibration.errors import ExitCode
 from calibration.pipeline.collection.request import ScenarioRequest
 from calibration.pipeline.collection.results import CollectionChecks, truth_checks
 from calibration.report import Verdict, at_least, count_of, verdict_of
-from calibration.simulation.scenarios.result import ScenarioResult
+from calibration.simulation.scenarios.scenario import ScenarioResult
 from calibration.simulation.scenarios.statistics import Statistics
 
 

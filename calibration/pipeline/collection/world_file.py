@@ -14,7 +14,7 @@ from calibration.errors import InputError
 from calibration.files import read_bytes, write_atomically
 from calibration.json_file import parse_json
 from calibration.json_schema import check_document
-from calibration.simulation.scenarios.result import ScenarioResult
+from calibration.simulation.scenarios.scenario import ScenarioResult
 from calibration.workflow.text import one_line, shorten
 
 SCHEMA = Path(__file__).with_name("world.schema.json")

@@ -13,7 +13,7 @@ from calibration.execution.outcome import JobOutcome
 from calibration.execution.tasks import Task
 from calibration.pipeline.collection.scenario_report import REPORT_FILES
 from calibration.pipeline.collection.world_file import read_world, write_world
-from calibration.simulation.scenarios.result import ScenarioResult
+from calibration.simulation.scenarios.scenario import ScenarioResult
 
 WORLDS = "worlds"
 """The folder of the datasets, a folder for each world in it."""

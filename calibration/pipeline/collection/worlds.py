@@ -17,7 +17,7 @@ from calibration.pipeline.collection.scenarios import ScenarioResults
 from calibration.pipeline.collection.world_file import result_from
 from calibration.pipeline.collection.world_folder import Judged, WorldFolder, Worlds
 from calibration.simulation.collection.collecting import single_threaded_opencv
-from calibration.simulation.scenarios.result import ScenarioResult
+from calibration.simulation.scenarios.scenario import ScenarioResult
 from calibration.simulation.scenarios.statistics import Statistics
 
 Begin = Callable[[str, int], None]

@@ -1,4 +1,4 @@
-"""What the sensors see at one pose of a motion, and what is detected in it."""
+"""What the sensors see at one pose of a motion, what is detected in it, and whether that is worth keeping."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -12,10 +12,12 @@ from calibration.estimation.single_views import corner_term, fitted_poses
 from calibration.geometry.cameras import Camera
 from calibration.geometry.transforms import inverse, translation
 from calibration.geometry.types import Array
+from calibration.labelling.detection import NotDetected
 from calibration.simulation.board import Board
-from calibration.simulation.collection.play import Play
+from calibration.simulation.placement import Play
 from calibration.simulation.random_streams import stream
 from calibration.simulation.sensors.sensor import Data, Found
+from calibration.simulation.system import System
 
 Key = tuple[str, str]
 """(pattern, sensor)."""
@@ -135,3 +137,47 @@ def estimate_pose(camera: Camera, pattern: Pattern, labels: CornerLabels) -> Arr
     T_camera_centre, _ = fitted_poses(corner_term(camera, pattern, [labels]))
     T_camera_pattern: Array = T_camera_centre[0] @ inverse(translation(pattern.centre))
     return T_camera_pattern
+
+
+@dataclass(frozen=True)
+class Requirements:
+    """What a collection has to keep to."""
+
+    stillness: float = 0.002
+    """How far a pattern may move while the sensors look, m."""
+    image_share: float = 0.005
+    """The share of an image that the detected corners span, at least."""
+
+
+def reasons_to_lose(system: System, capture: Capture, requirements: Requirements) -> tuple[str, ...]:
+    """Why a collection is not kept; nothing where it is."""
+    reasons = [reason for sensor in system.sensors if (reason := _undetected(capture, sensor))]
+    if capture.movement > requirements.stillness:
+        limit = 1000 * requirements.stillness
+        reasons.append(f"moved {1000 * capture.movement:.1f} mm while the sensors looked, {limit:g} mm are allowed")
+    for name, camera in system.cameras.items():
+        spans = [image_share(camera.camera, found) for found in capture.corners(name).values()]
+        if spans and max(spans) < requirements.image_share:
+            least = 100 * requirements.image_share
+            reasons.append(f"{name}: the corners span {100 * max(spans):.2g} % of the image, {least:g} % are needed")
+    return tuple(reasons)
+
+
+def _undetected(capture: Capture, sensor: str) -> str:
+    """Why a sensor detects none of the patterns; empty where it detects one."""
+    found = capture.found_by(sensor)
+    if not all(isinstance(answer, NotDetected) for answer in found.values()):
+        return ""
+    several = len(found) > 1
+    why = "; ".join(
+        f"{pattern}: {answer.reason}" if several else answer.reason
+        for pattern, answer in found.items()
+        if isinstance(answer, NotDetected)
+    )
+    return f"{sensor}: {why}"
+
+
+def image_share(camera: Camera, labels: CornerLabels) -> float:
+    """The share of the image that the box around the corners covers."""
+    width, height = np.ptp(labels.pixels, axis=0)
+    return float(width * height / (camera.width * camera.height))

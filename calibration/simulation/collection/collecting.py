@@ -8,10 +8,9 @@ import cv2
 
 from calibration.execution.tasks import Task, run_tasks
 from calibration.execution.workspace import Workspace
-from calibration.simulation.collection.capture import capture
-from calibration.simulation.collection.checks import Requirements, reasons_to_lose
-from calibration.simulation.collection.play import Play
+from calibration.simulation.collection.capture import Requirements, capture, reasons_to_lose
 from calibration.simulation.collection.record import Record, data_file, record
+from calibration.simulation.placement import Play
 
 Done = Callable[[int, int, Record], None]
 """Called after each pose with how many are done, how many there are, and its record."""

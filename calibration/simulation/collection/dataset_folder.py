@@ -13,9 +13,9 @@ from calibration.dataset.writing import write_document
 from calibration.errors import InputError, WorldError
 from calibration.files import place, write_atomically
 from calibration.simulation.collection.document import dataset_document, truth_document
-from calibration.simulation.collection.play import Play
 from calibration.simulation.collection.record import Record
 from calibration.simulation.motion.sequence import motion_document
+from calibration.simulation.placement import Play
 from calibration.simulation.system import MOTION_FILE
 
 

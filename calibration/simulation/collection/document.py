@@ -12,14 +12,14 @@ from typing import Any
 
 from calibration.dataset.configuration import SensorConfiguration
 from calibration.dataset.model import Edge
-from calibration.dataset.pattern_document import pattern_document
+from calibration.dataset.pattern import pattern_document
 from calibration.dataset.sensors import camera_document
 from calibration.geometry.cameras import Camera
 from calibration.geometry.joints import JOINT_PARAMETERS
 from calibration.simulation.collection.messages import POSE_DECIMALS, message_header, pose_document
-from calibration.simulation.collection.play import Play
 from calibration.simulation.collection.record import Record
 from calibration.simulation.joints import joint_values
+from calibration.simulation.placement import Play
 from calibration.simulation.system import System
 
 USER = "calibration-ci"

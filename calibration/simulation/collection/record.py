@@ -17,7 +17,7 @@ from calibration.geometry.types import Array
 from calibration.labelling.points import PatternPoints
 from calibration.simulation.collection.capture import Capture
 from calibration.simulation.collection.messages import joint_document, message_header, pose_document
-from calibration.simulation.collection.play import Play
+from calibration.simulation.placement import Play
 from calibration.simulation.robot import compose
 from calibration.simulation.sensors.sensor import Found, SimulatedSensor
 

@@ -5,20 +5,24 @@ The engine's own terms are linearised at the truth on the labels that are expect
 `calibration.estimation.observability` reports once the dataset is collected.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from calibration.dataset.modalities import NoiseKind
+from calibration.errors import InputError
 from calibration.estimation.batches import table_of
 from calibration.estimation.blocks import Values
 from calibration.estimation.build import Setup, build
 from calibration.estimation.normal_equations import Weighting, linearise
+from calibration.estimation.observability import SINGULAR
 from calibration.estimation.problem import Problem
 from calibration.geometry.transforms import inverse, translation
 from calibration.geometry.types import Array, IntArray
 from calibration.simulation.motion.expected import expected_dataset
-from calibration.simulation.placement import Placement
+from calibration.simulation.motion.sequence import Motion
+from calibration.simulation.placement import Placement, place
 from calibration.simulation.robot import compose
 from calibration.simulation.system import System
 
@@ -113,3 +117,53 @@ def _truth(system: System, setup: Setup, placement: Placement, poses: IntArray) 
             T = placement.transforms[edge]
             values.append(T[poses] if block.per_collection else T[0])
     return tuple(values)
+
+
+_PART = 1e-6  # of a direction of length 1: below it rounding has made it
+
+
+def predicted_sigmas(system: System, motion: Motion) -> Mapping[str, tuple[float, float]]:
+    """The standard deviations that a calibration of this motion's dataset would state.
+
+    With the labels that are expected of the sensors, with the noise that they are given there;
+    outliers, errors of the model and poses that a detector loses are left out.
+
+    Returns:
+        By sensor, translation (m) and rotation (rad) of its calibrated transform, each the norm of
+        three axes as in `calibration.estimation.result.Calibration.sigma_mm`. Zero for a sensor that
+        is anchored or fixes a free gauge; infinite for what the motion does not determine.
+
+    Raises:
+        InputError: the motion does not fit the system (see `calibration.simulation.placement.place`).
+    """
+    sensors = list(system.configuration.sensors.values())
+    placement = place(system, motion)
+    try:
+        found = information(system, placement)
+    except InputError:  # poses that calibrate nothing
+        return {sensor.name: (np.inf, np.inf) for sensor in sensors}
+    sigmas = _sigmas(found, system)
+    setup, held = found.setup, (0.0, 0.0)
+    blocks = {sensor.name: setup.block((sensor.parent_link, sensor.child_link)) for sensor in sensors}
+    return {name: sigmas.get(block, held) for name, block in blocks.items()}
+
+
+def _sigmas(found: Information, system: System) -> dict[int, tuple[float, float]]:
+    """Translation (m) and rotation (rad) of each shared block that is a pose."""
+    problem = found.setup.problem
+    unit = found.units(max(pattern.size for pattern in system.patterns.values()))
+    variance = _variances(unit[:, None] * found.each.sum(0) * unit) * unit**2
+    sigmas = {}
+    for block, at in problem.shared_parameters.items():
+        if problem.blocks[block].joint is None:
+            translation, rotation = np.sqrt(variance[at].reshape(2, 3).sum(-1)).tolist()
+            sigmas[block] = (translation, rotation)
+    return sigmas
+
+
+def _variances(information: Array) -> Array:
+    """The variance (D,) of each parameter from the information (D, D) on all; infinite where it leaves it open."""
+    values, directions = np.linalg.eigh(information)
+    open_ = values <= SINGULAR * values[-1]
+    variance: Array = (directions[:, ~open_] ** 2 / values[~open_]).sum(-1)
+    return np.where((np.abs(directions[:, open_]) > _PART).any(-1), np.inf, variance)

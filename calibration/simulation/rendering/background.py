@@ -13,9 +13,8 @@ from numpy.typing import NDArray
 from calibration.geometry.cameras import Camera
 from calibration.geometry.transforms import apply, inverse
 from calibration.geometry.types import Array, BoolArray, IntArray
-from calibration.simulation.directions import turned
 from calibration.simulation.rendering.rays import SAMPLES, rays, sample_rays
-from calibration.simulation.scene import GROUND, NOTHING, Box, Scene
+from calibration.simulation.scene import GROUND, NOTHING, Box, Scene, turned
 
 STEPS = 64
 """Of radiance in a grey level: images are kept in 16 bits until the camera takes them."""

@@ -14,11 +14,10 @@ from numpy.typing import NDArray
 from calibration.geometry.cameras import Camera
 from calibration.geometry.types import Array, IntArray
 from calibration.simulation.board import Board
-from calibration.simulation.directions import turned
 from calibration.simulation.rendering.background import STEPS, Background, background, colours
 from calibration.simulation.rendering.pattern_view import PatternView, pattern_view
 from calibration.simulation.rendering.rays import SAMPLES, rounded, sample_rays
-from calibration.simulation.scene import Scene
+from calibration.simulation.scene import Scene, turned
 
 
 def radiance(camera: Camera, T_world_camera: Array, scene: Scene, boards: Sequence[Board]) -> NDArray[np.uint16]:

@@ -15,11 +15,10 @@ from calibration.geometry.cameras import Camera
 from calibration.geometry.transforms import apply, inverse
 from calibration.geometry.types import Array, BoolArray
 from calibration.simulation.board import Board
-from calibration.simulation.directions import turned
 from calibration.simulation.rendering.background import in_steps
 from calibration.simulation.rendering.rays import rays, rounded
 from calibration.simulation.rendering.texture import texture
-from calibration.simulation.scene import Light
+from calibration.simulation.scene import Light, turned
 
 BACK = 150.0
 """What the back of a board reflects, in grey levels under a light of 1."""

@@ -11,15 +11,14 @@ from calibration.dataset.reading import FILE_NAME
 from calibration.dataset.writing import write_document
 from calibration.errors import InputError
 from calibration.execution.tasks import Task
-from calibration.simulation.collection.checks import Requirements
+from calibration.simulation.collection.capture import Requirements
 from calibration.simulation.collection.collecting import collect_pose, kept
 from calibration.simulation.collection.document import dataset_document, truth_document
-from calibration.simulation.collection.play import Play, play
 from calibration.simulation.collection.proof import Proof, prove
 from calibration.simulation.collection.record import Record
 from calibration.simulation.motion.sequence import Motion
-from calibration.simulation.scenarios.result import ScenarioResult
-from calibration.simulation.scenarios.scenario import Scenario, content_hash
+from calibration.simulation.placement import Play, play
+from calibration.simulation.scenarios.scenario import Scenario, ScenarioResult, content_hash
 from calibration.simulation.scenarios.scenario_set import ScenarioSet
 from calibration.simulation.scenarios.world import build_world, scenario_motion
 

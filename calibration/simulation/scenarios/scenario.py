@@ -1,4 +1,4 @@
-"""One scenario: what makes a world differ from the system's description, and the id that finds it again."""
+"""One scenario: what makes a world differ from the description, the id that finds it again, and what came of it."""
 
 import hashlib
 import json
@@ -82,3 +82,41 @@ def content_hash(system: System, scenario: Scenario, motion: Motion | None = Non
     }
     text = json.dumps(content, sort_keys=True, separators=(",", ":"))
     return hashlib.sha256(text.encode()).hexdigest()[:_HASH_DIGITS]
+
+
+@dataclass(frozen=True)
+class ScenarioResult:
+    """What came of one world. Numbers are None where there are none."""
+
+    id: str
+    hash: str
+    """Of its content (`content_hash`): equal worlds have equal hashes."""
+    values: Mapping[str, float]
+    """Its parameters."""
+    poses: int = 0
+    """Of its motion; 0 where none was found."""
+    lost: Mapping[str, tuple[str, ...]] | None = None
+    """The poses that gave no collection, by key, and why."""
+    detection: Mapping[str, float] | None = None
+    """The share of the poses at which each sensor detects a pattern."""
+    corner_rms_px: float | None = None
+    """Detected corners against the true ones."""
+    converged: bool = False
+    rms_px: float | None = None
+    """Of the reprojected corners."""
+    translation_mm: float | None = None
+    """The worst error of a calibrated sensor against the truth."""
+    rotation_deg: float | None = None
+    joint_mm: float | None = None
+    """The worst error of a calibrated joint against the truth, of those that are lengths, and of the angles."""
+    joint_deg: float | None = None
+    sigma_mm: float | None = None
+    """The standard deviation that the calibration states, of the sensor of which it is least sure."""
+    sigma_deg: float | None = None
+    reasons: tuple[str, ...] = ()
+    """Why there is no calibration; empty where there is one."""
+
+    @property
+    def kept(self) -> int:
+        """How many poses gave a collection."""
+        return self.poses - len(self.lost or {})

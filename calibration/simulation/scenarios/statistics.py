@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 from calibration.simulation.scenarios.drivers import LEAST_WORLDS, Driver, find_drivers
-from calibration.simulation.scenarios.result import ScenarioResult
+from calibration.simulation.scenarios.scenario import ScenarioResult
 
 PERCENTILES = (0, 5, 25, 50, 75, 95, 100)
 

@@ -24,8 +24,7 @@ from calibration.errors import InputError
 from calibration.geometry.cameras import Camera
 from calibration.geometry.transforms import apply
 from calibration.geometry.types import Array, BoolArray
-from calibration.labelling.corners import CornerDetector, corner_detector
-from calibration.labelling.detection import Image
+from calibration.labelling.detection import CornerDetector, Image, corner_detector
 from calibration.simulation.board import Board
 from calibration.simulation.description import number, only
 from calibration.simulation.rendering.background import STEPS
@@ -33,8 +32,15 @@ from calibration.simulation.rendering.image import radiance
 from calibration.simulation.scene import Scene
 from calibration.simulation.sensors.drawing import HEIGHT, blank, draw_corner
 from calibration.simulation.sensors.lens import LENS, read_lens
-from calibration.simulation.sensors.sensor import LEAST_SHARE, Data, Found, SimulatedSensor, Views
-from calibration.simulation.visibility import corners_in_image, facing
+from calibration.simulation.sensors.sensor import (
+    LEAST_SHARE,
+    Data,
+    Found,
+    SimulatedSensor,
+    Views,
+    corners_in_image,
+    facing,
+)
 
 CORNER_NOISE = 0.05
 """The standard deviation of a corner that is detected in a simulated image, each of x and y, px: 0.035 to 0.05 in

@@ -28,8 +28,17 @@ from calibration.simulation.scene import Scene
 from calibration.simulation.sensors.camera import encode_image, image_message
 from calibration.simulation.sensors.drawing import DARK, HEIGHT, ON_BORDER, ON_PATTERN, blank
 from calibration.simulation.sensors.lens import LENS, read_lens
-from calibration.simulation.sensors.sensor import LEAST_SHARE, Data, Found, RangeSensor, Views, meets, range_noise
-from calibration.simulation.visibility import corners_in_image, facing
+from calibration.simulation.sensors.sensor import (
+    LEAST_SHARE,
+    Data,
+    Found,
+    RangeSensor,
+    Views,
+    corners_in_image,
+    facing,
+    meets,
+    range_noise,
+)
 
 MOST = 5000
 """Pixels on the pattern, about, that are expected to be labelled at most, as `calibration.labelling.depth` has it."""

@@ -14,16 +14,14 @@ from calibration.dataset.modalities import LIDAR2D, Modality, NoiseKind
 from calibration.dataset.pattern import Pattern
 from calibration.estimation.median import median
 from calibration.geometry.types import Array, BoolArray
-from calibration.labelling.cut import cut_ends
 from calibration.labelling.detection import Image
-from calibration.labelling.scan_line import label_scan_line
+from calibration.labelling.scan_line import cut_ends, label_scan_line
 from calibration.simulation.board import Board
 from calibration.simulation.description import interval, number, only, whole
 from calibration.simulation.scene import Scene
 from calibration.simulation.sensors.drawing import DARK, HEIGHT, blank, draw_points
 from calibration.simulation.sensors.lidar import DECIMALS, RaySensor
-from calibration.simulation.sensors.sensor import LEAST_SHARE, Data, Found, Views
-from calibration.simulation.visibility import MAX_VIEW_ANGLE
+from calibration.simulation.sensors.sensor import LEAST_SHARE, MAX_VIEW_ANGLE, Data, Found, Views
 
 LEAST_CUT = 0.5
 """The length of a cut through a pattern, in the pattern's smaller side: a corner cut off says little."""

@@ -23,8 +23,7 @@ from calibration.simulation.description import interval, number, only, whole
 from calibration.simulation.scene import Scene
 from calibration.simulation.sensors.drawing import DARK, HEIGHT, blank, draw_points
 from calibration.simulation.sensors.lidar import DECIMALS, RaySensor
-from calibration.simulation.sensors.sensor import LEAST_SHARE, Data, Found, Views
-from calibration.simulation.visibility import MAX_VIEW_ANGLE
+from calibration.simulation.sensors.sensor import LEAST_SHARE, MAX_VIEW_ANGLE, Data, Found, Views
 
 MAX_RINGS = 1000
 MAX_RAYS = 4_000_000

@@ -21,7 +21,7 @@ from calibration.pipeline.collection.scenario_report import replay, report
 from calibration.pipeline.collection.scenarios import ScenarioResults
 from calibration.pipeline.collection.world_folder import WorldFolder
 from calibration.pipeline.collection.worlds import run_worlds
-from calibration.simulation.scenarios.result import ScenarioResult
+from calibration.simulation.scenarios.scenario import ScenarioResult
 from tests.pipeline.places import at
 
 T2RGB = Path(__file__).parents[3] / "datasets" / "t2rgb"

@@ -13,7 +13,7 @@ from calibration.pipeline.collection.request import CollectionRequest, ScenarioR
 from calibration.pipeline.collection.scenario_report import document, report, worlds_table
 from calibration.pipeline.collection.scenarios import ScenarioResults
 from calibration.report import Report
-from calibration.simulation.scenarios.result import ScenarioResult
+from calibration.simulation.scenarios.scenario import ScenarioResult
 from calibration.simulation.scenarios.statistics import Statistics
 
 

@@ -15,7 +15,7 @@ from calibration.pipeline.collection.request import MAX_SCENARIOS, CollectionReq
 from calibration.pipeline.collection.results import CollectionChecks
 from calibration.pipeline.collection.scenario_report import replay, report, world_line
 from calibration.pipeline.collection.scenarios import ScenarioResults, world_reasons
-from calibration.simulation.scenarios.result import ScenarioResult
+from calibration.simulation.scenarios.scenario import ScenarioResult
 from calibration.simulation.scenarios.statistics import Statistics
 
 SYSTEM = Path(__file__).parents[3] / "datasets" / "t2rgb"

@@ -4,11 +4,11 @@ from pathlib import Path
 import pytest
 
 from calibration.execution.workspace import Workspace
-from calibration.simulation.collection.checks import Requirements
+from calibration.simulation.collection.capture import Requirements
 from calibration.simulation.collection.collecting import collect
-from calibration.simulation.collection.play import Play, play
 from calibration.simulation.collection.record import Record
 from calibration.simulation.motion.sequence import Motion, moving_model, read_motion
+from calibration.simulation.placement import Play, play
 from calibration.simulation.system import System
 from tests.simulation.conftest import DATASETS
 

@@ -12,9 +12,8 @@ from calibration.labelling.detection import NotDetected
 from calibration.labelling.points import PatternPoints
 from calibration.simulation.collection import capture as capture_module
 from calibration.simulation.collection.capture import Capture, capture
-from calibration.simulation.collection.play import Play, play
 from calibration.simulation.motion.sequence import Motion, moving_joints, moving_model
-from calibration.simulation.placement import place
+from calibration.simulation.placement import Play, place, play
 from calibration.simulation.scene import Box, Scene
 from calibration.simulation.sensors import SimulatedDepthCamera, lidar3d
 from calibration.simulation.system import System

@@ -6,9 +6,8 @@ import numpy as np
 
 from calibration.dataset.model import CornerLabels
 from calibration.labelling.detection import NotDetected
-from calibration.simulation.collection.capture import Capture, capture
-from calibration.simulation.collection.checks import Requirements, image_share, reasons_to_lose
-from calibration.simulation.collection.play import Play, play
+from calibration.simulation.collection.capture import Capture, Requirements, capture, image_share, reasons_to_lose
+from calibration.simulation.placement import Play, play
 from calibration.simulation.system import System
 from tests.simulation.collection.conftest import own_motion
 

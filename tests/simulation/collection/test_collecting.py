@@ -5,10 +5,10 @@ from pathlib import Path
 import pytest
 
 from calibration.simulation.collection import collecting
-from calibration.simulation.collection.checks import Requirements
+from calibration.simulation.collection.capture import Requirements
 from calibration.simulation.collection.collecting import collect, kept
-from calibration.simulation.collection.play import Play
 from calibration.simulation.collection.record import Record
+from calibration.simulation.placement import Play
 
 from .conftest import record_workspace
 

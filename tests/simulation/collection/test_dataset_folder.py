@@ -9,9 +9,9 @@ from calibration.dataset.truth import find_truth
 from calibration.errors import InputError, WorldError
 from calibration.simulation.collection import dataset_folder
 from calibration.simulation.collection.dataset_folder import replacing_dataset, write_dataset
-from calibration.simulation.collection.play import Play
 from calibration.simulation.collection.record import Record
 from calibration.simulation.motion.sequence import read_motion
+from calibration.simulation.placement import Play
 from calibration.simulation.system import read_system
 
 Writer = tuple[Play, list[Record], Path]

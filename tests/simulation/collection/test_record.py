@@ -10,8 +10,8 @@ from calibration.dataset.model import CornerLabels
 from calibration.geometry.transforms import apply
 from calibration.simulation.collection.capture import capture
 from calibration.simulation.collection.document import truth_document
-from calibration.simulation.collection.play import Play, play
 from calibration.simulation.collection.record import Record, record
+from calibration.simulation.placement import Play, play
 from calibration.simulation.system import System
 from tests.simulation.collection.conftest import own_motion
 from tests.simulation.collection.test_capture import bent

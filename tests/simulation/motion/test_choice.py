@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from calibration.geometry.types import Array, BoolArray
-from calibration.simulation.motion.choice import PRIOR, choose
+from calibration.simulation.motion.generation import PRIOR, choose
 
 SEEDS = st.integers(0, 10_000)
 

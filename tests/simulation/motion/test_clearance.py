@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from calibration.geometry.types import Array
-from calibration.simulation.motion.clearance import is_clear
+from calibration.simulation.motion.candidates import is_clear
 from calibration.simulation.motion.sequence import Motion
 from calibration.simulation.placement import place
 from calibration.simulation.robot import compose

@@ -10,10 +10,9 @@ import pytest
 
 from calibration.errors import InputError
 from calibration.geometry import rotations
-from calibration.simulation.motion.candidates import find_candidates
-from calibration.simulation.motion.clearance import is_clear
+from calibration.simulation.motion.candidates import find_candidates, is_clear
 from calibration.simulation.motion.generation import generate_motion
-from calibration.simulation.motion.prediction import predicted_sigmas
+from calibration.simulation.motion.information import predicted_sigmas
 from calibration.simulation.motion.sequence import Motion, motion_document, read_motion
 from calibration.simulation.placement import place
 from calibration.simulation.scene import Box, Scene

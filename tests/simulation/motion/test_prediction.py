@@ -8,8 +8,7 @@ from calibration.errors import InputError
 from calibration.estimation.calibrate import Options, calibrate
 from calibration.geometry.transforms import distance
 from calibration.simulation.motion.expected import expected_dataset
-from calibration.simulation.motion.information import information
-from calibration.simulation.motion.prediction import predicted_sigmas
+from calibration.simulation.motion.information import information, predicted_sigmas
 from calibration.simulation.motion.sequence import Motion
 from calibration.simulation.placement import place
 from calibration.simulation.sensors import SimulatedDepthCamera

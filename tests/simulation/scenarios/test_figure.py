@@ -6,7 +6,7 @@ import pytest
 
 from calibration.errors import InputError
 from calibration.simulation.scenarios.figure import figure
-from calibration.simulation.scenarios.result import ScenarioResult
+from calibration.simulation.scenarios.scenario import ScenarioResult
 from calibration.simulation.scenarios.statistics import Statistics
 
 
