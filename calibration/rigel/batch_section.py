@@ -31,7 +31,7 @@ def batch_section(fields: Fields, region: str, *, gpu: bool, images: Sequence[st
     Raises:
         InputError: a field is of the wrong kind.
     """
-    role, where = plain(fields.text("iam_role"), notes, fields.at("iam_role")), fields.at("iam_role")
+    role, where = fields.plain("iam_role"), fields.at("iam_role")
     account = next((match[1] for text in (role, *images) if (match := _ACCOUNT.search(text))), _NO_ACCOUNT)
     bucket, prefix = _output(fields, notes)
     section: dict[str, Any] = {
@@ -97,10 +97,9 @@ def _output(fields: Fields, notes: Notes) -> tuple[str, str]:
     """Bucket and prefix of the results: Rigel has them as a text, the service as a mapping."""
     where, given = fields.at("output_location"), fields.take("output_location")
     if isinstance(given, dict):
-        location = Fields(given, where)
+        location = Fields(given, where, notes, fields.spelling)
         bucket, prefix = location.text("s3_bucket"), location.text("s3_prefix")
-        for left in location.left():
-            notes.lost(left, "there is no such setting here")
+        location.rest()
     else:
         text = "" if given is None else str(given)
         bucket, _, prefix = text.removeprefix("s3://").partition("/")
@@ -117,7 +116,7 @@ def _output(fields: Fields, notes: Notes) -> tuple[str, str]:
 
 def _network(vpc: Fields, section: dict[str, Any], gpu: bool, notes: Notes) -> None:
     for key, what in (("subnets", "subnets"), ("security_groups", "security groups")):
-        names = [plain(name, notes, vpc.at(key)) for name in vpc.texts(key)]
+        names = vpc.plains(key)
         if names:
             why = f"they belong to the compute environment of the queue: set its {what} to {', '.join(names)}"
             notes.to_do(vpc.at(key), why)
@@ -126,8 +125,7 @@ def _network(vpc: Fields, section: dict[str, Any], gpu: bool, notes: Notes) -> N
         notes.lost(vpc.at("assign_public_ip"), "on EC2 the subnets say whether instances have a public address")
     elif public:
         section["public-ip"] = True
-    for where in vpc.left():
-        notes.lost(where, "there is no such setting here")
+    vpc.rest()
 
 
 def _tags(fields: Fields, section: dict[str, Any], notes: Notes) -> None:
@@ -151,8 +149,7 @@ def _policy(policy: Fields, section: dict[str, Any], notes: Notes) -> None:
     if policy.take("max_concurrency") is not None:
         why = "how many run at once, the compute environment says by its maximum of vCPUs"
         notes.to_do(policy.at("max_concurrency"), why)
-    for where in policy.left():
-        notes.lost(where, "there is no such setting here")
+    policy.rest()
 
 
 def _fits(key: str, value: str) -> bool:

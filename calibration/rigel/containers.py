@@ -6,11 +6,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from calibration.rigel.document import list_at, mapping_at, text_at, truth_at
+from calibration.rigel.fields import Fields, text_at
 from calibration.rigel.image import split_name
 from calibration.rigel.notes import Notes
-from calibration.rigel.secrets import names_a_secret, variable_name
-from calibration.rigel.substitution import argument, plain, secret_names, sole_variable
+from calibration.rigel.substitution import argument, names_a_secret, plain, secret_names, sole_variable, variable_name
 
 _DOCKER_SOCKET = "docker.sock"
 _X_SERVER = "/tmp/.X11-unix"  # noqa: S108 (where it is)
@@ -36,44 +35,39 @@ def component_entry(component: dict[str, Any], around: Surroundings, where: str)
     Raises:
         InputError: a field is of the wrong kind.
     """
-    fields, notes, entry = dict(component), around.notes, dict[str, Any]()
+    fields, notes, entry = Fields(component, where, around.notes), around.notes, dict[str, Any]()
     secrets: dict[str, None] = {}
-    fields.pop("name", None)
-    _image(fields.pop("image", ""), entry, around, f"{where}.image")
-    for ours, theirs in (("command", "command"), ("entrypoint", "entrypoint")):
-        value = fields.pop(theirs, None)
-        if value not in (None, "", []):
-            entry[ours] = _command(value, secrets, around, f"{where}.{theirs}")
-    _environment(mapping_at(fields.pop("envs", {}), f"{where}.envs"), entry, secrets, around, f"{where}.envs")
-    _mounts(list_at(fields.pop("volumes", []), f"{where}.volumes"), entry, around, f"{where}.volumes")
+    fields.take("name")
+    _image(fields.take("image", ""), entry, around, fields.at("image"))
+    for key in ("command", "entrypoint"):
+        if value := fields.take(key):
+            entry[key] = _command(value, secrets, around, fields.at(key))
+    _environment(fields.mapping("envs"), entry, secrets, around, fields.at("envs"))
+    _mounts(fields.items("volumes"), entry, around, fields.at("volumes"))
     for ours, theirs in (("working-directory", "workdir"), ("user", "user"), ("memory", "memory")):
-        if fields.get(theirs) not in (None, ""):
-            entry[ours] = _plain(fields.pop(theirs), around, f"{where}.{theirs}")
-    if isinstance(fields.get("cpus"), int | float) and not isinstance(fields["cpus"], bool):
-        entry["cpus"] = fields.pop("cpus")
-    devices = [_plain(item, around, f"{where}.devices") for item in list_at(fields.pop("devices", []), where)]
-    if devices:
+        if (value := fields.take(theirs)) not in (None, ""):
+            entry[ours] = _plain(value, around, fields.at(theirs))
+    cpus = fields.take("cpus")
+    if isinstance(cpus, int | float) and not isinstance(cpus, bool):
+        entry["cpus"] = cpus
+    elif cpus is not None:
+        notes.lost(fields.at("cpus"), "a number was expected")
+    if devices := [_plain(item, around, fields.at("devices")) for item in fields.items("devices")]:
         entry["devices"] = [device.partition(":")[0] for device in devices]
-    if fields.pop("gpus", None):
+    if fields.take("gpus"):
         entry["gpus"] = True
-    if truth_at(fields.pop("privileged", False), f"{where}.privileged"):
+    if fields.truth("privileged"):
         entry["privileged"] = True
-        notes.changed(f"{where}.privileged", "it may do all that root of the machine may: leave it out if you can")
-    artifacts = [
-        argument(around.replaced(text_at(item, f"{where}.artifacts")), around.placeholders, _dollar, notes, where)
-        for item in list_at(fields.pop("artifacts", []), f"{where}.artifacts")
-    ]
-    if artifacts:
+        notes.changed(fields.at("privileged"), "it may do all that root of the machine may: leave it out if you can")
+    if artifacts := [
+        argument(around.replaced(text), around.placeholders, _dollar, notes, where)
+        for text in fields.texts("artifacts")
+    ]:
         entry["artifacts"] = artifacts
-    requirements = fields.pop("introspection", False)
-    if requirements:
-        notes.lost(
-            f"{where}.introspection", "requirements on ROS messages are not checked here: check files with rules"
-        )
+    fields.refuse({"introspection": "requirements on ROS messages are not checked here: check files with rules"})
     if secrets:
         entry["secrets"] = list(secrets)
-    for key in fields:
-        notes.lost(f"{where}.{key}", "there is no such setting of a container here")
+    fields.rest("there is no such setting of a container here")
     return entry
 
 

@@ -1,6 +1,5 @@
 """A Rigelfile as it is read: its jobs and what says in which order they run, whatever its generation."""
 
-import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -8,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from calibration.errors import InputError
+from calibration.rigel.fields import list_at, mapping_at, shown, text_at
 from calibration.rigel.notes import Notes
 from calibration.rigel.substitution import Substitution, bounded
 from calibration.workflow.text import shorten
@@ -119,64 +119,6 @@ def _simulations(path: Path, document: dict[str, Any]) -> Rigelfile:
     return Rigelfile(path, None, ".", tuple(jobs), (), {}, notes, substitution.secrets)
 
 
-def mapping_at(value: object, where: str) -> dict[str, Any]:
-    """A mapping; an empty one for nothing.
-
-    Raises:
-        InputError: it is something else.
-    """
-    if value is None:
-        return {}
-    if not isinstance(value, dict):
-        raise InputError(f"{where}: found {_shown(value)}, a mapping was expected")
-    return value
-
-
-def list_at(value: object, where: str) -> list[Any]:
-    """A list; an empty one for nothing, and one of one for a single mapping, as old Rigelfiles have it.
-
-    Raises:
-        InputError: it is something else.
-    """
-    if value is None:
-        return []
-    if isinstance(value, dict):
-        return [value]
-    if not isinstance(value, list):
-        raise InputError(f"{where}: found {_shown(value)}, a list was expected")
-    return value
-
-
-def text_at(value: object, where: str) -> str:
-    """A text; a number or a truth value as it is written.
-
-    Raises:
-        InputError: it is a list, a mapping or nothing.
-    """
-    if isinstance(value, bool):
-        return str(value).lower()
-    if isinstance(value, str | int | float):
-        return str(value)
-    raise InputError(f"{where}: found {_shown(value)}, a text was expected")
-
-
-def truth_at(value: object, where: str) -> bool:
-    """A truth value.
-
-    Raises:
-        InputError: it is none.
-    """
-    if isinstance(value, bool):
-        return value
-    if isinstance(value, str) and value.lower() in ("true", "false"):
-        return value.lower() == "true"
-    raise InputError(f"{where}: found {_shown(value)}, true or false was expected")
-
-
-def _shown(value: object) -> str:
-    return shorten(re.sub(r"\\ue000[VSD](.*?)\\ue001", r"${\1}", repr(value)))
-
-
 class _Reader:
     def __init__(self, path: Path, document: dict[str, Any]) -> None:
         self._path, self._document, self._notes = path, document, Notes()
@@ -194,8 +136,7 @@ class _Reader:
         stages = self._without_unused(self._sequences())
         folder = self._value(application.pop("dir", "."), "application.dir")
         distro = application.pop("distro", None)
-        for key in application:
-            self._notes.lost(f"application.{key}", "Rigel has no such key")
+        self._only((), application, "application")
         providers = mapping_at(self._document.get("providers"), "providers")
         return Rigelfile(
             path=self._path,
@@ -228,15 +169,17 @@ class _Reader:
         first = next(iter(several), None)
         return {} if first is None else dict(mapping_at(several[first], f"applications.{first}"))
 
+    def _only(self, known: tuple[str, ...], fields: Mapping[str, Any], where: str) -> None:
+        for key in [key for key in fields if key not in known]:
+            self._notes.lost(f"{where}.{key}", "Rigel has no such key")
+
     def _value(self, value: object, where: str) -> str:
-        return text_at(self._substitution.resolved(value, where), f"{where}")
+        return text_at(self._substitution.resolved(value, where), where)
 
     def _job(self, name: str, entry: object, section: str, key: str) -> RigelJob:
         where = f"{section}.{name}"
-        fields = mapping_at(entry, f"{where}")
-        for other in fields:
-            if other not in (key, "with"):
-                self._notes.lost(f"{where}.{other}", "Rigel has no such key")
+        fields = mapping_at(entry, where)
+        self._only((key, "with"), fields, where)
         plugin = self._value(fields.get(key), f"{where}.{key}")
         inner = self._substitution.resolved(mapping_at(fields.get("with"), f"{where}.with"), f"{where}.with")
         return RigelJob(name, plugin, inner, f"{where}.with")
@@ -248,24 +191,20 @@ class _Reader:
             if isinstance(entry, list):  # the older form: the jobs themselves
                 stages.append(Stage(self._named(entry, where), {}, where))
                 continue
-            sequence = mapping_at(entry, f"{where}")
-            for key in sequence:
-                if key == "matrix":
-                    self._notes.lost(f"{where}.matrix", "Rigel takes it and does not use it: write it in the stage")
-                elif key not in ("stages", "description"):
-                    self._notes.lost(f"{where}.{key}", "Rigel has no such key")
+            sequence = mapping_at(entry, where)
+            if "matrix" in sequence:
+                self._notes.lost(f"{where}.matrix", "Rigel takes it and does not use it: write it in the stage")
+            self._only(("stages", "description", "matrix"), sequence, where)
             for number, stage in enumerate(list_at(sequence.get("stages"), f"{where}.stages")):
                 place = f"{where}.stages.{number}"
                 if isinstance(stage, str):
                     stages.append(Stage(self._named([stage], place), {}, place))
                 else:
-                    stages += self._stage(mapping_at(stage, f"{place}"), place, {})
+                    stages += self._stage(mapping_at(stage, place), place, {})
         return stages
 
     def _stage(self, stage: dict[str, Any], where: str, matrix: Mapping[str, Any]) -> list[Stage]:
-        for key in stage:
-            if key not in ("jobs", "dependencies", "parallel", "matrix", "description"):
-                self._notes.lost(f"{where}.{key}", "Rigel has no such key")
+        self._only(("jobs", "dependencies", "parallel", "matrix", "description"), stage, where)
         own = self._substitution.resolved(mapping_at(stage.get("matrix"), f"{where}.matrix"), f"{where}.matrix")
         matrix = {**matrix, **own}
         dependencies = list_at(stage.get("dependencies"), f"{where}.dependencies")
@@ -273,7 +212,7 @@ class _Reader:
         found = [Stage(self._named([*dependencies, *jobs], where), matrix, where)] if dependencies or jobs else []
         for number, inner in enumerate(list_at(stage.get("parallel"), f"{where}.parallel")):
             place = f"{where}.parallel.{number}"
-            found += self._stage(mapping_at(inner, f"{place}"), place, matrix)
+            found += self._stage(mapping_at(inner, place), place, matrix)
         return found
 
     def _named(self, entries: list[Any], where: str) -> tuple[RigelJob, ...]:
@@ -285,10 +224,10 @@ class _Reader:
             if isinstance(entry, dict):
                 name = entry.get("name")
                 place = f"{where}.{name}.with"
-                override = self._substitution.resolved(mapping_at(entry.get("with"), f"{place}"), place)
+                override = self._substitution.resolved(mapping_at(entry.get("with"), place), place)
             job = next((job for job in self._jobs if job.name == name), None)
             if job is None:
-                self._notes.lost(where, f"there is no job {_shown(name)}")
+                self._notes.lost(where, f"there is no job {shown(name)}")
                 continue
             jobs.append(self._overridden(job, override) if override else job)
         return tuple(jobs)

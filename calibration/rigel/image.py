@@ -3,9 +3,9 @@
 import re
 from typing import Any
 
-from calibration.rigel.document import Rigelfile, RigelJob, list_at, mapping_at, text_at, truth_at
-from calibration.rigel.secrets import names_a_secret
-from calibration.rigel.substitution import plain, secret_names, shell, sole_variable
+from calibration.rigel.document import Rigelfile, RigelJob
+from calibration.rigel.fields import Fields, text_at
+from calibration.rigel.substitution import names_a_secret, plain, secret_names, shell, sole_variable
 
 DOCKERFILE, BUILD = "DockerfilePlugin", "BuildXPlugin"
 DOCKER_HUB = "docker.io"
@@ -65,30 +65,26 @@ class _Section:
 
     def build(self, job: RigelJob) -> None:
         """BuildXPlugin."""
-        fields, where = dict(job.fields), job.where
-        name, tag = split_name(self._plain(fields.pop("image", ""), f"{where}.image"))
-        tags = [tag] if tag else []
-        tags += [
-            self._plain(item, f"{where}.tags") for item in list_at(fields.pop("tags", ["latest"]), f"{where}.tags")
-        ]
-        if truth_at(fields.pop("force_tag_latest", True), f"{where}.force_tag_latest"):
+        fields = Fields(job.fields, job.where, self._notes)
+        name, tag = split_name(fields.plain("image"))
+        tags = [*([tag] if tag else []), *fields.plains("tags", ["latest"])]
+        if fields.truth("force_tag_latest", True):
             tags.append("latest")
         else:
             tags = [item for item in tags if item != "latest"]
         self._entry |= {"name": name, "tags": list(dict.fromkeys(tags))}
-        platforms = [self._plain(p, f"{where}.platforms") for p in list_at(fields.pop("platforms", []), where)]
-        if platforms:
+        if platforms := fields.plains("platforms"):
             self._entry["platforms"] = platforms
-        fields.pop("load", None)  # what is built is on the engine
-        if truth_at(fields.pop("push", False), f"{where}.push"):
+        fields.take("load")  # what is built is on the engine
+        if fields.truth("push"):
             self._entry["push"] = True
-        for argument in mapping_at(fields.pop("buildargs", {}), f"{where}.buildargs"):
+        for argument in fields.mapping("buildargs"):
             if names_a_secret(argument):
                 why = "a build argument can be read in the image: name it under image.secrets, and read /run/secrets"
             else:
                 why = "a generated Dockerfile has no arguments: write its value where it is used"
-            self._notes.lost(f"{where}.buildargs.{argument}", why)
-        self._rest(fields, where)
+            self._notes.lost(f"{fields.at('buildargs')}.{argument}", why)
+        fields.rest()
 
     def own_dockerfile(self) -> None:
         """No job writes a Dockerfile: there is one in the folder."""
@@ -97,16 +93,16 @@ class _Section:
 
     def dockerfile(self, job: RigelJob) -> None:
         """DockerfilePlugin."""
-        fields, where, entry = dict(job.fields), job.where, self._entry
+        fields, entry = Fields(job.fields, job.where, self._notes), self._entry
         if "ros_image" in fields:
-            entry["base"] = self._plain(fields.pop("ros_image"), f"{where}.ros_image")
+            entry["base"] = fields.plain("ros_image")
         if self._file.distro is not None:
             entry["ros"] = plain(self._file.distro, self._notes, "application.distro")
-        self._packages(fields, where)
-        self._environment(fields, where)
+        self._packages(fields)
+        self._environment(fields)
         commands = []
-        for number, item in enumerate(list_at(fields.pop("docker_run", []), f"{where}.docker_run")):
-            place = f"{where}.docker_run.{number}"
+        for number, item in enumerate(fields.items("docker_run")):
+            place = f"{fields.at('docker_run')}.{number}"
             line = text_at(item.get("command") if isinstance(item, dict) else item, place)
             for key in set(item if isinstance(item, dict) else ()) - {"command"}:
                 self._notes.lost(f"{place}.{key}", "there is no such setting of a command")
@@ -114,15 +110,14 @@ class _Section:
         self._entry.setdefault("commands", []).extend(commands)
         if not entry["commands"]:
             del entry["commands"]
-        user = self._plain(fields.pop("username", USER), f"{where}.username")
-        self._workspace(fields, where, user)
-        self._start(fields, where)
+        user = fields.plain("username", USER)
+        self._workspace(fields, user)
+        self._start(fields)
         entry["user"] = user
-        self._rest(fields, where)
+        fields.rest()
 
-    def _packages(self, fields: dict[str, Any], where: str) -> None:
-        names = [self._plain(item, f"{where}.apt") for item in list_at(fields.pop("apt", []), f"{where}.apt")]
-        names = [name.strip() for name in names]
+    def _packages(self, fields: Fields) -> None:
+        names = [name.strip() for name in fields.plains("apt")]
         packages = [name for name in names if _PACKAGE.fullmatch(name)]
         patterns = [name.strip("'\"") for name in names if not _PACKAGE.fullmatch(name)]
         if packages:
@@ -132,17 +127,15 @@ class _Section:
             install = f"apt-get update && apt-get install --yes --no-install-recommends {quoted}"
             self._entry["commands"] = [f"{install} && rm -rf /var/lib/apt/lists/*"]
             why = f"{', '.join(patterns)}: no names of packages: they are installed in commands; better name them"
-            self._notes.changed(f"{where}.apt", why)
-        files = list_at(fields.pop("python_requirements_files", []), f"{where}.python_requirements_files")
-        if files:
-            self._entry["pip"] = [f"-r {self._in_folder(text_at(file, where))}" for file in files]
+            self._notes.changed(fields.at("apt"), why)
+        if files := fields.texts("python_requirements_files"):
+            self._entry["pip"] = [f"-r {self._in_folder(file)}" for file in files]
 
-    def _environment(self, fields: dict[str, Any], where: str) -> None:
+    def _environment(self, fields: Fields) -> None:
         environment = {}
-        for number, item in enumerate(list_at(fields.pop("env", []), f"{where}.env")):
-            place = f"{where}.env.{number}"
-            pair = mapping_at(item, place)
-            name, value = text_at(pair.get("name"), f"{place}.name"), text_at(pair.get("value"), f"{place}.value")
+        for pair in fields.several("env"):
+            place = pair.where
+            name, value = (text_at(pair.take(key), pair.at(key)) for key in ("name", "value"))
             if secret_names(value) or names_a_secret(name):
                 self._notes.lost(
                     place, f"{name}: a secret in the image's environment can be read by whoever has the image"
@@ -150,44 +143,38 @@ class _Section:
                 continue
             if "$" in value:
                 self._notes.changed(place, f"{name}: environment is taken literally here; use entrypoint for $")
-            environment[name] = self._plain(value, place)
+            environment[name] = plain(value, self._notes, place)
         if environment:
             self._entry["environment"] = environment
 
-    def _workspace(self, fields: dict[str, Any], where: str, user: str) -> None:
-        compiler = mapping_at(fields.pop("compiler", {}), f"{where}.compiler")
-        tool = self._plain(compiler.pop("name", "catkin_make"), f"{where}.compiler.name")
+    def _workspace(self, fields: Fields, user: str) -> None:
+        compiler = fields.fields("compiler")
+        tool = compiler.plain("name", "catkin_make")
         workspace: dict[str, Any] = {"tool": tool, "sources": [self._file.folder]}
-        files = list_at(fields.pop("rosinstall", []), f"{where}.rosinstall")
-        if files:
-            workspace["repositories"] = [self._in_folder(text_at(file, where)) for file in files]
-        arguments = mapping_at(compiler.pop("cmake_args", {}), f"{where}.compiler.cmake_args")
-        if arguments:
-            workspace["cmake-arguments"] = {
-                name.removeprefix("-D"): self._plain(value, f"{where}.compiler.cmake_args.{name}")
-                for name, value in arguments.items()
-            }
+        if files := fields.texts("rosinstall"):
+            workspace["repositories"] = [self._in_folder(file) for file in files]
+        arguments = compiler.fields("cmake_args")
+        if names := arguments.names():
+            workspace["cmake-arguments"] = {name.removeprefix("-D"): arguments.plain(name) for name in names}
         workspace["path"] = f"/home/{user}/ros_workspace"
         self._entry["workspace"] = workspace
-        self._rest(compiler, f"{where}.compiler")
+        compiler.rest()
 
-    def _start(self, fields: dict[str, Any], where: str) -> None:
-        lines = [text_at(line, f"{where}.entrypoint") for line in list_at(fields.pop("entrypoint", []), where)]
+    def _start(self, fields: Fields) -> None:
+        lines, where = fields.texts("entrypoint"), fields.at("entrypoint")
         if any(secret_names(line) for line in lines):
-            self._notes.lost(
-                f"{where}.entrypoint", "a secret would be in the image: name it under secrets of the container"
-            )
+            self._notes.lost(where, "a secret would be in the image: name it under secrets of the container")
         kept = [self._shell(line) for line in lines if not secret_names(line)]
         if kept:
             self._entry["entrypoint"] = kept
         if any(re.search(r"\bsudo\b", line) for line in kept):
             why = "containers may gain no privileges: do what needs sudo in commands (by root), and leave sudo out"
-            self._notes.changed(f"{where}.entrypoint", why)
-        command = fields.pop("command", "")
+            self._notes.changed(where, why)
+        command = fields.take("command")
         if isinstance(command, list):
-            self._entry["command"] = [self._shell(text_at(item, f"{where}.command")) for item in command]
+            self._entry["command"] = [self._shell(text_at(item, fields.at("command"))) for item in command]
         elif command:
-            self._entry["command"] = self._shell(text_at(command, f"{where}.command"))
+            self._entry["command"] = self._shell(text_at(command, fields.at("command")))
 
     def providers(self) -> None:
         """How to log in."""
@@ -206,47 +193,39 @@ class _Section:
                 self._notes.lost(where, f"there is no provider like {provider.plugin}")
 
     def _registry(self, provider: RigelJob, registry: str) -> None:
-        fields, where = dict(provider.fields), provider.where
-        address = re.sub(r"^https?://", "", self._plain(fields.pop("server", ""), where)).partition("/")[0]
+        fields, where = Fields(provider.fields, provider.where, self._notes), provider.where
+        address = re.sub(r"^https?://", "", fields.plain("server")).partition("/")[0]
         server = address or DOCKER_HUB
         if "registry" in self._entry or (server != registry and "$" not in server + registry):
             self._notes.lost(where, f"one login, to where the image is pushed: {registry}, not {server}")
             return
-        username, password = fields.pop("username", ""), text_at(fields.pop("password", ""), f"{where}.password")
+        username, password = fields.plain("username"), fields.text("password")
         variable = sole_variable(password)
         if variable is None:
             variable = next(iter(secret_names(password)), "REGISTRY_PASSWORD")
             self._notes.to_do(f"{where}.password", f"put the password into the variable {variable}")
         self._entry["registry"] = {
-            "username": self._plain(username, f"{where}.username") or "TODO",
+            "username": username or "TODO",
             "password-variable": variable,
         }
-        self._rest(fields, where)
+        fields.rest()
 
     def _aws(self, provider: RigelJob) -> None:
-        fields, where = dict(provider.fields), provider.where
-        servers = list_at(fields.pop("ecr_servers", []), f"{where}.ecr_servers")
-        services = list_at(fields.pop("services", []), f"{where}.services")
+        fields = Fields(provider.fields, provider.where, self._notes)
+        servers, services = fields.items("ecr_servers"), fields.items("services")
         registry = _registry_of(self._entry.get("name", ""))
         if ("ecr" in services or servers) and "name" in self._entry and registry != DOCKER_HUB:
             self._entry.setdefault("registry", {"kind": "ecr"})
         given = [key for key in ("aws_access_key_id", "aws_secret_access_key", "region_name") if key in fields]
         for key in given:
-            del fields[key]
+            fields.take(key)
         if given:
             why = "AWS finds who you are by itself: AWS_ACCESS_KEY_ID, AWS_SECRET_ACCESS_KEY, AWS_REGION, or a role"
-            self._notes.to_do(where, why)
-        self._rest(fields, where)
-
-    def _rest(self, fields: dict[str, Any], where: str) -> None:
-        for key in fields:
-            self._notes.lost(f"{where}.{key}", "there is no such setting here")
+            self._notes.to_do(provider.where, why)
+        fields.rest()
 
     def _in_folder(self, file: str) -> str:
         return file if self._file.folder in (".", "./", "") else f"{self._file.folder.rstrip('/')}/{file}"
-
-    def _plain(self, value: object, where: str) -> str:
-        return plain(text_at(value, where), self._notes, where)
 
     def _shell(self, text: str) -> str:
         def secret(name: str) -> str:

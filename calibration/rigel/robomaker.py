@@ -9,12 +9,19 @@ from calibration.execution.globs import Glob
 from calibration.execution.job import OUTPUT
 from calibration.rigel.batch_section import batch_section
 from calibration.rigel.containers import Surroundings, component_entry, named, pair_environment
-from calibration.rigel.document import RigelJob, list_at, text_at
-from calibration.rigel.fields import Fields
+from calibration.rigel.document import RigelJob
+from calibration.rigel.fields import Fields, text_at
 from calibration.rigel.notes import Notes
 from calibration.rigel.substitution import plain
 
 ROBOMAKER = "RoboMakerPlugin"
+_SAME = {
+    "max_job_duration_in_seconds": "simulation_duration",
+    "robot_applications": "robot_application",
+    "simulation_applications": "simulation_application",
+    "exit_behaviour": "exit_behavior",
+}
+"""What Rigel calls otherwise."""
 _APPLICATIONS = {"simulation": "simulation_application", "robot": "robot_application"}
 _ADDRESS = re.compile(r"ROBOMAKER_(ROBOT|SIM)_APP_IP")
 _MASTER = re.compile(r"http://(robot|simulation):(\d+)/?")
@@ -37,6 +44,12 @@ _OF_AN_APPLICATION = {
     "use_default_upload_configurations": "name what is to be brought out under artifacts",
 }
 _PORTS = "the containers reach each other; nothing is reachable from outside"
+
+
+def plain_key(key: str) -> str:
+    """One spelling for both: ``s3Bucket`` and ``s3_bucket`` give ``s3_bucket``."""
+    found = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", key).lower()
+    return _SAME.get(found, found)
 
 
 @dataclass(frozen=True)
@@ -62,7 +75,7 @@ def robomaker_job(job: RigelJob, around: Surroundings, region: str = "") -> Simu
     """
     notes = around.notes
     around = replace(around, replaced=_with_names)
-    fields = Fields(job.fields, job.where)
+    fields = Fields(job.fields, job.where, notes, plain_key)
     applications = {
         name: _Application(name, found, around) for name, key in _APPLICATIONS.items() if (found := fields.fields(key))
     }
@@ -75,9 +88,7 @@ def robomaker_job(job: RigelJob, around: Surroundings, region: str = "") -> Simu
     _order(containers)
     for application in applications.values():
         containers |= application.tools()
-    for key, why in _GONE.items():
-        if fields.take(key):
-            notes.lost(fields.at(key), why)
+    fields.refuse(_GONE)
     _failure(fields, notes)
     entry = {
         "containers": containers,
@@ -110,8 +121,7 @@ def robomaker_job(job: RigelJob, around: Surroundings, region: str = "") -> Simu
         notes.to_do(f"aws-batch.secrets.{secret}", why)
     images = [str(container.get("image", "")) for container in containers.values()]
     section = batch_section(fields, found_region, gpu=gpu, images=[*images, around.image or ""], notes=notes)
-    for where in fields.left():
-        notes.lost(where, "there is no such setting here")
+    fields.rest()
     return Simulated(entry, section)
 
 
@@ -135,17 +145,14 @@ class _Application:
         if uploads := list(filter(None, map(self._artifact, fields.several("upload_configurations")))):
             self.entry["artifacts"] = uploads
         self._tools = fields.several("tools")
-        for key, why in _OF_AN_APPLICATION.items():
-            if fields.take(key):
-                self._notes.lost(fields.at(key), why)
-        for where in fields.left():
-            self._notes.lost(where, "there is no such setting of a container here")
+        fields.refuse(_OF_AN_APPLICATION)
+        fields.rest("there is no such setting of a container here")
 
     def _component(self) -> dict[str, Any]:
         """As ComposePlugin has it."""
         fields = self._fields
         launch = fields.fields("launch_config")
-        environment = pair_environment(list_at(fields.take("environment"), fields.at("environment")), fields.where)
+        environment = pair_environment(fields.items("environment"), fields.where)
         for key, value in launch.mapping("environment_variables").items():
             environment[key] = text_at(value, launch.where)
         own_address = {"ROBOMAKER_ROBOT_APP_IP": "robot", "ROBOMAKER_SIM_APP_IP": "simulation"}
@@ -153,13 +160,9 @@ class _Application:
             del environment["ROS_IP"]  # of a network where the address is not known before: the name in its place
             environment["ROS_HOSTNAME"] = self._name
         command = fields.take("command") or launch.take("command") or self._launched(launch)
-        for found, key in ((fields, "ports"), (launch, "port_forwarding_config")):
-            if found.take(key):
-                self._notes.lost(found.at(key), _PORTS)
-        if launch.take("stream_ui"):
-            self._notes.lost(launch.at("stream_ui"), _OF_AN_APPLICATION["stream_ui"])
-        for where in launch.left():
-            self._notes.lost(where, "there is no such setting here")
+        fields.refuse({"ports": _PORTS})
+        launch.refuse({"port_forwarding_config": _PORTS, "stream_ui": _OF_AN_APPLICATION["stream_ui"]})
+        launch.rest()
         envs = {key: value for key, value in environment.items() if key}
         return {"image": fields.take("ecr") or "", "command": command, "envs": envs}
 
@@ -173,12 +176,11 @@ class _Application:
 
     def _artifact(self, upload: Fields) -> dict[str, Any] | None:
         where = upload.at("path")
-        path = _SUPER.sub("**/*", plain(upload.text("path"), self._notes, where))
+        path = _SUPER.sub("**/*", upload.plain("path"))
         upload.take("name")  # the folder below the output location: here everything keeps its own path
         if "ROLLING" in upload.text("upload_behavior"):
             self._notes.changed(upload.at("upload_behavior"), "everything is brought out when the job has ended")
-        for left in upload.left():
-            self._notes.lost(left, "there is no such setting here")
+        upload.rest()
         if not path.startswith("/") or ".." in path.split("/") or Glob(path).source == "/":
             self._notes.lost(where, f"{path}: name an absolute path with a folder, under artifacts")
             return None
@@ -205,12 +207,10 @@ class _Application:
         self._notes.changed(
             tool.where, "a container of its own: of the application it shares the network and {output}, no other files"
         )
-        if tool.take("stream_ui"):
-            self._notes.lost(tool.at("stream_ui"), _OF_AN_APPLICATION["stream_ui"])
+        tool.refuse({"stream_ui": _OF_AN_APPLICATION["stream_ui"]})
         if tool.truth("stream_output_to_cloud_watch") is False:
             self._notes.changed(tool.at("stream_output_to_cloud_watch"), "the logs of all containers go to CloudWatch")
-        for where in tool.left():
-            self._notes.lost(where, "there is no such setting here")
+        tool.rest()
         entry["after"] = [self._name]
         return entry
 
@@ -237,8 +237,7 @@ def _compute(containers: dict[str, dict[str, Any]], compute: Fields, notes: Note
         notes.changed(
             compute.at("compute_type"), f"the GPU is that of {chosen}; a container that needs one too gets another"
         )
-    for where in compute.left():
-        notes.lost(where, "there is no such setting here")
+    compute.rest()
     return gpu
 
 
@@ -250,8 +249,7 @@ def _data_sources(containers: dict[str, dict[str, Any]], sources: list[Fields], 
         target = plain(given, around.notes, where) or f"{_DATA}/{called}"
         bucket, keys = source.text("s3_bucket", "BUCKET"), source.texts("s3_keys")
         kind = source.text("type", "File")
-        for left in source.left():
-            around.notes.lost(left, "there is no such setting here")
+        source.rest()
         if not target.startswith("/") or ":" in target:
             around.notes.lost(where, f"{target} is no place in a container: mount the folder by hand")
             continue

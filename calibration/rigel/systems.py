@@ -1,4 +1,7 @@
-"""The systems of the jobs that calibrate in containers, each with the rules of the job that judges its table."""
+"""The systems of the jobs that calibrate in containers, each with the rules of the job that judges its table.
+
+ATOM's evaluation in the command of a container is recognised, so that our engine makes the same table beside it.
+"""
 
 import re
 from collections.abc import Mapping
@@ -10,10 +13,64 @@ from calibration.errors import InputError
 from calibration.introspection.rigelfile import COLUMNS_KEY, translate
 from calibration.introspection.rule_set import parse_rules
 from calibration.rigel.containers import Surroundings, component_entry, named
-from calibration.rigel.document import Rigelfile, RigelJob, list_at, mapping_at, text_at
-from calibration.rigel.evaluations import evaluation_in
+from calibration.rigel.document import Rigelfile, RigelJob
+from calibration.rigel.fields import list_at, mapping_at, text_at
 from calibration.rigel.notes import Notes
 from calibration.rigel.substitution import plain
+
+_SOURCE, _TARGET = ("-ss", "--sensor_source"), ("-st", "--sensor_target")
+_RANGE, _DEPTH, _CAMERA = ("-rs", "--range_sensor"), ("-ds", "--depth_sensor"), ("-cs", "--camera_sensor")
+_PATTERN = ("-pn", "--pattern_name")
+_Flag = tuple[str, str]
+_PAIRS: Mapping[str, tuple[_Flag, _Flag]] = {
+    "rgb_to_rgb": (_SOURCE, _TARGET),
+    "lidar_to_rgb": (_RANGE, _CAMERA),
+    "depth_to_rgb": (_DEPTH, _CAMERA),
+    "lidar_to_lidar": (_SOURCE, _TARGET),
+    "lidar_to_depth": (_RANGE, _DEPTH),
+    "depth_to_depth": (_SOURCE, _TARGET),
+}
+_BETWEEN = ("inter_collection_", "cross_collection_")
+"""What stands before a pair's script whose table is between collections, and in earlier versions."""
+_NEEDED: Mapping[str, tuple[_Flag, ...]] = {
+    **_PAIRS,
+    **{f"{before}{script}": flags for before in _BETWEEN for script, flags in _PAIRS.items()},
+    "single_rgb": (),  # its filters are functions in Python: all cameras and patterns
+    "ground_truth_transform": (("-p", "--parent"), ("-c", "--child")),
+    "ground_truth_frame": (("-tf", "--target_frame"),),
+}
+_OPTIONAL: Mapping[str, tuple[_Flag, ...]] = {
+    "single_rgb": (),
+    "ground_truth_transform": (),
+    "ground_truth_frame": (("-sf", "--source_frame"),),
+}
+_SCRIPT = re.compile(rf"\b(?P<script>{'|'.join(_NEEDED)})_evaluation(?:\.py)?(?![\w.-])(?P<flags>[^\n;&|]*)")
+"""One of the scripts, and what follows it up to the end of its command."""
+
+
+def evaluation_in(command: str, notes: Notes, where: str) -> str | None:
+    """The first of ATOM's evaluations in a command, as ``evaluate`` has it; None where there is none.
+
+    One whose flags do not say which sensors is noted.
+    """
+    found = _SCRIPT.search(command.replace("\\\n", " "))
+    if found is None:
+        return None
+    script, flags = found["script"], found["flags"]
+    names = [_value(flags, flag) for flag in _NEEDED[script]]
+    if None in names:
+        missing = _NEEDED[script][names.index(None)][1]
+        notes.to_do(where, f"evaluate: {script}_evaluation has no {missing} that can be read: write the table")
+        return None
+    more = [_value(flags, flag) for flag in _OPTIONAL.get(script, (_PATTERN,))]
+    kind = script.replace("cross_", "inter_").replace("_", "-")
+    return ":".join((kind, *(name for name in (*names, *more) if name)))
+
+
+def _value(flags: str, flag: _Flag) -> str | None:
+    found = re.search(rf"(?<!\S)(?:{'|'.join(flag)})(?:\s+|=)[\"']?(\w[\w.-]*)(?=[\"'\s)]|$)", flags)
+    return found[1] if found else None
+
 
 _ROS_2 = (
     *("ardent", "bouncy", "crystal", "dashing", "eloquent", "foxy", "galactic"),
@@ -97,10 +154,7 @@ def system_of(
         around.notes.to_do(where, "the command that calibrates is not in the Rigelfile: write it for TODO")
         software = {"command": ["TODO"], **software}
     software["ros"] = ros_version(distro)
-    timeout = job.fields.get("timeout")
-    if timeout not in (None, 0):
-        software["timeout"] = f"{text_at(timeout, f'{job.where}.timeout').removesuffix('.0')}s"
-        around.notes.changed(f"{job.where}.timeout", "a limit, no waiting: the job ends when its container ends")
+    software |= _timeout(job, around.notes)
     entry: dict[str, Any] = {"dataset": "TODO"}
     around.notes.to_do(
         f"{where}.{chosen.get('name', 0)}",
@@ -115,7 +169,7 @@ def system_of(
         entry["rules"] = rules
     elif not judges:
         around.notes.to_do(job.where, "no job judges its table: write rules, or only its exit code counts")
-    _refuse_others(job, ("components", "timeout"), around.notes)
+    _refuse_others(job, around.notes)
     origin = f"job {job.name}" + (f", judged by {', '.join(judge.name for judge in judges)}" if judges else "")
     return Converted(named_system(job.name), entry, origin)
 
@@ -149,12 +203,9 @@ def collection_of(job: RigelJob, distro: str | None, around: Surroundings) -> Co
     if all(entry.get("essential") is False for entry in containers.values()):
         raise AssertionError("the container that has the dataset is essential")
     simulation: dict[str, Any] = {"containers": containers, "ros": ros_version(distro)}
-    timeout = job.fields.get("timeout")
-    if timeout not in (None, 0):
-        simulation["timeout"] = f"{text_at(timeout, f'{job.where}.timeout').removesuffix('.0')}s"
-        around.notes.changed(f"{job.where}.timeout", "a limit, no waiting: the job ends when its container ends")
+    simulation |= _timeout(job, around.notes)
     simulation["dataset"] = dataset
-    _refuse_others(job, ("components", "timeout"), around.notes)
+    _refuse_others(job, around.notes)
     return Converted(named_system(job.name), simulation, f"job {job.name}")
 
 
@@ -214,7 +265,15 @@ def _plainly(node: Any, notes: Notes, where: str) -> Any:
     return plain(node, notes, where) if isinstance(node, str) else node
 
 
-def _refuse_others(job: RigelJob, known: tuple[str, ...], notes: Notes) -> None:
+def _timeout(job: RigelJob, notes: Notes) -> dict[str, str]:
+    timeout, where = job.fields.get("timeout"), f"{job.where}.timeout"
+    if timeout in (None, 0):
+        return {}
+    notes.changed(where, "a limit, no waiting: the job ends when its container ends")
+    return {"timeout": f"{text_at(timeout, where).removesuffix('.0')}s"}
+
+
+def _refuse_others(job: RigelJob, notes: Notes) -> None:
     for key in job.fields:
-        if key not in known:
+        if key not in ("components", "timeout"):
             notes.lost(f"{job.where}.{key}", "there is no such setting here")

@@ -5,7 +5,7 @@ import pytest
 
 from calibration.errors import InputError
 from calibration.rigel.conversion import Conversion
-from calibration.rigel.secrets import variable_name
+from calibration.rigel.substitution import variable_name
 from tests.rigel.conftest import noted, software
 
 Converted = Callable[[str], Conversion]
@@ -64,7 +64,7 @@ def test_fields_of_a_component(converted: Converted, fields: str, key: str, valu
         ("envs: {A_TOKEN: '{{ vars.B_TOKEN }}'}", "envs.A_TOKEN", "the variable A_TOKEN is passed on"),
         ("envs: {A_TOKEN: 'x{{ vars.B_TOKEN }}'}", "envs.A_TOKEN", "a secret, which is not copied"),
         ("shm_size: 1g", "shm_size", "there is no such setting"),
-        ("cpus: two", "cpus", "there is no such setting"),
+        ("cpus: two", "cpus", "a number was expected"),
         ("volumes: [/only]", "volumes.0", "/only is not HERE:THERE"),
         ("volumes: ['/tmp/.X11-unix:/tmp/.X11-unix']", "volumes.0", "no X server"),
         ("envs: {URL: 'https://x?t={{ vars.MY_TOKEN }}'}", "envs.URL", "a secret in a longer text"),

@@ -3,8 +3,8 @@
 import pytest
 
 from calibration.evaluation.specification import KINDS, parse_evaluation
-from calibration.rigel.evaluations import evaluation_in
 from calibration.rigel.notes import Notes
+from calibration.rigel.systems import evaluation_in
 
 JSON = "-train_json /d/atom_calibration.json -test_json $DATASETS/test.json"
 COMMANDS = {

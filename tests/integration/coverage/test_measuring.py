@@ -236,6 +236,6 @@ def test_git_knows_nothing_new(run: Run, root: Path, bare_python: str) -> None:
 def test_the_injected_programs_are_readable_for_old_pythons() -> None:
     import ast
 
-    folder = Path(__file__).parents[3] / "calibration/coverage/measuring/injected"
+    folder = Path(__file__).parents[3] / "calibration/coverage/injected"
     for path in folder.glob("*.py"):
         ast.parse(path.read_text(), feature_version=(3, 4))
