@@ -16,7 +16,7 @@ from calibration.commands.parameters import (
     registry_password_option,
     text,
 )
-from calibration.errors import ExitCode, InputError
+from calibration.errors import ExitCode, InputError, WorldError
 from calibration.image.builders.failure import BuildFailedError
 from calibration.image.building import BUILDERS, build_image
 from calibration.image.context import Context
@@ -138,7 +138,7 @@ def _built(settings: Settings, specification: ImageSpecification, runner: Runner
     if not settings.promote:
         return BuildResult(image)
     if image.digest is None:
-        raise AssertionError("a pushed image has a digest")
+        raise WorldError(f"{image.reference}: pushed, but nothing told its digest, which the tags of promote need")
     return BuildResult(image, promoted=_promote(specification, image.digest, settings, runner))
 
 

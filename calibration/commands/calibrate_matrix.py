@@ -121,20 +121,20 @@ def calibrate_matrix(settings: Settings, runner: Runner) -> ExitCode:
         InputError: the settings contradict each other, or the data are wrong.
         WorldError: a result cannot be written.
     """
-    matrix = matrix_of(settings)
-    place = place_of(settings, matrix, runner)
+    configuration = configuration_of(settings)
+    matrix = matrix_of(settings, configuration)
+    place = place_of(settings, configuration, matrix, runner)
     pull(settings, runner)
     run = Run(matrix, settings.output, runner, TITLE, settings.jobs, settings.fail_fast, place=place)
     return run_stages(run, ("calibrate", "introspect")).exit_code
 
 
-def place_of(settings: Settings, matrix: Matrix, runner: Runner) -> Place:
+def place_of(settings: Settings, configuration: Configuration, matrix: Matrix, runner: Runner) -> Place:
     """Where the team's software runs.
 
     Raises:
         InputError: there is no such backend, no software to run in it, or nothing says where in the cloud.
     """
-    configuration = _configuration(settings)
     backend = settings.backend or configuration.backend
     check_backend(backend, CONTAINERS)
     in_cloud = backend == AWS_BATCH and bool(matrix.software)
@@ -169,23 +169,26 @@ def pull(settings: Settings, runner: Runner) -> None:
     pull_image(image, login, runner, TITLE)
 
 
-def matrix_of(settings: Settings) -> Matrix:
+def matrix_of(settings: Settings, configuration: Configuration) -> Matrix:
     """What is to be calibrated, from the configuration with the other settings in front.
 
     Raises:
-        InputError: the settings contradict each other, or the configuration is wrong.
+        InputError: the configuration has no such system, or the settings are wrong.
     """
-    if (settings.dataset is None) == (settings.config is None):
-        raise InputError("exactly one of dataset and config is to be given: a dataset's folder, or a calibration.yml")
-    configuration = _configuration(settings)
     systems = tuple(_adjusted(system, settings) for system in configuration.only(settings.systems))
     return Matrix(systems, settings.noise.grid(configuration.noise))
 
 
-def _configuration(settings: Settings) -> Configuration:
-    if settings.config is not None:
+def configuration_of(settings: Settings) -> Configuration:
+    """The configuration that is given, or the one of a dataset alone.
+
+    Raises:
+        InputError: both are given, or none; or the configuration is wrong.
+    """
+    if settings.config is not None and settings.dataset is None:
         return read_configuration(settings.config)
-    assert settings.dataset is not None  # noqa: S101 (checked by the caller)
+    if settings.dataset is None or settings.config is not None:
+        raise InputError("exactly one of dataset and config is to be given: a dataset's folder, or a calibration.yml")
     folder = settings.dataset.resolve()
     name = folder.parent.name if folder.suffix == ".json" else folder.name
     return Configuration(systems=(System(name, settings.dataset),))

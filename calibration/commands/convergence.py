@@ -7,7 +7,7 @@ from typing import Any, cast
 
 import click
 
-from calibration.commands.calibrate_matrix import OF_SOFTWARE, matrix_of, place_of, pull
+from calibration.commands.calibrate_matrix import OF_SOFTWARE, configuration_of, matrix_of, place_of, pull
 from calibration.commands.calibrate_matrix import Settings as MatrixSettings
 from calibration.commands.calibrate_matrix import command as calibrate_matrix
 from calibration.commands.parameters import (
@@ -145,9 +145,10 @@ def convergence(settings: Settings, runner: Runner) -> ExitCode:
         WorldError: a result cannot be written, a process died, or there is no engine.
     """
     asked = _with_seeds(settings)
-    matrix = matrix_of(asked)
+    configuration = configuration_of(asked)
+    matrix = matrix_of(asked, configuration)
     matrices = sweep_matrices(matrix, cast("tuple[Start, ...]", settings.start))
-    place = place_of(asked, matrix, runner)
+    place = place_of(asked, configuration, matrix, runner)
     pull(asked, runner)
     remove_results(asked.output, ALL_FILES)
     software = bool(matrix.software)

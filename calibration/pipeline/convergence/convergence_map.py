@@ -129,11 +129,9 @@ def maps_of(cells: Sequence[CellResult], noise: NoiseGrid) -> tuple[ConvergenceM
         cells: in any order; every combination of the grid for every map.
         noise: its levels begin with 0.
     """
-    found: dict[tuple[str, str, str], dict[tuple[float, float, int], CellResult]] = {}
+    found: dict[tuple[str, str, str], dict[tuple[float | None, float | None, int | None], CellResult]] = {}
     for cell in cells:
-        if cell.translation_noise is None or cell.rotation_noise is None or cell.seed is None or cell.start is None:
-            raise AssertionError(f"{cell.name} is from no noisy start")
-        of = found.setdefault((cell.system, cell.method, cell.start), {})
+        of = found.setdefault((cell.system, cell.method, cell.start or ""), {})
         of[cell.translation_noise, cell.rotation_noise, cell.seed] = cell
     systems = list(dict.fromkeys(system for system, _, _ in found))
     with_software = {system for system, method, _ in found if method != OUR_METHOD}
