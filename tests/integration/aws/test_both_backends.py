@@ -4,8 +4,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from calibration.execution.backend import Backend
 
+from calibration.execution.backends import JobBackend
 from calibration.execution.batch.backend import BatchBackend
 from calibration.execution.batch.settings import BatchSettings
 from calibration.execution.docker.backend import DockerBackend
@@ -40,7 +40,7 @@ def jobs(folder: Path) -> list[Job]:
     return [Job(f"worlds/{seed}", containers(seed, code), seconds=90.0) for seed, code in ((1, 0), (2, 4))]
 
 
-def run(backend: Backend, given: list[Job], folder: Path) -> list[tuple[Any, ...]]:
+def run(backend: JobBackend, given: list[Job], folder: Path) -> list[tuple[Any, ...]]:
     """What came of each job, without what may differ: how long it took, and how its helpers ended."""
     found = []
     for index, outcome in backend.run(given, folder):
