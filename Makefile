@@ -11,11 +11,14 @@ PYTHON ?= $(wildcard $(python))
 setup = INPUT_PYTHON='$(PYTHON)' bash actions/bootstrap.sh environment $(venv)
 
 uv = $(abspath $(or $(shell command -v uv),$(venv)/bin/uv))
+# Many tests wait, for an engine or a browser: more of them than processors are run at once.
+tests = $(python) -m pytest -n $(shell expr 2 '*' $$(getconf _NPROCESSORS_ONLN)) --dist worksteal
+rooms = $(patsubst tests/%/__init__.py,%,$(wildcard tests/*/__init__.py tests/*/*/__init__.py))
 # Of the engine, the detectors and the renderer; and those of them that use OpenCV.
 engine_tests = $(addprefix tests/,geometry dataset estimation evaluation comparison labelling simulation/rendering)
-opencv_tests = $(addprefix tests/,dataset comparison labelling simulation/rendering)
+opencv_tests = $(addprefix tests/,dataset/test_depth_image.py dataset/test_reading.py comparison labelling simulation/rendering)
 
-.PHONY: help run test test-only lint bench lock test-versions actions pictures clean
+.PHONY: help run check lint test test-only bench lock test-versions actions pictures clean
 
 help: ## this list
 	@sed -nE 's/^([a-z-]+):.*## (.*)/\1\t\2/p' Makefile | expand -t 16
@@ -23,6 +26,14 @@ help: ## this list
 run: ## calibrate the systems in datasets/ and check the tables, as calibration.yml says
 	@$(setup) calibrate.txt
 	@$(python) -m calibration run $(ARGS)
+
+check: ## ROOM=geometry: ruff, mypy, and the tests of one room with few examples: while one works on it
+	@[[ ' $(rooms) ' == *' $(ROOM) '* ]] || { echo "ROOM=$(ROOM): no such room; there are: $(rooms)" >&2; exit 2; }
+	@$(setup) dev.txt .
+	$(python) -m ruff check --quiet
+	$(python) -m ruff format --check --quiet
+	$(python) -m mypy
+	$(python) -m pytest -q -n 2 --dist worksteal --hypothesis-profile few $(wildcard tests/test_$(ROOM).py tests/$(ROOM)) $(ARGS)
 
 lint: ## ruff, mypy, and the checks of workflows, actions, shell, configurations and the README's examples
 	@$(setup) dev.txt .
@@ -34,14 +45,16 @@ lint: ## ruff, mypy, and the checks of workflows, actions, shell, configurations
 	$(python) -m tests.lint.shell
 	$(python) -m tests.lint.documents
 
-test: lint ## lint, then the tests with their coverage
+test: ## the tests with their coverage
+	@$(setup) dev.txt .
 	$(python) -m coverage erase
-	COVERAGE_PROCESS_START='$(CURDIR)/pyproject.toml' COVERAGE_FILE='$(CURDIR)/.coverage' $(python) -m pytest -n 3 --dist worksteal $(ARGS)
+	COVERAGE_PROCESS_START='$(CURDIR)/pyproject.toml' COVERAGE_FILE='$(CURDIR)/.coverage' $(tests) $(ARGS)
 	$(python) -m coverage combine --quiet
 	$(python) -m coverage report
 
-test-only: lint ## the same without the coverage, which takes a quarter of the time
-	$(python) -m pytest -n 3 --dist worksteal $(ARGS)
+test-only: ## the same without the coverage, which takes a quarter of the time
+	@$(setup) dev.txt .
+	$(tests) $(ARGS)
 
 # An older or newer library, laid over those of .venv. Not strict: OpenCV 5 lacks what some comparisons need.
 test-versions: ## the tests of engine, detectors and rendering with the oldest numpy, and those that use it with OpenCV 5
@@ -51,7 +64,7 @@ test-versions: ## the tests of engine, detectors and rendering with the oldest n
 		rm -rf build/versions; \
 		'$(uv)' pip install --quiet --no-deps --only-binary :all: --python $(python) --target build/versions "$$1"; \
 		CALIBRATION_CI_STRICT= PYTHONPATH='$(CURDIR)/build/versions' \
-			$(python) -m pytest -n 2 -q -p no:cacheprovider "$${@:2}"; \
+			$(python) -m pytest -n 2 -q -p no:cacheprovider --hypothesis-profile few "$${@:2}"; \
 	}; \
 	with 'numpy==1.26.*' $(engine_tests); \
 	with 'opencv-python-headless>=5' $(opencv_tests)

@@ -6,8 +6,9 @@ from collections.abc import Generator
 from contextlib import suppress
 from pathlib import Path
 
-import hypothesis
 import pytest
+
+from tests.properties import register_profiles
 
 # As the commands do, before anything imports numpy: the tests' processes are the parallelism.
 for _variable in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
@@ -23,9 +24,7 @@ with suppress(ImportError, AttributeError):
 
     del coverage.process_startup.coverage  # type: ignore[attr-defined]
 
-# A slow machine with much else to do is no failure.
-hypothesis.settings.register_profile("patient", deadline=None, suppress_health_check=[hypothesis.HealthCheck.too_slow])
-hypothesis.settings.load_profile("patient")
+register_profiles()
 
 pytest_plugins = ["tests.engine", "tests.aws.fixtures"]
 

@@ -100,7 +100,7 @@ def test_real_datasets_read_back_equal(shared_data, tmp_path, name):
     assert_equal(result, again, atol=1e-14)
 
 
-@settings(max_examples=50, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.data())
 def test_any_transforms_and_any_choice_of_collections_read_back_equal(tmp_path, data):
     dataset = read_dataset(documents.write(tmp_path, documents.document()))

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from calibration.estimation.batches import table_of
@@ -19,6 +19,7 @@ from calibration.geometry.transforms import inverse, local, retract
 from calibration.geometry.types import Array
 from tests.estimation.scenes import PINHOLE, WIDE, board
 from tests.estimation.tangled import random_poses, tangled
+from tests.properties import at_most
 
 N = 4
 JOINT = FreeJoint(JointModel(False, (0.0, 0.6, 0.8)), JOINT_PARAMETERS[3:])
@@ -52,7 +53,7 @@ def twist(before: Array, after: Array) -> Array:
     return local(np.broadcast_to(np.eye(4), after.shape), after @ inverse(before))
 
 
-@settings(max_examples=25, deadline=None)
+@at_most(25)
 @given(links=LINKS, first=CONSTANTS, joint=st.integers(-1, 3), groups=st.integers(1, 3), seed=st.integers(0, 99))
 def test_the_jacobians_of_any_chains_are_their_derivatives(links, first, joint, groups, seed):
     """Groups of one form, whatever their blocks are, go in one batch."""

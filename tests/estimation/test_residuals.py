@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from calibration.estimation import residuals
@@ -212,7 +212,6 @@ def test_the_border_residual_is_the_distance_to_the_nearest_line_over_the_range(
         np.testing.assert_allclose(distances[0], [0.02, 0.01, 0.04, 0.001], atol=1e-12 + 6e-4 * error)
 
 
-@settings(deadline=None)
 @given(st.lists(st.floats(0, 1e6), min_size=1, max_size=20), st.floats(0.1, 10))
 def test_hubers_loss_is_smooth_and_grows_linearly(squared, k):
     e2 = np.array([squared])

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from calibration.estimation.scan_alignment import align_scans, scan_equations
@@ -10,6 +10,7 @@ from calibration.geometry import rotations
 from calibration.geometry.transforms import apply, distance, inverse, transform
 from calibration.geometry.types import Array
 from tests.estimation.tangled import random_poses
+from tests.properties import at_most
 
 RAYS = 30
 
@@ -35,7 +36,7 @@ def cuts(n: int, seed: int = 0, noise: float = 0.0, solid: bool = False) -> tupl
     return points, np.repeat(moved, RAYS, axis=0), np.repeat(d, RAYS), T_planes_points
 
 
-@settings(max_examples=40, deadline=None)
+@at_most(40)
 @given(seed=st.integers(0, 10_000), n=st.integers(6, 20), solid=st.booleans())
 def test_exact_cuts_give_the_exact_transform(seed, n, solid):
     points, normals, offsets, T = cuts(n + 2 * solid, seed, solid=solid)

@@ -4,7 +4,7 @@ from typing import Any
 
 import jsonschema
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from calibration.errors import InputError
@@ -108,7 +108,6 @@ VALUES = st.recursive(
 )
 
 
-@settings(max_examples=50)
 @given(st.dictionaries(st.sampled_from(sorted(KEYS)), VALUES, max_size=3))
 def test_any_document_is_a_container_or_an_error(entry: dict[str, Any]) -> None:
     with suppress(InputError):

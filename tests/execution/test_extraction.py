@@ -9,7 +9,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from calibration.errors import CalibrationError, ExitCode, WorldError
@@ -223,7 +223,6 @@ KINDS = st.sampled_from([tarfile.REGTYPE, tarfile.DIRTYPE, tarfile.SYMTYPE, tarf
 ENTRIES = st.tuples(NAMES, st.binary(max_size=20), KINDS, NAMES)
 
 
-@settings(deadline=None)
 @given(st.lists(ENTRIES, max_size=6), st.lists(st.tuples(st.integers(0, 8000), st.integers(0, 255)), max_size=4))
 def test_whatever_comes_nothing_is_written_outside(
     entries: list[tuple[str, bytes, bytes, str]], damage: list[tuple[int, int]]

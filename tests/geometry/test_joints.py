@@ -2,19 +2,20 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from calibration.geometry import rotations
 from calibration.geometry.joints import JOINT_PARAMETERS, JointModel
 from calibration.geometry.transforms import adjoint, from_xyz_rpy, local, moved_twists, retract, transform, translation
+from tests.properties import at_most
 
 MODELS = [JointModel(False, (0.0, 0.6, 0.8)), JointModel(True, (0.8, 0.0, -0.6)), JointModel(False, (0.0, 0.0, 1.0))]
 ANGLES = st.lists(st.floats(-3.0, 3.0), min_size=7, max_size=7)
 
 
 @pytest.mark.parametrize("model", MODELS)
-@settings(max_examples=25, deadline=None)
+@at_most(25)
 @given(values=ANGLES, position=st.floats(-2, 2))
 def test_a_joint_is_its_origin_and_a_motion_by_position_and_bias(model, values, position):
     values = np.array(values)
@@ -25,7 +26,7 @@ def test_a_joint_is_its_origin_and_a_motion_by_position_and_bias(model, values, 
 
 
 @pytest.mark.parametrize("model", MODELS)
-@settings(max_examples=25, deadline=None)
+@at_most(25)
 @given(values=ANGLES)
 def test_the_columns_are_the_derivatives(model, values):
     values, h = np.array(values), 1e-6

@@ -2,12 +2,13 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from calibration.geometry.transforms import apply
 from calibration.labelling.board_image import fits_neighbours, homography, predict, project
 from tests.labelling.pictures import HD, HD_DISTORTED, charuco, facing
+from tests.properties import at_most
 
 BOARD = charuco()
 PLACES = BOARD.pattern().corners[:, :2] / BOARD.size
@@ -46,7 +47,7 @@ def test_four_points_are_enough_and_the_horizon_has_no_pixel() -> None:
     assert np.isnan(found).all()
 
 
-@settings(max_examples=30)
+@at_most(30)
 @given(poses, st.integers(0, 2**32 - 1))
 def test_hidden_corners_are_predicted_through_the_distortion(T, seed) -> None:
     """From two thirds of the corners, to a fraction of a pixel, where a homography is pixels off."""
@@ -68,7 +69,7 @@ def test_the_jacobian_is_that_of_the_bent_map() -> None:
         np.testing.assert_allclose(predicted.jacobians[:, :, axis], slope, rtol=0.02, atol=0.3)
 
 
-@settings(max_examples=30)
+@at_most(30)
 @given(poses, st.integers(0, 2**32 - 1), st.floats(0.02, 0.3), st.sampled_from([HD, HD_DISTORTED]))
 def test_wrong_corners_are_told_from_noisy_ones(T, seed, noise, camera) -> None:
     random = np.random.default_rng(seed)

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from calibration.dataset.depth_image import NO_RETURN
@@ -14,6 +14,7 @@ from calibration.labelling.depth import label_depth
 from calibration.labelling.detection import NotDetected
 from calibration.labelling.points import PatternPoints
 from tests.labelling.worlds import BOARD, Measured, Rectangle, board, displaced, measure
+from tests.properties import at_most
 
 CAMERA = Camera(280.0, 280.0, 159.5, 119.5, 320, 240)
 BENT = Camera(280.0, 280.0, 159.5, 119.5, 320, 240, PlumbBob(-0.2, 0.05))
@@ -60,7 +61,7 @@ def from_border(index, T, camera=CAMERA) -> np.ndarray:
     return (np.array([rectangle.width, rectangle.height]) / 2 - np.abs(at[:, :2])).min(-1)
 
 
-@settings(max_examples=25, deadline=None)
+@at_most(25)
 @given(
     st.floats(1.0, 2.5),
     st.tuples(st.floats(-0.6, 0.6), st.floats(-0.6, 0.6), st.floats(-3, 3)),

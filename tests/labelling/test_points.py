@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from calibration.geometry.transforms import transform
@@ -20,6 +20,7 @@ from tests.labelling.worlds import (
     true_border,
     upright,
 )
+from tests.properties import at_most
 
 RAYS = lidar_rays()
 WALL = upright(0.0, 6.0, 30.0, 12.0)
@@ -58,7 +59,7 @@ guesses = st.tuples(
 turns = st.tuples(st.floats(-0.7, 0.7), st.floats(-0.7, 0.7), st.floats(-np.pi, np.pi))
 
 
-@settings(max_examples=40, deadline=None)
+@at_most(40)
 @given(st.floats(-np.pi, np.pi), st.floats(1.2, 3.0), turns, guesses, st.sampled_from([0.0, 0.008, 0.02]))
 def test_any_pose_any_noise_any_guess_within_the_tolerance(azimuth, distance, turn, guess, noise) -> None:
     """5 cm and 3 degrees off, with a wall behind and the ground below: hardly a point is wrong or missed."""

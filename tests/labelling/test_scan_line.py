@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from calibration.geometry.transforms import apply
@@ -31,7 +31,6 @@ def found(points: np.ndarray, T: np.ndarray) -> PatternPoints:
 unit = st.tuples(*[st.floats(-1, 1)] * 3)
 
 
-@settings(max_examples=50, deadline=None)
 @given(
     azimuth=st.floats(-1.8, 1.8),
     distance=st.floats(1.0, 3.5),
@@ -120,7 +119,6 @@ def test_scattered_points_are_no_line():
     assert isinstance(labels, NotDetected)
 
 
-@settings(max_examples=50, deadline=None)
 @given(turn=st.tuples(*[st.floats(-3, 3)] * 3), height=st.floats(-0.6, 0.6))
 def test_the_ends_of_a_cut_lie_on_the_outline_and_in_the_scans_plane(turn, height):
     T = standing(0.3, 2.0, turn, height)

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from calibration.errors import InputError, WorldError
@@ -92,7 +92,6 @@ def test_deleting_selects_the_next_and_at_the_end_the_one_before(t2rgb: System) 
     session.delete_selected()  # nothing left to delete: nothing happens
 
 
-@settings(deadline=None, max_examples=60)
 @given(st.lists(st.tuples(st.sampled_from(OPERATIONS), st.integers(0, 5)), max_size=25))
 def test_undo_takes_back_every_change_in_turn(systems: dict[str, System], steps: list[tuple[str, int]]) -> None:
     session = Session(systems["t2rgb"], read_motion(DATASETS / "t2rgb" / "motion.json").take([0]))

@@ -162,9 +162,7 @@ def mutated(draw: st.DrawFn) -> Any:
     return document.get("root")
 
 
-@settings(
-    max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow]
-)
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
 @given(mutated())
 def test_any_other_document_is_converted_or_refused_in_one_line(tmp_path: Path, document: Any) -> None:
     path = tmp_path / "Rigelfile"

@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from calibration.geometry.transforms import apply, from_xyz_rpy, inverse
@@ -34,7 +34,6 @@ def test_the_surface_bows_towards_the_viewer_and_keeps_its_corners() -> None:
     np.testing.assert_allclose(pattern.corners(), board().corners())
 
 
-@settings(max_examples=60, deadline=None)
 @given(st.integers(0, 2**32), st.sampled_from(BOWS))
 def test_what_is_hit_lies_on_the_board_and_nothing_of_it_before(seed: int, bow: tuple[float, float]) -> None:
     pattern = board(bow)

@@ -6,12 +6,13 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from calibration.execution.batch import following
 from calibration.execution.batch.following import AT_ONCE, Following, Submitted, batches
 from tests.execution.batch.client import wait_for
+from tests.properties import at_most
 
 
 class Batch:
@@ -62,7 +63,7 @@ def setup(*counts: int) -> tuple[Following, Batch]:
     return found, aws.batch
 
 
-@settings(deadline=None, max_examples=40)
+@at_most(40)
 @given(st.lists(st.integers(1, 350), min_size=1, max_size=3), st.integers(0, 2**32), st.integers(1, 300))
 def test_each_end_is_told_once_whatever_the_order(counts: list[int], seed: int, most: int) -> None:
     chance = random.Random(seed)

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from calibration.errors import InputError
@@ -203,7 +203,6 @@ def test_a_command_is_one_step_whatever_it_holds(command: str) -> None:
 TEXT = st.text(st.characters(codec="utf-8"), max_size=30)
 
 
-@settings(deadline=None)
 @given(environment=TEXT, command=TEXT, label=TEXT, line=TEXT, package=TEXT, target=TEXT, argument=TEXT)
 def test_no_text_of_the_user_becomes_an_instruction(
     environment: str, command: str, label: str, line: str, package: str, target: str, argument: str

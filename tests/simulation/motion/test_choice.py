@@ -2,11 +2,12 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from calibration.geometry.types import Array, BoolArray
 from calibration.simulation.motion.generation import PRIOR, choose
+from tests.properties import at_most
 
 SEEDS = st.integers(0, 10_000)
 
@@ -37,7 +38,7 @@ def variance(information: Array, chosen: list[int], parameters: int = 4) -> floa
     return float(np.trace(np.linalg.inv(known)[:parameters, :parameters]))
 
 
-@settings(deadline=None, max_examples=40)
+@at_most(40)
 @given(seed=SEEDS, count=st.integers(0, 40))
 def test_so_many_each_once(seed: int, count: int) -> None:
     chosen = best(matrices(seed), count)
@@ -45,7 +46,7 @@ def test_so_many_each_once(seed: int, count: int) -> None:
     assert all(0 <= i < 30 for i in chosen)
 
 
-@settings(deadline=None, max_examples=40)
+@at_most(40)
 @given(seed=SEEDS)
 def test_a_longer_motion_begins_as_a_shorter_one_and_knows_more(seed: int) -> None:
     information = matrices(seed)
@@ -55,7 +56,7 @@ def test_a_longer_motion_begins_as_a_shorter_one_and_knows_more(seed: int) -> No
     assert all(later < earlier for earlier, later in pairwise(variances))
 
 
-@settings(deadline=None, max_examples=40)
+@at_most(40)
 @given(seed=SEEDS)
 def test_each_next_one_is_the_best(seed: int) -> None:
     information = matrices(seed)
@@ -82,7 +83,7 @@ def test_what_is_not_calibrated_does_not_count() -> None:
     assert best(information, 1, parameters=2) == [0]
 
 
-@settings(deadline=None, max_examples=40)
+@at_most(40)
 @given(seed=SEEDS)
 def test_rounding_errors_change_nothing(seed: int) -> None:
     information = matrices(seed)
@@ -96,7 +97,7 @@ def test_of_equal_ones_the_first() -> None:
     assert best(np.repeat(matrices(0, 1), 5, axis=0), 3) == [0, 1, 2]
 
 
-@settings(deadline=None, max_examples=40)
+@at_most(40)
 @given(seed=SEEDS, share=st.floats(0, 0.5))
 def test_the_share_of_partial_views(seed: int, share: float) -> None:
     """Poses of two cameras: both views whole, one of them partial, or both."""
@@ -110,7 +111,7 @@ def test_where_there_are_only_whole_views_they_are_taken() -> None:
     assert len(choose(matrices(0), 4, whole(30), 0.5, nowhere(30), 10)) == 10
 
 
-@settings(deadline=None, max_examples=40)
+@at_most(40)
 @given(seed=SEEDS)
 def test_every_cell_is_covered_and_soon(seed: int) -> None:
     cells = np.random.default_rng(seed).random((30, 12)) < 0.3
@@ -122,7 +123,7 @@ def test_every_cell_is_covered_and_soon(seed: int) -> None:
         shown |= cells[i]
 
 
-@settings(deadline=None, max_examples=40)
+@at_most(40)
 @given(seed=SEEDS)
 def test_better_than_chance(seed: int) -> None:
     information = matrices(seed)

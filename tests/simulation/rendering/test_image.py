@@ -2,7 +2,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from calibration.geometry.distortion import PlumbBob
@@ -12,6 +12,7 @@ from calibration.simulation.random_streams import stream
 from calibration.simulation.rendering.pattern_view import BACK
 from calibration.simulation.rendering.texture import BLACK, WHITE
 from calibration.simulation.scene import Box, Light, Scene
+from tests.properties import at_most
 from tests.simulation.rendering.views import (
     CHARUCO,
     CHESSBOARD,
@@ -314,7 +315,7 @@ def test_where_the_lens_shows_nothing_it_is_black() -> None:
     assert image[120, 160] > 0
 
 
-@settings(max_examples=30, deadline=None)
+@at_most(30)
 @given(st.integers(0, 2**32), st.floats(0.001, 30), st.floats(0, 3.2), st.booleans(), st.floats(-0.1, 0.1))
 def test_any_view_is_an_image(seed: int, distance: float, tilt: float, distorted: bool, bow: float) -> None:
     random = np.random.default_rng(seed)

@@ -3,7 +3,7 @@ from statistics import fmean, pstdev
 from typing import Annotated, Any
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from calibration.errors import InputError
@@ -48,7 +48,6 @@ def distributions(draw: st.DrawFn) -> Distribution:
     return Integers(math.floor(low), math.floor(low) + draw(st.integers(1, 1000)))
 
 
-@settings(deadline=None)
 @given(distributions(), shares, shares)
 def test_values_keep_to_the_bounds_and_never_fall(distribution: Distribution, a: float, b: float) -> None:
     low, high = distribution.bounds
@@ -57,7 +56,6 @@ def test_values_keep_to_the_bounds_and_never_fall(distribution: Distribution, a:
     assert all(math.isfinite(value) for value in values)
 
 
-@settings(deadline=None)
 @given(distributions(), shares)
 def test_values_have_six_digits(distribution: Distribution, u: float) -> None:
     value = distribution.value(u)
@@ -66,7 +64,6 @@ def test_values_have_six_digits(distribution: Distribution, u: float) -> None:
     assert math.copysign(1, value) == 1 or value < 0  # no negative zero
 
 
-@settings(deadline=None, max_examples=50)
 @given(pairs)
 def test_moments_of_the_uniform_ones(bounds: tuple[float, float]) -> None:
     low, high = bounds
@@ -76,7 +73,6 @@ def test_moments_of_the_uniform_ones(bounds: tuple[float, float]) -> None:
     assert pstdev(values) == pytest.approx((high - low) / math.sqrt(12), rel=1e-3, abs=step)
 
 
-@settings(deadline=None, max_examples=50)
 @given(finite, st.floats(1e-3, 1e6))
 def test_moments_of_the_normal_ones(mean: float, sigma: float) -> None:
     values = [Normal(mean, sigma).value(u) for u in EVENLY]

@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import rankdata, spearmanr
 
@@ -16,7 +16,6 @@ def noise(count: int, seed: int = 1) -> np.ndarray:
     return np.random.default_rng(seed).standard_normal(count)
 
 
-@settings(deadline=None)
 @given(st.lists(st.one_of(st.integers(-3, 3).map(float), st.floats(allow_nan=False)), min_size=1, max_size=30))
 def test_ranks_are_those_of_scipy(values: list[float]) -> None:
     ranks = centred_ranks(np.array(values))

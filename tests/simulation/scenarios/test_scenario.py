@@ -1,7 +1,7 @@
 from dataclasses import replace
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from calibration.errors import InputError
@@ -14,7 +14,6 @@ from tests.simulation.conftest import DATASETS
 SCENARIO = Scenario(1, 17, {"light.ambient": 0.5, "light.intensity": 0.1})
 
 
-@settings(deadline=None)
 @given(st.integers(0, 2**53 - 1), st.integers(0, 10**8 - 1))
 def test_an_id_finds_its_scenario(seed: int, index: int) -> None:
     assert parse_id(scenario_id(seed, index)) == (seed, index)

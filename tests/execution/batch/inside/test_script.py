@@ -11,13 +11,14 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from calibration.errors import InputError
 from calibration.execution.batch.inside.script import BEAT, READY_COMMAND, READY_FILE, Signs, script_of
 from calibration.execution.job import Container, Job, Readiness
 from tests.engine import wait_until
+from tests.properties import at_most
 
 SHELLS = [
     pytest.param(command, id=command[0], marks=pytest.mark.skipif(shutil.which(command[0]) is None, reason="not here"))
@@ -131,7 +132,7 @@ def test_without_a_command_there_is_nothing_to_run() -> None:
 TEXT = st.text(st.characters(exclude_characters="\0", exclude_categories=["Cs"]), max_size=12)
 
 
-@settings(max_examples=25, deadline=None)
+@at_most(25)
 @given(
     st.lists(TEXT, min_size=1, max_size=4),
     st.dictionaries(st.from_regex(r"[A-Z_]{3,8}", fullmatch=True), TEXT, max_size=2),
