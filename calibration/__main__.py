@@ -6,10 +6,12 @@ or SIGTERM cleans up and answers 130 or 143 (128 and the signal's number), as sh
 
 import errno
 import importlib
+import mmap
 import os
 import sys
 import warnings
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -17,7 +19,7 @@ from typing import Any, NamedTuple
 import click
 
 from calibration import __version__
-from calibration.errors import CalibrationError, ExitCode
+from calibration.errors import CalibrationError, ExitCode, solvable
 from calibration.workflow import Runner, report_error, stop_commands
 from calibration.workflow.signals import Terminated, terminate_cleanly
 from calibration.workflow.text import did_you_mean
@@ -68,6 +70,8 @@ COMMANDS: Mapping[str, LazyCommand] = {
     "version": LazyCommand("calibration.commands.version:command", "Print the versions in use."),
 }
 """Every command by its name, in the order of ``--help``."""
+IMPORTED = 100 << 20
+"""Bytes: more than numpy takes of the address space when it is imported, most of it for OpenBLAS."""
 _PACKAGES = {"cv2": "opencv-python-headless", "yaml": "pyyaml"}
 """What modules are called where they are installed from, if not the same."""
 
@@ -144,8 +148,22 @@ def _execute(command: click.Command | str, name: str, arguments: Sequence[str], 
             stream.reconfigure(errors="backslashreplace", line_buffering=True)
     runner = Runner.from_environment(os.environ)
     try:
+        return _answer(runner, command, name, arguments, **settings)
+    except MemoryError:
+        report_error(runner, "there is not enough memory: give it more, or take fewer collections or processes")
+        return ExitCode.WORLD
+    except OSError:  # of what was to be said: nobody can be told
+        return ExitCode.WORLD
+    finally:
+        _flush()
+
+
+def _answer(runner: Runner, command: click.Command | str, name: str, arguments: Sequence[str], **settings: Any) -> int:
+    """Run a command and say what went wrong; see `_execute`."""
+    try:
+        _require_memory()
         # Warnings of packages are for us: what is wrong with the data is said in an error.
-        with terminate_cleanly(), warnings.catch_warnings(record=not runner.debug):
+        with terminate_cleanly(), warnings.catch_warnings(record=not runner.debug), solvable("the data"):
             loaded = load_command(command) if isinstance(command, str) else command
             with loaded.make_context(name, list(arguments), **settings) as context:
                 code = loaded.invoke(context)
@@ -175,6 +193,8 @@ def _execute(command: click.Command | str, name: str, arguments: Sequence[str], 
         module = error.name.partition(".")[0]
         report_error(runner, f"the package {module} is not installed: pip install {_PACKAGES.get(module, module)}")
         return ExitCode.WORLD
+    except MemoryError:
+        raise  # said where its traceback, and with it the memory, is gone
     except Exception:  # whatever was not foreseen is our bug: the traceback is for us
         return _report_bug(runner)
 
@@ -191,6 +211,28 @@ def _open_closed_streams() -> None:
             os.open(os.devnull, os.O_RDWR)  # takes the lowest number that is free: this one
         if getattr(sys, name) is None:
             setattr(sys, name, Path(os.devnull).open("r" if descriptor == 0 else "w"))  # noqa: SIM115 (until the end)
+
+
+def _require_memory() -> None:
+    """Refuse to begin where OpenBLAS would find no memory for itself: it ends the process with exit code 1.
+
+    Raises:
+        MemoryError: there is less than numpy takes when it is imported.
+    """
+    try:
+        mmap.mmap(-1, IMPORTED).close()
+    except OSError:
+        raise MemoryError from None
+
+
+def _flush() -> None:
+    """Write out what is printed, or drop it where that fails: else Python ends with an exit code of its own."""
+    for stream in (sys.stdout, sys.stderr):
+        try:
+            stream.flush()
+        except (OSError, ValueError):
+            with suppress(OSError, ValueError):
+                os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
 def _usage_message(error: click.ClickException, is_action: bool) -> str:

@@ -2,7 +2,8 @@
 
 import enum
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 
 LONGEST_MESSAGE = 2000
 _LONG_WORD = re.compile(r"([^\s/]{60})[^\s/]{180,}([^\s/]{16})")
@@ -61,3 +62,24 @@ class UndeterminedError(InputError):
 
 class WorldError(CalibrationError):
     """The world failed in a way that no change of input repairs (exit code 3)."""
+
+
+@contextmanager
+def solvable(where: object) -> Iterator[None]:
+    """Take numbers that linear algebra cannot solve for what they are: wrong data, never a bug.
+
+    Args:
+        where: whose numbers they are, for the message.
+
+    Raises:
+        UndeterminedError: in place of numpy's LinAlgError.
+    """
+    try:
+        yield
+    except ValueError as error:
+        if type(error).__name__ != "LinAlgError":  # by its name: few commands need numpy
+            raise
+        raise UndeterminedError(
+            f"{where}: found numbers that cannot be solved ({error}), expected labels and transforms of like size; "
+            f"look for a point, a corner or a transform far away from the others"
+        ) from error

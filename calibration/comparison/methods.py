@@ -10,7 +10,7 @@ from calibration.comparison.icp import icp, icp_average, icp_best, why_not_icp
 from calibration.comparison.opencv_stereo import opencv_stereo, opencv_stereo_fixed, opencv_version, why_not_stereo
 from calibration.comparison.sensor_pair import CAMERAS, RANGE_SENSORS, only_pair
 from calibration.dataset.model import Dataset
-from calibration.errors import InputError
+from calibration.errors import InputError, solvable
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,8 @@ class Method:
         """
         if dataset.joints:
             raise InputError(f"{self.title} calibrates no joints, and the dataset asks for {', '.join(dataset.joints)}")
-        return self.run(dataset)
+        with solvable(dataset.path):
+            return self.run(dataset)
 
 
 def _stereo(name: str, title: str, run: Callable[[Dataset], Dataset]) -> Method:

@@ -5,15 +5,14 @@ from collections.abc import Mapping
 import numpy as np
 
 from calibration.dataset.model import Dataset, Edge, PointLabels
-from calibration.errors import UndeterminedError
+from calibration.errors import UndeterminedError, solvable
 from calibration.estimation.blocks import Pose, Values
 from calibration.estimation.build import Setup, build
-from calibration.estimation.consider import considered_covariance
 from calibration.estimation.intrinsics import CalibratedIntrinsics
 from calibration.estimation.least_squares import minimise
 from calibration.estimation.linear_start import free_patterns, linear_start, pattern_poses, place_gauge_patterns
 from calibration.estimation.noise_levels import NoiseLevels
-from calibration.estimation.observability import covariances, open_directions
+from calibration.estimation.observability import considered_covariance, covariances, open_directions
 from calibration.estimation.optimisation import WeightedOptimum, optimise, unflipped
 from calibration.estimation.options import Options as Options
 from calibration.estimation.result import CalibratedJoint, Calibration, RejectedLabel, ViewResiduals
@@ -40,10 +39,14 @@ def calibrate(dataset: Dataset, options: Options | None = None, noise: StartingN
         UndeterminedError: the data cannot determine what is asked; the message names what is missing.
         InputError: the labels cannot be used.
     """
-    options = options or Options()
+    with solvable(dataset.path):
+        return _calibrate(dataset, options or Options(), noise or StartingNoise())
+
+
+def _calibrate(dataset: Dataset, options: Options, noise: StartingNoise) -> Calibration:
     setup = build(dataset, options.hold, options.intrinsics, options.known_intrinsics())
     exact = _initial_values(setup)
-    guess = perturb(setup, exact, noise or StartingNoise())
+    guess = perturb(setup, exact, noise)
     robust = options.loss == "huber"
     start = linear_start(setup, guess)
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):

@@ -48,14 +48,7 @@ class NoiseLevels:
 
     def given(self) -> dict[NoiseKind, float]:
         """Those that are set."""
-        levels: dict[NoiseKind, float | None] = {
-            "pixel": self.pixel,
-            "range": self.range,
-            "border": self.border,
-            "depth_border": self.depth_border,
-            "lidar2d_range": self.lidar2d_range,
-            "lidar2d_border": self.lidar2d_border,
-        }
+        levels = {kind: getattr(self, kind) for kind in FLOORS}
         return {kind: level for kind, level in levels.items() if level is not None}
 
 

@@ -1,7 +1,7 @@
 """From a start to the optimum: weights that fit the residuals, patterns that are not flipped."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -86,15 +86,8 @@ def _plain(problem: Problem, values: Values, scales: dict[NoiseKind, float], est
 
 def _rescaled(equations: NormalEquations, factor: float) -> NormalEquations:
     """The equations of residuals that are ``factor`` times as large, without a pass over the labels."""
-    f = factor * factor
-    return NormalEquations(
-        equations.cost * f,
-        equations.H_shared * f,
-        equations.H_mixed * f,
-        equations.H_local * f,
-        equations.g_shared * f,
-        equations.g_local * f,
-    )
+    numbers = (getattr(equations, each.name) for each in fields(equations))
+    return NormalEquations(*(each * (factor * factor) for each in numbers))
 
 
 SUSPICIOUS = 1.5

@@ -12,6 +12,7 @@ import threading
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import ClassVar, Self
 
 import numpy as np
 
@@ -238,22 +239,17 @@ def _corner_rows(
 
 
 @dataclass(frozen=True, eq=False)
-class RangeTerm:
-    """Points of a LiDAR or a depth camera on a pattern's plane: measured range minus that at which the ray meets it.
-
-    The difference is taken along the ray, where these sensors err, so that one standard deviation holds at
-    every angle of incidence; for a ray that hardly meets the plane it is bounded (see `_Meeting`).
-    """
+class _Rays:
+    """Rays to points on a pattern, one residual each."""
 
     rays: Array
     """(V, 3, L): unit directions in the sensor's frame; anything where there is no point."""
     ranges: Array
-    """(V, L): m."""
+    """(V, L): measured there, m."""
     present: BoolArray
     """(V, L)."""
 
-    kind: NoiseKind = "range"
-    dimension: int = 1
+    dimension: ClassVar[int] = 1
 
     @cached_property
     def counts(self) -> IntArray:
@@ -265,13 +261,24 @@ class RangeTerm:
         """(V, 3, L): in the sensor's frame, m; anything where there is no point."""
         return self.rays * self.ranges[:, None]
 
-    def take(self, views: IntArray | slice) -> "RangeTerm":
+    def take(self, views: IntArray | slice) -> Self:
         """Only some of the views."""
         return replace(self, rays=self.rays[views], ranges=self.ranges[views], present=self.present[views])
 
-    def seen_with(self, camera: Camera, free: Sequence[int]) -> "RangeTerm":
+    def seen_with(self, camera: Camera, free: Sequence[int]) -> Self:
         """See `calibration.estimation.views.Term`; what a depth camera measures is taken as points."""
         return self
+
+
+@dataclass(frozen=True, eq=False)
+class RangeTerm(_Rays):
+    """Points of a LiDAR or a depth camera on a pattern's plane: measured range minus that at which the ray meets it.
+
+    The difference is taken along the ray, where these sensors err, so that one standard deviation holds at
+    every angle of incidence; for a ray that hardly meets the plane it is bounded (see `_Meeting`).
+    """
+
+    kind: NoiseKind = "range"
 
     def linearise(self, T: Array, scale: float, huber: float | None) -> Linearised:
         """See `calibration.estimation.views.Term`."""
@@ -288,7 +295,7 @@ class RangeTerm:
 
 
 @dataclass(frozen=True, eq=False)
-class BorderTerm:
+class BorderTerm(_Rays):
     """Rays that graze a pattern's border: how far off the nearest border line they meet the pattern's plane.
 
     Where the ray meets the plane follows from its direction alone, so the range noise stays out. The
@@ -298,39 +305,36 @@ class BorderTerm:
     distance is divided by the range, and one standard deviation holds for near and far.
     """
 
-    rays: Array
-    """(V, 3, L): unit directions in the sensor's frame; anything where there is no ray."""
-    ranges: Array
-    """(V, L): measured there, m."""
-    present: BoolArray
-    """(V, L)."""
     normals: Array
     """(4, 2): outward unit normals of the border's lines, in the pattern's plane."""
     offsets: Array
     """(4,): the lines are ``normal . (x, y) = offset``, about the pattern's centre, m."""
-
     kind: NoiseKind = "border"
-    dimension: int = 1
-
-    @cached_property
-    def counts(self) -> IntArray:
-        """(V,): rays in each view."""
-        return np.asarray(np.count_nonzero(self.present, axis=-1))
-
-    def take(self, views: IntArray | slice) -> "BorderTerm":
-        """Only some of the views."""
-        return replace(self, rays=self.rays[views], ranges=self.ranges[views], present=self.present[views])
-
-    def seen_with(self, camera: Camera, free: Sequence[int]) -> "BorderTerm":
-        """See `calibration.estimation.views.Term`; what a depth camera measures is taken as points."""
-        return self
 
     def linearise(self, T: Array, scale: float, huber: float | None) -> Linearised:
-        """See `calibration.estimation.views.Term`."""
+        """See `calibration.estimation.views.Term`.
+
+        All in the sensor's frame: the plane has the unit normal n and the centre p; a ray has the unit direction u and
+        the measured range l; the nearest border line has the outward unit normal m and the distance o from the centre.
+        The ray meets the plane at x, and the residual is the distance d from the line to x, over l ``scale``::
+
+            c = n . u,  h = l c - n . p      cosine of incidence, height of the measured point over the plane
+            f = h c s^2,  x = (l - f) u      s^2 = 1 / (c^2 + GRAZING^2), so that f is nearly h / c; see `_Meeting`
+            d = m . (x - p) - o
+
+        A twist (dt, dw) of the pose moves p by ``dt + dw x p``, and n and m by ``dw x n`` and ``dw x m``. So::
+
+            dc = (n x u) . dw
+            dh = l dc - n . dt               as a rotation keeps n . p
+            df = c s^2 dh + h s^2 (1 - 2 c^2 s^2) dc
+            dd = -(m . u) df - m . dt - (x x m) . dw
+               = (falls n - m) . dt + (turns (n x u) - x x m) . dw
+
+        with ``falls = (m . u) c s^2`` and ``turns = (m . u) h s^2 (2 c^2 s^2 - 1) - falls l``.
+        """
         meeting = _Meeting(T, self.rays, self.ranges)
         signed, side = self._distances(T, meeting.hits)
-        m = np.einsum("vij,vlj->vil", T[:, :3, :2], self.normals[side])  # the line's normal in the sensor's frame
-        # the line moves by m . (dt + dw x hit), and the hit slides along the ray as the plane moves and turns
+        m = np.einsum("vij,vlj->vil", T[:, :3, :2], self.normals[side])
         along = (m * meeting.rays).sum(1)
         square = meeting.slope**2
         falls = along * meeting.cosine * square

@@ -24,7 +24,7 @@ def intrinsics_blocks(
     """A block for each camera whose intrinsics are wanted, or of which a covariance is given.
 
     The latter, where it is not wanted, is held: its intrinsics stay, and their covariance counts
-    (`calibration.estimation.consider`). That of one that is wanted is a prior.
+    (`calibration.estimation.observability`). That of one that is wanted is a prior.
 
     Args:
         dataset: the dataset.

@@ -1,5 +1,6 @@
 import ctypes
 import os
+import resource
 import signal
 import subprocess
 import sys
@@ -7,6 +8,7 @@ import warnings
 from pathlib import Path
 
 import click
+import numpy as np
 import pytest
 
 from calibration import __main__ as entry
@@ -275,6 +277,45 @@ def test_a_bug_shows_its_traceback(
     err = capsys.readouterr().err
     assert err.startswith("Traceback")
     assert err.endswith("error: this is a bug in Calibration CI, please report it with the lines above\n")
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "line"),
+    [
+        (MemoryError(), 3, "error: there is not enough memory: give it more, or take fewer collections or processes"),
+        (np.linalg.LinAlgError("Singular matrix"), 2, "error: the data: found numbers that cannot be solved (Singular"),
+    ],
+)
+def test_what_is_no_bug_is_one_line(
+    ends_with: list[object], capsys: pytest.CaptureFixture[str], error: BaseException, code: int, line: str
+) -> None:
+    ends_with.append(error)
+    assert main(["end"]) == code
+    [said] = capsys.readouterr().err.splitlines()
+    assert said.startswith(line)
+
+
+@pytest.mark.parametrize("megabytes", [60, 80, 100, 120, 1000])
+def test_too_little_memory_for_numpy_is_no_verdict(megabytes: int) -> None:
+    """OpenBLAS ends the process with 1 where it finds none when it is imported."""
+    done = subprocess.run(
+        [sys.executable, "-m", "calibration", "calibrate-matrix", "--dataset", "none"],
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_AS, (megabytes << 20, megabytes << 20)),
+        env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == (3 if megabytes < 1000 else 2)
+    [said] = done.stderr.splitlines()
+    assert said.startswith("error: there is not enough memory" if megabytes < 1000 else "error: none: ")
+
+
+@pytest.mark.parametrize("arguments", ["version", "schema", "calibrate-matrix --dataset none", "nothing"])
+def test_full_streams_are_no_verdict(arguments: str) -> None:
+    with Path("/dev/full").open("w") as full:
+        command = [sys.executable, "-m", "calibration", *arguments.split()]
+        assert subprocess.run(command, stdout=full, stderr=full, check=False).returncode == 3
 
 
 def test_a_bugs_message_commands_nothing(

@@ -9,11 +9,10 @@ from calibration.dataset.model import Dataset
 from calibration.errors import InputError
 from calibration.estimation.build import build
 from calibration.estimation.calibrate import Options, calibrate
-from calibration.estimation.consider import considered_covariance
 from calibration.estimation.intrinsics import CalibratedIntrinsics
 from calibration.estimation.noise_levels import NoiseLevels
 from calibration.estimation.normal_equations import Weighting, assemble
-from calibration.estimation.observability import determined_parameters
+from calibration.estimation.observability import considered_covariance, determined_parameters
 from calibration.geometry.cameras import Camera
 from calibration.geometry.distortion import PlumbBob
 from calibration.geometry.transforms import inverse, local

@@ -6,10 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from calibration.dataset.model import Labels, PointLabels
 from calibration.errors import ExitCode, InputError, UndeterminedError
 from calibration.estimation.calibrate import Options, calibrate
 from calibration.geometry.transforms import transform
-from tests.estimation.scenes import Scene, board, errors, pose
+from tests.estimation.scenes import Scene, board, errors, pose, relabelled
 from tests.estimation.systems import camera_and_lidar, eye_in_hand, eye_to_hand, rotating, stereo, two_bodies
 
 TURNS = np.linspace(-0.5, 0.5, 12)[:, None]
@@ -146,3 +147,19 @@ def test_a_pattern_that_nobody_detected_is_left_out(fixed):
     assert "pattern 'extra': no collection has enough labels of it" in result.warnings
     edge = ("world", "extra_link")
     np.testing.assert_array_equal(result.dataset.transforms[edge], dataset.transforms[edge])
+
+
+@pytest.mark.parametrize("size", [1e154, 1e300])
+@pytest.mark.parametrize("options", [Options(), Options(start="given", loss="linear")], ids=["robust", "plain"])
+def test_numbers_that_linear_algebra_cannot_solve_are_an_error_of_the_data(size, options):
+    def far(i: int, _: str, label: Labels) -> Labels:
+        if i != 2 or not isinstance(label, PointLabels):
+            return label
+        return PointLabels(label.points * np.where(np.arange(len(label.points)) == 3, size, 1.0)[:, None], label.limits)
+
+    dataset = relabelled(camera_and_lidar(6).dataset(), far)
+    with (
+        np.errstate(all="ignore"),
+        pytest.raises(UndeterminedError, match=r"^scene/dataset\.json: found numbers that cannot be solved"),
+    ):
+        calibrate(dataset, options)
