@@ -53,10 +53,10 @@ WORKFLOW_STEPS = {
 # that collects are missing, without matplotlib a figure, without docker or boto3 what runs containers: each says so.
 MODULES = {
     "introspect.txt": ["click", "yaml"],
-    "calibrate.txt": ["click", "yaml", "numpy", "jsonschema", "defusedxml", "rich"],
+    "calibrate.txt": ["click", "yaml", "numpy", "defusedxml", "rich"],
     "coverage.txt": ["click", "yaml", "coverage", "defusedxml", "requests"],
-    "image.txt": ["click", "yaml", "jsonschema", "rich", "docker"],
-    "run.txt": ["click", "yaml", "numpy", "jsonschema", "defusedxml", "rich"],
+    "image.txt": ["click", "yaml", "rich", "docker"],
+    "run.txt": ["click", "yaml", "numpy", "defusedxml", "rich"],
 }
 
 LOCKED = ["--require-hashes", "--only-binary", ":all:", "-r"]  # for uv and pip, before the lock's path

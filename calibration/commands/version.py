@@ -9,7 +9,7 @@ from calibration import __version__
 from calibration.errors import ExitCode
 from calibration.workflow import Runner
 
-PACKAGES = ("click", "pyyaml", "numpy", "jsonschema", "defusedxml", "rich", "opencv-python-headless", "docker", "boto3")
+PACKAGES = ("click", "pyyaml", "numpy", "defusedxml", "rich", "opencv-python-headless", "docker", "boto3")
 """The distributions that the suite uses, needed or not."""
 
 

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from docker import DockerClient
 
 REPOSITORY = "calibration-test-tools"
-NEEDED = ("numpy", "opencv-python-headless", "boto3", "click", "pyyaml", "jsonschema", "defusedxml", "rich")
+NEEDED = ("numpy", "opencv-python-headless", "boto3", "click", "pyyaml", "defusedxml", "rich")
 """What the package's extras bring; with all that these need."""
 CLOUD_DATA = {"batch", "ecr", "logs", "s3", "sts"}
 """Services whose descriptions botocore keeps: all of them are 25 MB."""

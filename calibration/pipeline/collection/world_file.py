@@ -1,26 +1,35 @@
-"""``world.json``: what came of one world, beside its dataset; its JSON Schema is ``world.schema.json`` here.
+"""``world.json``: what came of one world, beside its dataset.
 
 It says of a world what the dataset does not: its id and what it is (`ScenarioResult.hash`), the poses that were
 lost, and why there is no dataset where there is none.
 """
 
 import json
-from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Literal
 
 from calibration import __version__
 from calibration.errors import InputError
 from calibration.files import read_bytes, write_atomically
 from calibration.json_file import parse_json
-from calibration.json_schema import check_document
-from calibration.simulation.scenarios.scenario import ScenarioResult
-from calibration.workflow.text import one_line, shorten
+from calibration.records import document_of, field, length, read, record
+from calibration.simulation.scenarios.scenario import Amount, ScenarioResult
+from calibration.workflow.text import one_line
 
-SCHEMA = Path(__file__).with_name("world.schema.json")
 FILE = "world.json"
 MAX_BYTES = 16 * 1024**2
-_LONGEST_REASON = 1000
+
+
+@record(case="snake", nulls=True)
+class WorldFile:
+    """What came of one world, beside its dataset."""
+
+    schema: Literal[1] = field("Of this form.")
+    version: Annotated[str, length(most=100)] = field("Of the package that made it.")
+    stillness_m: Amount | None = field(
+        "How far the pattern may have moved while the sensors looked; null where the team's applications collected."
+    )
+    result: ScenarioResult = field("What came of it.")
 
 
 def write_world(result: ScenarioResult, stillness: float | None, folder: Path) -> None:
@@ -34,7 +43,7 @@ def write_world(result: ScenarioResult, stillness: float | None, folder: Path) -
     Raises:
         WorldError: it cannot be written.
     """
-    document = {"schema": 1, "version": __version__, "stillness_m": stillness, "result": asdict(result)}
+    document = document_of(WorldFile(1, __version__, stillness, result))
     write_atomically(folder / FILE, json.dumps(document, indent=1, allow_nan=False) + "\n")
 
 
@@ -55,38 +64,17 @@ def read_world(folder: Path, expected: ScenarioResult, stillness: float | None) 
         document = parse_json(text)
     except (ValueError, RecursionError):
         raise InputError(f"{FILE}: this is no JSON") from None
-    check_document(document, json.loads(SCHEMA.read_text()), FILE)
-    if document["version"] != __version__:
+    found = read(WorldFile, document, FILE)
+    if found.version != __version__:
         raise InputError(
-            f"{FILE}: made by calibration-ci {one_line(document['version'])}, this is {__version__}: "
+            f"{FILE}: made by calibration-ci {one_line(found.version)}, this is {__version__}: "
             "another version makes other worlds; have the same in the image"
         )
-    found = result_from(document["result"])
     for what, theirs, ours in (
-        ("id", found.id, expected.id),
-        ("hash", found.hash, expected.hash),
-        ("stillness", document["stillness_m"], stillness),
+        ("id", found.result.id, expected.id),
+        ("hash", found.result.hash, expected.hash),
+        ("stillness", found.stillness_m, stillness),
     ):
         if theirs != ours:
             raise InputError(f"{FILE}: it is of another world: {what}: found {theirs}, expected {ours}")
-    return found
-
-
-def result_from(entry: dict[str, Any]) -> ScenarioResult:
-    """The result of a world whose fields stand in a document.
-
-    Raises:
-        KeyError, TypeError, AttributeError: it is none.
-    """
-    lost = entry["lost"]
-    return ScenarioResult(
-        **{
-            **entry,
-            "lost": None if lost is None else {one_line(pose): _lines(why) for pose, why in lost.items()},
-            "reasons": _lines(entry["reasons"]),
-        }
-    )
-
-
-def _lines(lines: list[str]) -> tuple[str, ...]:
-    return tuple(shorten(one_line(line), _LONGEST_REASON) for line in lines)
+    return found.result

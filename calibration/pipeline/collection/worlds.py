@@ -3,7 +3,6 @@
 import json
 import tempfile
 from collections.abc import Callable
-from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 
@@ -14,8 +13,8 @@ from calibration.pipeline.collection.application_worlds import ApplicationWorlds
 from calibration.pipeline.collection.own_worlds import OwnWorlds
 from calibration.pipeline.collection.request import ContainerRequest, ScenarioRequest
 from calibration.pipeline.collection.scenarios import ScenarioResults
-from calibration.pipeline.collection.world_file import result_from
 from calibration.pipeline.collection.world_folder import Judged, WorldFolder, Worlds
+from calibration.records import read, text_of
 from calibration.simulation.collection.collecting import single_threaded_opencv
 from calibration.simulation.scenarios.scenario import ScenarioResult
 from calibration.simulation.scenarios.statistics import Statistics
@@ -68,7 +67,7 @@ def run_worlds(
 
 def _run_here(worlds: OwnWorlds, output: Path, jobs: int | None, done: Done) -> list[Judged]:
     with (
-        workspace(output, worlds.identity, lambda result: json.dumps(asdict(result)), _decoded) as work,
+        workspace(output, worlds.identity, text_of, _decoded) as work,
         single_threaded_opencv(),
     ):
         tasks = [Task.call(each.id, partial(worlds.collect, number)) for number, each in enumerate(worlds.unseen)]
@@ -77,7 +76,7 @@ def _run_here(worlds: OwnWorlds, output: Path, jobs: int | None, done: Done) -> 
 
 
 def _decoded(text: bytes) -> ScenarioResult:
-    return result_from(json.loads(text))
+    return read(ScenarioResult, json.loads(text), "a finished world")
 
 
 def _run_in_containers(

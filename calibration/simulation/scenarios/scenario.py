@@ -5,20 +5,24 @@ import json
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
 from calibration import __version__
 from calibration.errors import InputError
+from calibration.records import Converted, Place, between, field, length, matching, record
 from calibration.simulation.motion.sequence import Motion, motion_document
 from calibration.simulation.random_streams import stream
 from calibration.simulation.system import System
+from calibration.workflow.text import one_line, shorten
 
 MAX_SEED = 2**53
 """A seed of an id is below it, as any number in JSON is."""
 MAX_INDEX = 10**8
 _ID = re.compile(r"s(0|[1-9][0-9]{0,15})-([0-9]{5,8})")
 _HASH_DIGITS = 12
+_LONGEST_LINE = 1000
 
 
 @dataclass(frozen=True)
@@ -84,37 +88,68 @@ def content_hash(system: System, scenario: Scenario, motion: Motion | None = Non
     return hashlib.sha256(text.encode()).hexdigest()[:_HASH_DIGITS]
 
 
-@dataclass(frozen=True)
+Amount = Annotated[float, between(0, 1e300)]
+
+
+def _lines(lines: tuple[str, ...], _: Place) -> tuple[str, ...]:
+    return tuple(shorten(one_line(line), _LONGEST_LINE) for line in lines)
+
+
+Lines = Annotated[
+    tuple[str, ...],
+    Converted(Annotated[tuple[Annotated[str, length(most=10_000)], ...], length(most=1000)], _lines),
+]
+"""Texts that somebody else may have written, each safe to print."""
+
+
+def _poses(lost: Mapping[str, tuple[str, ...]], _: Place) -> Mapping[str, tuple[str, ...]]:
+    return {one_line(pose): reasons for pose, reasons in lost.items()}
+
+
+@record(case="snake", nulls=True)
 class ScenarioResult:
     """What came of one world. Numbers are None where there are none."""
 
-    id: str
-    hash: str
-    """Of its content (`content_hash`): equal worlds have equal hashes."""
-    values: Mapping[str, float]
-    """Its parameters."""
-    poses: int = 0
-    """Of its motion; 0 where none was found."""
-    lost: Mapping[str, tuple[str, ...]] | None = None
-    """The poses that gave no collection, by key, and why."""
-    detection: Mapping[str, float] | None = None
-    """The share of the poses at which each sensor detects a pattern."""
-    corner_rms_px: float | None = None
-    """Detected corners against the true ones."""
-    converged: bool = False
-    rms_px: float | None = None
-    """Of the reprojected corners."""
-    translation_mm: float | None = None
-    """The worst error of a calibrated sensor against the truth."""
-    rotation_deg: float | None = None
-    joint_mm: float | None = None
-    """The worst error of a calibrated joint against the truth, of those that are lengths, and of the angles."""
-    joint_deg: float | None = None
-    sigma_mm: float | None = None
-    """The standard deviation that the calibration states, of the sensor of which it is least sure."""
-    sigma_deg: float | None = None
-    reasons: tuple[str, ...] = ()
-    """Why there is no calibration; empty where there is one."""
+    id: Annotated[str, matching("s(0|[1-9][0-9]{0,15})-[0-9]{5,8}", "an id such as s1-00017")] = field(
+        "Its seed and index: s1-00017."
+    )
+    hash: Annotated[str, matching("[0-9a-f]{12}", "12 hexadecimal digits")] = field(
+        "Of its content: equal worlds have equal hashes."
+    )
+    values: Mapping[str, float] = field("Its parameters.")
+    poses: Annotated[int, between(0, 100_000)] = field("Of its motion; 0 where none was found.", default=0)
+    lost: (
+        Annotated[
+            Mapping[str, tuple[str, ...]],
+            Converted(Annotated[Mapping[Annotated[str, length(most=100)], Lines], length(most=100_000)], _poses),
+        ]
+        | None
+    ) = field("The poses that gave no collection, by key, and why.", default=None)
+    detection: (
+        Annotated[
+            Mapping[Annotated[str, length(most=200)], Annotated[float, between(0, 1)]],
+            length(most=1000),
+        ]
+        | None
+    ) = field("The share of the poses at which each sensor detects a pattern.", default=None)
+    corner_rms_px: Amount | None = field("Detected corners against the true ones.", default=None, unit="px")
+    converged: bool = field("Whether there is a calibration.", default=False)
+    rms_px: Amount | None = field("Of the reprojected corners.", default=None, unit="px")
+    translation_mm: Amount | None = field(
+        "The worst error of a calibrated sensor against the truth.", default=None, unit="mm"
+    )
+    rotation_deg: Amount | None = field("Likewise.", default=None, unit="degrees")
+    joint_mm: Amount | None = field(
+        "The worst error of a calibrated joint against the truth, of those that are lengths.", default=None, unit="mm"
+    )
+    joint_deg: Amount | None = field("The same of those that are angles.", default=None, unit="degrees")
+    sigma_mm: Amount | None = field(
+        "The standard deviation that the calibration states, of the sensor of which it is least sure.",
+        default=None,
+        unit="mm",
+    )
+    sigma_deg: Amount | None = field("Likewise.", default=None, unit="degrees")
+    reasons: Lines = field("Why there is no calibration; empty where there is one.", default=())
 
     @property
     def kept(self) -> int:
