@@ -59,7 +59,7 @@ class Settings:
     registry_username: str | None = None
     password_variable: str | None = None
     output: Path | None = None
-    """Folder for results.json and summary.md."""
+    """Folder for results.json, junit.xml and summary.md."""
 
 
 @click.command(TITLE)
@@ -84,7 +84,7 @@ class Settings:
 @click.option("--render", type=path, help="Write the Dockerfile and all it copies into this folder, and build nothing.")
 @click.option("--registry-username", type=text, help="User of the registry.")
 @registry_password_option
-@click.option("--output", type=path, help="Folder for results.json and summary.md.")
+@click.option("--output", type=path, help="Folder for results.json, junit.xml and summary.md.")
 @click.pass_context
 def command(click_context: click.Context, /, **options: Any) -> ExitCode:
     """Build an image from a specification or a Dockerfile; nothing is built where nothing has changed."""

@@ -52,13 +52,13 @@ def report(results: Results, directory: Path = Path(), badge: Path | None = None
         suites={TITLE: list(_outcomes(results))},
         results=_results(results),
         outputs={
-            "line-rate": _percent(results.lines),
-            "branch-rate": _percent(results.branches),
-            "change-rate": "" if results.change is None else _percent(results.change.rate),
+            "line-rate": results.lines.percent,
+            "branch-rate": results.branches.percent,
+            "change-rate": results.change.rate.percent if results.change else None,
             "files-below-goal": len(below),
             "uploaded": results.uploaded.value,
             "commit": results.commit,
-            "badge": badge or "",
+            "badge": badge,
         },
         # A job of its own, in which no test runs, can upload it.
         files={LCOV: tracefile(results.files).encode("utf-8", "surrogateescape")} if results.lines.total else {},
@@ -259,10 +259,6 @@ def _names(names: Sequence[str]) -> str:
 
 def _rate_object(rate: Rate) -> dict[str, Any]:
     return {"covered": rate.covered, "total": rate.total, "percent": rate.percent}
-
-
-def _percent(rate: Rate) -> float | str:
-    return "" if rate.percent is None else rate.percent
 
 
 def _percent_text(rate: Rate) -> str:

@@ -34,7 +34,6 @@ def report(results: Results, output: Path, title: str) -> Report:
     """
     left_out = tuple(without_result(results))
     numbers = summarise(results)
-    worst = {f"worst-{name.replace('_', '-')}": numbers[f"worst_{name}"] for name in ("rms_px", "translation_mm")}
     main = grid(results)
     return Report(
         title=title,
@@ -58,8 +57,9 @@ def report(results: Results, output: Path, title: str) -> Report:
         results=document(results),
         outputs={
             "output": output,
-            "success-rate": numbers["success_rate"] if results.judged else "",
-            **{name: "" if value is None else value for name, value in worst.items()},
+            "success-rate": numbers["success_rate"] if results.judged else None,
+            "worst-rms-px": numbers["worst_rms_px"],
+            "worst-translation-mm": numbers["worst_translation_mm"],
         },
         files={CELLS_FILE: cells_table(results).csv(), **_own_files(results)},
     )

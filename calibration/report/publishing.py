@@ -47,10 +47,11 @@ def show(report: Report, runner: Runner, folder: Path | None = None) -> None:
     runner.log(one_line(f"{report.line}{place}"))
 
 
-def _bounded(outputs: Mapping[str, OutputValue]) -> tuple[dict[str, OutputValue], list[str]]:
+def _bounded(outputs: Mapping[str, OutputValue | None]) -> tuple[dict[str, OutputValue], list[str]]:
     """Return outputs of which each list or mapping has as many entries as fit, and a line for each that is cut."""
-    bounded, notes = dict(outputs), []
-    for name, value in outputs.items():
+    bounded: dict[str, OutputValue] = {name: "" if value is None else value for name, value in outputs.items()}
+    notes = []
+    for name, value in bounded.items():
         if not isinstance(value, list | tuple | dict):
             continue
         entries = list(value.items()) if isinstance(value, dict) else list(value)

@@ -35,8 +35,8 @@ class Report:
     """Content of results.json beside schema, verdict and reasons: numbers, texts, lists and mappings."""
     suites: Mapping[str, Sequence[Outcome]]
     """Outcomes for JUnit, by suite."""
-    outputs: Mapping[str, OutputValue]
-    """Outputs of the step, beside the verdict and the paths of the files."""
+    outputs: Mapping[str, OutputValue | None]
+    """Outputs of the step, beside the verdict and the paths of the files; an empty text for None."""
     reasons: tuple[str, ...] = ()
     """Why the verdict is fail, one line each: listed first, and annotated as errors."""
     error: ExitCode | None = None

@@ -86,7 +86,8 @@ def test_everything_that_goes_wrong_is_red_and_says_why(event: str, caller: Call
     assert "RMS: found 0.0542 px, expected at most 0.001 px" in said[1]
     lost = [f"{name}, 0 m, 0 rad, seed 1: its job left no result: see the job's log" for name in NOTHING_LEFT]
     assert said[2:5] == lost
-    assert re.match(r"collected fresh: translation error against the truth: found [0-9.e-]+ mm, expected at most 1e-06", said[5])
+    far = r"translation error against the truth: found [0-9.e-]+ mm, expected at most 1e-06"
+    assert re.match(f"collected fresh: {far}", said[5])
     assert len(said) == 6
     others = sorted(line for line in run.annotations if not line.startswith(title))  # each job itself says why
     assert [line.partition("::")[2] for line in others] == [
@@ -242,5 +243,8 @@ def test_unit_tests_alone(still: bool, caller: Caller, tmp_path: Path) -> None:
     run = caller.run("pull_request", "-e", str(event))
     assert run.code == (0 if still else 1), run.log
     assert any(f"unit-tests {'success' if still else 'failure'}" in line for line in run.printed)
-    assert any("the job unit-tests failed" in line for line in run.annotations) is not still
+    assert (
+        any("gather-results::unit-tests: the tests failed: exit code 1" in line for line in run.annotations)
+        is not still
+    )
     assert list(caller.artifacts.glob("calibration-unit-tests/unit-tests/results.json"))

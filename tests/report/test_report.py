@@ -31,7 +31,7 @@ def make(**changes: object) -> Report:
         "sentence": "1 of 2 failed",
         "results": {"found": 2},
         "suites": {},
-        "outputs": {"worst": 3.5},
+        "outputs": {"worst": 3.5, "best": None},
     }
     return Report(**(fields | changes))
 
@@ -144,6 +144,7 @@ def test_published(tmp_path: Path) -> None:
         "results": str(tmp_path / "out" / "results.json"),
         "summary": str(tmp_path / "out" / "summary.md"),
         "worst": "3.5",
+        "best": "",
     }
 
 

@@ -32,11 +32,6 @@ def report(results: CollectionResults, output: Path) -> Report:
     lost = [{"pose": record.number + 1, "reasons": list(record.lost)} for record in results.lost]
     lines = tuple(map(lost_line, results.lost))
     sheet = results.contact_sheet
-    numbers = {
-        "corner-error-px": results.corner_rms,
-        "translation-mm": proof.translation_mm if proof else None,
-        "rotation-deg": proof.rotation_deg if proof else None,
-    }
     return Report(
         title=TITLE,
         verdict=results.verdict,
@@ -67,13 +62,15 @@ def report(results: CollectionResults, output: Path) -> Report:
             "made_with": {"calibration": __version__, "numpy": np.__version__, "opencv": cv2.__version__},
         },
         outputs={
-            "dataset": output if kept else "",
+            "dataset": output if kept else None,
             "collections": kept,
             "lost": lost,
             "detection-rate": {name: each.detection_rate for name, each in results.sensors.items()},
-            **{name: "" if value is None else value for name, value in numbers.items()},
-            **dict.fromkeys(("success-rate", "worst-worlds"), ""),  # of several worlds
-            "contact-sheet": output / CONTACT_SHEET if sheet else "",
+            "corner-error-px": results.corner_rms,
+            "translation-mm": proof.translation_mm if proof else None,
+            "rotation-deg": proof.rotation_deg if proof else None,
+            **dict.fromkeys(("success-rate", "worst-worlds")),  # of several worlds
+            "contact-sheet": output / CONTACT_SHEET if sheet else None,
         },
         files={POSES_FILE: poses_table(results).csv()},
     )

@@ -50,7 +50,6 @@ def report(results: ScenarioResults, output: Path) -> Report:
     except InputError as error:  # what draws it is not installed
         notes = (str(error),)
     worst = [result.id for result in statistics.worst(WORST_SHOWN)]
-    largest = {name: statistics.percentiles(name).get(100, "") for name in ("translation_mm", "rotation_deg")}
     passed = len(statistics.results) - len(results.failed)
     return Report(
         title=TITLE,
@@ -78,11 +77,12 @@ def report(results: ScenarioResults, output: Path) -> Report:
             **document(statistics),
         },
         outputs={
-            **dict.fromkeys(("dataset", "collections", "lost", "detection-rate", "corner-error-px"), ""),
+            **dict.fromkeys(("dataset", "collections", "lost", "detection-rate", "corner-error-px")),  # of one dataset
             "success-rate": results.success_rate,
             "worst-worlds": worst,
-            **{name.replace("_", "-"): value for name, value in largest.items()},
-            "contact-sheet": output / FIGURE_FILE if pictures else "",
+            "translation-mm": statistics.percentiles("translation_mm").get(100),
+            "rotation-deg": statistics.percentiles("rotation_deg").get(100),
+            "contact-sheet": output / FIGURE_FILE if pictures else None,
         },
         files={TABLE_FILE: worlds_table(statistics.results).csv(), **pictures},
     )

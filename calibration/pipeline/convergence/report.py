@@ -38,12 +38,6 @@ def report(results: ConvergenceResults, output: Path) -> Report:
         notes = (str(error),)
     lost = tuple(line for each in results.maps if (line := first_lost(each)))
     translation, rotation = results.largest_diagonal or (None, None)
-    largest = {
-        "largest-translation-noise": results.largest_translation,
-        "largest-rotation-noise": results.largest_rotation,
-        "largest-diagonal-translation-noise": translation,
-        "largest-diagonal-rotation-noise": rotation,
-    }
     return Report(
         title=TITLE,
         verdict=results.verdict,
@@ -71,9 +65,12 @@ def report(results: ConvergenceResults, output: Path) -> Report:
             "notes": list(notes),
         },
         outputs={
-            **{name: "" if value is None else value for name, value in largest.items()},
+            "largest-translation-noise": results.largest_translation,
+            "largest-rotation-noise": results.largest_rotation,
+            "largest-diagonal-translation-noise": translation,
+            "largest-diagonal-rotation-noise": rotation,
             "table": output / TABLE_FILE,
-            "figure": output / PNG_FILE if pictures else "",
+            "figure": output / PNG_FILE if pictures else None,
             "output": output,
         },
         files={TABLE_FILE: starts(results).csv(), LARGEST_FILE: largest_noise(results).csv(), **pictures},

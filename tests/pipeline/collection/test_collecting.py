@@ -176,7 +176,7 @@ def test_where_nothing_is_seen_it_fails_and_says_why(request_: CollectionRequest
     assert "dataset.json" not in files
     assert {"results.json", "summary.md", "contact_sheet.png"} <= files
     jsonschema.validate(report(results, Path()).document, json.loads(SCHEMA.read_text()))
-    assert report(results, tmp_path).outputs["dataset"] == ""
+    assert report(results, tmp_path).outputs["dataset"] is None
 
 
 @pytest.mark.parametrize(
