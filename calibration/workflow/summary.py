@@ -5,7 +5,7 @@ from collections.abc import Iterable, Sequence
 
 from calibration.errors import WorldError
 from calibration.workflow.runner import Runner
-from calibration.workflow.text import visible
+from calibration.workflow.text import LONGEST_CELL, shorten, visible
 
 SUMMARY_LIMIT = 1024 * 1024
 """Bytes of summary that GitHub takes from a step; a longer one is dropped as a whole."""
@@ -32,8 +32,8 @@ def add_summary(runner: Runner, markdown: str) -> None:
 
 def markdown_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     """Write a Markdown table; every cell is escaped."""
-    lines = [map(escape_markdown, header), ["---"] * len(header), *(map(escape_markdown, row) for row in rows)]
-    return "".join(f"| {' | '.join(line)} |\n" for line in lines)
+    cells = [[escape_markdown(shorten(cell, LONGEST_CELL)) for cell in row] for row in (header, *rows)]
+    return "".join(f"| {' | '.join(line)} |\n" for line in (cells[0], ["---"] * len(header), *cells[1:]))
 
 
 def escape_markdown(text: str) -> str:

@@ -3,6 +3,8 @@
 import re
 from collections.abc import Iterable, Sequence
 
+LONGEST_CELL = 200
+"""Characters of a cell of a table."""
 _LINE_BREAKS = re.compile(r"[ \t]*[\n\v\f\r\x1c-\x1e\x85\u2028\u2029]+[ \t]*")
 _UNPRINTABLE = re.compile(
     r"[\x00-\x08\x0e-\x1b\x1f\x7f-\x9f\u061c\u200b\u200e\u200f\u202a-\u202e\u2060-\u206f\ufeff\ud800-\udfff"
@@ -40,7 +42,7 @@ def did_you_mean(word: str, known: Iterable[str]) -> str:
 
 def aligned(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     """Lay out a table of texts for a log, each column as wide as it needs to be."""
-    table = [[one_line(cell) for cell in row] for row in (header, *rows)]
+    table = [[shorten(one_line(cell), LONGEST_CELL) for cell in row] for row in (header, *rows)]
     widths = [max(map(len, column)) for column in zip(*table, strict=True)]
     lines = ("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)) for row in table)
     return "\n".join(line.rstrip() for line in lines)

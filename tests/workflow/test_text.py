@@ -2,6 +2,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from calibration.workflow.summary import markdown_table
 from calibration.workflow.text import aligned, did_you_mean, one_line, shorten
 
 
@@ -44,3 +45,14 @@ def test_did_you_mean() -> None:
 
 def test_a_table_commands_nothing_in_its_header_and_its_cells() -> None:
     assert aligned(("a\n::error::x", "b"), [("c", "##[error]d")]) == "a ::error::x  b\nc             ## [error]d"
+
+
+def test_a_cell_is_shortened() -> None:
+    name = "x" * 100_000
+    assert max(map(len, aligned((name, "b"), [("c", name)]).splitlines())) < 500
+    assert len(markdown_table((name, "b"), [("c", name)])) < 1000
+
+
+@pytest.mark.parametrize("character", "\u061c\u200b\u200e\u200f\u2060\u2066\ufeff\U000e0041")
+def test_characters_that_mislead_are_escaped_in_tables_too(character: str) -> None:
+    assert character not in aligned((character,), [(character,)]) + markdown_table((character,), [(character,)])

@@ -1,5 +1,10 @@
 """Starts the measurement in every Python process of the tests, which finds it by PYTHONPATH when it starts.
 
+coverage.py has a start of its own (a .pth file, and its setting ``patch = subprocess``), by which it starts here too
+where the tests' Python has a version that brings the file. It cannot take the place of this: a Python without
+coverage.py, which is given ours, and one with a version before 7.10 (for Python 3.8 there is no newer one) start
+nothing by themselves; and the setting hands on a measurement that has begun: in ``make test`` none has.
+
 It leaves a note of what came of it, and then gives way to the sitecustomize that would have run without it.
 Whatever goes wrong here must not change what the tests do.
 """

@@ -57,6 +57,13 @@ def test_a_shell_script_that_starts_python_as_it_likes(run: Run, root: Path, bar
     assert found.files["robot/naming.py"].hits == {1: 1, 2: 0, 3: 0, 4: 0, 7: 1, 8: 1}
 
 
+def test_a_program_that_does_not_heed_pythonpath(run: Run, root: Path) -> None:
+    """It starts its measurement by coverage.py's own file of the kind .pth, where that is new enough."""
+    code = f'import sys; sys.path.insert(0, "{root}"); import robot.naming as n; n.split("a")'
+    _, _, found = run(f"{OURS} -I -c '{code}'")
+    assert found.files["robot/naming.py"].hits == {1: 1, 2: 0, 3: 0, 4: 0, 7: 1, 8: 1}
+
+
 @pytest.mark.parametrize("method", ["fork", "spawn"])
 def test_processes_that_the_tests_start(run: Run, root: Path, bare_python: str, method: str) -> None:
     test = f"""import multiprocessing, subprocess, sys, threading, unittest
