@@ -174,6 +174,8 @@ DEPTH = Modality(
 )
 MODALITIES = {modality.name: modality for modality in (RGB, LIDAR3D, LIDAR2D, DEPTH)}
 """By name."""
+BORDERS: frozenset[NoiseKind] = frozenset(each.points.noise[1] for each in MODALITIES.values() if each.points)
+"""How points on a border err, an angle, in rad."""
 
 
 def of_family(family: Family) -> tuple[Modality, ...]:

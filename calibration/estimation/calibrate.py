@@ -4,6 +4,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from calibration.dataset.modalities import BORDERS
 from calibration.dataset.model import Dataset, Edge, PointLabels
 from calibration.errors import UndeterminedError, solvable
 from calibration.estimation.blocks import Pose, Values
@@ -18,7 +19,6 @@ from calibration.estimation.options import Options as Options
 from calibration.estimation.result import CalibratedJoint, Calibration, RejectedLabel, ViewResiduals
 from calibration.estimation.starting_noise import StartingNoise, perturb
 from calibration.estimation.unknown_intrinsics import contradicted_priors
-from calibration.estimation.views import BORDERS
 from calibration.geometry.transforms import adjoint, distance, inverse, translation
 from calibration.geometry.types import Array, IntArray
 

@@ -18,7 +18,6 @@ from itertools import combinations
 
 import numpy as np
 
-from calibration.dataset.modalities import LIDAR2D
 from calibration.errors import InputError, UndeterminedError
 from calibration.estimation.blocks import Pose, Values
 from calibration.estimation.build import Setup
@@ -280,7 +279,7 @@ class _Search:
                 link = sight.chain.links[unknown[0]]
                 before, after, usable = self._around(sight, unknown[0])
                 if usable.any():
-                    cuts = self.setup.dataset.sensors[sight.sensor].modality == LIDAR2D
+                    cuts = self.setup.dataset.sensors[sight.sensor].modality.is_planar
                     views = (sight.points.take(np.flatnonzero(usable)), before[usable], after[usable])
                     together.setdefault((link.block, link.inverted, cuts), []).append(views)
         return any(self._aligned(*key, views) for key, views in together.items())

@@ -2,23 +2,18 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import get_args
 
 import numpy as np
 
-from calibration.dataset.modalities import NoiseKind
+from calibration.dataset.modalities import BORDERS, NoiseKind
 from calibration.estimation.blocks import Values
 from calibration.estimation.median import median
 from calibration.estimation.problem import Problem
 from calibration.geometry.types import Array
 
-FLOORS: dict[NoiseKind, float] = {
-    "pixel": 1e-6,
-    "range": 1e-8,
-    "border": 1e-8,
-    "depth_border": 1e-8,
-    "lidar2d_range": 1e-8,
-    "lidar2d_border": 1e-8,
-}
+KINDS: tuple[NoiseKind, ...] = get_args(NoiseKind)
+FLOORS: dict[NoiseKind, float] = {kind: 1e-6 if kind == "pixel" else 1e-8 for kind in KINDS}
 """Nothing is labelled better than this (px, m or rad); keeps exact data from weighing infinitely much."""
 INLIERS = 3.0
 """Labels within so many standard deviations make the estimate."""
@@ -48,8 +43,12 @@ class NoiseLevels:
 
     def given(self) -> dict[NoiseKind, float]:
         """Those that are set."""
-        levels = {kind: getattr(self, kind) for kind in FLOORS}
-        return {kind: level for kind, level in levels.items() if level is not None}
+        return {kind: level for kind in KINDS if (level := getattr(self, kind)) is not None}
+
+    def document(self) -> dict[str, float | None]:
+        """All of them by kind and unit: "pixel_px", "range_m", "border_rad"."""
+        units = {kind: "px" if kind == "pixel" else "rad" if kind in BORDERS else "m" for kind in KINDS}
+        return {f"{kind}_{unit}": getattr(self, kind) for kind, unit in units.items()}
 
 
 def estimate_scales(

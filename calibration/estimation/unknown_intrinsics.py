@@ -4,7 +4,6 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from calibration.dataset.modalities import RGB
 from calibration.dataset.model import CornerLabels, Dataset
 from calibration.errors import InputError
 from calibration.estimation.blocks import Block, Values
@@ -34,7 +33,7 @@ def intrinsics_blocks(
     Raises:
         InputError: a sensor is unknown or no rgb camera; what is known is of none of the cameras, or of another lens.
     """
-    cameras = {name: sensor for name, sensor in dataset.sensors.items() if sensor.modality == RGB and sensor.camera}
+    cameras = {name: each for name, each in dataset.sensors.items() if each.modality.has_corners and each.camera}
     for name in wanted:
         if name != ALL and name not in cameras:
             what = f"a {dataset.sensors[name].modality} sensor" if name in dataset.sensors else "no sensor"

@@ -21,8 +21,6 @@ from calibration.geometry.cameras import Camera
 from calibration.geometry.transforms import inverse
 from calibration.geometry.types import Array, IntArray
 
-BORDERS: frozenset[NoiseKind] = frozenset({"border", "depth_border", "lidar2d_border"})
-
 
 @dataclass(frozen=True, eq=False)
 class Link:

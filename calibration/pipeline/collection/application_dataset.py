@@ -246,7 +246,7 @@ def _record(dataset: Dataset, index: int, number: int) -> Record:
     cells = {
         name: image_cells(sensor.camera, corners[name])
         for name, sensor in dataset.sensors.items()
-        if sensor.camera and sensor.modality.points is None
+        if sensor.camera and sensor.modality.has_corners
     }
     drawn = {"data": _data_files(dataset, index), "labels": _drawn_labels(dataset, index)}
     return Record(number, (), labels, complete, {}, cells, drawn, {}, (), named=collection.key)

@@ -109,7 +109,7 @@ def sensors_table(results: CollectionResults) -> Table:
 
 def poses_table(results: CollectionResults) -> Table:
     """Return a row for each pose, for ``poses.csv``: whether it was kept, and what each sensor labelled."""
-    cameras = [name for name, modality in results.modalities.items() if modality == "rgb"]
+    cameras = [name for name, numbers in results.sensors.items() if numbers.coverage is not None]
     labels = [f"{name} labels" for name in results.modalities]
     errors = [f"{name} RMS error (pix)" for name in cameras]
     rows = (

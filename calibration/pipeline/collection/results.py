@@ -143,11 +143,12 @@ class CollectionResults:
 
 
 def _sensor_numbers(name: str, modality: str, results: CollectionResults) -> SensorNumbers:
+    from calibration.dataset.modalities import MODALITIES
     from calibration.simulation.collection.record import COLUMNS, ROWS
 
     records, kept = results.records, results.kept
     detected = [record for record in records if record.labels[name]]
-    camera = modality == "rgb"
+    camera = MODALITIES[modality].has_corners
     return SensorNumbers(
         modality=modality,
         detected=len(detected),

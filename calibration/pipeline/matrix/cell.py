@@ -293,7 +293,6 @@ def _described(result: CellResult, calibration: Calibration) -> CellResult:
     ]
     joints = [row for joint in calibration.joints.values() for row in _parameters(joint.name, joint)]
     intrinsics = [row for name, camera in calibration.intrinsics.items() for row in _parameters(name, camera)]
-    levels = calibration.noise_levels
     details = {
         "transforms": transforms,
         "joints": joints,
@@ -301,14 +300,7 @@ def _described(result: CellResult, calibration: Calibration) -> CellResult:
         "iterations": calibration.iterations,
         "cost": calibration.cost,
         "degrees_of_freedom": calibration.degrees_of_freedom,
-        "noise_levels": {
-            "pixel_px": levels.pixel,
-            "range_m": levels.range,
-            "border_rad": levels.border,
-            "depth_border_rad": levels.depth_border,
-            "lidar2d_range_m": levels.lidar2d_range,
-            "lidar2d_border_rad": levels.lidar2d_border,
-        },
+        "noise_levels": calibration.noise_levels.document(),
         "held": calibration.gauge,
         "weak_directions": list(calibration.weak_directions),
         "rejected_labels": [vars(label) for label in calibration.rejected],
