@@ -32,7 +32,7 @@ class Settings:
 @click.command("run")
 @click.option("--config", type=path, help="The configuration (calibration.yml).")
 @click.option("--output", type=path, help="Folder for results, tables and datasets (output).")
-@click.option("--only", type=TEXT_LIST, help="Only these stages: build, collect, calibrate, introspect, promote.")
+@click.option("--only", type=TEXT_LIST, help=f"Only these stages: {', '.join(STAGES)}.")
 @click.option("--jobs", type=count, help="Processes, or containers at once (one a core).")
 @boolean_option("--push", default=None, help="Push the image; without, it is not promoted (what config says).")
 def command(**options: Any) -> ExitCode:
