@@ -9,15 +9,15 @@ Knows nothing of calibration: any table with a header can be judged.
 """
 
 from calibration.introspection.judge import judge
+from calibration.introspection.result import RuleResult, TableResult, Violation
 from calibration.introspection.rule_set import RuleSet, parse_rules
 from calibration.introspection.table import Table, read_table
-from calibration.introspection.verdict import Check, Verdict, Violation
 
 __all__ = [
-    "Check",
+    "RuleResult",
     "RuleSet",
     "Table",
-    "Verdict",
+    "TableResult",
     "Violation",
     "judge",
     "parse_rules",

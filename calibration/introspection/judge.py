@@ -7,18 +7,18 @@ from typing import TypeAlias
 
 from calibration.errors import InputError
 from calibration.introspection.numbers import number_text, parse_number
+from calibration.introspection.result import RuleResult, TableResult, Violation
 from calibration.introspection.rule_set import RuleSet
 from calibration.introspection.rules import ChangeRule, LimitRule, Limits, Rule, TextRule
 from calibration.introspection.selection import Aggregate, EveryRow, KeyedTable
 from calibration.introspection.table import Table
-from calibration.introspection.verdict import Check, Verdict, Violation
 from calibration.workflow.text import shorten
 
 MAX_MATCHED = 1000
 """Characters; a longer cell is not held against a regular expression, it is a violation."""
 
 
-def judge(table: Table, rules: RuleSet, baseline: Table | None = None) -> Verdict:
+def judge(table: Table, rules: RuleSet, baseline: Table | None = None) -> TableResult:
     """Apply rules to a table and list every violation.
 
     What is no finite decimal number breaks every rule for numbers, and a table without rows breaks
@@ -37,7 +37,7 @@ def judge(table: Table, rules: RuleSet, baseline: Table | None = None) -> Verdic
     if rules.required_rows:
         checks.append(_check_required_rows(keyed, rules.required_rows))
     checks += [_check_rule(keyed, rule, keyed_baseline) for rule in rules.rules]
-    return Verdict(table.name, len(table.rows), keyed.key_column, tuple(checks))
+    return TableResult(table.name, len(table.rows), keyed.key_column, tuple(checks))
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,23 +54,25 @@ _Finding: TypeAlias = tuple[_Cell, str, str]
 """A cell that breaks a rule, what was found in it and what was expected."""
 
 
-def _check_row_count(keyed: KeyedTable, minimum: int) -> Check:
+def _check_row_count(keyed: KeyedTable, minimum: int) -> RuleResult:
     count = len(keyed.every_row)
     expected = f"at least {minimum}"
     violation = Violation(keyed.table.name, None, None, "number of rows", str(count), expected)
-    return Check(None, "number of rows", expected, 1, count, count, count, () if count >= minimum else (violation,))
+    return RuleResult(
+        None, "number of rows", expected, 1, count, count, count, () if count >= minimum else (violation,)
+    )
 
 
-def _check_required_rows(keyed: KeyedTable, required: Sequence[str]) -> Check:
+def _check_required_rows(keyed: KeyedTable, required: Sequence[str]) -> RuleResult:
     file, column = keyed.table.name, keyed.key_column
     missing = [label for label in required if label not in keyed.labels]
     violations = tuple(
         Violation(file, None, column, label, "no such row", "a row with this label") for label in missing
     )
-    return Check(column, "required rows", ", ".join(required), len(required), None, None, None, violations)
+    return RuleResult(column, "required rows", ", ".join(required), len(required), None, None, None, violations)
 
 
-def _check_rule(keyed: KeyedTable, rule: Rule, baseline: KeyedTable | None) -> Check:
+def _check_rule(keyed: KeyedTable, rule: Rule, baseline: KeyedTable | None) -> RuleResult:
     cells = _cells(keyed, rule)
     if not cells:
         findings = [(_Cell(None, str(rule.target), ""), "no row", str(rule))]
@@ -82,7 +84,7 @@ def _check_rule(keyed: KeyedTable, rule: Rule, baseline: KeyedTable | None) -> C
         findings = _judge_change(rule, cells, keyed, baseline)
     numbers = [] if isinstance(rule, TextRule) else [number for cell in cells if (number := _number(cell)) is not None]
     only = cells[0] if len(cells) == 1 else None
-    return Check(
+    return RuleResult(
         column=rule.column,
         rows=str(rule.target),
         expected=str(rule),

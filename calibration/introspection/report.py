@@ -3,17 +3,15 @@
 from collections.abc import Sequence
 from typing import Any
 
-from calibration.introspection.verdict import Check, Verdict, Violation
+from calibration.introspection.result import RuleResult, TableResult, Violation
 from calibration.report import Outcome, Report, Table, count_of, verdict_of
 from calibration.workflow.annotations import Annotation
 from calibration.workflow.text import shorten
 
 TITLE = "introspect-csv"
-VIOLATIONS_SHOWN = 1000
-"""In the log and the summary, and of a check in JUnit; results.json has all."""
 
 
-def report(verdicts: Sequence[Verdict]) -> Report:
+def report(verdicts: Sequence[TableResult]) -> Report:
     """Return the report of ``introspect-csv``."""
     passed = all(verdict.passed for verdict in verdicts)
     violations = [violation for verdict in verdicts for violation in verdict.violations]
@@ -37,7 +35,7 @@ def report(verdicts: Sequence[Verdict]) -> Report:
             Annotation(violation.message, file=violation.file, line=violation.line) for violation in violations
         ),
         blocks=(
-            Table(_VIOLATION_HEADER, tuple(map(_violation_row, violations)), most_rows=VIOLATIONS_SHOWN),
+            Table(_VIOLATION_HEADER, tuple(map(_violation_row, violations))),
             Table(_CHECK_HEADER, tuple(_check_row(*each) for each in checks), title="What was checked", folded=True),
         ),
         suites={verdict.file: [_outcome(verdict, check) for check in verdict.checks] for verdict in verdicts},
@@ -48,7 +46,7 @@ _CHECK_HEADER = ("verdict", "file", "column", "rows", "value", "expected")
 _VIOLATION_HEADER = ("file", "line", "column", "row", "found", "expected")
 
 
-def _check_row(verdict: Verdict, check: Check) -> tuple[str, ...]:
+def _check_row(verdict: TableResult, check: RuleResult) -> tuple[str, ...]:
     if check.value is not None:
         value = str(check.value)
     elif check.smallest is not None:
@@ -63,13 +61,11 @@ def _violation_row(violation: Violation) -> tuple[str, ...]:
     return violation.file, line, violation.column or "", violation.row, violation.found, violation.expected
 
 
-def _outcome(verdict: Verdict, check: Check) -> Outcome:
+def _outcome(verdict: TableResult, check: RuleResult) -> Outcome:
     lines = [
         f"{violation.file}:{violation.line or ''}{':' if violation.line else ''} {violation.message}"
-        for violation in check.violations[:VIOLATIONS_SHOWN]
+        for violation in check.violations
     ]
-    if (more := len(check.violations) - len(lines)) > 0:
-        lines.append(f"and {more} more, see results.json")
     return Outcome(
         name=f"{check.rows if check.column is None else f'{check.column}, {check.rows}'}: {check.expected}",
         group=verdict.file,
@@ -79,7 +75,7 @@ def _outcome(verdict: Verdict, check: Check) -> Outcome:
     )
 
 
-def _table_object(verdict: Verdict) -> dict[str, Any]:
+def _table_object(verdict: TableResult) -> dict[str, Any]:
     return {
         "file": verdict.file,
         "rows": verdict.rows,
@@ -90,25 +86,14 @@ def _table_object(verdict: Verdict) -> dict[str, Any]:
     }
 
 
-def _check_object(check: Check) -> dict[str, Any]:
+def _check_object(check: RuleResult) -> dict[str, Any]:
+    names = ("column", "rows", "expected", "judged", "value", "smallest", "largest")
     return {
-        "column": check.column,
-        "rows": check.rows,
-        "expected": check.expected,
-        "judged": check.judged,
-        "value": check.value,
-        "smallest": check.smallest,
-        "largest": check.largest,
+        **{name: getattr(check, name) for name in names},
         "violations": len(check.violations),
         "verdict": verdict_of(check.passed),
     }
 
 
 def _violation_object(violation: Violation) -> dict[str, Any]:
-    return {
-        "line": violation.line,
-        "column": violation.column,
-        "row": violation.row,
-        "found": violation.found,
-        "expected": violation.expected,
-    }
+    return {name: getattr(violation, name) for name in ("line", "column", "row", "found", "expected")}

@@ -1,11 +1,20 @@
 """Parts of a report's text, each of which can be written for the log and as Markdown."""
 
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 from calibration.workflow.summary import code_block, escape_markdown
 from calibration.workflow.text import one_line
+
+MOST_LINES = 1000
+"""Lines or rows that a part shows unless it says otherwise; files of results have all."""
+
+
+def cut(lines: Sequence[str], most: int, rest: str) -> tuple[str, ...]:
+    """Return the first lines, and one that says how many more there are and where."""
+    return tuple(lines) if len(lines) <= most else (*lines[:most], f"and {len(lines) - most} more, see {rest}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,23 +56,18 @@ class Lines(Block):
     """A list of lines."""
 
     lines: tuple[str, ...]
-    most: int | None = None
+    most: int = MOST_LINES
     """Number of lines that are shown."""
     rest: str = "results.json"
     """Where a reader finds the lines that are not shown."""
 
     def plain(self) -> str:
         """Return the lines, each safe to print."""
-        return "\n".join(map(one_line, self._shown()))
+        return "\n".join(map(one_line, cut(self.lines, self.most, self.rest)))
 
     def markdown(self) -> str:
         """Return a list."""
-        return "".join(f"- {escape_markdown(line)}\n" for line in self._shown())
-
-    def _shown(self) -> tuple[str, ...]:
-        if self.most is None or len(self.lines) <= self.most:
-            return self.lines
-        return (*self.lines[: self.most], f"and {len(self.lines) - self.most} more, see {self.rest}")
+        return "".join(f"- {escape_markdown(line)}\n" for line in cut(self.lines, self.most, self.rest))
 
 
 @dataclass(frozen=True)

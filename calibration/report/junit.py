@@ -4,7 +4,9 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from xml.etree import ElementTree as ET
 
+from calibration.report.blocks import MOST_LINES, cut
 from calibration.report.outcome import Outcome
+from calibration.report.results_json import RESULTS_FILE
 from calibration.workflow.text import visible
 
 _INVALID = re.compile(r"[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
@@ -36,7 +38,9 @@ def _add_case(parent: ET.Element, outcome: Outcome) -> None:
     case = ET.SubElement(parent, "testcase", {key: _valid(text) for key, text in attributes.items()})
     result = _result(outcome)
     if result is not None:
-        text = _valid("\n".join(outcome.reasons) or outcome.skipped or "failed for no known reason")
+        text = _valid(
+            "\n".join(cut(outcome.reasons, MOST_LINES, RESULTS_FILE)) or outcome.skipped or "failed for no known reason"
+        )
         ET.SubElement(case, result, {"message": text.partition("\n")[0]}).text = text
 
 

@@ -5,7 +5,7 @@ import io
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-from calibration.report.blocks import Block
+from calibration.report.blocks import MOST_LINES, Block, cut
 from calibration.workflow.summary import markdown_table
 from calibration.workflow.text import aligned
 
@@ -16,7 +16,7 @@ class Table(Block):
 
     columns: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
-    most_rows: int | None = None
+    most_rows: int = MOST_LINES
     """Number of rows that the log and the summary show; CSV has all."""
     rest: str = "results.json"
     """Where a reader finds the rows that are not shown."""
@@ -49,10 +49,9 @@ class Table(Block):
         return parts
 
     def _shown(self) -> tuple[tuple[str, ...], ...]:
-        if self.most_rows is None or len(self.rows) <= self.most_rows:
-            return self.rows
-        more = f"and {len(self.rows) - self.most_rows} more, see {self.rest}"
-        return (*self.rows[: self.most_rows], (more, *[""] * (len(self.columns) - 1)))
+        labels = cut([row[0] for row in self.rows], self.most_rows, self.rest)
+        more = ((labels[-1], *[""] * (len(self.columns) - 1)),) if len(self.rows) > self.most_rows else ()
+        return (*self.rows[: self.most_rows], *more)
 
 
 def csv_text(columns: Sequence[str], rows: Iterable[Sequence[object]]) -> str:

@@ -12,6 +12,8 @@ from calibration.workflow.text import one_line, visible
 
 ANNOTATION_LIMIT = 9
 """GitHub keeps ten annotations of a level per step; the tenth says how many more there are."""
+LINE_LIMIT = 1000
+"""Lines that are printed where no runner makes annotations of them."""
 
 
 class Level(enum.StrEnum):
@@ -42,8 +44,9 @@ def annotate(runner: Runner, annotations: Iterable[Annotation]) -> None:
     once per step.
     """
     if not runner.github:
-        for annotation in annotations:
-            print(_plain(annotation), file=runner.stderr, flush=True)
+        lines = [_plain(annotation) for annotation in annotations]
+        more = [f"and {len(lines) - LINE_LIMIT} more"] if len(lines) > LINE_LIMIT else []
+        print(*lines[:LINE_LIMIT], *more, sep="\n", end="\n" if lines else "", file=runner.stderr, flush=True)
         return
     counts = dict.fromkeys(Level, 0)
     for annotation in annotations:

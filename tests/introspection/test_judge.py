@@ -5,13 +5,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from calibration.errors import InputError
-from calibration.introspection import RuleSet, Table, Verdict, Violation, judge, parse_rules
+from calibration.introspection import RuleSet, Table, TableResult, Violation, judge, parse_rules
 from calibration.introspection.table import Row, parse_table
 
 RMS = "RMS (pix)"
 
 
-def verdict_on(table: Table, *rules: dict[str, Any], baseline: Table | None = None, **keys: Any) -> Verdict:
+def verdict_on(table: Table, *rules: dict[str, Any], baseline: Table | None = None, **keys: Any) -> TableResult:
     document = {"rules": list(rules), **{key.replace("_", "-"): value for key, value in keys.items()}}
     return judge(table, parse_rules(document, "rules"), baseline)
 

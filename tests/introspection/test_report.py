@@ -6,7 +6,7 @@ import pytest
 from defusedxml.ElementTree import fromstring
 
 from calibration import introspection
-from calibration.introspection import Table, Verdict, judge, parse_rules
+from calibration.introspection import Table, TableResult, judge, parse_rules
 from calibration.introspection.report import report
 from calibration.introspection.table import parse_table
 
@@ -25,29 +25,29 @@ RULES = parse_rules(
 
 
 @pytest.fixture
-def red(atom: Table) -> Verdict:
+def red(atom: Table) -> TableResult:
     return judge(atom, RULES)
 
 
 @pytest.fixture
-def green(atom: Table) -> Verdict:
+def green(atom: Table) -> TableResult:
     return judge(atom, parse_rules([{"column": "RMS (pix)", "max": 3}], "rules"))
 
 
 @pytest.fixture
-def hostile() -> Verdict:
+def hostile() -> TableResult:
     """Return a verdict on cells that would break out of every format."""
     cell = "|`</td>\x85 ]]>&amp; ::error::x ##[add-mask]y\u202e"
     table = parse_table(f'k|,"v\n::x"\n{cell},{cell}\n', "a|b<c>.csv")
     return judge(table, parse_rules([{"column": "v\n::x", "max": 1}, {"column": "k|", "matches": "x"}], "rules"))
 
 
-def test_sentence(red: Verdict, green: Verdict) -> None:
+def test_sentence(red: TableResult, green: TableResult) -> None:
     assert report([green]).line == "pass: 2 checks of 1 table"
     assert report([green, red]).line == "fail: 2 violations in 8 checks of 2 tables"
 
 
-def test_log_lists_every_check_and_violation(red: Verdict, green: Verdict) -> None:
+def test_log_lists_every_check_and_violation(red: TableResult, green: TableResult) -> None:
     violations, checks = report([red]).log().split("\n\n")
     assert len(checks.splitlines()) == 2 + len(red.checks)
     assert violations.splitlines() == [
@@ -58,14 +58,14 @@ def test_log_lists_every_check_and_violation(red: Verdict, green: Verdict) -> No
     assert "found" not in report([green]).log()
 
 
-def test_log_lines_cannot_be_broken(hostile: Verdict) -> None:
+def test_log_lines_cannot_be_broken(hostile: TableResult) -> None:
     log = report([hostile]).log()
     assert len(log.split("\n")) == 1 + 2 + 1 + 2 + 3
     assert "##[" not in log
     assert "\u202e" not in log
 
 
-def test_markdown(red: Verdict, hostile: Verdict) -> None:
+def test_markdown(red: TableResult, hostile: TableResult) -> None:
     text = report([red]).markdown()
     assert text.startswith("## introspect-csv: fail: 2 violations in 6 checks of 1 table\n")
     assert "| results.csv | 3 | RMS (pix) | 001 | 0.9 | at most 0.8 |\n" in text
@@ -75,14 +75,14 @@ def test_markdown(red: Verdict, hostile: Verdict) -> None:
             assert "<" not in line.replace("<br>", "")
 
 
-def test_results_are_as_the_schema_says(red: Verdict, green: Verdict, hostile: Verdict) -> None:
+def test_results_are_as_the_schema_says(red: TableResult, green: TableResult, hostile: TableResult) -> None:
     jsonschema.Draft202012Validator.check_schema(SCHEMA)
     empty = judge(parse_table("k,v\n", "t"), parse_rules([{"column": "v", "max": 1}], "rules"))
     for verdicts in ([red], [green], [hostile], [red, green], [empty]):
         jsonschema.validate(json.loads(report(verdicts).written()["results.json"]), SCHEMA)
 
 
-def test_results(red: Verdict, green: Verdict) -> None:
+def test_results(red: TableResult, green: TableResult) -> None:
     results = json.loads(report([green, red]).written()["results.json"])
     assert (results["schema"], results["verdict"], results["violations"]) == (1, "fail", 2)
     first, second = results["tables"]
@@ -110,13 +110,13 @@ def test_results(red: Verdict, green: Verdict) -> None:
     assert report([green, red]).written() == report([green, red]).written()
 
 
-def test_values(red: Verdict) -> None:
+def test_values(red: TableResult) -> None:
     values = report([red]).outputs["values"]
     assert [value["value"] for value in values] == [4, None, 0.7, None, 0.0385, None]
     assert {value["file"] for value in values} == {"results.csv"}
 
 
-def test_junit(red: Verdict, hostile: Verdict) -> None:
+def test_junit(red: TableResult, hostile: TableResult) -> None:
     root = fromstring(report([red]).written()["junit.xml"])
     assert root.attrib["tests"] == "6"
     assert root.attrib["failures"] == "2"
@@ -127,7 +127,7 @@ def test_junit(red: Verdict, hostile: Verdict) -> None:
     fromstring(report([hostile]).written()["junit.xml"])
 
 
-def test_annotations(red: Verdict) -> None:
+def test_annotations(red: TableResult) -> None:
     first, second = report([red]).all_annotations()
     assert (first.file, first.line, first.message) == (
         "results.csv",

@@ -95,6 +95,20 @@ def test_rows_and_lines_that_are_not_shown_are_counted() -> None:
     assert Lines(("a", "b", "c"), most=1).plain() == "a\nand 2 more, see results.json"
 
 
+def test_everything_that_people_read_is_bounded(tmp_path: Path) -> None:
+    lines, err = tuple(f"line {number} of many" for number in range(5000)), io.StringIO()
+    blocks = (Table(("a",), tuple((line,) for line in lines)), Lines(lines))
+    report = make(
+        reasons=lines, blocks=blocks, suites={"s": [Outcome(name="a", reasons=lines)]}, results={"all": lines}
+    )
+    publish(report, Runner(stderr=err, stdout=io.StringIO()), tmp_path)
+    assert (tmp_path / "summary.md").read_text().count("of many") == 50 + 2 * 1000
+    assert (tmp_path / "junit.xml").read_text().count("of many") == 1000 + 1  # the first is the message too
+    assert (tmp_path / "junit.xml").read_text().count("and 4000 more, see results.json") == 1
+    assert err.getvalue().splitlines()[-1] == "and 4000 more"
+    assert (tmp_path / "results.json").read_text().count("of many") == 2 * 5000
+
+
 def test_the_summary_says_the_verdict_then_the_reasons_then_the_blocks() -> None:
     hidden, folded = Text("only here", only="log"), Code("x `y`\n", title="How", folded=True)
     text = make(reasons=("a < b", "c"), blocks=(TABLE, hidden, folded, Lines((), title="Nothing"))).markdown()

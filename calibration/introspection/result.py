@@ -1,4 +1,4 @@
-"""What was judged and what came of it."""
+"""Results of rules applied to tables."""
 
 from dataclasses import dataclass
 
@@ -27,7 +27,7 @@ class Violation:
 
 
 @dataclass(frozen=True)
-class Check:
+class RuleResult:
     """One rule applied to one table."""
 
     column: str | None
@@ -51,14 +51,14 @@ class Check:
 
 
 @dataclass(frozen=True)
-class Verdict:
+class TableResult:
     """All rules applied to one table."""
 
     file: str
     rows: int
     """How many rows the table has, those that sum up others included."""
     key_column: str
-    checks: tuple[Check, ...]
+    checks: tuple[RuleResult, ...]
 
     @property
     def passed(self) -> bool:
