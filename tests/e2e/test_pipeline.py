@@ -11,6 +11,8 @@ from pathlib import Path
 import pytest
 import yaml
 
+from tests.coverage.projects import TOKEN, codacy
+
 from .conftest import FORK, PROJECT, Repository, commit
 from .pipeline import Caller
 
@@ -248,3 +250,23 @@ def test_unit_tests_alone(still: bool, caller: Caller, tmp_path: Path) -> None:
         is not still
     )
     assert list(caller.artifacts.glob("calibration-unit-tests/unit-tests/results.json"))
+
+
+def test_the_coverage_is_uploaded_by_a_job_in_which_no_test_runs(repository: Repository, tmp_path: Path) -> None:
+    caller = Caller(repository, tmp_path / "artifacts", {"python": sys.executable}, {"codacy-project-token": TOKEN})
+    inputs = {
+        "tests": "python3 -m unittest -q",
+        "tests-setup": 'echo "set up" >calibrated.txt',
+        "coverage-service": "codacy",
+    }
+    with codacy() as server:
+        caller.write(
+            inputs, {**ROBOT, "test_robot.py": UNIT_TEST.format("'PROJECT_TOKEN' not in str(__import__('os').environ)")}
+        )
+        run = caller.run("push", "--env", f"CODACY_API_BASE_URL={server.url}")
+        assert run.code == 0, run.log
+        [asked] = server.asked
+    assert asked.headers["project-token"] == TOKEN
+    assert b'"robot.py"' in asked.body
+    assert any("coverage success" in line for line in run.printed)
+    assert TOKEN not in run.log
