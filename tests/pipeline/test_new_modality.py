@@ -1,0 +1,89 @@
+"""A modality that the package does not know: an entry in `MODALITIES` and a simulated sensor are enough for it."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+import pytest
+
+from calibration.dataset.document import Node
+from calibration.dataset.modalities import LIDAR2D, MODALITIES, IndexedPoints, Modality, PointData
+from calibration.dataset.reading import read_dataset
+from calibration.dataset.truth import find_truth
+from calibration.estimation.calibrate import calibrate
+from calibration.evaluation.specification import parse_evaluation
+from calibration.pipeline.collection.collecting import collect_dataset
+from calibration.pipeline.collection.request import CollectionRequest
+from calibration.recorder.preview import preview
+from calibration.simulation.motion.sequence import read_motion
+from calibration.simulation.sensors import KINDS, SimulatedLidar2d
+from calibration.simulation.sensors.sensor import Data
+from calibration.simulation.system import read_system
+from tests.pipeline.systems import with_scanner
+
+SONAR = "lidar_right"
+
+
+@dataclass(frozen=True)
+class Echoes:
+    """Ranges in whole millimetres, 0 for none, along beams in the sensor's plane."""
+
+    message: Mapping[str, Any]
+
+    def __len__(self) -> int:
+        return len(self.message["ranges_mm"])
+
+    def take(self, index: np.ndarray) -> np.ndarray:
+        ranges = np.array(self.message["ranges_mm"], float)[index] / 1000
+        angles = self.message["first_rad"] + self.message["step_rad"] * index
+        return np.where(ranges > 0, ranges, np.nan)[:, None] * np.stack(
+            [np.cos(angles), np.sin(angles), np.zeros(len(index))], -1
+        )
+
+
+def read_echoes(message: Node, _: object) -> IndexedPoints:
+    return Echoes(message.value)
+
+
+SONAR2D = Modality(
+    "sonar2d",
+    "lidar",
+    "SonarEcho",
+    points=PointData("echo's {} beams", "beam {} has no range", read_echoes, LIDAR2D.point_data.noise, 3, planar=True),
+)
+
+
+@dataclass(frozen=True)
+class SimulatedSonar(SimulatedLidar2d):
+    """A sonar in the place of a 2D LiDAR, with a message of its own."""
+
+    modality: ClassVar[Modality] = SONAR2D
+    label_name: ClassVar[str] = "beams"
+
+    def message(self, data: Data) -> dict[str, Any]:
+        ranges = np.rint(1000 * data).astype(int).tolist()
+        return {"first_rad": self.angle_min, "step_rad": self.step, "ranges_mm": ranges}
+
+
+def test_it_is_collected_calibrated_evaluated_and_shown(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(MODALITIES, SONAR2D.name, SONAR2D)
+    monkeypatch.setitem(KINDS, SONAR2D.name, SimulatedSonar)
+    source, output = tmp_path / "system", tmp_path / "output"
+    source.mkdir()
+    config = with_scanner(source) / "config.yml"
+    config.write_text(config.read_text().replace("lidar2d", SONAR2D.name))
+    assert collect_dataset(CollectionRequest(source, motion="generate:10"), output).verdict == "pass"
+
+    described = json.loads((output / "dataset.json").read_text())["sensors"][SONAR]
+    assert (described["modality"], described["msg_type"]) == ("sonar2d", "SonarEcho")
+    dataset = read_dataset(output)
+    found = calibrate(dataset)
+    assert found.noise_levels.lidar2d_range == pytest.approx(0.01, rel=0.2)
+    table = parse_evaluation(f"lidar-to-rgb:{SONAR}:rgb_left").run(found.dataset, find_truth(dataset))
+    assert 0 < table.average("RMS (pix)") < 6
+    view = preview(read_system(source), read_motion(output / "motion.json").take([0])).views[SONAR]
+    assert view.detected
+    assert view.points is not None
