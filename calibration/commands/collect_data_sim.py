@@ -17,6 +17,7 @@ from calibration.commands.collection_settings import (
 )
 from calibration.commands.parameters import boolean_option, count, non_negative, path, share, text
 from calibration.commands.place import place
+from calibration.commands.record_options import record_options
 from calibration.errors import ExitCode, InputError
 from calibration.execution.backends import CONTAINERS, DOCKER, EMBEDDED, KINDS, Place, check_backend
 from calibration.pipeline.collection import report, scenario_report
@@ -28,6 +29,7 @@ from calibration.pipeline.collection.request import (
     ContainerRequest,
     ScenarioRequest,
 )
+from calibration.pipeline.collection.results import CollectionChecks
 from calibration.pipeline.collection.scenario_report import world_line
 from calibration.pipeline.collection.world_folder import WorldFolder
 from calibration.pipeline.collection.worlds import run_worlds
@@ -67,9 +69,7 @@ def seed_number(value: str | int) -> int:
 @click.option("--scenario", type=text, help="Only this world, with its images: s1-00017 (seed 1, number 17).")
 @click.option("--minimum-success-rate", type=share, help="Share of the worlds that has to pass, 0 to 1 (1).")
 @click.option("--seed", type=seed_number, help="Seed of the noise, of a generated motion, of the worlds (1).")
-@click.option("--minimum-collections", type=count, help="Fewer collections that are kept make it fail (3).")
-@click.option("--minimum-detection-rate", type=share, help="Share of the poses that every sensor detects, 0 to 1.")
-@click.option("--minimum-coverage", type=share, help="Share of every image that the corners cover, 0 to 1.")
+@record_options(CollectionChecks)
 @click.option("--max-translation-mm", type=non_negative, help="Largest error against the truth, mm (5).")
 @click.option("--max-rotation-deg", type=non_negative, help="Largest error against the truth, degrees (0.3).")
 @click.option("--stillness-mm", type=non_negative, help="How far the pattern may move while the sensors look (2).")
@@ -97,7 +97,7 @@ def seed_number(value: str | int) -> int:
 @boolean_option("--overwrite", help="Replace a dataset that the folder has.")
 def command(**options: Any) -> ExitCode:
     """Collect a dataset in simulation: images, point clouds, labels and the truth; and calibrate it."""
-    settings = Settings(**{name: value for name, value in options.items() if value is not None})
+    settings = Settings.of_options(options)
     runner = Runner.from_environment(os.environ)
     return collect_data_sim(settings, runner)
 
@@ -126,7 +126,7 @@ def _check(settings: Settings, backend: str, applications: bool) -> None:
         InputError: says which, and what to do.
     """
     containers = " or ".join(CONTAINERS)
-    if settings.scenarios is not None and settings.minimum_coverage is not None:
+    if settings.scenarios is not None and settings.checks.minimum_coverage is not None:
         raise InputError("minimum-coverage: judges one dataset; with scenarios give minimum-detection-rate")
     if settings.scenarios is not None and settings.scenarios > MAX_SCENARIOS:
         raise InputError(f"scenarios: found {settings.scenarios}, expected {MAX_SCENARIOS} at most")

@@ -1,23 +1,26 @@
 """What ``collect-data-sim`` is asked, and the requests that it makes of it."""
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
 from calibration.commands.parameters import find_system, system_folder
+from calibration.commands.record_options import given
 from calibration.errors import InputError
 from calibration.execution.sizes import parse_seconds
 from calibration.pipeline.collection.applications import SECONDS
 from calibration.pipeline.collection.request import CollectionRequest, ContainerRequest, WorldImage, WorldOfSet
 from calibration.pipeline.collection.results import CollectionChecks
 from calibration.pipeline.configuration import parse_applications
+from calibration.records import read
 from calibration.simulation.scenarios.scenario import parse_id
 from calibration.yaml_file import read_yaml
 
 
 @dataclass(frozen=True)
 class Settings:
-    """What ``collect-data-sim`` is asked; what is None is as `CollectionChecks` says."""
+    """What ``collect-data-sim`` is asked."""
 
     system: str
     """The name of a system in `SYSTEMS`, or a folder."""
@@ -33,9 +36,8 @@ class Settings:
     """The id of one world of the scenario set, to collect it alone."""
     minimum_success_rate: float = 1.0
     seed: int = 1
-    minimum_collections: int | None = None
-    minimum_detection_rate: float | None = None
-    minimum_coverage: float | None = None
+    checks: CollectionChecks = field(default_factory=CollectionChecks)
+    """What a dataset has to keep to, where the two limits that follow say nothing else."""
     max_translation_mm: float | None = None
     max_rotation_deg: float | None = None
     stillness_mm: float | None = None
@@ -59,6 +61,12 @@ class Settings:
     timeout: str | None = None
     jobs: int | None = None
     overwrite: bool = False
+
+    @classmethod
+    def of_options(cls, options: Mapping[str, Any]) -> "Settings":
+        """The settings that the options of the command make."""
+        own = {each.name: value for each in fields(cls) if (value := options.get(each.name)) is not None}
+        return cls(**own, checks=read(CollectionChecks, given(CollectionChecks, options), "options"))
 
 
 def collection_request(settings: Settings) -> CollectionRequest:
@@ -169,8 +177,5 @@ def world_image(settings: Settings, backend: str) -> WorldImage:
 
 def collection_checks(settings: Settings) -> CollectionChecks:
     """What a dataset has to keep to."""
-    names = (
-        *("minimum_collections", "minimum_detection_rate", "minimum_coverage"),
-        *("max_translation_mm", "max_rotation_deg"),
-    )
-    return CollectionChecks(**{name: value for name in names if (value := getattr(settings, name)) is not None})
+    limits = {name: getattr(settings, name) for name in ("max_translation_mm", "max_rotation_deg")}
+    return replace(settings.checks, **{name: limit for name, limit in limits.items() if limit is not None})

@@ -24,9 +24,11 @@ Share = Annotated[float, between(0, 1)]
 class CollectionChecks:
     """What a collected dataset has to keep to; None where there is no limit."""
 
-    minimum_collections: Annotated[int, records.at_least(1)] = field("Fewer make it fail.", default=3)
-    minimum_detection_rate: Share | None = field("Share of the poses that every sensor detects.", default=None)
-    minimum_coverage: Share | None = field("Share of every image that the corners cover.", default=None)
+    minimum_collections: Annotated[int, records.at_least(1)] = field(
+        "Fewer make it fail.", default=3, option="Fewer collections that are kept make it fail (3)."
+    )
+    minimum_detection_rate: Share | None = field("Share of the poses that every sensor detects, 0 to 1.", default=None)
+    minimum_coverage: Share | None = field("Share of every image that the corners cover, 0 to 1.", default=None)
     max_translation_mm: float | None = 5.0
     """Of the worst sensor against the truth, and of the worst length of a joint."""
     max_rotation_deg: float | None = 0.3
