@@ -9,23 +9,29 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
+from calibration.docker.engine import connect, engine_errors
 from calibration.errors import CalibrationError, InputError, WorldError
 from calibration.image.bases import Base, fetch, local_image
 from calibration.image.builders.build_log import BuildLog
+from calibration.image.builders.buildkit import build_and_push, build_by_buildkit
+from calibration.image.builders.programs import Program, find_buildkit
+from calibration.image.builders.request import BuildRequest
 from calibration.image.content_key import KEY_LABEL, key_tag
+from calibration.image.labels import build_labels
 from calibration.image.plan import Plan, make_plan
 from calibration.image.secret_values import SecretValue, read_secrets, refuse_secrets_in
 from calibration.image.specification import ImageSpecification, OwnDockerfile
 from calibration.registries.credentials import Credentials
+from calibration.registries.login import registry_login
+from calibration.registries.promotion import promote
+from calibration.registries.push import push_image
 from calibration.registries.reference import DOCKER_HUB, parse_reference
+from calibration.registries.registry import RegistryClient
 from calibration.workflow import Runner, group, stop_commands
 from calibration.workflow.progress import Advance, progress
 
 if TYPE_CHECKING:
     from docker import DockerClient
-
-    from calibration.image.builders.programs import Program
-    from calibration.image.builders.request import BuildRequest
 
 BuilderName = Literal["auto", "engine", "buildkit"]
 BUILDERS: tuple[BuilderName, ...] = ("auto", "engine", "buildkit")
@@ -83,8 +89,6 @@ def build_image(
         BuildFailedError: a step of the Dockerfile failed.
         WorldError: the engine, a registry or the network failed.
     """
-    from calibration.docker.engine import connect, engine_errors
-
     begin = time.monotonic()
     push = specification.push if push is None else push
     secrets = read_secrets(specification.secrets, runner)
@@ -130,8 +134,6 @@ class _Work:
 
     def login(self, name: str) -> Credentials:
         """Who one is to the registry of an image; the settings are for the registry of this one."""
-        from calibration.registries.login import registry_login
-
         registry = parse_reference(name).registry
         if registry not in self._logins:
             own = registry == parse_reference(self._specification.name).registry
@@ -170,8 +172,6 @@ class _Work:
 
     def _digest_in_registry(self, reference: str) -> str | None:
         """The digest of an image in its registry; a registry that fails is no reason not to build."""
-        from calibration.registries.registry import RegistryClient
-
         registry = parse_reference(reference).registry
         settings = self._specification.registry
         if registry == DOCKER_HUB and not self._push and settings is None:
@@ -186,9 +186,6 @@ class _Work:
             return None
 
     def _build(self, plan: Plan, reference: str, builder: BuilderName, force: bool) -> BuiltImage:
-        from calibration.image.builders.request import BuildRequest
-        from calibration.image.labels import build_labels
-
         specification = self._specification
         own = specification.source if isinstance(specification.source, OwnDockerfile) else None
         program = self._builder(plan, builder)
@@ -216,8 +213,6 @@ class _Work:
 
                 made = build_by_engine(self._client, request, log)
             else:
-                from calibration.image.builders.buildkit import build_by_buildkit
-
                 build_by_buildkit(program, request, reference, log)
                 made = reference
         image = self._client.images.get(made)
@@ -243,8 +238,6 @@ class _Work:
     def _built_for_several(
         self, program: "Program | None", request: "BuildRequest", reference: str, plan: Plan, log: BuildLog
     ) -> BuiltImage:
-        from calibration.image.builders.buildkit import build_and_push
-
         if program is None or not program.buildx:
             raise InputError("platforms: several need docker's plugin buildx: install it, or name one platform")
         digest = build_and_push(program, request, [reference], self.login(reference), log)
@@ -256,8 +249,6 @@ class _Work:
         Raises:
             InputError: BuildKit is needed or asked for, and there is none.
         """
-        from calibration.image.builders.programs import find_buildkit
-
         if builder == "engine":
             if plan.needs_buildkit:
                 raise InputError(f"builder: engine cannot build this: {_BUILDKIT_ONLY} need BuildKit")
@@ -293,9 +284,6 @@ class _Work:
 
     def _pushed(self, image: BuiltImage) -> str:
         """Bring an image and its tags to the registry; returns its digest there."""
-        from calibration.registries.promotion import promote
-        from calibration.registries.push import push_image
-
         specification = self._specification
         credentials = self.login(image.reference)
         digest = image.digest

@@ -5,6 +5,7 @@ from collections.abc import Mapping
 
 from calibration.errors import InputError, WorldError
 from calibration.registries.credentials import Credentials, RegistrySettings
+from calibration.registries.ecr import ecr_credentials, is_ecr
 from calibration.registries.reference import DOCKER_HUB, parse_reference
 from calibration.workflow import Runner, add_mask
 from calibration.workflow.text import one_line, shorten
@@ -40,8 +41,6 @@ def registry_login(
 def _credentials(
     settings: RegistrySettings, name: str, registry: str, runner: Runner, environment: Mapping[str, str]
 ) -> Credentials:
-    from calibration.registries.ecr import ecr_credentials, is_ecr
-
     if settings.username or settings.password_variable:
         return _from_settings(settings, registry, environment)
     if settings.kind != "ecr":

@@ -12,13 +12,16 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Any
 
+import docker
+import requests
+import urllib3
+
 from calibration.errors import CalibrationError, WorldError
 from calibration.image.builders.build_log import BuildLog
 from calibration.image.builders.failure import build_problem
 from calibration.image.builders.request import BuildRequest
 
 if TYPE_CHECKING:
-    import requests
     from docker import DockerClient
 
 _STEP = re.compile(r"^Step (\d+)/(\d+) : (.*)", re.DOTALL)
@@ -47,10 +50,6 @@ def build_by_engine(client: "DockerClient", request: BuildRequest, log: BuildLog
 
 def _build(client: "DockerClient", request: BuildRequest, log: BuildLog) -> str:
     """Build once."""
-    import docker
-    import requests
-    import urllib3
-
     with tempfile.TemporaryFile() as archive, _closing_answers(client):
         request.context.write_tar(archive)
         archive.seek(0)
