@@ -51,6 +51,21 @@ def test_real_results_follow_their_schema_and_read_back(tmp_path: Path) -> None:
     assert without_verdicts(read_results(tmp_path), tmp_path) == results
 
 
+def test_results_of_an_older_version_are_read(tmp_path: Path) -> None:
+    """Without what was added since; what a newer version adds is left alone."""
+    write_results(Results((CELL, FAILED)), tmp_path)
+    path = tmp_path / "results.json"
+    document = json.loads(path.read_text())
+    for key in ("reasons", "comparisons", "collections", "image", "summary"):
+        del document[key]
+    for cell in document["cells"]:
+        for key in ("loss", "sigma", "detail", "warnings"):
+            del cell[key]
+        cell["of_a_newer_version"] = 1
+    path.write_text(json.dumps(document))
+    assert read_results(tmp_path).cells == tuple(replace(cell, loss=None) for cell in (CELL, FAILED))
+
+
 def test_writing_what_was_read_changes_nothing(tmp_path: Path) -> None:
     found = run_matrix(Matrix((RIWBOT,), NoiseGrid()), tmp_path, 1)
     write_results(Results(found.cells), tmp_path)
