@@ -53,7 +53,7 @@ def test_a_system_by_its_name(motion: Path, tmp_path: Path, capsys: pytest.Captu
     lines = out.splitlines()
     assert lines[0] == f"t2rgb: 4 poses of {motion}, seed 1"
     assert re.fullmatch(r"\[1/4\] pose [1-4]: left_camera \d+, right_camera \d+", lines[1])
-    assert lines[6].split()[:2] == ["Sensor", "Detected"]
+    assert lines[5].split()[:2] == ["Sensor", "Detected"]
     assert lines[-1].startswith("pass: t2rgb: 4 of 4 collections kept, calibrates with 0.")
     assert lines[-1].endswith(f"({output}/results.json)")
     assert len(read_dataset(output).collections) == 4
