@@ -7,6 +7,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Annotated, Any
 
 from calibration import records
+from calibration.dataset.modalities import MODALITIES
 from calibration.errors import ExitCode, exit_code_of
 from calibration.records import between, field
 from calibration.report import Check, Verdict, at_least, at_most, verdict_of
@@ -145,8 +146,7 @@ class CollectionResults:
 
 
 def _sensor_numbers(name: str, modality: str, results: CollectionResults) -> SensorNumbers:
-    from calibration.dataset.modalities import MODALITIES
-    from calibration.simulation.collection.record import COLUMNS, ROWS
+    from calibration.simulation.collection.record import COLUMNS, ROWS  # OpenCV: who plans or reads needs none
 
     records, kept = results.records, results.kept
     detected = [record for record in records if record.labels[name]]
