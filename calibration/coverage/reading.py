@@ -106,17 +106,11 @@ def mapped(reports: Iterable[Report], paths: PathMap, counted: Iterable[str]) ->
     """
     wanted = set(counted)
     parts: dict[str, list[FileCoverage]] = defaultdict(list)
-    unmatched: dict[str, None] = {}
-    ambiguous: dict[str, tuple[str, ...]] = {}
+    names = _Names(paths)
     for report in reports:
         for name, coverage in report.files.items():
-            found = paths.find(name, report.folders)
-            if not found:
-                unmatched[name] = None
-            elif len(found) > 1:
-                ambiguous[name] = found
-            elif found[0] in wanted:
-                parts[found[0]].append(coverage)
+            if (file := names.file(name, report.folders)) in wanted:
+                parts[file].append(coverage)
     files, ill_fitting = {}, {}
     for path in sorted(parts):
         coverage = combined(parts[path])
@@ -125,7 +119,27 @@ def mapped(reports: Iterable[Report], paths: PathMap, counted: Iterable[str]) ->
             ill_fitting[path] = highest
         else:
             files[path] = coverage
-    return Mapped(files, tuple(unmatched), ambiguous, ill_fitting)
+    return Mapped(files, tuple(names.unmatched), names.ambiguous, ill_fitting)
+
+
+class _Names:
+    """Names in reports: the file that each means is found; what means none, or several, is kept to be told."""
+
+    def __init__(self, paths: PathMap) -> None:
+        self.unmatched: dict[str, None] = {}
+        self.ambiguous: dict[str, tuple[str, ...]] = {}
+        self._paths = paths
+
+    def file(self, name: str, folders: Iterable[str] = ()) -> str:
+        """The file; nothing where it is not clear."""
+        found = self._paths.find(name, folders)
+        if len(found) == 1:
+            return found[0]
+        if found:
+            self.ambiguous[name] = found
+        else:
+            self.unmatched[name] = None
+        return ""
 
 
 def _line_count(path: Path) -> int:
@@ -186,7 +200,7 @@ def read_reports(
         files: the reports.
         sources: the files that count.
         settings: the team's own, of coverage.py.
-        folder: an empty one, for what is needed meanwhile.
+        folder: made, for what is needed meanwhile.
         executable: the Python that measured; None for ours.
 
     Raises:
@@ -194,16 +208,16 @@ def read_reports(
         WorldError: coverage.py cannot report on its data.
     """
     paths = PathMap(sources.repository, sources.directory, sources.tracked)
+    folder.mkdir(exist_ok=True)
     reports, data_files = _parsed(files)
-    spoken_of = _Names(paths)
-    for name in measured_names(data := copied(data_files, folder)):
-        spoken_of.add(name)
+    names, data = _Names(paths), copied(data_files, folder)
+    measured = {name: file for name in measured_names(data) if (file := names.file(name))}
     others = mapped(reports, paths, sources.counted)
-    known = {*others.files, *others.ill_fitting, *spoken_of.found.values()}
+    known = {*others.files, *others.ill_fitting, *measured.values()}
     languages = {language_of(path) for path in known} | ({_PYTHON} if data else set())
     python = [path for path in sources.counted if language_of(path) == _PYTHON and _PYTHON in languages]
     root = sources.repository.root
-    wanted = {name: str(root / path) for name, path in spoken_of.found.items() if path in set(python)}
+    wanted = {name: str(root / path) for name, path in measured.items() if path in set(python)}
     untouched = [str(root / path) for path in python if path not in known]
     merged = merge(data, wanted, untouched, folder)
     label = ", ".join(map(str, data_files)) or "the files without a report"
@@ -212,32 +226,12 @@ def read_reports(
     return Found(
         replace(
             found,
-            unmatched=tuple(dict.fromkeys([*found.unmatched, *spoken_of.unmatched])),
-            ambiguous={**found.ambiguous, **spoken_of.ambiguous},
+            unmatched=tuple(dict.fromkeys([*found.unmatched, *names.unmatched])),
+            ambiguous={**found.ambiguous, **names.ambiguous},
         ),
         tuple(path for path in python if path not in found.files and path not in found.ill_fitting),
         Counter(language for path in sources.counted if (language := language_of(path)) and language not in languages),
     )
-
-
-class _Names:
-    """The names in data files of coverage.py, which are to be understood before its report is written."""
-
-    def __init__(self, paths: PathMap) -> None:
-        self.found: dict[str, str] = {}
-        """The tracked file of each name."""
-        self.unmatched: list[str] = []
-        self.ambiguous: dict[str, tuple[str, ...]] = {}
-        self._paths = paths
-
-    def add(self, name: str) -> None:
-        found = self._paths.find(name)
-        if len(found) == 1:
-            self.found[name] = found[0]
-        elif found:
-            self.ambiguous[name] = found
-        else:
-            self.unmatched.append(name)
 
 
 def _parsed(files: Sequence[Path]) -> tuple[list[Report], list[Path]]:

@@ -176,10 +176,10 @@ def measured_environment(
         environment: ours.
         settings: the team's own, of coverage.py.
         sources: folders and packages that are measured.
-        folder: an empty one, for all that belongs to the measurement.
+        folder: made, for all that belongs to the measurement.
     """
     for name in ("data", "notes"):
-        (folder / name).mkdir()
+        (folder / name).mkdir(parents=True)
     concurrency = settings.get("run:concurrency")
     configuration = folder / "settings"
     write_settings(

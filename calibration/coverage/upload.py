@@ -149,7 +149,7 @@ def _judged(
     try:
         if settings.reports:
             files = _reports(settings, None if tests is None else begin)
-        found = read_reports(files, sources, options, _made(folder / "reading"), executable)
+        found = read_reports(files, sources, options, folder / "reading", executable)
     except InputError as error:
         if not failed:
             raise
@@ -208,7 +208,7 @@ def _run(
         settings.run or "", settings.directory, settings.interpreter, environment, output / "tests.xml"
     )
     if not settings.reports:  # else the tests measure themselves
-        environment = measured_environment(os.environ, options, sources.measured(), _made(folder / "measuring"))
+        environment = measured_environment(os.environ, options, sources.measured(), folder / "measuring")
     log = output / "tests.log"
     secrets = tuple(filter(None, (settings.project_token, settings.api_token)))
     tests = run_tests(called, settings.directory, environment, seconds, runner, log, secrets)
@@ -266,8 +266,3 @@ def _send(service: Codacy, requests: Sequence[Request], settings: Settings, runn
         return Uploaded.DRY_RUN
     service.send(requests)
     return Uploaded.YES
-
-
-def _made(folder: Path) -> Path:
-    folder.mkdir()
-    return folder
