@@ -16,8 +16,7 @@ from calibration.dataset.pattern import pattern_document
 from calibration.dataset.sensors import camera_document
 from calibration.geometry.cameras import Camera
 from calibration.geometry.joints import JOINT_PARAMETERS
-from calibration.simulation.collection.messages import POSE_DECIMALS, message_header, pose_document
-from calibration.simulation.collection.record import Record
+from calibration.simulation.collection.record import POSE_DECIMALS, Record, message_header, pose_document
 from calibration.simulation.joints import joint_values
 from calibration.simulation.placement import Play
 from calibration.simulation.system import System

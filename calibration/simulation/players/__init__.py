@@ -4,6 +4,41 @@ A player is one file that runs in the team's image, without this package: `playe
 whether it can play a motion.
 """
 
-from calibration.simulation.players.host import check_motion, player_file
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING
 
-__all__ = ["check_motion", "player_file"]
+from calibration.errors import InputError
+
+if TYPE_CHECKING:
+    from calibration.simulation.motion.sequence import Motion
+
+PLAYERS: Mapping[str, str] = {"ros1": "ros1.py"}
+"""The file of each player, by name."""
+
+
+def player_file(name: str = "ros1") -> Path:
+    """The file of a player, which needs no other.
+
+    Raises:
+        InputError: there is no such player.
+    """
+    if name not in PLAYERS:
+        raise InputError(f"player: found '{name}', expected {' or '.join(PLAYERS)}")
+    return Path(__file__).parent / PLAYERS[name]
+
+
+def check_motion(motion: "Motion") -> None:
+    """Check that a player can play a motion, which it reads as the file that `motion_document` makes.
+
+    Raises:
+        InputError: it moves joints, or nothing: a player moves a pattern that is free.
+    """
+    if motion.joints:
+        joints = ", ".join(list(motion.joints)[:3])
+        raise InputError(
+            f"{motion.source}: moves joints ({joints}), but our player moves a free pattern only; "
+            "leave out player and let one of the containers play"
+        )
+    if not len(motion):
+        raise InputError(f"{motion.source}: found no pose, expected one at least")

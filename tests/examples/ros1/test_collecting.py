@@ -13,7 +13,7 @@ from example_robot.dataset import DatasetFolder, View
 from calibration.dataset.model import CornerLabels
 from calibration.dataset.reading import read_dataset
 from calibration.simulation.collection.capture import capture
-from calibration.simulation.collection.messages import pose_document
+from calibration.simulation.collection.record import pose_document
 from tests.examples.ros1.conftest import EXAMPLE, Collected
 
 CONFIG = yaml.safe_load((EXAMPLE / "system" / "config.yml").read_text())
