@@ -20,7 +20,7 @@ from calibration.estimation.result import CalibratedJoint, Calibration, Rejected
 from calibration.estimation.starting_noise import StartingNoise, perturb
 from calibration.estimation.unknown_intrinsics import contradicted_priors
 from calibration.geometry.transforms import adjoint, distance, inverse, translation
-from calibration.geometry.types import Array, IntArray
+from calibration.geometry.types import Array, BoolArray, IntArray
 
 FAR = (0.25, 0.25)
 """A given guess farther from the result than this (m, rad) is worth a warning."""
@@ -104,13 +104,25 @@ def _unflipped(setup: Setup, result: WeightedOptimum) -> tuple[Values, IntArray]
 
 
 def _not_reached(setup: Setup, result: WeightedOptimum) -> str:
-    behind = np.flatnonzero(~np.isfinite(result.optimum.equations.cost))
-    if len(behind):
-        keys = ", ".join(setup.dataset.keys[i] for i in behind[:5])
-        return f"the start is not possible: the pattern lies behind a camera in {len(behind)} collections ({keys})"
+    impossible = np.flatnonzero(~np.isfinite(result.optimum.equations.cost))
+    if len(impossible):
+        behind = _behind(setup, result.optimum.values)[impossible].any()
+        keys = ", ".join(setup.dataset.keys[i] for i in impossible[:5])
+        why = "the pattern lies behind a camera" if behind else "labels lie too far off to be compared with the pattern"
+        return f"the start is not possible: {why} in {len(impossible)} collections ({keys})"
     if not result.optimum.reached:
         return f"no minimum was reached in {result.optimum.iterations} iterations"
     return ""
+
+
+def _behind(setup: Setup, values: Values) -> BoolArray:
+    """The collections (N,) in which a label's corner lies behind its camera."""
+    behind = np.zeros(setup.problem.collections, bool)
+    for group in setup.problem.groups:
+        for term in setup.problem.terms(group, values):
+            magnitudes = term.magnitudes(setup.problem.poses(group, values))
+            behind[group.collections] |= np.count_nonzero(~np.isnan(magnitudes), axis=-1) < term.counts
+    return behind
 
 
 def _trouble(setup: Setup, result: WeightedOptimum) -> str:

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calibration.dataset.model import Labels, PointLabels
+from calibration.dataset.model import CornerLabels, Labels, PointLabels
 from calibration.errors import ExitCode, InputError, UndeterminedError
 from calibration.estimation.calibrate import Options, calibrate
 from calibration.geometry.transforms import transform
@@ -163,3 +163,14 @@ def test_numbers_that_linear_algebra_cannot_solve_are_an_error_of_the_data(size,
         pytest.raises(UndeterminedError, match=r"^scene/dataset\.json: found numbers that cannot be solved"),
     ):
         calibrate(dataset, options)
+
+
+def test_a_corner_far_off_does_not_put_the_pattern_behind_its_camera():
+    def far(i: int, _: str, label: Labels) -> Labels:
+        scale = np.where((i == 2) & (np.arange(len(label.ids)) == 3), 1e300, 1.0)
+        return CornerLabels(label.ids, label.pixels * scale[:, None])
+
+    with np.errstate(all="ignore"):
+        result = calibrate(relabelled(eye_to_hand(12, pixel_noise=0.3).dataset(), far))
+    assert not result.converged
+    assert result.reason.endswith("labels lie too far off to be compared with the pattern in 1 collections (002)")
