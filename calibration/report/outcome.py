@@ -1,10 +1,9 @@
 """Result of one unit of work: a calibration, a collected dataset, a scenario, a rule over a table."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
-from typing import Annotated, Literal, Self
+from dataclasses import dataclass
+from typing import Annotated, Literal
 
-from calibration.errors import CalibrationError, ExitCode
+from calibration.errors import ExitCode
 from calibration.records import Converted
 from calibration.report.check import Check
 from calibration.report.verdict import Verdict, verdict_of
@@ -15,7 +14,7 @@ ErrorCode = Annotated[ExitCode, Converted(Literal[2, 3], lambda code, _place: Ex
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """Result of one unit of work; kinds of work with numbers of their own derive from it."""
+    """Result of one unit of work, as JUnit shows it."""
 
     name: str
     group: str = ""
@@ -26,14 +25,8 @@ class Outcome:
     """Set if the work could not be done because of bad input (2) or an infrastructure failure (3)."""
     skipped: str | None = None
     """Why the work was not done, if that is no failure."""
-    warnings: tuple[str, ...] = ()
-    """What a user should look at, although the verdict may be pass."""
     seconds: float | None = None
     """Duration; None if it was not measured."""
-    numbers: Mapping[str, float | None] = field(default_factory=dict)
-    """Measured values by name, for ``results.json`` and limits."""
-    files: Mapping[str, str] = field(default_factory=dict)
-    """Paths of the files that it left, relative to the output folder, by kind (``dataset``, ``table``)."""
     file: str | None = None
     """File of the user's that the outcome is about."""
     line: int | None = None
@@ -43,14 +36,6 @@ class Outcome:
     def verdict(self) -> Verdict:
         """Fail if there is a reason or an error."""
         return verdict_of(not self.reasons and self.error is None)
-
-    def failing(self, *reasons: str, error: ExitCode | None = None) -> Self:
-        """Return the same outcome with more reasons to fail."""
-        return replace(self, reasons=(*self.reasons, *reasons), error=self.error if error is None else error)
-
-    def failed_by(self, error: CalibrationError) -> Self:
-        """Return the same outcome, failed by an error that stopped the work."""
-        return self.failing(str(error), error=error.exit_code)
 
 
 def outcome_of_check(check: Check, group: str) -> Outcome:

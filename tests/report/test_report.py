@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from calibration.errors import ExitCode, InputError, WorldError
+from calibration.errors import ExitCode, WorldError
 from calibration.report import (
     Code,
     Lines,
@@ -60,11 +60,8 @@ def test_a_check_as_an_entry_of_the_results() -> None:
 
 
 def test_the_verdict_of_an_outcome() -> None:
-    outcome = Outcome(name="a")
-    assert outcome.verdict == "pass"
-    assert outcome.failing("too far").verdict == "fail"
-    failed = outcome.failing("first").failed_by(InputError("no file"))
-    assert (failed.verdict, failed.reasons, failed.error) == ("fail", ("first", "no file"), ExitCode.BAD_INPUT)
+    assert Outcome(name="a").verdict == "pass"
+    assert Outcome(name="a", reasons=("too far",)).verdict == "fail"
     assert Outcome(name="a", error=ExitCode.WORLD).verdict == "fail"
     assert Outcome(name="a", skipped="not asked").verdict == "pass"
 
