@@ -262,17 +262,17 @@ def test_many_worlds_and_one_of_them_again(tmp_path: Path, capsys: pytest.Captur
     again = json.loads((tmp_path / "one" / "results.json").read_text())["calibration"]
     assert again["translation_mm"] == document["scenarios"][2]["translation_mm"]
     assert again["rms_px"] == document["scenarios"][2]["rms_px"]
-    assert run(*common, "--scenarios", "2", "--max-translation-mm", "0.00001", "--output", tmp_path / "red") == 1
+    assert run(*common, "--scenarios", "1", "--max-translation-mm", "0.00001", "--output", tmp_path / "red") == 1
     assert json.loads((tmp_path / "red" / "results.json").read_text())["success_rate"] == 0
     rate = ("--minimum-success-rate", "0")
-    assert run(*common, "--scenarios", "2", "--max-translation-mm", "0.00001", *rate, "--output", tmp_path / "red") == 0
+    assert run(*common, "--scenarios", "1", "--max-translation-mm", "0.00001", *rate, "--output", tmp_path / "red") == 0
 
 
 @pytest.mark.parametrize("struck", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
 def test_a_killed_run_leaves_no_half_dataset_and_goes_on(struck: signal.Signals, tmp_path: Path) -> None:
     output = tmp_path / "output"
     command = [sys.executable, "-m", "calibration", "collect-data-sim", "--system", "t2rgb", "--output", str(output)]
-    command += ["--motion", str(first_poses(12, tmp_path / "twelve.json"))]
+    command += ["--motion", str(first_poses(10, tmp_path / "ten.json"))]
     environment = {k: v for k, v in os.environ.items() if not k.startswith("COVERAGE")}
     with subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env=environment
