@@ -1,6 +1,6 @@
 """Parts of the log: folded groups, and output of others in which the runner obeys no command."""
 
-import secrets
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TextIO
@@ -38,7 +38,7 @@ def stop_commands(runner: Runner, stream: TextIO | None = None) -> Iterator[None
         yield
         return
     stream = stream or runner.stdout
-    token = secrets.token_hex(16)
+    token = os.urandom(16).hex()
     print(workflow_command("stop-commands", token), file=stream, flush=True)
     try:
         yield

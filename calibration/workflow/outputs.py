@@ -1,8 +1,8 @@
 """The step's outputs, which later steps of the job read."""
 
 import json
+import os
 import re
-import secrets
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TypeAlias
@@ -43,5 +43,5 @@ def _assignment(name: str, value: str) -> str:
         raise ValueError(f"{name!r} is not the name of an output")
     if "\n" not in value and "\r" not in value:
         return f"{name}={value}\n"
-    delimiter = f"end-{secrets.token_hex(16)}"
+    delimiter = f"end-{os.urandom(16).hex()}"
     return f"{name}<<{delimiter}\n{value}\n{delimiter}\n"
