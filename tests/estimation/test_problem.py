@@ -87,7 +87,7 @@ def test_the_jacobians_of_any_chains_are_their_derivatives(links, first, joint, 
     for k, axis in enumerate(np.eye(S + P)):
         after = poses(problem.moved(values, h * axis[:S], np.broadcast_to(h * axis[S:], (N, P))))
         expected = J_shared[:, :, k] if k < S else J_local[:, :, k - S]
-        np.testing.assert_allclose(expected, twist(T, after) / h, atol=1e-4 * max(1, np.abs(J).max()))
+        np.testing.assert_allclose(expected, twist(T, after) / h, atol=1e-4 * np.abs(J).max(initial=1))
 
 
 def test_a_chain_is_the_product_of_what_it_is_made_of():

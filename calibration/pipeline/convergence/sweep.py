@@ -94,7 +94,7 @@ def run_sweep(
             folder = cells / start
             found = stack.enter_context(matrix_tasks(matrix, folder, output / CELLS))
             judge = partial(_judged, systems=matrix.systems, ours=folder, theirs=output / CELLS)
-            named = (replace(task, name=f"{start}/{task.name}") for task in (*found.cells, *found.references))
+            named = (replace(task, name=f"{start}/{task.name}") for task in (*found.references, *found.cells))
             tasks += [work.keeping(task.then(judge)) for task in named]
         results = run_tasks(tasks, output / CELLS, jobs, place, work.find, done)
     return _of_the_same_optimum(list(results.values()), matrices[0].systems)

@@ -144,8 +144,8 @@ def test_the_same_jobs_are_the_same_bytes() -> None:
     [
         (b"x" * 101, "f: found 101 bytes, at most 100 were expected"),
         (b"{", "f: this is no JSON: Expecting property name"),
-        (b'{"a": NaN}', "f: this is no JSON: NaN is no number"),
-        (b"-Infinity", "f: this is no JSON: -Infinity is no number"),
+        (b'{"a": NaN}', "f: this is no JSON: found NaN, a finite number was expected"),
+        (b"-Infinity", "f: this is no JSON: found -Infinity, a finite number was expected"),
         (b"\xff", "f: this is no JSON: "),
         (b"[" * 100, "f: this is no JSON: "),
     ],
