@@ -2,7 +2,8 @@
 
 import json
 import typing
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Iterator, Mapping
 from dataclasses import MISSING
 from pathlib import Path
 from types import NoneType, UnionType
@@ -22,31 +23,76 @@ _TYPES = {
     dict: "object",
     list: "array",
 }
+_RECORD = "$record"
+"""The key with the name of the record, until the schema is written."""
+_OF_A_FIELD = ("description", "default")
 _LENGTHS = {"string": "Length", "array": "Items", "object": "Properties"}
 
 
 def schema_text(kind: type, title: str) -> str:
-    """The text of the schema of a record, as it ships."""
-    return json.dumps({"$schema": DIALECT, "title": title, **schema_of(kind)}, indent=2, ensure_ascii=False) + "\n"
+    """The schema of a record as it ships; a record that stands in several places is among its ``$defs``."""
+    schema = _schema(kind)
+    counts = Counter(_bodies(schema))
+    shared = {body: json.loads(body)[_RECORD] for body, count in counts.items() if count > 1}
+    shared = {body: name for body, name in shared.items() if list(shared.values()).count(name) == 1}
+    definitions = {name: _referring(json.loads(body), shared, inside=True) for body, name in shared.items()}
+    whole = {"$schema": DIALECT, "title": title, **_referring(schema, shared, inside=True)}
+    if definitions:
+        whole["$defs"] = dict(sorted(definitions.items()))
+    return json.dumps(whole, indent=2, ensure_ascii=False) + "\n"
 
 
 def schema_of(kind: Any) -> dict[str, Any]:
     """The schema of a record, or of any type that a field of a record may have."""
+    found: dict[str, Any] = _referring(_schema(kind), {})
+    return found
+
+
+def _body(node: Mapping[str, Any]) -> str:
+    """The schema of a record without what the field that it stands in says of it."""
+    return json.dumps({key: value for key, value in node.items() if key not in _OF_A_FIELD})
+
+
+def _bodies(node: Any) -> Iterator[str]:
+    """The schema of the record at every place where there is one."""
+    if isinstance(node, Mapping):
+        if _RECORD in node:
+            yield _body(node)
+        for each in node.values():
+            yield from _bodies(each)
+    elif isinstance(node, list):
+        for each in node:
+            yield from _bodies(each)
+
+
+def _referring(node: Any, shared: Mapping[str, str], *, inside: bool = False) -> Any:
+    """A schema that refers to the shared records by their names; ``inside`` for the top of one of them."""
+    if isinstance(node, list):
+        return [_referring(each, shared) for each in node]
+    if not isinstance(node, Mapping):
+        return node
+    if not inside and _RECORD in node and (name := shared.get(_body(node))):
+        return {**{key: node[key] for key in _OF_A_FIELD if key in node}, "$ref": f"#/$defs/{name}"}
+    return {key: _referring(value, shared) for key, value in node.items() if key != _RECORD}
+
+
+def _schema(kind: Any) -> dict[str, Any]:
+    """The schema, in which that of a record still has its name."""
     if is_record(kind):
         return _of_record(kind)
     origin, arguments = typing.get_origin(kind), typing.get_args(kind)
     if origin is typing.Annotated:
         return _annotated(arguments[0], arguments[1:])
     if origin in (typing.Union, UnionType):
-        return _union([schema_of(each) for each in arguments if each is not NoneType])
+        return _union([_schema(each) for each in arguments if each is not NoneType])
     if origin is typing.Literal:
         return {"enum": list(arguments)}
     if origin is tuple:
-        return {"type": "array", "items": schema_of(arguments[0])}
+        return {"type": "array", "items": _schema(arguments[0])}
     if origin is not None:
-        names = {key: value for key, value in schema_of(arguments[0]).items() if key != "type"}
+        names = {key: value for key, value in _schema(arguments[0]).items() if key != "type"}
         schema: dict[str, Any] = {"type": "object"} | ({"propertyNames": names} if names else {})
-        return schema | {"additionalProperties": schema_of(arguments[1])}
+        return schema | {"additionalProperties": _schema(arguments[1])}
     return {"type": _TYPES[kind]} | ({"minLength": 1} if kind is Path else {})
 
 
@@ -55,10 +101,10 @@ def _annotated(base: Any, extras: tuple[Any, ...]) -> dict[str, Any]:
     if isinstance(special, ByName):
         schema: dict[str, Any] = {"type": "object", "minProperties": 1}
         schema |= {"propertyNames": dict(special.names.schema)} if special.names else {}
-        return schema | {"additionalProperties": schema_of(typing.get_args(base)[0])}
+        return schema | {"additionalProperties": _schema(typing.get_args(base)[0])}
     if special is not None:
-        return schema_of(special.described_as or special.accepts)
-    schema = schema_of(base)
+        return _schema(special.described_as or special.accepts)
+    schema = _schema(base)
     for extra in extras:
         if isinstance(extra, Constraint):
             schema |= _keywords(extra.schema, schema.get("type"))
@@ -83,7 +129,11 @@ def _union(members: list[dict[str, Any]]) -> dict[str, Any]:
 
 def _of_record(kind: Any) -> dict[str, Any]:
     settings = settings_of(kind)
-    schema: dict[str, Any] = {"description": " ".join((kind.__doc__ or "").split("\n\n")[0].split()), "type": "object"}
+    schema: dict[str, Any] = {
+        _RECORD: kind.__name__,
+        "description": " ".join((kind.__doc__ or "").split("\n\n")[0].split()),
+        "type": "object",
+    }
     if settings.unknown == "refuse":
         schema["additionalProperties"] = False
     properties: dict[str, Any] = {}
@@ -110,7 +160,7 @@ def _collect(kind: Any, properties: dict[str, Any], required: list[str], rules: 
 
 
 def _property(each: Declared, nulls: bool) -> dict[str, Any]:
-    schema = schema_of(each.type)
+    schema = _schema(each.type)
     if nulls and NoneType in typing.get_args(each.type):
         schema = _union([schema, {"type": "null"}])
     if each.help:

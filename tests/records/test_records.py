@@ -1,5 +1,6 @@
 """Records: one declaration for reading, writing and the schema."""
 
+import json
 import math
 import subprocess
 import sys
@@ -33,6 +34,7 @@ from calibration.records import (
     read_as,
     record,
     schema_of,
+    schema_text,
     text_of,
 )
 
@@ -249,3 +251,28 @@ def test_declaring_a_record_imports_nothing_slow() -> None:
     code = "import sys, calibration.records; print(*sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert not {"numpy", "jsonschema", "pydantic", "yaml", "click"} & set(done.stdout.split())
+
+
+@record
+class Corner:
+    """A corner of a box."""
+
+    x: Annotated[float, at_least(0)] = field("To the right.")
+
+
+@record
+class TwoCorners:
+    """A box."""
+
+    first: Corner = field("The lower left.")
+    last: Corner | None = field("The upper right.", default=None)
+
+
+def test_a_record_in_several_places_is_described_once() -> None:
+    text = schema_text(TwoCorners, "box")
+    schema = json.loads(text)
+    assert schema["properties"]["first"] == {"description": "The lower left.", "$ref": "#/$defs/Corner"}
+    assert text.count("To the right.") == 1
+    whole, referring = (jsonschema.Draft202012Validator(each) for each in (schema_of(TwoCorners), schema))
+    for document in ({"first": {"x": 1}, "last": {"x": 2}}, {"first": {"x": -1}}, {"last": {"x": 1}}, {"first": 3}):
+        assert whole.is_valid(document) == referring.is_valid(document)
