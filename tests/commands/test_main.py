@@ -306,9 +306,10 @@ def test_too_little_memory_for_numpy_is_no_verdict(megabytes: int) -> None:
         text=True,
         check=False,
     )
-    assert done.returncode == (3 if megabytes < 1000 else 2)
+    # 120 MB are enough or not by the libraries in use; the code and the line belong together there too.
+    assert done.returncode in {60: {3}, 80: {3}, 100: {3}, 120: {2, 3}, 1000: {2}}[megabytes]
     [said] = done.stderr.splitlines()
-    assert said.startswith("error: there is not enough memory" if megabytes < 1000 else "error: none: ")
+    assert said.startswith("error: there is not enough memory" if done.returncode == 3 else "error: none: ")
 
 
 @pytest.mark.parametrize("arguments", ["version", "schema", "calibrate-matrix --dataset none", "nothing"])
