@@ -132,7 +132,8 @@ def fits_neighbours(places: Array, pixels: Array) -> BoolArray:
     for _ in range(4):
         predicted = around.predict(pixels, weights * others)
         misfit = np.linalg.norm(predicted.pixels - pixels, axis=-1) / np.sqrt(1 + predicted.spread**2)
-        side = np.sqrt(np.abs(np.linalg.det(predicted.jacobians)))
+        with np.errstate(invalid="ignore"):  # where points tell no homography all is NaN, and nothing fits
+            side = np.sqrt(np.abs(np.linalg.det(predicted.jacobians)))
         limit = np.maximum(LEAST_SHARE * side, max(LEAST_MISFIT, DOUBTFUL * median(misfit)))
         weights = 1 / (1 + (2 * misfit / limit) ** 4)
     fits: BoolArray = misfit <= limit
