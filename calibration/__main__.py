@@ -244,7 +244,7 @@ def _usage_message(error: click.ClickException, is_action: bool) -> str:
 
 
 def _failure(error: OSError) -> str:
-    """What failed where, and what to do."""
+    """Message about an error of the operating system: what failed, at which path, what to do."""
     if error.filename is None or error.strerror is None:
         return str(error)
     advice = {

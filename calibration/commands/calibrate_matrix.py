@@ -53,7 +53,7 @@ OF_SOFTWARE = {
 
 @dataclass(frozen=True)
 class Settings:
-    """What ``calibrate-matrix`` is asked; what is empty or None the configuration, or its default, decides."""
+    """The options of ``calibrate-matrix``; where one is empty or None, the configuration or its default decides."""
 
     dataset: Path | None = None
     config: Path | None = None

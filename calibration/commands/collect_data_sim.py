@@ -43,7 +43,7 @@ from calibration.workflow.progress import progress
 from calibration.workflow.streams import LogDisplay
 
 MOST_SHOWN = 16
-"""Of more worlds on this machine's engine the containers' logs are left in files only."""
+"""The most worlds whose containers' logs are shown; the logs of more are in files only."""
 
 
 def seed_number(value: str | int) -> int:

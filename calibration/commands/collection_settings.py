@@ -1,4 +1,4 @@
-"""What ``collect-data-sim`` is asked, and the requests that it makes of it."""
+"""The options of ``collect-data-sim``, and the requests that are made of them."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
@@ -20,7 +20,7 @@ from calibration.yaml_file import read_yaml
 
 @dataclass(frozen=True)
 class Settings:
-    """What ``collect-data-sim`` is asked."""
+    """The options of ``collect-data-sim``."""
 
     system: str
     """The name of a system in `SYSTEMS`, or a folder."""
