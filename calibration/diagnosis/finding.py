@@ -1,0 +1,23 @@
+"""What a check of a calibration has found."""
+
+from typing import Literal
+
+from calibration.records import field, record
+
+Severity = Literal["red", "warning", "note"]
+
+
+@record(case="snake", nulls=True, unknown="ignore")
+class Finding:
+    """One observation about a calibration or its data, in words and in numbers."""
+
+    kind: str = field("The check that made it, such as suspect, duplicate or description.")
+    severity: Severity = field("red: a reason to fail. warning: worth a look. note: a line of the report.")
+    text: str = field("What is wrong, how much, and what to do; one line.")
+    sensors: tuple[str, ...] = field("The sensors concerned.", default=())
+    collections: tuple[str, ...] = field("The keys of the collections concerned.", default=())
+    value: float | None = field("The size of what was found.", default=None)
+    sigma: float | None = field("Standard deviation of the value.", default=None)
+    unit: str | None = field("Unit of value and sigma: m, rad, px, s, or 1 for a ratio.", default=None)
+    moves_mm: float | None = field("How far it displaces the sensor that it displaces most.", default=None, unit="mm")
+    moves_deg: float | None = field("How far it turns the sensor that it turns most.", default=None, unit="degrees")
