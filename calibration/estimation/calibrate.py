@@ -19,11 +19,9 @@ from calibration.estimation.options import Options as Options
 from calibration.estimation.result import CalibratedJoint, Calibration, RejectedLabel, ViewResiduals
 from calibration.estimation.starting_noise import StartingNoise, perturb
 from calibration.estimation.unknown_intrinsics import contradicted_priors
-from calibration.geometry.transforms import adjoint, distance, inverse, translation
+from calibration.geometry.transforms import adjoint, inverse, translation
 from calibration.geometry.types import Array, BoolArray, IntArray
 
-FAR = (0.25, 0.25)
-"""A given guess farther from the result than this (m, rad) is worth a warning."""
 FLIP_ROUNDS = 3
 
 
@@ -59,7 +57,7 @@ def _calibrate(dataset: Dataset, options: Options, noise: StartingNoise) -> Cali
             values = tuple(seen_from_guess[i] if i in patterns else T for i, T in enumerate(guess))
             result = optimise(setup.problem, values, options.noise_levels, robust)
             reason = _false_minimum(setup, result, start.values)
-    return _result(dataset, setup, result, reason, guess, start.guessed)
+    return _result(dataset, setup, result, reason, start.guessed)
 
 
 def _initial_values(setup: Setup) -> Values:
@@ -152,16 +150,16 @@ def _result(
     setup: Setup,
     result: WeightedOptimum,
     reason: str,
-    guess: Values,
     guessed: tuple[str, ...],
 ) -> Calibration:
     problem, optimum, weighting = setup.problem, result.optimum, result.weighting
     names = [block.name for block in problem.blocks]
-    warnings = [f"no equation gives '{name}' a linear start; it starts from its guess" for name in guessed]
-    warnings += [
+    notes = [f"no equation gives '{name}' a linear start; it starts from its guess" for name in guessed]
+    notes += [
         f"pattern '{name}' is held where the guess puts it: only poses relative to it can be known"
         for name in setup.gauge_patterns
     ]
+    warnings: list[str] = []
     weak: tuple[str, ...] = ()
     by_block: Mapping[int, Array] = {}
     covariance: dict[Edge, Array] = {}
@@ -182,8 +180,7 @@ def _result(
         more = considered_covariance(problem, optimum.values, weighting)
         by_block = covariances(problem, optimum.equations, more)
         covariance = _of_transforms(setup, by_block)
-        warnings += _far_guesses(setup, optimum.values, guess)
-        warnings += contradicted_priors(problem.blocks, optimum.values)
+        warnings = contradicted_priors(problem.blocks, optimum.values)
     return Calibration(
         dataset=_calibrated(setup, optimum.values, dataset),
         transforms=_transforms(setup, optimum.values),
@@ -197,7 +194,8 @@ def _result(
         residuals=_residuals(setup, optimum.values),
         rejected=_rejected(setup, result),
         weak_directions=weak,
-        warnings=(*setup.ignored, *warnings),
+        warnings=tuple(warnings),
+        notes=(*setup.ignored, *notes),
         gauge=setup.gauge,
         joints=_joints(setup, optimum.values, by_block),
         intrinsics=_intrinsics(setup, optimum.values, by_block),
@@ -235,21 +233,6 @@ def _intrinsics(setup: Setup, values: Values, covariance: Mapping[int, Array]) -
                 covariance=covariance.get(i, np.full((k, k), np.nan)),
             )
     return found
-
-
-def _far_guesses(setup: Setup, values: Values, guess: Values) -> list[str]:
-    """A warning for each sensor whose guess is far from the result."""
-    warnings = []
-    for sensor in setup.dataset.sensors.values():
-        block = setup.block(sensor.edge)
-        t, r = (float(d) for d in distance(guess[block], values[block]))
-        if t > FAR[0] or r > FAR[1]:
-            relative = f", '{setup.gauge}' being held" if setup.gauge else ""
-            warnings.append(
-                f"the initial guess of '{sensor.name}' is {t:.2f} m and {np.degrees(r):.1f} degrees from the result"
-                f"{relative}"
-            )
-    return warnings
 
 
 def _of_transforms(setup: Setup, covariance: Mapping[int, Array]) -> dict[Edge, Array]:

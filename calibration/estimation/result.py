@@ -87,6 +87,9 @@ class Calibration:
     weak_directions: tuple[str, ...]
     """What the data hardly determine, named by transform and axis."""
     warnings: tuple[str, ...]
+    """What the labels contradict."""
+    notes: tuple[str, ...]
+    """What was left out, where it started from a guess, and what was held because nothing determines it."""
     gauge: str | None
     """The sensor that was held because the data determine only relative poses; None where nothing had to be."""
     joints: Mapping[str, CalibratedJoint] = field(default_factory=dict)

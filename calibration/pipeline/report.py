@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from pathlib import Path
 
+from calibration.diagnosis.finding import Severity
 from calibration.pipeline.collection.collected import Collected
 from calibration.pipeline.matrix.cell import OUR_METHOD, CellResult, Deviation, noise_text
 from calibration.pipeline.results import CELLS_FILE, ImageResult, Results, document, entry, own_file, summarise
@@ -41,7 +42,7 @@ def report(results: Results, output: Path, title: str) -> Report:
         error=results.exit_code,
         sentence=_sentence(results),
         reasons=tuple(failures(results)),
-        warnings=left_out,
+        warnings=(*_said(results, "warning"), *left_out),
         blocks=(
             main,
             Text(_UNDER_GRID if main.rows else "", only="summary"),
@@ -49,7 +50,8 @@ def report(results: Results, output: Path, title: str) -> Report:
             Lines(tuple(other_methods(results)), only="summary"),
             parameters_table(results),
             collections_table(results),
-            Lines(_to_look_at(results), NOTES_SHOWN, title="To look at"),
+            Lines(_said(results, "warning"), NOTES_SHOWN, title="To look at", only="summary"),
+            Lines(_said(results, "note"), NOTES_SHOWN, title="Notes"),
             Text(f"{image_line(results.image)}." if results.image else ""),
             Lines(left_out, title="Methods without a result", only="summary"),
         ),
@@ -302,12 +304,7 @@ def image_line(image: ImageResult) -> str:
     return f"Image {image.reference}: {what}{promoted}"
 
 
-def _to_look_at(results: Results) -> tuple[str, ...]:
-    """What the cells warn of, once for each system; that a noisy guess is far away goes without saying."""
-    notes = dict.fromkeys(
-        f"{cell.system}: {warning}"
-        for cell in results.cells
-        for warning in cell.warnings
-        if not warning.startswith("the initial guess")
-    )
-    return tuple(notes)
+def _said(results: Results, severity: Severity) -> tuple[str, ...]:
+    """The findings of one severity, once for each system."""
+    said = (f"{c.system}: {found.text}" for c in results.cells for found in c.findings if found.severity == severity)
+    return tuple(dict.fromkeys(said))

@@ -122,7 +122,8 @@ def without_verdicts(results: Results, output: Path) -> Results:
     """
 
     def reset(cell: CellResult) -> CellResult:
-        reasons = () if cell.converged else cell.reasons
+        red = tuple(finding.text for finding in cell.findings if finding.severity == "red")
+        reasons = red if cell.converged else cell.reasons
         return replace(cell, reasons=reasons, details=_details(cell, output))
 
     return replace(

@@ -93,13 +93,3 @@ def test_the_noise_of_the_guess_does_not_reach_the_patterns():
     result = calibrate(dataset, GIVEN)
     assert result.converged
     assert result.iterations < 25
-
-
-@pytest.mark.parametrize("start", ["linear", "given"])
-def test_a_guess_that_is_far_away_is_said(start):
-    dataset = camera_and_lidar(**NOISY).dataset()
-    near, far = (calibrate(dataset, Options(start), StartingNoise(t, 0.0, 3)) for t in (0.2, 0.4))
-    assert near.warnings == ()
-    assert far.warnings == ("the initial guess of 'lidar' is 0.40 m and 0.0 degrees from the result",)
-    turned = calibrate(stereo(**NOISY).dataset(), Options(start), StartingNoise(0.0, 0.2, 1))
-    assert all("'left' being held" in warning for warning in turned.warnings if "'right'" in warning)

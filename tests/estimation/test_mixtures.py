@@ -40,7 +40,7 @@ def test_exact_labels_give_the_truth_from_every_starting_noise(mixture):
     for translation_noise, rotation_noise in NOISES:
         result = calibrate(dataset, Options(), StartingNoise(translation_noise, rotation_noise, 3))
         assert result.converged
-        assert not [warning for warning in result.warnings if "no equation" in warning]
+        assert not [warning for warning in result.notes if "no equation" in warning]
         assert max(errors(dataset, result.transforms, result.gauge)) < 1e-6
 
 

@@ -47,7 +47,7 @@ def test_what_is_held_is_said():
     setup = build(dataset)
     assert (setup.gauge, setup.gauge_patterns) == ("cam", ("board",))
     result = calibrate(dataset, noise=StartingNoise(0.1, 0.1))
-    assert "pattern 'board' is held where the guess puts it: only poses relative to it can be known" in result.warnings
+    assert "pattern 'board' is held where the guess puts it: only poses relative to it can be known" in result.notes
     assert result.sigma_mm(("world", "board_link")) == 0
 
 
@@ -116,7 +116,7 @@ def test_where_no_camera_sees_the_pattern_the_given_guess_is_taken_and_it_is_sai
     assert start.guessed == ("world-base",)
     at = setup.block(BASE)
     np.testing.assert_allclose(start.values[at], truth[at], atol=1e-6)
-    assert any("'world-base' a linear start" in warning for warning in calibrate(dataset).warnings)
+    assert any("'world-base' a linear start" in warning for warning in calibrate(dataset).notes)
 
 
 def test_the_noise_of_a_starting_guess_is_another_in_each_collection():

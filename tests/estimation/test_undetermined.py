@@ -144,7 +144,7 @@ def test_a_pattern_that_nobody_detected_is_left_out(fixed):
     dataset = replace(scene, patterns=[*scene.patterns, board("extra", fixed=fixed)], transforms=transforms).dataset()
     result = calibrate(dataset)
     assert result.converged
-    assert "pattern 'extra': no collection has enough labels of it" in result.warnings
+    assert "pattern 'extra': no collection has enough labels of it" in result.notes
     edge = ("world", "extra_link")
     np.testing.assert_array_equal(result.dataset.transforms[edge], dataset.transforms[edge])
 

@@ -59,7 +59,7 @@ def test_a_collection_without_labels_left_is_left_out_of_the_result():
     dataset = only(stereo(6, pixel_noise=0.3).dataset(), [0, 1, 2, 3, 4])
     result = calibrate(dataset)
     assert result.converged
-    assert [w for w in result.warnings if "002" in w] == [
+    assert [w for w in result.notes if "002" in w] == [
         "collection 002, left: its corners lie on a line",
         "collection 002, right: its corners lie on a line",
     ]

@@ -9,6 +9,7 @@ from xml.etree import ElementTree as ET
 import jsonschema
 import pytest
 
+from calibration.diagnosis.finding import Finding
 from calibration.errors import ExitCode, InputError
 from calibration.pipeline.matrix.cell import Deviation
 from calibration.pipeline.matrix.matrix import Matrix, run_matrix
@@ -59,7 +60,7 @@ def test_results_of_an_older_version_are_read(tmp_path: Path) -> None:
     for key in ("reasons", "comparisons", "collections", "image", "summary"):
         del document[key]
     for cell in document["cells"]:
-        for key in ("loss", "sigma", "detail", "warnings"):
+        for key in ("loss", "sigma", "detail", "warnings", "findings"):
             del cell[key]
         cell["of_a_newer_version"] = 1
     path.write_text(json.dumps(document))
@@ -234,12 +235,25 @@ def test_the_summary_names_what_failed_and_escapes_it() -> None:
 
 
 def test_the_summary_says_once_what_to_look_at() -> None:
-    warned = replace(CELL, warnings=("3 of 90 labels rejected as outliers", "the initial guess of 'a' is far"))
+    found = (Finding("far", "warning", "the camera is far off"), Finding("rejected-labels", "note", "3 of 90 labels"))
+    warned = CELL.found(found)
 
-    text = told(Results((warned, replace(warned, seed=2)))).markdown()
+    report = told(Results((warned, replace(warned, seed=2))))
 
-    assert text.count("3 of 90 labels rejected") == 1
-    assert "initial guess" not in text
+    assert report.warnings == ("robot: the camera is far off",)
+    assert [report.markdown().count(each.text) for each in found] == [1, 1]
+    assert "3 of 90 labels" in report.log()
+
+
+def test_a_red_finding_fails_the_cell_whoever_reads_it(tmp_path: Path) -> None:
+    red = CELL.found((Finding("far", "red", "the camera is far off", ("camera",), value=0.3, unit="m"),))
+    write_results(Results((red,)), tmp_path)
+
+    read = without_verdicts(read_results(tmp_path), tmp_path)
+
+    assert read.cells[0].verdict == "fail"
+    assert read.cells == (red,)
+    assert "robot, 0.5 m, 0 rad, seed 1: the camera is far off" in told(read).reasons
 
 
 def test_cells_as_a_table_and_as_junit(tmp_path: Path) -> None:

@@ -13,6 +13,8 @@ from calibration.comparison.methods import METHODS, method_of
 from calibration.dataset.model import Dataset
 from calibration.dataset.truth import Truth
 from calibration.dataset.writing import write_dataset
+from calibration.diagnosis.diagnose import diagnose
+from calibration.diagnosis.finding import Finding
 from calibration.errors import CalibrationError
 from calibration.estimation.calibrate import calibrate
 from calibration.estimation.intrinsics import CalibratedIntrinsics
@@ -110,7 +112,12 @@ class CellResult:
     seconds: float = field()
     reasons: tuple[str, ...] = field("Why the verdict is fail.", default=())
     error: ErrorCode | None = field("Exit code of a cell that could not be calibrated.", default=None)
-    warnings: tuple[str, ...] = field(default=())
+    warnings: tuple[str, ...] = field("What to look at.", default=())
+    findings: tuple[Finding, ...] = field(
+        "What speaks for and against the calibration. The red ones are among the reasons, the warnings among the "
+        "warnings.",
+        default=(),
+    )
     details: dict[str, Any] = dataclass_field(default_factory=dict)
     """Transforms, joints and intrinsics with their standard deviations, noise levels, rejected labels: for the cell's
     own results."""
@@ -145,6 +152,16 @@ class CellResult:
     def failing(self, *reasons: str) -> "CellResult":
         """The same result with more reasons to fail."""
         return replace(self, reasons=(*self.reasons, *reasons))
+
+    def found(self, findings: tuple[Finding, ...]) -> "CellResult":
+        """The same result with more findings, and the reasons and warnings that they are."""
+        texts = {severity: [f.text for f in findings if f.severity == severity] for severity in ("red", "warning")}
+        return replace(
+            self,
+            findings=(*self.findings, *findings),
+            reasons=(*self.reasons, *texts["red"]),
+            warnings=(*self.warnings, *texts["warning"]),
+        )
 
 
 def noise_folder(noise: StartingNoise) -> str:
@@ -186,7 +203,7 @@ def run_cell(cell: Cell, system: LoadedSystem, output: Path, folder: str | None 
     try:
         options = replace(system.options, start=cell.start, loss=cell.loss)
         calibration = calibrate(system.dataset, options, cell.noise)
-        result = _described(result, calibration)
+        result = _described(result, calibration).found(diagnose(calibration, system.dataset, options))
         if np.isfinite(calibration.cost):
             result = _written(result, calibration.dataset, system, output, folder or cell.folder, calibration)
     except CalibrationError as error:
@@ -305,13 +322,11 @@ def _described(result: CellResult, calibration: Calibration) -> CellResult:
         "weak_directions": list(calibration.weak_directions),
         "rejected_labels": [vars(label) for label in calibration.rejected],
     }
-    reasons = (calibration.reason,) if calibration.reason else _unfit(calibration)
     return replace(
         result,
-        converged=calibration.converged and not reasons,
+        converged=calibration.converged,
         sigma=_sigma(calibration) if calibration.converged else None,
-        reasons=reasons,
-        warnings=(*calibration.warnings, *_notes(calibration)),
+        reasons=(calibration.reason,) if calibration.reason else (),
         details=details,
     )
 
@@ -358,27 +373,3 @@ def _parameters(name: str, calibrated: CalibratedJoint | CalibratedIntrinsics) -
         }
         for parameter, value, unit, sigma in each
     ]
-
-
-def _unfit(calibration: Calibration) -> tuple[str, ...]:
-    """Why an optimum is nothing to rely on: the loss is robust, so it may have found what few labels say."""
-    rejected, total = len(calibration.rejected), _labels(calibration)
-    if 2 * rejected <= total:
-        return ()
-    found = f"{rejected} of {total} labels do not fit the result, expected less than half"
-    return (f"{found}; look at the intrinsics, the pattern's dimensions and the joints' positions",)
-
-
-def _labels(calibration: Calibration) -> int:
-    return sum(int(np.isfinite(view.magnitudes).sum()) for view in calibration.residuals)
-
-
-def _notes(calibration: Calibration) -> list[str]:
-    """What a user should look at, although it is calibrated."""
-    notes = [f"weakly determined: {weak}" for weak in calibration.weak_directions]
-    if rejected := calibration.rejected:
-        total = _labels(calibration)
-        where = list(dict.fromkeys(label.collection for label in rejected))
-        listed = ", ".join(where[:8]) + (", ..." if len(where) > 8 else "")
-        notes.append(f"{len(rejected)} of {total} labels rejected as outliers, in collections {listed}")
-    return notes

@@ -228,11 +228,10 @@ def test_the_summary_shows_joints_and_intrinsics_of_the_first_cell_that_passed()
 def test_what_most_labels_do_not_fit_is_no_pass(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     found = calibrate(read_dataset(T2RGB.dataset))
     count = sum(int(np.isfinite(view.magnitudes).sum()) for view in found.residuals)
-    half, more = (replace(found, rejected=found.rejected[:1] * n) for n in (count // 2, count // 2 + 1))
-    for calibration, verdict in ((half, "pass"), (more, "fail")):
+    few, more = (replace(found, rejected=found.rejected[:1] * n) for n in (count // 21, count // 2 + 1))
+    for calibration, verdict in ((few, "pass"), (more, "fail")):
         monkeypatch.setattr(cells, "calibrate", lambda *_, calibration=calibration: calibration)
         results = run_matrix(Matrix((T2RGB,), NOISES), tmp_path / verdict, 1)
         assert results.cells[0].verdict == verdict
-        assert results.cells[0].converged is (verdict == "pass")
-    reason = f"{count // 2 + 1} of {count} labels do not fit the result, expected less than half"
-    assert results.cells[0].reasons[0].startswith(reason)
+    assert results.cells[0].reasons[0].startswith(f"{count // 2 + 1} of {count} labels do not fit the result")
+    assert "look at the intrinsics" in results.cells[0].reasons[0]

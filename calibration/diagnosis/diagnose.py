@@ -1,0 +1,27 @@
+"""All checks of a calibration that need no ground truth, in the order in which a reader wants to hear of them."""
+
+from calibration.dataset.model import Dataset
+from calibration.diagnosis.finding import Finding
+from calibration.diagnosis.rejected_labels import rejected_labels
+from calibration.estimation.options import Options
+from calibration.estimation.result import Calibration
+
+
+def diagnose(calibration: Calibration, description: Dataset, options: Options) -> tuple[Finding, ...]:
+    """What speaks for and against a calibration.
+
+    Args:
+        calibration: the result.
+        description: the dataset as the robot's description has it, without the noise of a start.
+        options: how it was calibrated.
+    """
+    return (*rejected_labels(calibration), *_said_by_the_engine(calibration))
+
+
+def _said_by_the_engine(calibration: Calibration) -> tuple[Finding, ...]:
+    """What the least squares itself has noticed."""
+    return (
+        *(Finding("contradicted-prior", "warning", text) for text in calibration.warnings),
+        *(Finding("weak-direction", "note", f"weakly determined: {text}") for text in calibration.weak_directions),
+        *(Finding("engine", "note", text) for text in calibration.notes),
+    )

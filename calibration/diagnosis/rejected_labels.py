@@ -1,0 +1,84 @@
+"""Labels that do not fit the result: a few are a detector's errors, many are another problem."""
+
+from collections import Counter
+from collections.abc import Mapping
+
+import numpy as np
+
+from calibration.dataset.modalities import NoiseKind
+from calibration.diagnosis.finding import Finding, Severity
+from calibration.estimation.result import Calibration
+
+WARNING, RED = 0.01, 0.05
+"""Shares of all labels."""
+VIEW = 0.2
+"""Share of the labels of one view."""
+FEW = 3
+"""No fewer labels make a view suspicious: one of its four corners is no share of anything."""
+GROSS: Mapping[NoiseKind, float] = {"pixel": 2.0, "range": 0.1}
+"""Labels that are nearer to the result (px, m) do not count: real images and LiDARs have tails beyond five standard
+deviations of the rest, which the robust loss takes care of."""
+NAMED = 5
+"""Collections that a message names."""
+
+
+def rejected_labels(calibration: Calibration) -> tuple[Finding, ...]:
+    """How many labels do not fit, in all and in single views.
+
+    A label is rejected where Huber's loss gives it less than half its weight, beyond five standard deviations: of
+    normal noise, 4e-6 of the corners. It counts where it is also off by more than `GROSS`. A robust loss may have
+    found what few labels say, so more than half of them rejected, gross or not, are red too.
+    """
+    total = sum(int(np.isfinite(view.magnitudes).sum()) for view in calibration.residuals)
+    rejected = calibration.rejected
+    if not rejected:
+        return ()
+    if len(rejected) > total / 2:
+        text = (
+            f"{len(rejected)} of {total} labels do not fit the result, expected less than half; look at the "
+            f"intrinsics, the pattern's dimensions and the joints' positions"
+        )
+        return (Finding("rejected-labels", "red", text, value=len(rejected) / total, unit="1"),)
+    gross = [label for label in rejected if label.residual > GROSS.get(label.kind, 0.0)]
+    if (share := len(gross) / total) > WARNING:
+        sensors, keys = (Counter(each) for each in zip(*((g.sensor, g.collection) for g in gross), strict=True))
+        worst, collections = sensors.most_common(1)[0][0], tuple(key for key, _ in keys.most_common())
+        text = (
+            f"{len(gross)} of {total} labels do not fit the result ({100 * share:.1f} %, expected {100 * WARNING:g} % "
+            f"at most), most of '{worst}', in collections {_listed(collections)}; look at their images, or leave them "
+            f"out"
+        )
+        severity: Severity = "red" if share > RED else "warning"
+        return (Finding("rejected-labels", severity, text, (worst,), collections, share, unit="1"),)
+    keys = Counter(label.collection for label in rejected)
+    collections = tuple(key for key, _ in keys.most_common())
+    text = f"{len(rejected)} of {total} labels rejected as outliers, in collections {_listed(collections)}"
+    note = Finding("rejected-labels", "note", text, (), collections, len(rejected) / total, unit="1")
+    views = _views(calibration, Counter((g.collection, g.sensor, g.pattern, g.kind) for g in gross))
+    return (*views, note)
+
+
+def _views(calibration: Calibration, gross: Mapping[tuple[str, str, str, NoiseKind], int]) -> tuple[Finding, ...]:
+    """A warning of the views that have more than their share of the labels that do not fit."""
+    bad: list[tuple[float, str, str]] = []
+    for view in calibration.residuals:
+        counts = np.isfinite(view.magnitudes).sum(-1)
+        for key, count in zip(view.collections, counts.tolist(), strict=True):
+            out = gross.get((key, view.sensor, view.pattern, view.kind), 0)
+            if out >= FEW and out > VIEW * count:
+                bad.append((out / count, view.sensor, key))
+    if not bad:
+        return ()
+    bad.sort(reverse=True)
+    share, sensor, key = bad[0]
+    more = "" if len(bad) == 1 else f" (and more than {100 * VIEW:g} % in {len(bad) - 1} other views)"
+    text = (
+        f"{100 * share:.0f} % of what '{sensor}' sees in collection {key} does not fit the result{more}; look at its "
+        f"image, or leave the collection out"
+    )
+    sensors, keys = dict.fromkeys(s for _, s, _ in bad), dict.fromkeys(k for _, _, k in bad)
+    return (Finding("rejected-view", "warning", text, tuple(sensors), tuple(keys), share, unit="1"),)
+
+
+def _listed(keys: tuple[str, ...]) -> str:
+    return ", ".join(keys[:NAMED]) + (f" and {len(keys) - NAMED} more" if keys[NAMED:] else "")
