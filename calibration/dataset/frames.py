@@ -5,10 +5,11 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from calibration.dataset.document import Node
-from calibration.dataset.model import Dataset, Edge
+from calibration.dataset.model import Dataset, Edge, Joint
 from calibration.errors import InputError
 from calibration.geometry.frames import FrameTree, Step
 from calibration.geometry.transforms import distance, inverse
+from calibration.geometry.types import Array
 
 MOTION_TOLERANCE = 0.2
 """A joint's position and its transform may tell motions that differ by this, m or rad: they are read one after the
@@ -132,17 +133,30 @@ def _check_motions(dataset: Dataset, collections: Sequence[Node]) -> None:
     """
     for name, joint in dataset.joints.items():
         T = dataset.transforms[joint.edge]
-        with np.errstate(invalid="ignore"):
-            moved, expected = inverse(T[0]) @ T, joint.model.motion(joint.positions - joint.positions[0])
-            off = np.max(distance(moved, expected), axis=0)
+        moved, since = inverse(T[0]) @ T, joint.positions - joint.positions[0]
+        off = _off(moved, joint, since)
         if (off > MOTION_TOLERANCE).any():
             i = int(np.nanargmax(off))
-            unit = "m" if joint.model.prismatic else "rad"
-            raise collections[i]["joints"][name]["position"].fault(
-                f"found {joint.positions[i]:g}, which is {joint.positions[i] - joint.positions[0]:.3g} more than in "
-                f"collection {collections[0].keys[-1]}, but '{'-'.join(joint.edge)}' has moved otherwise; expected the "
-                f"position in {unit} that this transform has"
+            unit, other, scale = (
+                ("m", "millimetres", 1e-3) if joint.model.prismatic else ("rad", "degrees", np.pi / 180)
             )
+            looks = (
+                f", not in {other} as these look"
+                if np.nanmax(_off(moved, joint, scale * since)) < MOTION_TOLERANCE
+                else ""
+            )
+            raise collections[i]["joints"][name]["position"].fault(
+                f"found {joint.positions[i]:g}, which is {since[i]:.3g} more than in collection "
+                f"{collections[0].keys[-1]}, but '{'-'.join(joint.edge)}' has moved otherwise; expected the position "
+                f"in {unit} that this transform has{looks}"
+            )
+
+
+def _off(moved: Array, joint: Joint, since: Array) -> Array:
+    """How far (N,) the motions of a joint (N, 4, 4) are from those of changes of its position (N,), m or rad."""
+    with np.errstate(invalid="ignore"):
+        off: Array = np.max(distance(moved, joint.model.motion(since)), axis=0)
+    return off
 
 
 def _known(tree: FrameTree, node: Node) -> None:

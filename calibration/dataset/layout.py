@@ -1,62 +1,89 @@
-"""Patterns whose columns and rows are exchanged, told by the ids of the corners that a camera saw."""
+"""Patterns whose corners are numbered otherwise than the dataset says, told by the ids that cameras saw."""
+
+from collections.abc import Sequence
 
 import numpy as np
 
 from calibration.dataset.document import Node
 from calibration.dataset.model import CornerLabels, Dataset
-from calibration.dataset.pattern import Pattern
-from calibration.geometry.cameras import Camera
-from calibration.geometry.types import Array
+from calibration.dataset.pattern import Pattern, grid
+from calibration.geometry.types import Array, IntArray
 
 LEAST_CORNERS = 12
-"""Of fewer corners an exchange is not told from an error of a detector."""
+"""Views with fewer corners do not tell: another layout would fit them as well."""
+VIEWS = 9
+"""Views of each camera that are looked at, those with the most corners; their median decides."""
 MISFIT = 0.1
-"""A view that misses a flat pattern by more, as a share of its extent, is not of this pattern."""
+"""Views that miss a flat pattern by more, as a share of their extent, are not of this pattern."""
 BETTER = 0.2
 """A layout that misses by less than this share of the other's is the right one."""
+SCRAMBLED = 0.3
+"""Views that miss every layout by more are not numbered by rows at all; less may be a lens without its distortion."""
+LONGEST_ROW = 60
+"""The largest number of corners in a row that is tried."""
+
+View = tuple[IntArray, Array]
+"""Ids (K,) and normalised image coordinates (K, 2) of the corners that a camera saw."""
 
 
 def check_layouts(dataset: Dataset, root: Node) -> None:
-    """Refuse a pattern of which ``dimension`` has x for y: its corners are numbered by rows of another length.
+    """Refuse a pattern whose corners are numbered by rows of another length, such as one with x for y in ``dimension``.
+
+    Whatever the pose and the focal length, a camera sees a flat pattern by a homography.
 
     Raises:
-        InputError: the view with the most corners fits the exchanged layout alone.
+        InputError: the ids that a camera saw fit no homography; the message names the layout that they fit.
     """
     for name, pattern in dataset.patterns.items():
         columns = int((abs(pattern.corners[:, 1] - pattern.corners[0, 1]) < 1e-9).sum())
-        rows = len(pattern.corners) // columns
-        view = max(_views(dataset, name), key=lambda view: len(view[0].ids), default=None)
-        if rows in (1, columns) or rows * columns != len(pattern.corners) or view is None:
+        count = len(pattern.corners)
+        if count % columns or columns == count:
             continue
-        labels, camera = view
-        if len(labels.ids) < LEAST_CORNERS:
-            continue
-        xy = camera.normalise(labels.pixels)
-        misfit = _misfit(pattern.corners[labels.ids, :2], xy)
-        if misfit > MISFIT and _misfit(_exchanged(pattern, columns)[labels.ids], xy) < BETTER * misfit:
+        for sensor in dataset.sensors:
+            views = _views(dataset, name, sensor)
+            misfit = _median_misfit(pattern.corners, views)
+            if misfit <= MISFIT:
+                continue
             config = root["calibration_config"]
             several = config.get("calibration_patterns")
             dimension = (several[name] if several else config["calibration_pattern"])["dimension"]
+            found = f"found x: {columns}, y: {count // columns}, but the labels of '{sensor}'"
+            row = _row(pattern, views)
+            if _median_misfit(_numbered(pattern, row), views) >= BETTER * misfit:
+                if misfit < SCRAMBLED:
+                    continue
+                raise dimension.fault(
+                    f"{found} fit no view of a flat pattern with rows of 2 to {LONGEST_ROW} corners; look at how its "
+                    f"detector numbers the corners, and at its distortion"
+                )
+            expected = f"x: {row}, y: {count // row}" if count % row == 0 else f"x: {row}"
             raise dimension.fault(
-                f"found x: {columns}, y: {rows}, but the labels are numbered by rows of {rows} corners; expected "
-                f"x: {rows}, y: {columns} (x counts the corners of a row)"
+                f"{found} are numbered by rows of {row} corners; expected {expected} (x counts the corners of a row)"
             )
 
 
-def _views(dataset: Dataset, pattern: str) -> list[tuple[CornerLabels, Camera]]:
-    return [
-        (labels, camera)
-        for collection in dataset.collections
-        for (name, sensor), labels in collection.labels.items()
-        if name == pattern and isinstance(labels, CornerLabels) and (camera := dataset.sensors[sensor].camera)
-    ]
+def _views(dataset: Dataset, pattern: str, sensor: str) -> list[View]:
+    camera = dataset.sensors[sensor].camera
+    labels = [labels for _, labels in dataset.detections(pattern, sensor) if isinstance(labels, CornerLabels)]
+    most = sorted(labels, key=lambda labels: -len(labels.ids))[:VIEWS]
+    enough = (labels for labels in most if len(labels.ids) >= LEAST_CORNERS)
+    return [(labels.ids, camera.normalise(labels.pixels)) for labels in enough] if camera else []
 
 
-def _exchanged(pattern: Pattern, columns: int) -> Array:
-    """(K, 2): the corners by id if the pattern had as many columns as it has rows."""
-    rows = len(pattern.corners) // columns
-    row, column = np.divmod(np.arange(len(pattern.corners)), rows)
-    return np.stack([column, row], -1).astype(float)
+def _row(pattern: Pattern, views: Sequence[View]) -> int:
+    """The length of the rows by which the views' ids fit best."""
+    return min(range(2, LONGEST_ROW + 1), key=lambda row: _median_misfit(_numbered(pattern, row), views))
+
+
+def _numbered(pattern: Pattern, row: int) -> Array:
+    """(K, 3): the corners by id if a row had so many."""
+    return grid(row, -(-len(pattern.corners) // row), 1.0, (0.0, 0.0))
+
+
+def _median_misfit(corners: Array, views: Sequence[View]) -> float:
+    """Of views that tell something; 0 where none does."""
+    misfits = [_misfit(corners[ids, :2], xy) for ids, xy in views]
+    return float(np.median(misfits)) if misfits else 0.0
 
 
 def _misfit(plane: Array, image: Array) -> float:
@@ -70,7 +97,7 @@ def _misfit(plane: Array, image: Array) -> float:
     one, zero = np.ones((len(p), 1)), np.zeros((len(p), 3))
     h = np.concatenate([p, one], -1)
     A = np.concatenate([np.concatenate([h, zero, -q[:, :1] * h], -1), np.concatenate([zero, h, -q[:, 1:] * h], -1)])
-    H = np.linalg.svd(A)[2][-1].reshape(3, 3)
+    H = np.linalg.eigh(A.T @ A)[1][:, 0].reshape(3, 3)
     x = h @ H.T
     with np.errstate(divide="ignore", invalid="ignore"):
         error = np.sqrt(((x[:, :2] / x[:, 2:] - q) ** 2).sum(-1).mean())

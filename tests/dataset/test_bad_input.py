@@ -371,14 +371,40 @@ def test_a_region_of_the_whole_image_is_none(tmp_path):
     )
 
 
-def test_columns_for_rows_are_told_by_the_corners(tmp_path):
+@pytest.mark.parametrize(
+    ("dimension", "said"),
+    [
+        ({"x": 8, "y": 11}, "are numbered by rows of 11 corners; expected x: 11, y: 8 (x counts the corners of a row)"),
+        ({"x": 9, "y": 10}, "are numbered by rows of 11 corners; expected x: 11 (x counts the corners of a row)"),
+    ],
+)
+def test_rows_of_another_length_are_told_by_the_corners(tmp_path, dimension, said):
     content = json.loads((Path(__file__).parents[2] / "datasets" / "t2rgb" / "dataset.json").read_text())
     pattern = content[CONFIG]["calibration_patterns"]["pattern_1"]
     assert pattern["dimension"] == {"x": 11, "y": 8}
-    pattern["dimension"] = {"x": 8, "y": 11}
+    pattern["dimension"] = dimension
     content.pop("patterns", None)  # the corners by ATOM, which would count more
     message = refused(documents.write(tmp_path, content))
-    assert "pattern_1/dimension: found x: 8, y: 11, but the labels are numbered by rows of 11 corners" in message
+    assert f"pattern_1/dimension: found x: {dimension['x']}" in message
+    assert f"but the labels of 'left_camera' {said}" in message
+
+
+@pytest.mark.parametrize(
+    ("numbered", "said"),
+    [
+        (lambda i: i % 11 * 8 + i // 11, "numbered by rows of 8 corners; expected x: 8, y: 11"),
+        (lambda i: i * i * i % 89 - 1 if i else 87, "fit no view of a flat pattern"),
+    ],
+    ids=["down the columns", "at random"],
+)
+def test_one_detector_that_numbers_otherwise_is_named(tmp_path, numbered, said):
+    content = json.loads((Path(__file__).parents[2] / "datasets" / "t2rgb" / "dataset.json").read_text())
+    for collection in content["collections"].values():
+        for corner in collection["labels"]["pattern_1"]["right_camera"]["idxs"]:
+            corner["id"] = numbered(corner["id"])
+    message = refused(documents.write(tmp_path, content))
+    assert "the labels of 'right_camera'" in message
+    assert said in message
 
 
 @pytest.mark.parametrize("place", range(6))

@@ -15,6 +15,7 @@ from tempfile import TemporaryDirectory
 from calibration.comparison.methods import METHODS, method_of
 from calibration.dataset.reading import read_dataset
 from calibration.dataset.truth import choose_truth
+from calibration.diagnosis.check_data import check_data
 from calibration.errors import InputError
 from calibration.estimation.starting_noise import StartingNoise
 from calibration.evaluation.specification import parse_evaluation
@@ -183,6 +184,7 @@ def load(system: System) -> LoadedSystem:
             wrong.
     """
     dataset = read_dataset(system.dataset)
+    check_data(dataset)
     truth = choose_truth(dataset, system.truth)
     for method in system.compare:
         if method not in METHODS:

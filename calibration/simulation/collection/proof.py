@@ -10,6 +10,7 @@ import numpy as np
 from calibration.dataset.model import Dataset
 from calibration.dataset.reading import read_dataset
 from calibration.dataset.truth import choose_truth
+from calibration.diagnosis.check_data import check_data
 from calibration.errors import CalibrationError
 from calibration.estimation.calibrate import calibrate
 from calibration.estimation.result import Calibration
@@ -88,6 +89,7 @@ def prove_dataset(dataset: Dataset, choice: str | None = None) -> Proof:
     Raises:
         CalibrationError: it cannot be calibrated.
     """
+    check_data(dataset)
     found = calibrate(dataset)
     truth = choose_truth(dataset, choice)
     error = truth_error(found.dataset, truth) if truth is not None and found.converged else None

@@ -1,0 +1,191 @@
+"""Millimetres for metres, degrees for radians: lengths and angles that nothing in the data can be."""
+
+from collections.abc import Iterator, Mapping
+from itertools import combinations
+
+import numpy as np
+
+from calibration.dataset.model import Dataset, Edge, Joint, PointLabels
+from calibration.dataset.pattern import Pattern
+from calibration.errors import InputError
+from calibration.estimation.planar_pose import planar_poses
+from calibration.geometry.joints import JOINT_PARAMETERS
+from calibration.geometry.transforms import distance
+from calibration.geometry.types import Array
+
+MM = 1000.0
+LARGEST_SQUARE = 1.0
+"""No square of a pattern, and no border around it, is larger, m."""
+FARTHEST_POINT = 200.0
+"""No pattern is labelled in points farther away, m."""
+TOO_FAR = 10.0
+"""A transform that puts two places of one sensor, or two sensors, farther apart than this times what they see of the
+same pattern is in other units: two that see one board are at most the sum of their distances to it apart."""
+COLLECTIONS = 30
+"""Collections that are looked at."""
+LEAST_CORNERS = 6
+"""Fewer corners tell a distance badly."""
+FITS, DIFFERS = 0.02, 0.2
+"""A joint fits its transform within the first, and does not beyond the second, m or rad."""
+
+
+def check_units(dataset: Dataset) -> None:
+    """Refuse patterns and points of implausible size, transforms in millimetres, joints in degrees.
+
+    Raises:
+        InputError: names the value, and what it looks like.
+    """
+    for name, pattern in dataset.patterns.items():
+        _check_pattern(dataset, name, pattern)
+    _check_points(dataset)
+    for name, joint in dataset.joints.items():
+        _check_joint(dataset, name, joint)
+    _check_transforms(dataset)
+
+
+def _check_pattern(dataset: Dataset, name: str, pattern: Pattern) -> None:
+    where = f"{dataset.path}: pattern '{name}'"
+    side = square(pattern)
+    if side > LARGEST_SQUARE:
+        raise InputError(
+            f"{where}: found squares of {side:g} m, expected {LARGEST_SQUARE:g} m at most; this looks like "
+            f"millimetres: {side / MM:g} m"
+        )
+    low, high = pattern.corners[:, :2].min(0), pattern.corners[:, :2].max(0)
+    border = max(float((low - pattern.outline.min(0)).max()), float((pattern.outline.max(0) - high).max())) - side
+    if border > LARGEST_SQUARE:
+        raise InputError(
+            f"{where}: found a border of {border:g} m around the squares, expected {LARGEST_SQUARE:g} m at most; this "
+            f"looks like millimetres: {border / MM:g} m"
+        )
+
+
+def square(pattern: Pattern) -> float:
+    """The side of a pattern's squares, m."""
+    return float(np.linalg.norm(pattern.corners[1] - pattern.corners[0]))
+
+
+def _check_points(dataset: Dataset) -> None:
+    for sensor in dataset.sensors:
+        ranges = [
+            float(np.median(np.linalg.norm(label.points, axis=-1)))
+            for collection in dataset.collections
+            for (_, name), label in collection.labels.items()
+            if name == sensor and isinstance(label, PointLabels) and len(label.points)
+        ]
+        if ranges and (far := float(np.median(ranges))) > FARTHEST_POINT:
+            raise InputError(
+                f"{dataset.path}: sensor '{sensor}': found the pattern {far:g} m away, expected {FARTHEST_POINT:g} m "
+                f"at most; this looks like millimetres: {far / MM:g} m"
+            )
+
+
+def _check_joint(dataset: Dataset, name: str, joint: Joint) -> None:
+    """Refuse a joint whose transform fits its parameters only once they are taken for degrees or millimetres."""
+    T = dataset.transforms[joint.edge]
+    T = T[~np.isnan(T[:, 0, 0])]
+    if not len(T) or _off(joint, joint.values, joint.positions, T) <= DIFFERS:
+        return
+    angles = np.array(
+        [parameter.startswith(("origin_roll", "origin_pitch", "origin_yaw")) for parameter in JOINT_PARAMETERS]
+    )
+    lengths = np.array([parameter in ("origin_x", "origin_y", "origin_z") for parameter in JOINT_PARAMETERS])
+    position = (1 / MM, "millimetres") if joint.model.prismatic else (np.pi / 180, "degrees")
+    units = (
+        (np.where(angles, np.pi / 180, 1.0), 1.0),
+        (np.where(lengths, 1 / MM, 1.0), 1.0),
+        (np.ones(7), position[0]),
+    )
+    for (scale, moved), what, unit in zip(
+        units, ("origin's angles", "origin", "position"), ("degrees", "millimetres", position[1]), strict=True
+    ):
+        if _off(joint, joint.values * scale, joint.positions * moved, T) < FITS:
+            raise InputError(
+                f"{dataset.path}: joint '{name}': its {what} and its transform '{'-'.join(joint.edge)}' do not go "
+                f"together; this looks like {unit}, expected {'radians' if unit == 'degrees' else 'metres'}"
+            )
+
+
+def _off(joint: Joint, values: Array, positions: Array, T: Array) -> float:
+    """How far the first transform of a joint is from what parameters and positions say, m or rad."""
+    return max(float(d) for d in distance(T[0], joint.model.pose(values) @ joint.model.motion(positions)[0]))
+
+
+def _check_transforms(dataset: Dataset) -> None:
+    """Refuse transforms that put what sees the same pattern much farther apart than from the pattern."""
+    some = np.unique(np.linspace(0, len(dataset.collections) - 1, COLLECTIONS).round().astype(int)).tolist()
+    dataset = dataset.with_collections(some)
+    seen = _distances(dataset)
+    for a, b, pattern, apart, near, path in _places(dataset, seen):
+        if len(apart) and (ratio := float(np.median(apart / near))) > TOO_FAR:
+            edge, size, moves = _largest(dataset, path, a == b)
+            who = (
+                f"between two of its views of '{pattern}'" if a == b else f"from '{b}', which sees the same '{pattern}'"
+            )
+            raise InputError(
+                f"{dataset.path}: transform '{'-'.join(edge)}': found {'a way' if moves else 'a translation'} of "
+                f"{size:.3g} m, which puts '{a}' {np.median(apart):.3g} m away {who}, {ratio:.0f} times as far as they "
+                f"are from it; expected metres, this looks like millimetres"
+            )
+
+
+def _distances(dataset: Dataset) -> Mapping[tuple[str, str], Array]:
+    """The distance (N,) of each sensor from each pattern, by what it sees of it alone, m; NaN where it does not."""
+    N = len(dataset.collections)
+    found = {}
+    for pattern, board in dataset.patterns.items():
+        for name, sensor in dataset.sensors.items():
+            away = found[pattern, name] = np.full(N, np.nan)
+            pixels = np.full((N, len(board.corners), 2), np.nan)
+            for i, label in dataset.detections(pattern, name):
+                if isinstance(label, PointLabels):
+                    away[i] = np.linalg.norm(label.points.mean(0)) if len(label.points) else np.nan
+                elif len(label.ids) >= LEAST_CORNERS:
+                    pixels[i, label.ids] = label.pixels
+            if sensor.camera and sensor.modality.has_corners:
+                seen = np.isfinite(pixels[..., 0])
+                views = seen.any(-1)
+                rays = sensor.camera.normalise(pixels[views]).swapaxes(-1, -2)
+                T = planar_poses(rays, board.corners, seen[views])
+                away[views] = np.linalg.norm(T[:, :3, :3] @ board.centre + T[:, :3, 3], axis=-1)
+    return found
+
+
+def _places(
+    dataset: Dataset, seen: Mapping[tuple[str, str], Array]
+) -> Iterator[tuple[str, str, str, Array, Array, tuple[Edge, ...]]]:
+    """Two places from which a pattern was seen: sensors, pattern, how far apart (n,), at most how far (n,), the way."""
+    for pattern, board in dataset.patterns.items():
+        for a, b in combinations(dataset.sensors, 2):
+            both = np.isfinite(seen[pattern, a] + seen[pattern, b])
+            if both.any():
+                way = (dataset.sensors[a].frame, dataset.sensors[b].frame)
+                t = dataset.transform(*way)[both, :3, 3]
+                yield (
+                    a,
+                    b,
+                    pattern,
+                    np.linalg.norm(t, axis=-1),
+                    (seen[pattern, a] + seen[pattern, b])[both],
+                    _edges(dataset, *way),
+                )
+        for a, sensor in dataset.sensors.items():
+            own = np.isfinite(seen[pattern, a])
+            if board.fixed and own.sum() > 1:
+                way = (board.parent_link, sensor.frame)
+                t, away = dataset.transform(*way)[own, :3, 3], seen[pattern, a][own]
+                yield a, a, pattern, np.linalg.norm(t - t.mean(0), axis=-1), away + away.mean(), _edges(dataset, *way)
+
+
+def _edges(dataset: Dataset, start: str, end: str) -> tuple[Edge, ...]:
+    return tuple((step.parent, step.child) for step in dataset.tree.path(start, end))
+
+
+def _largest(dataset: Dataset, path: tuple[Edge, ...], moving: bool) -> tuple[Edge, float, bool]:
+    """The transform on a way that moves farthest, or else the longest; its size, m; and whether it is how it moves."""
+    t = {edge: dataset.transforms[edge][:, :3, 3] for edge in path}
+    moves = {edge: float(np.linalg.norm(each - each.mean(0), axis=-1).max()) for edge, each in t.items()}
+    lengths = {edge: float(np.linalg.norm(each, axis=-1).max()) for edge, each in t.items()}
+    sizes = moves if moving and max(moves.values()) > LARGEST_SQUARE else lengths
+    edge = max(sizes, key=lambda edge: sizes[edge])
+    return edge, sizes[edge], sizes is moves
