@@ -199,16 +199,32 @@ def run_cell(cell: Cell, system: LoadedSystem, output: Path, folder: str | None 
     An error of the data is not raised: it is the cell's result, so that the other cells go on.
     """
     begin = time.perf_counter()
+    result, calibration = calibrate_cell(cell, system)
+    try:
+        if calibration is not None and np.isfinite(calibration.cost):
+            result = _written(result, calibration.dataset, system, output, folder or cell.folder, calibration)
+    except CalibrationError as error:
+        result = _failed(result, error)
+    return replace(result, seconds=round(time.perf_counter() - begin, 4))
+
+
+def calibrate_cell(cell: Cell, system: LoadedSystem) -> tuple[CellResult, Calibration | None]:
+    """Calibrate and diagnose; nothing is evaluated or written.
+
+    Returns:
+        The result so far, and the calibration; None where the data cannot be calibrated, which the result says.
+    """
     result = nothing_yet(cell)
     try:
         options = replace(system.options, start=cell.start, loss=cell.loss)
         calibration = calibrate(system.dataset, options, cell.noise)
-        result = _described(result, calibration).found(diagnose(calibration, system.dataset, options))
-        if np.isfinite(calibration.cost):
-            result = _written(result, calibration.dataset, system, output, folder or cell.folder, calibration)
+        return _described(result, calibration).found(diagnose(calibration, system.dataset, options)), calibration
     except CalibrationError as error:
-        result = replace(result.failing(str(error)), converged=False, error=error.exit_code)
-    return replace(result, seconds=round(time.perf_counter() - begin, 4))
+        return _failed(result, error), None
+
+
+def _failed(result: CellResult, error: CalibrationError) -> CellResult:
+    return replace(result.failing(str(error)), converged=False, error=error.exit_code)
 
 
 def run_comparison(comparison: Comparison, system: LoadedSystem, output: Path) -> CellResult:
@@ -225,7 +241,7 @@ def run_comparison(comparison: Comparison, system: LoadedSystem, output: Path) -
             system = replace(system, evaluation=None)  # of a sensor that the method leaves where it is
         result = _written(result, dataset, system, output, comparison.folder, None, part)
     except CalibrationError as error:
-        result = replace(result.failing(str(error)), converged=False, error=error.exit_code)
+        result = _failed(result, error)
     return replace(result, seconds=round(time.perf_counter() - begin, 4))
 
 
@@ -262,7 +278,7 @@ def _written(
     The table and the error are of the sensors of a part of the dataset, by default of all.
     """
     judged = dataset if part is None else part
-    table = _table(judged, system, calibration)
+    table = table_of(judged, system, calibration)
     if table is not None:
         name = f"{system.evaluation.kind.replace('-', '_')}_results.csv" if system.evaluation else "reprojection.csv"
         table.write(output / folder / name)
@@ -289,7 +305,8 @@ def distance_from_truth(dataset: Dataset, system: LoadedSystem) -> Deviation | N
     return _deviation(error.translation_mm, error.rotation_deg, error.joint_mm, error.joint_deg)
 
 
-def _table(dataset: Dataset, system: LoadedSystem, calibration: Calibration | None) -> Table | None:
+def table_of(dataset: Dataset, system: LoadedSystem, calibration: Calibration | None) -> Table | None:
+    """The evaluation of a calibrated dataset: the system's, else the reprojection errors of a calibration."""
     if system.evaluation is not None:
         return system.evaluation.run(dataset, system.truth)
     return reprojection(calibration) if calibration is not None else None
