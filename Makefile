@@ -3,6 +3,8 @@
 SHELL := bash
 .SHELLFLAGS := -euo pipefail -c
 .DEFAULT_GOAL := help
+# Every worker of the tests, and the hundreds of processes that they start, would compile all modules anew.
+unexport PYTHONDONTWRITEBYTECODE
 
 venv := .venv
 python := $(venv)/bin/python

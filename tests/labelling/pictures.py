@@ -63,10 +63,11 @@ def facing(
 
 @cache
 def _rays(camera: Camera, supersampling: int) -> Array:
-    """(rows, columns, 2): normalised coordinates of the parts of all pixels."""
+    """(3, rows, columns): normalised coordinates (x, y, 1) of the parts of all pixels."""
     s = supersampling
     u, v = ((np.arange(s * n) - (s - 1) / 2) / s for n in (camera.width, camera.height))
-    return camera.normalise(np.stack(np.meshgrid(u, v), -1))
+    x, y = np.moveaxis(camera.normalise(np.stack(np.meshgrid(u, v), -1)), -1, 0)
+    return np.stack([x, y, np.ones_like(x)])
 
 
 @dataclass(frozen=True)
@@ -84,15 +85,15 @@ class Photograph:
         """The image; `hidden` is a box (left, top, right, bottom) in pixels that stands in front, and its grey."""
         width, height = self.camera.width, self.camera.height
         rays = _rays(self.camera, self.supersampling)
-        H = np.linalg.inv(T_camera_pattern[:3, [0, 1, 3]])
-        x, y, z = np.moveaxis(rays @ H[:, :2].T + H[:, 2], -1, 0)
         origin = pattern.pattern().corners[0, :2] / pattern.size - 1.0
-        place = np.stack([x / z, y / z], -1) / pattern.size - origin
-        texel = ((place + 0.5) * TEXELS - 0.5).astype(np.float32)
+        # Of `printed`'s pixels by metres on the board.
+        T_texel_board = np.diag([TEXELS / pattern.size, TEXELS / pattern.size, 1.0])
+        T_texel_board[:2, 2] = (0.5 - origin) * TEXELS - 0.5
+        H = T_texel_board @ np.linalg.inv(T_camera_pattern[:3, [0, 1, 3]])
+        x, y, z = (H @ rays.reshape(3, -1)).reshape(rays.shape)
+        texel = ((x / z).astype(np.float32), (y / z).astype(np.float32))
         paper = printed(pattern, legacy) / 255.0 * (self.white - self.black) + self.black
-        seen = cv2.remap(
-            paper.astype(np.float32), texel[..., 0], texel[..., 1], cv2.INTER_LINEAR, borderValue=self.background
-        )
+        seen = cv2.remap(paper.astype(np.float32), *texel, cv2.INTER_LINEAR, borderValue=self.background)
         image = cv2.resize(seen, (width, height), interpolation=cv2.INTER_AREA)
         if hidden is not None:
             (left, top, right, bottom), grey = hidden

@@ -4,39 +4,44 @@ import cv2
 import numpy as np
 import pytest
 
+from calibration.labelling.detection import Image
 from calibration.labelling.printed_corners import PrintedPatches, refine
 from tests.labelling.pictures import TEXELS, VGA, Photograph, chessboard, facing, printed, true_corners
 
 BOARD = chessboard()
 T = facing(BOARD, 1.0, 0.4, 0.7, 0.3)
 TRUTH = true_corners(VGA, BOARD, T)
-IMAGE = Photograph(VGA, noise=0.0, supersampling=5).of(BOARD, T)
 GRID = TRUTH.reshape(7, 10, 2)
 JACOBIANS = np.stack([np.gradient(GRID, axis=1), np.gradient(GRID, axis=0)], -1).reshape(-1, 2, 2)
 
 
-def test_from_anywhere_near_to_the_same_place() -> None:
+@pytest.fixture(scope="module")
+def picture() -> Image:
+    return Photograph(VGA, noise=0.0, supersampling=5).of(BOARD, T)
+
+
+def test_from_anywhere_near_to_the_same_place(picture: Image) -> None:
     random = np.random.default_rng(0)
-    first, found = refine(IMAGE, TRUTH + random.uniform(-1, 1, TRUTH.shape), JACOBIANS, 0.2)
+    first, found = refine(picture, TRUTH + random.uniform(-1, 1, TRUTH.shape), JACOBIANS, 0.2)
     assert found.all()
     assert np.sqrt(((first - TRUTH) ** 2).sum(-1).mean()) < 0.03
-    second, _ = refine(IMAGE, TRUTH + random.uniform(-1, 1, TRUTH.shape), JACOBIANS, 0.2)
+    second, _ = refine(picture, TRUTH + random.uniform(-1, 1, TRUTH.shape), JACOBIANS, 0.2)
     np.testing.assert_allclose(first, second, atol=1e-6)
 
 
-def test_it_is_opencvs_refinement_to_more_digits() -> None:
+def test_it_is_opencvs_refinement_to_more_digits(picture: Image) -> None:
     half = 4
     flat = np.broadcast_to(np.eye(2) * 20.0, JACOBIANS.shape)
-    ours, found = refine(IMAGE, TRUTH, flat, (half + 0.1) / 20)
+    ours, found = refine(picture, TRUTH, flat, (half + 0.1) / 20)
     assert found.all()
     start = TRUTH.astype(np.float32).reshape(-1, 1, 2)
-    theirs = cv2.cornerSubPix(IMAGE, start, (half, half), (-1, -1), (3, 100, 1e-6)).reshape(-1, 2)
+    theirs = cv2.cornerSubPix(picture, start, (half, half), (-1, -1), (3, 100, 1e-6)).reshape(-1, 2)
     np.testing.assert_allclose(ours, theirs, atol=1e-3)
 
 
-def test_a_shifted_image_shifts_the_corners() -> None:
-    shifted = np.roll(IMAGE, (3, 5), axis=(0, 1))
-    a, _ = refine(IMAGE, TRUTH, JACOBIANS, 0.2)
+def test_a_shifted_image_shifts_the_corners(picture: Image) -> None:
+    shifted = np.roll(picture, (3, 5), axis=(0, 1))
+    a, _ = refine(picture, TRUTH, JACOBIANS, 0.2)
     b, _ = refine(shifted, TRUTH + np.array([5, 3]), JACOBIANS, 0.2)
     np.testing.assert_allclose(b - a, np.broadcast_to([5.0, 3.0], a.shape), atol=1e-6)
 
@@ -47,21 +52,21 @@ def test_where_there_is_no_corner_none_is_found(image) -> None:
     assert not found.any()
 
 
-def test_beyond_the_image_and_nowhere() -> None:
+def test_beyond_the_image_and_nowhere(picture: Image) -> None:
     off = np.array([[-50.0, 10.0], [0.0, 0.0], [639.0, 479.0], [1e9, 0.0], [np.nan, 1.0], [300.0, np.inf]])
-    _, found = refine(IMAGE, off, np.broadcast_to(np.eye(2) * 30.0, (6, 2, 2)), 0.2)
+    _, found = refine(picture, off, np.broadcast_to(np.eye(2) * 30.0, (6, 2, 2)), 0.2)
     assert not found.any()
-    _, found = refine(IMAGE, TRUTH[:1], np.full((1, 2, 2), np.nan), 0.2)
+    _, found = refine(picture, TRUTH[:1], np.full((1, 2, 2), np.nan), 0.2)
     assert not found.any()
-    assert refine(IMAGE, np.zeros((0, 2)), np.zeros((0, 2, 2)), 0.2)[0].shape == (0, 2)
+    assert refine(picture, np.zeros((0, 2)), np.zeros((0, 2, 2)), 0.2)[0].shape == (0, 2)
 
 
-def test_patches_are_recognised_in_any_light_and_only_where_they_are() -> None:
+def test_patches_are_recognised_in_any_light_and_only_where_they_are(picture: Image) -> None:
     half = TEXELS // 2
     patches = PrintedPatches(printed(BOARD)[half:-half, half:-half], TEXELS, BOARD.pattern().corners[:, :2] / 0.06 + 1)
-    for image in (IMAGE, (IMAGE * 0.3 + 20).astype(np.uint8)):
+    for image in (picture, (picture * 0.3 + 20).astype(np.uint8)):
         assert patches.likeness(image, TRUTH, JACOBIANS).min() > 0.9
-    assert patches.likeness(255 - IMAGE, TRUTH, JACOBIANS).max() < -0.9
-    assert patches.likeness(IMAGE, TRUTH + JACOBIANS @ [0.5, 0.5], JACOBIANS).max() < 0.5
-    assert (patches.likeness(np.full_like(IMAGE, 90), TRUTH, JACOBIANS) == 0).all()
-    assert np.isfinite(patches.likeness(IMAGE, TRUTH - 1000, JACOBIANS)).all()
+    assert patches.likeness(255 - picture, TRUTH, JACOBIANS).max() < -0.9
+    assert patches.likeness(picture, TRUTH + JACOBIANS @ [0.5, 0.5], JACOBIANS).max() < 0.5
+    assert (patches.likeness(np.full_like(picture, 90), TRUTH, JACOBIANS) == 0).all()
+    assert np.isfinite(patches.likeness(picture, TRUTH - 1000, JACOBIANS)).all()
