@@ -1,6 +1,7 @@
 """All checks of a calibration that need no ground truth, in the order in which a reader wants to hear of them."""
 
 from calibration.dataset.model import Dataset
+from calibration.diagnosis.description import far_from_description
 from calibration.diagnosis.finding import Finding
 from calibration.diagnosis.rejected_labels import rejected_labels
 from calibration.estimation.options import Options
@@ -15,7 +16,13 @@ def diagnose(calibration: Calibration, description: Dataset, options: Options) -
         description: the dataset as the robot's description has it, without the noise of a start.
         options: how it was calibrated.
     """
-    return (*rejected_labels(calibration), *_said_by_the_engine(calibration))
+    if not calibration.converged:
+        return _said_by_the_engine(calibration)
+    return (
+        *far_from_description(calibration, description, options),
+        *rejected_labels(calibration),
+        *_said_by_the_engine(calibration),
+    )
 
 
 def _said_by_the_engine(calibration: Calibration) -> tuple[Finding, ...]:

@@ -13,6 +13,8 @@ from calibration.records import UNIQUE, Converted, field, length, record
 Start = Literal["linear", "given"]
 """The engine's own linear start, or the noisy guess."""
 Loss = Literal["huber", "linear"]
+Description = Literal["trusted", "rough"]
+"""How much the dataset's own transforms say about where the sensors are."""
 Names = Annotated[tuple[Annotated[str, length(1, 400)], ...], length(most=1000), UNIQUE]
 KnownIntrinsics = Path | Mapping[str, CalibratedIntrinsics]
 """A file, or what it says, by camera."""
@@ -50,6 +52,13 @@ class Options:
         "of those that are calibrated; the others stay, and the result's error bars are the wider.",
         default=None,
         option="JSON file of how well intrinsics are known: an earlier intrinsics.json.",
+    )
+
+    description: Description = field(
+        "trusted: a sensor that comes out far (0.25 m, 0.25 rad) from where the dataset's own transforms put it fails. "
+        "rough: they are only a guess. A transform that is the identity says nothing either way.",
+        default="trusted",
+        option="Whether sensors far from where the dataset puts them fail, or it is rough (trusted).",
     )
 
     def known_intrinsics(self) -> Mapping[str, CalibratedIntrinsics]:

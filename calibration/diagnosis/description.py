@@ -1,0 +1,196 @@
+"""The result against what the robot's description says: where sensors are, how far apart, which is which.
+
+The description is the dataset's own transforms, such as those of a URDF. Where it has the identity in the place of a
+sensor's transform, it says nothing about that sensor.
+"""
+
+from collections.abc import Mapping
+from itertools import combinations
+
+import numpy as np
+
+from calibration.dataset.model import Dataset, Sensor
+from calibration.diagnosis.finding import Finding, Severity
+from calibration.diagnosis.units import square
+from calibration.estimation.options import Options
+from calibration.estimation.result import Calibration
+from calibration.geometry.transforms import distance, inverse
+from calibration.geometry.types import Array
+
+FAR = (0.25, 0.25)
+"""A sensor farther than this from where the description puts it (m, rad) is not the robot that is described."""
+IDENTITY = 1e-6
+"""A transform nearer to the identity (m, rad) says nothing."""
+SCALE = 0.05
+"""A scale nearer to one is left to the description's own errors."""
+LEAST_SCALED = 0.01
+"""As are distances that are off by less, m."""
+BY_CHANCE = 0.003
+"""A scale that errors in random directions would give as well, in this share of cases, is none."""
+EXCHANGED = 0.2
+"""Sensors are exchanged where that leaves less than this of the distance from the description."""
+LEAST_EXCHANGED = (0.02, 0.05)
+"""Sensors that are nearer to each other (m, rad) cannot be told by their places."""
+
+RelativePoses = Mapping[tuple[str, str], Array]
+
+
+def far_from_description(calibration: Calibration, description: Dataset, options: Options) -> tuple[Finding, ...]:
+    """What differs too much from the description: red, unless it is declared rough.
+
+    The best explanation is given alone: two sensors whose labels are exchanged; distances between sensors that are all
+    off by one factor, that of the pattern's size; else each sensor that is far away.
+
+    Args:
+        calibration: the result.
+        description: the dataset without the noise of a start.
+        options: how it was calibrated, and whether the description is rough.
+    """
+    severity: Severity = "note" if options.description == "rough" else "red"
+    described = _described(calibration, description)
+    expected, found = (_relative(dataset, described) for dataset in (description, calibration.dataset))
+    explained = _exchanged(described, expected, found, severity) or _scaled(
+        calibration, described, expected, found, severity
+    )
+    if explained or severity == "note":
+        return explained
+    return _far(calibration, description, described, expected, found)
+
+
+def _described(calibration: Calibration, description: Dataset) -> tuple[Sensor, ...]:
+    """The sensors of whose places the description says something; one that is held says where the others are."""
+    held = (calibration.gauge, description.anchored)
+    return tuple(
+        sensor
+        for sensor in description.sensors.values()
+        if sensor.name in held or not _is_identity(description.transform(*sensor.edge)[0])
+    )
+
+
+def _is_identity(T: Array) -> bool:
+    return max(float(d) for d in distance(T, np.eye(4))) < IDENTITY
+
+
+def _relative(dataset: Dataset, sensors: tuple[Sensor, ...]) -> RelativePoses:
+    """``T_a_b`` between the frames of every two sensors, both ways, that are fixed to each other."""
+    found = {}
+    for a, b in combinations(sensors, 2):
+        T = dataset.transform(a.frame, b.frame)
+        if np.ptp(T, axis=0).max() < IDENTITY:
+            found[a.name, b.name], found[b.name, a.name] = T[0], inverse(T[0])
+    return found
+
+
+def _misfit(expected: RelativePoses, found: RelativePoses, names: Mapping[str, str]) -> float:
+    """The distance (root of the sum of squares, m and rad alike) of poses, sensors taken for others by ``names``."""
+    apart = [
+        np.hypot(*distance(expected[names.get(a, a), names.get(b, b)], T))
+        for (a, b), T in found.items()
+        if (names.get(a, a), names.get(b, b)) in expected
+    ]
+    return float(np.linalg.norm(apart))
+
+
+def _exchanged(
+    sensors: tuple[Sensor, ...], expected: RelativePoses, found: RelativePoses, severity: Severity
+) -> tuple[Finding, ...]:
+    """Two sensors of a kind that fit the description far better in each other's place."""
+    pairs = [
+        (a.name, b.name)
+        for a, b in combinations(sensors, 2)
+        if a.modality == b.modality and (a.name, b.name) in expected and (a.name, b.name) in found
+    ]
+    if not pairs:
+        return ()
+    as_it_is = _misfit(expected, found, {})
+    misfits = {(a, b): _misfit(expected, found, {a: b, b: a}) for a, b in pairs}
+    a, b = min(misfits, key=lambda pair: misfits[pair])
+    t, r = (float(d) for d in distance(expected[a, b], found[a, b]))
+    if misfits[a, b] > EXCHANGED * as_it_is or (t < LEAST_EXCHANGED[0] and r < LEAST_EXCHANGED[1]):
+        return ()
+    there = _apart(*_floats(distance(expected[b, a], found[a, b])))
+    text = (
+        f"the labels of '{a}' and '{b}' look exchanged: '{b}' comes out {_apart(t, r)} from where the robot's "
+        f"description puts it, but only {there} from where '{a}' should be; "
+        f"look at the topics of the two sensors"
+    )
+    return (Finding("exchanged-sensors", severity, text, (a, b), value=t, unit="m"),)
+
+
+def _scaled(
+    calibration: Calibration,
+    sensors: tuple[Sensor, ...],
+    expected: RelativePoses,
+    found: RelativePoses,
+    severity: Severity,
+) -> tuple[Finding, ...]:
+    """All distances between sensors off by one factor: that of the pattern's size, where nothing else gives a scale.
+
+    The factor is that of least squares over the positions, seen from the first sensor. Errors of the description in
+    random directions leave an angle between all positions and those expected; the share of directions within such an
+    angle, of d dimensions, is the integral of sin^(d-2).
+    """
+    names = [sensor.name for sensor in sensors]
+    ways = [(names[0], other) for other in names[1:] if (names[0], other) in expected and (names[0], other) in found]
+    if not ways:
+        return ()
+    was = np.concatenate([expected[way][:3, 3] for way in ways])
+    came = np.concatenate([found[way][:3, 3] for way in ways])
+    off = came - was
+    if np.linalg.norm(off) < LEAST_SCALED or not was.any():
+        return ()
+    scale = float(came @ was / (was @ was))
+    if abs(scale - 1) < SCALE or scale <= 0:
+        return ()
+    left = float(np.linalg.norm(came - scale * was) / np.linalg.norm(off))
+    angles = np.linspace(0, np.pi / 2, 2001)
+    directions: Array = np.sin(angles) ** (len(off) - 2)
+    if float(directions[angles <= np.arcsin(min(left, 1.0))].sum()) > BY_CHANCE * directions.sum():
+        return ()
+    sides = {square(pattern) for pattern in calibration.dataset.patterns.values()}
+    size = f": squares of {max(sides):.4g} m, but {max(sides) / scale:.3g} m would fit" if len(sides) == 1 else ", by"
+    distances = f"'{ways[0][0]}' and '{ways[0][1]}' come" if len(ways) == 1 else "all sensors come"
+    text = (
+        f"the size of the pattern is probably wrong{size} the robot's description, from which {distances} out "
+        f"{scale:.3g} times as far apart as it says; measure the squares"
+    )
+    sensors_ = tuple(dict.fromkeys(name for way in ways for name in way))
+    return (Finding("pattern-size", severity, text, sensors_, value=scale - 1, unit="1"),)
+
+
+def _far(
+    calibration: Calibration,
+    description: Dataset,
+    sensors: tuple[Sensor, ...],
+    expected: RelativePoses,
+    found: RelativePoses,
+) -> tuple[Finding, ...]:
+    """Each sensor that is far from its place, seen from the one that is held where only relative poses are known."""
+    findings = []
+    held_at = calibration.gauge
+    for sensor in sensors:
+        if held_at is None:
+            there = description.transform(*sensor.edge)[0], calibration.transforms[sensor.edge]
+        elif (held_at, sensor.name) in found:
+            there = expected[held_at, sensor.name], found[held_at, sensor.name]
+        else:
+            continue
+        t, r = _floats(distance(*there))
+        if t > FAR[0] or r > FAR[1]:
+            held = f", '{held_at}' being where it is" if held_at else ""
+            text = (
+                f"'{sensor.name}' comes out {_apart(t, r)} from where the robot's description puts it{held} (limits "
+                f"{FAR[0]:g} m, {np.degrees(FAR[1]):.1f} degrees); look at the pattern's size and the labels, or, if "
+                f"the description is only a rough guess, say description: rough"
+            )
+            findings.append(Finding("far-from-description", "red", text, (sensor.name,), value=t, unit="m"))
+    return tuple(findings)
+
+
+def _floats(values: tuple[Array, Array]) -> tuple[float, float]:
+    return float(values[0]), float(values[1])
+
+
+def _apart(translation: float, rotation: float) -> str:
+    length = f"{translation:.2f} m" if translation >= 0.1 else f"{1e3 * translation:.1f} mm"
+    return f"{length} and {np.degrees(rotation):.2f} degrees"
