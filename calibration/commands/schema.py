@@ -16,6 +16,8 @@ SCHEMAS = {
     "results": ("calibration.pipeline", "results.schema.json"),
     "convergence": ("calibration.pipeline.convergence", "convergence.schema.json"),
     "collection": ("calibration.pipeline.collection", "collection.schema.json"),
+    "simulation.yml": ("calibration.simulation", "simulation.schema.json"),
+    "motion": ("calibration.simulation.motion", "motion.schema.json"),
     "scenario-set": ("calibration.simulation.scenarios", "scenario_set.schema.json"),
     "coverage": ("calibration.coverage", "results.schema.json"),
     "image-results": ("calibration.image", "results.schema.json"),
@@ -24,6 +26,8 @@ SCHEMAS = {
 """What there is a schema of: package and file."""
 RECORDS = {
     "calibration.yml": "calibration.pipeline.configuration:Configuration",
+    "simulation.yml": "calibration.simulation.system:Simulation",
+    "motion": "calibration.simulation.motion.sequence:MotionFile",
     "scenario-set": "calibration.simulation.scenarios.parameters:ScenarioSetFile",
     "image": "calibration.image.specification:ImageDocument",
     "aws-batch": "calibration.execution.batch.settings:BatchFile",

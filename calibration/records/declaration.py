@@ -7,6 +7,7 @@ from dataclasses import MISSING, dataclass
 from functools import cache
 from typing import Any, Literal, TypeVar, dataclass_transform
 
+from calibration.records.constraints import Converted
 from calibration.workflow.text import did_you_mean, shorten
 
 _Class = TypeVar("_Class", bound=type)
@@ -38,7 +39,7 @@ class Settings:
 
     case: Literal["kebab", "snake"] = "kebab"
     nulls: bool = False
-    """Whether None stands as null in the document; else an absent key is the only form of None."""
+    """Whether None is written as null, and a null that is read stands for an absent key; else null is refused."""
     unknown: Literal["refuse", "ignore"] = "refuse"
     rules: tuple[Rule, ...] = ()
 
@@ -87,7 +88,8 @@ def field(
         implied: what the document would say where the key is absent, such as a path relative to the file.
         key: in the document, where it is not the field's name.
         unit: of the value; added to the help.
-        flat: whether the keys of the record in this field stand among those of the record that has it.
+        flat: whether the keys of the record in this field stand among those of the record that has it; with
+            `Converted`, the keys of the record that it accepts.
         option: whether a command has an option for it; or another sentence of help for the option.
         repr: whether it is shown in the record's ``repr``; not where it may hold secrets.
     """
@@ -159,8 +161,15 @@ def flat_fields(kind: Any) -> dict[str, Declared]:
     """The fields by key, with those of flat records in the place of these."""
     found: dict[str, Declared] = {}
     for each in fields_of(kind):
-        found |= flat_fields(bare(each.type)) if each.flat else {each.key: each}
+        found |= flat_fields(flat_record(each)[0]) if each.flat else {each.key: each}
     return found
+
+
+def flat_record(each: Declared) -> tuple[Any, Converted | None]:
+    """The record whose keys a flat field has, and what is made of it, where that is something else."""
+    extras = typing.get_args(each.type)[1:] if typing.get_origin(each.type) is typing.Annotated else ()
+    converted = next((extra for extra in extras if isinstance(extra, Converted)), None)
+    return (converted.accepts if converted else bare(each.type)), converted
 
 
 def bare(kind: Any) -> Any:

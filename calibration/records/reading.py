@@ -10,11 +10,22 @@ from typing import Any, TypeVar
 
 from calibration.errors import CalibrationError, InputError
 from calibration.records.constraints import ByName, Constraint, Converted
-from calibration.records.declaration import Misfit, fields_of, flat_fields, is_record, settings_of, unknown_key
+from calibration.records.declaration import (
+    Declared,
+    Misfit,
+    fields_of,
+    flat_fields,
+    flat_record,
+    is_record,
+    settings_of,
+    unknown_key,
+)
 from calibration.workflow.text import did_you_mean, shorten
 
 _Record = TypeVar("_Record")
 _NOUNS = {str: "a text", int: "a whole number", float: "a number", bool: "true or false", Path: "a path", dict: "keys"}
+_FEW = 3
+"""So many numbers of a list are shown."""
 
 
 @dataclass(frozen=True)
@@ -119,7 +130,7 @@ def shown(value: object) -> str:
         return {None: "null", True: "true", False: "false"}[value]
     if isinstance(value, dict):
         return f"a mapping of {len(value)} keys" if value else "an empty mapping"
-    if isinstance(value, list):
+    if isinstance(value, list) and not (1 < len(value) <= _FEW and all(map(_is_number, value))):
         return f"a list of {len(value)}" if value else "an empty list"
     return shorten(repr(value))
 
@@ -150,13 +161,15 @@ def _plain(kind: Any, value: object, extras: tuple[Any, ...], place: Place) -> A
         return {str(_key(names, key, place)): read_as(item, each, place.below(key)) for key, each in mapping.items()}
     if kind is Path:
         return place.folder / str(value)
-    return float(typing.cast("float", value)) if kind is float else value
+    return kind(value) if kind in (int, float) else value
 
 
 def _key(kind: Any, key: object, place: Place) -> Any:
     try:
         return read_as(kind, key, place)
     except CalibrationError:
+        if typing.get_origin(kind) is typing.Literal:
+            raise place.fault(unknown_key(key, typing.get_args(kind))) from None
         expected = ", ".join(each.expected for each in _parts(kind)[1] if isinstance(each, Constraint))
         raise place.fault(f"found the key {shown(key)}, expected {expected or 'a text'}") from None
 
@@ -216,7 +229,7 @@ def fits(kind: Any, value: object) -> bool:
     if origin is not None:
         return isinstance(value, dict)
     if base in (int, float):
-        return _is_number(value) and (base is float or isinstance(value, int))
+        return _is_number(value) and (base is float or value == int(typing.cast("float", value)))
     return value != "" and isinstance(value, str) if base is Path else isinstance(value, base)
 
 
@@ -273,9 +286,15 @@ def _record(kind: Any, document: object, place: Place, more: Mapping[str, Any]) 
 
 
 def _check_rules(kind: Any, document: Mapping[str, Any], place: Place) -> None:
+    nulls = settings_of(kind).nulls
+    keys = [key for key, value in document.items() if value is not None or not nulls]
     for rule in settings_of(kind).rules:
-        if (fault := rule.fault(document)) is not None:
+        if (fault := rule.fault(keys)) is not None:
             raise place.fault(fault)
+
+
+def _may_be_null(each: Declared) -> bool:
+    return not each.required or NoneType in typing.get_args(each.type)
 
 
 def _made(kind: Any, document: Mapping[str, Any], place: Place, more: Mapping[str, Any]) -> Any:
@@ -284,13 +303,14 @@ def _made(kind: Any, document: Mapping[str, Any], place: Place, more: Mapping[st
     nulls = settings_of(kind).nulls
     for each in fields_of(kind):
         if each.flat:
-            flat = _base(each.type)
+            flat, converted = flat_record(each)
             _check_rules(flat, document, place)
-            values[each.name] = _made(flat, document, place, {})
-        elif each.key in document:
-            value = document[each.key]
-            absent = value is None and nulls and NoneType in typing.get_args(each.type)
-            values[each.name] = None if absent else read_as(each.type, value, place.below(each.key))
+            made = _made(flat, document, place, {})
+            values[each.name] = converted.make(made, place) if converted else made
+        elif each.key in document and not (nulls and document[each.key] is None and _may_be_null(each)):
+            values[each.name] = read_as(each.type, document[each.key], place.below(each.key))
+        elif each.key in document and NoneType in typing.get_args(each.type):
+            values[each.name] = None
         elif each.implied is not MISSING:
             values[each.name] = read_as(each.type, each.implied, place.below(each.key))
         elif each.default is MISSING:
@@ -299,7 +319,3 @@ def _made(kind: Any, document: Mapping[str, Any], place: Place, more: Mapping[st
         return kind(**values)
     except Misfit as misfit:
         raise place.misfit(misfit) from None
-
-
-def _base(kind: Any) -> Any:
-    return _parts(kind)[0]

@@ -10,7 +10,7 @@ from types import NoneType, UnionType
 from typing import Any
 
 from calibration.records.constraints import ByName, Constraint, Converted
-from calibration.records.declaration import Declared, fields_of, is_record, settings_of
+from calibration.records.declaration import Declared, fields_of, flat_record, is_record, settings_of
 from calibration.records.writing import value_of
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
@@ -152,7 +152,7 @@ def _collect(kind: Any, properties: dict[str, Any], required: list[str], rules: 
     nulls = settings_of(kind).nulls
     for each in fields_of(kind):
         if each.flat:
-            _collect(each.type, properties, required, rules)
+            _collect(flat_record(each)[0], properties, required, rules)
             continue
         properties[each.key] = _property(each, nulls)
         if each.required:

@@ -1,74 +1,54 @@
-"""What a user wrote about a system: numbers with defaults and limits, and no other keys than the known ones."""
+"""Values in the description of a system: vectors, poses, intervals, and angles in degrees."""
 
 import math
+from collections.abc import Callable
+from typing import Annotated, Any
 
-from calibration.dataset.document import Node
+import numpy as np
+
+from calibration.geometry.transforms import from_xyz_rpy
+from calibration.geometry.types import Array
+from calibration.records import Constraint, Converted, between, field, record
 
 MAX_BYTES = 10_000_000
 """No description of a robot, of a system or of a motion comes near it."""
 
 
-def number(
-    node: Node,
-    key: str,
-    default: float | None = None,
-    *,
-    least: float = -math.inf,
-    most: float = math.inf,
-) -> float:
-    """A finite number under a key, within limits that are both included.
-
-    Raises:
-        InputError: it is missing and has no default, is no number, or is outside the limits.
-    """
-    value = node.get(key) if default is not None else node[key]
-    if value is None:
-        assert default is not None  # noqa: S101 (a missing key is an error above)
-        return default
-    if not least <= value.number() <= most:
-        raise value.unexpected(f"a number {_between(least, most)}")
-    return value.number()
+def listed(count: int, expected: str, holds: Callable[[Any], bool] = lambda _: True) -> Constraint:
+    """Lists of so many numbers that meet a condition as a whole."""
+    return Constraint(
+        lambda numbers: len(numbers) == count and holds(numbers), expected, {"length": (count, count)}, whole=True
+    )
 
 
-def whole(node: Node, key: str, least: int, most: int) -> int:
-    """A whole number under a key, within limits that are both included."""
-    return node[key].whole(least, most)
+def rising(least: float = -math.inf, most: float = math.inf) -> Constraint:
+    """Intervals [low, high] within limits that are both included."""
+    limits = f"from {least:g} to {most:g}" if math.isfinite(most) else f"of at least {least:g}"
+    return listed(2, f"two rising numbers {limits}", lambda ends: least <= ends[0] <= ends[1] <= most)
 
 
-def numbers(node: Node, key: str, count: int, default: tuple[float, ...] | None = None) -> tuple[float, ...]:
-    """A list of ``count`` finite numbers under a key."""
-    value = node.get(key) if default is not None else node[key]
-    if value is None:
-        assert default is not None  # noqa: S101 (a missing key is an error above)
-        return default
-    return tuple(value.numbers(count))
+def degrees(least: float, most: float) -> Converted:
+    """An angle that stands in degrees in the document and is in radians in the record."""
+    return Converted(Annotated[float, between(least, most)], lambda angle, _: math.radians(angle))
 
 
-def interval(
-    node: Node,
-    key: str,
-    default: tuple[float, float] | None = None,
-    *,
-    least: float = -math.inf,
-    most: float = math.inf,
-) -> tuple[float, float]:
-    """Two numbers under a key, the first not above the second, both within limits."""
-    low, high = numbers(node, key, 2, default)
-    if not least <= low <= high <= most:
-        raise node[key].fault(f"found [{low:g}, {high:g}], expected two rising numbers {_between(least, most)}")
-    return low, high
+def array(constraint: Constraint) -> Converted:
+    """A list of numbers as an array."""
+    return Converted(Annotated[tuple[float, ...], constraint], lambda numbers, _: np.array(numbers))
 
 
-def only(node: Node, *keys: str) -> None:
-    """Refuse a key that is none of these: it is misspelt.
-
-    Raises:
-        InputError: naming the key.
-    """
-    for key in dict(node.items()):
-        if key not in keys:
-            raise node.fault(f"found the key '{key}', expected one of {', '.join(keys)}")
+Vector = Annotated[tuple[float, float, float], listed(3, "three numbers: x, y, z")]
+Radians = Annotated[tuple[float, float, float], listed(3, "three numbers: roll, pitch, yaw")]
 
 
-def _between(least: float, most: float) -> str:
-    return f"from {least:g} to {most:g}" if math.isfinite(most) else f"of at least {least:g}"
+@record(case="snake", nulls=True)
+class Pose:
+    """Position and orientation of a frame."""
+
+    xyz: Vector = field("Position, m.", default=(0.0, 0.0, 0.0))
+    rpy: Radians = field("Roll, pitch, yaw, rad.", default=(0.0, 0.0, 0.0))
+
+    @property
+    def transform(self) -> Array:
+        """(4, 4)."""
+        return from_xyz_rpy(self.xyz, self.rpy)

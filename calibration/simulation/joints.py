@@ -1,26 +1,22 @@
-"""The joints of a robot by ATOM's parameters: as its description has them, and as the true robot has them.
-
-``joints`` in ``simulation.yml`` says by how much the true robot differs from its description: by joint
-and parameter, in m or rad, such as ``{elbow: {origin_yaw: 0.02, position_bias: 0.01}}``.
-"""
+"""The joints of a robot by ATOM's parameters: as its description has them, and as the true robot has them."""
 
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import Annotated
 
 import numpy as np
 
-from calibration.dataset.document import Node
 from calibration.errors import InputError
 from calibration.geometry import rotations
 from calibration.geometry.joints import JOINT_PARAMETERS, JointModel, JointParameter
 from calibration.geometry.types import Array
-from calibration.simulation.description import number, only
+from calibration.records import between
 from calibration.simulation.robot import Joint, Robot
 
-JointErrors = Mapping[str, Mapping[JointParameter, float]]
-"""By the name of a joint: what its parameters have on top of the description's, m and rad."""
 MAX_ERROR = 1.0
 """m and rad: a joint that is further off is another robot's."""
+JointErrors = Mapping[str, Mapping[JointParameter, Annotated[float, between(-MAX_ERROR, MAX_ERROR)]]]
+"""By the name of a joint: what its parameters have on top of the description's, m and rad."""
 
 
 def joint_model(joint: Joint) -> JointModel:
@@ -49,23 +45,6 @@ def with_errors(robot: Robot, errors: JointErrors) -> Robot:
         return replace(joint, T_parent_joint=joint_model(joint).pose(joint_values(joint, own))) if own else joint
 
     return replace(robot, joints=tuple(moved(joint) for joint in robot.joints)) if any(errors.values()) else robot
-
-
-def read_joint_errors(node: Node | None, robot: Robot) -> dict[str, dict[JointParameter, float]]:
-    """Read ``joints`` of a simulation's description; none where it is absent.
-
-    Raises:
-        InputError: a joint is not one of the robot that moves, a parameter is unknown, an error is out of range.
-    """
-    if node is None:
-        return {}
-    only(node, *robot.movable)
-    errors: dict[str, dict[JointParameter, float]] = {}
-    for name, own in node.items():
-        only(own, *JOINT_PARAMETERS)
-        own_errors = {p: number(own, p, 0.0, least=-MAX_ERROR, most=MAX_ERROR) for p in JOINT_PARAMETERS}
-        errors[name] = {parameter: error for parameter, error in own_errors.items() if error}
-    return errors
 
 
 def check_calibrated_joints(joints: Mapping[str, tuple[str, ...]], robot: Robot, where: str) -> None:

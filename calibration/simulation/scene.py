@@ -6,14 +6,14 @@ which need not be 1: with ``direction = target - origin`` a hit below 1 hides th
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from typing import Annotated
 
 import numpy as np
 
-from calibration.dataset.document import Node
 from calibration.geometry.transforms import apply, from_xyz_rpy, inverse
 from calibration.geometry.types import Array, BoolArray, IntArray
-from calibration.simulation.description import number, numbers, only
+from calibration.records import Converted, between, field, record
+from calibration.simulation.description import Radians, Vector, array, listed
 
 NOTHING, GROUND = -2, -1
 """What a ray hits that is no box; boxes count from 0."""
@@ -29,31 +29,52 @@ def turned(T_parent_child: Array, directions: Array) -> Array:
     return np.stack([row[0] * x + row[1] * y + row[2] * z for row in T_parent_child[:3, :3]])
 
 
-@dataclass(frozen=True, eq=False)
+_LENGTHS = listed(3, "three lengths above 0", lambda lengths: min(lengths) > 0)
+_COLOUR = listed(
+    3, "three numbers from 0 to 255: red, green, blue", lambda colour: min(colour) >= 0 and max(colour) <= 255
+)
+_DIRECTION = listed(3, "a direction [x, y, z] towards the light", any)
+
+
+@record(case="snake", nulls=True)
+class BoxPose:
+    """Where a box stands in the world."""
+
+    centre: Vector = field("Its centre, m.")
+    rpy: Radians = field("Roll, pitch, yaw, rad.", default=(0.0, 0.0, 0.0))
+
+
+@record(case="snake", nulls=True, eq=False)
 class Box:
     """A cuboid about its own centre."""
 
-    T_world_box: Array
+    T_world_box: Annotated[Array, Converted(BoxPose, lambda pose, _: from_xyz_rpy(pose.centre, pose.rpy))] = field(
+        flat=True
+    )
     """(4, 4)."""
-    size: Array
-    """(3,): the lengths of its edges, m."""
-    colour: tuple[float, float, float] = (168.0, 164.0, 156.0)
-    """Red, green and blue, 0 to 255, under a light of 1."""
+    size: Annotated[Array, array(_LENGTHS)] = field("Lengths of its edges, m.")
+    """(3,)."""
+    colour: Annotated[tuple[float, float, float], _COLOUR] = field(
+        "Red, green and blue, 0 to 255, under a light of 1.", default=(168.0, 164.0, 156.0)
+    )
 
 
 def _from_above() -> Array:
     return np.array([-0.5, 0.4, 1.0])
 
 
-@dataclass(frozen=True, eq=False)
+@record(case="snake", nulls=True, eq=False)
 class Light:
     """Light from everywhere, and light from far away in one direction; without shadows."""
 
-    ambient: float = 0.75
-    intensity: float = 0.35
-    """Of the light from one direction, on a surface square to it."""
-    direction: Array = field(default_factory=_from_above)
-    """(3,): towards the light, in the world frame, of any length but 0."""
+    ambient: Annotated[float, between(0, MAX_LIGHT)] = field("Light from everywhere.", default=0.75)
+    intensity: Annotated[float, between(0, MAX_LIGHT)] = field(
+        "Light from one direction, on a surface square to it.", default=0.35
+    )
+    direction: Annotated[Array, array(_DIRECTION)] = field(
+        "Direction towards the light, in the world frame, of any length but 0.", default_factory=_from_above
+    )
+    """(3,)."""
 
     def on(self, normals: Array) -> Array:
         """The light (...) on surfaces of unit normals (..., 3) towards the viewer, by Lambert's law."""
@@ -63,14 +84,13 @@ class Light:
         return light
 
 
-@dataclass(frozen=True, eq=False)
+@record(case="snake", nulls=True, eq=False)
 class Scene:
     """The ground, a plane z = height in the world frame, and boxes; what is absent hides nothing."""
 
-    ground: float | None = None
-    """The height of the ground, m."""
-    boxes: tuple[Box, ...] = ()
-    light: Light = field(default_factory=Light)
+    ground: float | None = field("Height of the ground, m; no ground where it is absent.", default=None, key="ground_m")
+    boxes: tuple[Box, ...] = field("Boxes: walls, furniture.", default=())
+    light: Light = field("Light on all of it.", default_factory=Light)
 
     def cast(self, origin: Array, directions: Array) -> Array:
         """The distances (...) along rays to the nearest surface in front; infinite where there is none.
@@ -144,51 +164,3 @@ def _cast_at_box(box: Box, origins: Array, rays: Array) -> Array:
         enter, leave = np.maximum(enter, np.minimum(a, b)), np.minimum(leave, np.maximum(a, b))
     hit: Array = np.where((enter <= leave) & (leave > 0), np.where(enter > 0, enter, leave), np.inf)
     return hit
-
-
-def read_scene(node: Node) -> Scene:
-    """Read what stands around: ``ground_m``, ``boxes`` and ``light``, each of which may be absent.
-
-    Raises:
-        InputError: a key is missing, unknown, or its value out of range.
-    """
-    only(node, "ground_m", "boxes", "light")
-    boxes, light = node.get("boxes"), node.get("light")
-    return Scene(
-        ground=number(node, "ground_m") if node.get("ground_m") else None,
-        boxes=tuple(_read_box(entry) for entry in boxes.elements()) if boxes else (),
-        light=read_light(light) if light else Light(),
-    )
-
-
-def read_light(node: Node) -> Light:
-    """Read ``ambient``, ``intensity`` and the ``direction`` [x, y, z] towards the light; each may be absent.
-
-    Raises:
-        InputError: a key is unknown, or its value out of range.
-    """
-    only(node, "ambient", "direction", "intensity")
-    usual = Light()
-    direction = numbers(node, "direction", 3, tuple(usual.direction.tolist()))
-    if not any(direction):
-        raise node["direction"].fault("found [0, 0, 0], expected a direction towards the light")
-    return Light(
-        ambient=number(node, "ambient", usual.ambient, least=0, most=MAX_LIGHT),
-        intensity=number(node, "intensity", usual.intensity, least=0, most=MAX_LIGHT),
-        direction=np.array(direction),
-    )
-
-
-def _read_box(node: Node) -> Box:
-    only(node, "centre", "size", "rpy", "colour")
-    size = np.array(numbers(node, "size", 3))
-    if (size <= 0).any():
-        raise node["size"].fault("found a length that is not above 0")
-    T_world_box = from_xyz_rpy(numbers(node, "centre", 3), numbers(node, "rpy", 3, (0.0, 0.0, 0.0)))
-    colour = node.get("colour")
-    if colour is None:
-        return Box(T_world_box, size)
-    red, green, blue = colour.numbers(3)
-    if not all(0 <= value <= 255 for value in (red, green, blue)):
-        raise colour.unexpected("three numbers from 0 to 255: red, green, blue")
-    return Box(T_world_box, size, (red, green, blue))

@@ -4,37 +4,37 @@ A system is a folder with
 
 - ``robot.urdf``: the robot, and the patterns that are fixed to it or to the world;
 - ``config.yml``: ATOM's calibration configuration;
-- ``simulation.yml``: what the two do not say. Under ``sensors``, one entry for each of the
-  configuration's (`calibration.simulation.sensors`); under ``patterns``, how a pattern differs from a
-  flat one of the usual layout (``bow_mm``, ``legacy_layout``); under ``joints``, by how much the true robot
-  differs from its description (`calibration.simulation.joints`); under ``scene``, ``ground_m`` and
-  ``boxes`` of ``centre``, ``size``, ``rpy``; under ``motion``, ``pattern_in_model`` (``xyz`` and
-  ``rpy`` of the moved pattern on the model that a motion sequence moves), ``sway_mm`` and what a
-  generated motion keeps to (`MotionRanges`). Lengths are metres, angles radians unless the key says
-  otherwise.
+- ``simulation.yml``: what the two do not say (`Simulation`). Lengths are metres, angles radians unless the key
+  says otherwise.
 """
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
 from pathlib import Path
-
-import numpy as np
+from typing import Annotated, Any
 
 from calibration.dataset.configuration import Configuration, SensorConfiguration, read_configuration
-from calibration.dataset.document import Node
 from calibration.dataset.model import Edge
 from calibration.dataset.pattern import Pattern
 from calibration.errors import InputError
 from calibration.files import read_bytes
-from calibration.geometry.transforms import from_xyz_rpy
+from calibration.geometry.joints import JOINT_PARAMETERS, JointParameter
 from calibration.geometry.types import Array
+from calibration.records import Converted, Place, between, field, read, read_as, record, unknown_key
 from calibration.simulation.board import Board
-from calibration.simulation.description import MAX_BYTES, interval, number, numbers, only
-from calibration.simulation.joints import JointErrors, check_calibrated_joints, read_joint_errors, with_errors
+from calibration.simulation.description import MAX_BYTES, Pose, degrees, listed, rising
+from calibration.simulation.joints import JointErrors, check_calibrated_joints, with_errors
 from calibration.simulation.robot import Robot, read_robot
-from calibration.simulation.scene import Scene, read_scene
-from calibration.simulation.sensors import KINDS, SimulatedCamera, SimulatedSensor
+from calibration.simulation.scene import Scene
+from calibration.simulation.sensors import (
+    KINDS,
+    SimulatedCamera,
+    SimulatedDepthCamera,
+    SimulatedLidar,
+    SimulatedLidar2d,
+    SimulatedSensor,
+)
 from calibration.yaml_file import read_yaml
 
 ROBOT_FILE = "robot.urdf"
@@ -43,20 +43,83 @@ SIMULATION_FILE = "simulation.yml"
 MOTION_FILE = "motion.json"
 MAX_BOW_MM = 100
 """A pattern that is bent more is none."""
+_BOW = listed(2, f"two numbers from -{MAX_BOW_MM} to {MAX_BOW_MM}", lambda bow: max(map(abs, bow)) <= MAX_BOW_MM)
 
 
-@dataclass(frozen=True)
+@record(case="snake", nulls=True)
 class MotionRanges:
-    """What a generated motion keeps to."""
+    """Limits of a generated motion."""
 
-    distance: tuple[float, float] | None = None
-    """Between the camera and the pattern's centre, m; None for what fills the image well."""
-    tilt: float = math.radians(45)
-    """The largest angle between the pattern's normal and the line of sight, rad."""
-    roll: float = math.radians(30)
-    """The largest turn about the line of sight from upright, rad."""
-    partial: float = 1 / 3
-    """The share of camera views that see only a part of the pattern."""
+    distance: Annotated[tuple[float, float], rising(0.01, 1000)] | None = field(
+        "Least and largest distance between the camera and the pattern's centre, m; where it is absent, what fills "
+        "the image well.",
+        default=None,
+        key="distance_m",
+    )
+    tilt: Annotated[float, degrees(0, 70)] = field(
+        "Largest angle between the pattern's normal and the line of sight, deg.",
+        default=math.radians(45),
+        implied=45,
+        key="tilt_deg",
+    )
+    roll: Annotated[float, degrees(0, 180)] = field(
+        "Largest turn about the line of sight from upright, deg.",
+        default=math.radians(30),
+        implied=30,
+        key="roll_deg",
+    )
+    partial: Annotated[float, between(0, 1)] = field(
+        "Share of camera views that see only a part of the pattern.", default=1 / 3
+    )
+
+
+@record(case="snake", nulls=True)
+class MovedPattern:
+    """How the pattern moves: its place on the model that a motion sequence moves, and a generated motion."""
+
+    ranges: MotionRanges = field(flat=True, default_factory=MotionRanges)
+    pattern_in_model: Pose = field("Pose of the pattern on the model that is moved.", default_factory=Pose)
+    sway: Annotated[float, Converted(Annotated[float, between(0, 1000)], lambda sway, _: sway / 1000)] = field(
+        "Standard deviation of the pattern's place, each axis, between what two sensors see of it, mm.",
+        default=0.0,
+        key="sway_mm",
+    )
+
+
+@record(case="snake", nulls=True)
+class PrintedPattern:
+    """How a pattern differs from a flat one of the usual layout."""
+
+    bow: Annotated[
+        tuple[float, float],
+        Converted(Annotated[tuple[float, float], _BOW], lambda bow, _: (bow[0] / 1000, bow[1] / 1000)),
+    ] = field("How far the middle stands out, along x and along y, mm.", implied=[0, 0], key="bow_mm")
+    legacy_layout: bool = field("Whether a charuco pattern is laid out as OpenCV did before 4.6.", default=False)
+
+
+_Sensors = Converted(
+    Mapping[str, dict],  # type: ignore[type-arg]
+    lambda sensors, _: sensors,
+    described_as=Mapping[str, SimulatedCamera | SimulatedLidar | SimulatedLidar2d | SimulatedDepthCamera],
+)
+
+
+@record(case="snake", nulls=True)
+class Simulation:
+    """What simulation.yml says of a system: its sensors, its patterns, its joints, what stands around it."""
+
+    sensors: Annotated[Mapping[str, Any], _Sensors] = field(
+        "Sensors by the names that they have in config.yml, which says the modality of each."
+    )
+    patterns: Mapping[str, PrintedPattern] = field(
+        "Patterns that are bent or laid out otherwise.", default_factory=dict
+    )
+    joints: JointErrors = field(
+        "By how much the true robot's joints differ from robot.urdf: by joint and parameter, m or rad.",
+        default_factory=dict,
+    )
+    scene: Scene = field("What stands around.", default_factory=Scene)
+    motion: MovedPattern = field("How the pattern moves.", default_factory=MovedPattern)
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,13 +142,13 @@ class System:
     motion: MotionRanges
     sources: Mapping[str, bytes]
     """The files that describe it, by the names that they have in a system's folder."""
-    bows: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    bows: Mapping[str, tuple[float, float]]
     """How far the middle of a pattern stands out, along x and along y, m (`Board.bow`); others are flat."""
-    legacy_layouts: frozenset[str] = frozenset()
+    legacy_layouts: frozenset[str]
     """The charuco patterns that are laid out as OpenCV did before 4.6."""
-    sway: float = 0.0
+    sway: float
     """The standard deviation of a moved pattern's place, each axis, between what two sensors see of it, m."""
-    joint_errors: JointErrors = field(default_factory=dict)
+    joint_errors: JointErrors
     """By how much the joints of `robot` differ from those of `nominal`."""
 
     @property
@@ -140,80 +203,56 @@ def read_system(folder: Path, robot: Path | None = None, configuration: Path | N
             (SIMULATION_FILE, simulation_path),
         )
     }
-    config = read_configuration(configuration_path)
-    simulation = Node(simulation_path, (), read_yaml(simulation_path, "the description of a simulation"))
-    only(simulation, "sensors", "patterns", "joints", "scene", "motion")
-    only(simulation["sensors"], *config.sensors)
-    urdf, empty = read_robot(robot_path), _empty(simulation)
-    joint_errors = read_joint_errors(simulation.get("joints"), urdf)
-    scene, motion, printed = (simulation.get(key) or empty for key in ("scene", "motion", "patterns"))
-    only(printed, *config.patterns)
-    only(motion, "pattern_in_model", "sway_mm", "distance_m", "tilt_deg", "roll_deg", "partial")
-    for pattern in printed.mapping():
-        only(printed[pattern], "bow_mm", "legacy_layout")
+    config, urdf = read_configuration(configuration_path), read_robot(robot_path)
+    place = Place(str(simulation_path))
+    simulation = read(Simulation, read_yaml(simulation_path, "the description of a simulation"), place.where)
+    for key, known in (("sensors", config.sensors), ("patterns", config.patterns), ("joints", urdf.movable)):
+        _check_names(getattr(simulation, key), known, place.below(key))
     system = System(
         name=folder.resolve().name,
         configuration=config,
-        robot=with_errors(urdf, joint_errors),
+        robot=with_errors(urdf, simulation.joints),
         nominal=urdf,
         patterns={name: pattern.pattern() for name, pattern in config.patterns.items()},
         sensors={
-            name: _sensor(simulation["sensors"][name], sensor, configuration_path)
+            name: _sensor(simulation.sensors, sensor, place.below("sensors"), configuration_path)
             for name, sensor in config.sensors.items()
         },
-        scene=read_scene(scene),
-        T_model_pattern=_model_to_pattern(motion),
-        motion=_motion(motion),
+        scene=simulation.scene,
+        T_model_pattern=simulation.motion.pattern_in_model.transform,
+        motion=simulation.motion.ranges,
         sources=sources,
-        bows={name: _bow(entry) for name, entry in printed.items()},
-        legacy_layouts=frozenset(name for name, entry in printed.items() if _has_legacy_layout(entry)),
-        sway=number(motion, "sway_mm", 0.0, least=0, most=1000) / 1000,
-        joint_errors=joint_errors,
+        bows={name: printed.bow for name, printed in simulation.patterns.items()},
+        legacy_layouts=frozenset(name for name, printed in simulation.patterns.items() if printed.legacy_layout),
+        sway=simulation.motion.sway,
+        joint_errors={name: _errors(own) for name, own in simulation.joints.items()},
     )
     _check(system, configuration_path)
     return system
 
 
-def _empty(node: Node) -> Node:
-    return Node(node.file, (), {})
+def _check_names(found: Collection[str], known: Collection[str], place: Place) -> None:
+    for name in found:
+        if name not in known:
+            raise place.fault(unknown_key(name, known))
 
 
-def _sensor(node: Node, sensor: SensorConfiguration, configuration: Path) -> SimulatedSensor:
+def _sensor(
+    sensors: Mapping[str, Any], sensor: SensorConfiguration, place: Place, configuration: Path
+) -> SimulatedSensor:
+    if sensor.name not in sensors:
+        raise place.fault(f"missing key '{sensor.name}'")
     if sensor.modality not in KINDS:
         *others, last = (f"'{name}'" for name in KINDS)
         where = f"{configuration}: sensors/{sensor.name}/modality"
         raise InputError(f"{where}: found '{sensor.modality}', expected {', '.join(others)} or {last}")
-    return KINDS[sensor.modality].read(node)
+    found: SimulatedSensor = read_as(KINDS[sensor.modality], sensors[sensor.name], place.below(sensor.name))
+    return found
 
 
-def _bow(node: Node) -> tuple[float, float]:
-    along_x, along_y = numbers(node, "bow_mm", 2, (0.0, 0.0))
-    if max(abs(along_x), abs(along_y)) > MAX_BOW_MM:
-        raise node["bow_mm"].unexpected(f"two numbers from -{MAX_BOW_MM} to {MAX_BOW_MM}")
-    return along_x / 1000, along_y / 1000
-
-
-def _has_legacy_layout(node: Node) -> bool:
-    value = node.get("legacy_layout")
-    return value is not None and value.flag()
-
-
-def _model_to_pattern(node: Node) -> Array:
-    pose = node.get("pattern_in_model")
-    if pose is None:
-        return np.eye(4)
-    only(pose, "xyz", "rpy")
-    return from_xyz_rpy(numbers(pose, "xyz", 3, (0.0, 0.0, 0.0)), numbers(pose, "rpy", 3, (0.0, 0.0, 0.0)))
-
-
-def _motion(node: Node) -> MotionRanges:
-    ranges = MotionRanges()
-    return MotionRanges(
-        distance=interval(node, "distance_m", least=0.01, most=1000) if node.get("distance_m") else None,
-        tilt=math.radians(number(node, "tilt_deg", math.degrees(ranges.tilt), least=0, most=70)),
-        roll=math.radians(number(node, "roll_deg", math.degrees(ranges.roll), least=0, most=180)),
-        partial=number(node, "partial", ranges.partial, least=0, most=1),
-    )
+def _errors(own: Mapping[JointParameter, float]) -> dict[JointParameter, float]:
+    """Those that are not 0, in the order of `JOINT_PARAMETERS`."""
+    return {parameter: own[parameter] for parameter in JOINT_PARAMETERS if own.get(parameter)}
 
 
 def _check(system: System, path: Path) -> None:

@@ -14,9 +14,9 @@ import pytest
 import yaml
 
 from benchmarks.action_start import INPUTS
-from calibration.dataset.document import Node
-from calibration.simulation.scene import read_scene
+from calibration.records import read
 from calibration.simulation.sensors import SimulatedCamera, SimulatedDepthCamera, SimulatedLidar
+from calibration.simulation.system import Simulation
 from tests.lint.documents import made_whole, yaml_blocks
 
 from .write_inputs import FILES, README, options, with_inputs, with_tables
@@ -211,8 +211,9 @@ def test_the_configurations_in_the_readme_are_right(examples: list[Any]) -> None
     for document in configurations:
         jsonschema.validate(document, schema)
     [simulation] = [example for example in examples if "sensors" in example]
-    node = Node(README, (), simulation)
-    assert SimulatedCamera.read(node["sensors"]["left_camera"]).camera.distortion.k1 == -0.1
-    assert SimulatedDepthCamera.read(node["sensors"]["depth"]).most_range == 6.5
-    assert len(SimulatedLidar.read(node["sensors"]["lidar"]).elevations) == 16
-    assert read_scene(node["scene"]).boxes[0].colour == (170, 160, 150)
+    described = read(Simulation, simulation, "README.md")
+    sensors = described.sensors
+    assert read(SimulatedCamera, sensors["left_camera"], "left_camera").camera.distortion.k1 == -0.1
+    assert read(SimulatedDepthCamera, sensors["depth"], "depth").most_range == 6.5
+    assert len(read(SimulatedLidar, sensors["lidar"], "lidar").elevations) == 16
+    assert described.scene.boxes[0].colour == (170, 160, 150)

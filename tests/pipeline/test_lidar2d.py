@@ -115,9 +115,9 @@ def test_a_cut_needs_range_and_angle_and_sight(system: System) -> None:
     usual = detects(system, LIDAR, "pattern_1", placement)
     lidar = lidar_of(system)
     for changed in (
-        replace(lidar, most_range=1.0),
-        replace(lidar, least_range=5.0),
-        replace(lidar, angle_min=2.0, angle_max=3.0),
+        replace(lidar, reach=(0.1, 1.0)),
+        replace(lidar, reach=(5.0, 30.0)),
+        replace(lidar, angles=(2.0, 3.0)),
     ):
         other = replace(system, sensors={**system.sensors, LIDAR: changed})
         assert usual.any()

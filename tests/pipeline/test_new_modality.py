@@ -18,6 +18,7 @@ from calibration.evaluation.specification import parse_evaluation
 from calibration.pipeline.collection.collecting import collect_dataset
 from calibration.pipeline.collection.request import CollectionRequest
 from calibration.recorder.preview import preview
+from calibration.records import record
 from calibration.simulation.motion.sequence import read_motion
 from calibration.simulation.sensors import KINDS, SimulatedLidar2d
 from calibration.simulation.sensors.sensor import Data
@@ -56,7 +57,7 @@ SONAR2D = Modality(
 )
 
 
-@dataclass(frozen=True)
+@record(case="snake", nulls=True)
 class SimulatedSonar(SimulatedLidar2d):
     """A sonar in the place of a 2D LiDAR, with a message of its own."""
 

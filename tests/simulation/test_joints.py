@@ -1,5 +1,6 @@
 """Joints of the true robot, which differ from their description."""
 
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,15 +10,15 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calibration.dataset.document import Node
 from calibration.errors import InputError
-from calibration.geometry.joints import JOINT_PARAMETERS, JointParameter
+from calibration.geometry.joints import JOINT_PARAMETERS
 from calibration.geometry.transforms import from_xyz_rpy
+from calibration.records import Place, read_as
 from calibration.simulation.joints import (
+    JointErrors,
     check_calibrated_joints,
     joint_model,
     joint_values,
-    read_joint_errors,
     with_errors,
 )
 from calibration.simulation.robot import Joint, JointKind
@@ -61,7 +62,7 @@ def test_what_the_docs_show_is_read() -> None:
     parameters = {name: tuple(each["params_to_calibrate"]) for name, each in asked["joints"].items()}
 
     check_calibrated_joints(parameters, robot, "config.yml")
-    errors = read_joint_errors(Node(docs, (), simulated["joints"]), robot)
+    errors = read_as(JointErrors, simulated["joints"], Place("docs"))
     assert {name: tuple(own) for name, own in errors.items()} == parameters
 
 
@@ -81,13 +82,18 @@ def test_the_description_stays_as_it_is(systems: dict[str, System]) -> None:
     assert all(systems[name].robot is systems[name].nominal for name in ("t2rgb", "rlbot", "riwbot", "softbot"))
 
 
-def read(systems: dict[str, System], errors: object) -> dict[str, dict[JointParameter, float]]:
-    return read_joint_errors(Node(Path("simulation.yml"), ("joints",), errors), systems["spjbot"].nominal)
+def read(folder: Path, errors: object) -> JointErrors:
+    """The errors of spjbot's joints, of a copy in which they are these."""
+    for name in ("robot.urdf", "config.yml"):
+        shutil.copy(DATASETS / "spjbot" / name, folder)
+    simulation = yaml.safe_load((DATASETS / "spjbot" / "simulation.yml").read_text())
+    (folder / "simulation.yml").write_text(yaml.safe_dump(simulation | {"joints": errors}))
+    return read_system(folder).joint_errors
 
 
-def test_errors_are_read(systems: dict[str, System]) -> None:
-    assert read_joint_errors(None, systems["spjbot"].nominal) == {}
-    found = read(systems, {"j5_joint": {"position_bias": -0.1, "origin_x": 0}, "j1_joint": {}})
+def test_errors_are_read(systems: dict[str, System], tmp_path: Path) -> None:
+    assert read(tmp_path, None) == {}
+    found = read(tmp_path, {"j5_joint": {"position_bias": -0.1, "origin_x": 0}, "j1_joint": {}})
     assert found == {"j5_joint": {"position_bias": -0.1}, "j1_joint": {}}
     assert with_errors(systems["spjbot"].nominal, {"j1_joint": {}}) is systems["spjbot"].nominal
 
@@ -95,19 +101,19 @@ def test_errors_are_read(systems: dict[str, System]) -> None:
 @pytest.mark.parametrize(
     ("errors", "message"),
     [
-        ({"j9": {}}, r"joints: found the key 'j9', expected one of j1_joint, .*j5_joint"),
-        ({"world_to_base_link": {}}, "found the key 'world_to_base_link'"),
-        ({"j1_joint": {"yaw": 1}}, "joints/j1_joint: found the key 'yaw', expected one of origin_x, .*position_bias"),
+        ({"j9": {}}, r"joints: unknown key 'j9'.*known: j1_joint, .*j5_joint"),
+        ({"world_to_base_link": {}}, "unknown key 'world_to_base_link'"),
+        ({"j1_joint": {"yaw": 1}}, r"joints.j1_joint: unknown key 'yaw'.*known: origin_x, .*position_bias"),
         ({"j1_joint": {"origin_z": 1.5}}, "origin_z: found 1.5, expected a number from -1 to 1"),
         ({"j1_joint": {"origin_z": float("nan")}}, "origin_z: found nan"),
         ({"j1_joint": {"origin_z": "far"}}, "origin_z: found 'far'"),
-        ({"j1_joint": 0.1}, "joints/j1_joint"),
+        ({"j1_joint": 0.1}, r"joints\.j1_joint: found 0.1, expected keys"),
         ([0.1], "joints"),
     ],
 )
-def test_wrong_errors_are_told(systems: dict[str, System], errors: object, message: str) -> None:
+def test_wrong_errors_are_told(tmp_path: Path, errors: object, message: str) -> None:
     with pytest.raises(InputError, match=message):
-        read(systems, errors)
+        read(tmp_path, errors)
 
 
 @pytest.mark.parametrize(

@@ -1,14 +1,13 @@
 import math
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from calibration.dataset.document import Node
 from calibration.errors import InputError
 from calibration.geometry.transforms import apply, from_xyz_rpy
-from calibration.simulation.scene import GROUND, NOTHING, Box, Light, Scene, read_scene
+from calibration.records import read
+from calibration.simulation.scene import GROUND, NOTHING, Box, Light, Scene
 
 BOX = Box(from_xyz_rpy([3.0, 0.0, 1.0], [0.2, -0.3, 0.5]), np.array([1.0, 2.0, 0.6]))
 
@@ -104,20 +103,20 @@ def test_light_falls_by_the_cosine_and_never_below_the_ambient() -> None:
     np.testing.assert_allclose(light.on(normals), 0.3 + 0.5 * np.maximum(np.cos(angles), 0))
 
 
-def node(**entries: Any) -> Node:
-    return Node(Path("simulation.yml"), ("scene",), entries)
+def read_scene(**entries: Any) -> Scene:
+    return read(Scene, entries, "simulation.yml: scene")
 
 
 def test_reading_a_scene() -> None:
-    empty = read_scene(node())
+    empty = read_scene()
     assert (empty.ground, empty.boxes, empty.light.ambient) == (None, (), Light().ambient)
     box = {"centre": [1, 2, 3], "size": [1, 1, 2], "rpy": [0, 0, math.pi / 2], "colour": [255, 0, 10.5]}
-    scene = read_scene(node(ground_m=-0.5, boxes=[box, {"centre": [0, 0, 0], "size": [1, 1, 1]}], light={"ambient": 0}))
+    scene = read_scene(ground_m=-0.5, boxes=[box, {"centre": [0, 0, 0], "size": [1, 1, 1]}], light={"ambient": 0})
     assert (scene.ground, len(scene.boxes), scene.light.ambient) == (-0.5, 2, 0)
     assert scene.boxes[0].colour == (255, 0, 10.5)
     assert scene.boxes[1].colour == Box(np.eye(4), np.ones(3)).colour
     np.testing.assert_allclose(scene.boxes[0].T_world_box, from_xyz_rpy([1, 2, 3], [0, 0, math.pi / 2]))
-    lit = read_scene(node(light={"direction": [0, -2, 0], "intensity": 2}))
+    lit = read_scene(light={"direction": [0, -2, 0], "intensity": 2})
     np.testing.assert_array_equal(lit.light.direction, [0, -2, 0])
     assert lit.light.intensity == 2
 
@@ -125,24 +124,27 @@ def test_reading_a_scene() -> None:
 @pytest.mark.parametrize(
     ("entries", "message"),
     [
-        ({"light": {"direction": [0, 0, 0]}}, "scene/light/direction: found [0, 0, 0], expected a direction towards"),
-        ({"light": {"ambient": -1}}, "scene/light/ambient: found -1, expected a number from 0 to 10"),
+        (
+            {"light": {"direction": [0, 0, 0]}},
+            "scene: light.direction: found [0, 0, 0], expected a direction [x, y, z] towards",
+        ),
+        ({"light": {"ambient": -1}}, "scene: light.ambient: found -1, expected a number from 0 to 10"),
         (
             {"light": {"colour": 1}},
-            "scene/light: found the key 'colour', expected one of ambient, direction, intensity",
+            "scene: light: unknown key 'colour' (known: ambient, intensity, direction)",
         ),
         (
             {"boxes": [{"centre": [0, 0, 0], "size": [1, 0, 1]}]},
-            "scene/boxes/0/size: found a length that is not above 0",
+            "scene: boxes.0.size: found [1, 0, 1], expected three lengths above 0",
         ),
         (
             {"boxes": [{"centre": [0, 0, 0], "size": [1, 1, 1], "colour": [0, 256, 0]}]},
-            "scene/boxes/0/colour: found a list of 3, expected three numbers from 0 to 255: red, green, blue",
+            "scene: boxes.0.colour: found [0, 256, 0], expected three numbers from 0 to 255: red, green, blue",
         ),
-        ({"walls": []}, "scene: found the key 'walls', expected one of ground_m, boxes, light"),
+        ({"walls": []}, "scene: unknown key 'walls' (known: ground_m, boxes, light)"),
     ],
 )
 def test_what_is_wrong_with_a_scene_is_named(entries: dict[str, Any], message: str) -> None:
     with pytest.raises(InputError) as error:
-        read_scene(node(**entries))
+        read_scene(**entries)
     assert message in str(error.value)

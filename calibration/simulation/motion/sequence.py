@@ -1,24 +1,22 @@
 """Motion sequences: what is played, one pose after the other.
 
-The file is ATOM's, as its motion recorder writes it: a JSON object with keys "1" to "N", each with
-``position`` {x, y, z} and ``orientation`` {x, y, z, w} of the moved pattern's model. For a robot
-with joints each has ``joints`` {name: position}, in place of the two or beside them.
+The file is ATOM's, as its motion recorder writes it: a JSON object with keys "1" to "N", each with a `Pose`.
 """
 
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
-from calibration.dataset.document import Node, read_json
+from calibration.dataset.document import read_json
 from calibration.dataset.edges import QUATERNION_TOLERANCE
 from calibration.geometry import rotations
 from calibration.geometry.transforms import from_quaternion
 from calibration.geometry.types import Array, IntArray
-from calibration.simulation.description import only
+from calibration.records import Misfit, Place, field, length, matching, needs, read_as, record, unknown_key
 
 MAX_POSES = 10_000
 DECIMALS = 6
@@ -83,6 +81,63 @@ def joined(motions: Sequence[Motion]) -> Motion:
     return replace(first, positions=positions, orientations=orientations, joints=joints)
 
 
+@record
+class Position:
+    """Of the moved model, in the frame that the pattern's pose is relative to, m."""
+
+    x: float = field("Along x, m.")
+    y: float = field("Along y, m.")
+    z: float = field("Along z, m.")
+
+
+@record
+class Orientation:
+    """A quaternion of length 1."""
+
+    x: float = field("Of the axis of the turn, times the sine of half its angle.")
+    y: float = field("Of the axis of the turn, times the sine of half its angle.")
+    z: float = field("Of the axis of the turn, times the sine of half its angle.")
+    w: float = field("Cosine of half the angle.")
+
+    def __post_init__(self) -> None:
+        """Check the length."""
+        length = math.hypot(self.x, self.y, self.z, self.w)
+        if abs(length - 1) > QUATERNION_TOLERANCE:
+            raise Misfit(f"found a quaternion of length {length:.6g}, expected length 1")
+
+
+@record(
+    rules=(
+        needs("position", "orientation", "missing key 'orientation'"),
+        needs("orientation", "position", "missing key 'position'"),
+    )
+)
+class Pose:
+    """A pose of a motion: of the moved model, of joints, or of both."""
+
+    position: Position | None = field("Position of the moved model.", default=None)
+    orientation: Orientation | None = field("Orientation of the moved model.", default=None)
+    joints: Mapping[str, float] = field("Positions of joints, rad or m.", default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Check that something moves."""
+        if self.position is None and not self.joints:
+            raise Misfit("found neither position and orientation nor joints")
+
+    @property
+    def model(self) -> list[float] | None:
+        """Position and quaternion [x, y, z, x, y, z, w] of the moved model; None if none moves."""
+        if (p := self.position) is None or (q := self.orientation) is None:
+            return None
+        return [p.x, p.y, p.z, q.x, q.y, q.z, q.w]
+
+
+MotionFile = Annotated[
+    Mapping[Annotated[str, matching("[1-9][0-9]*", "the number of a pose")], Pose], length(1, MAX_POSES)
+]
+"""A motion as a file has it; every pose has what the first one has."""
+
+
 def read_motion(path: Path) -> Motion:
     """Read a motion sequence.
 
@@ -90,47 +145,37 @@ def read_motion(path: Path) -> Motion:
         InputError: not JSON, no pose, a gap in the keys, a missing or non-finite number, a
             quaternion of length 0, poses that differ in what they have.
     """
-    document = read_json(path)
-    count = len(document.mapping())
+    place, document = Place(str(path)), read_json(path).mapping()
+    count = len(document)
     if not 1 <= count <= MAX_POSES:
-        raise document.fault(f"found {count} poses, expected 1 to {MAX_POSES}")
+        raise place.fault(f"found {count} poses, expected 1 to {MAX_POSES}")
     keys = [str(number + 1) for number in range(count)]
-    missing = next((key for key in keys if key not in document.mapping()), None)
-    if missing:
-        raise document.fault(f"missing pose '{missing}'; the keys of {count} poses run from '1' to '{count}'")
-    poses = [document[key] for key in keys]
-    only(poses[0], "position", "orientation", "joints")
-    for pose in poses:
-        only(pose, *poses[0].mapping())  # every pose has what the first one has
-    moves_model = any(key in poses[0].mapping() for key in ("position", "orientation"))
-    names = list(poses[0]["joints"].mapping()) if "joints" in poses[0].mapping() else []
-    if not moves_model and not names:
-        raise poses[0].fault("found neither position and orientation nor joints")
-    model = np.array([_read_pose(pose) for pose in poses]) if moves_model else None
-    positions = np.array([_read_joints(pose, names) for pose in poses])
+    if missing := next((key for key in keys if key not in document), None):
+        raise place.fault(f"missing pose '{missing}'; the keys of {count} poses run from '1' to '{count}'")
+    poses: list[Pose] = [read_as(Pose, document[key], place.below(key)) for key in keys]
+    for key, pose in zip(keys, poses, strict=True):
+        _check_same(poses[0], pose, place.below(key))
+    models = [pose.model for pose in poses]
+    model = None if models[0] is None else np.array(models)
     return Motion(
         None if model is None else model[:, :3],
         None if model is None else model[:, 3:],
-        dict(zip(names, positions.T, strict=True)),
+        {name: np.array([pose.joints[name] for pose in poses]) for name in poses[0].joints},
         str(path),
     )
 
 
-def _read_pose(pose: Node) -> list[float]:
-    position, orientation = pose["position"], pose["orientation"]
-    t = [position[axis].number() for axis in "xyz"]
-    q = [orientation[axis].number() for axis in "xyzw"]
-    length = math.hypot(*q)
-    if abs(length - 1) > QUATERNION_TOLERANCE:
-        raise orientation.fault(f"found a quaternion of length {length:.6g}, expected length 1")
-    return t + q
-
-
-def _read_joints(pose: Node, names: list[str]) -> list[float]:
-    if not names:
-        return []
-    only(pose["joints"], *names)
-    return [pose["joints"][name].number() for name in names]
+def _check_same(first: Pose, pose: Pose, place: Place) -> None:
+    """Check that a pose has what the first one has."""
+    if (pose.position is None) != (first.position is None):
+        with_it, without = ("1", place.keys[-1]) if pose.position is None else (place.keys[-1], "1")
+        raise place.fault(f"every pose has what the first one has: '{with_it}' has a position, '{without}' has none")
+    for name in first.joints:
+        if name not in pose.joints:
+            raise place.below("joints").fault(f"missing key '{name}'")
+    for name in pose.joints:
+        if name not in first.joints:
+            raise place.below("joints").fault(unknown_key(name, first.joints))
 
 
 def motion_document(motion: Motion) -> dict[str, Any]:

@@ -9,14 +9,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, ClassVar, Self
+from typing import Annotated, Any, ClassVar, Self
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from calibration.dataset.configuration import PatternConfiguration
-from calibration.dataset.document import Node
 from calibration.dataset.modalities import RGB, Modality, NoiseKind
 from calibration.dataset.model import CornerLabels, Labels
 from calibration.dataset.pattern import Pattern, grid
@@ -25,13 +24,13 @@ from calibration.geometry.cameras import Camera
 from calibration.geometry.transforms import apply
 from calibration.geometry.types import Array, BoolArray
 from calibration.labelling.detection import CornerDetector, Image, corner_detector
+from calibration.records import between, field, record
 from calibration.simulation.board import Board
-from calibration.simulation.description import number, only
 from calibration.simulation.rendering.background import STEPS
 from calibration.simulation.rendering.image import radiance
 from calibration.simulation.scene import Scene
 from calibration.simulation.sensors.drawing import HEIGHT, blank, draw_corner
-from calibration.simulation.sensors.lens import LENS, read_lens
+from calibration.simulation.sensors.lens import LENS
 from calibration.simulation.sensors.sensor import (
     LEAST_SHARE,
     Data,
@@ -59,7 +58,7 @@ _COEFFICIENTS = ("k1", "k2", "p1", "p2", "k3")
 """A scenario's keys for those of the distortion."""
 
 
-@dataclass(frozen=True)
+@record(case="snake", nulls=True)
 class SimulatedCamera(SimulatedSensor):
     """A camera, and what its lens and its chip make of the light."""
 
@@ -68,28 +67,19 @@ class SimulatedCamera(SimulatedSensor):
     file_ending: ClassVar[str] = "jpg"
     scenario_group: ClassVar[str] = "cameras"
 
-    camera: Camera
-    blur: float = 0.65
-    """The standard deviation of the lens's Gaussian blur, px."""
-    noise: float = 2.0
-    """The standard deviation of a pixel's brightness, grey levels; the same on its three colours."""
-    vignetting: float = 0.1
-    """How much darker the corners of the image are than its middle, 0 to 1."""
-    exposure: float = 1.0
-    """A factor on the light."""
-
-    @classmethod
-    def read(cls, node: Node) -> Self:
-        """Read its lens, and ``blur_px``, ``noise_levels``, ``vignetting`` and ``exposure`` of its images."""
-        only(node, *LENS, "blur_px", "noise_levels", "vignetting", "exposure")
-        usual = cls(read_lens(node))
-        return cls(
-            usual.camera,
-            blur=number(node, "blur_px", usual.blur, least=0, most=20),
-            noise=number(node, "noise_levels", usual.noise, least=0, most=255),
-            vignetting=number(node, "vignetting", usual.vignetting, least=0, most=1),
-            exposure=number(node, "exposure", usual.exposure, least=0, most=100),
-        )
+    camera: Annotated[Camera, LENS] = field(flat=True)
+    blur: Annotated[float, between(0, 20)] = field(
+        "Standard deviation of the lens's Gaussian blur, px.", default=0.65, key="blur_px"
+    )
+    noise: Annotated[float, between(0, 255)] = field(
+        "Standard deviation of a pixel's brightness, grey levels; the same on its three colours.",
+        default=2.0,
+        key="noise_levels",
+    )
+    vignetting: Annotated[float, between(0, 1)] = field(
+        "How much darker the corners of the image are than its middle, 0 to 1.", default=0.1
+    )
+    exposure: Annotated[float, between(0, 100)] = field("Factor on the light.", default=1.0)
 
     def with_values(self, name: str, values: Mapping[str, float]) -> Self:
         """With other optics, and other coefficients of its distortion."""

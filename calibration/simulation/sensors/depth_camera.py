@@ -1,16 +1,14 @@
 """Depth cameras: images of how far things are along the optical axis, and the pixels on patterns in them."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar, Self
+from typing import Annotated, Any, ClassVar
 
 import cv2
 import numpy as np
 
 from calibration.dataset.configuration import PatternConfiguration
 from calibration.dataset.depth_image import NO_RETURN, UNIT, read_depth_image
-from calibration.dataset.document import Node
 from calibration.dataset.modalities import DEPTH, Modality, NoiseKind
 from calibration.dataset.model import PointLabels
 from calibration.dataset.pattern import Pattern
@@ -20,14 +18,15 @@ from calibration.geometry.transforms import apply, inverse
 from calibration.geometry.types import Array, BoolArray
 from calibration.labelling.depth import EDGE, label_depth
 from calibration.labelling.detection import DepthImage, Image
+from calibration.records import between, field, record
 from calibration.simulation.board import Board
-from calibration.simulation.description import interval, number, only
+from calibration.simulation.description import rising
 from calibration.simulation.rendering.background import background
 from calibration.simulation.rendering.rays import rays, rounded
 from calibration.simulation.scene import Scene
 from calibration.simulation.sensors.camera import encode_image, image_message
 from calibration.simulation.sensors.drawing import DARK, HEIGHT, ON_BORDER, ON_PATTERN, blank
-from calibration.simulation.sensors.lens import LENS, read_lens
+from calibration.simulation.sensors.lens import LENS
 from calibration.simulation.sensors.sensor import (
     LEAST_SHARE,
     Data,
@@ -45,7 +44,7 @@ MOST = 5000
 _FROM_NEAR = cv2.applyColorMap(np.arange(256, dtype=np.uint8)[::-1, None], cv2.COLORMAP_BONE)[:, 0]
 
 
-@dataclass(frozen=True)
+@record(case="snake", nulls=True)
 class SimulatedDepthCamera(RangeSensor):
     """A camera that measures how far along its optical axis things are."""
 
@@ -54,28 +53,20 @@ class SimulatedDepthCamera(RangeSensor):
     file_ending: ClassVar[str] = "png"
     scenario_group: ClassVar[str] = "depth_cameras"
 
-    camera: Camera
-    noise: float = 0.001
-    """The standard deviation of a depth near the camera, m."""
-    noise_growth: float = 0.0015
-    """What the square of the depth adds to it, m per m^2, as triangulation does."""
-    least_range: float = 0.3
-    """m along the axis; a surface nearer than that gives no depth."""
-    most_range: float = 6.5
-
-    @classmethod
-    def read(cls, node: Node) -> Self:
-        """Read its lens, ``range_m``, ``noise_m`` and ``noise_per_m2``."""
-        only(node, *LENS, "range_m", "noise_m", "noise_per_m2")
-        usual = cls(read_lens(node))
-        least_range, most_range = interval(node, "range_m", (usual.least_range, usual.most_range), least=0)
-        return cls(
-            usual.camera,
-            noise=number(node, "noise_m", usual.noise, least=0, most=10),
-            noise_growth=number(node, "noise_per_m2", usual.noise_growth, least=0, most=10),
-            least_range=least_range,
-            most_range=most_range,
-        )
+    camera: Annotated[Camera, LENS] = field(flat=True)
+    noise: Annotated[float, between(0, 10)] = field(
+        "Standard deviation of a depth near the camera, m.", default=0.001, key="noise_m"
+    )
+    noise_growth: Annotated[float, between(0, 10)] = field(
+        "What the square of the depth adds to it, m per m^2, as triangulation does.",
+        default=0.0015,
+        key="noise_per_m2",
+    )
+    reach: Annotated[tuple[float, float], rising(0)] = field(
+        "Least and largest depth along the optical axis; other surfaces give none, m.",
+        default=(0.3, 6.5),
+        key="range_m",
+    )
 
     @property
     def intrinsics(self) -> Camera:

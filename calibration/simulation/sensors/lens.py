@@ -1,52 +1,74 @@
 """The lens of a camera or a depth camera, as ``simulation.yml`` describes it."""
 
 import math
+from typing import Annotated, Literal
 
-from calibration.dataset.document import Node
 from calibration.geometry.cameras import Camera
-from calibration.geometry.distortion import MODELS, Distortion, Equidistant, PlumbBob
-from calibration.simulation.description import number, numbers, whole
+from calibration.geometry.distortion import MODELS, Equidistant
+from calibration.records import Converted, Misfit, between, excludes, field, one_of, record
+from calibration.simulation.description import listed
 
 MAX_PIXELS = 25_000_000
 """Of one image: beyond it memory runs out."""
-LENS = ("width", "height", "hfov_deg", "principal_point", "K", "distortion_model", "distortion")
-"""The keys of a description that `read_lens` reads."""
+_PIXELS = between(2, 100_000)
 
 
-def read_lens(node: Node) -> Camera:
-    """Read the keys in `LENS`: ``hfov_deg`` with ``principal_point`` if it is not Gazebo's, or ``K``.
-
-    Raises:
-        InputError: a key is missing, or its value out of range.
-    """
-    width, height = whole(node, "width", 2, 100_000), whole(node, "height", 2, 100_000)
-    if width * height > MAX_PIXELS:
-        raise node["width"].fault(f"found {width} x {height} pixels, expected {MAX_PIXELS} at most")
-    distortion = _read_distortion(node)
-    if node.get("K"):
-        fx, fy, cx, cy = _intrinsics(node)
-    else:
-        half = math.radians(number(node, "hfov_deg", least=1, most=170)) / 2
-        fx = fy = width / 2 / (half if isinstance(distortion, Equidistant) else math.tan(half))
-        # Gazebo's principal point, and so that of ATOM's systems
-        cx, cy = numbers(node, "principal_point", 2, (width / 2 + 0.5, height / 2 + 0.5))
-    return Camera(fx, fy, cx, cy, width, height, distortion)
+def _is_camera_matrix(K: tuple[float, ...]) -> bool:
+    fx, skew, _, zero, fy, _, *last = K
+    return min(fx, fy) > 0 and not skew and not zero and last == [0, 0, 1]
 
 
-def _read_distortion(node: Node) -> Distortion:
-    name = node.get("distortion_model")
-    if name and name.text() not in MODELS:
-        raise name.unexpected(f"one of {', '.join(MODELS)}")
-    model = MODELS[name.value] if name else PlumbBob
-    count = len(model.names())
-    return model(*numbers(node, "distortion", count, (0.0,) * count))
+_K = listed(9, "[fx, 0, cx, 0, fy, cy, 0, 0, 1] with fx and fy above 0", _is_camera_matrix)
 
 
-def _intrinsics(node: Node) -> tuple[float, float, float, float]:
-    for other in ("hfov_deg", "principal_point"):
-        if node.get(other):
-            raise node[other].fault("stands beside K, which says the same; give one of them")
-    fx, skew, cx, zero, fy, cy, *last = numbers(node, "K", 9)
-    if min(fx, fy) <= 0 or skew or zero or last != [0, 0, 1]:
-        raise node["K"].fault("expected [fx, 0, cx, 0, fy, cy, 0, 0, 1] with fx and fy above 0")
-    return fx, fy, cx, cy
+@record(
+    case="snake",
+    nulls=True,
+    rules=(
+        excludes("K", "hfov_deg"),
+        excludes("K", "principal_point"),
+        one_of("hfov_deg", "K", why="found neither hfov_deg nor K, expected one of them"),
+    ),
+)
+class Lens:
+    """The lens of a camera: its intrinsics and its distortion."""
+
+    width: Annotated[int, _PIXELS] = field("Width of the image, px.")
+    height: Annotated[int, _PIXELS] = field("Height of the image, px.")
+    hfov_deg: Annotated[float, between(1, 170)] | None = field("Horizontal field of view, deg.", default=None)
+    principal_point: Annotated[tuple[float, float], listed(2, "two numbers: cx, cy")] | None = field(
+        "Principal point, px; Gazebo's where it is absent: half a pixel beyond the middle.", default=None
+    )
+    K: Annotated[tuple[float, ...], _K] | None = field(
+        "Camera matrix, row by row, in place of hfov_deg and principal_point.", default=None, key="K"
+    )
+    distortion_model: Literal["plumb_bob", "rational_polynomial", "equidistant"] = field(
+        "Distortion model, by ROS's name.", default="plumb_bob"
+    )
+    distortion: tuple[float, ...] | None = field("Coefficients of the model; zeros where absent.", default=None)
+
+    def __post_init__(self) -> None:
+        """Check the size of the image, and the number of coefficients."""
+        if self.width * self.height > MAX_PIXELS:
+            raise Misfit(f"found {self.width} x {self.height} pixels, expected {MAX_PIXELS} at most", "width")
+        names = MODELS[self.distortion_model].names()
+        if self.distortion is not None and len(self.distortion) != len(names):
+            found = f"found a list of {len(self.distortion)}, expected a list of {len(names)}: {', '.join(names)}"
+            raise Misfit(found, "distortion")
+
+    @property
+    def camera(self) -> Camera:
+        """The camera model."""
+        model = MODELS[self.distortion_model]
+        distortion = model(*(self.distortion or (0.0,) * len(model.names())))
+        if self.K is not None:
+            fx, _, cx, _, fy, cy, *_ = self.K
+            return Camera(fx, fy, cx, cy, self.width, self.height, distortion)
+        half = math.radians(self.hfov_deg or 0.0) / 2
+        fx = self.width / 2 / (half if model is Equidistant else math.tan(half))
+        cx, cy = self.principal_point or (self.width / 2 + 0.5, self.height / 2 + 0.5)
+        return Camera(fx, fx, cx, cy, self.width, self.height, distortion)
+
+
+LENS = Converted(Lens, lambda lens, _: lens.camera)
+"""A camera model whose keys are those of `Lens`."""

@@ -2,22 +2,21 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar, Self
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 
 from calibration.dataset.configuration import PatternConfiguration
-from calibration.dataset.document import Node
 from calibration.dataset.modalities import LIDAR2D, Modality, NoiseKind
 from calibration.dataset.pattern import Pattern
 from calibration.estimation.median import median
 from calibration.geometry.types import Array, BoolArray
 from calibration.labelling.detection import Image
 from calibration.labelling.scan_line import cut_ends, label_scan_line
+from calibration.records import Converted, between, field, record
 from calibration.simulation.board import Board
-from calibration.simulation.description import interval, number, only, whole
+from calibration.simulation.description import listed, rising
 from calibration.simulation.scene import Scene
 from calibration.simulation.sensors.drawing import DARK, HEIGHT, blank, draw_points
 from calibration.simulation.sensors.lidar import DECIMALS, RaySensor
@@ -28,45 +27,42 @@ LEAST_CUT = 0.5
 _ANGLE_DECIMALS = 12
 
 
-@dataclass(frozen=True)
+_TURN = listed(
+    2,
+    "two rising numbers from -360 to 360, at most 360 apart and not the same",
+    lambda ends: -360 <= ends[0] < ends[1] <= min(360, ends[0] + 360),
+)
+
+
+@record(case="snake", nulls=True)
 class SimulatedLidar2d(RaySensor):
     """A LiDAR whose rays lie in the plane z = 0 of its frame; x is angle 0, y a quarter of a revolution."""
 
     modality: ClassVar[Modality] = LIDAR2D
     label_name: ClassVar[str] = "rays"
 
-    angle_min: float
-    """Of the first ray, rad."""
-    angle_max: float
-    """Of the last ray, rad."""
-    rays: int
-    least_range: float = 0.1
-    """m; a surface nearer than that gives no return."""
-    most_range: float = 30.0
-    noise: float = 0.01
-    """The standard deviation of a range, m."""
-    resolution: float = 0.001
-    """Ranges are multiples of it, m; 0 for none."""
+    rays: Annotated[int, between(8, 100_000)] = field("Number of rays.")
+    angles: Annotated[
+        tuple[float, float],
+        Converted(Annotated[tuple[float, float], _TURN], lambda ends, _: tuple(map(math.radians, ends))),
+    ] = field("Angles of the first and the last ray, deg.", implied=[-135, 135], key="angle_deg")
+    reach: Annotated[tuple[float, float], rising(0)] = field(
+        "Least and largest range; other surfaces give no return, m.", default=(0.1, 30.0), key="range_m"
+    )
+    noise: Annotated[float, between(0, 10)] = field("Standard deviation of a range, m.", default=0.01, key="noise_m")
+    resolution: Annotated[float, between(0, 10)] = field(
+        "Ranges are multiples of it; 0 for none, m.", default=0.001, key="resolution_m"
+    )
 
-    @classmethod
-    def read(cls, node: Node) -> Self:
-        """Read ``rays``, ``angle_deg`` of the first and the last, ``range_m``, ``noise_m`` and ``resolution_m``."""
-        only(node, "rays", "angle_deg", "range_m", "noise_m", "resolution_m")
-        first, last = interval(node, "angle_deg", (-135.0, 135.0), least=-360, most=360)
-        if last - first > 360:
-            raise node["angle_deg"].unexpected("at most one revolution, 360 degrees")
-        if first == last:
-            raise node["angle_deg"].unexpected("two different angles")
-        least_range, most_range = interval(node, "range_m", (cls.least_range, cls.most_range), least=0)
-        return cls(
-            angle_min=math.radians(first),
-            angle_max=math.radians(last),
-            rays=whole(node, "rays", 8, 100_000),
-            least_range=least_range,
-            most_range=most_range,
-            noise=number(node, "noise_m", cls.noise, least=0, most=10),
-            resolution=number(node, "resolution_m", cls.resolution, least=0, most=10),
-        )
+    @property
+    def angle_min(self) -> float:
+        """The angle of the first ray, rad."""
+        return self.angles[0]
+
+    @property
+    def angle_max(self) -> float:
+        """The angle of the last ray, rad."""
+        return self.angles[1]
 
     @property
     def step(self) -> float:

@@ -2,14 +2,12 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar, Self
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 
 from calibration.dataset.configuration import PatternConfiguration
-from calibration.dataset.document import Node
 from calibration.dataset.modalities import LIDAR3D, Modality, NoiseKind
 from calibration.dataset.pattern import Pattern
 from calibration.dataset.pointcloud import encode_pcd, read_points
@@ -18,8 +16,9 @@ from calibration.geometry.transforms import apply, inverse
 from calibration.geometry.types import Array, BoolArray
 from calibration.labelling.detection import Image
 from calibration.labelling.points import label_points
+from calibration.records import Constraint, Converted, Misfit, between, excludes, field, needs, one_of, record
 from calibration.simulation.board import Board
-from calibration.simulation.description import interval, number, only, whole
+from calibration.simulation.description import degrees, rising
 from calibration.simulation.scene import Scene
 from calibration.simulation.sensors.drawing import DARK, HEIGHT, blank, draw_points
 from calibration.simulation.sensors.lidar import DECIMALS, RaySensor
@@ -32,7 +31,45 @@ LEAST_RINGS = 4
 """That cross the pattern."""
 
 
-@dataclass(frozen=True)
+_ELEVATIONS = Constraint(
+    lambda angles: 1 <= len(angles) <= MAX_RINGS and all(abs(angle) <= 90 for angle in angles),
+    f"1 to {MAX_RINGS} angles from -90 to 90",
+    {"length": (1, MAX_RINGS)},
+    whole=True,
+)
+
+
+@record(
+    case="snake",
+    nulls=True,
+    rules=(
+        excludes("elevations_deg", "rings"),
+        excludes("elevations_deg", "vertical_deg"),
+        one_of("elevations_deg", "rings", why="found neither elevations_deg nor rings, expected one of them"),
+        needs("rings", "vertical_deg"),
+        needs("vertical_deg", "rings"),
+    ),
+)
+class Rings:
+    """The rings of a LiDAR: their number and the lowest and highest, or each of them."""
+
+    rings: Annotated[int, between(1, MAX_RINGS)] | None = field("Number of rings, evenly apart.", default=None)
+    vertical_deg: Annotated[tuple[float, float], rising(-90, 90)] | None = field(
+        "Elevations of the lowest and the highest ring, deg.", default=None
+    )
+    elevations_deg: Annotated[tuple[float, ...], _ELEVATIONS] | None = field(
+        "Elevation of each ring, in place of rings and vertical_deg, deg.", default=None
+    )
+
+    @property
+    def elevations(self) -> tuple[float, ...]:
+        """One for each ring, rad above the x-y plane."""
+        low, high = self.vertical_deg or (0.0, 0.0)
+        evenly = map(float, np.linspace(low, high, self.rings or 0))
+        return tuple(map(math.radians, self.elevations_deg or evenly))
+
+
+@record(case="snake", nulls=True)
 class SimulatedLidar(RaySensor):
     """A LiDAR that turns about the z axis of its frame; x is azimuth 0."""
 
@@ -41,47 +78,30 @@ class SimulatedLidar(RaySensor):
     file_ending: ClassVar[str] = "pcd"
     scenario_group: ClassVar[str] = "lidars"
 
-    elevations: tuple[float, ...]
+    elevations: Annotated[tuple[float, ...], Converted(Rings, lambda rings, _: rings.elevations)] = field(flat=True)
     """One for each ring, rad above the x-y plane."""
-    azimuths: int
-    """How many rays a ring has in one revolution; the first points backwards, along -x."""
-    least_range: float = 0.9
-    """m; a surface nearer than that gives no return."""
-    most_range: float = 130.0
-    noise: float = 0.008
-    """The standard deviation of a range, m."""
-    resolution: float = 0.001
-    """Ranges are multiples of it, m; 0 for none."""
-    margin: float = math.radians(5)
-    """Returns are stored up to this azimuth beyond the pattern, rad."""
+    azimuths: Annotated[int, between(8, 100_000)] = field(
+        "Number of rays of a ring in one revolution; the first points backwards, along -x."
+    )
+    reach: Annotated[tuple[float, float], rising(0)] = field(
+        "Least and largest range; other surfaces give no return, m.", default=(0.9, 130.0), key="range_m"
+    )
+    noise: Annotated[float, between(0, 10)] = field("Standard deviation of a range, m.", default=0.008, key="noise_m")
+    resolution: Annotated[float, between(0, 10)] = field(
+        "Ranges are multiples of it; 0 for none, m.", default=0.001, key="resolution_m"
+    )
+    margin: Annotated[float, degrees(0, 360)] = field(
+        "Returns are stored up to this azimuth beyond the pattern, deg.",
+        default=math.radians(5),
+        implied=5,
+        key="margin_deg",
+    )
 
-    @classmethod
-    def read(cls, node: Node) -> Self:
-        """Read its rings (``rings`` and ``vertical_deg``, or ``elevations_deg`` of each) and the other keys.
-
-        These are ``azimuths`` in one revolution, ``range_m``, ``noise_m``, ``resolution_m``, and ``margin_deg`` that
-        is stored around the pattern.
-        """
-        only(
-            node,
-            *("rings", "vertical_deg", "elevations_deg", "azimuths"),
-            *("range_m", "noise_m", "resolution_m", "margin_deg"),
-        )
-        elevations, azimuths = _elevations(node), whole(node, "azimuths", 8, 100_000)
-        if len(elevations) * azimuths > MAX_RAYS:
-            raise node["azimuths"].fault(
-                f"found {len(elevations)} rings of {azimuths}, expected {MAX_RAYS} rays at most"
-            )
-        least_range, most_range = interval(node, "range_m", (cls.least_range, cls.most_range), least=0)
-        return cls(
-            elevations=tuple(map(math.radians, elevations)),
-            azimuths=azimuths,
-            least_range=least_range,
-            most_range=most_range,
-            noise=number(node, "noise_m", cls.noise, least=0, most=10),
-            resolution=number(node, "resolution_m", cls.resolution, least=0, most=10),
-            margin=math.radians(number(node, "margin_deg", 5.0, least=0, most=360)),
-        )
+    def __post_init__(self) -> None:
+        """Check the number of rays."""
+        if len(self.elevations) * self.azimuths > MAX_RAYS:
+            found = f"found {len(self.elevations)} rings of {self.azimuths}"
+            raise Misfit(f"{found}, expected {MAX_RAYS} rays at most", "azimuths")
 
     @property
     def step(self) -> float:
@@ -217,18 +237,3 @@ def _spread(values: Array, length: int) -> Array:
     share = (values - low) / max(high - low, 1e-9)
     place: Array = (0.05 + 0.9 * share) * (length - 1)
     return place
-
-
-def _elevations(node: Node) -> list[float]:
-    """One for each ring: listed, or evenly between two; degrees."""
-    listed = node.get("elevations_deg")
-    if listed is None:
-        low, high = interval(node, "vertical_deg", least=-90, most=90)
-        return [float(angle) for angle in np.linspace(low, high, whole(node, "rings", 1, MAX_RINGS))]
-    for other in ("rings", "vertical_deg"):
-        if node.get(other):
-            raise node[other].fault("stands beside elevations_deg, which says the same; give one of them")
-    elevations = [element.number() for element in listed.elements()]
-    if not 1 <= len(elevations) <= MAX_RINGS or not all(abs(angle) <= 90 for angle in elevations):
-        raise listed.unexpected(f"1 to {MAX_RINGS} angles from -90 to 90")
-    return elevations

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.dataset.configuration import PatternConfiguration
-from calibration.dataset.document import Node
 from calibration.dataset.modalities import Modality, NoiseKind
 from calibration.dataset.model import CornerLabels, Labels, PointLabels
 from calibration.dataset.pattern import Pattern
@@ -77,7 +76,7 @@ class Views:
 
 
 class SimulatedSensor(ABC):
-    """A sensor of one modality, as ``simulation.yml`` describes it; every class of sensors is a frozen dataclass."""
+    """A sensor of one modality, as ``simulation.yml`` describes it; every class of sensors is a record."""
 
     modality: ClassVar[Modality]
     label_name: ClassVar[str]
@@ -89,15 +88,6 @@ class SimulatedSensor(ABC):
 
     noise: float
     """The standard deviation of what it measures: grey levels of an image, m of a range."""
-
-    @classmethod
-    @abstractmethod
-    def read(cls, node: Node) -> Self:
-        """Read its description.
-
-        Raises:
-            InputError: a key is missing, unknown, or its value out of range.
-        """
 
     @abstractmethod
     def with_values(self, name: str, values: Mapping[str, float]) -> Self:
@@ -173,9 +163,18 @@ class SimulatedSensor(ABC):
 class RangeSensor(SimulatedSensor):
     """A sensor that measures how far away things are."""
 
-    least_range: float
-    """m; a surface nearer than that gives nothing."""
-    most_range: float
+    reach: tuple[float, float]
+    """The least and the largest range, m; a surface nearer or farther gives nothing."""
+
+    @property
+    def least_range(self) -> float:
+        """m; a surface nearer than that gives nothing."""
+        return self.reach[0]
+
+    @property
+    def most_range(self) -> float:
+        """m; a surface farther than that gives nothing."""
+        return self.reach[1]
 
     def with_values(self, name: str, values: Mapping[str, float]) -> Self:
         """With another noise."""

@@ -56,7 +56,7 @@ def test_points_are_those_of_a_scan(systems: dict[str, System], motions: dict[st
     lidar = replace(lidar_of(system), noise=0.0, resolution=0.0)
     pattern = system.patterns["pattern_1"]
     placement = place(system, motions["rlbot"])
-    lidar = replace(lidar, least_range=1.5)  # so that the range cuts some patterns
+    lidar = replace(lidar, reach=(1.5, lidar.reach[1]))  # so that the range cuts some patterns
     cut = 0
     for i in range(24):
         T_world_lidar, T_world_pattern = placement.sensors["lidar_right"][i], placement.patterns["pattern_1"][i]

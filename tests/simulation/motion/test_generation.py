@@ -39,7 +39,7 @@ def test_every_sensor_sees_every_pose_and_nothing_is_run_into(
 
 
 def test_a_lidar_that_needs_distance_sees_every_pose(systems: dict[str, System]) -> None:
-    lidar = replace(systems["rlbot"].sensors["lidar_right"], least_range=1.9)
+    lidar = replace(systems["rlbot"].sensors["lidar_right"], reach=(1.9, 130.0))
     system = replace(systems["rlbot"], sensors={**systems["rlbot"].sensors, "lidar_right": lidar})
     placement = place(system, generate_motion(system, 12, seed=1))
     assert detects(system, "lidar_right", PATTERN, placement).all()

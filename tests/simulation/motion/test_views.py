@@ -158,13 +158,13 @@ def test_a_lidar_needs_rings_range_and_sight(rlbot: System) -> None:
     assert not detects(rlbot, LIDAR, PATTERN, in_front(rlbot, distance=8.0)).any()  # two rings cross it
     wall = Scene(boxes=(between(in_front(rlbot), LIDAR, 0.5, (0.01, 3.0, 3.0)),))
     assert not detects(replace(rlbot, scene=wall), LIDAR, PATTERN, in_front(rlbot)).any()
-    near = replace(rlbot.sensors[LIDAR], least_range=3.0)
+    near = replace(rlbot.sensors[LIDAR], reach=(3.0, 130.0))
     blind = replace(rlbot, sensors={**rlbot.sensors, LIDAR: near})
     assert not detects(blind, LIDAR, PATTERN, in_front(rlbot)).any()
 
 
 def test_a_depth_camera_needs_range_and_sight(rlbot: System) -> None:
-    depth = SimulatedDepthCamera(rlbot.cameras[CAMERA].camera, least_range=0.5, most_range=3.0)
+    depth = SimulatedDepthCamera(rlbot.cameras[CAMERA].camera, reach=(0.5, 3.0))
     system = replace(rlbot, sensors={CAMERA: depth})
     for distance, measured in ((2.0, True), (3.5, False), (0.4, False), (-2.0, False)):
         placement = in_front(rlbot, distance=distance)

@@ -1,3 +1,5 @@
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -10,7 +12,7 @@ from calibration.simulation.sensors import SimulatedDepthCamera
 from tests.simulation.rendering.views import CHARUCO, DISTORTION, T_WORLD_CAMERA, board, camera, random_pose, square_on
 
 
-def exact(distortion: PlumbBob | None = None, **options: float) -> SimulatedDepthCamera:
+def exact(distortion: PlumbBob | None = None, **options: Any) -> SimulatedDepthCamera:
     return SimulatedDepthCamera(camera(distortion=distortion), **{"noise": 0.0, "noise_growth": 0.0, **options})
 
 
@@ -52,7 +54,7 @@ def test_the_nearest_counts() -> None:
 
 
 def test_the_ground() -> None:
-    depth = render(exact(most_range=100.0), scene=Scene(ground=0.0))
+    depth = render(exact(reach=(0.3, 100.0)), scene=Scene(ground=0.0))
     row = np.arange(200, 240)
     np.testing.assert_allclose(depth[200:, 7] * UNIT, 1.2 * 300 / (row - 119.5), atol=UNIT)
     assert (depth[:120] == NO_RETURN).all()
@@ -70,8 +72,7 @@ def test_the_ground() -> None:
     ],
 )
 def test_range_limits(z: float, limits: tuple[float, float], expected: int) -> None:
-    least, most = limits
-    depth = render(exact(least_range=least, most_range=most), board(square_on(CHARUCO, 0.0, 0.0, z)))
+    depth = render(exact(reach=limits), board(square_on(CHARUCO, 0.0, 0.0, z)))
     assert depth[120, 160] == expected
 
 

@@ -95,11 +95,11 @@ def test_something_in_front_hides_points() -> None:
 
 def test_range_limits() -> None:
     boards = [board()]
-    short = replace(LIDAR, least_range=4.0).scan(T_WORLD_LIDAR, ROOM, boards, stream(0))
+    short = replace(LIDAR, reach=(4.0, 130.0)).scan(T_WORLD_LIDAR, ROOM, boards, stream(0))
     assert (short.board == -1).all()
     assert (short.crossed == 0).any()
     assert not short.returns[short.crossed == 0].any()  # it is too near, and still in the way
-    near = replace(LIDAR, most_range=3.0).scan(T_WORLD_LIDAR, ROOM, boards, stream(0))
+    near = replace(LIDAR, reach=(0.9, 3.0)).scan(T_WORLD_LIDAR, ROOM, boards, stream(0))
     assert near.ranges[near.returns].max() < 3.1
 
 
