@@ -69,11 +69,11 @@ def texture(pattern: PatternConfiguration, legacy_layout: bool = False) -> Textu
         texels //= 2
     row, column = np.mgrid[:rows, :columns]
     black = (row + column) % 2 == int(pattern.kind == "charuco" and legacy_layout and rows % 2 == 0)
-    share = np.repeat(np.repeat(np.where(black, 0.0, 1.0), texels, 0), texels, 1)  # of white
+    image = np.repeat(np.repeat(np.where(black, BLACK, WHITE).astype(np.uint8), texels, 0), texels, 1)
     if pattern.kind == "charuco":
         for (y, x), bits in zip(np.argwhere(~black) * texels, _markers(pattern, int((~black).sum())), strict=True):
-            share[y : y + texels, x : x + texels] = _square_with_marker(pattern, bits, texels)
-    image = np.round(BLACK + (WHITE - BLACK) * share).astype(np.uint8)
+            share = _square_with_marker(pattern, bits, texels)
+            image[y : y + texels, x : x + texels] = np.round(BLACK + (WHITE - BLACK) * share)
     levels = [image]
     while levels[-1].shape[1] > columns:  # until a square is one texel
         height, width = levels[-1].shape
