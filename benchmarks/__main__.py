@@ -35,6 +35,7 @@ MODULES = {
     "motion": "what a generated motion costs, and how well its poses determine a calibration",
     "collection": "whole collections in simulation, and how near the truth they calibrate",
     "scenarios": "many worlds",
+    "verdict": "planted defects that a run without a truth finds and names, false alarms, error bars",
     "action_start": "how soon an action begins its work",
     "containers": "jobs in containers: many at once, and what one costs over docker run",
     "cloud": "ten thousand jobs on AWS Batch: calls, memory and time for each",

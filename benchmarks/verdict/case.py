@@ -1,0 +1,211 @@
+"""One case: a defect planted, judged as `make run` judges without a truth, and held against the truth."""
+
+import tempfile
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.verdict.kinds import CLEAN, KINDS, Kind
+from benchmarks.verdict.scene import Scene
+from benchmarks.verdict.strata import Stratum, clean, generator
+from calibration.dataset.model import Dataset
+from calibration.errors import CalibrationError, InputError
+from calibration.estimation.result import Calibration
+from calibration.estimation.starting_noise import StartingNoise
+from calibration.evaluation.specification import parse_evaluation
+from calibration.evaluation.truth import truth_error
+from calibration.geometry.transforms import inverse, local
+from calibration.introspection.judge import judge
+from calibration.introspection.table import read_table
+from calibration.pipeline.matrix.cell import Cell, CellResult, LoadedSystem, calibrate_cell, table_of
+from calibration.pipeline.matrix.judgement import judge_cells
+from calibration.pipeline.system import Limits
+
+BY_NAME: dict[str, Kind] = {kind.name: kind for kind in (CLEAN, *KINDS)}
+
+
+@dataclass(frozen=True)
+class Case:
+    """What is planted where."""
+
+    kind: str
+    stratum: Stratum
+    system: str
+    size: int
+    """Which of the kind's sizes."""
+    seed: int
+
+    @property
+    def planted(self) -> Kind:
+        """The kind."""
+        return BY_NAME[self.kind]
+
+    def scene(self) -> Scene:
+        """The scene with the defect in it."""
+        base = clean(self.stratum, self.system, self.seed)
+        return self.planted.plant(base, self.planted.sizes[self.size], generator(self))
+
+
+@dataclass(frozen=True)
+class Harm:
+    """The largest errors of the calibration against the truth, without the gauge; None where there is none."""
+
+    translation_mm: float
+    rotation_deg: float
+    joint_mm: float | None
+    joint_deg: float | None
+
+    def over(self, limits: Limits) -> float:
+        """The largest share of a limit."""
+        shares = [
+            (self.translation_mm, limits.translation_mm),
+            (self.rotation_deg, limits.rotation_deg),
+            (self.joint_mm, limits.joint_mm),
+            (self.joint_deg, limits.joint_deg),
+        ]
+        return max(value / limit for value, limit in shares if value is not None and limit)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What was found."""
+
+    case: Case
+    harm: Harm | None
+    """None where there is no calibrated dataset."""
+    limits: float | None
+    """The harm in limits of calibration.yml: above 1 it is harmful."""
+    clean_limits: float
+    """The same of the scene without the defect."""
+    red: bool
+    reasons: tuple[str, ...]
+    kinds: tuple[str, ...]
+    """Of the red findings."""
+    named: int
+    """The first reason that names the cause, from 1; 0 where none does."""
+    warnings: tuple[str, ...]
+    notes: tuple[str, ...]
+    rms_red: bool
+    """Whether rules for the table, an RMS limit, find it red: what ATOM's users would look at."""
+    nees: tuple[float, ...]
+    """Of each calibrated sensor of a clean scene: its squared error in stated standard deviations, over 6."""
+    seconds: float
+
+    @property
+    def harmful(self) -> bool:
+        """Whether the defect moves something beyond its limit: on a good robot more than its small errors do."""
+        if self.limits is None:
+            return True
+        return self.limits > 1 and self.limits - self.clean_limits > 0.5
+
+    @property
+    def memory(self) -> bool:
+        """Whether only an earlier result could tell."""
+        return self.case.system in self.case.planted.memory
+
+    @property
+    def must_be_red(self) -> bool:
+        """Harmful, or a mistake that a user has to correct."""
+        planted = self.case.planted
+        return self.harmful or planted.sizes[self.case.size] in planted.wanted
+
+
+def run(case: Case) -> Outcome:
+    """Plant, judge, compare."""
+    scene = case.scene()
+    begin = time.perf_counter()
+    result, rms_red, calibration = judged(scene)
+    seconds = time.perf_counter() - begin
+    harm = _harm(calibration.dataset, scene) if calibration else None
+    limits = scene.system.limits
+    return Outcome(
+        case=case,
+        harm=harm,
+        limits=harm.over(limits) if harm else None,
+        clean_limits=_clean_limits(case.stratum, case.system, case.seed) if case.kind != CLEAN.name else 0.0,
+        red=result.verdict == "fail",
+        reasons=result.reasons,
+        kinds=tuple(f.kind for f in result.findings if f.severity == "red"),
+        named=_named(result, case.planted),
+        warnings=result.warnings,
+        notes=tuple(f.text for f in result.findings if f.severity == "note"),
+        rms_red=rms_red,
+        nees=tuple(_nees(calibration, scene)) if calibration and case.kind == CLEAN.name else (),
+        seconds=seconds,
+    )
+
+
+def judged(scene: Scene) -> tuple[CellResult, bool, Calibration | None]:
+    """The verdict on one start without noise, whether the rules for the table alone are red, and the calibration.
+
+    A robot has no truth, so limits that need one are left out.
+    """
+    entry = replace(scene.system, limits=LIMITS_WITHOUT_TRUTH)
+    evaluation = parse_evaluation(entry.evaluate) if entry.evaluate else None
+    loaded = LoadedSystem(entry.name, scene.told, None, evaluation, entry.options)
+    with tempfile.TemporaryDirectory() as temporary, np.errstate(all="ignore"):
+        result, calibration = calibrate_cell(Cell(entry.name, StartingNoise()), loaded)
+        violated = True
+        try:
+            table = None
+            if calibration is not None and np.isfinite(calibration.cost):
+                table = table_of(calibration.dataset, loaded, calibration)
+            if table is not None:
+                table.write(Path(temporary) / TABLE)
+                result = replace(result, table=TABLE)
+                written = read_table(Path(temporary) / TABLE)
+                violated = bool(entry.rules and judge(written, entry.rules).violations)
+            [result] = judge_cells([result], [entry], Path(temporary))
+        except CalibrationError as error:
+            result = replace(result.failing(str(error)), converged=False, error=error.exit_code)
+    return result, violated, calibration
+
+
+LIMITS_WITHOUT_TRUTH = Limits()
+TABLE = "table.csv"
+
+
+def _harm(calibrated: Dataset, scene: Scene) -> Harm | None:
+    try:
+        error = truth_error(calibrated, scene.truth())
+    except InputError:
+        return None
+    return Harm(error.translation_mm, error.rotation_deg, error.joint_mm, error.joint_deg)
+
+
+def _nees(calibration: Calibration, scene: Scene) -> Iterator[float]:
+    """Squared errors in standard deviations, over their expectation; relative to the sensor that is held."""
+    found, truth = calibration.dataset, scene.truth()
+    true = found.with_transforms(truth.transforms)
+    shift = np.eye(4)
+    if calibration.gauge in found.sensors:
+        held = found.sensors[str(calibration.gauge)].frame
+        shift = (found.transform(found.world, held) @ inverse(true.transform(found.world, held)))[0]
+    for sensor in found.sensors.values():
+        covariance = calibration.covariances.get(sensor.edge)
+        if covariance is None:
+            continue
+        T_world_parent = found.transform(found.world, sensor.calibration_parent)[0]
+        T_true = inverse(T_world_parent) @ shift @ T_world_parent @ truth.transforms[sensor.edge]
+        error = local(calibration.transforms[sensor.edge], T_true)
+        yield float(error @ np.linalg.solve(covariance, error)) / 6
+
+
+@cache
+def _clean_limits(stratum: Stratum, system: str, seed: int) -> float:
+    limits = run(Case(CLEAN.name, stratum, system, 0, seed)).limits
+    return limits if limits is not None else 0.0
+
+
+def _named(result: CellResult, kind: Kind) -> int:
+    """Which of the reasons has one of the words, or is a finding of such a kind."""
+    kinds = {finding.text: finding.kind for finding in result.findings}
+    for number, reason in enumerate(result.reasons, 1):
+        said = f"{reason} {kinds.get(reason, '')}".lower()
+        if not reason.startswith("RMS (pix)") and any(word in said for word in kind.words):
+            return number
+    return 0

@@ -1,0 +1,155 @@
+"""Arms that are not where their description and their encoders say: the world is changed, not what the user has."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from benchmarks.verdict.scene import Scene
+from benchmarks.verdict.strata import moving_edges
+from calibration.dataset.model import Edge
+from calibration.geometry import rotations
+from calibration.geometry.transforms import inverse, retract, transform, translation
+from calibration.geometry.types import Array
+
+Plant = Callable[[Scene, float, np.random.Generator], Scene]
+
+
+def _moved(scene: Scene, edge: Edge, T: Array) -> Scene:
+    return scene.seen_as_in(replace(scene, world=scene.world.with_transforms({edge: T})))
+
+
+def _link(scene: Scene, rng: np.random.Generator) -> Edge:
+    """One of the moving links but the first and the last, whose errors the mounts of arm and sensor make up for."""
+    edges = moving_edges(scene)
+    inner = edges[1:-1]
+    return inner[int(rng.integers(len(inner)))]
+
+
+def origin_shift(axis: int) -> Plant:
+    """The origin of a joint lies elsewhere, m along an axis of its parent."""
+
+    def plant(scene: Scene, size: float, rng: np.random.Generator) -> Scene:
+        edge = _link(scene, rng)
+        return _moved(scene, edge, translation(size * np.eye(3)[axis]) @ scene.world.transforms[edge])
+
+    return plant
+
+
+def origin_turn(axis: int) -> Plant:
+    """The origin of a joint is turned, degrees about an axis of its parent."""
+
+    def plant(scene: Scene, size: float, rng: np.random.Generator) -> Scene:
+        edge = _link(scene, rng)
+        T = scene.world.transforms[edge].copy()
+        T[:, :3, :3] = rotations.exp(np.radians(size) * np.eye(3)[axis]) @ T[:, :3, :3]
+        return _moved(scene, edge, T)
+
+    return plant
+
+
+def _axis(T: Array) -> tuple[Array, Array, bool]:
+    """Of a joint with the poses (N, 4, 4): the axis in its child frame, the positions (N,), whether it slides."""
+    relative = inverse(T[:1]) @ T
+    turns = rotations.log(relative[:, :3, :3])
+    slides = bool(np.abs(turns).max() < 1e-6)
+    steps = relative[:, :3, 3] if slides else turns
+    axis = np.linalg.svd(steps)[2][0]
+    return axis, steps @ axis, slides
+
+
+def _motion(axis: Array, by: Array, slides: bool) -> Array:
+    steps = np.asarray(by)[..., None] * axis
+    T: Array = translation(steps) if slides else transform(rotations.exp(steps), np.zeros(3))
+    return T
+
+
+def _turning(scene: Scene, rng: np.random.Generator) -> tuple[Edge, Array, Array]:
+    """One of the joints that turn, inner ones first: its edge, its axis, its positions."""
+    edges = moving_edges(scene)
+    turning = [e for e in edges[1:-1] if not _axis(scene.world.transforms[e])[2]]
+    edge = turning[int(rng.integers(len(turning)))]
+    axis, positions, _ = _axis(scene.world.transforms[edge])
+    return edge, axis, positions
+
+
+def encoder_offset(scene: Scene, size: float, rng: np.random.Generator) -> Scene:
+    """The zero of an encoder, degrees."""
+    edge, axis, _ = _turning(scene, rng)
+    return _moved(scene, edge, scene.world.transforms[edge] @ _motion(axis, np.radians(size), False))
+
+
+def encoder_gain(scene: Scene, size: float, rng: np.random.Generator) -> Scene:
+    """An encoder that counts too much by a share."""
+    edge, axis, positions = _turning(scene, rng)
+    return _moved(scene, edge, scene.world.transforms[edge] @ _motion(axis, size * positions, False))
+
+
+def backlash(scene: Scene, size: float, rng: np.random.Generator) -> Scene:
+    """A gear with play, degrees: the joint stays behind on the side that it comes from."""
+    edge, axis, positions = _turning(scene, rng)
+    side = np.sign(np.diff(positions, prepend=positions[-1]))
+    return _moved(scene, edge, scene.world.transforms[edge] @ _motion(axis, np.radians(size) / 2 * side, False))
+
+
+def wrong_axis(scene: Scene, size: float, rng: np.random.Generator) -> Scene:
+    """An axis that leans by degrees."""
+    edge, axis, positions = _turning(scene, rng)
+    across = np.cross(axis, rng.normal(size=3))
+    leaning = rotations.exp(np.radians(size) * across / np.linalg.norm(across)) @ axis
+    T = scene.world.transforms[edge]
+    return _moved(scene, edge, T @ _motion(axis, -positions, False) @ _motion(leaning, positions, False))
+
+
+def in_degrees(scene: Scene, size: float, rng: np.random.Generator) -> Scene:
+    """Positions told in degrees where radians are read: 1 of one joint, 2 of all, 3 of one, in half of the collections.
+
+    What the user has is changed.
+    """
+    edges = [e for e in moving_edges(scene) if not _axis(scene.world.transforms[e])[2]]
+    chosen = edges if size == 2 else [edges[1 + int(rng.integers(len(edges) - 2))]]
+    told = scene.told
+    joints = {joint.edge: name for name, joint in told.joints.items()}
+    half = rng.random(len(told.collections)) < (0.5 if size == 3 else 1.1)
+    for edge in chosen:
+        axis, positions, _ = _axis(told.transforms[edge])
+        if edge in joints:
+            joint = told.joints[joints[edge]]
+            factor = np.where(half, 180 / np.pi, 1.0)
+            told = replace(told, joints={**told.joints, joint.name: replace(joint, positions=joint.positions * factor)})
+            told = told.with_joints({joint.name: joint.values})
+        else:
+            more = np.where(half, (180 / np.pi - 1) * positions, 0.0)
+            told = told.with_transforms({edge: told.transforms[edge] @ _motion(axis, more, False)})
+    return replace(scene, told=told)
+
+
+def unsteady(scene: Scene, size: float, rng: np.random.Generator) -> Scene:
+    """An arm that does not repeat, m and as many half radians."""
+    edge, n = moving_edges(scene)[-1], len(scene.told.collections)
+    twists = np.concatenate([rng.normal(0, size, (n, 3)), rng.normal(0, size / 2, (n, 3))], axis=1)
+    return _moved(scene, edge, retract(scene.world.transforms[edge], twists))
+
+
+def base_moved(scene: Scene, size: float, rng: np.random.Generator) -> Scene:
+    """The arm was pushed on its table, m, between two collections."""
+    edge, n = moving_edges(scene)[0], len(scene.told.collections)
+    way = rng.normal(size=3)
+    shift = np.zeros((n, 3))
+    shift[int(rng.integers(n // 4, 3 * n // 4 + 1)) :] = size * way / np.linalg.norm(way)
+    return _moved(scene, edge, translation(shift) @ scene.world.transforms[edge])
+
+
+def poses_of_others(scene: Scene, size: float, rng: np.random.Generator) -> Scene:
+    """A share of the collections has the arm's pose of another one: what the user has is changed."""
+    n = len(scene.told.collections)
+    source = np.arange(n)
+    wrong = rng.permutation(n)[: max(1, round(size * n))]
+    source[wrong] = (wrong + rng.integers(1, n, len(wrong))) % n
+    told = scene.told
+    joints = {joint.edge for joint in told.joints.values()}
+    plain = {e: told.transforms[e][source] for e in moving_edges(scene) if e not in joints}
+    told = replace(
+        told, joints={name: replace(j, positions=j.positions[source]) for name, j in told.joints.items()}
+    ).with_transforms(plain)
+    return replace(scene, told=told.with_joints({name: j.values for name, j in told.joints.items()}))
