@@ -4,6 +4,7 @@ from calibration.dataset.model import Dataset
 from calibration.diagnosis.description import far_from_description
 from calibration.diagnosis.finding import Finding
 from calibration.diagnosis.rejected_labels import rejected_labels
+from calibration.diagnosis.repeated import repeated
 from calibration.estimation.options import Options
 from calibration.estimation.result import Calibration
 
@@ -21,6 +22,7 @@ def diagnose(calibration: Calibration, description: Dataset, options: Options) -
     return (
         *far_from_description(calibration, description, options),
         *rejected_labels(calibration),
+        *repeated(calibration),
         *_said_by_the_engine(calibration),
     )
 

@@ -1,0 +1,25 @@
+"""Collections that say what others have said already."""
+
+import numpy as np
+
+from calibration.diagnosis.finding import Finding
+from calibration.estimation.repeated import repeated_collections
+from calibration.estimation.result import Calibration
+
+NAMED = 8
+
+
+def repeated(calibration: Calibration) -> tuple[Finding, ...]:
+    """How many collections are shots of the same poses."""
+    keys = calibration.dataset.keys
+    clusters = repeated_collections(calibration.dataset, calibration.noise_levels.pixel)
+    again = np.flatnonzero(clusters != np.arange(len(clusters))).tolist()
+    if not again:
+        return ()
+    pairs = [f"{keys[i]} = {keys[clusters[i]]}" for i in again]
+    listed = ", ".join(pairs[:NAMED]) + (f" and {len(pairs) - NAMED} more" if pairs[NAMED:] else "")
+    text = (
+        f"{len(again)} of {len(keys)} collections repeat the poses of others ({listed}); they tell noise, but "
+        f"nothing new about the robot: {len(keys) - len(again)} count"
+    )
+    return (Finding("repeated", "note", text, collections=tuple(keys[i] for i in again), value=float(len(again))),)

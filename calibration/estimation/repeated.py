@@ -1,0 +1,99 @@
+"""Collections that repeat another one: the same poses of robot and pattern, within the noise of the labels."""
+
+import numpy as np
+
+from calibration.dataset.model import Dataset
+from calibration.geometry.transforms import apply, distance
+from calibration.geometry.types import Array, BoolArray, IntArray
+
+NEAR = 2.0
+"""A pattern that appears nearer than this to where it was (in standard deviations of the labels) has not moved,"""
+NEAR_PIXELS, NEAR_METRES = 0.3, 0.005
+"""nor has one that appears nearer than this to a camera, or to another sensor."""
+STILL = 1e-3
+"""A transform that differs by less (m, rad) is of a robot that has not moved."""
+
+
+def repeated_collections(dataset: Dataset, pixel: float | None) -> IntArray:
+    """The cluster (N,) of each collection: the index of the first one that it repeats, or its own.
+
+    A collection repeats an earlier one where every sensor that saw a pattern in both has it in the same place, and the
+    transforms between the sensors and fixed patterns are the same. Its labels tell their noise and little else, so in
+    the number of independent collections a cluster counts once.
+
+    Args:
+        dataset: calibrated, so that patterns have their poses.
+        pixel: the standard deviation of the corners, px; None without any.
+    """
+    views = _views(dataset, NEAR * (pixel or 0.0))
+    moving = _moving(dataset)
+    clusters = np.arange(len(dataset.collections))
+    pairs = np.unique(np.concatenate([np.zeros((0, 2), int), *map(_candidates, views)]), axis=0)
+    i, j = pairs.T
+    same = np.ones(len(pairs), bool)
+    for view in views:
+        same &= ~(((view[i] - view[j]) ** 2).mean(-1) > 1.0)  # what was not seen in both, NaN, says nothing
+    for k, first in pairs[same].tolist():
+        if (
+            clusters[k] == k
+            and clusters[first] == first
+            and all(np.max(distance(T[first], T[k])) < STILL for T in moving)
+        ):
+            clusters[k] = first
+    return clusters
+
+
+def _candidates(view: Array) -> IntArray:
+    """Pairs (i, j), j < i, of rows of a view (N, F) whose first coordinates allow that they are near."""
+    order = view[:, 0].argsort(kind="stable")[: np.isfinite(view[:, 0]).sum()]
+    ranked = view[order, 0]
+    counts = np.searchsorted(ranked, ranked + np.sqrt(view.shape[-1]), side="right") - np.arange(len(order)) - 1
+    first = np.repeat(np.arange(len(order)), counts)
+    second = first + 1 + np.arange(len(first)) - np.repeat(np.cumsum(counts) - counts, counts)
+    pairs = np.stack([order[first], order[second]], -1)
+    return np.sort(pairs, axis=-1)[:, ::-1]
+
+
+def _views(dataset: Dataset, pixels: float) -> list[Array]:
+    """Where each sensor has the corners of each pattern's border (N, 8 or 12), in what counts as near; NaN unseen."""
+    found = []
+    for name, pattern in dataset.patterns.items():
+        corners = np.column_stack([pattern.outline, np.zeros(len(pattern.outline))])
+        for sensor in dataset.sensors.values():
+            at = _seen(dataset, name, sensor.name)
+            if not at.any():
+                continue
+            T = dataset.with_collections(np.flatnonzero(at).tolist()).transform(sensor.frame, pattern.link)
+            points = apply(T, corners)
+            if sensor.camera and sensor.modality.has_corners:
+                z = np.maximum(points[..., 2:], 1e-3)  # the border may lie behind what the corners are before
+                focal = np.array([sensor.camera.fx, sensor.camera.fy])
+                near = focal * points[..., :2] / z / max(pixels, NEAR_PIXELS)
+            else:
+                near = points / NEAR_METRES
+            view = np.full((len(at), near[0].size), np.nan)
+            view[at] = near.reshape(len(T), -1)
+            found.append(view)
+    return found
+
+
+def _seen(dataset: Dataset, pattern: str, sensor: str) -> BoolArray:
+    """The collections (N,) in which a sensor saw a pattern that has a pose there."""
+    board = dataset.patterns[pattern]
+    seen = np.zeros(len(dataset.collections), bool)
+    seen[[i for i, _ in dataset.detections(pattern, sensor)]] = True
+    pose = dataset.transforms.get((board.parent_link, board.link))
+    return seen if pose is None else seen & np.isfinite(pose[:, 0, 0])
+
+
+def _moving(dataset: Dataset) -> list[Array]:
+    """The transforms (N, 4, 4) between sensors and fixed patterns that are not the same in all collections."""
+    edges = {
+        (step.parent, step.child)
+        for pattern in dataset.patterns.values()
+        if pattern.fixed
+        for sensor in dataset.sensors.values()
+        for step in dataset.tree.path(sensor.frame, pattern.parent_link)
+    }
+    T = [dataset.transforms[edge] for edge in sorted(edges - dataset.moving_transforms)]
+    return [each for each in T if np.ptp(each, axis=0).max() > STILL]
