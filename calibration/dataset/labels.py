@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import chain
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -32,9 +33,13 @@ class _Detection(NamedTuple):
 
 
 def read_labels(
-    collections: Sequence[Node], sensors: Mapping[str, Sensor], patterns: Mapping[str, Pattern], version: str
+    collections: Sequence[Node],
+    sensors: Mapping[str, Sensor],
+    patterns: Mapping[str, Pattern],
+    version: str,
+    data: Path | None = None,
 ) -> tuple[Collection, ...]:
-    """The collections with their labels, in the same order.
+    """The collections with their labels, in the same order; files that they name in ``data``, if it is given.
 
     Raises:
         InputError: something in the labels or in a labelled point cloud, scan or depth image is missing or wrong.
@@ -53,7 +58,7 @@ def read_labels(
     found: list[dict[tuple[str, str], Labels]] = [{} for _ in collections]
     everything: list[tuple[_Detection, Labels]] = [
         *zip(corners, _read_corners(corners, patterns, sensors), strict=True),
-        *zip(points, _read_points(points, collections, sensors), strict=True),
+        *zip(points, _read_points(points, collections, sensors, data), strict=True),
     ]
     for detection, labels in everything:
         found[detection.collection][detection.pattern, detection.sensor] = labels
@@ -123,7 +128,7 @@ def _check_pixels(
 
 
 def _read_points(
-    detections: Sequence[_Detection], collections: Sequence[Node], sensors: Mapping[str, Sensor]
+    detections: Sequence[_Detection], collections: Sequence[Node], sensors: Mapping[str, Sensor], folder: Path | None
 ) -> Iterator[PointLabels]:
     if not detections:
         return
@@ -143,6 +148,8 @@ def _read_points(
             collection, clouds = detection.collection, {}
         if detection.sensor not in clouds:
             message = collections[collection]["data"][detection.sensor]
+            if folder is not None:
+                message = Node(folder / message.file.name, message.keys, message.value)
             clouds[detection.sensor] = data.read(message, sensors[detection.sensor].camera)
         cloud = clouds[detection.sensor]
         try:

@@ -21,13 +21,17 @@ from calibration.geometry.types import Array
 FILE_NAME = "dataset.json"
 
 
-def read_dataset(path: Path | str) -> Dataset:
+def read_dataset(path: Path | str, data: Path | None = None) -> Dataset:
     """The dataset in a folder with ``dataset.json``, or in a file itself.
 
     Every label of the result belongs to a known corner or point, every number is finite, every
     sensor's calibrated transform lies on the way from the world to its frame, and no transform on
     that way or on the way to a pattern's parent is missing in any collection. A missing pattern
     transform is NaN. The arrays are read-only.
+
+    Args:
+        path: the folder, or the file.
+        data: the folder of the point clouds and depth images that it names, unless they lie beside it.
 
     Raises:
         InputError: there is no such file, or something in it is missing or wrong; the message
@@ -37,7 +41,7 @@ def read_dataset(path: Path | str) -> Dataset:
     if os.path.isdir(path):  # noqa: PTH112 (Path.is_dir raises where a folder may not be looked into)
         path = path / FILE_NAME
     with _no_collector():
-        return _read(path)
+        return _read(path, data)
 
 
 @contextmanager
@@ -52,7 +56,7 @@ def _no_collector() -> Iterator[None]:
             gc.enable()
 
 
-def _read(path: Path) -> Dataset:
+def _read(path: Path, data: Path | None) -> Dataset:
     root = read_json(path)
     version = _version(root["_metadata"]["version"])
     configuration = parse_configuration(root["calibration_config"])
@@ -72,7 +76,7 @@ def _read(path: Path) -> Dataset:
         anchored=configuration.anchored_sensor,
         additional_transforms=additional,
         transforms=transforms,
-        collections=read_labels(collections, sensors, patterns, version),
+        collections=read_labels(collections, sensors, patterns, version, data),
         document=root.value,
         moving_transforms=frozenset(edge for edge in additional if _moves(edge, transforms, described)),
         joints=read_joints(root["calibration_config"], collections),

@@ -43,7 +43,7 @@ def calibrate(dataset: Dataset, options: Options | None = None, noise: StartingN
 
 def _calibrate(dataset: Dataset, options: Options, noise: StartingNoise) -> Calibration:
     setup = build(dataset, options.hold, options.intrinsics, options.known_intrinsics())
-    exact = _initial_values(setup)
+    exact = initial_values(setup)
     guess = perturb(setup, exact, noise)
     robust = options.loss == "huber"
     start = linear_start(setup, guess)
@@ -60,7 +60,7 @@ def _calibrate(dataset: Dataset, options: Options, noise: StartingNoise) -> Cali
     return _result(dataset, setup, result, reason, start.guessed)
 
 
-def _initial_values(setup: Setup) -> Values:
+def initial_values(setup: Setup) -> Values:
     """The transforms as they stand in the first collection, joints and intrinsics at their nominal parameters.
 
     Patterns have no place yet, unless they are held at it.

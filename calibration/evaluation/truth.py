@@ -89,12 +89,27 @@ def truth_error(dataset: Dataset, truth: Truth) -> TruthError:
     found = dataset.with_collections(labelled)
     joints = {name: _true_values(joint, truth) for name, joint in found.joints.items()}
     true = found.with_transforms({s.edge: truth.transforms[s.edge] for s in sensors}).with_joints(joints)
-    of_joints = tuple(error for name in joints for error in _of_joint(found.joints[name], joints[name]))
-    if dataset.anchored is None and len(sensors) > 1:
+    return error_against(found, true, relative=dataset.anchored is None)
+
+
+def error_against(found: Dataset, true: Dataset, relative: bool) -> TruthError:
+    """The errors of a dataset's sensors and joints against those of another one with the same collections.
+
+    Args:
+        found: what is judged.
+        true: what it is held against.
+        relative: whether the pose between the data frames of every two sensors is compared, where there are two.
+
+    Raises:
+        InputError: something is missing or not finite, or nothing is calibrated.
+    """
+    sensors = list(found.sensors.values())
+    of_joints = tuple(error for name in true.joints for error in _of_joint(found.joints[name], true.joints[name].values))
+    if relative and len(sensors) > 1:
         return TruthError(tuple(_between(a, b, found, true) for a, b in combinations(sensors, 2)), of_joints)
-    calibrated = [s for s in sensors if s.name != dataset.anchored] or (sensors if joints else [])
+    calibrated = [s for s in sensors if s.name != found.anchored] or (sensors if of_joints else [])
     if not calibrated:
-        raise InputError(f"{dataset.path}: only sensor '{dataset.anchored}', and it is anchored: nothing is calibrated")
+        raise InputError(f"{found.path}: only sensor '{found.anchored}', and it is anchored: nothing is calibrated")
     poses = tuple(_worst(s.name, true.transform(*s.edge), found.transform(*s.edge)) for s in calibrated)
     return TruthError(poses, of_joints)
 
