@@ -43,7 +43,7 @@ OF_SOFTWARE = {
     "command": "What it runs, without a shell: calibrate {start} {output} --seed {seed}; see README.",
     "artifacts": "Files to bring out of it, with wildcards ({output}/*).",
     "table": "Which of them is the table to judge (*.csv).",
-    "calibrated": "Which of them is the calibrated dataset, held against the truth.",
+    "calibrated": "Which of them is the calibrated dataset to judge (*.json); none: its table is believed.",
     "ros": "1 starts a ROS master beside it (none).",
     "memory": "The most memory it may use, such as 2g (no limit).",
     "timeout": "How long it may take, such as 10m (1h).",

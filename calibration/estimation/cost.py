@@ -16,6 +16,7 @@ from calibration.estimation.optimisation import HUBER, unflipped
 from calibration.estimation.options import Options
 
 _NEAR = Termination(decrease=1e-3, iterations=30)
+"""Near enough for the patterns' poses to be compared with their mirror images."""
 
 
 def cost_of(dataset: Dataset, options: Options, levels: NoiseLevels) -> float:
@@ -41,9 +42,8 @@ def cost_of(dataset: Dataset, options: Options, levels: NoiseLevels) -> float:
         setup = _with_patterns_alone(build(dataset, options.hold))
         problem, everywhere = setup.problem, np.ones(setup.problem.collections, bool)
         weighting = Weighting(levels.given(), HUBER if options.loss == "huber" else None)
-        values, cost = settle(
-            problem, pattern_poses(setup, initial_values(setup)), weighting, everywhere, _NEAR
-        )
+        start = pattern_poses(setup, initial_values(setup))
+        values, cost = settle(problem, start, weighting, everywhere, _NEAR)
         if not np.isfinite(cost).all():
             return np.inf
         values, _ = unflipped(problem, values, weighting, cost)

@@ -104,7 +104,9 @@ def error_against(found: Dataset, true: Dataset, relative: bool) -> TruthError:
         InputError: something is missing or not finite, or nothing is calibrated.
     """
     sensors = list(found.sensors.values())
-    of_joints = tuple(error for name in true.joints for error in _of_joint(found.joints[name], true.joints[name].values))
+    of_joints = tuple(
+        error for name in true.joints for error in _of_joint(found.joints[name], true.joints[name].values)
+    )
     if relative and len(sensors) > 1:
         return TruthError(tuple(_between(a, b, found, true) for a, b in combinations(sensors, 2)), of_joints)
     calibrated = [s for s in sensors if s.name != found.anchored] or (sensors if of_joints else [])

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
+from calibration.diagnosis.tolerance import Tolerance
 from calibration.estimation.options import Options
 from calibration.introspection.rule_set import RuleEntry, RuleSet, checked, unfolded
 from calibration.pipeline.matrix.software import Software, checked_software
@@ -41,6 +42,11 @@ class Limits:
     rotation_deg: Limit | None = field("Error against the truth.", default=None, unit="degrees")
     joint_mm: Limit | None = field("Error of a joint's length against the truth.", default=None, unit="mm")
     joint_deg: Limit | None = field("Error of a joint's angle against the truth.", default=None, unit="degrees")
+
+    @property
+    def tolerance(self) -> Tolerance:
+        """Those that need no truth."""
+        return Tolerance(self.translation_mm, self.rotation_deg, self.joint_mm, self.joint_deg)
 
 
 @record

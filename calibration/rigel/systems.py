@@ -155,6 +155,13 @@ def system_of(
         software = {"command": ["TODO"], **software}
     software["ros"] = ros_version(distro)
     software |= _timeout(job, around.notes)
+    if not any(str(path).endswith((".json", "*")) for path in software.get("artifacts", ())):
+        software["calibrated"] = "none"
+        around.notes.to_do(
+            f"{where}.{chosen.get('name', 0)}",
+            "calibrated: bring the calibrated dataset out too, and remove 'none': then it is held against our optimum, "
+            "while a table alone is believed",
+        )
     entry: dict[str, Any] = {"dataset": "TODO"}
     around.notes.to_do(
         f"{where}.{chosen.get('name', 0)}",

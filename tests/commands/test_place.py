@@ -25,7 +25,14 @@ SECTION = (
     f"job-role: '{ROLE}', execution-role: '{ROLE}'}}\n"
 )
 TABLE = b"Collection #,RMS (pix)\n000,0.5\nAverages,0.5\n"
-SOFTWARE = ("--image", "team/robot:1", "--command", "calibrate {start} {output} {translation_noise}")
+SOFTWARE = (
+    "--image",
+    "team/robot:1",
+    "--command",
+    "calibrate {start} {output} {translation_noise}",
+    "--calibrated",
+    "none",
+)
 
 
 @pytest.fixture(autouse=True)
@@ -79,7 +86,8 @@ def test_a_pipeline_in_the_cloud(batch_emulator: Aws, tmp_path: Path, capsys: py
     Path("calibration.yml").write_text(
         f"{SECTION}backend: aws-batch\n"
         "systems:\n"
-        f"  t2rgb: {{dataset: {T2RGB}, software: {{image: i, command: 'run {{seed}} {{translation_noise}}'}}}}\n"
+        f"  t2rgb: {{dataset: {T2RGB}, software: "
+        "{image: i, command: 'run {seed} {translation_noise}', calibrated: none}}\n"
         "simulation:\n"
         f"  fresh: {{system: {T2RGB}, containers: {{robot: {{image: i, command: 'collect {{scenario}}'}}}}}}\n"
     )

@@ -51,7 +51,7 @@ noise: {{translation: {noise}}}
 systems:
   arm:
     dataset: data/riwbot
-    software: {{command: {command}}}
+    software: {{command: {command}, calibrated: none}}
     rules: [{{column: RMS (pix), row: Averages, max: 1}}]
 """
 COPY = '[cp, /opt/table.csv, "{output}/table.csv"]'

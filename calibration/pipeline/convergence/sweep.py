@@ -25,6 +25,7 @@ from calibration.execution.workspace import identity, workspace
 from calibration.pipeline.matrix.cell import OUR_METHOD, CellResult
 from calibration.pipeline.matrix.judgement import judge_cells
 from calibration.pipeline.matrix.matrix import Done, Matrix, matrix_tasks
+from calibration.pipeline.matrix.software import SOFTWARE
 from calibration.pipeline.system import Limits, System
 from calibration.records import document_of, read
 
@@ -148,10 +149,15 @@ def _of_the_same_optimum(cells: Sequence[CellResult], systems: Sequence[System])
             best[key] = min(cell.rms_px, best.get(key, cell.rms_px))
     return [
         _compared(cell, best.get((cell.system, cell.method)))
-        if cell.system in unjudged and cell.verdict == "pass"
+        if cell.system in unjudged and cell.verdict == "pass" and not _verified(cell)
         else cell
         for cell in cells
     ]
+
+
+def _verified(cell: CellResult) -> bool:
+    """Whether the calibrated dataset of the team's software has been held against our optimum."""
+    return cell.method == SOFTWARE and cell.dataset is not None
 
 
 def _compared(cell: CellResult, best: float | None) -> CellResult:

@@ -4,6 +4,7 @@ import math
 import time
 from dataclasses import dataclass, replace
 from dataclasses import field as dataclass_field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +14,10 @@ from calibration.comparison.methods import METHODS, method_of
 from calibration.dataset.model import Dataset
 from calibration.dataset.truth import Truth
 from calibration.dataset.writing import write_dataset
+from calibration.diagnosis.against_optimum import OurOptimum, find_optimum
 from calibration.diagnosis.diagnose import diagnose
 from calibration.diagnosis.finding import Finding
+from calibration.diagnosis.tolerance import Tolerance
 from calibration.errors import CalibrationError
 from calibration.estimation.calibrate import calibrate
 from calibration.estimation.intrinsics import CalibratedIntrinsics
@@ -46,6 +49,17 @@ class LoadedSystem:
     evaluation: Evaluation | None
     options: Options = dataclass_field(default_factory=Options)
     """How our engine calibrates it."""
+    tolerance: Tolerance = dataclass_field(default_factory=Tolerance)
+    """What may not be moved farther."""
+
+    @cached_property
+    def optimum(self) -> OurOptimum:
+        """Our engine's, which does not depend on a start.
+
+        Raises:
+            InputError: there is none.
+        """
+        return find_optimum(self.dataset, self.options)
 
 
 @dataclass(frozen=True)

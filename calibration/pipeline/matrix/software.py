@@ -25,6 +25,8 @@ DATASET, START = "/calibration/dataset", "/calibration/start"
 """Where it finds the two folders, read-only."""
 PLACEHOLDERS = ("dataset", "start", "output", "system", "translation_noise", "rotation_noise", "seed")
 EVERYTHING = Artifact(f"{OUTPUT}/*")
+DATASET_PATTERN, NO_DATASET = "*.json", "none"
+"""What its calibrated dataset is called unless it is said, and what says that it leaves none."""
 Pattern = Annotated[str, length(1)]
 
 
@@ -41,9 +43,16 @@ class Software:
     ros: Ros = field(ROS_HELP, default="none")
     network: Network = field(NETWORK_HELP, default="private")
     table: Pattern | None = field("A pattern for the path of its table among the artifacts (*.csv).", default=None)
-    calibrated: Pattern | None = field(
-        "A pattern for the path of its calibrated dataset (JSON), which is held against the truth.", default=None
+    calibrated: Pattern = field(
+        "A pattern for the path of its calibrated dataset (*.json), which is held against our optimum on the same "
+        "labels; none where the software leaves no dataset: then its table is believed.",
+        default=DATASET_PATTERN,
     )
+
+    @property
+    def leaves_dataset(self) -> bool:
+        """Whether its result can be verified."""
+        return self.calibrated != NO_DATASET
 
     def with_image(self, image: str) -> "Software":
         """The same in this image, unless it names its own."""

@@ -1,12 +1,18 @@
 """Cells that the team's software calibrates: each a job in containers, judged by the files that come out."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from fnmatch import fnmatchcase
 from pathlib import Path
 
+from calibration.dataset.model import Dataset
 from calibration.dataset.reading import read_dataset
 from calibration.dataset.writing import write_dataset
+from calibration.diagnosis.against_optimum import against_optimum
+from calibration.diagnosis.finding import Finding
+from calibration.diagnosis.same_labels import moved_frames, same_labels
+from calibration.diagnosis.table_follows import not_evaluated, table_follows
 from calibration.errors import CalibrationError, ExitCode, InputError
 from calibration.estimation.starting_noise import with_starting_noise
 from calibration.evaluation.table import AVERAGES
@@ -18,10 +24,15 @@ from calibration.introspection.numbers import number_text, parse_number
 from calibration.introspection.selection import KeyedTable, LabelledRow
 from calibration.introspection.table import read_table
 from calibration.pipeline.matrix.cell import Cell, CellResult, LoadedSystem, distance_from_truth, nothing_yet
-from calibration.pipeline.matrix.software import DATASET, SOFTWARE, START, Software, job_of
+from calibration.pipeline.matrix.software import DATASET, NO_DATASET, SOFTWARE, START, Software, job_of
 
 RMS = "RMS (pix)"
 """The column of a table whose average is a cell's ``rms_px``."""
+NOT_VERIFIED = Finding(
+    "not-verified",
+    "note",
+    f"not verified: the software leaves no dataset (calibrated: {NO_DATASET}), its table is believed",
+)
 
 
 def software_task(cell: Cell, system: LoadedSystem, software: Software, start: Path, output: Path) -> Task[CellResult]:
@@ -79,30 +90,76 @@ def software_result(
     if outcome.exit_code != ExitCode.PASS:
         error = None if outcome.exit_code == ExitCode.FAIL else outcome.exit_code
         return replace(result.failing(*outcome.reasons), error=error)
+    folder = outcome.folder.relative_to(output)
+    paths = [file.path for file in outcome.artifacts]
     try:
-        return _with_files(result, system, software, outcome, output)
+        result = _with_table(result, software, folder / ARTIFACTS, paths, output)
+        if software.leaves_dataset:
+            return _with_dataset(result, cell, system, software, folder, paths, output)
     except CalibrationError as error:  # of files that the software wrote: it has failed
         return result.failing(str(error))
+    return replace(result, converged=True).found((NOT_VERIFIED,))
 
 
-def _with_files(
-    result: CellResult, system: LoadedSystem, software: Software, outcome: JobOutcome, output: Path
+def _with_table(result: CellResult, software: Software, files: Path, paths: Sequence[str], output: Path) -> CellResult:
+    found = _only(paths, software.table or "*.csv", "table", required=not software.leaves_dataset)
+    if found is None:
+        return result
+    return replace(result, table=str(files / found), rms_px=_average_rms(output / files / found))
+
+
+def _with_dataset(
+    result: CellResult,
+    cell: Cell,
+    system: LoadedSystem,
+    software: Software,
+    folder: Path,
+    paths: Sequence[str],
+    output: Path,
 ) -> CellResult:
-    folder = outcome.folder.relative_to(output)
-    files = folder / ARTIFACTS
-    paths = [file.path for file in outcome.artifacts]
-    found = _only(paths, software.table or "*.csv", "table", required=software.calibrated is None)
-    table = None if found is None else files / found
-    if software.calibrated is not None:
-        calibrated = files / str(_only(paths, software.calibrated, "calibrated", required=True))
-        dataset = read_dataset(output / calibrated)
-        result = replace(result, dataset=str(calibrated), truth=distance_from_truth(dataset, system))
-        if table is None and system.evaluation is not None:
-            table = folder / f"{system.evaluation.kind.replace('-', '_')}_results.csv"
-            system.evaluation.run(dataset, system.truth).write(output / table)
-    if table is None:
-        return replace(result, converged=True)
-    return replace(result, converged=True, table=str(table), rms_px=_average_rms(output / table))
+    """The result with what its calibrated dataset says of it, and of its table; without one, with the dataset's."""
+    try:
+        path = folder / ARTIFACTS / str(_only(paths, software.calibrated, "calibrated", required=True))
+    except InputError as error:
+        raise InputError(
+            f"{error}: its calibrated dataset (or say calibrated: {NO_DATASET}, to believe its table)"
+        ) from None
+    dataset = read_dataset(output / path, data=system.dataset.path.parent)
+    result = replace(result, dataset=str(path), converged=True)
+    if other := same_labels(dataset, system.dataset):
+        return result.found(other)
+    result = replace(result, truth=distance_from_truth(dataset, system))
+    result = result.found(_distance(dataset, cell, system))
+    if system.evaluation is None:
+        return result if result.table is None else result.found(not_evaluated(result.rms_px, _noise(system)))
+    made = system.evaluation.run(dataset, system.truth)
+    if result.table is not None:
+        return result.found(table_follows(read_table(output / result.table), made))
+    table = folder / f"{system.evaluation.kind.replace('-', '_')}_results.csv"
+    made.write(output / table)
+    return replace(result, table=str(table), rms_px=_average_rms(output / table))
+
+
+def _distance(dataset: Dataset, cell: Cell, system: LoadedSystem) -> tuple[Finding, ...]:
+    """How far a dataset of the same labels is from our optimum."""
+    try:
+        optimum = system.optimum
+    except CalibrationError as error:
+        text = f"not verified: our engine finds no optimum on the same labels: {error}"
+        return (Finding("against-optimum", "red", text),)
+    start = with_starting_noise(system.dataset, cell.noise)
+    return (
+        *moved_frames(dataset, system.dataset, system.tolerance),
+        *against_optimum(optimum, dataset, start, system.tolerance),
+    )
+
+
+def _noise(system: LoadedSystem) -> float:
+    """The root mean square of the reprojection errors at our optimum, px; NaN where there is none."""
+    try:
+        return system.optimum.calibration.rms_px
+    except CalibrationError:
+        return math.nan
 
 
 def _only(paths: Sequence[str], pattern: str, key: str, required: bool) -> str | None:

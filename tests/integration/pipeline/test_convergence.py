@@ -32,7 +32,18 @@ GRID = ["--translation-noise", "1", "--rotation-noise", "1", "--seeds", "1"]
 @pytest.fixture
 def sweep(tmp_path: Path, python_image: str, engine: "DockerClient") -> Callable[..., int]:
     def run(*options: str, command: str = COMMAND) -> int:
-        words = ["convergence", "--dataset", str(DATASET), "--image", python_image, "--command", command, *GRID]
+        words = [
+            "convergence",
+            "--dataset",
+            str(DATASET),
+            "--image",
+            python_image,
+            "--command",
+            command,
+            *GRID,
+            "--calibrated",
+            "none",
+        ]
         return main([*words, "--output", str(tmp_path / "out"), *options])
 
     return run

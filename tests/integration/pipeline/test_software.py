@@ -41,7 +41,9 @@ def matrix(
 ) -> Callable[..., subprocess.CompletedProcess[str]]:
     def run(command: str, *options: str, **variables: str) -> subprocess.CompletedProcess[str]:
         words = [sys.executable, "-m", "calibration", "calibrate-matrix", "--dataset", str(DATASET)]
-        words += ["--image", python_image, "--command", command, "--output", str(tmp_path / "out"), *options]
+        words += ["--image", python_image, "--command", command, "--output", str(tmp_path / "out")]
+        words += [] if "--calibrated" in options else ["--calibrated", "none"]
+        words += options
         return subprocess.run(
             words,
             cwd=PROJECT,

@@ -49,7 +49,9 @@ simulation:
 systems:
   robot:
     dataset: simulation:fresh
-    software: {{command: [python3, /opt/robot/calibrate.py, "{{start}}", "{{output}}", "{{translation_noise}}"]}}
+    software:
+      command: [python3, /opt/robot/calibrate.py, "{{start}}", "{{output}}", "{{translation_noise}}"]
+      calibrated: none
     rules: [{{column: RMS (pix), row: Averages, max: {limit}}}]
 """
 

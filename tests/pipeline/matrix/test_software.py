@@ -1,18 +1,31 @@
 """The team's software in a cell: what it is told, and what its files say."""
 
+import json
+import re
 import shutil
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from calibration.dataset.model import Dataset
 from calibration.dataset.reading import read_dataset
+from calibration.dataset.writing import write_dataset
+from calibration.diagnosis.tolerance import Tolerance
 from calibration.errors import ExitCode, InputError
-from calibration.estimation.calibrate import calibrate
+from calibration.estimation.build import build
+from calibration.estimation.calibrate import initial_values
+from calibration.estimation.least_squares import Termination, minimise
+from calibration.estimation.linear_start import pattern_poses
+from calibration.estimation.normal_equations import Weighting
 from calibration.estimation.starting_noise import StartingNoise, with_starting_noise
+from calibration.evaluation.specification import parse_evaluation
 from calibration.execution.job import OUTPUT, Artifact
 from calibration.execution.outcome import BroughtOut, JobOutcome
-from calibration.pipeline.matrix.cell import Cell, CellResult
+from calibration.geometry.transforms import translation
+from calibration.pipeline.matrix.cell import Cell, CellResult, LoadedSystem
 from calibration.pipeline.matrix.matrix import load
 from calibration.pipeline.matrix.software import (
     DATASET,
@@ -22,7 +35,7 @@ from calibration.pipeline.matrix.software import (
     software_from,
 )
 from calibration.pipeline.matrix.software_cell import cell_job, software_result
-from calibration.pipeline.system import System
+from calibration.pipeline.system import Limits, System
 
 DATASETS = Path(__file__).parents[3] / "datasets"
 CELL = Cell("t2rgb", StartingNoise(0.5, 0.1, 7))
@@ -90,10 +103,16 @@ def test_options_go_before_the_configuration() -> None:
         adjusted_software(None, {"image": "robot:1"}, Path())
 
 
+@cache
+def loaded(evaluate: str | None = None) -> LoadedSystem:
+    """The system, with our optimum, as the cells of a run share it."""
+    return load(System("t2rgb", DATASETS / "t2rgb", evaluate=evaluate))
+
+
 @pytest.fixture
 def result_of(tmp_path: Path) -> Callable[..., CellResult]:
     def judged(files: dict[str, str | Path], asked: Software | None = None, evaluate: str | None = None) -> CellResult:
-        system = load(System("t2rgb", DATASETS / "t2rgb", evaluate=evaluate))
+        system = loaded(evaluate)
         folder = tmp_path / CELL.folder
         for name, content in files.items():
             path = folder / "artifacts" / name
@@ -104,7 +123,7 @@ def result_of(tmp_path: Path) -> Callable[..., CellResult]:
                 path.write_text(content)
         artifacts = tuple(BroughtOut(name, "calibration", 1, "") for name in files)
         outcome = JobOutcome(CELL.folder, folder, artifacts=artifacts, seconds=1.0)
-        return software_result(CELL, system, asked or software(), outcome, tmp_path)
+        return software_result(CELL, system, asked or software(calibrated="none"), outcome, tmp_path)
 
     return judged
 
@@ -143,40 +162,166 @@ def test_a_table_that_says_nothing_is_no_pass(
 
 
 def test_one_of_several_tables_is_named(result_of: Callable[..., CellResult]) -> None:
-    result = result_of({"a.csv": TABLE, "b.csv": TABLE.replace("0.25", "0.5")}, software(table="b.csv"))
+    result = result_of(
+        {"a.csv": TABLE, "b.csv": TABLE.replace("0.25", "0.5")}, software(table="b.csv", calibrated="none")
+    )
     assert result.rms_px == 0.5
 
 
-def test_a_calibrated_dataset_is_held_against_the_truth(result_of: Callable[..., CellResult], tmp_path: Path) -> None:
-    from calibration.dataset.writing import write_dataset
+@pytest.fixture(scope="module")
+def ours(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Our optimum, as software would leave it."""
+    return write_dataset(loaded().optimum.calibration.dataset, tmp_path_factory.mktemp("ours"), images=False)
 
-    path = write_dataset(calibrate(read_dataset(DATASETS / "t2rgb")).dataset, tmp_path / "ours", images=False)
-    asked = software(calibrated="*.json")
-    result = result_of({"calibrated.json": path, "t.csv": TABLE}, asked)
-    assert result.verdict == "pass"
+
+def test_the_optimum_passes_with_its_distance(result_of: Callable[..., CellResult], ours: Path) -> None:
+    result = result_of({"calibrated.json": ours, "t.csv": TABLE, "log.txt": ""}, software())
+    assert (result.verdict, result.reasons) == ("pass", ())
     assert result.truth is not None
     assert result.truth.translation_mm < 0.1
     assert result.rms_px == 0.25  # its own table is the one that is judged
-    noisy = with_starting_noise(read_dataset(DATASETS / "t2rgb"), CELL.noise)
-    wrong = result_of({"calibrated.json": write_dataset(noisy, tmp_path / "n", images=False), "t.csv": TABLE}, asked)
-    assert wrong.truth is not None
-    assert wrong.truth.translation_mm > 100
+    assert [(found.kind, found.severity) for found in result.findings] == [
+        ("against-optimum", "note"),
+        ("table", "note"),  # nothing says how it is made
+    ]
 
 
-def test_without_a_table_of_its_own_we_evaluate_its_dataset(result_of: Callable[..., CellResult]) -> None:
-    asked = software(calibrated="dataset.json")
-    evaluate = "rgb-to-rgb:right_camera:left_camera"
-    result = result_of({"dataset.json": DATASETS / "t2rgb" / "dataset.json"}, asked, evaluate)
+def test_software_is_read_without_the_data_beside_its_dataset(tmp_path: Path) -> None:
+    system = LoadedSystem("rlbot", read_dataset(DATASETS / "rlbot").with_collections(range(5)), None, None)
+    path = write_dataset(with_starting_noise(system.dataset, CELL.noise), tmp_path / "noisy", images=False)
+    folder = tmp_path / "cell"
+    (folder / "artifacts").mkdir(parents=True)
+    shutil.copy(path, folder / "artifacts")
+    outcome = JobOutcome("cell", folder, artifacts=(BroughtOut("dataset.json", "c", 1, ""),), seconds=1.0)
+    result = software_result(Cell("rlbot", CELL.noise), system, software(), outcome, tmp_path)
+    [reason] = result.reasons
+    assert "'lidar_right' by " in reason
+    assert "It has returned its start unchanged" in reason
+
+
+def off_by(millimetres: float) -> Dataset:
+    found = loaded().optimum.calibration.dataset
+    edge = found.sensors["right_camera"].edge
+    return found.with_transforms({edge: found.transforms[edge] @ translation(np.array([millimetres / 1e3, 0, 0]))})
+
+
+def one_step() -> Dataset:
+    """What comes of our engine when it is stopped after one step."""
+    dataset = with_starting_noise(loaded().dataset, StartingNoise(0.05, 0.05, 1))
+    setup = build(dataset)
+    start = pattern_poses(setup, initial_values(setup))
+    weighting = Weighting({"pixel": 1.0}, None)
+    values = minimise(setup.problem, start, weighting, Termination(iterations=1)).values
+    edges = {sensor.edge: values[setup.block(sensor.edge)] for sensor in dataset.sensors.values()}
+    return dataset.with_transforms(edges)
+
+
+@pytest.mark.parametrize(
+    ("made", "says"),
+    [
+        (lambda: off_by(2), "'left_camera' to 'right_camera' by 2 mm and 0 deg (limit 1 mm"),
+        (lambda: with_starting_noise(loaded().dataset, CELL.noise), "It has returned its start unchanged"),
+        (one_step, "stopped early"),
+    ],
+)
+def test_far_from_the_optimum_is_red_with_the_distance(
+    result_of: Callable[..., CellResult], tmp_path: Path, made: Callable[[], Dataset], says: str
+) -> None:
+    result = result_of(
+        {"d.json": write_dataset(made(), tmp_path / "made.json", images=False), "t.csv": TABLE}, software()
+    )
+    assert (result.verdict, result.converged, result.error) == ("fail", True, None)
+    [reason] = result.reasons
+    assert reason.startswith("far from our optimum on the same labels: 'left_camera' to 'right_camera' by ")
+    assert says in reason
+
+
+def test_no_dataset_is_no_pass_unless_the_configuration_says_so(result_of: Callable[..., CellResult]) -> None:
+    result = result_of({"t.csv": TABLE}, software())
+    assert (result.verdict, result.rms_px) == ("fail", 0.25)
+    [reason] = result.reasons
+    assert reason.startswith("calibrated: the software left t.csv; expected exactly one file '*.json': its calibrated")
+    assert "calibrated: none" in reason
+    believed = result_of({"t.csv": TABLE, "other.json": "{"}, software(calibrated="none"))
+    assert (believed.verdict, believed.reasons) == ("pass", ())
+    [note] = believed.findings
+    assert (note.severity, "not verified" in note.text) == ("note", True)
+
+
+RGB_TO_RGB = "rgb-to-rgb:right_camera:left_camera"
+
+
+def test_without_a_table_of_its_own_we_evaluate_its_dataset(result_of: Callable[..., CellResult], ours: Path) -> None:
+    result = result_of({"dataset.json": ours}, software(calibrated="dataset.json"), RGB_TO_RGB)
+    assert result.verdict == "pass"
     assert result.table == f"{CELL.folder}/rgb_to_rgb_results.csv"
     assert result.rms_px is not None
     assert 0.05 < result.rms_px < 0.2
 
 
-@pytest.mark.parametrize("content", ["{", "[]", '{"collections": {}}'])
-def test_a_calibrated_dataset_that_is_none_has_failed(result_of: Callable[..., CellResult], content: str) -> None:
+def test_a_table_follows_from_its_dataset_or_is_red(
+    result_of: Callable[..., CellResult], ours: Path, tmp_path: Path
+) -> None:
+    table = parse_evaluation(RGB_TO_RGB).run(read_dataset(ours)).to_csv()
+    assert result_of({"d.json": ours, "t.csv": table}, software(), RGB_TO_RGB).verdict == "pass"
+
+    zeros = re.sub(r"\b[0-9]+\.[0-9]+", "0.0000", table)
+    result = result_of({"d.json": ours, "t.csv": zeros}, software(), RGB_TO_RGB)
+    [reason] = result.reasons
+    assert "the table says RMS (pix) 0.0000 for 000, its dataset gives 0.0" in reason
+
+    wrong = write_dataset(off_by(20), tmp_path / "wrong.json", images=False)
+    result = result_of({"d.json": wrong, "t.csv": table}, software(), RGB_TO_RGB)
+    distance, follows = result.reasons
+    assert "by 20 mm" in distance
+    assert re.search(r"the table says RMS \(pix\) 0\.\d+ for 000, its dataset gives 3\.", follows)
+
+
+def test_a_table_of_zeros_is_red_where_nothing_says_how_it_is_made(
+    result_of: Callable[..., CellResult], ours: Path
+) -> None:
+    result = result_of({"d.json": ours, "t.csv": TABLE.replace("0.25", "0")}, software())
+    assert result.reasons == ("the table says RMS 0 px, but the noise of the labels leaves 0.07496 px at the optimum",)
+
+
+def test_the_limits_of_the_system_are_those_of_the_distance() -> None:
+    limits = Limits(translation_mm=3, rotation_deg=0.1)
+    system = load(System("t2rgb", DATASETS / "t2rgb", limits=limits))
+    assert system.tolerance == Tolerance(translation_mm=3, rotation_deg=0.1)
+
+
+def test_labels_of_something_else_are_red(result_of: Callable[..., CellResult], ours: Path, tmp_path: Path) -> None:
+    fewer = write_dataset(read_dataset(ours).with_collections(range(20)), tmp_path / "fewer.json", images=False)
+    [reason] = result_of({"d.json": fewer, "t.csv": TABLE}, software()).reasons
+    assert "it has 20 collections, expected 26" in reason
+    document = json.loads(ours.read_text())
+    label = document["collections"]["003"]["labels"][next(iter(document["patterns"]))]["left_camera"]["idxs"][0]
+    label["x"] += 3
+    [reason] = result_of({"d.json": json.dumps(document), "t.csv": TABLE}, software()).reasons
+    assert "collection 003: the labels of 'left_camera' differ by up to 3 px" in reason
+
+
+@pytest.mark.parametrize("content", ["{", "[]", '{"collections": {}}', "NaN"])
+def test_a_calibrated_dataset_that_is_none_has_failed(
+    result_of: Callable[..., CellResult], content: str, ours: Path
+) -> None:
+    if content == "NaN":
+        content = re.sub(r'("trans": \[\s*)[-0-9.e]+', r"\1NaN", ours.read_text(), count=1)
+        assert "NaN" in content
     result = result_of({"d.json": content, "t.csv": TABLE}, software(calibrated="d.json"))
     assert (result.verdict, result.error) == ("fail", None)
-    assert "d.json" in result.reasons[0]
+    [reason] = result.reasons
+    assert "d.json" in reason
+
+
+def test_data_that_nobody_can_calibrate_verify_nothing(tmp_path: Path) -> None:
+    two = load(System("t2rgb", DATASETS / "t2rgb")).dataset.with_collections([0])
+    system = LoadedSystem("t2rgb", two, None, None)
+    folder = tmp_path / "cell"
+    path = write_dataset(two, folder / "artifacts" / "d.json", images=False)
+    outcome = JobOutcome("cell", folder, artifacts=(BroughtOut(path.name, "c", 1, ""),), seconds=1.0)
+    [reason] = software_result(CELL, system, software(), outcome, tmp_path).reasons
+    assert reason.startswith("not verified: our engine finds no optimum on the same labels: ")
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,224 @@
+"""A calibration that other software has made, held against our optimum of the same labels.
+
+Both explain the same labels, so the noise of the labels is no excuse for a difference: two programs that minimise the
+same errors agree to a small part of a standard deviation. The distance is told in three ways:
+
+- the cost of the labels at the other calibration, the patterns' poses being optimised for it, above the cost at ours.
+  Near the optimum it is ``d^T S d``, with d the difference of the shared parameters and S their information (the Schur
+  complement of the normal equations), so its root is the distance in standard deviations (that of Mahalanobis, 1936) by
+  the noise of the labels alone. What labels cannot tell, the gauge, costs nothing;
+- each sensor, or each pair where only their relative pose is determined, in mm and degrees;
+- the parameters of joints.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from statistics import NormalDist
+
+import numpy as np
+
+from calibration.dataset.model import Dataset
+from calibration.diagnosis.finding import Finding
+from calibration.diagnosis.tolerance import Tolerance
+from calibration.errors import CalibrationError, UndeterminedError
+from calibration.estimation.build import build
+from calibration.estimation.calibrate import calibrate
+from calibration.estimation.cost import cost_of
+from calibration.estimation.options import Options
+from calibration.estimation.result import Calibration
+from calibration.evaluation.truth import PoseError, TruthError, error_against
+from calibration.geometry.cameras import Camera
+
+KIND = "against-optimum"
+UNCHANGED = 1e-3
+"""A result that is nearer than this to its start (mm, deg) is the start."""
+SAME_INTRINSICS = 1e-6
+"""Intrinsics that differ by less, as a share of themselves or absolutely, were only rounded."""
+RARE = 1e-3
+"""Where the labels' noise alone moves the optimum farther as rarely as this, another calibration is another one."""
+NAMED = 3
+"""How many sensors a message names."""
+
+
+@dataclass(frozen=True, eq=False)
+class OurOptimum:
+    """Our calibration of a dataset, and what others are held against."""
+
+    given: Dataset
+    """What was calibrated."""
+    options: Options
+    calibration: Calibration
+    cost: float
+    """Of its labels, as `cost_of` has it."""
+    relative: bool
+    """Whether the labels determine the sensors' poses relative to each other alone."""
+    parameters: int
+    """How many the labels determine, of those that all collections share."""
+
+    @property
+    def noticeable(self) -> float:
+        """The cost above the optimum from which on the labels tell the difference: a quantile of chi-square.
+
+        By the approximation of E. B. Wilson and M. M. Hilferty ("The distribution of chi-square", 1931).
+        """
+        ninth = 2 / (9 * self.parameters)
+        return float(self.parameters * (1 - ninth + NormalDist().inv_cdf(1 - RARE) * np.sqrt(ninth)) ** 3)
+
+    def cost_of(self, dataset: Dataset) -> float:
+        """The cost of the labels at other transforms, with the same weights."""
+        return cost_of(dataset, self.options, self.calibration.noise_levels)
+
+
+def find_optimum(dataset: Dataset, options: Options) -> OurOptimum:
+    """Calibrate a dataset from the linear start.
+
+    Raises:
+        UndeterminedError: the data do not determine what is asked, or there is no optimum.
+        InputError: the labels cannot be used.
+    """
+    calibration = calibrate(dataset, replace(options, start="linear"))
+    if not calibration.converged:
+        raise UndeterminedError(f"{dataset.path}: {calibration.reason}")
+    names = {each for sensor in dataset.sensors.values() for each in (sensor.name, "-".join(sensor.edge))}
+    setup = build(dataset, [name for name in options.hold if name not in names])
+    cost = cost_of(calibration.dataset, options, calibration.noise_levels)
+    return OurOptimum(dataset, options, calibration, cost, setup.gauge is not None, setup.problem.sizes[0])
+
+
+def against_optimum(optimum: OurOptimum, found: Dataset, start: Dataset, tolerance: Tolerance) -> tuple[Finding, ...]:
+    """How far a calibrated dataset is from our optimum; red where it is farther than the tolerance.
+
+    Software that calibrates intrinsics too, and explains the labels better with them, is held against our optimum with
+    these intrinsics.
+
+    Args:
+        optimum: of the same labels.
+        found: the calibrated dataset.
+        start: the guess that it was made from.
+        tolerance: of the system.
+
+    Raises:
+        InputError: something in the dataset is missing.
+    """
+    excess = optimum.cost_of(found) - optimum.cost
+    cameras = _other_cameras(found, optimum.given)
+    with_cameras = ""
+    if cameras and excess < 0 and (better := _with_cameras(optimum, cameras)):
+        with_cameras = f", both with the intrinsics that it has found for {_listed(list(cameras))}"
+        excess = optimum.cost_of(found) - optimum.cost_of(better.calibration.dataset)
+        optimum = better
+    error = error_against(found, optimum.calibration.dataset, optimum.relative)
+    far = sorted(_far(optimum, error, tolerance, excess > optimum.noticeable), key=lambda each: -each[0])
+    mm, deg = error.translation_mm, error.rotation_deg
+    away = float(np.sqrt(max(excess, 0.0))) if np.isfinite(excess) else None
+    numbers = Finding(KIND, "note", "", value=away, unit="1", moves_mm=mm, moves_deg=deg)
+    cost = f"{_cost(away, excess)}{with_cameras}"
+    if not far:
+        text = f"within {_told(mm, deg)} of our optimum on the same labels; {cost}"
+        return (replace(numbers, text=text),)
+    what = "; ".join(text for _, text, _ in far[:NAMED])
+    more = f"; and {len(far) - NAMED} more" if len(far) > NAMED else ""
+    names = tuple(dict.fromkeys(name for _, _, sensors in far for name in sensors))
+    hint = _hint(optimum, found, start, list(cameras) if not with_cameras else [])
+    text = f"far from our optimum on the same labels: {what}{more}; {cost}{hint}"
+    return (replace(numbers, severity="red", text=text, sensors=names),)
+
+
+def _far(
+    optimum: OurOptimum, error: TruthError, tolerance: Tolerance, noticeable: bool
+) -> Iterator[tuple[float, str, tuple[str, ...]]]:
+    """What is farther than the tolerance: how many times as far, in words, and the sensors.
+
+    A limit that is not set counts only where the labels tell the difference.
+    """
+    mm, deg = tolerance.sensor
+    count_mm, count_deg = (
+        noticeable or tolerance.translation_mm is not None,
+        noticeable or tolerance.rotation_deg is not None,
+    )
+    is_set = "" if tolerance.translation_mm is not None and tolerance.rotation_deg is not None else ", as none is set"
+    for pose in error.poses:
+        times = max(_ratio(pose.translation_mm, mm) * count_mm, _ratio(pose.rotation_deg, deg) * count_deg)
+        if not times <= 1:
+            sensors = _sensors(optimum.given, pose)
+            where = " to ".join(f"'{name}'" for name in sensors)
+            limit = f"limit {mm:.3g} mm, {deg:.2g} deg{is_set}"
+            yield times, f"{where} by {_told(pose.translation_mm, pose.rotation_deg)} ({limit})", sensors
+    for joint in error.joints:
+        calibrated = optimum.calibration.joints.get(joint.joint)
+        length = joint.unit == "m"
+        if calibrated is None or joint.parameter not in calibrated.parameters:
+            continue  # held by ours
+        if not noticeable and (tolerance.joint_mm if length else tolerance.joint_deg) is None:
+            continue
+        off, limit_of_joint = (
+            1e3 * joint.error if length else float(np.degrees(joint.error)),
+            tolerance.joint[not length],
+        )
+        if not _ratio(off, limit_of_joint) <= 1:
+            unit = "mm" if length else "deg"
+            text = (
+                f"'{joint.parameter}' of joint '{joint.joint}' by {off:.3g} {unit} (limit {limit_of_joint:.3g} {unit})"
+            )
+            yield _ratio(off, limit_of_joint), text, ()
+
+
+def _told(mm: float, deg: float) -> str:
+    """A displacement and a turn, to the micrometre and as little."""
+    return f"{round(mm, 3 if mm < 1 else 2):g} mm and {round(deg, 4 if deg < 0.1 else 2):g} deg"
+
+
+def _ratio(off: float, limit: float) -> float:
+    return off / limit if limit > 0 else float("inf") if off > 0 else 0.0
+
+
+def _sensors(dataset: Dataset, pose: PoseError) -> tuple[str, ...]:
+    """The sensors of an error: one, or the two of a pair."""
+    pairs = {f"{a}/{b}": (a, b) for a in dataset.sensors for b in dataset.sensors}
+    return (pose.name,) if pose.name in dataset.sensors else pairs[pose.name]
+
+
+def _other_cameras(found: Dataset, given: Dataset) -> dict[str, Camera]:
+    """The cameras whose intrinsics are other ones than in the dataset that was given."""
+    other = {}
+    for name, sensor in found.sensors.items():
+        one, two = sensor.camera, given.sensors[name].camera
+        if one is not None and two is not None:
+            same = one.parameters == two.parameters and np.allclose(
+                one.intrinsics, two.intrinsics, rtol=SAME_INTRINSICS, atol=SAME_INTRINSICS
+            )
+            if not same:
+                other[name] = one
+    return other
+
+
+def _with_cameras(optimum: OurOptimum, cameras: dict[str, Camera]) -> OurOptimum | None:
+    """Our optimum with other intrinsics, which are held; None where there is none."""
+    options = replace(optimum.options, intrinsics=(), intrinsics_covariance=None)
+    try:
+        return find_optimum(optimum.given.with_cameras(cameras), options)
+    except CalibrationError:
+        return None
+
+
+def _cost(away: float | None, excess: float) -> str:
+    """The cost above the optimum in words."""
+    if away is None:
+        return "no pose of the pattern fits the labels there"
+    return f"{away:.2g} standard deviations of the labels' noise away (cost {max(excess, 0.0):.3g} above the optimum)"
+
+
+def _hint(optimum: OurOptimum, found: Dataset, start: Dataset, cameras: list[str]) -> str:
+    """What is known of why."""
+    for guess in (start, optimum.given):  # software that makes its own noise begins there
+        moved = error_against(found, guess, optimum.relative)
+        joints = max(moved.joint_mm or 0.0, moved.joint_deg or 0.0)
+        if max(moved.translation_mm, moved.rotation_deg, joints) < UNCHANGED:
+            return ". It has returned its start unchanged: does it write what it has calibrated?"
+    if cameras:
+        return f". It has other intrinsics of {_listed(cameras)}, with which the labels fit no better"
+    return ". Has it stopped early, or does it minimise something else?"
+
+
+def _listed(names: list[str]) -> str:
+    return ", ".join(f"'{name}'" for name in names[:NAMED]) + (", ..." if len(names) > NAMED else "")

@@ -1,0 +1,103 @@
+"""Whether a table that software left follows from its calibrated dataset."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from calibration.diagnosis.finding import Finding
+from calibration.evaluation.table import AVERAGES, Table
+from calibration.geometry.types import Array
+from calibration.introspection.numbers import parse_number
+from calibration.introspection.selection import KeyedTable
+from calibration.introspection.table import Table as Csv
+
+KIND = "table"
+ROW, AVERAGE = 0.1, 0.05
+"""How far a value may be from ours, as a share of it: of one collection, and of all of them. Both evaluate the same
+transforms, but a view's own pose of the pattern, or the border in an image, depends a little on who finds it."""
+COARSE = 0.1
+"""A unit of the last digit counts up to this, so that zeros without a digit are not what something was rounded to; of
+an average, which a verdict depends on, up to the share."""
+NO_NOISE = 0.1
+"""No calibration leaves a smaller share of what ours leaves of the same labels."""
+
+
+def table_follows(said: Csv, made: Table) -> tuple[Finding, ...]:
+    """The first value of a table that is not what our evaluation makes of the same dataset; red.
+
+    Compared are the columns and rows that both have, and the averages: software may leave out a collection, but then
+    the averages tell.
+
+    Args:
+        said: the table that the software left.
+        made: the table of its calibrated dataset.
+    """
+    columns = [column for column in made.columns if said.header.count(column) == 1]
+    if not columns:
+        text = (
+            f"the table is not verified: it has no column of the one that evaluate asks for ({', '.join(made.columns)})"
+        )
+        return (Finding(KIND, "note", text),)
+    keyed = KeyedTable.of(said, None, ())
+    of_label = {_label(label): values for label, values in zip(made.labels, _values(made), strict=True)}
+    of_label[AVERAGES] = made.averages
+    if not any(_label(keyed.label(row)) in of_label for row in said.rows):
+        text = f"the table has no row of the collections of its dataset ({', '.join(made.labels[:3])}, ...)"
+        return (Finding(KIND, "red", text),)
+    wrong = list(_wrong(keyed, columns, made, of_label))
+    if not wrong:
+        return ()
+    more = f", and {len(wrong) - 1} more values differ" if len(wrong) > 1 else ""
+    text = f"{wrong[0]}{more}: the table does not follow from the calibrated dataset"
+    return (Finding(KIND, "red", text),)
+
+
+def _values(made: Table) -> Array:
+    """The numbers of a table; NaN where nothing was seen."""
+    return made.values if made.missing is None else np.where(made.missing, np.nan, made.values)
+
+
+def _wrong(keyed: KeyedTable, columns: list[str], made: Table, of_label: dict[str, Array]) -> Iterator[str]:
+    """Each value that is not ours, in words."""
+    places = [(column, keyed.table.column(column), made.columns.index(column)) for column in columns]
+    for row in keyed.table.rows:
+        label = _label(keyed.label(row))
+        if label not in of_label:
+            continue
+        share = AVERAGE if label == AVERAGES else ROW
+        for column, there, here in places:
+            text, ours = row.cells[there], float(of_label[label][here])
+            if np.isfinite(ours) and not _near(text, ours, share):
+                where = "on average" if label == AVERAGES else f"for {keyed.label(row)}"
+                yield f"the table says {column} {text or 'nothing'} {where}, its dataset gives {ours:.4g}"
+
+
+def _near(text: str, ours: float, share: float) -> bool:
+    """Whether a printed number is ours, up to a share, and a unit of its last digit where that is small."""
+    number = parse_number(text)
+    if number is None:
+        return False
+    mantissa, _, exponent = text.lower().partition("e")
+    decimals = min(len(mantissa.partition(".")[2]) - int(exponent or 0), 300)
+    coarse = share * abs(ours) if share == AVERAGE else COARSE
+    return abs(number - ours) <= share * abs(ours) + max(min(10.0**-decimals, coarse), 1e-4)
+
+
+def _label(label: str) -> str:
+    """A row's label without leading zeros: "7" and "007" are one collection, "0-1" and "000-001" one pair."""
+    return "-".join(part.lstrip("0") or "0" if part.isdigit() else part for part in label.split("-"))
+
+
+def not_evaluated(rms_px: float | None, noise_px: float) -> tuple[Finding, ...]:
+    """What can be said of a table where nothing tells how it is made: red where the labels' noise alone leaves more.
+
+    Args:
+        rms_px: the average of the table; None where it has none.
+        noise_px: root mean square of the reprojection errors at our optimum; NaN where there is no camera.
+    """
+    if rms_px is not None and rms_px < NO_NOISE * noise_px:
+        text = (
+            f"the table says RMS {rms_px:.4g} px, but the noise of the labels leaves {noise_px:.4g} px at the optimum"
+        )
+        return (Finding(KIND, "red", text, value=rms_px, unit="px"),)
+    return (Finding(KIND, "note", "the table is not verified: evaluate does not say which one it is"),)

@@ -1,0 +1,170 @@
+"""Calibrations that other software has made, right, wrong and unfinished, against our optimum."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calibration.dataset.model import Dataset
+from calibration.diagnosis.against_optimum import OurOptimum, against_optimum, find_optimum
+from calibration.diagnosis.finding import Finding
+from calibration.diagnosis.tolerance import Tolerance
+from calibration.errors import UndeterminedError
+from calibration.estimation.calibrate import calibrate
+from calibration.estimation.options import Options
+from calibration.estimation.starting_noise import StartingNoise, with_starting_noise
+from calibration.geometry.joints import JOINT_PARAMETERS
+from calibration.geometry.transforms import retract, translation
+from tests.estimation.systems import eye_to_hand, jointed_arm, linked_by_an_arm, stereo
+
+NOISE = StartingNoise(0.1, 0.1, 3)
+
+
+def optimum_of(dataset: Dataset, options: Options | None = None) -> OurOptimum:
+    return find_optimum(dataset, options or Options())
+
+
+@pytest.fixture(scope="module")
+def rig() -> OurOptimum:
+    return optimum_of(stereo(12, pixel_noise=0.3).dataset())
+
+
+@pytest.fixture(scope="module")
+def arm() -> OurOptimum:
+    return optimum_of(eye_to_hand(12, pixel_noise=0.3).dataset())
+
+
+def judged(optimum: OurOptimum, found: Dataset, tolerance: Tolerance | None = None) -> Finding:
+    start = with_starting_noise(optimum.given, NOISE)
+    [finding] = against_optimum(optimum, found, start, tolerance or Tolerance())
+    return finding
+
+
+def off(optimum: OurOptimum, sensor: str, *metres: float) -> Dataset:
+    """Our result with one sensor somewhere else."""
+    found = optimum.calibration.dataset
+    edge = found.sensors[sensor].edge
+    return found.with_transforms({edge: found.transforms[edge] @ translation(np.array(metres))})
+
+
+def test_our_own_result_is_the_optimum(rig: OurOptimum, arm: OurOptimum) -> None:
+    for optimum in (rig, arm):
+        finding = judged(optimum, optimum.calibration.dataset)
+        assert finding.severity == "note"
+        assert finding.moves_mm == pytest.approx(0, abs=1e-6)
+        assert finding.text.startswith("within 0 mm and 0 deg of our optimum on the same labels")
+
+
+def test_what_labels_cannot_tell_is_no_difference(rig: OurOptimum) -> None:
+    found, elsewhere = rig.calibration.dataset, retract(np.eye(4), np.array([0.5, -0.3, 0.2, 0.4, 0.1, -0.6]))
+    edges = [sensor.edge for sensor in found.sensors.values()]
+    moved = found.with_transforms({edge: elsewhere @ found.transforms[edge] for edge in edges})
+    assert judged(rig, moved).severity == "note"
+
+
+def test_sensors_that_an_arm_tells_apart_may_not_have_moved_together() -> None:
+    optimum = optimum_of(linked_by_an_arm(16, pixel_noise=0.3).dataset())
+    found = optimum.calibration.dataset
+    edges = [sensor.edge for sensor in found.sensors.values()]
+    moved = found.with_transforms({e: translation(np.array([0.01, 0, 0])) @ found.transforms[e] for e in edges})
+    finding = judged(optimum, moved)
+    assert (finding.severity, finding.sensors) == ("red", tuple(found.sensors))
+
+
+def test_another_loss_is_an_honest_difference(rig: OurOptimum, arm: OurOptimum) -> None:
+    for optimum in (rig, arm):
+        finding = judged(optimum, calibrate(optimum.given, Options(loss="linear")).dataset)
+        assert finding.severity == "note"
+        assert finding.value is not None
+        assert 0.01 < finding.value < 1
+
+
+def test_two_millimetres_are_red_with_the_distance(rig: OurOptimum, arm: OurOptimum) -> None:
+    finding = judged(rig, off(rig, "right", 0.002, 0, 0))
+    assert (finding.severity, finding.sensors) == ("red", ("left", "right"))
+    assert finding.moves_mm == pytest.approx(2, rel=1e-3)
+    assert "'left' to 'right' by 2 mm and 0 deg (limit 1 mm, 0.05 deg, as none is set)" in finding.text
+    finding = judged(arm, off(arm, "cam", 0, 0.002, 0))
+    assert (finding.severity, finding.sensors) == ("red", ("cam",))
+    assert "'cam' by 2 mm and 0 deg" in finding.text
+
+
+def test_the_limits_of_the_system_count(rig: OurOptimum) -> None:
+    two, tenth = off(rig, "right", 0.002, 0, 0), off(rig, "right", 0.0001, 0, 0)
+    assert judged(rig, two, Tolerance(translation_mm=3)).severity == "note"
+    red = judged(rig, tenth, Tolerance(translation_mm=0.05, rotation_deg=0.1))
+    assert (red.severity, "(limit 0.05 mm, 0.1 deg)" in red.text) == ("red", True)
+
+
+def test_what_the_labels_do_not_tell_is_no_fault_but_a_limit_is_a_limit() -> None:
+    optimum = optimum_of(stereo(4, pixel_noise=5.0).dataset())
+    moved = off(optimum, "right", 0.002, 0, 0)
+    finding = judged(optimum, moved)
+    assert finding.value is not None
+    assert 0.5 < finding.value < 4
+    assert finding.severity == "note"
+    assert judged(optimum, moved, Tolerance(translation_mm=1)).severity == "red"
+
+
+def test_the_quantile_of_chi_square(rig: OurOptimum) -> None:
+    """Of 6 parameters, which are the pose of one camera to the other: 22.46 (tables)."""
+    assert rig.parameters == 6
+    assert rig.noticeable == pytest.approx(22.46, rel=0.02)
+
+
+def test_the_start_unchanged_is_told(rig: OurOptimum, arm: OurOptimum) -> None:
+    for optimum in (rig, arm):
+        finding = judged(optimum, with_starting_noise(optimum.given, NOISE))
+        assert finding.severity == "red"
+        assert "It has returned its start unchanged" in finding.text
+
+
+def test_stopped_on_its_way_is_red_with_what_is_missing(arm: OurOptimum) -> None:
+    found, start = arm.calibration.dataset, with_starting_noise(arm.given, NOISE)
+    edge = found.sensors["cam"].edge
+    halfway = found.transforms[edge].copy()
+    halfway[:, :3, 3] = 0.95 * halfway[:, :3, 3] + 0.05 * start.transforms[edge][:, :3, 3]
+    finding = judged(arm, found.with_transforms({edge: halfway}))
+    assert finding.severity == "red"
+    assert finding.moves_mm == pytest.approx(5, rel=0.05)
+    assert "above the optimum" in finding.text
+    assert "stopped early" in finding.text
+
+
+def test_labels_that_fit_nowhere_are_red(rig: OurOptimum) -> None:
+    found = rig.calibration.dataset
+    edge = found.sensors["right"].edge
+    finding = judged(rig, found.with_transforms({edge: found.transforms[edge] @ np.diag([-1.0, 1.0, -1.0, 1.0])}))
+    assert finding.severity == "red"
+    assert "no pose of the pattern fits the labels" in finding.text
+
+
+def test_better_intrinsics_are_held_against_the_optimum_with_them() -> None:
+    """Software that calibrates intrinsics, which the dataset has 1 % wrong, is right where our optimum is not."""
+    truth = eye_to_hand(16, pixel_noise=0.2).dataset()
+    [camera] = [sensor.camera for sensor in truth.sensors.values() if sensor.camera]
+    given = truth.with_cameras({"cam": replace(camera, fx=1.01 * camera.fx, fy=1.01 * camera.fy)})
+    optimum = optimum_of(given)
+    good = calibrate(given, Options(intrinsics=("cam",))).dataset
+    finding = judged(optimum, good)
+    assert finding.severity == "note"
+    assert "both with the intrinsics that it has found for 'cam'" in finding.text
+    wrong = judged(optimum_of(truth), optimum.calibration.dataset)  # worse ones are no excuse
+    assert wrong.severity == "red"
+    assert "It has other intrinsics of 'cam', with which the labels fit no better" in wrong.text
+
+
+def test_joints_count_too() -> None:
+    optimum = optimum_of(jointed_arm(pixel_noise=0.2).dataset())
+    found = optimum.calibration.dataset
+    name, joint = next(iter(optimum.calibration.joints.items()))
+    values = found.joints[name].values.copy()
+    values[JOINT_PARAMETERS.index(joint.parameters[0])] += 0.01
+    finding = judged(optimum, found.with_joints({name: values}))
+    assert finding.severity == "red"
+    assert f"'{joint.parameters[0]}' of joint '{name}' by" in finding.text
+
+
+def test_data_without_an_optimum_say_so() -> None:
+    with pytest.raises(UndeterminedError):
+        find_optimum(eye_to_hand(2).dataset(), Options())
