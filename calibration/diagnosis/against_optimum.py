@@ -205,7 +205,7 @@ def _cost(away: float | None, excess: float) -> str:
     """The cost above the optimum in words."""
     if away is None:
         return "no pose of the pattern fits the labels there"
-    return f"{away:.2g} standard deviations of the labels' noise away (cost {max(excess, 0.0):.3g} above the optimum)"
+    return f"{away:.3g} standard deviations of the labels' noise away (cost {max(excess, 0.0):.3g} above the optimum)"
 
 
 def _hint(optimum: OurOptimum, found: Dataset, start: Dataset, cameras: list[str]) -> str:
