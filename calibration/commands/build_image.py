@@ -2,32 +2,27 @@
 
 import os
 import time
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import click
 
-from calibration.commands.parameters import (
-    TEXT_LIST,
-    boolean_option,
-    password_variable,
-    path,
-    registry_password_option,
-    text,
-)
+from calibration.commands.parameters import password_variable, registry_password_option
+from calibration.commands.record_options import chosen, option_keys, record_options
 from calibration.errors import ExitCode, InputError, WorldError
 from calibration.image.builders.failure import BuildFailedError
-from calibration.image.building import BUILDERS, build_image
+from calibration.image.building import BuilderName, build_image
 from calibration.image.context import Context
 from calibration.image.plan import add_recipe
-from calibration.image.report import TITLE, BuildResult, report
+from calibration.image.report import TITLE, BuildResult, Failure, report
 from calibration.image.specification import (
     ImageSpecification,
     OwnDockerfile,
     parse_image_specification,
     read_image_specification,
 )
+from calibration.records import field, record
 from calibration.registries.credentials import RegistrySettings
 from calibration.registries.login import registry_login
 from calibration.registries.promotion import promote
@@ -38,60 +33,49 @@ from calibration.workflow import Runner, stop_commands
 SPECIFICATION = Path("calibration.yml")
 
 
-@dataclass(frozen=True)
+@record
 class Settings:
-    """What ``build-image`` is asked; what is None is as the specification says."""
+    """The inputs of ``build-image``; what is None is as the specification says."""
 
-    spec: Path | None = None
-    dockerfile: Path | None = None
-    context: Path | None = None
-    name: str | None = None
-    tags: tuple[str, ...] | None = None
-    push: bool | None = None
-    load: bool | None = None
-    promote: tuple[str, ...] = ()
-    digest: str | None = None
-    """Of the image to promote; None for the one that is built."""
-    builder: str = "auto"
-    force: bool = False
-    pull: bool = False
-    render: Path | None = None
-    registry_username: str | None = None
+    spec: Path | None = field(
+        "YAML file of what the image is made of, or one that has a key image (calibration.yml).", default=None
+    )
+    dockerfile: Path | None = field("A Dockerfile of your own, in the place of a specification.", default=None)
+    context: Path | None = field("The folder that this Dockerfile copies from (the working directory).", default=None)
+    name: str | None = field("Registry and repository without a tag: ghcr.io/team/robot.", default=None)
+    tags: tuple[str, ...] | None = field("Tags beside the one made of the content.", default=None)
+    push: bool | None = field("Push the image to its registry.", default=None)
+    load: bool | None = field(
+        "The image has to be on this machine's engine (it need not if it is pushed).", default=None
+    )
+    promote: tuple[str, ...] = field(
+        "Tags that the image gets in its registry, such as stable; it is pushed.", default=()
+    )
+    digest: str | None = field("The image to promote (sha256:...), with nothing built.", default=None)
+    builder: BuilderName = field("auto (BuildKit where a docker does it), engine or buildkit (auto).", default="auto")
+    force: bool = field("Build anew, though nothing has changed, and without a cache.", default=False)
+    pull: bool = field("Ask the registry whether there is a newer base.", default=False)
+    render: Path | None = field(
+        "Write the Dockerfile and all it copies into this folder, and build nothing.", default=None
+    )
+    registry_username: str | None = field("User of the registry.", default=None)
     password_variable: str | None = None
-    output: Path | None = None
-    """Folder for results.json, junit.xml and summary.md."""
+    output: Path | None = field("Folder for results.json, junit.xml and summary.md.", default=None)
+
+
+_OPTIONS = option_keys(Settings)
 
 
 @click.command(TITLE)
-@click.option(
-    "--spec", type=path, help="YAML file of what the image is made of, or one that has a key image (calibration.yml)."
-)
-@click.option("--dockerfile", type=path, help="A Dockerfile of your own, in the place of a specification.")
-@click.option("--context", type=path, help="The folder that this Dockerfile copies from (the working directory).")
-@click.option("--name", type=text, help="Registry and repository without a tag: ghcr.io/team/robot.")
-@click.option("--tags", type=TEXT_LIST, help="Tags beside the one made of the content.")
-@boolean_option("--push", default=None, help="Push the image to its registry.")
-@boolean_option(
-    "--load", default=None, help="The image has to be on this machine's engine (it need not if it is pushed)."
-)
-@click.option(
-    "--promote", type=TEXT_LIST, help="Tags that the image gets in its registry, such as stable; it is pushed."
-)
-@click.option("--digest", type=text, help="The image to promote (sha256:...), with nothing built.")
-@click.option("--builder", type=text, help="auto (BuildKit where a docker does it), engine or buildkit (auto).")
-@boolean_option("--force", help="Build anew, though nothing has changed, and without a cache.")
-@boolean_option("--pull", help="Ask the registry whether there is a newer base.")
-@click.option("--render", type=path, help="Write the Dockerfile and all it copies into this folder, and build nothing.")
-@click.option("--registry-username", type=text, help="User of the registry.")
+@record_options(Settings, *_OPTIONS[:-1])
 @registry_password_option
-@click.option("--output", type=path, help="Folder for results.json, junit.xml and summary.md.")
+@record_options(Settings, _OPTIONS[-1])
 @click.pass_context
 def command(click_context: click.Context, /, **options: Any) -> ExitCode:
     """Build an image from a specification or a Dockerfile; nothing is built where nothing has changed."""
     runner = Runner.from_environment(os.environ)
-    options["password_variable"] = password_variable(click_context, options.pop("registry_password"), runner)
-    given = {name: value for name, value in options.items() if value not in (None, ())}
-    return build(Settings(**given), runner)
+    password = password_variable(click_context, options.pop("registry_password"), runner)
+    return build(chosen(Settings, options, password_variable=password), runner)
 
 
 def build(settings: Settings, runner: Runner) -> ExitCode:
@@ -113,33 +97,30 @@ def build(settings: Settings, runner: Runner) -> ExitCode:
             _promoted(settings, specification, runner) if settings.digest else _built(settings, specification, runner)
         )
     except BuildFailedError as error:
-        result = BuildResult(failure=error)
+        result = BuildResult(failure=Failure(error.headline, error.lines))
     source = settings.dockerfile or settings.spec or SPECIFICATION
-    found = report(replace(result, seconds=time.monotonic() - begin), source, runner)
+    found = report(replace(result, seconds=round(time.monotonic() - begin, 3)), source, runner)
     publish(found, runner, settings.output)
     return found.exit_code
 
 
 def _built(settings: Settings, specification: ImageSpecification, runner: Runner) -> BuildResult:
-    builder = next((name for name in BUILDERS if name == settings.builder), None)
-    if builder is None:
-        raise InputError(f"builder: found '{settings.builder}', expected {' or '.join(BUILDERS)}")
     push = bool(settings.promote) or (specification.push if settings.push is None else settings.push)
     image = build_image(
         specification,
         runner,
         push=push,
         load=settings.load if settings.load is not None else not push,
-        builder=builder,
+        builder=settings.builder,
         force=settings.force,
         pull=settings.pull,
         leave_out=() if settings.output is None else (settings.output,),
     )
     if not settings.promote:
-        return BuildResult(image)
+        return BuildResult(**vars(image))
     if image.digest is None:
         raise WorldError(f"{image.reference}: pushed, but nothing told its digest, which the tags of promote need")
-    return BuildResult(image, promoted=_promote(specification, image.digest, settings, runner))
+    return BuildResult(**vars(image), promoted=_promote(specification, image.digest, settings, runner))
 
 
 def _promoted(settings: Settings, specification: ImageSpecification, runner: Runner) -> BuildResult:

@@ -5,7 +5,7 @@ from typing import Any
 
 import click
 
-from calibration.commands.parameters import TEXT_LIST, boolean_option, number, path, text
+from calibration.commands.record_options import chosen, record_options
 from calibration.coverage.report import TITLE
 from calibration.coverage.upload import Settings, upload
 from calibration.errors import ExitCode, InputError
@@ -23,43 +23,8 @@ VARIABLES = {
 """Codacy's own variables, for what is not given."""
 
 
-def percent(value: str | float) -> float:
-    """Read a number from 0 to 100; a usage error for anything else."""
-    result = number(value)
-    if not 0 <= result <= 100:
-        raise click.BadParameter(f"{value!r} is not from 0 to 100")
-    return result
-
-
 @click.command(TITLE)
-@click.option("--run", type=text, help="The tests: a command such as pytest -q or unittest tests, or a folder.")
-@click.option("--reports", type=TEXT_LIST, help="Reports that exist, or that run writes: .coverage, Cobertura, LCOV.")
-@click.option("--directory", type=path, help="Folder in the repository that the tests run in (the working directory).")
-@click.option("--interpreter", type=text, help="The Python for the tests (the one that their command finds).")
-@click.option("--source", type=TEXT_LIST, help="Folders and files that count, relative to directory (all in git).")
-@click.option("--exclude", type=TEXT_LIST, help="Patterns of git for files that do not count (tests, setup.py).")
-@click.option("--timeout", type=text, help="How long the tests may take, such as 10m (30m).")
-@click.option("--goal", type=percent, help="Percent of its lines that every file is to have run; only shown (60).")
-@click.option("--minimum", type=percent, help="Percent of all lines that must be run, or the verdict is fail.")
-@click.option("--minimum-change", type=percent, help="Percent of the change's lines that must be run.")
-@click.option("--base", type=text, help="Branch or commit that the change goes to (what the event says).")
-@click.option("--badge", type=path, help="Write a badge of the coverage to this SVG file.")
-@click.option("--service", type=text, help="Who is told of the coverage: codacy or none (codacy).")
-@click.option("--project-token", type=text, help="Codacy's for this repository; locally by CODACY_PROJECT_TOKEN.")
-@click.option("--api-token", type=text, help="Codacy's for an account; locally by CODACY_API_TOKEN.")
-@click.option("--provider", type=text, help="With api-token, who hosts the repository: gh, ghe, gl, gle, bb or bbe.")
-@click.option("--organisation", type=text, help="With api-token, the organisation of the repository.")
-@click.option("--repository", type=text, help="With api-token, the repository's name.")
-@click.option("--api-url", type=text, help="The address of Codacy's API (https://api.codacy.com).")
-@click.option("--language", type=text, help="The language of all files for Codacy (by their suffix).")
-@boolean_option("--partial", help="Other jobs upload coverage of this commit too; the last of them says final.")
-@boolean_option("--final", help="This is the last upload for this commit; without run and reports only that is said.")
-@click.option("--if-token-missing", type=text, help="fail or skip where there is no token (fail; forks are skipped).")
-@click.option("--commit", type=text, help="The commit that the coverage is of (found unless given).")
-@boolean_option("--dry-run", help="Send nothing, and show what would be sent.")
-@click.option(
-    "--output", type=path, help="Folder for results.json, junit.xml, summary.md, lcov.info, tests.xml and .log."
-)
+@record_options(Settings)
 @click.pass_context
 def command(click_context: click.Context, /, **options: Any) -> ExitCode:
     """Run tests, judge their coverage, and upload it.
@@ -89,4 +54,4 @@ def settings_from(options: dict[str, Any], click_context: click.Context, runner:
                 f"{name.replace('_', '-')}: found on the command line, where every process reads it: "
                 f"put it into the environment variable {variable}"
             )
-    return Settings(**{name: value for name, value in options.items() if value not in (None, ())})
+    return chosen(Settings, options)

@@ -8,9 +8,20 @@ from typing import Any, Literal, TypeVar
 
 import click
 
-from calibration.commands.parameters import count, integer, list_of, non_negative, number, path, share, text
-from calibration.records import Constraint, Converted, flat_fields
+from calibration.commands.parameters import (
+    boolean_option,
+    count,
+    integer,
+    list_of,
+    non_negative,
+    number,
+    path,
+    share,
+    text,
+)
+from calibration.records import Constraint, Converted, flat_fields, read
 
+_Record = TypeVar("_Record")
 _Callback = TypeVar("_Callback", bound=Callable[..., Any])
 
 
@@ -22,7 +33,7 @@ def option_keys(kind: type) -> tuple[str, ...]:
 def record_options(
     kind: type, *keys: str, names: Mapping[str, str] | None = None, helps: Mapping[str, str] | None = None
 ) -> Callable[[_Callback], _Callback]:
-    """Declare options for fields of a record.
+    """Declare options for fields of a record; a truth value is a flag.
 
     Args:
         kind: the record.
@@ -36,7 +47,11 @@ def record_options(
         for key in reversed(keys or option_keys(kind)):
             own = fields[key].option
             sentence = (helps or {}).get(key) or (own if isinstance(own, str) else fields[key].help)
-            click.option(f"--{(names or {}).get(key, key)}", type=_type_of(fields[key].type), help=sentence)(command)
+            name, base = f"--{(names or {}).get(key, key)}", fields[key].type
+            if bool in (base, *typing.get_args(base)):
+                boolean_option(name, help=sentence, default=None)(command)
+            else:
+                click.option(name, type=_type_of(base), help=sentence)(command)
         return command
 
     return declare
@@ -50,6 +65,20 @@ def given(kind: type, options: Mapping[str, Any], *keys: str, names: Mapping[str
         if value not in (None, ()):
             document[key] = list(dict.fromkeys(value)) if isinstance(value, tuple) else value
     return {key: str(value) if isinstance(value, Path) else value for key, value in document.items()}
+
+
+def chosen(kind: type[_Record], options: Mapping[str, Any], **more: Any) -> _Record:
+    """The record that the options of a command make: its inputs, which no document has.
+
+    Args:
+        kind: the record, all of whose fields are options.
+        options: of the command.
+        more: fields that are no options.
+
+    Raises:
+        InputError: an option is missing, or its value wrong.
+    """
+    return read(kind, given(kind, options), "options", **more)
 
 
 def _type_of(kind: Any, limits: tuple[Constraint, ...] = ()) -> Any:

@@ -8,6 +8,7 @@ import click
 
 from calibration.errors import ExitCode
 from calibration.records import schema_text
+from calibration.report import Head
 
 SCHEMAS = {
     "calibration.yml": ("calibration.pipeline", "calibration.schema.json"),
@@ -31,8 +32,22 @@ RECORDS = {
     "scenario-set": "calibration.simulation.scenarios.parameters:ScenarioSetFile",
     "image": "calibration.image.specification:ImageDocument",
     "aws-batch": "calibration.execution.batch.settings:BatchFile",
+    "results": "calibration.pipeline.distribution.gathering:RunResults",
+    "convergence": "calibration.pipeline.convergence.results:ConvergenceResults",
+    "coverage": "calibration.coverage.results:Results",
+    "image-results": "calibration.image.report:BuildResult",
+    "introspection": "calibration.introspection.result:Results",
 }
 """The records from which those schemas are written (`make actions`) that are not written by hand."""
+RESULTS_OF = {
+    "results": "calibrate-matrix and run",
+    "convergence": "convergence",
+    "collection": "collect-data-sim",
+    "coverage": "coverage-upload",
+    "image-results": "build-image",
+    "introspection": "introspect-csv",
+}
+"""The commands whose results.json a schema describes."""
 
 
 @click.command("schema")
@@ -46,5 +61,8 @@ def command(name: str) -> ExitCode:
 
 def generated(name: str) -> str:
     """The text of a schema that is written from its record."""
-    module, _, record = RECORDS[name].partition(":")
-    return schema_text(getattr(import_module(module), record), name)
+    module, _, kind = RECORDS[name].partition(":")
+    record = getattr(import_module(module), kind)
+    if name in RESULTS_OF:
+        return schema_text(record, f"results.json of {RESULTS_OF[name]}", Head)
+    return schema_text(record, name)

@@ -5,6 +5,7 @@ from collections.abc import Iterable, Mapping
 
 from calibration.coverage.lines import FileCoverage, Rate
 from calibration.coverage.repository import Repository
+from calibration.coverage.results import Span
 from calibration.errors import InputError
 
 _HUNK = re.compile(rb"@@ -[0-9]+(?:,([0-9]+))? \+([0-9]+)(?:,([0-9]+))? @@")
@@ -59,17 +60,16 @@ def find_base(repository: Repository, named: str | None, candidates: Iterable[st
 
 def coverage_of_change(
     changed: Mapping[str, set[int]], files: Mapping[str, FileCoverage]
-) -> tuple[Rate, dict[str, list[int]]]:
-    """How many of the changed lines that can be run tests run, and which of each file they do not."""
+) -> tuple[Rate, tuple[Span, ...]]:
+    """How many of the changed lines that can be run tests run, and which they do not."""
     total = Rate()
-    missing: dict[str, list[int]] = {}
+    missing: list[Span] = []
     for path in sorted(changed.keys() & files.keys()):
         part = {line: hits for line, hits in files[path].hits.items() if line in changed[path]}
         coverage = FileCoverage(part)
         total += coverage.line_rate
-        if coverage.missing:
-            missing[path] = coverage.missing
-    return total, missing
+        missing += [Span(path, *each) for each in files[path].ranges(coverage.missing)]
+    return total, tuple(missing)
 
 
 def _path(text: bytes) -> str | None:

@@ -2,22 +2,26 @@
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from dataclasses import field as dataclass_field
+
+from calibration.records import computed, field, result
 
 
-@dataclass(frozen=True)
+@result
 class Rate:
     """So many of so many."""
 
-    covered: int = 0
-    total: int = 0
+    covered: int = field("How many tests run.", default=0)
+    total: int = field("Of how many that can be run.", default=0)
 
     def __add__(self, other: "Rate") -> "Rate":
         return Rate(self.covered + other.covered, self.total + other.total)
 
     @property
+    @computed()
     def percent(self) -> float | None:
-        """With two decimals, rounded down, so that only all is 100; None of nothing."""
+        """With two decimals, rounded down, so that only all is 100; null of nothing."""
         return None if self.total == 0 else self.covered * 10_000 // self.total / 100
 
     def reaches(self, minimum: float) -> bool:
@@ -34,9 +38,9 @@ class Rate:
 class FileCoverage:
     """What tests run of a file."""
 
-    hits: Mapping[int, int] = field(default_factory=dict)
+    hits: Mapping[int, int] = dataclass_field(default_factory=dict)
     """How often each line that can be run was run; the first line is 1."""
-    branches: Mapping[int, Rate] = field(default_factory=dict)
+    branches: Mapping[int, Rate] = dataclass_field(default_factory=dict)
     """Of each line that branches, how many of its branches were taken."""
 
     @property
@@ -53,6 +57,10 @@ class FileCoverage:
     def missing(self) -> list[int]:
         """The lines that no test runs, in order."""
         return sorted(line for line, count in self.hits.items() if count == 0)
+
+    def ranges(self, lines: Iterable[int]) -> list[tuple[int, int]]:
+        """Some of the lines that can be run, joined to ranges of first and last between which there is no other."""
+        return ranges(lines, self.hits.keys() - set(lines))
 
 
 def combined(parts: Iterable[FileCoverage]) -> FileCoverage:

@@ -3,12 +3,11 @@
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from calibration.coverage.formats import tracefile
-from calibration.coverage.lines import FileCoverage, Rate, ranges
+from calibration.coverage.lines import Rate
 from calibration.coverage.reading import Found
-from calibration.coverage.results import Results, Uploaded
+from calibration.coverage.results import Results
 from calibration.errors import ExitCode
 from calibration.report import Lines, Outcome, Report, Table, outcome_of_check, verdict_of
 from calibration.workflow.annotations import Annotation, Level
@@ -38,7 +37,7 @@ def report(results: Results, directory: Path = Path(), badge: Path | None = None
     return Report(
         title=TITLE,
         verdict=verdict,
-        error=ExitCode.WORLD if verdict == "pass" and results.uploaded is Uploaded.FAILED else None,
+        error=ExitCode.WORLD if verdict == "pass" and results.upload.state == "failed" else None,
         sentence=_sentence(results),
         reasons=tuple(results.problems),
         annotations=tuple(_annotations(results, directory)),
@@ -50,13 +49,13 @@ def report(results: Results, directory: Path = Path(), badge: Path | None = None
             Table(_HEADER, (*total, *rows), title=f"All {len(rows)} files", only="summary", folded=True),
         ),
         suites={TITLE: list(_outcomes(results))},
-        results=_results(results),
+        results=results,
         outputs={
             "line-rate": results.lines.percent,
             "branch-rate": results.branches.percent,
             "change-rate": results.change.rate.percent if results.change else None,
             "files-below-goal": len(below),
-            "uploaded": results.uploaded.value,
+            "uploaded": results.upload.state,
             "commit": results.commit,
             "badge": badge,
         },
@@ -68,12 +67,12 @@ def report(results: Results, directory: Path = Path(), badge: Path | None = None
 def _sentence(results: Results) -> str:
     parts = results.problems or [f"{results.lines} of the lines are run"]
     state = {
-        Uploaded.YES: f"uploaded to {results.service}",
-        Uploaded.SKIPPED: f"not uploaded ({results.upload_reason})",
-        Uploaded.FAILED: "the upload failed",
-        Uploaded.DRY_RUN: "nothing was sent (dry-run)",
-        Uploaded.NONE: "",
-    }[results.uploaded]
+        "uploaded": f"uploaded to {results.upload.service}",
+        "skipped": f"not uploaded ({results.upload.reason})",
+        "failed": "the upload failed",
+        "dry-run": "nothing was sent (dry-run)",
+        "none": "",
+    }[results.upload.state]
     return one_line(f"{'; '.join(parts)}{'; ' if state else ''}{state}")
 
 
@@ -110,13 +109,13 @@ def _annotations(results: Results, directory: Path) -> Iterable[Annotation]:
     for failure in results.tests.tally.failures if results.tests and results.tests.tally else ():
         file = None if failure.file is None else directory / failure.file
         yield Annotation(f"{failure.name}: {failure.message}", file=file, line=failure.line, title="test failed")
-    if results.uploaded is Uploaded.FAILED:
-        yield Annotation(results.upload_reason)
-    if results.uploaded is Uploaded.SKIPPED:
-        yield Annotation(f"not uploaded: {results.upload_reason}", Level.NOTICE)
-    for path, first, last in _missing_of_change(results):
-        message = f"no test runs {_lines(first, last)} of this change"
-        yield Annotation(message, Level.WARNING, path, first, title="not covered")
+    if results.upload.state == "failed":
+        yield Annotation(results.upload.reason)
+    if results.upload.state == "skipped":
+        yield Annotation(f"not uploaded: {results.upload.reason}", Level.NOTICE)
+    for span in results.change.missing if results.change else ():
+        message = f"no test runs {_lines(span.first, span.last)} of this change"
+        yield Annotation(message, Level.WARNING, span.path, span.first, title="not covered")
 
 
 def _outcomes(results: Results) -> Iterable[Outcome]:
@@ -126,73 +125,15 @@ def _outcomes(results: Results) -> Iterable[Outcome]:
         yield Outcome(name="tests", group=TITLE, reasons=(problem,) if problem else (), seconds=results.tests.seconds)
     for limit in results.limits:
         yield replace(outcome_of_check(limit.check, TITLE), name=f"{limit.name} {limit.minimum:g} %")
-    if results.uploaded is not Uploaded.NONE:
-        failed, skipped = (results.uploaded is state for state in (Uploaded.FAILED, Uploaded.SKIPPED))
+    if results.upload.state != "none":
+        failed, skipped = (results.upload.state == state for state in ("failed", "skipped"))
         yield Outcome(
-            name=f"upload to {results.service}",
+            name=f"upload to {results.upload.service}",
             group=TITLE,
-            reasons=(results.upload_reason,) if failed else (),
+            reasons=(results.upload.reason,) if failed else (),
             error=ExitCode.WORLD if failed else None,
-            skipped=results.upload_reason if skipped else None,
+            skipped=results.upload.reason if skipped else None,
         )
-
-
-def _results(results: Results) -> dict[str, Any]:
-    tests, change, found = results.tests, results.change, results.found
-    tally = None if tests is None else tests.tally
-    return {
-        "problems": results.problems,
-        "commit": results.commit,
-        "tests": None
-        if tests is None
-        else {
-            "command": tests.command,
-            "exit_code": tests.exit_code,
-            "seconds": tests.seconds,
-            "passed": None if tally is None else tally.passed,
-            "failed": None if tally is None else tally.failed,
-            "skipped": None if tally is None else tally.skipped,
-        },
-        "lines": _rate_object(results.lines),
-        "branches": _rate_object(results.branches),
-        "change": None
-        if change is None
-        else {
-            "base": change.base,
-            "lines": _rate_object(change.rate),
-            "missing": [
-                {"path": path, "first": first, "last": last} for path, first, last in _missing_of_change(results)
-            ],
-        },
-        "goal": results.goal,
-        "files_below_goal": len(results.below_goal),
-        "limits": [
-            {
-                "name": limit.name,
-                "minimum": limit.minimum,
-                "lines": _rate_object(limit.rate),
-                "verdict": verdict_of(limit.check.passed),
-            }
-            for limit in results.limits
-        ],
-        "files": [
-            {
-                "path": path,
-                "lines": _rate_object(coverage.line_rate),
-                "branches": _rate_object(coverage.branch_rate),
-                "missing": [list(part) for part in _missing(coverage)],
-            }
-            for path, coverage in sorted(results.files.items())
-        ],
-        "left_out": {
-            "unmatched": list(found.mapped.unmatched),
-            "ambiguous": {name: list(paths) for name, paths in found.mapped.ambiguous.items()},
-            "ill_fitting": dict(found.mapped.ill_fitting),
-            "unreadable": list(found.unreadable),
-            "without_report": dict(found.without_report),
-        },
-        "upload": {"service": results.service, "state": results.uploaded, "reason": results.upload_reason},
-    }
 
 
 def _summary_rows(results: Results) -> list[tuple[str, str, str]]:
@@ -215,7 +156,7 @@ def _rows(results: Results, paths: Sequence[str]) -> tuple[tuple[str, ...], ...]
             str(results.files[path].line_rate),
             str(results.files[path].branch_rate),
             "" if not results.files[path].hits else "below" if path in below else "above",
-            shorten(", ".join(_span(*part) for part in _missing(results.files[path]))),
+            shorten(", ".join(_span(*part) for part in results.files[path].ranges(results.files[path].missing))),
         )
         for path in paths
     )
@@ -231,19 +172,6 @@ def _by_rate(results: Results) -> list[str]:
     return sorted(rates, key=lambda path: (rates[path].covered / max(rates[path].total, 1), path))
 
 
-def _missing(coverage: FileCoverage) -> list[tuple[int, int]]:
-    missing = set(coverage.missing)
-    return ranges(missing, coverage.hits.keys() - missing)
-
-
-def _missing_of_change(results: Results) -> list[tuple[str, int, int]]:
-    return [
-        (path, first, last)
-        for path, lines in (results.change.missing if results.change else {}).items()
-        for first, last in ranges(lines, results.files[path].hits.keys() - set(lines))
-    ]
-
-
 def _lines(first: int, last: int) -> str:
     return f"line {first}" if first == last else f"lines {first} to {last}"
 
@@ -255,10 +183,6 @@ def _span(first: int, last: int) -> str:
 def _names(names: Sequence[str]) -> str:
     shown = ", ".join(shorten(one_line(name), 200) for name in names[:MOST_NAMES])
     return f"{shown} and {len(names) - MOST_NAMES} more" if len(names) > MOST_NAMES else shown
-
-
-def _rate_object(rate: Rate) -> dict[str, Any]:
-    return {"covered": rate.covered, "total": rate.total, "percent": rate.percent}
 
 
 def _percent_text(rate: Rate) -> str:

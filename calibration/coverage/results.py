@@ -1,37 +1,42 @@
-"""Tests, coverage, limits and upload of one run of ``coverage-upload``."""
+"""Tests, coverage, limits and upload of one run of ``coverage-upload``, and the document of them."""
 
-import enum
 from collections.abc import Mapping
-from dataclasses import dataclass
+from typing import Literal
 
 from calibration.coverage.lines import FileCoverage, Rate
 from calibration.coverage.reading import Found
 from calibration.coverage.tests import Tests
-from calibration.report import Check
+from calibration.records import computed, field, result
+from calibration.report import Check, Verdict, verdict_of
+
+State = Literal["uploaded", "skipped", "failed", "dry-run", "none"]
+"""What came of the upload; none where no service was asked for."""
 
 
-class Uploaded(enum.StrEnum):
-    """What came of the upload."""
+@result
+class Uploaded:
+    """The upload of the coverage to a service."""
 
-    YES = "uploaded"
-    SKIPPED = "skipped"
-    FAILED = "failed"
-    DRY_RUN = "dry-run"
-    NONE = "none"
-    """No service was asked for."""
+    service: str = field("The name of the service, or none.", default="none")
+    state: State = field("What came of it.", default="none")
+    reason: str = field("Why it was skipped or failed; else empty.", default="")
 
 
-@dataclass(frozen=True)
+@result
 class Limit:
     """A smallest percentage of lines that tests must run."""
 
-    name: str
-    """Name of the option: minimum, minimum-change."""
-    minimum: float
-    """Percent."""
-    rate: Rate
+    name: str = field("The option: minimum, minimum-change.")
+    minimum: float = field("The limit.", unit="percent")
+    rate: Rate = field("The lines that it is of.", key="lines")
     of_change: bool = False
     """Whether it is of the lines of a change, which passes where the change has no line that can be run."""
+
+    @property
+    @computed()
+    def verdict(self) -> Verdict:
+        """Whether the limit is reached."""
+        return verdict_of(self.check.passed)
 
     @property
     def check(self) -> Check:
@@ -48,36 +53,60 @@ class Limit:
         )
 
 
-@dataclass(frozen=True)
+@result
+class Span:
+    """Lines of a file one after another that no test runs."""
+
+    path: str = field("The file, in the repository.")
+    first: int = field("The first line; the first of the file is 1.")
+    last: int = field("The last line.")
+
+
+@result
 class Change:
     """What is covered of the lines that a change touched."""
 
-    base: str
-    """The commit that it is compared with."""
-    rate: Rate
-    missing: Mapping[str, list[int]]
-    """The lines that no test runs, by file."""
+    base: str = field("The commit that it is compared with.")
+    rate: Rate = field("The lines of the change.", key="lines")
+    missing: tuple[Span, ...] = field("What no test runs of the change.")
 
 
-@dataclass(frozen=True)
+@result
+class FileResult:
+    """Coverage of a file that counts."""
+
+    path: str = field("In the repository.")
+    lines: Rate = field("The lines that can be run.")
+    branches: Rate = field("The branches.")
+    missing: tuple[tuple[int, int], ...] = field("Lines that no test runs, as first and last.")
+
+
+@result
+class LeftOut:
+    """What reports say that counts for nothing, and files that no report speaks of."""
+
+    unmatched: tuple[str, ...] = field("Names that are no tracked file.")
+    ambiguous: Mapping[str, tuple[str, ...]] = field("Names that may be several files, with these.")
+    ill_fitting: Mapping[str, int] = field("Files with fewer lines than a report says, with the highest line in it.")
+    unreadable: tuple[str, ...] = field("Python files that cannot be parsed.")
+    without_report: Mapping[str, int] = field("How many source files of a language no report speaks of.")
+
+
+@result
 class Results:
-    """Everything."""
+    """Results of coverage-upload."""
 
     found: Found
-    goal: float
-    """Percent that every file is to have."""
-    commit: str
-    tests: Tests | None = None
-    """None where only reports were read."""
-    change: Change | None = None
-    """None where there is nothing to compare with."""
+    goal: float = field("Percent of its lines that every file is to have run.")
+    commit: str = field("The commit that the coverage is of.")
+    tests: Tests | None = field("What came of the tests; null where only reports were read.", default=None)
+    change: Change | None = field(
+        "Of the lines that the change touched; null where there is nothing to compare with.", default=None
+    )
     no_change: str = ""
-    """Why not."""
-    limits: tuple[Limit, ...] = ()
-    service: str = "none"
-    uploaded: Uploaded = Uploaded.NONE
-    upload_reason: str = ""
-    """Why it was skipped or failed."""
+    """Why there is nothing to compare with."""
+    limits: tuple[Limit, ...] = field("The limits that were asked for.", default=())
+    upload: Uploaded = field("What came of the upload.", default_factory=Uploaded)
 
     @property
     def files(self) -> Mapping[str, FileCoverage]:
@@ -85,14 +114,39 @@ class Results:
         return self.found.files
 
     @property
+    @computed("files")
+    def file_results(self) -> tuple[FileResult, ...]:
+        """Every file that counts."""
+        return tuple(
+            FileResult(path, each.line_rate, each.branch_rate, tuple(each.ranges(each.missing)))
+            for path, each in sorted(self.files.items())
+        )
+
+    @property
+    @computed()
+    def left_out(self) -> LeftOut:
+        """What counts for nothing."""
+        mapped = self.found.mapped
+        left_out = (mapped.unmatched, mapped.ambiguous, mapped.ill_fitting)
+        return LeftOut(*left_out, self.found.unreadable, self.found.without_report)
+
+    @property
+    @computed()
     def lines(self) -> Rate:
-        """Of all files."""
+        """The lines of all files."""
         return sum((coverage.line_rate for coverage in self.files.values()), Rate())
 
     @property
+    @computed()
     def branches(self) -> Rate:
-        """Of all files."""
+        """The branches of all files."""
         return sum((coverage.branch_rate for coverage in self.files.values()), Rate())
+
+    @property
+    @computed()
+    def files_below_goal(self) -> int:
+        """How many files are below the goal."""
+        return len(self.below_goal)
 
     @property
     def below_goal(self) -> list[str]:
@@ -105,6 +159,7 @@ class Results:
         return {path: coverage.line_rate for path, coverage in self.files.items()}
 
     @property
+    @computed()
     def problems(self) -> list[str]:
         """Why the verdict is fail, one line each; none if it is pass."""
         tests = [self.tests.problem] if self.tests is not None and self.tests.problem else []

@@ -8,7 +8,7 @@ import signal
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +21,7 @@ from calibration.errors import InputError, WorldError
 from calibration.execution.log_file import LogFile
 from calibration.files import read_bytes
 from calibration.programs import has_ended, started
+from calibration.records import computed, field, result
 from calibration.workflow.runner import Runner
 from calibration.workflow.streams import LogDisplay
 from calibration.workflow.text import one_line, shorten
@@ -80,18 +81,35 @@ _SKIPPED = re.compile(r"(?:OK|FAILED) \(.*?skipped=([0-9]{1,9})")
 _COUNT = re.compile(r"(?:failures|errors)=([0-9]{1,9})")
 
 
-@dataclass(frozen=True)
+@result
 class Tests:
     """What came of the tests."""
 
     __test__ = False  # pytest takes it for a test
 
-    command: str
-    exit_code: int
-    """Below 0: of the signal that killed them."""
-    seconds: float
+    command: str = field("The command that ran them.")
+    exit_code: int = field("Below 0: of the signal that killed them.")
+    seconds: float = field("How long they took.")
     tally: Tally | None = None
     """How many there were; None where nothing says so."""
+
+    @property
+    @computed()
+    def passed(self) -> int | None:
+        """How many passed; null where nothing says so."""
+        return self.tally.passed if self.tally else None
+
+    @property
+    @computed()
+    def failed(self) -> int | None:
+        """How many failed or could not run; null where nothing says so."""
+        return self.tally.failed if self.tally else None
+
+    @property
+    @computed()
+    def skipped(self) -> int | None:
+        """How many were skipped; null where nothing says so."""
+        return self.tally.skipped if self.tally else None
 
     @property
     def problem(self) -> str | None:
@@ -116,7 +134,7 @@ class Measurement:
     """Its data files."""
     executable: str | None = None
     """The newest Python that measured."""
-    problems: tuple[str, ...] = field(default=())
+    problems: tuple[str, ...] = ()
     """What could not be measured, a line for each."""
 
 

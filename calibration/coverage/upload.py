@@ -4,9 +4,9 @@ import os
 import tempfile
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
 from calibration.coverage.badge import badge
 from calibration.coverage.changes import changed_lines, coverage_of_change, find_base
@@ -17,52 +17,67 @@ from calibration.coverage.injection import plain, team_settings
 from calibration.coverage.reading import Found, read_reports
 from calibration.coverage.report import LCOV, report, what_is_left_out
 from calibration.coverage.repository import Repository
-from calibration.coverage.results import Change, Limit, Results, Uploaded
+from calibration.coverage.results import Change, Limit, Results, State, Uploaded
 from calibration.coverage.sources import Sources, find_sources
 from calibration.coverage.tests import Tests, measured_environment, measurement, run_tests
 from calibration.errors import ExitCode, InputError, WorldError
 from calibration.execution.sizes import parse_seconds
 from calibration.files import matching, write_atomically
+from calibration.records import between, field, record
 from calibration.report import FILES, publish, remove_results
 from calibration.workflow import Runner, set_outputs
 from calibration.workflow.text import one_line
 
-SERVICES = ("codacy", "none")
 CLOCK = 2.0
 """Seconds by which the times of files may be wrong."""
 
 
-@dataclass(frozen=True)
-class Settings:
-    """What ``coverage-upload`` is asked."""
+Percent = Annotated[float, between(0, 100)]
 
-    run: str | None = None
-    reports: tuple[str, ...] = ()
-    directory: Path = Path()
-    interpreter: str | None = None
-    source: tuple[str, ...] = ()
-    exclude: tuple[str, ...] | None = None
-    timeout: str = "30m"
-    goal: float = 60.0
-    minimum: float | None = None
-    minimum_change: float | None = None
-    base: str | None = None
-    badge: Path | None = None
-    service: str = SERVICES[0]
-    project_token: str | None = field(default=None, repr=False)
-    api_token: str | None = field(default=None, repr=False)
-    provider: str | None = None
-    organisation: str | None = None
-    repository: str | None = None
-    api_url: str | None = None
-    language: str | None = None
-    partial: bool = False
-    final: bool = False
-    if_token_missing: str = "fail"  # noqa: S105 (no password)
-    commit: str | None = None
-    dry_run: bool = False
-    output: Path | None = None
-    """Folder for results.json, junit.xml, summary.md, and what the tests wrote."""
+
+@record
+class Settings:
+    """The inputs of ``coverage-upload``."""
+
+    run: str | None = field("The tests: a command such as pytest -q or unittest tests, or a folder.", default=None)
+    reports: tuple[str, ...] = field("Reports that exist, or that run writes: .coverage, Cobertura, LCOV.", default=())
+    directory: Path = field("Folder in the repository that the tests run in (the working directory).", default=Path())
+    interpreter: str | None = field("The Python for the tests (the one that their command finds).", default=None)
+    source: tuple[str, ...] = field("Folders and files that count, relative to directory (all in git).", default=())
+    exclude: tuple[str, ...] | None = field(
+        "Patterns of git for files that do not count (tests, setup.py).", default=None
+    )
+    timeout: str = field("How long the tests may take, such as 10m (30m).", default="30m")
+    goal: Percent = field("Percent of its lines that every file is to have run; only shown (60).", default=60.0)
+    minimum: Percent | None = field("Percent of all lines that must be run, or the verdict is fail.", default=None)
+    minimum_change: Percent | None = field("Percent of the change's lines that must be run.", default=None)
+    base: str | None = field("Branch or commit that the change goes to (what the event says).", default=None)
+    badge: Path | None = field("Write a badge of the coverage to this SVG file.", default=None)
+    service: Literal["codacy", "none"] = field(
+        "Who is told of the coverage: codacy or none (codacy).", default="codacy"
+    )
+    project_token: str | None = field(
+        "Codacy's for this repository; locally by CODACY_PROJECT_TOKEN.", default=None, repr=False
+    )
+    api_token: str | None = field("Codacy's for an account; locally by CODACY_API_TOKEN.", default=None, repr=False)
+    provider: str | None = field("With api-token, who hosts the repository: gh, ghe, gl, gle, bb or bbe.", default=None)
+    organisation: str | None = field("With api-token, the organisation of the repository.", default=None)
+    repository: str | None = field("With api-token, the repository's name.", default=None)
+    api_url: str | None = field("The address of Codacy's API (https://api.codacy.com).", default=None)
+    language: str | None = field("The language of all files for Codacy (by their suffix).", default=None)
+    partial: bool = field("Other jobs upload coverage of this commit too; the last of them says final.", default=False)
+    final: bool = field(
+        "This is the last upload for this commit; without run and reports only that is said.", default=False
+    )
+    if_token_missing: Literal["fail", "skip"] = field(
+        "fail or skip where there is no token (fail; forks are skipped).",
+        default="fail",
+    )
+    commit: str | None = field("The commit that the coverage is of (found unless given).", default=None)
+    dry_run: bool = field("Send nothing, and show what would be sent.", default=False)
+    output: Path | None = field(
+        "Folder for results.json, junit.xml, summary.md, lcov.info, tests.xml and .log.", default=None
+    )
 
 
 def upload(settings: Settings, runner: Runner) -> ExitCode:
@@ -86,8 +101,7 @@ def upload(settings: Settings, runner: Runner) -> ExitCode:
         return _only_final(settings, commit, service, skipped, runner)
     with tempfile.TemporaryDirectory(prefix="calibration-coverage-") as folder:
         results = _judged(settings, repository, event, commit, Path(folder), runner)
-    results = replace(results, service=settings.service)
-    results = _told(results, settings, service, skipped, runner)
+    results = replace(results, upload=_told(results, settings, service, skipped, runner))
     if settings.badge is not None:
         write_atomically(settings.badge, badge(results.lines, results.goal))
     found = report(results, settings.directory, settings.badge)
@@ -96,9 +110,6 @@ def upload(settings: Settings, runner: Runner) -> ExitCode:
 
 
 def _check(settings: Settings) -> None:
-    for name, known in (("service", SERVICES), ("if_token_missing", ("fail", "skip"))):
-        if (found := getattr(settings, name)) not in known:
-            raise InputError(f"{name.replace('_', '-')}: found {found!r}, expected {' or '.join(known)}")
     if settings.partial and settings.final:
         raise InputError("partial and final are both given: either more uploads follow, or this is the last one")
     if settings.run is None and not settings.reports and not settings.final:
@@ -227,30 +238,29 @@ def _run(
 
 def _only_final(settings: Settings, commit: str, service: Codacy | None, skipped: str, runner: Runner) -> ExitCode:
     """Say that nothing more is told of the commit."""
-    state = Uploaded.NONE if settings.service == "none" else Uploaded.SKIPPED
+    state: State = "none" if settings.service == "none" else "skipped"
     if service is not None:
         requests = service.requests(Upload(commit, {}, final=True))
         state = _send(service, requests, settings, runner)
-    set_outputs(runner, {"uploaded": state.value, "commit": commit})
+    set_outputs(runner, {"uploaded": state, "commit": commit})
     runner.log(f"{state}{f': {skipped}' if skipped else ''}: nothing more is told of {commit}")
     return ExitCode.PASS
 
 
-def _told(results: Results, settings: Settings, service: Codacy | None, skipped: str, runner: Runner) -> Results:
+def _told(results: Results, settings: Settings, service: Codacy | None, skipped: str, runner: Runner) -> Uploaded:
     """Tell the service, and say what came of it."""
     if service is None:
-        state = Uploaded.NONE if settings.service == "none" else Uploaded.SKIPPED
-        return replace(results, uploaded=state, upload_reason=skipped)
+        return Uploaded(settings.service, "none" if settings.service == "none" else "skipped", skipped)
     if results.lines.total == 0:
-        return replace(results, uploaded=Uploaded.SKIPPED, upload_reason="nothing was measured")
+        return Uploaded(settings.service, "skipped", "nothing was measured")
     upload = Upload(results.commit, results.files, settings.partial, settings.final)
     try:
-        return replace(results, uploaded=_send(service, service.requests(upload), settings, runner))
+        return Uploaded(settings.service, _send(service, service.requests(upload), settings, runner))
     except WorldError as error:
-        return replace(results, uploaded=Uploaded.FAILED, upload_reason=str(error))
+        return Uploaded(settings.service, "failed", str(error))
 
 
-def _send(service: Codacy, requests: Sequence[Request], settings: Settings, runner: Runner) -> Uploaded:
+def _send(service: Codacy, requests: Sequence[Request], settings: Settings, runner: Runner) -> State:
     """Send the requests, or only show them.
 
     Raises:
@@ -263,6 +273,6 @@ def _send(service: Codacy, requests: Sequence[Request], settings: Settings, runn
         for number, request in enumerate(requests, 1):
             if settings.output is not None:
                 write_atomically(settings.output / f"upload-{number}.json", request.body)
-        return Uploaded.DRY_RUN
+        return "dry-run"
     service.send(requests)
-    return Uploaded.YES
+    return "uploaded"

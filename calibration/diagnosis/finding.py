@@ -2,12 +2,12 @@
 
 from typing import Literal
 
-from calibration.records import field, record
+from calibration.records import field, result
 
 Severity = Literal["red", "warning", "note"]
 
 
-@record(case="snake", nulls=True, unknown="ignore")
+@result
 class Finding:
     """One observation about a calibration or its data, in words and in numbers."""
 

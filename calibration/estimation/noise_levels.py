@@ -1,16 +1,16 @@
 """How noisy the labels are: the standard deviation of each kind of residual, from the residuals."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import get_args
 
 import numpy as np
 
-from calibration.dataset.modalities import BORDERS, NoiseKind
+from calibration.dataset.modalities import NoiseKind
 from calibration.estimation.blocks import Values
 from calibration.estimation.median import median
 from calibration.estimation.problem import Problem
 from calibration.geometry.types import Array
+from calibration.records import field, result
 
 KINDS: tuple[NoiseKind, ...] = get_args(NoiseKind)
 FLOORS: dict[NoiseKind, float] = {kind: 1e-6 if kind == "pixel" else 1e-8 for kind in KINDS}
@@ -23,32 +23,36 @@ _MEDIAN = {1: 0.4549364, 2: 1.3862944}
 _TRUNCATED_MEAN = {1: 0.9733369, 2: 1.8988755}
 
 
-@dataclass(frozen=True)
+@result
 class NoiseLevels:
-    """Standard deviations of labels; None where the dataset has none of that kind, or (given) to estimate it."""
+    """Standard deviations of labels; null where the dataset has none of that kind, or (given) to estimate it."""
 
-    pixel: float | None = None
-    """Of each image coordinate of a corner, px."""
-    range: float | None = None
-    """Of the range of a 3D LiDAR or a depth camera, m."""
-    border: float | None = None
-    """Of the direction in which a LiDAR finds a pattern's border, across it, rad: its step over the root of 12,
-    where nothing else errs."""
-    depth_border: float | None = None
-    """The same of a depth camera, whose step is the angle of a pixel, rad."""
-    lidar2d_range: float | None = None
-    """Of the range of a 2D LiDAR, m."""
-    lidar2d_border: float | None = None
-    """Of the direction in which a 2D LiDAR finds the end of its cut, rad."""
+    pixel: float | None = field("Of each image coordinate of a corner.", key="pixel_px", unit="px", default=None)
+    range: float | None = field("Of the range of a 3D LiDAR or a depth camera.", key="range_m", unit="m", default=None)
+    border: float | None = field(
+        "Of the direction in which a LiDAR finds a pattern's border, across it: its step over the root of 12, where "
+        "nothing else errs.",
+        key="border_rad",
+        unit="rad",
+        default=None,
+    )
+    depth_border: float | None = field(
+        "The same of a depth camera, whose step is the angle of a pixel.",
+        key="depth_border_rad",
+        unit="rad",
+        default=None,
+    )
+    lidar2d_range: float | None = field("Of the range of a 2D LiDAR.", key="lidar2d_range_m", unit="m", default=None)
+    lidar2d_border: float | None = field(
+        "Of the direction in which a 2D LiDAR finds the end of its cut.",
+        key="lidar2d_border_rad",
+        unit="rad",
+        default=None,
+    )
 
     def given(self) -> dict[NoiseKind, float]:
         """Those that are set."""
         return {kind: level for kind in KINDS if (level := getattr(self, kind)) is not None}
-
-    def document(self) -> dict[str, float | None]:
-        """All of them by kind and unit: "pixel_px", "range_m", "border_rad"."""
-        units = {kind: "px" if kind == "pixel" else "rad" if kind in BORDERS else "m" for kind in KINDS}
-        return {f"{kind}_{unit}": getattr(self, kind) for kind, unit in units.items()}
 
 
 def estimate_scales(

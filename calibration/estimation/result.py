@@ -7,12 +7,14 @@ from typing import Literal
 
 import numpy as np
 
+from calibration import records
 from calibration.dataset.modalities import NoiseKind
 from calibration.dataset.model import Dataset, Edge
 from calibration.estimation.intrinsics import CalibratedIntrinsics
 from calibration.estimation.noise_levels import NoiseLevels
 from calibration.geometry.joints import JointParameter
 from calibration.geometry.types import Array
+from calibration.records import record
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,18 +31,16 @@ class ViewResiduals:
     point's place among the limits."""
 
 
-@dataclass(frozen=True)
+@record(case="snake", unknown="ignore")
 class RejectedLabel:
     """A label that the robust loss gave less than half its weight."""
 
-    collection: str
-    sensor: str
-    pattern: str
-    kind: NoiseKind
-    label: int
-    """The corner's id, or the position of the point among the labelled points."""
-    residual: float
-    """px, m or rad."""
+    collection: str = records.field("The key of its collection.")
+    sensor: str = records.field("The sensor that saw it.")
+    pattern: str = records.field("The pattern that it is on.")
+    kind: NoiseKind = records.field("What kind of label it is.")
+    label: int = records.field("The corner's id, or the position of the point among the labelled points.")
+    residual: float = records.field("Size of its residual, px, m or rad.")
 
 
 @dataclass(frozen=True, eq=False)

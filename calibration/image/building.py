@@ -34,7 +34,6 @@ if TYPE_CHECKING:
     from docker import DockerClient
 
 BuilderName = Literal["auto", "engine", "buildkit"]
-BUILDERS: tuple[BuilderName, ...] = ("auto", "engine", "buildkit")
 TITLE = "build-image"
 
 

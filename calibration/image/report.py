@@ -1,10 +1,9 @@
 """What ``build-image`` did, and its report."""
 
-from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
-from calibration.image.builders.failure import BuildFailedError
-from calibration.image.building import BuiltImage
+from calibration.records import computed, field, result
 from calibration.report import Code, Outcome, Report, Table, verdict_of
 from calibration.workflow import Annotation, Runner
 
@@ -12,18 +11,38 @@ TITLE = "build-image"
 _PLACES = {"local": "on the engine", "registry": "in the registry", None: ""}
 
 
-@dataclass(frozen=True)
-class BuildResult:
-    """What was done: an image built or found, or a failure; and what was promoted."""
+@result
+class Failure:
+    """A step of the Dockerfile that failed."""
 
-    image: BuiltImage | None = None
-    promoted: tuple[str, ...] = ()
-    failure: BuildFailedError | None = None
-    reference: str | None = None
-    """Of an image that was only promoted."""
-    digest: str | None = None
-    """Of an image that was only promoted."""
-    seconds: float = 0.0
+    message: str = field("What failed.")
+    lines: tuple[str, ...] = field("The last lines of the step's output.")
+
+
+@result(kw_only=True)
+class BuildResult:
+    """Results of build-image: an image built, found or only promoted, or a failure."""
+
+    reference: str | None = field(
+        "What to run: name:key-..., or name@digest where an image was only promoted.", default=None
+    )
+    id: str | None = field("On the engine, where it is there.", default=None)
+    digest: str | None = field("In the registry, where it is there: sha256:...", default=None)
+    key: str | None = field(
+        "The content key: two images have the same exactly if they are made of the same.", default=None
+    )
+    built: bool = field("Whether it was built now; else nothing had changed.", default=False)
+    found_in: Literal["local", "registry"] | None = field("Where an image was that is not built now.", default=None)
+    tags: tuple[str, ...] = field("Its other names now: name:latest.", default=())
+    promoted: tuple[str, ...] = field("The names that it was promoted to.", default=())
+    seconds: float = field("Of everything.", default=0.0)
+    failure: Failure | None = field("What failed.", default=None)
+
+    @property
+    @computed()
+    def reasons(self) -> tuple[str, ...]:
+        """Why the verdict is fail."""
+        return (self.failure.message,) if self.failure else ()
 
 
 def report(result: BuildResult, source: Path, runner: Runner) -> Report:
@@ -34,38 +53,22 @@ def report(result: BuildResult, source: Path, runner: Runner) -> Report:
         source: the specification or Dockerfile, at which a failure is annotated.
         runner: where the report will be shown; the log of a terminal has not shown the output of a step.
     """
-    image, failure = result.image, result.failure
-    tags = image.tags if image else ()
-    reference = image.reference if image else result.reference
-    digest = image.digest if image else result.digest
+    failure = result.failure
     lines = failure.lines if failure else ()
     on_terminal = not runner.github and runner.stdout.isatty()
-    headlines = (failure.headline,) if failure else ()
-    annotated = "\n".join((*headlines, *(lines if runner.github else ())))
+    annotated = "\n".join((*result.reasons, *(lines if runner.github else ())))
     return Report(
         title=TITLE,
         verdict=verdict_of(failure is None),
         sentence=_sentence(result),
-        results={
-            "reasons": list(headlines),
-            "reference": reference,
-            "id": image.id if image else None,
-            "digest": digest,
-            "key": image.key if image else None,
-            "built": image.built if image else False,
-            "found_in": image.found_in if image else None,
-            "tags": list(tags),
-            "promoted": list(result.promoted),
-            "seconds": round(result.seconds, 3),
-            "failure": failure and {"message": failure.headline, "lines": list(lines)},
-        },
+        results=result,
         outputs={
-            "reference": reference,
-            "digest": digest,
-            "key": image.key if image else None,
-            "image-id": image.id if image else None,
-            "built": image.built if image else False,
-            "tags": list(dict.fromkeys((*tags, *result.promoted))),
+            "reference": result.reference,
+            "digest": result.digest,
+            "key": result.key,
+            "image-id": result.id,
+            "built": result.built,
+            "tags": list(dict.fromkeys((*result.tags, *result.promoted))),
         },
         annotations=(Annotation(annotated, file=source),) if failure else (),
         blocks=(
@@ -75,27 +78,27 @@ def report(result: BuildResult, source: Path, runner: Runner) -> Report:
                 tuple(
                     (name, value)
                     for name, value in (
-                        ("Image", reference),
-                        ("Digest", digest),
-                        ("Tags", ", ".join(tags)),
+                        ("Image", result.reference),
+                        ("Digest", result.digest),
+                        ("Tags", ", ".join(result.tags)),
                         ("Promoted to", ", ".join(result.promoted)),
-                        ("Content key", image.key if image else None),
+                        ("Content key", result.key),
                     )
                     if value
                 ),
                 only="summary",
             ),
         ),
-        suites={TITLE: [Outcome(name="image", group=TITLE, reasons=headlines, seconds=result.seconds)]},
+        suites={TITLE: [Outcome(name="image", group=TITLE, reasons=result.reasons, seconds=result.seconds)]},
     )
 
 
 def _sentence(result: BuildResult) -> str:
     if result.failure is not None:
-        return result.failure.headline
+        return result.failure.message
     names = ", ".join(result.promoted)
-    if result.image is None:
+    if result.key is None:
         return f"{result.reference} is promoted to {names}"
-    how = "built" if result.image.built else f"unchanged, found {_PLACES[result.image.found_in]}"
+    how = "built" if result.built else f"unchanged, found {_PLACES[result.found_in]}"
     promoted = f", promoted to {names}" if names else ""
-    return f"{result.image.reference}: {how}{promoted} ({result.seconds:.1f} s)"
+    return f"{result.reference}: {how}{promoted} ({result.seconds:.1f} s)"

@@ -1,23 +1,20 @@
-"""Results of rules applied to tables."""
+"""Results of rules applied to tables, and the document of them."""
 
-from dataclasses import dataclass
-
+from calibration.records import computed, field, result
+from calibration.report import Verdict, count_of, verdict_of
 from calibration.report.check import expectation
 
 
-@dataclass(frozen=True)
+@result
 class Violation:
     """One value that is not as a rule asks."""
 
     file: str
-    line: int | None
-    """Line of the file, None where the violation is in no one line."""
-    column: str | None
-    """None where the violation is the table's."""
-    row: str
-    """Label of the row, or what stands for it (``p95 of every row``)."""
-    found: str
-    expected: str
+    line: int | None = field("Line of the file; null where the violation is in no one line.")
+    column: str | None = field("Null where the violation is the table's.")
+    row: str = field("Label of the row, or what stands for it (``p95 of every row``).")
+    found: str = field("The value.")
+    expected: str = field("What the rule asks for.")
 
     @property
     def message(self) -> str:
@@ -26,46 +23,80 @@ class Violation:
         return expectation(place, self.found, self.expected)
 
 
-@dataclass(frozen=True)
+@result
 class RuleResult:
     """One rule applied to one table."""
 
-    column: str | None
-    """None where the check is of the table."""
-    rows: str
-    """Which rows were judged: ``every row``, ``row Averages``, ``p95 of every row``."""
-    expected: str
-    judged: int
-    """How many values were judged."""
-    value: float | str | None
-    """The value, where there was only one."""
-    smallest: float | None
-    """The smallest of the numbers among the judged values; None where there was none."""
-    largest: float | None
+    column: str | None = field("Null where the check is of the table.")
+    rows: str = field("Which rows were judged: ``every row``, ``row Averages``, ``p95 of every row``.")
+    expected: str = field("What the rule asks for.")
+    judged: int = field("How many values were judged.")
+    value: float | str | None = field("The value, where there was only one.")
+    smallest: float | None = field("The smallest of the numbers among the judged values; null where there was none.")
+    largest: float | None = field("The largest of them.")
     violations: tuple[Violation, ...]
 
     @property
-    def passed(self) -> bool:
-        """Whether every value is as asked."""
-        return not self.violations
+    @computed("violations")
+    def count(self) -> int:
+        """How many values are not as asked."""
+        return len(self.violations)
+
+    @property
+    @computed()
+    def verdict(self) -> Verdict:
+        """Pass if every value is as asked."""
+        return verdict_of(not self.violations)
 
 
-@dataclass(frozen=True)
+@result
 class TableResult:
     """All rules applied to one table."""
 
-    file: str
-    rows: int
-    """How many rows the table has, those that sum up others included."""
-    key_column: str
-    checks: tuple[RuleResult, ...]
+    file: str = field("The path as it was given.")
+    rows: int = field("How many rows the table has, those that sum up others included.")
+    key_column: str = field("The column of the rows' labels.")
+    checks: tuple[RuleResult, ...] = field("The rules.")
 
     @property
     def passed(self) -> bool:
         """Whether every check passed."""
-        return all(check.passed for check in self.checks)
+        return not self.violations
 
     @property
+    @computed()
+    def verdict(self) -> Verdict:
+        """Pass if every check passed."""
+        return verdict_of(self.passed)
+
+    @property
+    @computed()
     def violations(self) -> tuple[Violation, ...]:
         """All violations, in the order of the checks and the lines."""
         return tuple(violation for check in self.checks for violation in check.violations)
+
+
+@result
+class Results:
+    """Results of introspect-csv."""
+
+    tables: tuple[TableResult, ...] = field("The tables that were judged.")
+
+    @property
+    @computed("violations")
+    def count(self) -> int:
+        """Violations in all tables together."""
+        return sum(len(table.violations) for table in self.tables)
+
+    @property
+    @computed()
+    def reasons(self) -> tuple[str, ...]:
+        """Why the verdict is fail."""
+        return (self.sentence,) if self.count else ()
+
+    @property
+    def sentence(self) -> str:
+        """What was found, in one line."""
+        checks = sum(len(table.checks) for table in self.tables)
+        found = f"{count_of(checks, 'check')} of {count_of(len(self.tables), 'table')}"
+        return f"{count_of(self.count, 'violation')} in {found}" if self.count else found

@@ -6,8 +6,8 @@ from pathlib import Path
 from calibration.diagnosis.finding import Severity
 from calibration.pipeline.collection.collected import Collected
 from calibration.pipeline.matrix.cell import OUR_METHOD, CellResult, Deviation, noise_text
-from calibration.pipeline.results import CELLS_FILE, ImageResult, Results, document, entry, own_file, summarise
-from calibration.report import Lines, Outcome, Report, Table, Text, count_of, results_document, results_text, shown
+from calibration.pipeline.results import CELLS_FILE, ImageResult, Results, own_file
+from calibration.report import Lines, Outcome, Report, Table, Text, count_of, results_text, shown
 
 REASONS_SHOWN = 4
 NOTES_SHOWN = 30
@@ -34,7 +34,7 @@ def report(results: Results, output: Path, title: str) -> Report:
         title: of the report and its annotations.
     """
     left_out = tuple(without_result(results))
-    numbers = summarise(results)
+    numbers = results.summary.all
     main = grid(results)
     return Report(
         title=title,
@@ -56,12 +56,12 @@ def report(results: Results, output: Path, title: str) -> Report:
             Lines(left_out, title="Methods without a result", only="summary"),
         ),
         suites=_suites(results),
-        results=document(results),
+        results=results.without_details,
         outputs={
             "output": output,
-            "success-rate": numbers["success_rate"] if results.judged else None,
-            "worst-rms-px": numbers["worst_rms_px"],
-            "worst-translation-mm": numbers["worst_translation_mm"],
+            "success-rate": numbers.success_rate if results.judged else None,
+            "worst-rms-px": numbers.worst_rms_px,
+            "worst-translation-mm": numbers.worst_translation_mm,
         },
         files={CELLS_FILE: cells_table(results).csv(), **_own_files(results)},
     )
@@ -75,8 +75,7 @@ def _own_files(results: Results) -> dict[str, str]:
     found = {}
     for cell in (*results.cells, *results.comparisons):
         if cell.details and (file := own_file(cell)):
-            own = {**document(Results((cell,))), "cells": [{**entry(cell), **cell.details}]}
-            found[file] = results_text(results_document(cell.verdict, own, cell.reasons))
+            found[file] = results_text(cell.verdict, Results((cell,)), cell.reasons)
     return found
 
 
@@ -211,21 +210,20 @@ def collections_table(results: Results) -> Table:
 
 def parameters_table(results: Results) -> Table:
     """A row for each parameter of a joint or a camera that was calibrated, of each system's first cell that passed."""
-    passed = [cell for cell in (*results.cells, *results.comparisons) if cell.verdict == "pass" and cell.details]
-    first = {cell.system: cell for cell in reversed(passed)}
+    passed = [cell for cell in (*results.cells, *results.comparisons) if cell.verdict == "pass"]
+    first = {cell.system: cell.details for cell in reversed(passed) if cell.details}
     rows: list[tuple[str, ...]] = [
         (
-            cell.system,
-            str(each["name"]),
-            str(each["parameter"]),
-            f"{each['value']:.6g}",
-            "-" if each["sigma"] is None else f"{each['sigma']:.2g}",
-            str(each["unit"]),
+            system,
+            each.name,
+            each.parameter,
+            f"{each.value:.6g}",
+            "-" if each.sigma is None else f"{each.sigma:.2g}",
+            each.unit,
         )
         for system in results.systems
-        if (cell := first.get(system))
-        for kind in ("joints", "intrinsics")
-        for each in cell.details.get(kind, ())
+        if (found := first.get(system))
+        for each in (*found.joints, *found.intrinsics)
     ]
     return Table(
         ("System", "Joint or camera", "Parameter", "Value", "Sigma", "Unit"),

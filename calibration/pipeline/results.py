@@ -1,44 +1,102 @@
 """Results of a pipeline: cells, comparisons, collections, the image; and the file that keeps them between stages."""
 
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from calibration.errors import ExitCode, InputError, exit_code_of
 from calibration.estimation.intrinsics_file import FILE_NAME as INTRINSICS
-from calibration.files import read_bytes
-from calibration.json_file import parse_json
 from calibration.pipeline.collection.collected import Collected
-from calibration.pipeline.matrix.cell import OUR_METHOD, CellResult
-from calibration.records import document_of, field, read, record
-from calibration.report import FILES, MOST_BYTES, RESULTS_FILE, SCHEMA_NUMBER, Verdict, remove_results, verdict_of
+from calibration.pipeline.matrix.cell import OUR_METHOD, CellResult, Details
+from calibration.records import computed, field, result
+from calibration.report import FILES, RESULTS_FILE, Verdict, read_results_file, remove_results, verdict_of
 
 SCHEMA = Path(__file__).with_name("results.schema.json")
 CELLS_FILE = "cells.csv"
+_COMMAND = "calibrate-matrix or run"
 
 
-@record(case="snake", nulls=True, unknown="ignore")
+@result
 class ImageResult:
-    """What the stages build and promote did."""
+    """The image with the team's software."""
 
     reference: str = field("What the containers were made from.")
     key: str = field("The content key, a hash of everything that goes into the image.")
     built: bool = field("False if it was found, and nothing was built.")
-    digest: str | None = field("In the registry; None if it was not pushed.", default=None)
-    seconds: float = field(default=0.0)
+    digest: str | None = field("In the registry; null if it was not pushed.", default=None)
+    seconds: float = field("How long it took.", default=0.0)
     promoted: tuple[str, ...] = field("The tags that it got because the verdict was pass.", default=())
 
 
-@record(case="snake", nulls=True, unknown="ignore")
-class Results:
-    """The cells of a matrix, the other methods on the same data, and what was collected in simulation."""
+@result
+class Numbers:
+    """Numbers over several cells; the worst is null where no cell has such a number."""
 
-    cells: tuple[CellResult, ...] = field(default=())
-    comparisons: tuple[CellResult, ...] = field("They have no part in the verdict.", default=())
-    collections: tuple[Collected, ...] = field(default=())
-    image: ImageResult | None = field("The image that was built for cells and collections.", default=None)
+    cells: int = field("How many there are.")
+    passed: int = field("How many passed.")
+    converged: int = field("How many converged.")
+    success_rate: float = field("Share that passed, 0 to 1.")
+    worst_rms_px: float | None = field("The largest RMS.", unit="px")
+    worst_translation_mm: float | None = field("The largest error against the truth.", unit="mm")
+    worst_rotation_deg: float | None = field("The largest error against the truth.", unit="deg")
+
+    @classmethod
+    def of(cls, cells: Sequence[CellResult]) -> "Numbers":
+        """The numbers over these cells."""
+
+        def worst(values: Iterable[float | None]) -> float | None:
+            known = [v for v in values if v is not None]
+            return max(known) if known and all(math.isfinite(v) for v in known) else None
+
+        passed, truths = sum(cell.verdict == "pass" for cell in cells), [cell.truth for cell in cells if cell.truth]
+        return cls(
+            len(cells),
+            passed,
+            sum(cell.converged for cell in cells),
+            round(passed / len(cells), 6) if cells else 0.0,
+            worst(cell.rms_px for cell in cells),
+            worst(truth.translation_mm for truth in truths),
+            worst(truth.rotation_deg for truth in truths),
+        )
+
+
+@result
+class Summary:
+    """Numbers over all cells, and system by system."""
+
+    all: Numbers = field(flat=True)
+    systems: Mapping[str, Numbers] = field("By system.")
+
+
+@result
+class Results:
+    """Results of a pipeline: the cells of a matrix, other methods on the same data, what was collected, the image."""
+
+    cells: tuple[CellResult, ...] = field("The cells of the matrix.", default=())
+    comparisons: tuple[CellResult, ...] = field(
+        "Other methods on the same data, and our engine on the cells of a team's software; they have no part in the "
+        "verdict.",
+        default=(),
+    )
+    collections: tuple[Collected, ...] = field("What was collected in simulation, and calibrated.", default=())
+    image: ImageResult | None = field("The image with the team's software, where there is one.", default=None)
+
+    @property
+    @computed()
+    def summary(self) -> Summary:
+        """Numbers over all cells, and system by system."""
+        by_system = {s: Numbers.of([c for c in self.cells if c.system == s]) for s in self.systems}
+        return Summary(Numbers.of(self.cells), by_system)
+
+    @property
+    def without_details(self) -> "Results":
+        """The results without what only the cells' own results have."""
+
+        def less(cells: tuple[CellResult, ...]) -> tuple[CellResult, ...]:
+            return tuple(replace(cell, details=None) for cell in cells)
+
+        return replace(self, cells=less(self.cells), comparisons=less(self.comparisons))
 
     @property
     def judged(self) -> tuple[CellResult | Collected, ...]:
@@ -63,22 +121,6 @@ class Results:
         return tuple(dict.fromkeys(cell.system for cell in (*self.cells, *self.comparisons)))
 
 
-def entry(result: CellResult | Collected) -> dict[str, Any]:
-    """Return the entry of a cell or a collection in ``results.json``."""
-    return {**document_of(result), "verdict": result.verdict}
-
-
-def document(results: Results) -> dict[str, Any]:
-    """Return the content of ``results.json``."""
-    return {
-        "cells": [entry(cell) for cell in results.cells],
-        "comparisons": [entry(cell) for cell in results.comparisons],
-        "collections": [entry(collected) for collected in results.collections],
-        "image": document_of(results.image) if results.image else None,
-        "summary": summarise(results),
-    }
-
-
 def read_results(folder: Path) -> Results:
     """Read ``results.json`` in a folder, of this version or an older one.
 
@@ -86,28 +128,14 @@ def read_results(folder: Path) -> Results:
         InputError: there is none, a value is of another type, or a verdict is not that of its own numbers and reasons.
     """
     path = folder / RESULTS_FILE
-    found = _document(path)
-    results = read(Results, found, str(path))
-    known: list[CellResult | Collected] = [*results.cells, *results.comparisons, *results.collections]
-    entries = [*found["cells"], *found.get("comparisons", ()), *found.get("collections", ())]
-    for each, written in zip(known, entries, strict=True):
-        if each.verdict != (said := written.get("verdict")):
-            raise InputError(f"{path}: {each.name}: says {said}, which its own numbers and reasons deny")
+    results, written = read_results_file(Results, path, _COMMAND)
+    if "cells" not in written:
+        raise InputError(f"{path}: this is not a results file of {_COMMAND}: it has no list of cells")
+    for key in ("cells", "comparisons", "collections"):
+        for each, entry in zip(getattr(results, key), written.get(key, ()), strict=True):
+            if each.verdict != (said := entry.get("verdict")):
+                raise InputError(f"{path}: {each.name}: says {said}, which its own numbers and reasons deny")
     return results
-
-
-def _document(path: Path) -> dict[str, Any]:
-    try:
-        document = parse_json(read_bytes(path, MOST_BYTES, "results of calibrate-matrix or run"))
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"{path}: this is not a results file: {error}") from None
-    if not isinstance(document, dict) or not isinstance(document.get("cells"), list):
-        raise InputError(f"{path}: this is not a results file of calibrate-matrix or run: it has no list of cells")
-    if (found := document.get("schema", SCHEMA_NUMBER)) != SCHEMA_NUMBER:
-        raise InputError(
-            f"{path}: schema: found {found!r:.80}, expected {SCHEMA_NUMBER}: another version has written it"
-        )
-    return document
 
 
 def without_verdicts(results: Results, output: Path) -> Results:
@@ -140,13 +168,10 @@ def own_file(cell: CellResult) -> str | None:
     return str(Path(cell.dataset).with_name(RESULTS_FILE))
 
 
-def _details(cell: CellResult, output: Path) -> dict[str, Any]:
+def _details(cell: CellResult, output: Path) -> Details | None:
     """What a cell's own results say beyond the common fields."""
     file = own_file(cell)
-    if file is None:
-        return {}
-    [own] = _document(output / file)["cells"]
-    return {key: value for key, value in own.items() if key not in entry(cell)}
+    return None if file is None else read_results_file(Results, output / file, _COMMAND)[0].cells[0].details
 
 
 def clear_results(output: Path, inputs: Collection[Path] = ()) -> None:
@@ -179,28 +204,3 @@ def clear_results(output: Path, inputs: Collection[Path] = ()) -> None:
                 f"{output / name}: this input is an earlier result in the output folder; choose another output"
             )
     remove_results(output, inside)
-
-
-def summarise(results: Results) -> dict[str, Any]:
-    """Return the numbers over all cells, and system by system."""
-    return {
-        **_numbers(results.cells),
-        "systems": {s: _numbers([c for c in results.cells if c.system == s]) for s in results.systems},
-    }
-
-
-def _numbers(cells: Sequence[CellResult]) -> dict[str, Any]:
-    def worst(values: list[float | None]) -> float | None:
-        known = [v for v in values if v is not None]
-        return max(known) if known and all(math.isfinite(v) for v in known) else None
-
-    passed = sum(cell.verdict == "pass" for cell in cells)
-    return {
-        "cells": len(cells),
-        "passed": passed,
-        "converged": sum(cell.converged for cell in cells),
-        "success_rate": round(passed / len(cells), 6) if cells else 0.0,
-        "worst_rms_px": worst([cell.rms_px for cell in cells]),
-        "worst_translation_mm": worst([cell.truth.translation_mm if cell.truth else None for cell in cells]),
-        "worst_rotation_deg": worst([cell.truth.rotation_deg if cell.truth else None for cell in cells]),
-    }

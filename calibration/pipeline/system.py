@@ -1,6 +1,5 @@
 """Systems to calibrate, and the starts to calibrate them from: what the stages share with the configuration."""
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -8,7 +7,19 @@ from calibration.diagnosis.tolerance import Tolerance
 from calibration.estimation.options import Options
 from calibration.introspection.rule_set import RuleEntry, RuleSet, checked, unfolded
 from calibration.pipeline.matrix.software import Software, checked_software
-from calibration.records import UNIQUE, Converted, Place, at_least, between, excludes, field, length, one_of, record
+from calibration.records import (
+    UNIQUE,
+    Converted,
+    Place,
+    at_least,
+    between,
+    excludes,
+    field,
+    length,
+    one_of,
+    record,
+    result,
+)
 
 COLLECTED = "simulation:"
 """Begins a system's dataset that an entry of ``simulation`` collects."""
@@ -106,15 +117,13 @@ Magnitudes = Annotated[tuple[Annotated[float, between(0, 1000)], ...], length(1)
 Seeds = Annotated[tuple[Annotated[int, at_least(0)], ...], length(1), UNIQUE]
 
 
-@dataclass(frozen=True)
+@result
 class NoiseGrid:
     """How far the starting guesses are off: every combination is one cell of the matrix."""
 
-    translations: tuple[float, ...] = (0.0,)
-    """m."""
-    rotations: tuple[float, ...] = (0.0,)
-    """rad."""
-    seeds: tuple[int, ...] = (1,)
+    translations: tuple[float, ...] = field("From 0.", unit="m", key="translation_noise", default=(0.0,))
+    rotations: tuple[float, ...] = field("From 0.", unit="rad", key="rotation_noise", default=(0.0,))
+    seeds: tuple[int, ...] = field("One start for each.", default=(1,))
 
 
 @record(rules=(excludes("seeds", "seed-list"),))

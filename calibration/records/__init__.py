@@ -25,8 +25,8 @@ is no part of the document.
 - `ByName`: a mapping whose keys are the names of the records in it.
 - ``@record(rules=...)``: which keys go together: `excludes`, `needs`, `one_of`, `exactly_one`; what else must hold of
   the values, a record says in ``__post_init__`` by raising `Misfit`.
-- ``@record(case="snake", nulls=True, unknown="ignore")`` is for results: null stands for None, and what a newer
-  version has added is left alone.
+- ``@result`` declares a record of results: keys in snake_case, null for None, and what a newer version has added is
+  left alone. ``@property`` above ``@computed()`` is a key that is written and never read.
 
 Nothing here is slow to import, so that a command may declare its options by a record. No library reads the documents:
 pydantic takes longer to import than all of this command line, and needs as many lines as `reading` to tell an absent
@@ -46,6 +46,7 @@ from calibration.records.constraints import (
 )
 from calibration.records.declaration import (
     Misfit,
+    computed,
     exactly_one,
     excludes,
     field,
@@ -53,11 +54,12 @@ from calibration.records.declaration import (
     needs,
     one_of,
     record,
+    result,
     unknown_key,
 )
 from calibration.records.reading import Place, changed, read, read_as, shown
 from calibration.records.schema import schema_of, schema_text
-from calibration.records.writing import document_of, text_of
+from calibration.records.writing import document_of, text_of, value_of
 
 __all__ = [
     "UNIQUE",
@@ -70,6 +72,7 @@ __all__ = [
     "at_least",
     "between",
     "changed",
+    "computed",
     "document_of",
     "exactly_one",
     "excludes",
@@ -82,9 +85,11 @@ __all__ = [
     "read",
     "read_as",
     "record",
+    "result",
     "schema_of",
     "schema_text",
     "shown",
     "text_of",
     "unknown_key",
+    "value_of",
 ]

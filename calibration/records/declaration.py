@@ -4,13 +4,14 @@ import dataclasses
 import typing
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import MISSING, dataclass
-from functools import cache
+from functools import cache, cached_property
 from typing import Any, Literal, TypeVar, dataclass_transform
 
 from calibration.records.constraints import Converted
 from calibration.workflow.text import did_you_mean, shorten
 
 _Class = TypeVar("_Class", bound=type)
+_Getter = TypeVar("_Getter", bound=Callable[[Any], Any])
 _SETTINGS = "__record__"
 _DECLARED = "record"
 
@@ -60,6 +61,10 @@ class Declared:
     flat: bool
     option: bool | str
     """Whether the field is an option of a command; the sentence of help for it, where the option needs its own."""
+    omitted: bool
+    """Whether the key is left out for None, also in a record with ``nulls``."""
+    computed: bool = False
+    """Whether it is a property, which is written and not read."""
 
     @property
     def required(self) -> bool:
@@ -77,6 +82,7 @@ def field(
     unit: str | None = None,
     flat: bool = False,
     option: bool | str = True,
+    omitted: bool = False,
     repr: bool = True,  # noqa: A002 (dataclasses' word)
 ) -> Any:
     """Declare a field of a record.
@@ -89,15 +95,32 @@ def field(
         key: in the document, where it is not the field's name.
         unit: of the value; added to the help.
         flat: whether the keys of the record in this field stand among those of the record that has it; with
-            `Converted`, the keys of the record that it accepts.
+            `Converted`, the keys of the record that it accepts. A record that may be None is there if one of its keys
+            is.
         option: whether a command has an option for it; or another sentence of help for the option.
+        omitted: whether the key is left out for None, also in a record with ``nulls``.
         repr: whether it is shown in the record's ``repr``; not where it may hold secrets.
     """
     text = f"{help.removesuffix('.')}, {unit}." if unit else help
-    metadata = {_DECLARED: {"key": key, "help": text, "implied": implied, "flat": flat, "option": option}}
+    declared = {"key": key, "help": text, "implied": implied, "flat": flat, "option": option, "omitted": omitted}
+    metadata = {_DECLARED: declared}
     if default_factory is not MISSING:
         return dataclasses.field(default_factory=default_factory, metadata=metadata, repr=repr)
     return dataclasses.field(default=default, metadata=metadata, repr=repr)
+
+
+def computed(key: str | None = None) -> Callable[[_Getter], _Getter]:
+    """Declare a property, written below ``@property``, as part of the document: its docstring's first line is the help.
+
+    Args:
+        key: in the document, where it is not the property's name.
+    """
+
+    def declare(getter: _Getter) -> _Getter:
+        setattr(getter, _DECLARED, key or getter.__name__)
+        return getter
+
+    return declare
 
 
 @typing.overload
@@ -130,6 +153,22 @@ def record(cls: Any = None, /, **settings: Any) -> Any:
     return declare if cls is None else declare(cls)
 
 
+@typing.overload
+def result(cls: _Class, /) -> _Class: ...
+@typing.overload
+def result(**options: bool) -> Callable[[_Class], _Class]: ...
+@dataclass_transform(frozen_default=True, field_specifiers=(field, dataclasses.field))
+def result(cls: Any = None, /, **options: Any) -> Any:
+    """Make a class a record of results: keys in snake_case, null for None; what a newer version has added is ignored.
+
+    Args:
+        cls: the class; its docstring describes the document.
+        options: those of `dataclasses.dataclass`.
+    """
+    declare = record(case="snake", nulls=True, unknown="ignore", **options)
+    return declare if cls is None else declare(cls)
+
+
 def is_record(kind: Any) -> bool:
     """Whether a type is a record."""
     return isinstance(kind, type) and hasattr(kind, _SETTINGS)
@@ -143,7 +182,7 @@ def settings_of(kind: Any) -> Settings:
 
 @cache
 def fields_of(kind: Any) -> tuple[Declared, ...]:
-    """The fields of a record that are part of its document, in order."""
+    """The fields of a record that are part of its document, in order, then its computed properties."""
     types = typing.get_type_hints(kind, include_extras=True)
     kebab = settings_of(kind).case == "kebab"
     found = []
@@ -152,9 +191,20 @@ def fields_of(kind: Any) -> tuple[Declared, ...]:
             continue
         default = each.default if each.default_factory is MISSING else each.default_factory()
         key = declared["key"] or (each.name.replace("_", "-") if kebab else each.name)
-        details = {name: declared[name] for name in ("help", "implied", "flat", "option")}
+        details = {name: declared[name] for name in ("help", "implied", "flat", "option", "omitted")}
         found.append(Declared(each.name, key, types[each.name], default=default, **details))
-    return tuple(found)
+    return (*found, *_computed(kind))
+
+
+def _computed(kind: Any) -> list[Declared]:
+    members = {name: member for base in reversed(kind.__mro__) for name, member in vars(base).items()}
+    found = []
+    for name, member in members.items():
+        getter = member.func if isinstance(member, cached_property) else getattr(member, "fget", None)
+        if (key := getattr(getter, _DECLARED, None)) is not None:
+            help_, result = (getter.__doc__ or "").split("\n")[0], typing.get_type_hints(getter, include_extras=True)
+            found.append(Declared(name, key, result["return"], help_, MISSING, MISSING, False, False, False, True))
+    return found
 
 
 def flat_fields(kind: Any) -> dict[str, Declared]:
@@ -173,8 +223,10 @@ def flat_record(each: Declared) -> tuple[Any, Converted | None]:
 
 
 def bare(kind: Any) -> Any:
-    """A type without what is in ``Annotated``."""
-    return bare(typing.get_args(kind)[0]) if typing.get_origin(kind) is typing.Annotated else kind
+    """A type without what is in ``Annotated``, and without None beside a record."""
+    if typing.get_origin(kind) is typing.Annotated:
+        return bare(typing.get_args(kind)[0])
+    return next(filter(is_record, typing.get_args(kind)), kind)
 
 
 def excludes(first: str, second: str) -> Rule:

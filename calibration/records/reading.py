@@ -102,7 +102,7 @@ def changed(record: _Record, document: Mapping[str, Any], where: str, folder: Pa
     for each in fields_of(kind):
         if each.flat:
             values[each.name] = changed(getattr(record, each.name), document, where, folder)
-        elif each.key in document:
+        elif each.key in document and not each.computed:
             values[each.name] = read_as(each.type, document[each.key], place.below(each.key))
     made: _Record = replace(typing.cast("Any", record), **values)
     return made
@@ -302,8 +302,12 @@ def _made(kind: Any, document: Mapping[str, Any], place: Place, more: Mapping[st
     values = dict(more)
     nulls = settings_of(kind).nulls
     for each in fields_of(kind):
+        if each.computed:
+            continue
         if each.flat:
             flat, converted = flat_record(each)
+            if each.default is None and not flat_fields(flat).keys() & document.keys():
+                continue
             _check_rules(flat, document, place)
             made = _made(flat, document, place, {})
             values[each.name] = converted.make(made, place) if converted else made

@@ -29,9 +29,15 @@ _OF_A_FIELD = ("description", "default")
 _LENGTHS = {"string": "Length", "array": "Items", "object": "Properties"}
 
 
-def schema_text(kind: type, title: str) -> str:
-    """The schema of a record as it ships; a record that stands in several places is among its ``$defs``."""
-    schema = _schema(kind)
+def schema_text(kind: type, title: str, head: type | None = None) -> str:
+    """The schema of a record as it ships; a record that stands in several places is among its ``$defs``.
+
+    Args:
+        kind: the record.
+        title: of the schema.
+        head: a record whose keys stand before those of the first in the same document.
+    """
+    schema = _of_record(kind, head) if head else _schema(kind)
     counts = Counter(_bodies(schema))
     shared = {body: json.loads(body)[_RECORD] for body, count in counts.items() if count > 1}
     shared = {body: name for body, name in shared.items() if list(shared.values()).count(name) == 1}
@@ -87,7 +93,7 @@ def _schema(kind: Any) -> dict[str, Any]:
         return _union([_schema(each) for each in arguments if each is not NoneType])
     if origin is typing.Literal:
         return {"enum": list(arguments)}
-    if origin is tuple:
+    if origin in (tuple, list):
         return {"type": "array", "items": _schema(arguments[0])}
     if origin is not None:
         names = {key: value for key, value in _schema(arguments[0]).items() if key != "type"}
@@ -123,11 +129,12 @@ def _union(members: list[dict[str, Any]]) -> dict[str, Any]:
     if len(members) == 1:
         return members[0]
     if all(member.keys() == {"type"} for member in members):
-        return {"type": [member["type"] for member in members]}
+        kinds = [member["type"] for member in members]
+        return {"type": [name for kind in kinds for name in (kind if isinstance(kind, list) else [kind])]}
     return {"anyOf": members}
 
 
-def _of_record(kind: Any) -> dict[str, Any]:
+def _of_record(kind: Any, head: Any = None) -> dict[str, Any]:
     settings = settings_of(kind)
     schema: dict[str, Any] = {
         _RECORD: kind.__name__,
@@ -139,7 +146,8 @@ def _of_record(kind: Any) -> dict[str, Any]:
     properties: dict[str, Any] = {}
     required: list[str] = []
     rules: list[Mapping[str, Any]] = []
-    _collect(kind, properties, required, rules)
+    for each in (head, kind) if head else (kind,):
+        _collect(each, properties, required, rules)
     if required:
         schema["required"] = required
     schema |= _together(rules)
@@ -152,16 +160,16 @@ def _collect(kind: Any, properties: dict[str, Any], required: list[str], rules: 
     nulls = settings_of(kind).nulls
     for each in fields_of(kind):
         if each.flat:
-            _collect(flat_record(each)[0], properties, required, rules)
+            _collect(flat_record(each)[0], properties, [] if each.default is None else required, rules)
             continue
-        properties[each.key] = _property(each, nulls)
-        if each.required:
+        if each.required and each.key not in properties:
             required.append(each.key)
+        properties[each.key] = _property(each, nulls)
 
 
 def _property(each: Declared, nulls: bool) -> dict[str, Any]:
     schema = _schema(each.type)
-    if nulls and NoneType in typing.get_args(each.type):
+    if nulls and not each.omitted and NoneType in typing.get_args(each.type):
         schema = _union([schema, {"type": "null"}])
     if each.help:
         schema = {"description": each.help, **{key: value for key, value in schema.items() if key != "description"}}

@@ -19,8 +19,8 @@ def document_of(record: Any) -> dict[str, Any]:
     for each in fields_of(kind):
         value = getattr(record, each.name)
         if each.flat:
-            document |= document_of(value)
-        elif value is not None or nulls:
+            document |= {} if value is None else document_of(value)
+        elif value is not None or (nulls and not each.omitted):
             document[each.key] = value_of(value)
     return document
 

@@ -10,11 +10,10 @@ from calibration.report.outcome import Outcome, count_of, outcome_of_check
 from calibration.report.publishing import publish, remove_results, show
 from calibration.report.report import FILES, Report
 from calibration.report.results_json import (
-    MOST_BYTES,
     RESULTS_FILE,
-    SCHEMA_NUMBER,
+    Head,
+    read_results_file,
     reasons_in,
-    results_document,
     results_text,
 )
 from calibration.report.table import Table, shown
@@ -22,12 +21,11 @@ from calibration.report.verdict import Verdict, verdict_of
 
 __all__ = [
     "FILES",
-    "MOST_BYTES",
     "RESULTS_FILE",
-    "SCHEMA_NUMBER",
     "Block",
     "Check",
     "Code",
+    "Head",
     "Lines",
     "Outcome",
     "Report",
@@ -40,9 +38,9 @@ __all__ = [
     "expectation",
     "outcome_of_check",
     "publish",
+    "read_results_file",
     "reasons_in",
     "remove_results",
-    "results_document",
     "results_text",
     "show",
     "shown",

@@ -1,40 +1,25 @@
 """Checks: a value that was found, compared with what was expected."""
 
 import math
-from dataclasses import dataclass
-from typing import Any
+
+from calibration.records import field, result
 
 
-@dataclass(frozen=True)
+@result
 class Check:
-    """One comparison. Of a number, made by :func:`at_most` or :func:`at_least`."""
+    """One comparison. Of a number, made by :func:`at_most` or :func:`at_least`; results.json has those."""
 
-    subject: str
-    """What was compared: ``RMS``, ``detection rate of left``."""
+    subject: str = field("What was compared: ``RMS``, ``detection rate of left``.", key="name")
     found: str
     expected: str
-    passed: bool
-    value: float | None = None
-    """The number that was found, if it was one."""
-    limit: float | None = None
-    minimum: bool = False
-    """True if the limit is the smallest number that passes, False if it is the largest."""
-    unit: str = ""
+    passed: bool = field("Whether the number passes.")
+    value: float | None = field("The number that was found, if it was one.", default=None)
+    limit: float | None = field("The smallest or the largest number that passes.", default=None)
+    minimum: bool = field("Whether the limit is the smallest number that passes.", key="at_least", default=False)
+    unit: str = field("Of both numbers.", default="")
 
     def __str__(self) -> str:
         return expectation(self.subject, self.found, self.expected)
-
-    @property
-    def document(self) -> dict[str, Any]:
-        """Entry in ``results.json`` of a check of a number."""
-        return {
-            "name": self.subject,
-            "value": self.value,
-            "limit": self.limit,
-            "at_least": self.minimum,
-            "unit": self.unit,
-            "passed": self.passed,
-        }
 
 
 def at_most(subject: str, value: float | None, limit: float, unit: str = "") -> Check:

@@ -31,8 +31,8 @@ class Report:
     verdict: Verdict
     sentence: str
     """Rest of the line that begins with the verdict: ``2 violations in 4 checks of 1 table``."""
-    results: Mapping[str, Any]
-    """Content of results.json beside schema, verdict and reasons: numbers, texts, lists and mappings."""
+    results: Any
+    """Content of results.json beside schema, verdict and reasons: a record, or a mapping."""
     suites: Mapping[str, Sequence[Outcome]]
     """Outcomes for JUnit, by suite."""
     outputs: Mapping[str, OutputValue | None]
@@ -104,7 +104,7 @@ class Report:
         from calibration.report.junit import junit_xml  # XML is slow to import
 
         texts = {
-            RESULTS_FILE: results_text(self.document),
+            RESULTS_FILE: results_text(self.verdict, self.results, self.reasons),
             JUNIT_FILE: junit_xml(self.suites),
         }
         return {**self.files, **texts, SUMMARY_FILE: self.markdown()}

@@ -1,37 +1,67 @@
 """results.json, which has the same head for every command: schema, verdict and reasons."""
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, TypeVar
 
-from calibration.errors import CalibrationError
+from calibration.errors import CalibrationError, InputError
 from calibration.files import read_bytes
 from calibration.json_file import parse_json
+from calibration.records import field, read, result, value_of
 from calibration.report.verdict import Verdict
 
+_Record = TypeVar("_Record")
 RESULTS_FILE = "results.json"
-SCHEMA_NUMBER = 1
+SCHEMA_NUMBER: Literal[1] = 1
 """Number of the form of results.json. Keys may be added; none is renamed without a new number."""
 MOST_BYTES = 64 * 1024**2
 """Size of the largest results file that is read."""
 
 
-def results_document(verdict: Verdict, results: Mapping[str, Any], reasons: Sequence[str] = ()) -> dict[str, Any]:
-    """Return results with the head; reasons that are among the results stay where they are."""
-    head: dict[str, Any] = {"schema": SCHEMA_NUMBER, "verdict": verdict}
-    return {**head, **({} if "reasons" in results else {"reasons": list(reasons)}), **results}
+@result
+class Head:
+    """The keys with which every results.json begins."""
+
+    schema: Literal[1] = field("Number of this form; keys may be added, none is renamed without a new number.")
+    verdict: Verdict = field("Whether everything that was asked for holds.")
+    reasons: tuple[str, ...] = field("Why the verdict is fail, one line each.", default=())
 
 
-def results_text(document: Mapping[str, Any]) -> str:
-    """Return a document as JSON; raises ``ValueError`` for a number that is not finite."""
-    return json.dumps(document, indent=1, allow_nan=False) + "\n"
+def results_document(verdict: Verdict, results: Any, reasons: Sequence[str] = ()) -> dict[str, Any]:
+    """Return the document of results, a record or a mapping, with the head; reasons among the results are those."""
+    return {**value_of(Head(SCHEMA_NUMBER, verdict, tuple(reasons))), **value_of(results)}
+
+
+def results_text(verdict: Verdict, results: Any, reasons: Sequence[str] = ()) -> str:
+    """Return results.json; raises ``ValueError`` for a number that is not finite."""
+    return json.dumps(results_document(verdict, results, reasons), indent=1, allow_nan=False) + "\n"
+
+
+def read_results_file(kind: type[_Record], path: Path, command: str) -> tuple[_Record, dict[str, Any]]:
+    """Read a results.json of this version or an older one: as a record, and as it stands in the file.
+
+    Args:
+        kind: the record.
+        path: the file.
+        command: what writes it, for messages.
+
+    Raises:
+        InputError: it cannot be read, is of another schema number, or a value is of another type.
+    """
+    try:
+        document = parse_json(read_bytes(path, MOST_BYTES, f"results of {command}"))
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{path}: this is not a results file: {error}") from None
+    if isinstance(document, dict) and (found := document.get("schema", SCHEMA_NUMBER)) != SCHEMA_NUMBER:
+        expected = f"expected {SCHEMA_NUMBER}: another version has written it"
+        raise InputError(f"{path}: schema: found {found!r:.80}, {expected}")
+    return read(kind, document, str(path)), document
 
 
 def reasons_in(folder: Path) -> tuple[str, ...]:
     """Return the reasons in the results of any command; none if it left no results, or not in this form."""
     try:
-        document = parse_json(read_bytes(folder / RESULTS_FILE, MOST_BYTES, "results"))
-        return tuple(map(str, document["reasons"]))
-    except (CalibrationError, ValueError, KeyError, TypeError, RecursionError):
+        return read_results_file(Head, folder / RESULTS_FILE, "a command")[0].reasons
+    except CalibrationError:
         return ()

@@ -174,7 +174,7 @@ def test_a_password_by_the_environment(asked: list[Any], monkeypatch: pytest.Mon
         ("--spec a --dockerfile b", "spec and dockerfile are both given"),
         ("--context a", "context is given without the dockerfile"),
         ("--spec nothing.yml", "nothing.yml: an image specification was expected, but it cannot be read"),
-        ("--builder kaniko", "builder: found 'kaniko', expected auto or engine or buildkit"),
+        ("--builder kaniko", "'kaniko' is not one of 'auto', 'engine', 'buildkit'"),
         (f"--digest {DIGEST}", "digest is given without promote"),
         ("--name a:b", "a name without a tag was expected"),
         ("--tags a:b", "found the tag 'a:b'"),

@@ -422,11 +422,11 @@ def test_as_an_action_the_inputs_go_before_the_environment(
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--service", "codecov"], "service: found 'codecov', expected codacy or none"),
-        (["--if-token-missing", "ignore"], "if-token-missing: found 'ignore', expected fail or skip"),
+        (["--service", "codecov"], "'codecov' is not one of 'codacy', 'none'"),
+        (["--if-token-missing", "ignore"], "'ignore' is not one of 'fail', 'skip'"),
         (["--partial", "--final"], "partial and final are both given"),
         (["--interpreter", "python3"], "interpreter is given without run"),
-        (["--minimum", "101"], "'101' is not from 0 to 100"),
+        (["--minimum", "101"], "options: minimum: found 101.0, expected a number from 0 to 100"),
         (["--minimum", "nan"], "'nan' is not a finite number"),
         (["--commit", "main"], "commit: found 'main', expected the 40 hexadecimal digits"),
         (["--directory", "none"], "none: there is no such folder"),

@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 from calibration.coverage.changes import changed_lines, coverage_of_change, find_base
 from calibration.coverage.lines import FileCoverage, Rate
 from calibration.coverage.repository import Repository
+from calibration.coverage.results import Span
 from calibration.errors import InputError
 
 from .projects import commit, git
@@ -78,8 +79,8 @@ def test_it_is_what_the_new_text_has_more(
 def test_what_is_covered_of_a_change() -> None:
     files = {"a.py": FileCoverage({1: 1, 2: 0, 4: 0, 9: 3}), "b.py": FileCoverage({1: 1}), "c.py": FileCoverage({1: 0})}
     changed = {"a.py": {2, 3, 4, 9}, "b.py": {1}, "README.md": {1}}
-    assert coverage_of_change(changed, files) == (Rate(2, 4), {"a.py": [2, 4]})
-    assert coverage_of_change({}, files) == (Rate(), {})
+    assert coverage_of_change(changed, files) == (Rate(2, 4), (Span("a.py", 2, 4),))
+    assert coverage_of_change({}, files) == (Rate(), ())
 
 
 def test_the_base_is_where_a_branch_left(tmp_path: Path) -> None:

@@ -2,15 +2,14 @@ import io
 
 import pytest
 
-from calibration.image.builders.failure import BuildFailedError
 from calibration.image.building import BuiltImage
-from calibration.image.report import BuildResult, report
+from calibration.image.report import BuildResult, Failure, report
 from calibration.report import Report
 from calibration.workflow import Runner
 
 
-def make(*arguments: object, runner: Runner | None = None, **fields: object) -> Report:
-    return report(BuildResult(*arguments, **fields), "calibration.yml", runner or Runner())
+def make(image: BuiltImage | None = None, runner: Runner | None = None, **fields: object) -> Report:
+    return report(BuildResult(**((vars(image) if image else {}) | fields)), "calibration.yml", runner or Runner())
 
 
 @pytest.mark.parametrize(
@@ -37,7 +36,7 @@ def test_outputs_name_every_tag_once() -> None:
 
 
 def test_a_failure_without_lines_and_hostile_text() -> None:
-    found = make(failure=BuildFailedError("r", "step 1 of 1, RUN <b>|`x`", "exit code 1"))
+    found = make(failure=Failure("image r: step 1 of 1, RUN <b>|`x`: exit code 1", ()))
     assert found.markdown() == "## build-image: fail: image r: step 1 of 1, RUN &lt;b&gt;&#124;\\`x\\`: exit code 1\n"
     assert (found.exit_code, found.document["reasons"]) == (1, ["image r: step 1 of 1, RUN <b>|`x`: exit code 1"])
 
@@ -48,6 +47,6 @@ def test_a_terminal_is_shown_the_last_lines_of_the_step(terminal: bool, github: 
         def isatty(self) -> bool:
             return terminal
 
-    failure = BuildFailedError("r", "step 1 of 1, RUN x", "exit code 1", ["one", "two"])
+    failure = Failure("image r: step 1 of 1", ("one", "two"))
     found = make(failure=failure, runner=Runner(github=github, stdout=Log()))
     assert found.log() == ("one\ntwo" if terminal and not github else "")

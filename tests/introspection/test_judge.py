@@ -52,7 +52,7 @@ def test_every_violation_is_listed(atom: Table) -> None:
         Violation("results.csv", None, "Rot (deg)", "max of every row", "0.04", "at most 0.03"),
     )
     assert verdict.violations[2].message == "RMS (pix), Averages: found 0.7, expected at most 0.6"
-    assert [check.passed for check in verdict.checks] == [False, False, False, False, False]
+    assert [check.verdict for check in verdict.checks] == ["fail"] * 5
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ import pytest
 
 from calibration.diagnosis.finding import Finding
 from calibration.errors import ExitCode, InputError
-from calibration.pipeline.matrix.cell import Deviation
+from calibration.pipeline.matrix.cell import Details, Deviation, Parameter
 from calibration.pipeline.matrix.matrix import Matrix, run_matrix
 from calibration.pipeline.report import failures, grid, parameters_table, report, truth_table, write_results
 from calibration.pipeline.results import (
@@ -20,7 +20,6 @@ from calibration.pipeline.results import (
     Results,
     clear_results,
     read_results,
-    summarise,
     without_verdicts,
 )
 from calibration.pipeline.system import NoiseGrid
@@ -98,12 +97,12 @@ def test_a_comparison_has_no_part_in_the_verdict() -> None:
 
 
 def test_numbers_over_all_cells() -> None:
-    numbers = summarise(Results((CELL, FAILED, replace(CELL, seed=2, rms_px=0.7))))
+    numbers = Results((CELL, FAILED, replace(CELL, seed=2, rms_px=0.7))).summary
 
-    assert numbers["cells"] == 3
-    assert numbers["success_rate"] == pytest.approx(2 / 3, abs=1e-6)
-    assert numbers["worst_rms_px"] == 0.7
-    assert numbers["systems"]["robot"]["converged"] == 2
+    assert numbers.all.cells == 3
+    assert numbers.all.success_rate == pytest.approx(2 / 3, abs=1e-6)
+    assert numbers.all.worst_rms_px == 0.7
+    assert numbers.systems["robot"].converged == 2
 
 
 def test_the_table_has_noise_down_and_systems_across() -> None:
@@ -176,8 +175,8 @@ def test_errors_stand_beside_what_is_stated(tmp_path: Path) -> None:
 
 
 def test_of_many_parameters_the_first_are_shown() -> None:
-    rows = [{"name": "left", "parameter": f"p{i}", "value": 1.0, "unit": "1", "sigma": 0.1} for i in range(203)]
-    shown = parameters_table(Results((replace(CELL, details={"intrinsics": rows}),))).markdown().splitlines()
+    rows = tuple(Parameter("left", f"p{i}", 1.0, "1", 0.1) for i in range(203))
+    shown = parameters_table(Results((replace(CELL, details=Details(intrinsics=rows)),))).markdown().splitlines()
 
     assert len(shown) == 2 + 201
     assert shown[-1].startswith("| and 3 more, see results.json |")

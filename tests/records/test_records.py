@@ -23,6 +23,7 @@ from calibration.records import (
     above,
     at_least,
     between,
+    computed,
     document_of,
     excludes,
     field,
@@ -33,6 +34,7 @@ from calibration.records import (
     read,
     read_as,
     record,
+    result,
     schema_of,
     schema_text,
     text_of,
@@ -221,7 +223,7 @@ def test_what_is_written_is_read_again() -> None:
 
 
 def test_results_have_nulls_and_may_have_more() -> None:
-    @record(case="snake", nulls=True, unknown="ignore")
+    @result
     class Result:
         """A result."""
 
@@ -234,6 +236,44 @@ def test_results_have_nulls_and_may_have_more() -> None:
     jsonschema.validate({"rms_px": 1.5}, schema)
     with pytest.raises(WorldError, match=r"results\.json: rms_px: found 'x', expected a number"):
         read(Result, {"rms_px": "x"}, "results.json", error=WorldError)
+
+
+@result
+class Extra:
+    """What only some results have."""
+
+    cost: float | None = field("Of it.", default=None)
+
+
+@result
+class Whole:
+    """Results with keys that are computed, left out, or there together."""
+
+    passed: int = field("How many passed.")
+    rate: float | None = field("Of a minute.", default=None, omitted=True)
+    extra: Extra | None = field(flat=True, default=None)
+
+    @property
+    @computed("verdict")
+    def word(self) -> Literal["pass", "fail"]:
+        """Pass if one passed."""
+        return "pass" if self.passed else "fail"
+
+
+@pytest.mark.parametrize(
+    ("whole", "document"),
+    [
+        (Whole(1), {"passed": 1, "verdict": "pass"}),
+        (Whole(0, 0.5, Extra()), {"passed": 0, "rate": 0.5, "cost": None, "verdict": "fail"}),
+    ],
+)
+def test_keys_that_are_computed_left_out_or_there_together(whole: Whole, document: dict[str, Any]) -> None:
+    assert document_of(whole) == document
+    assert read(Whole, document | {"verdict": "another"}, "results.json") == whole  # what is computed is not read
+    schema = json.loads(schema_text(Whole, "a title", Limits))
+    jsonschema.validate(document | {"rms-px": 1}, schema)
+    assert schema["required"] == ["passed", "verdict"]
+    assert schema["properties"]["verdict"] == {"description": "Pass if one passed.", "enum": ["pass", "fail"]}
 
 
 def test_the_schema_tells_editors_what_a_user_needs() -> None:

@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from calibration.errors import ExitCode, WorldError
+from calibration.records import document_of
 from calibration.report import (
     Code,
     Lines,
@@ -56,7 +57,7 @@ def test_a_check_of_a_number(check: object, passed: bool, text: str) -> None:
 
 def test_a_check_as_an_entry_of_the_results() -> None:
     entry = {"name": "rate", "value": 0.5, "limit": 0.75, "at_least": True, "unit": "", "passed": False}
-    assert at_least("rate", 0.5, 0.75).document == entry
+    assert document_of(at_least("rate", 0.5, 0.75)) == entry
 
 
 def test_the_verdict_of_an_outcome() -> None:

@@ -10,6 +10,7 @@ import numpy as np
 
 from calibration import __version__
 from calibration.pipeline.collection.results import CollectionResults, SensorNumbers
+from calibration.records import document_of
 from calibration.report import Lines, Outcome, Report, Table, Text, outcome_of_check
 from calibration.simulation.collection.proof import Proof
 from calibration.simulation.collection.record import Record
@@ -55,7 +56,7 @@ def report(results: CollectionResults, output: Path) -> Report:
             "sensors": {name: asdict(numbers) for name, numbers in results.sensors.items()},
             "corner_rms_px": results.corner_rms,
             "calibration": _calibration(proof) if proof else None,
-            "checks": [check.document for check in results.checks],
+            "checks": [document_of(check) for check in results.checks],
             "reasons": results.reasons,
             "dataset": "dataset.json" if kept else None,
             "contact_sheet": CONTACT_SHEET if sheet else None,

@@ -1,78 +1,132 @@
 """What a sweep found of one system from one kind of start: the share that converges, by the noise of the start."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from functools import cached_property
 from itertools import product, takewhile
 
 from calibration.errors import ExitCode
 from calibration.pipeline.matrix.cell import OUR_METHOD, CellResult
 from calibration.pipeline.system import NoiseGrid
+from calibration.records import computed, field, result
+from calibration.report.outcome import ErrorCode
 
 Noise = tuple[float, float]
 """Translation (m) and rotation (rad)."""
 
 
-@dataclass(frozen=True)
+@result
+class LostStart:
+    """A start that does not converge."""
+
+    seed: int | None = field("Of the start's noise.")
+    reasons: tuple[str, ...] = field("Why it is no calibration.")
+    error: ErrorCode | None = field("2 or 3 where it could not be run.")
+
+
+@result
 class Pair:
     """The starts, one a seed, with one pair of noises."""
 
+    translation_noise: float = field("Of the starts.", unit="m")
+    rotation_noise: float = field("Of the starts.", unit="rad")
     cells: tuple[CellResult, ...]
 
     @property
+    @computed()
+    def starts(self) -> int:
+        """How many starts there are."""
+        return len(self.cells)
+
+    @property
+    @computed()
     def converged(self) -> int:
-        """How many do."""
+        """How many converge."""
         return sum(cell.verdict == "pass" for cell in self.cells)
 
     @property
     def always(self) -> bool:
         """Whether all of them do."""
-        return self.converged == len(self.cells)
+        return self.converged == self.starts
 
     @property
+    @computed()
     def share(self) -> float:
-        """From 0 to 1."""
-        return self.converged / len(self.cells)
+        """From 0 to 1, rounded down: 1 only where every start converges."""
+        return self.converged * 1_000_000 // self.starts / 1_000_000
 
     @property
     def percent(self) -> str:
         """The share in whole percent; 100 only where all converge, 0 only where none does."""
-        if 0 < self.converged < len(self.cells):
-            return str(min(max(round(100 * self.share), 1), 99))
+        if 0 < self.converged < self.starts:
+            return str(min(max(round(100 * self.converged / self.starts), 1), 99))
         return "100" if self.always else "0"
+
+    @property
+    @computed("lost")
+    def lost_starts(self) -> tuple[LostStart, ...]:
+        """Those that do not converge."""
+        return tuple(LostStart(cell.seed, cell.reasons, cell.error) for cell in self.cells if cell.verdict == "fail")
 
     @property
     def lost(self) -> tuple[int, ...]:
         """The seeds of those that do not."""
-        return tuple(cell.seed for cell in self.cells if cell.verdict == "fail" and cell.seed is not None)
+        return tuple(each.seed for each in self.lost_starts if each.seed is not None)
 
     @property
     def reason(self) -> str:
         """The first reason of the first start that does not converge; empty where all do."""
-        return next((cell.reasons[0] for cell in self.cells if cell.verdict == "fail" and cell.reasons), "")
+        return next((each.reasons[0] for each in self.lost_starts if each.reasons), "")
 
 
-@dataclass(frozen=True)
+@result
+class NoisePair:
+    """Noise of both kinds at once."""
+
+    translation_noise: float = field("Of the start.", unit="m")
+    rotation_noise: float = field("Of the start.", unit="rad")
+
+
+@result
 class Largest:
-    """The largest levels up to which every start of the sweep converges; None where not even the one without noise."""
+    """The largest levels up to which every start of the sweep converges; null where the one without noise does not."""
 
-    translation: float | None
-    """m, with no rotation noise."""
-    rotation: float | None
-    """rad, with no translation noise."""
+    translation: float | None = field("With no rotation noise.", unit="m", key="translation_noise")
+    rotation: float | None = field("With no translation noise.", unit="rad", key="rotation_noise")
     diagonal: Noise | None
     """Both at once, grown from 0 in proportion to their last levels: every pair of levels up to it converges."""
 
+    @property
+    @computed("diagonal")
+    def diagonal_pair(self) -> NoisePair | None:
+        """Every pair up to both converges, grown in proportion to the last levels."""
+        return None if self.diagonal is None else NoisePair(*self.diagonal)
 
-@dataclass(frozen=True)
+    @classmethod
+    def of_all(cls, found: Sequence["Largest"]) -> "Largest":
+        """The least of several."""
+        diagonals = [each.diagonal for each in found]
+        translation, rotation = (least([noise and noise[axis] for noise in diagonals]) for axis in (0, 1))
+        return cls(
+            least([each.translation for each in found]),
+            least([each.rotation for each in found]),
+            None if translation is None or rotation is None else (translation, rotation),
+        )
+
+
+def least(values: Sequence[float | None]) -> float | None:
+    """The smallest of the values; None where one of them is missing, or all."""
+    known = [value for value in values if value is not None]
+    return min(known) if known and len(known) == len(values) else None
+
+
+@result
 class ConvergenceMap:
     """One system, calibrated by one method from one kind of start."""
 
-    system: str
-    method: str
-    start: str
-    judged: bool
-    """Whether it has a part in the verdict; our engine beside the team's software has none."""
+    system: str = field("Its name.")
+    method: str = field("calibration-ci, or software: the team's own.")
+    start: str = field("given or linear.")
+    judged: bool = field("Whether it has a part in the verdict; our engine beside the team's software has none.")
     translations: tuple[float, ...]
     """The levels, m, from 0."""
     rotations: tuple[float, ...]
@@ -81,12 +135,19 @@ class ConvergenceMap:
     """By noise; every combination of the levels."""
 
     @property
+    @computed("pairs")
+    def all_pairs(self) -> tuple[Pair, ...]:
+        """Every combination of the levels."""
+        return tuple(self.pairs.values())
+
+    @property
     def name(self) -> str:
         """What messages and tables call it."""
         method = () if self.method == OUR_METHOD and self.judged else (self.method,)
         return ", ".join((self.system, *method, self.start))
 
     @cached_property
+    @computed()
     def largest(self) -> Largest:
         """Up to where every start converges."""
         return Largest(
@@ -144,7 +205,7 @@ def maps_of(cells: Sequence[CellResult], noise: NoiseGrid) -> tuple[ConvergenceM
             noise.translations,
             noise.rotations,
             {
-                (t, r): Pair(tuple(of[t, r, seed] for seed in noise.seeds))
+                (t, r): Pair(t, r, tuple(of[t, r, seed] for seed in noise.seeds))
                 for t, r in product(noise.translations, noise.rotations)
             },
         )

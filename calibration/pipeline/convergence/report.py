@@ -1,13 +1,12 @@
 """The report of ``convergence``: a table and a picture of each map, translation noise down, rotation noise across."""
 
-import math
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from calibration.errors import InputError
 from calibration.introspection.numbers import number_text
-from calibration.pipeline.convergence.convergence_map import ConvergenceMap, Noise, Pair
+from calibration.pipeline.convergence.convergence_map import ConvergenceMap
 from calibration.pipeline.convergence.figure import figures
 from calibration.pipeline.convergence.results import ConvergenceResults, without_noise
 from calibration.pipeline.matrix.cell import noise_text
@@ -37,7 +36,8 @@ def report(results: ConvergenceResults, output: Path) -> Report:
     except InputError as error:  # what draws them is not installed, or there is too much to draw
         notes = (str(error),)
     lost = tuple(line for each in results.maps if (line := first_lost(each)))
-    translation, rotation = results.largest_diagonal or (None, None)
+    largest = results.largest
+    translation, rotation = largest.diagonal or (None, None)
     return Report(
         title=TITLE,
         verdict=results.verdict,
@@ -52,21 +52,10 @@ def report(results: ConvergenceResults, output: Path) -> Report:
             Lines(notes),
         ),
         suites={TITLE: list(_outcomes(results))},
-        results={
-            "grid": {
-                "translation_noise": list(results.noise.translations),
-                "rotation_noise": list(results.noise.rotations),
-                "seeds": list(results.noise.seeds),
-            },
-            "largest": _largest(results.largest_translation, results.largest_rotation, results.largest_diagonal),
-            "maps": [_map(each) for each in results.maps],
-            "checks": [check.document for check in results.checks],
-            "figures": list(pictures),
-            "notes": list(notes),
-        },
+        results=replace(results, figures=tuple(pictures), notes=notes),
         outputs={
-            "largest-translation-noise": results.largest_translation,
-            "largest-rotation-noise": results.largest_rotation,
+            "largest-translation-noise": largest.translation,
+            "largest-rotation-noise": largest.rotation,
             "largest-diagonal-translation-noise": translation,
             "largest-diagonal-rotation-noise": rotation,
             "table": output / TABLE_FILE,
@@ -116,9 +105,9 @@ def starts(results: ConvergenceResults) -> Table:
             f"{each.name}, {noise_text(*noise)}",
             *(each.system, each.method, each.start),
             *map(number_text, noise),
-            str(len(pair.cells)),
+            str(pair.starts),
             str(pair.converged),
-            number_text(_rounded_down(pair.share)),
+            number_text(pair.share),
             " ".join(map(str, pair.lost)),
             pair.reason,
         )
@@ -150,12 +139,12 @@ def first_lost(of: ConvergenceMap) -> str:
 
 
 def _sentence(results: ConvergenceResults) -> str:
-    if results.largest_diagonal is None:
+    largest = results.largest
+    if largest.diagonal is None:
         return "the start without noise does not converge"
-    translation, rotation = results.largest_translation or 0.0, results.largest_rotation or 0.0
     return (
-        f"every start converges up to {number_text(translation)} m alone, "
-        f"{number_text(rotation)} rad alone, and {noise_text(*results.largest_diagonal)} together"
+        f"every start converges up to {number_text(largest.translation or 0.0)} m alone, "
+        f"{number_text(largest.rotation or 0.0)} rad alone, and {noise_text(*largest.diagonal)} together"
     )
 
 
@@ -169,40 +158,3 @@ def _outcomes(results: ConvergenceResults) -> Iterable[Outcome]:
         yield Outcome(name=name, group=each.system, reasons=(why,) if why else (), error=each.error)
     for check in results.checks:
         yield outcome_of_check(check, TITLE)
-
-
-def _largest(translation: float | None, rotation: float | None, diagonal: Noise | None) -> dict[str, Any]:
-    both = None if diagonal is None else {"translation_noise": diagonal[0], "rotation_noise": diagonal[1]}
-    return {"translation_noise": translation, "rotation_noise": rotation, "diagonal": both}
-
-
-def _map(of: ConvergenceMap) -> dict[str, Any]:
-    largest = of.largest
-    return {
-        "system": of.system,
-        "method": of.method,
-        "start": of.start,
-        "judged": of.judged,
-        "largest": _largest(largest.translation, largest.rotation, largest.diagonal),
-        "pairs": [_pair(noise, pair) for noise, pair in of.pairs.items()],
-    }
-
-
-def _pair(noise: Noise, pair: Pair) -> dict[str, Any]:
-    return {
-        "translation_noise": noise[0],
-        "rotation_noise": noise[1],
-        "starts": len(pair.cells),
-        "converged": pair.converged,
-        "share": _rounded_down(pair.share),
-        "lost": [
-            {"seed": cell.seed, "reasons": list(cell.reasons), "error": cell.error}
-            for cell in pair.cells
-            if cell.verdict == "fail"
-        ],
-    }
-
-
-def _rounded_down(share: float) -> float:
-    """A share that is 1 only where it is."""
-    return math.floor(share * 1e6) / 1e6

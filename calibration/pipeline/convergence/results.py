@@ -1,11 +1,11 @@
 """What a sweep of the start's noise found, and its verdict."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 from calibration.errors import ExitCode, exit_code_of
-from calibration.pipeline.convergence.convergence_map import ConvergenceMap, Noise
+from calibration.pipeline.convergence.convergence_map import ConvergenceMap, Largest
 from calibration.pipeline.system import NoiseGrid
+from calibration.records import computed, field, result
 from calibration.report import Check, Verdict, at_least, verdict_of
 
 
@@ -19,13 +19,15 @@ class Minimums:
     """rad, with no translation noise."""
 
 
-@dataclass(frozen=True)
+@result
 class ConvergenceResults:
-    """What came of a sweep."""
+    """Results of convergence."""
 
-    noise: NoiseGrid
-    maps: tuple[ConvergenceMap, ...]
+    noise: NoiseGrid = field("What was swept: every combination.", key="grid")
+    maps: tuple[ConvergenceMap, ...] = field("One for each system, method and kind of start.")
     minimums: Minimums = Minimums()
+    figures: tuple[str, ...] = field("Files; none where matplotlib is not installed.", default=())
+    notes: tuple[str, ...] = field("What a reader has to know of them.", default=())
 
     @property
     def judged(self) -> list[ConvergenceMap]:
@@ -33,9 +35,10 @@ class ConvergenceResults:
         return [each for each in self.maps if each.judged]
 
     @property
-    def checks(self) -> list[Check]:
+    @computed()
+    def checks(self) -> tuple[Check, ...]:
         """The largest noises against what is asked."""
-        return [check for each in self.judged for check in _checks(each, self.minimums)]
+        return tuple(check for each in self.judged for check in _checks(each, self.minimums))
 
     @property
     def reasons(self) -> list[str]:
@@ -56,28 +59,10 @@ class ConvergenceResults:
         return exit_code_of(self.verdict == "pass", (each.error for each in self.judged))
 
     @property
-    def largest_translation(self) -> float | None:
-        """The largest noise up to which every start of every map converges, m; None where one does not without."""
-        return least([each.largest.translation for each in self.judged])
-
-    @property
-    def largest_rotation(self) -> float | None:
-        """The same in rad."""
-        return least([each.largest.rotation for each in self.judged])
-
-    @property
-    def largest_diagonal(self) -> Noise | None:
-        """The same of both at once."""
-        found = [each.largest.diagonal for each in self.judged]
-        translation = least([noise[0] if noise else None for noise in found])
-        rotation = least([noise[1] if noise else None for noise in found])
-        return None if translation is None or rotation is None else (translation, rotation)
-
-
-def least(values: Sequence[float | None]) -> float | None:
-    """The smallest of the values; None where one of them is missing, or all."""
-    known = [value for value in values if value is not None]
-    return min(known) if known and len(known) == len(values) else None
+    @computed()
+    def largest(self) -> Largest:
+        """The least of the maps that are judged."""
+        return Largest.of_all([each.largest for each in self.judged])
 
 
 def without_noise(of: ConvergenceMap) -> str:

@@ -136,7 +136,7 @@ def _judged(cell: CellResult, systems: Sequence[System], ours: Path, theirs: Pat
     [judged] = judge_cells([cell], systems, folder)
     if cell.method == OUR_METHOD and cell.dataset is not None:
         shutil.rmtree((folder / cell.dataset).parent, ignore_errors=True)
-    return replace(judged, details={}, warnings=(), findings=())
+    return replace(judged, details=None, warnings=(), findings=())
 
 
 def _of_the_same_optimum(cells: Sequence[CellResult], systems: Sequence[System]) -> list[CellResult]:

@@ -1,13 +1,12 @@
 """What a run of the workflow costs: every job's time, rounded up to a minute as GitHub bills it, times a rate."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from calibration.introspection.numbers import number_text
 from calibration.pipeline.distribution.jobs import Needs, read_seconds
 from calibration.pipeline.distribution.plan import Plan
+from calibration.records import computed, field, result
 from calibration.report import Table
 
 VERDICT, PROMOTE = "verdict", "promote"
@@ -16,30 +15,35 @@ DIGITS = 6
 """Decimals of an amount of money; the rest is an error of binary fractions."""
 
 
-@dataclass(frozen=True)
+@result
 class JobTime:
     """One job that has run."""
 
-    job: str
-    """Its place in the workflow: calibrate."""
-    name: str
-    """What it worked on: "robot, 0.5 m, 0 rad"; the place where there is only one."""
-    seconds: int | None = None
-    """None where it is not known: the job was lost or cancelled, or is still to come."""
+    job: str = field("Its place in the workflow: calibrate.")
+    name: str = field("What it worked on (robot, 0.5 m, 0 rad); the place where there is only one.")
+    seconds: int | None = field(
+        "Null where it is not known: the job was lost or cancelled, or is still to come.", default=None
+    )
 
     @property
+    @computed("billed_minutes")
     def minutes(self) -> int | None:
         """What is billed: begun minutes, at least one."""
         return None if self.seconds is None else max(1, -(-self.seconds // 60))
 
 
-@dataclass(frozen=True)
+@result
 class Cost:
     """The jobs of a run, or some of them."""
 
-    times: tuple[JobTime, ...]
-    rate: float | None = None
-    """Of a minute, in whatever currency; None where the user named none."""
+    times: tuple[JobTime, ...] = field("The jobs.", key="jobs")
+    rate: float | None = field("Of a minute, in whatever currency; null where the user named none.", default=None)
+
+    @property
+    @computed()
+    def complete(self) -> bool:
+        """Whether the time of every job is known, and so in the sum."""
+        return len(self.known) == len(self.times)
 
     @property
     def known(self) -> tuple[JobTime, ...]:
@@ -52,11 +56,13 @@ class Cost:
         return sum(time.seconds or 0 for time in self.times)
 
     @property
+    @computed("billed_minutes")
     def minutes(self) -> int:
         """Billed for the jobs that are known."""
         return sum(time.minutes or 0 for time in self.times)
 
     @property
+    @computed("cost")
     def amount(self) -> float | None:
         """What these minutes cost; None without a rate."""
         return None if self.rate is None else round(self.minutes * self.rate, DIGITS)
@@ -66,20 +72,9 @@ class Cost:
         return Cost(tuple(time for time in self.times if time.job == job), self.rate)
 
     @property
-    def document(self) -> dict[str, Any]:
-        """Its entry in ``results.json``."""
-        return {
-            "rate": self.rate,
-            "billed_minutes": self.minutes,
-            "cost": self.amount,
-            "complete": len(self.known) == len(self.times),
-            "jobs": [{**vars(time), "billed_minutes": time.minutes} for time in self.times],
-        }
-
-    @property
     def sentence(self) -> str:
         """The sum in one line."""
-        least = "" if len(self.known) == len(self.times) else "at least "
+        least = "" if self.complete else "at least "
         price = "" if self.rate is None else f": {money(self.amount)} at {number_text(self.rate)} a minute"
         return f"{least}{self.minutes} billed minutes{price}"
 
@@ -131,5 +126,5 @@ def _numbers(cost: Cost) -> tuple[str, str, str, str]:
     count = str(len(cost.times))
     if cost.times and not cost.known:
         return (count, "?", "?", "?")
-    more = "" if len(cost.known) == len(cost.times) else " + ?"
+    more = "" if cost.complete else " + ?"
     return (count, f"{cost.seconds}{more}", f"{cost.minutes}{more}", f"{money(cost.amount)}{more}")

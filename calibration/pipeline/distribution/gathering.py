@@ -4,6 +4,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+from calibration import records
 from calibration.errors import ExitCode, InputError
 from calibration.pipeline.collection.collected import Collected
 from calibration.pipeline.distribution.cost import Cost, jobs_table, money
@@ -14,9 +15,19 @@ from calibration.pipeline.matrix.cell import OUR_METHOD, Cell, CellResult, nothi
 from calibration.pipeline.matrix.software import SOFTWARE
 from calibration.pipeline.report import report
 from calibration.pipeline.results import Results, read_results
+from calibration.records import result
 from calibration.report import RESULTS_FILE, Report, Text, reasons_in, verdict_of
 
 NO_RESULT = "its job left no result: see the job's log"
+
+
+@result
+class RunResults(Results):
+    """Results of a pipeline, with what the jobs took that a workflow spread it over."""
+
+    cost: Cost | None = records.field(
+        "What the jobs of a workflow took; only in the results that it gathers.", default=None, omitted=True
+    )
 
 
 @dataclass(frozen=True)
@@ -98,7 +109,7 @@ def report_of_run(gathered: Gathered, cost: Cost, output: Path, title: str) -> R
         sentence="; ".join((*([found.sentence] if gathered.results.judged else []), ", ".join(told))),
         reasons=(*gathered.problems, *found.reasons),
         blocks=(*found.blocks, jobs_table(gathered.jobs, cost), Text(cost.sentence)),
-        results={**found.results, "cost": cost.document},
+        results=RunResults(**vars(found.results), cost=cost),
         outputs={**found.outputs, "billed-minutes": cost.minutes, "cost": money(cost.amount)},
     )
 

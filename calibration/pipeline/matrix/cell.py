@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from dataclasses import field as dataclass_field
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Literal
 
 import numpy as np
 
@@ -23,8 +23,9 @@ from calibration.estimation.calibrate import calibrate
 from calibration.estimation.intrinsics import CalibratedIntrinsics
 from calibration.estimation.intrinsics_file import FILE_NAME as INTRINSICS
 from calibration.estimation.intrinsics_file import write_intrinsics
+from calibration.estimation.noise_levels import NoiseLevels
 from calibration.estimation.options import Loss, Options, Start
-from calibration.estimation.result import CalibratedJoint, Calibration
+from calibration.estimation.result import CalibratedJoint, Calibration, RejectedLabel
 from calibration.estimation.starting_noise import StartingNoise, with_starting_noise
 from calibration.evaluation.reprojection import reprojection
 from calibration.evaluation.specification import Evaluation
@@ -32,7 +33,7 @@ from calibration.evaluation.table import RMS_PIX, Table
 from calibration.evaluation.truth import truth_error
 from calibration.geometry.rotations import to_quaternion
 from calibration.introspection.numbers import number_text
-from calibration.records import field, record
+from calibration.records import computed, field, record, result
 from calibration.report import Verdict
 from calibration.report.outcome import ErrorCode
 
@@ -101,29 +102,68 @@ class Comparison:
 class Deviation:
     """The worst of a calibration's sensors and joints: from the truth, gauge removed, or by its own covariance."""
 
-    translation_mm: float = field()
-    rotation_deg: float = field()
+    translation_mm: float = field("The worst of the sensors, the norm of three axes.")
+    rotation_deg: float = field("The worst of the sensors, the norm of three axes.")
     joint_mm: float | None = field("The worst of the joints' parameters that are lengths.", default=None)
     joint_deg: float | None = field("The worst of the joints' parameters that are angles.", default=None)
 
 
-@record(case="snake", nulls=True, unknown="ignore", kw_only=True)
+@result
+class Parameter:
+    """Parameter of a joint or a camera that was calibrated."""
+
+    name: str = field("The joint or the camera.")
+    parameter: str = field("What it is of it.")
+    value: float = field("The calibrated value.")
+    unit: Literal["m", "rad", "px", "1"] = field("Of value and sigma.")
+    sigma: float | None = field("Standard deviation; null where it did not converge.")
+
+
+@result
+class Transform:
+    """Transform that was calibrated."""
+
+    parent: str = field("The parent frame.")
+    child: str = field("The child frame.")
+    trans: tuple[float, ...] = field("Translation.", unit="m")
+    quat: tuple[float, ...] = field("Rotation, a quaternion xyzw.")
+    sigma_mm: float | None = field("Standard deviation of the translation, the norm of three axes.", unit="mm")
+    sigma_mrad: float | None = field("Standard deviation of the rotation, the norm of three axes.", unit="mrad")
+
+
+@result(kw_only=True)
+class Details:
+    """What a calibration says of itself; a cell's own results have it, those of the matrix do not."""
+
+    transforms: tuple[Transform, ...] = field("In the cell's own results: the transforms.", default=())
+    joints: tuple[Parameter, ...] = field("In the cell's own results: those of joints.", default=())
+    intrinsics: tuple[Parameter, ...] = field("In the cell's own results: those of cameras.", default=())
+    iterations: int | None = field("Of the solver.", default=None)
+    cost: float | None = field("Half the weighted sum of squares.", default=None)
+    degrees_of_freedom: int | None = field("Residuals less parameters.", default=None)
+    noise_levels: NoiseLevels | None = field("Standard deviations of the labels.", default=None)
+    held: str | None = field("What is held because only relative poses are known.", default=None)
+    weak_directions: tuple[str, ...] = field("What the data hardly determine.", default=())
+    rejected_labels: tuple[RejectedLabel, ...] = field("Labels that do not fit.", default=())
+
+
+@result(kw_only=True)
 class CellResult:
     """Result of a cell, or of another method on a system's data."""
 
-    system: str = field()
+    system: str = field("The system that was calibrated.")
     method: str = field("calibration-ci, software (the team's own), or another method.")
     translation_noise: float | None = field("None for another method that takes no start.", unit="m")
     rotation_noise: float | None = field("Of the start.", unit="rad")
-    seed: int | None = field()
-    start: str | None = field()
-    loss: str | None = field(default=None)
-    converged: bool = field()
+    seed: int | None = field("Of the noise.")
+    start: str | None = field("linear or given.")
+    loss: str | None = field("huber or linear.", default=None)
+    converged: bool = field("Whether an optimum was found.")
     rms_px: float | None = field("Averages of the table, or of the reprojected corners.", unit="px")
     table: str | None = field("The CSV, relative to the output folder.")
     dataset: str | None = field("The calibrated dataset, relative to the output folder.")
     truth: Deviation | None = field("How far the calibration is from the truth, if that is known.")
-    seconds: float = field()
+    seconds: float = field("How long it took.")
     reasons: tuple[str, ...] = field("Why the verdict is fail.", default=())
     error: ErrorCode | None = field("Exit code of a cell that could not be calibrated.", default=None)
     warnings: tuple[str, ...] = field("What to look at.", default=())
@@ -132,15 +172,14 @@ class CellResult:
         "warnings.",
         default=(),
     )
-    details: dict[str, Any] = dataclass_field(default_factory=dict)
-    """Transforms, joints and intrinsics with their standard deviations, noise levels, rejected labels: for the cell's
-    own results."""
+    details: Details | None = field(flat=True, default=None)
     sigma: Deviation | None = field("Standard deviations that our engine states.", default=None)
     detail: str | None = field(
         "Of another method: whose implementation it is, and by what of the data it calibrates.", default=None
     )
 
     @property
+    @computed()
     def verdict(self) -> Verdict:
         """Pass, when nothing speaks against it."""
         return "pass" if self.converged and not self.reasons else "fail"
@@ -328,31 +367,28 @@ def table_of(dataset: Dataset, system: LoadedSystem, calibration: Calibration | 
 
 def _described(result: CellResult, calibration: Calibration) -> CellResult:
     """The result with what the calibration says about itself."""
-    transforms = [
-        {
-            "parent": edge[0],
-            "child": edge[1],
-            "trans": T[:3, 3].tolist(),
-            "quat": to_quaternion(T[:3, :3]).tolist(),
-            "sigma_mm": calibration.sigma_mm(edge) if edge in calibration.covariances else None,
-            "sigma_mrad": calibration.sigma_mrad(edge) if edge in calibration.covariances else None,
-        }
-        for edge, T in calibration.transforms.items()
-    ]
-    joints = [row for joint in calibration.joints.values() for row in _parameters(joint.name, joint)]
-    intrinsics = [row for name, camera in calibration.intrinsics.items() for row in _parameters(name, camera)]
-    details = {
-        "transforms": transforms,
-        "joints": joints,
-        "intrinsics": intrinsics,
-        "iterations": calibration.iterations,
-        "cost": calibration.cost,
-        "degrees_of_freedom": calibration.degrees_of_freedom,
-        "noise_levels": calibration.noise_levels.document(),
-        "held": calibration.gauge,
-        "weak_directions": list(calibration.weak_directions),
-        "rejected_labels": [vars(label) for label in calibration.rejected],
-    }
+    covariances = calibration.covariances
+    details = Details(
+        transforms=tuple(
+            Transform(
+                *edge,
+                tuple(T[:3, 3].tolist()),
+                tuple(to_quaternion(T[:3, :3]).tolist()),
+                calibration.sigma_mm(edge) if edge in covariances else None,
+                calibration.sigma_mrad(edge) if edge in covariances else None,
+            )
+            for edge, T in calibration.transforms.items()
+        ),
+        joints=tuple(row for joint in calibration.joints.values() for row in _parameters(joint.name, joint)),
+        intrinsics=tuple(row for name, camera in calibration.intrinsics.items() for row in _parameters(name, camera)),
+        iterations=calibration.iterations,
+        cost=calibration.cost,
+        degrees_of_freedom=calibration.degrees_of_freedom,
+        noise_levels=calibration.noise_levels,
+        held=calibration.gauge,
+        weak_directions=tuple(calibration.weak_directions),
+        rejected_labels=tuple(calibration.rejected),
+    )
     return replace(
         result,
         converged=calibration.converged,
@@ -389,18 +425,12 @@ def _deviation(
     )
 
 
-def _parameters(name: str, calibrated: CalibratedJoint | CalibratedIntrinsics) -> list[dict[str, Any]]:
+def _parameters(name: str, calibrated: CalibratedJoint | CalibratedIntrinsics) -> list[Parameter]:
     """The parameters of a joint or a camera, one by one."""
     each = zip(
         calibrated.parameters, calibrated.values.tolist(), calibrated.units, calibrated.sigmas.tolist(), strict=True
     )
     return [
-        {
-            "name": name,
-            "parameter": parameter,
-            "value": value,
-            "unit": unit,
-            "sigma": sigma if math.isfinite(sigma) else None,
-        }
+        Parameter(name, parameter, value, unit, sigma if math.isfinite(sigma) else None)
         for parameter, value, unit, sigma in each
     ]

@@ -14,6 +14,7 @@ from calibration.errors import ExitCode
 from calibration.introspection.judge import judge
 from calibration.introspection.rule_set import parse_rules
 from calibration.introspection.table import read_table
+from calibration.pipeline.convergence.convergence_map import Largest, least
 from calibration.pipeline.convergence.report import (
     ALL_FILES,
     SCHEMA,
@@ -24,7 +25,7 @@ from calibration.pipeline.convergence.report import (
     report,
     starts,
 )
-from calibration.pipeline.convergence.results import ConvergenceResults, Minimums, least
+from calibration.pipeline.convergence.results import ConvergenceResults, Minimums
 from calibration.pipeline.system import NoiseGrid
 from calibration.report import Report, remove_results
 from calibration.report.junit import junit_xml
@@ -64,7 +65,7 @@ def test_a_map_that_does_not_converge_without_noise_fails_without_any_minimum() 
     found = results(GOOD, NOTHING)
     assert (found.verdict, found.exit_code) == ("fail", ExitCode.FAIL)
     assert found.reasons == ["<b>|arm, given: the start without noise does not converge: a false minimum"]
-    assert (found.largest_translation, found.largest_rotation, found.largest_diagonal) == (None, None, None)
+    assert found.largest == Largest(None, None, None)
 
 
 def test_any_minimum_fails_where_nothing_converges() -> None:
@@ -73,7 +74,7 @@ def test_any_minimum_fails_where_nothing_converges() -> None:
 
 def test_what_is_not_judged_has_no_part_in_verdict_and_outputs() -> None:
     found = results(GOOD, replace(NOTHING, judged=False), translation=1.0)
-    assert (found.verdict, found.largest_translation, found.largest_diagonal) == ("pass", 1.0, (1.0, 1.5))
+    assert (found.verdict, found.largest.translation, found.largest.diagonal) == ("pass", 1.0, (1.0, 1.5))
     assert "(to compare)" in largest_table(found).rows[1][0]
 
 
@@ -84,7 +85,7 @@ def test_nothing_judged_is_no_pass() -> None:
 
 def test_the_outputs_are_the_least_of_the_maps() -> None:
     found = results(GOOD, LOST)
-    assert (found.largest_translation, found.largest_rotation, found.largest_diagonal) == (0.5, 1.5, (0.5, 0.0))
+    assert found.largest == Largest(0.5, 1.5, (0.5, 0.0))
     assert least([]) is None
     assert least([1.0, None]) is None
 

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from calibration.pipeline.distribution.cost import Cost, JobTime, cost_of_run, jobs_table, money
 from calibration.pipeline.distribution.jobs import FILE, Needs
 from calibration.pipeline.distribution.plan import JobCell, Plan
+from calibration.records import document_of
 
 ONE = JobCell("one", "slug-of-one", "robot", (0.0,), (0.0,))
 TWO = JobCell("two", "slug-of-two", "robot", (0.5,), (0.0,))
@@ -74,8 +75,8 @@ def test_every_job_that_ran_is_counted(tmp_path: Path) -> None:
         ("verdict", "verdict", 9),
     ]
     assert (cost.seconds, cost.minutes, cost.amount) == (272, 10, 0.08)
-    assert cost.document["complete"] is True
-    assert cost.document["jobs"][3] == {"job": "calibrate", "name": "two", "seconds": 100, "billed_minutes": 2}
+    assert document_of(cost)["complete"] is True
+    assert document_of(cost)["jobs"][3] == {"job": "calibrate", "name": "two", "seconds": 100, "billed_minutes": 2}
     table = jobs_table(ALL, cost).markdown()
     assert table.splitlines() == [
         "| Job | Result | Jobs | Seconds | Billed minutes | Cost at 0.008 a minute |",
@@ -95,8 +96,13 @@ def test_what_is_not_known_is_said_and_not_guessed(tmp_path: Path) -> None:
     folder = left(tmp_path, one="30", two="forty")
     results = {**ALL, "calibrate": "cancelled", "calibrate-collected": "failure", "collect-data": "failure"}
     cost = cost_of_run(PLAN, Needs(results, seconds={"plan": 5}), folder, None, promotes=True)
-    assert not cost.document["complete"]
-    assert cost.document["jobs"][-1] == {"job": "promote", "name": "promote", "seconds": None, "billed_minutes": None}
+    assert not document_of(cost)["complete"]
+    assert document_of(cost)["jobs"][-1] == {
+        "job": "promote",
+        "name": "promote",
+        "seconds": None,
+        "billed_minutes": None,
+    }
     assert cost.sentence == "at least 2 billed minutes: 0.016 at 0.008 a minute"
     rows = {line.split(" | ")[0].strip("| "): line for line in jobs_table(results, cost).markdown().splitlines()}
     assert rows["calibrate"] == "| calibrate | cancelled | 2 | 30 + ? | 1 + ? | 0.008 + ? |"
@@ -123,4 +129,4 @@ def test_without_a_rate_there_are_minutes_only(tmp_path: Path) -> None:
     table = jobs_table({"plan": "failure"}, cost).markdown()
     assert "Cost" not in table
     assert "| all |  | 2 | 4 | 2 |" in table
-    assert cost.document["cost"] is None
+    assert document_of(cost)["cost"] is None

@@ -173,7 +173,9 @@ def test_a_failed_job_gives_the_reasons_of_its_own_results(
 ) -> None:
     reason = "lines that are run: found 50.0 % (1 of 2), expected at least 60 % (minimum)"
     Path("left", "unit-tests").mkdir(parents=True)
-    Path("left", "unit-tests", "results.json").write_text(json.dumps({"verdict": "fail", "reasons": [reason]}))
+    Path("left", "unit-tests", "results.json").write_text(
+        json.dumps({"schema": 1, "verdict": "fail", "reasons": [reason]})
+    )
     assert gather(monkeypatch, {"calibrate": "success", "unit-tests": "failure"}, planned) == 1
     assert json.loads(Path("of all/results.json").read_text())["reasons"] == [f"unit-tests: {reason}"]
 

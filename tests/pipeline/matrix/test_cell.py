@@ -18,7 +18,7 @@ from calibration.estimation.options import Options
 from calibration.estimation.starting_noise import StartingNoise
 from calibration.evaluation.specification import parse_evaluation
 from calibration.pipeline.matrix import cell as cells
-from calibration.pipeline.matrix.cell import CellResult, Comparison, LoadedSystem, run_comparison
+from calibration.pipeline.matrix.cell import CellResult, Comparison, Details, LoadedSystem, Parameter, run_comparison
 from calibration.pipeline.matrix.matrix import Matrix, run_matrix
 from calibration.pipeline.report import parameters_table, report
 from calibration.pipeline.results import Results
@@ -39,15 +39,15 @@ def told(results: Results) -> Report:
 def test_joints_are_told_with_their_sigmas() -> None:
     scene = jointed_arm(free={"j2": ("position_bias",), "j3": ("origin_yaw",)}, pixel_noise=0.2)
     calibration = calibrate(scene.dataset())
-    found = cells._described(CELL, calibration).details["joints"]
-    told = [(each["name"], each["parameter"], each["unit"]) for each in found]
+    found = cells._described(CELL, calibration).details.joints
+    told = [(each.name, each.parameter, each.unit) for each in found]
     asked = [(joint.name, parameter) for joint in calibration.joints.values() for parameter in joint.parameters]
     assert [each[:2] for each in told] == asked
     assert {each[2] for each in told} <= {"m", "rad"}
     assert calibration.converged
     values = np.concatenate([joint.values for joint in calibration.joints.values()])
-    assert [each["value"] for each in found] == values.tolist()
-    assert all(0 < each["sigma"] < 1 for each in found)
+    assert [each.value for each in found] == values.tolist()
+    assert all(0 < each.sigma < 1 for each in found)
 
 
 def test_a_cell_tells_the_worst_of_what_is_stated(tmp_path: Path) -> None:
@@ -151,8 +151,8 @@ def test_intrinsics_are_told_with_their_sigmas_and_left_for_the_next_run(tmp_pat
     (cell,) = written.cells
     assert cell.verdict == "pass"
     assert cell.dataset is not None
-    rows = cell.details["intrinsics"]
-    assert [row["parameter"] for row in rows if row["name"] == "left_camera"] == [
+    rows = cell.details.intrinsics
+    assert [row.parameter for row in rows if row.name == "left_camera"] == [
         "fx",
         "fy",
         "cx",
@@ -162,13 +162,13 @@ def test_intrinsics_are_told_with_their_sigmas_and_left_for_the_next_run(tmp_pat
         "p1",
         "p2",
     ]
-    assert {row["unit"] for row in rows} == {"px", "1"}
+    assert {row.unit for row in rows} == {"px", "1"}
     truth = read_dataset(T2RGB.dataset)
     for row in rows:  # the cameras that were simulated are those of the dataset
-        camera = truth.sensors[row["name"]].camera
+        camera = truth.sensors[row.name].camera
         assert camera is not None
-        true = dict(zip(camera.parameters, camera.intrinsics.tolist(), strict=True))[row["parameter"]]
-        assert abs(row["value"] - true) < 5 * row["sigma"]
+        true = dict(zip(camera.parameters, camera.intrinsics.tolist(), strict=True))[row.parameter]
+        assert abs(row.value - true) < 5 * row.sigma
     folder = (tmp_path / cell.dataset).parent
     known = read_intrinsics(folder / "intrinsics.json")
     found = read_dataset(folder).sensors["left_camera"].camera
@@ -178,7 +178,7 @@ def test_intrinsics_are_told_with_their_sigmas_and_left_for_the_next_run(tmp_pat
         T2RGB, dataset=folder, truth="none", options=Options(intrinsics_covariance=folder / "intrinsics.json")
     )
     wider = run_matrix(Matrix((later, replace(later, name="plain", options=Options())), NOISES), tmp_path / "later", 1)
-    sigmas = [[each["sigma_mm"] for each in c.details["transforms"] if each["sigma_mm"]] for c in wider.cells]
+    sigmas = [[each.sigma_mm for each in c.details.transforms if each.sigma_mm] for c in wider.cells]
     assert min(sigmas[0]) > 2 * max(sigmas[1])
     assert wider.cells[0].rms_px == wider.cells[1].rms_px
     assert not list((tmp_path / "later").rglob("intrinsics.json"))
@@ -205,15 +205,12 @@ def test_a_wrong_covariance_stops_before_anything_is_calibrated(tmp_path: Path) 
 
 
 def test_the_summary_shows_joints_and_intrinsics_of_the_first_cell_that_passed() -> None:
-    rows = [
-        {"name": "left", "parameter": "fx", "value": 554.256258, "unit": "px", "sigma": 0.1234},
-        {"name": "left", "parameter": "k1", "value": -0.1, "unit": "1", "sigma": None},
-    ]
-    joint = [{"name": "elbow", "parameter": "position_bias", "value": 0.0123456789, "unit": "rad", "sigma": 1e-4}]
+    rows = (Parameter("left", "fx", 554.256258, "px", 0.1234), Parameter("left", "k1", -0.1, "1", None))
+    joint = (Parameter("elbow", "position_bias", 0.0123456789, "rad", 1e-4),)
     cells = (
-        replace(CELL, reasons=("no",), details={"joints": joint, "intrinsics": []}),
-        replace(CELL, details={"joints": joint, "intrinsics": rows}),
-        replace(CELL, details={"joints": [], "intrinsics": []}),
+        replace(CELL, reasons=("no",), details=Details(joints=joint, intrinsics=())),
+        replace(CELL, details=Details(joints=joint, intrinsics=rows)),
+        replace(CELL, details=Details(joints=(), intrinsics=())),
     )
     assert parameters_table(Results(cells)).rows == (
         ("robot", "elbow", "position_bias", "0.0123457", "0.0001", "rad"),
