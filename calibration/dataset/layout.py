@@ -29,18 +29,22 @@ View = tuple[IntArray, Array]
 def check_layouts(dataset: Dataset, root: Node) -> None:
     """Refuse a pattern whose corners are numbered by rows of another length, such as one with x for y in ``dimension``.
 
-    Whatever the pose and the focal length, a camera sees a flat pattern by a homography.
+    Whatever the pose and the focal length, a camera sees a flat pattern by a homography, and all see the same side.
 
     Raises:
-        InputError: the ids that a camera saw fit no homography; the message names the layout that they fit.
+        InputError: the ids that a camera saw fit no homography; the message names the layout that they fit. Or they
+            are mirrored for some cameras, and not for others; where they are for all, it does no harm.
     """
     for name, pattern in dataset.patterns.items():
         columns = int((abs(pattern.corners[:, 1] - pattern.corners[0, 1]) < 1e-9).sum())
         count = len(pattern.corners)
         if count % columns or columns == count:
             continue
+        mirrored = {}
         for sensor in dataset.sensors:
             views = _views(dataset, name, sensor)
+            if views:
+                mirrored[sensor] = float(np.median([_side(pattern.corners[ids, :2], xy) for ids, xy in views])) < 0
             misfit = _median_misfit(pattern.corners, views)
             if misfit <= MISFIT:
                 continue
@@ -60,6 +64,21 @@ def check_layouts(dataset: Dataset, root: Node) -> None:
             raise dimension.fault(
                 f"{found} are numbered by rows of {row} corners; expected {expected} (x counts the corners of a row)"
             )
+        if any(mirrored.values()) and not all(mirrored.values()):
+            one, other = (next(s for s, each in mirrored.items() if each is is_so) for is_so in (True, False))
+            raise root["sensors"][one].fault(
+                f"its labels of pattern '{name}' are numbered as from behind it, or from right to left, those of "
+                f"'{other}' are not; expected the same for all cameras"
+            )
+
+
+def _side(plane: Array, image: Array) -> float:
+    """Positive where an image (K, 2) shows the front of a plane's points (K, 2), negative for its back, or a mirror.
+
+    The sign of the determinant of the best affine map.
+    """
+    p, q = plane - plane.mean(0), image - image.mean(0)
+    return float(np.sign(np.linalg.det(p.T @ q)))
 
 
 def _views(dataset: Dataset, pattern: str, sensor: str) -> list[View]:

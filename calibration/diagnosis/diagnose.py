@@ -2,6 +2,7 @@
 
 from calibration.dataset.model import Dataset
 from calibration.diagnosis.description import far_from_description
+from calibration.diagnosis.exchanged_labels import exchanged_labels
 from calibration.diagnosis.finding import Finding
 from calibration.diagnosis.rejected_labels import rejected_labels
 from calibration.diagnosis.repeated import repeated
@@ -18,10 +19,13 @@ def diagnose(calibration: Calibration, description: Dataset, options: Options) -
         options: how it was calibrated.
     """
     if not calibration.converged:
-        return _said_by_the_engine(calibration)
+        return (*exchanged_labels(calibration, description, options), *_said_by_the_engine(calibration))
+    far, rejected = far_from_description(calibration, description, options), rejected_labels(calibration)
+    useless = any(each.severity == "red" for each in rejected) and not far
     return (
-        *far_from_description(calibration, description, options),
-        *rejected_labels(calibration),
+        *far,
+        *(exchanged_labels(calibration, description, options) if useless else ()),
+        *rejected,
         *repeated(calibration),
         *_said_by_the_engine(calibration),
     )
