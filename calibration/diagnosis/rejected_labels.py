@@ -15,7 +15,7 @@ VIEW = 0.2
 """Share of the labels of one view."""
 FEW = 3
 """No fewer labels make a view suspicious: one of its four corners is no share of anything."""
-GROSS: Mapping[NoiseKind, float] = {"pixel": 2.0, "range": 0.1}
+GROSS: Mapping[NoiseKind, float] = {"pixel": 2.5, "range": 0.1}
 """Labels that are nearer to the result (px, m) do not count: real images and LiDARs have tails beyond five standard
 deviations of the rest, which the robust loss takes care of."""
 NAMED = 5

@@ -117,15 +117,14 @@ def _check_transforms(dataset: Dataset) -> None:
     dataset = dataset.with_collections(some)
     seen = _distances(dataset)
     for a, b, pattern, apart, near, path in _places(dataset, seen):
-        if len(apart) and (ratio := float(np.median(apart / near))) > TOO_FAR:
+        if len(apart) and np.median(apart / near) > TOO_FAR:
             edge, size, moves = _largest(dataset, path, a == b)
-            who = (
-                f"between two of its views of '{pattern}'" if a == b else f"from '{b}', which sees the same '{pattern}'"
-            )
+            far, away = f"{np.median(apart):.3g} m", f"{np.median(near) / 2:.2g} m away"
+            so = f"'{a}' moves by {far}" if a == b else f"'{a}' and '{b}' are {far} apart"
             raise InputError(
-                f"{dataset.path}: transform '{'-'.join(edge)}': found {'a way' if moves else 'a translation'} of "
-                f"{size:.3g} m, which puts '{a}' {np.median(apart):.3g} m away {who}, {ratio:.0f} times as far as they "
-                f"are from it; expected metres, this looks like millimetres"
+                f"{dataset.path}: transform '{'-'.join(edge)}': found {'a motion' if moves else 'a translation'} of "
+                f"{size:.3g} m, by which {so}, although {'it sees' if a == b else 'both see'} '{pattern}' {away}; "
+                f"expected metres, this looks like millimetres"
             )
 
 

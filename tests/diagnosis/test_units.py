@@ -58,10 +58,14 @@ def test_a_pattern_in_millimetres(shared_data: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "edge", "said"),
     [
-        ("t2rgb", "'tripod_plate-", "puts 'left_camera' "),
-        ("riwbot", "'", "between two of its views of 'pattern_1'"),
-        ("spjbot", "'", "between two of its views of 'pattern_1'"),
-        ("softbot", "'", "from 'front_right_camera', which sees the same 'pattern_1'"),
+        (
+            "t2rgb",
+            "'tripod_plate-",
+            "'left_camera' and 'right_camera' are 385 m apart, although both see 'pattern_1' 2.2 m away",
+        ),
+        ("riwbot", "'", "although it sees 'pattern_1' "),
+        ("spjbot", "'", "although it sees 'pattern_1' "),
+        ("softbot", "'", "'front_left_camera' and 'front_right_camera' are "),
     ],
 )
 def test_transforms_in_millimetres(name: str, edge: str, said: str) -> None:
