@@ -108,6 +108,25 @@ def test_a_rule_that_the_table_breaks_is_red_and_our_engine_tells_why(
     assert "Our engine passes on the same data from the same start" in line
 
 
+def test_the_start_returned_beside_a_good_table_is_red_with_the_distance(
+    matrix: Callable[..., subprocess.CompletedProcess[str]], tmp_path: Path
+) -> None:
+    """A good table alone would have passed."""
+    program = (
+        "import shutil, sys; start, output = sys.argv[1:]; shutil.copy(start + '/dataset.json', output); "
+        "open(output + '/results.csv', 'w').write('Collection #,RMS (pix)\\n000,0.1\\nAverages,0.1\\n')"
+    )
+    command = python(program, "{start} {output}")
+    run = matrix(command, "--calibrated", "dataset.json", "--translation-noise", "0.5")
+    assert run.returncode == 1, run.stdout + run.stderr
+    [line] = errors(run)
+    assert "far from our optimum on the same labels: 'left_camera' to 'right_camera' by " in line
+    assert "It has returned its start unchanged" in line
+    assert "Our engine passes on the same data from the same start" in line
+    [cell] = results(tmp_path / "out")["cells"]
+    assert cell["findings"][0]["moves_mm"] > 100
+
+
 @pytest.mark.parametrize(
     ("program", "options", "code", "says"),
     [
