@@ -13,11 +13,13 @@ same errors agree to a small part of a standard deviation. The distance is told 
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 from statistics import NormalDist
 
 import numpy as np
 
 from calibration.dataset.model import Dataset
+from calibration.diagnosis.diagnose import diagnose
 from calibration.diagnosis.finding import Finding
 from calibration.diagnosis.tolerance import Tolerance
 from calibration.errors import CalibrationError, UndeterminedError
@@ -64,6 +66,11 @@ class OurOptimum:
         ninth = 2 / (9 * self.parameters)
         return float(self.parameters * (1 - ninth + NormalDist().inv_cdf(1 - RARE) * np.sqrt(ninth)) ** 3)
 
+    @cached_property
+    def findings(self) -> tuple[Finding, ...]:
+        """What speaks for and against the data, whoever calibrates them."""
+        return diagnose(self.calibration, self.given, self.options)
+
     def cost_of(self, dataset: Dataset) -> float:
         """The cost of the labels at other transforms, with the same weights."""
         return cost_of(dataset, self.options, self.calibration.noise_levels)
@@ -85,11 +92,27 @@ def find_optimum(dataset: Dataset, options: Options) -> OurOptimum:
     return OurOptimum(dataset, options, calibration, cost, setup.gauge is not None, setup.problem.sizes[0])
 
 
+def optimum_for(optimum: OurOptimum, found: Dataset) -> OurOptimum:
+    """Our optimum with the intrinsics of a calibrated dataset, if the labels fit better with them; else as it is.
+
+    Software may calibrate intrinsics too: then it is to be held against what can be reached with these.
+
+    Args:
+        optimum: of the same labels.
+        found: the calibrated dataset.
+    """
+    cameras = _other_cameras(found, optimum.given)
+    if not cameras or optimum.cost_of(found) >= optimum.cost:
+        return optimum
+    options = replace(optimum.options, intrinsics=(), intrinsics_covariance=None)
+    try:
+        return find_optimum(optimum.given.with_cameras(cameras), options)
+    except CalibrationError:
+        return optimum
+
+
 def against_optimum(optimum: OurOptimum, found: Dataset, start: Dataset, tolerance: Tolerance) -> tuple[Finding, ...]:
     """How far a calibrated dataset is from our optimum; red where it is farther than the tolerance.
-
-    Software that calibrates intrinsics too, and explains the labels better with them, is held against our optimum with
-    these intrinsics.
 
     Args:
         optimum: of the same labels.
@@ -101,25 +124,19 @@ def against_optimum(optimum: OurOptimum, found: Dataset, start: Dataset, toleran
         InputError: something in the dataset is missing.
     """
     excess = optimum.cost_of(found) - optimum.cost
-    cameras = _other_cameras(found, optimum.given)
-    with_cameras = ""
-    if cameras and excess < 0 and (better := _with_cameras(optimum, cameras)):
-        with_cameras = f", both with the intrinsics that it has found for {_listed(list(cameras))}"
-        excess = optimum.cost_of(found) - optimum.cost_of(better.calibration.dataset)
-        optimum = better
     error = error_against(found, optimum.calibration.dataset, optimum.relative)
-    far = sorted(_far(optimum, error, tolerance, excess > optimum.noticeable), key=lambda each: -each[0])
+    far = sorted(_far(optimum, error, tolerance, abs(excess) > optimum.noticeable), key=lambda each: -each[0])
     mm, deg = error.translation_mm, error.rotation_deg
     away = float(np.sqrt(max(excess, 0.0))) if np.isfinite(excess) else None
     numbers = Finding(KIND, "note", "", value=away, unit="1", moves_mm=mm, moves_deg=deg)
-    cost = f"{_cost(away, excess)}{with_cameras}"
+    cost = _cost(away, excess)
     if not far:
         text = f"within {_told(mm, deg)} of our optimum on the same labels; {cost}"
         return (replace(numbers, text=text),)
     what = "; ".join(text for _, text, _ in far[:NAMED])
     more = f"; and {len(far) - NAMED} more" if len(far) > NAMED else ""
     names = tuple(dict.fromkeys(name for _, _, sensors in far for name in sensors))
-    hint = _hint(optimum, found, start, list(cameras) if not with_cameras else [])
+    hint = _hint(optimum, found, start)
     text = f"far from our optimum on the same labels: {what}{more}; {cost}{hint}"
     return (replace(numbers, severity="red", text=text, sensors=names),)
 
@@ -192,15 +209,6 @@ def _other_cameras(found: Dataset, given: Dataset) -> dict[str, Camera]:
     return other
 
 
-def _with_cameras(optimum: OurOptimum, cameras: dict[str, Camera]) -> OurOptimum | None:
-    """Our optimum with other intrinsics, which are held; None where there is none."""
-    options = replace(optimum.options, intrinsics=(), intrinsics_covariance=None)
-    try:
-        return find_optimum(optimum.given.with_cameras(cameras), options)
-    except CalibrationError:
-        return None
-
-
 def _cost(away: float | None, excess: float) -> str:
     """The cost above the optimum in words."""
     if away is None:
@@ -208,14 +216,14 @@ def _cost(away: float | None, excess: float) -> str:
     return f"{away:.3g} standard deviations of the labels' noise away (cost {max(excess, 0.0):.3g} above the optimum)"
 
 
-def _hint(optimum: OurOptimum, found: Dataset, start: Dataset, cameras: list[str]) -> str:
+def _hint(optimum: OurOptimum, found: Dataset, start: Dataset) -> str:
     """What is known of why."""
     for guess in (start, optimum.given):  # software that makes its own noise begins there
         moved = error_against(found, guess, optimum.relative)
         joints = max(moved.joint_mm or 0.0, moved.joint_deg or 0.0)
         if max(moved.translation_mm, moved.rotation_deg, joints) < UNCHANGED:
             return ". It has returned its start unchanged: does it write what it has calibrated?"
-    if cameras:
+    if cameras := list(_other_cameras(found, optimum.given)):
         return f". It has other intrinsics of {_listed(cameras)}, with which the labels fit no better"
     return ". Has it stopped early, or does it minimise something else?"
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calibration.dataset.model import Dataset
-from calibration.diagnosis.against_optimum import OurOptimum, against_optimum, find_optimum
+from calibration.diagnosis.against_optimum import OurOptimum, against_optimum, find_optimum, optimum_for
 from calibration.diagnosis.finding import Finding
 from calibration.diagnosis.tolerance import Tolerance
 from calibration.errors import UndeterminedError
@@ -146,9 +146,9 @@ def test_better_intrinsics_are_held_against_the_optimum_with_them() -> None:
     given = truth.with_cameras({"cam": replace(camera, fx=1.01 * camera.fx, fy=1.01 * camera.fy)})
     optimum = optimum_of(given)
     good = calibrate(given, Options(intrinsics=("cam",))).dataset
-    finding = judged(optimum, good)
-    assert finding.severity == "note"
-    assert "both with the intrinsics that it has found for 'cam'" in finding.text
+    assert judged(optimum, good).severity == "red"
+    assert judged(optimum_for(optimum, good), good).severity == "note"
+    assert optimum_for(optimum_of(truth), optimum.calibration.dataset).given is truth
     wrong = judged(optimum_of(truth), optimum.calibration.dataset)  # worse ones are no excuse
     assert wrong.severity == "red"
     assert "It has other intrinsics of 'cam', with which the labels fit no better" in wrong.text

@@ -9,7 +9,7 @@ from pathlib import Path
 from calibration.dataset.model import Dataset
 from calibration.dataset.reading import read_dataset
 from calibration.dataset.writing import write_dataset
-from calibration.diagnosis.against_optimum import against_optimum
+from calibration.diagnosis.against_optimum import against_optimum, optimum_for
 from calibration.diagnosis.finding import Finding
 from calibration.diagnosis.same_labels import moved_frames, same_labels
 from calibration.diagnosis.table_follows import not_evaluated, table_follows
@@ -141,9 +141,9 @@ def _with_dataset(
 
 
 def _distance(dataset: Dataset, cell: Cell, system: LoadedSystem) -> tuple[Finding, ...]:
-    """How far a dataset of the same labels is from our optimum."""
+    """How far a dataset of the same labels is from our optimum, and what that says of the data."""
     try:
-        optimum = system.optimum
+        optimum = optimum_for(system.optimum, dataset)
     except CalibrationError as error:
         text = f"not verified: our engine finds no optimum on the same labels: {error}"
         return (Finding("against-optimum", "red", text),)
@@ -151,6 +151,7 @@ def _distance(dataset: Dataset, cell: Cell, system: LoadedSystem) -> tuple[Findi
     return (
         *moved_frames(dataset, system.dataset, system.tolerance),
         *against_optimum(optimum, dataset, start, system.tolerance),
+        *optimum.findings,
     )
 
 
