@@ -26,7 +26,7 @@ with suppress(ImportError, AttributeError):
 
 register_profiles()
 
-pytest_plugins = ["tests.engine", "tests.aws.fixtures"]
+pytest_plugins = ["tests.engine", "tests.aws.fixtures", "tests.small"]
 
 PROJECT = Path(__file__).resolve().parents[1]
 NO_SHARED_DATA = "needs ../shared/data beside the project"

@@ -12,6 +12,7 @@ import pytest
 
 from calibration.__main__ import main
 from calibration.dataset.reading import read_dataset
+from tests.small import first_poses
 
 PROJECT = Path(__file__).resolve().parents[2]
 T2RGB = PROJECT / "datasets" / "t2rgb"
@@ -26,15 +27,8 @@ def in_project(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture
-def motion(tmp_path: Path) -> Path:
-    return first_poses(4, tmp_path / "four.json")
-
-
-def first_poses(count: int, path: Path) -> Path:
-    """Write the first poses of t2rgb's motion to a file."""
-    poses = json.loads((T2RGB / "motion.json").read_text())
-    path.write_text(json.dumps({str(i): poses[str(i)] for i in range(1, count + 1)}))
-    return path
+def motion(small: Path, tmp_path: Path) -> Path:
+    return first_poses(small, 4, tmp_path / "four.json")
 
 
 def run(*arguments: str | Path) -> int:
@@ -45,8 +39,8 @@ def snapshot(folder: Path) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in folder.iterdir()}
 
 
-def test_a_system_by_its_name(motion: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    output = tmp_path / "output"
+def test_a_system_by_its_name(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    output, motion = tmp_path / "output", first_poses(T2RGB, 4, tmp_path / "four.json")
     assert run("--system", "t2rgb", "--motion", motion, "--output", output) == 0
     out, err = capsys.readouterr()
     assert err == ""
@@ -59,18 +53,18 @@ def test_a_system_by_its_name(motion: Path, tmp_path: Path, capsys: pytest.Captu
     assert len(read_dataset(output).collections) == 4
 
 
-def test_a_generated_motion(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_generated_motion(small: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     output = tmp_path / "dataset"
-    assert run("--system", "rlbot", "--motion", "generate:5", "--seed", "9", "--output", output) == 0
-    assert capsys.readouterr().out.startswith("rlbot: 5 poses of a generated motion, seed 9\n")
+    assert run("--system", small, "--motion", "generate:3", "--seed", "9", "--output", output) == 0
+    assert capsys.readouterr().out.startswith("small: 3 poses of a generated motion, seed 9\n")
     assert json.loads((output / "ground_truth.json").read_text())["seed"] == 9
 
 
 def test_a_users_own_folder_robot_and_configuration(
-    motion: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    small: Path, motion: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     source = tmp_path / "mine"
-    shutil.copytree(T2RGB, source, ignore=shutil.ignore_patterns("*.json", "*.jpg"))
+    shutil.copytree(small, source, ignore=shutil.ignore_patterns("*.json"))
     robot, config = tmp_path / "r.urdf", tmp_path / "c.yml"
     (source / "robot.urdf").rename(robot)
     (source / "config.yml").rename(config)
@@ -82,9 +76,11 @@ def test_a_users_own_folder_robot_and_configuration(
     assert dataset.collections[0].labels.keys() == {("pattern_1", "left_camera"), ("pattern_1", "right_camera")}
 
 
-def test_an_old_dataset_needs_the_flag(motion: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_old_dataset_needs_the_flag(
+    small: Path, motion: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     output = tmp_path / "output"
-    arguments = ("--system", "t2rgb", "--motion", motion, "--output", output)
+    arguments = ("--system", small, "--motion", motion, "--output", output)
     assert run(*arguments) == 0
     first = snapshot(output)
     capsys.readouterr()
@@ -99,12 +95,12 @@ def test_an_old_dataset_needs_the_flag(motion: Path, tmp_path: Path, capsys: pyt
     assert snapshot(output) == first
 
 
-def test_red_is_red(motion: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    arguments = ("--system", "t2rgb", "--motion", motion, "--output", tmp_path / "output")
+def test_red_is_red(small: Path, motion: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = ("--system", small, "--motion", motion, "--output", tmp_path / "output")
     assert run(*arguments, "--minimum-collections", "5") == 1
     out, err = capsys.readouterr()
     assert "collections: found 4, expected at least 5" in out + err
-    assert out.splitlines()[-1].startswith("fail: t2rgb: 4 of 4 collections kept")
+    assert out.splitlines()[-1].startswith("fail: small: 4 of 4 collections kept")
     assert run(*arguments, "--overwrite", "--max-translation-mm", "0.000001") == 1
     assert run(*arguments, "--overwrite", "--minimum-coverage", "1") == 1
 
@@ -226,12 +222,12 @@ def test_a_system_without_a_motion(tmp_path: Path, capsys: pytest.CaptureFixture
     assert "mine/motion.json: does not exist; give a motion: a file or generate:N" in capsys.readouterr().err
 
 
-def test_outputs_of_the_step(motion: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_outputs_of_the_step(small: Path, motion: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("GITHUB_ACTIONS", "true")
     monkeypatch.setenv("GITHUB_OUTPUT", str(tmp_path / "outputs"))
     monkeypatch.setenv("GITHUB_STEP_SUMMARY", str(tmp_path / "summary"))
     output = tmp_path / "d"
-    assert run("--system", "t2rgb", "--motion", motion, "--output", output) == 0
+    assert run("--system", small, "--motion", motion, "--output", output) == 0
     found = dict(line.split("=", 1) for line in (tmp_path / "outputs").read_text().splitlines())
     assert found["verdict"] == "pass"
     assert found["dataset"] == str(output)
@@ -246,14 +242,14 @@ def test_outputs_of_the_step(motion: Path, tmp_path: Path, monkeypatch: pytest.M
     assert "## collect-data-sim: pass" in (tmp_path / "summary").read_text()
 
 
-def test_many_worlds_and_one_of_them_again(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_many_worlds_and_one_of_them_again(small: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     worlds = tmp_path / "worlds.yml"
     worlds.write_text("assembly: {translation_mm: {normal: [0, 3]}}\nmotion: {poses: 4}\n")
-    common = ("--system", "t2rgb", "--scenario-set", worlds)
+    common = ("--system", small, "--scenario-set", worlds)
     assert run(*common, "--scenarios", "3", "--seed", "4", "--output", tmp_path / "all") == 0
     out = capsys.readouterr().out
-    assert out.startswith(f"t2rgb: 3 worlds of {worlds}, seed 4\n")
-    assert "pass: 3 of 3 worlds of t2rgb pass" in out.splitlines()[-1]
+    assert out.startswith(f"small: 3 worlds of {worlds}, seed 4\n")
+    assert "pass: 3 of 3 worlds of small pass" in out.splitlines()[-1]
     files = snapshot(tmp_path / "all")
     assert set(files) == {"results.json", "worlds.csv", "worlds.png", "summary.md", "junit.xml"}
     document = json.loads(files["results.json"])
@@ -269,10 +265,9 @@ def test_many_worlds_and_one_of_them_again(tmp_path: Path, capsys: pytest.Captur
 
 
 @pytest.mark.parametrize("struck", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
-def test_a_killed_run_leaves_no_half_dataset_and_goes_on(struck: signal.Signals, tmp_path: Path) -> None:
+def test_a_killed_run_leaves_no_half_dataset_and_goes_on(struck: signal.Signals, small: Path, tmp_path: Path) -> None:
     output = tmp_path / "output"
-    command = [sys.executable, "-m", "calibration", "collect-data-sim", "--system", "t2rgb", "--output", str(output)]
-    command += ["--motion", str(first_poses(10, tmp_path / "ten.json"))]
+    command = [sys.executable, "-m", "calibration", "collect-data-sim", "--system", str(small), "--output", str(output)]
     environment = {k: v for k, v in os.environ.items() if not k.startswith("COVERAGE")}
     with subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env=environment

@@ -2,6 +2,7 @@
 
 import io
 import json
+from collections.abc import Callable
 from pathlib import Path
 
 import jsonschema
@@ -18,26 +19,29 @@ from calibration.report import Report
 from calibration.workflow import Runner
 from tests.pipeline.conftest import DATASETS
 from tests.pipeline.matrix.test_judgement import CELL
+from tests.small import first_poses
 
 CONFIGURATION = """
 systems: {{riwbot: {{dataset: {datasets}/riwbot}}}}
 simulation:
-  small: {{system: {datasets}/t2rgb, motion: {motion}, limits: {{translation-mm: {limit}}}, minimum-collections: 3}}
+  small: {{system: {system}, motion: {motion}, limits: {{translation-mm: {limit}}}, minimum-collections: 3}}
 """
 
 
+Configured = Callable[..., Path]
+
+
 @pytest.fixture
-def motion(tmp_path: Path) -> Path:
-    poses = json.loads((DATASETS / "t2rgb" / "motion.json").read_text())
-    path = tmp_path / "three.json"
-    path.write_text(json.dumps({str(i): poses[str(i)] for i in range(1, 4)}))
-    return path
+def configured(small: Path, tmp_path: Path) -> Configured:
+    """Write a calibration.yml with a limit and a motion, by default of three poses."""
+    three = first_poses(small, 3, tmp_path / "three.json")
 
+    def write(limit: str = "5", motion: Path = three) -> Path:
+        path = tmp_path / "calibration.yml"
+        path.write_text(CONFIGURATION.format(datasets=DATASETS, system=small, motion=motion, limit=limit))
+        return path
 
-def configured(tmp_path: Path, motion: Path, limit: str = "5") -> Path:
-    path = tmp_path / "calibration.yml"
-    path.write_text(CONFIGURATION.format(datasets=DATASETS, motion=motion, limit=limit))
-    return path
+    return write
 
 
 def run(path: Path, output: Path, *stages: str) -> tuple[Results, str]:
@@ -54,9 +58,9 @@ def told(results: Results) -> Report:
     return report(results, Path("out"), "calibration")
 
 
-def test_what_is_collected_stands_beside_the_matrix(tmp_path: Path, motion: Path) -> None:
+def test_what_is_collected_stands_beside_the_matrix(configured: Configured, tmp_path: Path) -> None:
     output = tmp_path / "output"
-    results, log = run(configured(tmp_path, motion), output)
+    results, log = run(configured(), output)
     assert results.verdict == "pass"
     assert told(results).line == "pass: 1 cell calibrated, 1 dataset collected"
     (collected,) = results.collections
@@ -68,28 +72,28 @@ def test_what_is_collected_stands_beside_the_matrix(tmp_path: Path, motion: Path
     jsonschema.validate(document, json.loads(SCHEMA.read_text()))
     assert read_results(output).collections == results.collections
     assert '<testsuite name="collected" tests="1" failures="0"' in (output / "junit.xml").read_text()
-    results, _ = run(configured(tmp_path, motion), output)  # over what is there
+    results, _ = run(configured(), output)  # over what is there
     assert results.verdict == "pass"
 
 
-def test_red_in_simulation_is_red(tmp_path: Path, motion: Path) -> None:
-    results, log = run(configured(tmp_path, motion, limit="0.000001"), tmp_path / "output")
+def test_red_in_simulation_is_red(configured: Configured, tmp_path: Path) -> None:
+    results, log = run(configured(limit="0.000001"), tmp_path / "output")
     assert results.exit_code == ExitCode.FAIL
     assert "collected small: translation error against the truth: found" in log
     assert told(results).line == "fail: 1 of 1 dataset failed, 1 cell calibrated"
     assert "FAIL" in collections_table(results).rows[0][-1]
 
 
-def test_what_cannot_be_collected_does_not_hide_the_rest(tmp_path: Path) -> None:
-    results, log = run(configured(tmp_path, tmp_path / "no.json"), tmp_path / "output")
+def test_what_cannot_be_collected_does_not_hide_the_rest(configured: Configured, tmp_path: Path) -> None:
+    results, log = run(configured(motion=tmp_path / "no.json"), tmp_path / "output")
     assert results.exit_code == ExitCode.BAD_INPUT
     assert results.cells[0].verdict == "pass"
     assert "no.json" in log
     assert collections_table(results).rows == (("small", "0 of 0 poses", "-", "-", "FAIL"),)
 
 
-def test_alone(tmp_path: Path, motion: Path) -> None:
-    results, log = run(configured(tmp_path, motion), tmp_path / "output", "collect")
+def test_alone(configured: Configured, tmp_path: Path) -> None:
+    results, log = run(configured(), tmp_path / "output", "collect")
     assert told(results).line == "pass: 1 dataset collected"
     assert "Start" not in log
     assert "Collected in simulation" in told(results).markdown()

@@ -21,24 +21,24 @@ from calibration.simulation.collection import collecting
 from calibration.simulation.collection.proof import JointProof, Proof
 from calibration.workflow.summary import escape_markdown
 from tests.pipeline.conftest import DATASETS
+from tests.small import first_poses
 
 POSES = 5
 
 
 @pytest.fixture(scope="module")
-def motion(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The first poses of t2rgb's motion; the second is far above the cameras."""
-    poses = json.loads((DATASETS / "t2rgb" / "motion.json").read_text())
-    some = {str(i + 1): poses[str(i + 1)] for i in range(POSES)}
+def motion(small: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The first poses of the system's motion; the second is far above the cameras."""
+    path = first_poses(small, POSES, tmp_path_factory.mktemp("motion") / "some.json")
+    some = json.loads(path.read_text())
     some["2"]["position"]["z"] += 5
-    path = tmp_path_factory.mktemp("motion") / "some.json"
     path.write_text(json.dumps(some))
     return path
 
 
 @pytest.fixture(scope="module")
-def request_(motion: Path) -> CollectionRequest:
-    return CollectionRequest(DATASETS / "t2rgb", motion=str(motion))
+def request_(small: Path, motion: Path) -> CollectionRequest:
+    return CollectionRequest(small, motion=str(motion))
 
 
 @pytest.fixture(scope="module")
@@ -63,7 +63,7 @@ def test_a_good_one_passes(results: CollectionResults) -> None:
     assert results.proof.translation_mm is not None
     assert results.proof.translation_mm < 1
     assert report(results, Path()).line.startswith(
-        f"pass: t2rgb: {POSES - 1} of {POSES} collections kept, calibrates with 0."
+        f"pass: small: {POSES - 1} of {POSES} collections kept, calibrates with 0."
     )
 
 

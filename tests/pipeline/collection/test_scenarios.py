@@ -18,7 +18,6 @@ from calibration.pipeline.collection.scenarios import ScenarioResults, world_rea
 from calibration.simulation.scenarios.scenario import ScenarioResult
 from calibration.simulation.scenarios.statistics import Statistics
 
-SYSTEM = Path(__file__).parents[3] / "datasets" / "t2rgb"
 GOOD = ScenarioResult(
     "s1-00000",
     "0123456789ab",
@@ -117,7 +116,7 @@ def test_lines_of_the_progress() -> None:
     assert MAX_SCENARIOS >= 10_000
 
 
-def test_a_world_does_not_go_on_with_what_another_set_made_of_its_id(tmp_path: Path) -> None:
+def test_a_world_does_not_go_on_with_what_another_set_made_of_its_id(small: Path, tmp_path: Path) -> None:
     def files(folder: Path) -> dict[str, bytes]:
         return {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()}
 
@@ -125,7 +124,7 @@ def test_a_world_does_not_go_on_with_what_another_set_made_of_its_id(tmp_path: P
         raise KeyboardInterrupt
 
     def world(name: str) -> CollectionRequest:
-        return CollectionRequest(SYSTEM, world=WorldOfSet(tmp_path / f"{name}.yml", "s1-00000"))
+        return CollectionRequest(small, world=WorldOfSet(tmp_path / f"{name}.yml", "s1-00000"))
 
     for name, noise in (("a", 1), ("b", 5)):
         text = f"cameras: {{noise_levels: {noise}}}\nmotion: {{poses: 4}}\n"

@@ -27,8 +27,8 @@ from calibration.pipeline.collection.world_folder import WorldFolder
 from calibration.pipeline.collection.worlds import Done, run_worlds
 from calibration.records import schema_of
 from tests.pipeline.places import at
+from tests.small import first_poses
 
-T2RGB = Path(__file__).parents[3] / "datasets" / "t2rgb"
 SET = """
 assembly: {translation_mm: {normal: [0, 3]}}
 motion: {poses: 3}
@@ -96,10 +96,10 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture
-def asked(tmp_path: Path) -> ScenarioRequest:
+def asked(small: Path, tmp_path: Path) -> ScenarioRequest:
     path = tmp_path / "my worlds.yml"
     path.write_text(SET)
-    return ScenarioRequest(CollectionRequest(T2RGB, seed=5), path, WORLDS)
+    return ScenarioRequest(CollectionRequest(small, seed=5), path, WORLDS)
 
 
 def own(asked: ScenarioRequest) -> CollectionRequest:
@@ -150,7 +150,7 @@ def test_the_same_report_and_the_same_datasets_as_here(
     )
     run_here(asked, tmp_path / "here")
     assert snapshot(tmp_path / "there") == snapshot(tmp_path / "here")
-    assert (found.exit_code, begun) == (ExitCode.PASS, [("t2rgb", WORLDS)])
+    assert (found.exit_code, begun) == (ExitCode.PASS, [("small", WORLDS)])
     assert told == ["s5-00002", "s5-00001", "s5-00000"]
     assert {path.name for path in (tmp_path / "there").iterdir() if path.is_dir()} == {"worlds", "logs"}
     assert (tmp_path / "there" / "logs" / "s5-00001" / "world.log").read_text() == "began\nended with 0\n\n"
@@ -165,15 +165,15 @@ def test_the_same_report_and_the_same_datasets_as_here(
     assert capsys.readouterr().err == ""
 
 
-def test_a_robot_a_configuration_a_motion_and_a_requirement_of_its_own(asked: ScenarioRequest, tmp_path: Path) -> None:
+def test_a_robot_a_configuration_a_motion_and_a_requirement_of_its_own(
+    asked: ScenarioRequest, small: Path, tmp_path: Path
+) -> None:
     system = tmp_path / "my robot"
-    shutil.copytree(T2RGB, system, ignore=shutil.ignore_patterns("*.json", "*.jpg"))
+    shutil.copytree(small, system, ignore=shutil.ignore_patterns("*.json"))
     robot, config = tmp_path / "r.urdf", tmp_path / "c.yml"
     (system / "robot.urdf").rename(robot)
     (system / "config.yml").rename(config)
-    poses = json.loads((T2RGB / "motion.json").read_text())
-    motion = tmp_path / "m.json"
-    motion.write_text(json.dumps({str(i): poses[str(i)] for i in range(1, 4)}))
+    motion = first_poses(small, 3, tmp_path / "m.json")
     collection = CollectionRequest(system, robot, config, str(motion), 5, 0.0017)
     asked = replace(asked, collection=collection, count=1)
     run(asked, tmp_path / "there")
