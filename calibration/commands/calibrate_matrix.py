@@ -2,24 +2,16 @@
 
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import field as dataclass_field
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import click
 
-from calibration.commands.parameters import (
-    EVERYWHERE,
-    TEXT_LIST,
-    boolean_option,
-    count,
-    password_variable,
-    path,
-    registry_password_option,
-    text,
-)
+from calibration.commands.parameters import EVERYWHERE, password_variable, registry_password_option
 from calibration.commands.place import place
-from calibration.commands.record_options import given, record_options
+from calibration.commands.record_options import chosen, given, record_options
 from calibration.errors import ExitCode, InputError
 from calibration.execution.backends import AWS_BATCH, CONTAINERS, DOCKER, Place, check_backend
 from calibration.image.bases import pull_image
@@ -29,7 +21,7 @@ from calibration.pipeline.matrix.matrix import Matrix
 from calibration.pipeline.matrix.software import Software, adjusted_software
 from calibration.pipeline.stages import Run, run_stages
 from calibration.pipeline.system import Noise, System
-from calibration.records import changed, read
+from calibration.records import at_least, changed, field, read, record
 from calibration.registries.credentials import RegistrySettings
 from calibration.workflow import Runner
 
@@ -51,60 +43,53 @@ OF_SOFTWARE = {
 """The keys of the team's software that are options, and what the options say."""
 
 
-@dataclass(frozen=True)
+@record(kw_only=True)
 class Settings:
-    """The options of ``calibrate-matrix``; where one is empty or None, the configuration or its default decides."""
+    """The inputs of ``calibrate-matrix``; where one is empty or None, the configuration or its default decides."""
 
-    dataset: Path | None = None
-    config: Path | None = None
-    systems: tuple[str, ...] = ()
-    noise: Noise = field(default_factory=Noise)
-    of_systems: Mapping[str, Any] = field(default_factory=dict)
+    dataset: Path | None = field("A dataset's folder, or its JSON file; instead of config.", default=None)
+    config: Path | None = field("A calibration.yml with the systems; instead of dataset.", default=None)
+    systems: tuple[str, ...] = field("Only these systems of the configuration.", default=())
+    noise: Noise = Noise()
+    of_systems: Mapping[str, Any] = dataclass_field(default_factory=dict)
     """Keys of a system that take the place of the configuration's."""
-    rules: Path | None = None
-    software: Mapping[str, Any] = field(default_factory=dict)
+    rules: Path | None = field("YAML file of rules for the table of every cell.", default=None)
+    software: Mapping[str, Any] = dataclass_field(default_factory=dict)
     """Keys of the team's software, which calibrates in the place of our engine, likewise."""
-    registry_username: str | None = None
-    """Who pulls the image; nobody, or whom docker knows, where None."""
+    registry_username: str | None = field("User of the registry of image, where it is private.", default=None)
     password_variable: str | None = None
-    backend: str | None = None
-    """Where the software's containers run; what the configuration says, or docker, where None."""
-    aws_batch: Path | None = None
-    """The file with the section aws-batch; the configuration, or calibration.yml, where None."""
-    run: str | None = None
-    """The name of the run in the cloud."""
-    resume: bool = False
-    """Whether only what is missing of that run is run."""
-    jobs: int | None = None
-    fail_fast: bool = False
-    output: Path = Path("output")
+    backend: str | None = field("Where its containers run: docker (this machine), or aws-batch (docker).", default=None)
+    aws_batch: Path | None = field("YAML file with the section aws-batch (config, or calibration.yml).", default=None)
+    run: str | None = field("Name of the run on AWS Batch; a new one unless given.", default=None)
+    resume: bool = field(
+        "On AWS Batch: run only what is missing of the run of this name, or into this folder.", default=False
+    )
+    jobs: Annotated[int, at_least(1)] | None = field("Processes, or containers at once (one a core).", default=None)
+    fail_fast: bool = field("The first cell that fails stops the others.", default=False)
+    output: Path = field("Folder for results, tables and datasets (output).", default=Path("output"))
 
     @classmethod
     def of_options(cls, options: Mapping[str, Any]) -> "Settings":
         """The settings that the options of a command make."""
-        own = {each.name: value for each in fields(cls) if (value := options.get(each.name)) is not None}
-        noise = read(Noise, given(Noise, options, names=NOISE), "options")
-        software = given(Software, options, *OF_SOFTWARE)
-        return cls(**{**own, "noise": noise, "of_systems": given(System, options), "software": software})
+        return chosen(
+            cls,
+            options,
+            noise=read(Noise, given(Noise, options, names=NOISE), "options"),
+            of_systems=given(System, options),
+            software=given(Software, options, *OF_SOFTWARE),
+            password_variable=options.get("password_variable"),
+        )
 
 
 @click.command(TITLE)
-@click.option("--dataset", type=path, help="A dataset's folder, or its JSON file; instead of config.")
-@click.option("--config", type=path, help="A calibration.yml with the systems; instead of dataset.")
-@click.option("--systems", type=TEXT_LIST, help="Only these systems of the configuration.")
+@record_options(Settings, "dataset", "config", "systems")
 @record_options(Noise, names=NOISE)
 @record_options(System)
-@click.option("--rules", type=path, help="YAML file of rules for the table of every cell.")
+@record_options(Settings, "rules")
 @record_options(Software, *OF_SOFTWARE, helps=OF_SOFTWARE)
-@click.option("--registry-username", type=text, help="User of the registry of image, where it is private.")
+@record_options(Settings, "registry-username")
 @registry_password_option
-@click.option("--backend", type=text, help="Where its containers run: docker (this machine), or aws-batch (docker).")
-@click.option("--aws-batch", type=path, help="YAML file with the section aws-batch (config, or calibration.yml).")
-@click.option("--run", type=text, help="Name of the run on AWS Batch; a new one unless given.")
-@boolean_option("--resume", help="On AWS Batch: run only what is missing of the run of this name, or into this folder.")
-@click.option("--jobs", type=count, help="Processes, or containers at once (one a core).")
-@boolean_option("--fail-fast", help="The first cell that fails stops the others.")
-@click.option("--output", type=path, default=Path("output"), help="Folder for results, tables and datasets (output).")
+@record_options(Settings, "backend", "aws-batch", "run", "resume", "jobs", "fail-fast", "output")
 @click.pass_context
 def command(click_context: click.Context, /, **options: Any) -> ExitCode:
     """Calibrate systems from every noisy start; the verdict is fail when one of them is."""

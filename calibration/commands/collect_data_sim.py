@@ -15,9 +15,8 @@ from calibration.commands.collection_settings import (
     collection_request,
     world_image,
 )
-from calibration.commands.parameters import boolean_option, count, non_negative, path, share, text
 from calibration.commands.place import place
-from calibration.commands.record_options import record_options
+from calibration.commands.record_options import chosen, record_options
 from calibration.errors import ExitCode, InputError
 from calibration.execution.backends import CONTAINERS, DOCKER, EMBEDDED, KINDS, Place, check_backend
 from calibration.pipeline.collection import report, scenario_report
@@ -29,7 +28,6 @@ from calibration.pipeline.collection.request import (
     ContainerRequest,
     ScenarioRequest,
 )
-from calibration.pipeline.collection.results import CollectionChecks
 from calibration.pipeline.collection.scenario_report import world_line
 from calibration.pipeline.collection.world_folder import WorldFolder
 from calibration.pipeline.collection.worlds import run_worlds
@@ -46,58 +44,11 @@ MOST_SHOWN = 16
 """The most worlds whose containers' logs are shown; the logs of more are in files only."""
 
 
-def seed_number(value: str | int) -> int:
-    """Read a seed, a whole number that is not below 0; a usage error for anything else."""
-    try:
-        seed = int(value)
-    except ValueError:
-        seed = -1
-    if seed < 0:
-        raise click.BadParameter(f"{value!r} is not a whole number of at least 0")
-    return seed
-
-
 @click.command("collect-data-sim")
-@click.option("--system", type=text, required=True, help="Name of a system in datasets/, or the folder of one.")
-@click.option("--robot", type=path, help="URDF file, in place of the system's robot.urdf.")
-@click.option("--config", type=path, help="ATOM's calibration configuration, in place of the system's config.yml.")
-@click.option(
-    "--motion", type=text, help="Motion sequence (JSON), or generate:N; the system's motion.json unless given."
-)
-@click.option("--scenarios", type=count, help="How many worlds of the set, or datasets of the applications.")
-@click.option("--scenario-set", type=path, help="YAML file of what varies between worlds.")
-@click.option("--scenario", type=text, help="Only this world, with its images: s1-00017 (seed 1, number 17).")
-@click.option("--minimum-success-rate", type=share, help="Share of the worlds that has to pass, 0 to 1 (1).")
-@click.option("--seed", type=seed_number, help="Seed of the noise, of a generated motion, of the worlds (1).")
-@record_options(CollectionChecks)
-@click.option("--max-translation-mm", type=non_negative, help="Largest error against the truth, mm (5).")
-@click.option("--max-rotation-deg", type=non_negative, help="Largest error against the truth, degrees (0.3).")
-@click.option("--stillness-mm", type=non_negative, help="How far the pattern may move while the sensors look (2).")
-@click.option("--backend", type=text, help="Where: embedded, or in containers with docker or aws-batch (README).")
-@click.option("--aws-batch", type=path, help="YAML file with the section aws-batch (calibration.yml).")
-@click.option("--run", type=text, help="Name of the run in containers or the cloud; a new one unless given.")
-@boolean_option("--resume", help="Run only what is missing of an earlier run into this folder, or of this name.")
-@click.option("--applications", type=path, help="YAML file of the team's applications, each in a container.")
-@click.option("--image", type=text, help="Of applications that name none; or, with calibration-ci in it, of worlds.")
-@click.option("--simulation-command", type=text, help="What the simulation application runs, without a file for it.")
-@click.option("--robot-command", type=text, help="What the robot application runs, which labels and saves.")
-@click.option(
-    "--player", type=click.Choice(["ros1"]), help="ros1: our player moves the pattern and asks for collections."
-)
-@click.option("--ros", type=click.Choice(["none", "1", "2"]), help="1 starts a ROS master beside the applications.")
-@click.option("--truth", type=text, help="Of the applications' dataset: a file, dataset or none (the system's).")
-@click.option("--timeout", type=text, help="How long the applications, or a world in a container, may take: 10m (1h).")
-@click.option("--jobs", type=count, help="Processes, or containers at once (one a core).")
-@click.option(
-    "--output",
-    type=path,
-    required=True,
-    help="Folder for the dataset, or for the report on the worlds.",
-)
-@boolean_option("--overwrite", help="Replace a dataset that the folder has.")
+@record_options(Settings, required=True)
 def command(**options: Any) -> ExitCode:
     """Collect a dataset in simulation: images, point clouds, labels and the truth; and calibrate it."""
-    settings = Settings.of_options(options)
+    settings = chosen(Settings, options)
     runner = Runner.from_environment(os.environ)
     return collect_data_sim(settings, runner)
 

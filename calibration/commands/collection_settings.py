@@ -1,72 +1,62 @@
 """The options of ``collect-data-sim``, and the requests that are made of them."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
 from calibration.commands.parameters import find_system, system_folder
-from calibration.commands.record_options import given
 from calibration.errors import InputError
 from calibration.execution.sizes import parse_seconds
 from calibration.pipeline.collection.applications import SECONDS
 from calibration.pipeline.collection.request import CollectionRequest, ContainerRequest, WorldImage, WorldOfSet
-from calibration.pipeline.collection.results import CollectionChecks
+from calibration.pipeline.collection.results import CollectionChecks, Share
 from calibration.pipeline.configuration import parse_applications
-from calibration.records import read
+from calibration.records import at_least, field, record
 from calibration.simulation.scenarios.scenario import parse_id
 from calibration.yaml_file import read_yaml
 
+Tolerance = Annotated[float, at_least(0)]
 
-@dataclass(frozen=True)
+
+@record(kw_only=True)
 class Settings:
-    """The options of ``collect-data-sim``."""
+    """The inputs of ``collect-data-sim``."""
 
-    system: str
-    """The name of a system in `SYSTEMS`, or a folder."""
-    output: Path
-    robot: Path | None = None
-    config: Path | None = None
-    motion: str | None = None
-    """A file, or ``generate:N``; the system's own motion where None."""
-    scenarios: int | None = None
-    """How many worlds of the scenario set; None for the one that the system's files describe."""
-    scenario_set: Path | None = None
-    scenario: str | None = None
-    """The id of one world of the scenario set, to collect it alone."""
-    minimum_success_rate: float = 1.0
-    seed: int = 1
-    checks: CollectionChecks = field(default_factory=CollectionChecks)
+    system: str = field("Name of a system in datasets/, or the folder of one.")
+    robot: Path | None = field("URDF file, in place of the system's robot.urdf.", default=None)
+    config: Path | None = field("ATOM's calibration configuration, in place of the system's config.yml.", default=None)
+    motion: str | None = field(
+        "Motion sequence (JSON), or generate:N; the system's motion.json unless given.", default=None
+    )
+    scenarios: Annotated[int, at_least(1)] | None = field(
+        "How many worlds of the set, or datasets of the applications.", default=None
+    )
+    scenario_set: Path | None = field("YAML file of what varies between worlds.", default=None)
+    scenario: str | None = field("Only this world, with its images: s1-00017 (seed 1, number 17).", default=None)
+    minimum_success_rate: Share = field("Share of the worlds that has to pass, 0 to 1 (1).", default=1.0)
+    seed: Annotated[int, at_least(0)] = field("Seed of the noise, of a generated motion, of the worlds (1).", default=1)
+    checks: CollectionChecks = field(flat=True, default_factory=CollectionChecks)
     """What a dataset has to keep to, where the two limits that follow say nothing else."""
-    max_translation_mm: float | None = None
-    max_rotation_deg: float | None = None
-    stillness_mm: float | None = None
-    backend: str | None = None
-    """None for docker where there are applications, else embedded."""
-    aws_batch: Path | None = None
-    """The file with the section aws-batch; calibration.yml where None."""
-    run: str | None = None
-    """The name of the run, for those who look for what it left."""
-    resume: bool = False
-    """Whether only what is missing of an earlier run is run."""
-    applications: Path | None = None
-    """What an entry ``simulation`` of calibration.yml says of containers, in a file of its own."""
-    image: str | None = None
-    """Of applications that name none; or, with a scenario set, of the worlds: it has calibration-ci."""
-    simulation_command: str | None = None
-    robot_command: str | None = None
-    player: str | None = None
-    ros: str | None = None
-    truth: str | None = None
-    timeout: str | None = None
-    jobs: int | None = None
-    overwrite: bool = False
-
-    @classmethod
-    def of_options(cls, options: Mapping[str, Any]) -> "Settings":
-        """The settings that the options of the command make."""
-        own = {each.name: value for each in fields(cls) if (value := options.get(each.name)) is not None}
-        return cls(**own, checks=read(CollectionChecks, given(CollectionChecks, options), "options"))
+    max_translation_mm: Tolerance | None = field("Largest error against the truth, mm (5).", default=None)
+    max_rotation_deg: Tolerance | None = field("Largest error against the truth, degrees (0.3).", default=None)
+    stillness_mm: Tolerance | None = field("How far the pattern may move while the sensors look (2).", default=None)
+    backend: str | None = field("Where: embedded, or in containers with docker or aws-batch (README).", default=None)
+    aws_batch: Path | None = field("YAML file with the section aws-batch (calibration.yml).", default=None)
+    run: str | None = field("Name of the run in containers or the cloud; a new one unless given.", default=None)
+    resume: bool = field("Run only what is missing of an earlier run into this folder, or of this name.", default=False)
+    applications: Path | None = field("YAML file of the team's applications, each in a container.", default=None)
+    image: str | None = field("Of applications that name none; or, with calibration-ci in it, of worlds.", default=None)
+    simulation_command: str | None = field("What the simulation application runs, without a file for it.", default=None)
+    robot_command: str | None = field("What the robot application runs, which labels and saves.", default=None)
+    player: Literal["ros1"] | None = field("ros1: our player moves the pattern and asks for collections.", default=None)
+    ros: Literal["none", "1", "2"] | None = field("1 starts a ROS master beside the applications.", default=None)
+    truth: str | None = field("Of the applications' dataset: a file, dataset or none (the system's).", default=None)
+    timeout: str | None = field(
+        "How long the applications, or a world in a container, may take: 10m (1h).", default=None
+    )
+    jobs: Annotated[int, at_least(1)] | None = field("Processes, or containers at once (one a core).", default=None)
+    output: Path = field("Folder for the dataset, or for the report on the worlds.")
+    overwrite: bool = field("Replace a dataset that the folder has.", default=False)
 
 
 def collection_request(settings: Settings) -> CollectionRequest:

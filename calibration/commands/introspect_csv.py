@@ -7,7 +7,8 @@ from typing import Any
 
 import click
 
-from calibration.commands.parameters import TEXT_LIST, boolean_option, count, number, path, text
+from calibration.commands.parameters import TEXT_LIST, path, text
+from calibration.commands.record_options import record_options
 from calibration.errors import ExitCode, InputError
 from calibration.files import matching
 from calibration.introspection.judge import judge
@@ -36,25 +37,17 @@ class Settings:
 @click.command("introspect-csv")
 @click.option("--file", type=TEXT_LIST, help="CSV files; patterns such as results/**/*.csv too.")
 @click.option("--rules", type=path, help="YAML file of rules, or a Rigelfile.")
-@click.option("--column", type=text, help="Column of the rule that the next options make.")
-@click.option("--row", type=text, help="The row that is judged: its label, first, last or index:3.")
-@click.option("--aggregate", type=text, help="Judge one number made from every row: max, min, mean, median or p95.")
-@click.option("--min", type=number, help="Smallest number that passes, for the row or aggregate, else for every row.")
-@click.option("--max", type=number, help="Largest number that passes, for the row or aggregate, else for every row.")
-@click.option("--every-min", type=number, help="Smallest number that passes in every row.")
-@click.option("--every-max", type=number, help="Largest number that passes in every row.")
-@boolean_option("--exclusive", help="A number equal to a limit does not pass.")
+@record_options(
+    RuleEntry,
+    *("column", "row", "aggregate", "min", "max", "every-min", "every-max", "exclusive"),
+    helps={"column": "Column of the rule that the next options make."},
+)
 @click.option("--contains", help="Text that the cell contains.")
 @click.option("--does-not-contain", help="Text that the cell does not contain.")
 @click.option("--matches", help="Regular expression that the whole cell matches.")
-@click.option("--max-increase", type=text, help="Largest increase against the baseline: 0.1, or 10%.")
-@click.option("--max-decrease", type=text, help="Largest decrease against the baseline: 0.1, or 10%.")
+@record_options(RuleEntry, "max-increase", "max-decrease")
 @click.option("--baseline", type=path, help="CSV file that max-increase and max-decrease compare with.")
-@click.option("--required-rows", type=TEXT_LIST, help="Labels of rows that must be there.")
-@click.option("--min-rows", type=count, help="Smallest number of rows (1 unless given).")
-@click.option("--key-column", type=text, help="Column of the rows' labels (found unless given).")
-@boolean_option("--exclude-summary-rows", default=None, help="Summary rows are no part of every row.")
-@click.option("--summary-rows", type=TEXT_LIST, help="Labels of the summary rows (Averages unless given).")
+@record_options(RuleSet, "required-rows", "min-rows", "key-column", "exclude-summary-rows", "summary-rows")
 @click.option("--delimiter", help="comma, semicolon, tab, pipe or a character (recognised unless given).")
 @click.option("--encoding", type=text, help="Text encoding (recognised unless given).")
 @click.option("--output", type=path, help="Folder for results.json, junit.xml and summary.md.")

@@ -31,7 +31,11 @@ def option_keys(kind: type) -> tuple[str, ...]:
 
 
 def record_options(
-    kind: type, *keys: str, names: Mapping[str, str] | None = None, helps: Mapping[str, str] | None = None
+    kind: type,
+    *keys: str,
+    names: Mapping[str, str] | None = None,
+    helps: Mapping[str, str] | None = None,
+    required: bool = False,
 ) -> Callable[[_Callback], _Callback]:
     """Declare options for fields of a record; a truth value is a flag.
 
@@ -40,6 +44,7 @@ def record_options(
         keys: of the fields, in the order of the options; all of `option_keys` unless given.
         names: of options that are not called as their keys.
         helps: the sentences of options that need others than the record has, by key.
+        required: whether the options of required fields are required.
     """
     fields = flat_fields(kind)
 
@@ -51,7 +56,8 @@ def record_options(
             if bool in (base, *typing.get_args(base)):
                 boolean_option(name, help=sentence, default=None)(command)
             else:
-                click.option(name, type=_type_of(base), help=sentence)(command)
+                needed = required and fields[key].required
+                click.option(name, type=_type_of(base), help=sentence, required=needed)(command)
         return command
 
     return declare
