@@ -95,7 +95,7 @@ def test_options(arguments: list[str], code: int) -> None:
             ["--file", "t.csv", "--column", RMS, "--max", "2", "--contains", "x"],
             "max is for numbers and contains for text",
         ),
-        (["--file", "t.csv", "--column", RMS, "--max", "nan"], "'nan' is not a finite number"),
+        (["--file", "t.csv", "--column", RMS, "--max", "nan"], "max: found 'nan', expected a finite number"),
         (["--file", "t.csv", "--column", RMS, "--min-rows", "0"], "'0' is below 1"),
         (["--file", "t.csv", "--column", RMS, "--max", "3", "--delimiter", "ab"], "'ab' is no delimiter"),
         (["--file", "t.csv", "--column", RMS, "--max", "3", "--encoding", "x"], "encoding: 'x' is not the name"),
