@@ -9,7 +9,7 @@ import os
 import sys
 from pathlib import Path
 
-from benchmarks.verdict import summary
+from benchmarks.verdict import recordings, summary
 from benchmarks.verdict.case import Outcome
 from benchmarks.verdict.catalogue import cases, outcomes
 from benchmarks.verdict.kinds import ALL, CLEAN, KINDS
@@ -26,10 +26,15 @@ def main() -> int:
     parser.add_argument("--strata", default=",".join(STRATA))
     parser.add_argument("--seeds", default="1", help="how many, or FIRST-LAST")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
+    parser.add_argument("--recordings", action="store_true", help="real recordings and wrong views instead")
     parser.add_argument("--each", action="store_true", help="print every case with its reasons and warnings")
     parser.add_argument("--json", type=Path, metavar="FILE")
     parser.add_argument("--markdown", type=Path, metavar="FILE", help="the table of what is found")
     arguments = parser.parse_args()
+    if arguments.recordings:
+        for found in recordings.rows(arguments.quick):
+            print(found.line(), flush=True)
+        return 0
     kinds = arguments.kinds.split(",") if arguments.kinds else names
     if unknown := [kind for kind in kinds if kind not in names]:
         parser.error(f"no kind {', '.join(unknown)}; there are {', '.join(names)}")

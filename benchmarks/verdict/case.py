@@ -113,6 +113,11 @@ class Outcome:
         planted = self.case.planted
         return self.harmful or planted.sizes[self.case.size] in planted.wanted
 
+    @property
+    def must_be_green(self) -> bool:
+        """Harmless, and nothing that a user has to correct."""
+        return not (self.must_be_red or self.case.planted.spoils) and (self.limits or 0) <= 1
+
 
 def run(case: Case) -> Outcome:
     """Plant, judge, compare."""
@@ -120,7 +125,7 @@ def run(case: Case) -> Outcome:
     begin = time.perf_counter()
     result, rms_red, calibration = judged(scene)
     seconds = time.perf_counter() - begin
-    harm = _harm(calibration.dataset, scene) if calibration else None
+    harm = harm_of(calibration.dataset, scene) if calibration else None
     limits = scene.system.limits
     return Outcome(
         case=case,
@@ -169,7 +174,8 @@ LIMITS_WITHOUT_TRUTH = Limits()
 TABLE = "table.csv"
 
 
-def _harm(calibrated: Dataset, scene: Scene) -> Harm | None:
+def harm_of(calibrated: Dataset, scene: Scene) -> Harm | None:
+    """How far a calibrated dataset is from the world of a scene; None where that cannot be told."""
     try:
         error = truth_error(calibrated, scene.truth())
     except InputError:

@@ -38,6 +38,8 @@ class Kind:
     """The systems on which only an earlier result could tell: their data fit another calibration as well."""
     wanted: tuple[float, ...] = ()
     """The sizes that have to be red whatever harm they do: mistakes that a user has to correct."""
+    spoils: bool = False
+    """Whether red is right even where it does no harm: a share of the labels is worthless, or too few are left."""
 
 
 LENS = ("lens", "distortion")
@@ -149,6 +151,7 @@ KINDS = (
         (0.7, 1.5, 4),
         "px",
         ("noise", "detector", "scatter", "blur", *FEW),
+        spoils=True,
     ),
     Kind(
         "outliers",
@@ -158,6 +161,7 @@ KINDS = (
         (0.02, 0.1, 0.3),
         "share",
         ("reject", "outlier", "do not fit", "does not fit"),
+        spoils=True,
     ),
     Kind(
         "square size",
@@ -167,7 +171,7 @@ KINDS = (
         (0.003, 0.02, 0.1),
         "share",
         ("size", "square"),
-        memory=("t2rgb", "softbot", "rlbot"),
+        memory=("t2rgb",),
     ),
     Kind(
         "pattern in mm",
@@ -279,7 +283,15 @@ KINDS = (
         wanted=(1, 2, 3),
     ),
     Kind(
-        "LiDAR noise", "LiDAR", "noisy ranges", lidars.noise, (0.03, 0.08, 0.2), "m", ("noise", "range", *FEW), LIDARS
+        "LiDAR noise",
+        "LiDAR",
+        "noisy ranges",
+        lidars.noise,
+        (0.03, 0.08, 0.2),
+        "m",
+        ("noise", "range", *FEW),
+        LIDARS,
+        spoils=True,
     ),
     Kind(
         "background points",
@@ -290,6 +302,7 @@ KINDS = (
         "share",
         ("reject", "outlier", "do not fit", "does not fit"),
         LIDARS,
+        spoils=True,
     ),
     Kind(
         "LiDAR frame",
@@ -300,6 +313,7 @@ KINDS = (
         "share",
         (*VIEWS, "description", "guess"),
         LIDARS,
+        spoils=True,
     ),
     *(
         Kind(
@@ -375,6 +389,7 @@ KINDS = (
         "share",
         VIEWS,
         ARMS,
+        spoils=True,
     ),
     Kind("pushed sensor", "mount", "sensor that moved", mounts.shifted, (0.002, 0.008, 0.03), "m", MOVED_WORDS),
     Kind("turned sensor", "mount", "sensor that turned", mounts.turned, (0.1, 0.5, 2), "deg", MOVED_WORDS),
@@ -410,6 +425,7 @@ KINDS = (
         ("exchang", "swap", "left", *VIEWS),
         PAIRS,
         wanted=(0.3, 1.0),
+        spoils=True,
     ),
     Kind(
         "exchanged names",
@@ -430,6 +446,7 @@ KINDS = (
         (0.1, 0.2, 0.4),
         "share",
         VIEWS,
+        spoils=True,
     ),
     Kind(
         "reversed ids",
@@ -439,6 +456,7 @@ KINDS = (
         (0.1, 0.3, 0.5),
         "share",
         (*VIEWS, "ids", "revers", "order"),
+        spoils=True,
     ),
     Kind(
         "ids off by one",
@@ -448,6 +466,7 @@ KINDS = (
         (0.1, 0.3, 0.5),
         "share",
         (*VIEWS, "ids", "order", "homograph"),
+        spoils=True,
     ),
     Kind(
         "shuffled ids",
@@ -457,8 +476,18 @@ KINDS = (
         (0.1, 0.3, 0.5),
         "share",
         (*VIEWS, "ids", "order", "homograph"),
+        spoils=True,
     ),
-    Kind("shifted labels", "labels", "labels shifted in some views", labels.shifted_labels, (3, 10, 40), "px", VIEWS),
+    Kind(
+        "shifted labels",
+        "labels",
+        "labels shifted in some views",
+        labels.shifted_labels,
+        (3, 10, 40),
+        "px",
+        VIEWS,
+        spoils=True,
+    ),
     Kind(
         "copies",
         "data",
@@ -477,6 +506,7 @@ KINDS = (
         (5, 20, 60),
         "times",
         ("same", "equal", "alike", "copies", "duplicate", *FEW),
+        spoils=True,
     ),
     Kind(
         "corner of the image",
@@ -486,10 +516,20 @@ KINDS = (
         (0.7, 0.5, 0.35),
         "share",
         (*FEW, "part", "image"),
+        spoils=True,
     ),
-    Kind("few views", "data", "a sensor that saw little", labels.few_views, (6, 4, 3), "views", (*FEW, "views")),
-    Kind("few collections", "data", "too few collections", motions.few, (6, 4, 3), "", FEW),
-    Kind("alike collections", "data", "collections from one place", motions.alike, (10, 7, 5), "", FEW),
+    Kind(
+        "few views",
+        "data",
+        "a sensor that saw little",
+        labels.few_views,
+        (6, 4, 3),
+        "views",
+        (*FEW, "views"),
+        spoils=True,
+    ),
+    Kind("few collections", "data", "too few collections", motions.few, (6, 4, 3), "", FEW, spoils=True),
+    Kind("alike collections", "data", "collections from one place", motions.alike, (10, 7, 5), "", FEW, spoils=True),
     Kind(
         "no rotations",
         "data",
@@ -499,8 +539,19 @@ KINDS = (
         "deg",
         (*FEW, "rotation"),
         MOVED,
+        spoils=True,
     ),
-    Kind("far pattern", "data", "pattern far away", motions.far, (2, 4, 10), "times", (*FEW, "far", "small"), MOVED),
+    Kind(
+        "far pattern",
+        "data",
+        "pattern far away",
+        motions.far,
+        (2, 4, 10),
+        "times",
+        (*FEW, "far", "small"),
+        MOVED,
+        spoils=True,
+    ),
     Kind(
         "described elsewhere",
         "description",

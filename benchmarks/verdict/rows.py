@@ -6,7 +6,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from benchmarks.rows import Bar, Row
-from benchmarks.verdict import summary
+from benchmarks.verdict import recordings, summary
 from benchmarks.verdict.case import Outcome
 from benchmarks.verdict.catalogue import cases, outcomes
 from benchmarks.verdict.kinds import ALL, CLEAN, KINDS
@@ -22,13 +22,14 @@ def rows(quick: bool) -> Iterator[Row]:
     planted = list(cases(names, ALL, STRATA, range(1 if quick else SEEDS), quick))
     clean = list(cases([CLEAN.name], ALL, STRATA, range(5 if quick else CLEAN_SEEDS), False))
     yield from of_outcomes(list(outcomes([*planted, *clean], os.cpu_count() or 1)))
+    yield from recordings.rows(quick)
 
 
 def of_outcomes(found: list[Outcome]) -> Iterator[Row]:
     """The rows of a catalogue."""
     must = summary.demanded(found)
     red = [row for row in must if row.red]
-    free = [row for row in summary.planted(found) if not row.must_be_red and (row.limits or 0) <= 1]
+    free = [row for row in summary.planted(found) if row.must_be_green]
     clean = [row for row in found if row.case.kind == CLEAN.name]
     rms = 100 * summary.share(must, lambda row: row.rms_red)
     note = f"{len(must)} cases; {rms:.0f} % by RMS limits alone"

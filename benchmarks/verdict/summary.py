@@ -50,7 +50,7 @@ def lines(rows: Rows) -> list[str]:
 
 
 def _totals(rows: Rows) -> list[str]:
-    must, harmless = demanded(rows), [r for r in planted(rows) if not r.must_be_red and (r.limits or 0) <= 1]
+    must, harmless = demanded(rows), [r for r in planted(rows) if r.must_be_green]
     red = [row for row in must if row.red]
     small = [row for row in harmless if (row.limits or 0) <= 0.5]
     clean = [row for row in rows if row.case.kind == CLEAN.name]
@@ -78,7 +78,7 @@ def _by_kind(rows: Rows) -> Iterable[str]:
         if not of:
             continue
         must = [row for row in of if row.must_be_red]
-        free = [row for row in of if not row.must_be_red and (row.limits or 0) <= 1]
+        free = [row for row in of if row.must_be_green]
         curve = " ".join(f"{text(value):>6}" for value in curve_of(kind, of))
         named = share([row for row in must if row.red], is_named)
         cells = (text(share(must, is_red)), text(named), text(share(must, lambda r: r.rms_red)))
@@ -128,9 +128,7 @@ def failures(rows: Rows) -> list[tuple[str, str, list[Outcome]]]:
         must = [r for r in planted(of) if r.must_be_red]
         found.append(("harmful, but green", name, [r for r in must if not r.red]))
         found.append(("red, but not named", name, [r for r in must if r.red and not is_named(r)]))
-        found.append(
-            ("harmless, but red", name, [r for r in of if r.red and not r.must_be_red and (r.limits or 0) < 0.5])
-        )
+        found.append(("harmless, but red", name, [r for r in of if r.red and r.must_be_green]))
     return sorted((entry for entry in found if entry[2]), key=lambda entry: -len(entry[2]))
 
 
