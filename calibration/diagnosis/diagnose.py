@@ -6,6 +6,7 @@ from calibration.diagnosis.exchanged_labels import exchanged_labels
 from calibration.diagnosis.finding import Finding
 from calibration.diagnosis.rejected_labels import rejected_labels
 from calibration.diagnosis.repeated import repeated
+from calibration.diagnosis.wrong_views import wrong_views
 from calibration.estimation.options import Options
 from calibration.estimation.result import Calibration
 
@@ -19,10 +20,15 @@ def diagnose(calibration: Calibration, description: Dataset, options: Options) -
         options: how it was calibrated.
     """
     if not calibration.converged:
-        return (*exchanged_labels(calibration, description, options), *_said_by_the_engine(calibration))
+        return (
+            *wrong_views(calibration),
+            *exchanged_labels(calibration, description, options),
+            *_said_by_the_engine(calibration),
+        )
     far, rejected = far_from_description(calibration, description, options), rejected_labels(calibration)
     useless = any(each.severity == "red" for each in rejected) and not far
     return (
+        *wrong_views(calibration),
         *far,
         *(exchanged_labels(calibration, description, options) if useless else ()),
         *rejected,

@@ -1,6 +1,7 @@
 """Calibrate a dataset: from its labels to transforms, their error bars, and what to think of them."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
@@ -11,7 +12,13 @@ from calibration.estimation.blocks import Pose, Values
 from calibration.estimation.build import Setup, build
 from calibration.estimation.intrinsics import CalibratedIntrinsics
 from calibration.estimation.least_squares import minimise
-from calibration.estimation.linear_start import free_patterns, linear_start, pattern_poses, place_gauge_patterns
+from calibration.estimation.linear_start import (
+    LinearStart,
+    free_patterns,
+    linear_start,
+    pattern_poses,
+    place_gauge_patterns,
+)
 from calibration.estimation.noise_levels import NoiseLevels
 from calibration.estimation.observability import considered_covariance, covariances, open_directions
 from calibration.estimation.optimisation import WeightedOptimum, optimise, unflipped
@@ -19,6 +26,7 @@ from calibration.estimation.options import Options as Options
 from calibration.estimation.result import CalibratedJoint, Calibration, RejectedLabel, ViewResiduals
 from calibration.estimation.starting_noise import StartingNoise, perturb
 from calibration.estimation.unknown_intrinsics import contradicted_priors
+from calibration.estimation.wrong_views import without, wrong_views
 from calibration.geometry.transforms import adjoint, inverse, translation
 from calibration.geometry.types import Array, BoolArray, IntArray
 
@@ -42,11 +50,11 @@ def calibrate(dataset: Dataset, options: Options | None = None, noise: StartingN
 
 
 def _calibrate(dataset: Dataset, options: Options, noise: StartingNoise) -> Calibration:
-    setup = build(dataset, options.hold, options.intrinsics, options.known_intrinsics())
-    exact = initial_values(setup)
-    guess = perturb(setup, exact, noise)
+    setup, exact, guess, start = _started(dataset, options, noise)
+    dropped = wrong_views(setup, start.values)
+    if dropped:
+        setup, exact, guess, start = _started(without(dataset, dropped), options, noise)
     robust = options.loss == "huber"
-    start = linear_start(setup, guess)
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         if options.start == "linear":
             result, reason = _from_linear_start(setup, start.values, options)
@@ -57,7 +65,15 @@ def _calibrate(dataset: Dataset, options: Options, noise: StartingNoise) -> Cali
             values = tuple(seen_from_guess[i] if i in patterns else T for i, T in enumerate(guess))
             result = optimise(setup.problem, values, options.noise_levels, robust)
             reason = _false_minimum(setup, result, start.values)
-    return _result(dataset, setup, result, reason, start.guessed)
+    return replace(_result(dataset, setup, result, reason, start.guessed), dropped_views=dropped)
+
+
+def _started(dataset: Dataset, options: Options, noise: StartingNoise) -> tuple[Setup, Values, Values, LinearStart]:
+    """The problem, the given guess without and with noise, and the linear start."""
+    setup = build(dataset, options.hold, options.intrinsics, options.known_intrinsics())
+    exact = initial_values(setup)
+    guess = perturb(setup, exact, noise)
+    return setup, exact, guess, linear_start(setup, guess)
 
 
 def initial_values(setup: Setup) -> Values:

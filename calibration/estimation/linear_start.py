@@ -75,6 +75,18 @@ def pattern_poses(setup: Setup, values: Values) -> Values:
     return search.found()
 
 
+def local_poses(setup: Setup, values: Values) -> Values:
+    """The values with what each collection has its own of put where the cameras see it, all else being right.
+
+    Raises:
+        InputError: no camera view tells one of them.
+    """
+    search = _Search(setup, values, set(setup.problem.local))
+    while search.find():
+        pass
+    return search.found()
+
+
 def free_patterns(setup: Setup) -> set[int]:
     """The blocks of the patterns that are not held."""
     patterns = {setup.block(setup.pattern_edge(pattern)) for pattern in setup.dataset.patterns}

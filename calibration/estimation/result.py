@@ -43,6 +43,19 @@ class RejectedLabel:
     residual: float = records.field("Size of its residual, px, m or rad.")
 
 
+@record(case="snake", unknown="ignore")
+class DroppedView:
+    """A view that contradicts the others and was left out."""
+
+    sensor: str = records.field("The sensor.")
+    pattern: str = records.field("The pattern that it saw.")
+    collection: str = records.field("The key of its collection.")
+    mm: float = records.field(
+        "How far the pattern lies from where the others have it; of a LiDAR, its plane.", unit="mm"
+    )
+    degrees: float = records.field("How far it is turned.", unit="degrees")
+
+
 @dataclass(frozen=True, eq=False)
 class CalibratedJoint:
     """A joint of which parameters were calibrated."""
@@ -96,6 +109,8 @@ class Calibration:
     """The joints of which parameters were free, by name."""
     intrinsics: Mapping[str, CalibratedIntrinsics] = field(default_factory=dict)
     """Of the cameras of which intrinsics were free, by name."""
+    dropped_views: tuple[DroppedView, ...] = ()
+    """Views that contradicted the majority of the others; the result is that of the others."""
 
     @cached_property
     def rms_px(self) -> float:

@@ -25,8 +25,9 @@ from calibration.estimation.intrinsics_file import FILE_NAME as INTRINSICS
 from calibration.estimation.intrinsics_file import write_intrinsics
 from calibration.estimation.noise_levels import NoiseLevels
 from calibration.estimation.options import Loss, Options, Start
-from calibration.estimation.result import CalibratedJoint, Calibration, RejectedLabel
+from calibration.estimation.result import CalibratedJoint, Calibration, DroppedView, RejectedLabel
 from calibration.estimation.starting_noise import StartingNoise, with_starting_noise
+from calibration.estimation.wrong_views import without
 from calibration.evaluation.reprojection import reprojection
 from calibration.evaluation.specification import Evaluation
 from calibration.evaluation.table import RMS_PIX, Table
@@ -145,6 +146,7 @@ class Details:
     held: str | None = field("What is held because only relative poses are known.", default=None)
     weak_directions: tuple[str, ...] = field("What the data hardly determine.", default=())
     rejected_labels: tuple[RejectedLabel, ...] = field("Labels that do not fit.", default=())
+    dropped_views: tuple[DroppedView, ...] = field("Views that contradict the others and were left out.", default=())
 
 
 @result(kw_only=True)
@@ -255,7 +257,8 @@ def run_cell(cell: Cell, system: LoadedSystem, output: Path, folder: str | None 
     result, calibration = calibrate_cell(cell, system)
     try:
         if calibration is not None and np.isfinite(calibration.cost):
-            result = _written(result, calibration.dataset, system, output, folder or cell.folder, calibration)
+            judged = without(calibration.dataset, calibration.dropped_views)
+            result = _written(result, calibration.dataset, system, output, folder or cell.folder, calibration, judged)
     except CalibrationError as error:
         result = _failed(result, error)
     return replace(result, seconds=round(time.perf_counter() - begin, 4))
@@ -388,6 +391,7 @@ def _described(result: CellResult, calibration: Calibration) -> CellResult:
         held=calibration.gauge,
         weak_directions=tuple(calibration.weak_directions),
         rejected_labels=tuple(calibration.rejected),
+        dropped_views=calibration.dropped_views,
     )
     return replace(
         result,

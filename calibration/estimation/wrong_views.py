@@ -1,0 +1,408 @@
+"""Views that are wrong as a whole: labels and pose of different moments.
+
+Such a view has a perfect pose of its own, so no robust loss on its labels sees it. What shows it is the majority of
+the other views: two sensors that see the same moving pattern, or an arm and a camera, have one relative pose, whatever
+the collection. Each such pair is tested by itself: the relative pose that fits a bare majority of its collections best
+(least trimmed squares, from poses that a few views drawn at random give, improved by refitting to the better half:
+P. J. Rousseeuw and K. Van Driessen, "Computing LTS regression for large data sets", 2006; the random draws as in M. A.
+Fischler and R. C. Bolles, "Random sample consensus", 1981), then that of all collections which agree with them. Up to
+45 % of the collections may be wrong. A view contradicts when it misses by far more than the agreeing ones do.
+"""
+
+import math
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import numpy as np
+
+from calibration.dataset.modalities import NoiseKind
+from calibration.dataset.model import Dataset
+from calibration.errors import InputError, UndeterminedError
+from calibration.estimation.blocks import Pose, Values
+from calibration.estimation.build import Setup
+from calibration.estimation.gauge import free_gauge
+from calibration.estimation.least_squares import Termination, choose, minimise, settle
+from calibration.estimation.linear_start import linear_start, local_poses
+from calibration.estimation.median import median
+from calibration.estimation.normal_equations import Weighting
+from calibration.estimation.optimisation import HUBER, unflipped
+from calibration.estimation.plane_alignment import fit_planes
+from calibration.estimation.problem import Problem
+from calibration.estimation.residuals import CornerTerm, RangeTerm
+from calibration.estimation.result import DroppedView
+from calibration.estimation.single_views import linear_poses, robust_poses
+from calibration.estimation.views import Term, ViewGroup
+from calibration.geometry.transforms import distance
+from calibration.geometry.types import Array, BoolArray, IntArray
+
+NOTICEABLE: dict[NoiseKind, float] = {"pixel": 1.0, "range": 0.01, "lidar2d_range": 0.01}
+"""A view whose labels miss by less than this in the median (px or m) contradicts nothing."""
+ABOVE_NOISE = 4.0
+"""Nor does one that misses by less than so many times the noise inside the views."""
+SPREADS = 12.0
+"""A view is wrong that misses by so many robust standard deviations of the agreeing ones more than their median,"""
+MEDIANS = 3.0
+"""and by so many times their median."""
+FIRST = 3.0
+"""but of the first, bare majority, the best half of what may be right, by so many times its largest."""
+WRONG = 0.45
+"""The share of wrong collections that is found for sure."""
+MISSED = 1e-3
+"""How likely all draws hold a wrong collection, at that share."""
+MOST = 200
+"""Of more collections than this the majority is looked for in so many of them."""
+CLEAR = 2.0
+"""Where the majority misses by no more than this, in multiples of the noise, nothing better is looked for."""
+AGREEING = 10.0
+"""Where it misses by more than this, in multiples of what is noticeable, there is none."""
+"""So many of the drawn poses are improved."""
+ROUNDS = 8
+POINTS = 32
+"""Of a LiDAR's view, about so many are looked at."""
+IMPROVING = Termination(decrease=0.1, iterations=15)
+SURPLUS = 2.0
+"""What a bare majority of the collections says has to be so many times what is unknown."""
+
+
+def wrong_views(setup: Setup, start: Values) -> tuple[DroppedView, ...]:
+    """The views that contradict the majority of the others, in the order of the collections.
+
+    Args:
+        setup: the problem.
+        start: of its least squares. Where a few steps from there fit all views well, nothing more is asked.
+    """
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        values = _nearer(setup.problem, start)
+        if values is None:
+            return ()
+        verdicts = [verdict for each in _together(setup) if (verdict := _tested(setup, each, values)) is not None]
+        return tuple(
+            _dropped(setup, verdicts, group, c)
+            for c in range(setup.problem.collections)
+            for group in sorted(_culprits(verdicts, c))
+        )
+
+
+def without(dataset: Dataset, dropped: Sequence[DroppedView]) -> Dataset:
+    """The dataset without the labels of some views."""
+    if not dropped:
+        return dataset
+    views = {(view.collection, view.pattern, view.sensor) for view in dropped}
+    collections = tuple(
+        replace(c, labels={key: label for key, label in c.labels.items() if (c.key, *key) not in views})
+        for c in dataset.collections
+    )
+    return replace(dataset, collections=collections)
+
+
+# ----------------------------------------------------------------------------------------------
+
+
+def _nearer(problem: Problem, start: Values) -> Values | None:
+    """Values nearer to the optimum than the start is; None where all views fit well at one of them."""
+    noise = [_noise(group) for group in problem.groups]
+    if _all_fit(problem, start, noise):
+        return None
+    first = [(group, group.terms[0].kind) for group in problem.groups]
+    scales = {kind: NOTICEABLE[kind] / 2 for _, kind in first}
+    groups = tuple(replace(group, terms=group.terms[:1]) for group, _ in first)
+    nearer = minimise(replace(problem, groups=groups), start, Weighting(scales, HUBER), IMPROVING).values
+    return None if _all_fit(problem, nearer, noise) else nearer
+
+
+def _all_fit(problem: Problem, values: Values, noise: Sequence[float]) -> bool:
+    """Whether no view misses by more than can be overlooked."""
+    return all(
+        (_medians(problem, group, values) <= max(NOTICEABLE[group.terms[0].kind], ABOVE_NOISE * of_group)).all()
+        for group, of_group in zip(problem.groups, noise, strict=True)
+    )
+
+
+def _noise(group: ViewGroup) -> float:
+    """The median over the views of how far labels lie from what their own view says, px or m."""
+    term = group.terms[0]
+    if isinstance(term, CornerTerm):
+        return median(np.nan_to_num(_middle(term.magnitudes(linear_poses(term)), term.counts), posinf=0.0))
+    if isinstance(term, RangeTerm):
+        normals, offsets = fit_planes(term.points, term.present)
+        off = np.abs(np.einsum("vi,vil->vl", normals, term.points) - offsets[:, None])
+        return median(_middle(np.where(term.present, off, np.nan), term.counts))
+    return 0.0
+
+
+def _medians(problem: Problem, group: ViewGroup, values: Values) -> Array:
+    """(V,): the median distance of each view's labels, px or m."""
+    term, *_ = problem.terms(group, values)
+    return _middle(term.magnitudes(problem.poses(group, values)), term.counts)
+
+
+def _middle(magnitudes: Array, counts: IntArray) -> Array:
+    """The median (V,) of magnitudes (V, L), of which those that should be there and are NaN count as infinite."""
+    ranked = np.sort(magnitudes, axis=-1)  # NaN last
+    middle = ranked[np.arange(len(ranked)), (counts - 1) // 2]
+    return np.where(np.isnan(middle), np.inf, middle)
+
+
+# ----------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class _Verdict:
+    """What a test has found."""
+
+    groups: tuple[int, ...]
+    """Of the whole problem."""
+    setup: Setup
+    """Of these groups alone."""
+    values: Values
+    """At which most collections agree."""
+    tested: BoolArray
+    """(N,): the collections that all of the groups saw."""
+    wrong: BoolArray
+    """(N,): those that contradict the others."""
+
+
+def _together(setup: Setup) -> Iterator[tuple[int, ...]]:
+    """The groups that can contradict each other: pairs that each collection's own pose joins, others by themselves."""
+    local = set(setup.problem.local)
+    own = [{link.block for link in group.chain.links} & local for group in setup.problem.groups]
+    yield from ((i,) for i, blocks in enumerate(own) if not blocks)
+    yield from ((i, j) for i, j in combinations(range(len(own)), 2) if own[i] and own[i] == own[j])
+
+
+def _tested(setup: Setup, which: tuple[int, ...], values: Values) -> _Verdict | None:
+    """The collections in which some groups contradict what most of them say; None where that cannot be told."""
+    part = _part(setup, which)
+    if part is None or not part.problem.shared:
+        return None
+    problem = part.problem
+    tested = np.zeros(problem.collections, bool)
+    tested[problem.groups[0].collections] = True
+    majority = int(tested.sum()) // 2 + 1
+    points = any(not isinstance(group.terms[0], CornerTerm) for group in problem.groups)
+    equations = sum(6 if isinstance(g.terms[0], CornerTerm) else 3 for g in problem.groups) - problem.sizes[1]
+    if majority * equations < SURPLUS * problem.sizes[0]:
+        return None
+    unknown = sum(isinstance(problem.blocks[i].parameters, Pose) for i in problem.shared)
+    draw = 4 if points else 1 if unknown == 1 else 3
+    search = _Consensus(part, values, np.flatnonzero(tested), majority, equations)
+    found = search.found(draw)
+    if found is None:
+        return None
+    best, wrong = found
+    return _Verdict(which, part, best, tested, wrong)
+
+
+def _part(setup: Setup, which: tuple[int, ...]) -> Setup | None:
+    """The setup with some groups only, in the collections that all of them saw; None where nothing joins them."""
+    problem = setup.problem
+    groups = [replace(problem.groups[i], terms=(_thinned(problem.groups[i].terms[0]),)) for i in which]
+    seen = [np.isin(np.arange(problem.collections), group.collections) for group in groups]
+    shared = np.logical_and.reduce(seen)
+    if shared.sum() < 3:
+        return None
+    groups = [group.take(np.flatnonzero(shared[group.collections])) for group in groups]
+    used = {link.block for group in groups for link in group.chain.links}
+    blocks = [replace(b, held=b.held or i not in used) for i, b in enumerate(problem.blocks)]
+    try:
+        gauge = free_gauge(setup.dataset, groups, blocks)
+    except UndeterminedError:
+        return None
+    fixing = [setup.dataset.sensors[gauge.sensor].edge] if gauge.sensor else []
+    fixing += [setup.pattern_edge(name) for name in gauge.patterns]
+    blocks = [replace(block, held=block.held or block.edge in fixing) for block in blocks]
+    return replace(setup, problem=Problem(tuple(blocks), tuple(groups), problem.collections))
+
+
+def _thinned(term: Term) -> Term:
+    """The term with no more points of each view than tell its plane."""
+    if not isinstance(term, RangeTerm):
+        return term
+    step = max(1, int(term.counts.min()) // POINTS)
+    every = (..., slice(None, None, step))
+    return replace(term, rays=term.rays[every], ranges=term.ranges[every], present=term.present[every])
+
+
+class _Consensus:
+    """The search for the shared transforms on which most collections agree."""
+
+    def __init__(self, setup: Setup, values: Values, collections: IntArray, majority: int, equations: int) -> None:
+        self.setup, self.problem = setup, setup.problem
+        self._values = values
+        self._collections, self._majority = collections, majority
+        self._equations, self._parameters = equations, self.problem.sizes[0]
+        self._noise = {g.terms[0].kind: 0.1 * NOTICEABLE[g.terms[0].kind] for g in self.problem.groups}
+        for group in self.problem.groups:
+            kind = group.terms[0].kind
+            self._noise[kind] = max(self._noise[kind], _noise(group))
+
+    def found(self, draw: int) -> tuple[Values, BoolArray] | None:
+        """The values of the majority, and which collections (N,) contradict it; None where there is no majority."""
+        best: tuple[float, Values] | None = None
+        least = np.inf
+        for subset in self._draws(draw):
+            values = self._from(subset)
+            if values is None or (score := self._best(values)[0]) >= least:
+                continue
+            least = score
+            improved = self._improved(score, values)
+            if best is None or improved[0] < best[0]:
+                best = improved
+            if best[0] <= CLEAR:
+                break
+        return None if best is None else self._agreed(best[1])
+
+    def _draws(self, size: int) -> Iterator[IntArray]:
+        """Collections drawn at random, always the same."""
+        rng = np.random.default_rng(0)
+        if size == 1:
+            yield from rng.permutation(self._collections)[: math.ceil(math.log(MISSED) / math.log(WRONG)), None]
+            return
+        for _ in range(math.ceil(math.log(MISSED) / math.log(1 - (1 - WRONG) ** size))):
+            yield rng.choice(self._collections, size, replace=False)
+
+    def _mask(self, collections: IntArray) -> BoolArray:
+        mask = np.zeros(self.problem.collections, bool)
+        mask[collections] = True
+        return mask
+
+    def _from(self, subset: IntArray) -> Values | None:
+        """What a few collections say of all, or None."""
+        few = replace(self.setup, problem=self.problem.seen_in(self._mask(subset)))
+        try:
+            start = linear_start(few, self._values)
+            return None if start.guessed else self._placed(start.values)
+        except (InputError, UndeterminedError, np.linalg.LinAlgError):
+            return None
+
+    def _placed(self, values: Values) -> Values:
+        return local_poses(self.setup, values) if self.problem.local else values
+
+    def _misses(self, values: Values) -> Array:
+        """(G, N): how far each group's labels miss in the median, px or m; 0 where it has no view."""
+        out = np.zeros((len(self.problem.groups), self.problem.collections))
+        for miss, group in zip(out, self.problem.groups, strict=True):
+            miss[group.collections] = _medians(self.problem, group, values)
+        return out
+
+    def _in_noise(self, values: Values) -> Array:
+        """(N,): the largest in multiples of the noise."""
+        noise = np.array([self._noise[group.terms[0].kind] for group in self.problem.groups])
+        return np.asarray((self._misses(values) / noise[:, None]).max(0))
+
+    def _best(self, values: Values) -> tuple[float, IntArray]:
+        """How badly the best majority fits, in multiples of the noise, and which it is."""
+        miss = self._in_noise(values)[self._collections]
+        order = miss.argsort(kind="stable")[: self._majority]
+        return float(miss[order].mean()), self._collections[order]
+
+    def _refitted(self, values: Values, which: BoolArray, thoroughly: bool = False) -> Values:
+        """The optimum of some collections (N,), the others' own poses made to fit."""
+        weighting = self._weighting(values, which)
+        part = self.problem.seen_in(which)
+        fitted = minimise(part, values, weighting, IMPROVING).values
+        if not self.problem.local:
+            return fitted
+        others = choose(self.problem, which, fitted, self._placed(fitted))
+        settled, cost = settle(self.problem, others, weighting, self._mask(self._collections))
+        return unflipped(self.problem, settled, weighting, cost)[0] if thoroughly else settled
+
+    def _weighting(self, values: Values, which: BoolArray) -> Weighting:
+        scales = dict(self._noise)
+        for group, miss in zip(self.problem.groups, self._misses(values), strict=True):
+            kind = group.terms[0].kind
+            typical = median(miss[which])
+            if np.isfinite(typical):
+                scales[kind] = max(scales[kind], typical)
+        return Weighting(scales, HUBER)
+
+    def _improved(self, score: float, values: Values) -> tuple[float, Values]:
+        for _ in range(ROUNDS):
+            _, best = self._best(values)
+            trial = self._refitted(values, self._mask(best))
+            trial_score = self._best(trial)[0]
+            if not trial_score < score * 0.99:
+                break
+            score, values = trial_score, trial
+        return score, values
+
+    def _agreed(self, values: Values) -> tuple[Values, BoolArray] | None:
+        """From the best majority to all collections that agree with it; None where it does not agree itself."""
+        tested, first = self._mask(self._collections), self._mask(self._best(values)[1])
+        agreeing = first
+        for _ in range(ROUNDS):
+            values = self._refitted(values, agreeing, thoroughly=True)
+            miss = self._misses(values)
+            widest = FIRST if agreeing is first else 0.0
+            limits = [self._limit(g, m[agreeing], widest) for g, m in zip(self.problem.groups, miss, strict=True)]
+            updated = tested & (miss <= np.array(limits)[:, None]).all(0)
+            if updated.sum() < self._majority or any(map(self._apart, self.problem.groups, miss[:, updated])):
+                return None
+            if (updated == agreeing).all():
+                break
+            agreeing = updated
+        return values, tested & ~agreeing
+
+    def _apart(self, group: ViewGroup, agreeing: Array) -> bool:
+        return median(agreeing) > AGREEING * NOTICEABLE[group.terms[0].kind]
+
+    def _limit(self, group: ViewGroup, agreeing: Array, widest: float) -> float:
+        """Beyond which a view of a group is wrong, from how far the agreeing ones miss; they were fitted to."""
+        told = self._parameters / (self._equations * len(agreeing))
+        optimism = math.sqrt((1 + told) / max(1 - told, 0.1))
+        middle = median(agreeing)
+        spread = 1.4826 * median(np.abs(agreeing - middle))
+        far = max(middle + SPREADS * spread, MEDIANS * middle, widest * float(agreeing.max()))
+        return max(NOTICEABLE[group.terms[0].kind], optimism * far)
+
+
+# ----------------------------------------------------------------------------------------------
+
+
+def _culprits(verdicts: Sequence[_Verdict], collection: int) -> set[int]:
+    """The groups whose view of a collection is wrong: those that contradict most others; all where that is a tie.
+
+    A group that agrees with another one is right.
+    """
+    cleared = {i for v in verdicts if v.tested[collection] and not v.wrong[collection] for i in v.groups}
+    bad = [set(v.groups) - cleared or set(v.groups) for v in verdicts if v.wrong[collection]]
+    culprits: set[int] = set()
+    while bad:
+        counts = Counter(i for groups in bad for i in groups)
+        most = max(counts.values())
+        worst = {i for i, count in counts.items() if count == most}
+        culprits |= worst
+        bad = [groups for groups in bad if not groups & worst]
+    return culprits
+
+
+def _dropped(setup: Setup, verdicts: Sequence[_Verdict], group: int, collection: int) -> DroppedView:
+    views = setup.problem.groups[group]
+    apart = [_apart(v, collection) for v in verdicts if v.wrong[collection] and group in v.groups]
+    t, r = max(apart)
+    key = setup.dataset.keys[collection]
+    return DroppedView(views.sensor, views.pattern, key, round(1e3 * t, 3), round(float(np.degrees(r)), 4))
+
+
+def _apart(verdict: _Verdict, collection: int) -> tuple[float, float]:
+    """How far (m, rad) a pattern is from where the agreeing collections, and the pair's camera, have it.
+
+    Of a LiDAR, or where corners give no pose: how far the pattern's plane is.
+    """
+    problem = verdict.setup.problem
+    one = problem.seen_in(np.arange(problem.collections) == collection)
+    camera = max(one.groups, key=lambda group: isinstance(group.terms[0], CornerTerm))
+    other = next((group for group in one.groups if group is not camera), camera)
+    values = verdict.values
+    if problem.local:
+        values = local_poses(replace(verdict.setup, problem=replace(one, groups=(camera,))), values)
+    T, term = one.poses(other, values)[0], other.terms[0]
+    if isinstance(term, CornerTerm):
+        t, r = distance(T, robust_poses(term)[0])
+        return float(t), float(r)
+    if not isinstance(term, RangeTerm):
+        return float("nan"), float("nan")
+    (normal,), (offset,) = fit_planes(term.points, term.present)
+    return float(np.abs(normal @ T[:3, 3] - offset)), float(np.arccos(min(1.0, abs(normal @ T[:3, 2]))))
