@@ -20,7 +20,7 @@ from calibration.commands.record_options import chosen, record_options
 from calibration.errors import ExitCode, InputError
 from calibration.execution.backends import CONTAINERS, DOCKER, EMBEDDED, KINDS, Place, check_backend
 from calibration.pipeline.collection import report, scenario_report
-from calibration.pipeline.collection.collecting import collect_dataset
+from calibration.pipeline.collection.collecting import collect_dataset, collect_worlds
 from calibration.pipeline.collection.report import TITLE, pose_line
 from calibration.pipeline.collection.request import (
     MAX_SCENARIOS,
@@ -29,8 +29,7 @@ from calibration.pipeline.collection.request import (
     ScenarioRequest,
 )
 from calibration.pipeline.collection.scenario_report import world_line
-from calibration.pipeline.collection.world_folder import WorldFolder
-from calibration.pipeline.collection.worlds import run_worlds
+from calibration.pipeline.collection.worlds import WorldFolder
 from calibration.report import publish, show
 from calibration.simulation.collection.record import Record
 from calibration.simulation.motion.sequence import Motion
@@ -169,7 +168,7 @@ def _many_worlds(
         stop_commands(runner) if embedded else nullcontext(),
         progress(runner, TITLE, bar=embedded, kept="worlds" if embedded else "") as advance,
     ):
-        results = run_worlds(request, folder, settings.jobs, place, begin, done)
+        results = collect_worlds(request, folder, settings.jobs, place, begin, done)
     found = scenario_report.report(results, settings.output)
     publish(found, runner, settings.output)
     return found.exit_code

@@ -8,8 +8,14 @@ from calibration.commands.parameters import find_system, system_folder
 from calibration.errors import InputError
 from calibration.execution.sizes import parse_seconds
 from calibration.pipeline.collection.applications import SECONDS
-from calibration.pipeline.collection.request import CollectionRequest, ContainerRequest, WorldImage, WorldOfSet
-from calibration.pipeline.collection.results import CollectionChecks, Share
+from calibration.pipeline.collection.request import (
+    CollectionChecks,
+    CollectionRequest,
+    ContainerRequest,
+    Share,
+    WorldImage,
+    WorldOfSet,
+)
 from calibration.pipeline.configuration import parse_applications
 from calibration.records import at_least, field, record
 from calibration.simulation.scenarios.scenario import parse_id

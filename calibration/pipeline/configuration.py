@@ -12,8 +12,7 @@ from calibration.execution.backends import Place as Backend
 from calibration.execution.batch.settings import BatchSettings
 from calibration.image.specification import ImageDocument, ImageSpecification, parse_image_specification
 from calibration.pipeline.collection.applications import Applications, checked_applications
-from calibration.pipeline.collection.request import GENERATE, CollectionRequest, ContainerRequest
-from calibration.pipeline.collection.results import CollectionChecks
+from calibration.pipeline.collection.request import CollectionChecks, CollectionRequest, ContainerRequest
 from calibration.pipeline.system import Limit, Limits, Noise, NoiseGrid, System, Text, Truth
 from calibration.records import (
     ByName,
@@ -28,6 +27,7 @@ from calibration.records import (
     read,
     record,
 )
+from calibration.simulation.motion.sequence import GENERATE
 from calibration.variables import with_variables
 from calibration.workflow.text import did_you_mean
 from calibration.yaml_file import read_yaml

@@ -4,9 +4,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from calibration.diagnosis.finding import Severity
-from calibration.pipeline.collection.collected import Collected
 from calibration.pipeline.matrix.cell import OUR_METHOD, CellResult, Deviation, noise_text
-from calibration.pipeline.results import CELLS_FILE, ImageResult, Results, own_file
+from calibration.pipeline.results import CELLS_FILE, Collected, ImageResult, Results, own_file
 from calibration.report import Lines, Outcome, Report, Table, Text, count_of, results_text, shown
 
 REASONS_SHOWN = 4

@@ -7,14 +7,39 @@ from pathlib import Path
 
 from calibration.errors import ExitCode, InputError, exit_code_of
 from calibration.estimation.intrinsics_file import FILE_NAME as INTRINSICS
-from calibration.pipeline.collection.collected import Collected
 from calibration.pipeline.matrix.cell import OUR_METHOD, CellResult, Details
 from calibration.records import computed, field, result
 from calibration.report import FILES, RESULTS_FILE, Verdict, read_results_file, remove_results, verdict_of
+from calibration.report.outcome import ErrorCode
 
 SCHEMA = Path(__file__).with_name("results.schema.json")
 CELLS_FILE = "cells.csv"
 _COMMAND = "calibrate-matrix or run"
+
+
+@result
+class Collected:
+    """Result of one entry of ``simulation`` in calibration.yml."""
+
+    name: str = field("The entry in calibration.yml.")
+    poses: int = field("Poses of the motion.", default=0)
+    kept: int = field("Collections in the dataset.", default=0)
+    corner_rms_px: float | None = field("Detected corners against the true ones.", unit="px", default=None)
+    rms_px: float | None = field("Of the calibration of the dataset.", unit="px", default=None)
+    translation_mm: float | None = field(
+        "The worst error of a calibrated sensor against the truth.", unit="mm", default=None
+    )
+    rotation_deg: float | None = field("Likewise.", unit="deg", default=None)
+    dataset: str | None = field("Its folder, relative to the output folder.", default=None)
+    reasons: tuple[str, ...] = field("Why the verdict is fail.", default=())
+    error: ErrorCode | None = field("Exit code of a collection that could not be made.", default=None)
+    seconds: float = field("How long it took.", default=0.0)
+
+    @property
+    @computed()
+    def verdict(self) -> Verdict:
+        """Fail if there is a reason or an error."""
+        return verdict_of(not self.reasons and self.error is None)
 
 
 @result

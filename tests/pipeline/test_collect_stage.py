@@ -9,11 +9,10 @@ import jsonschema
 import pytest
 
 from calibration.errors import ExitCode, InputError
-from calibration.pipeline.collection.collected import Collected
 from calibration.pipeline.configuration import read_configuration
 from calibration.pipeline.matrix.matrix import Matrix
 from calibration.pipeline.report import collections_table, report
-from calibration.pipeline.results import SCHEMA, Results, read_results
+from calibration.pipeline.results import SCHEMA, Collected, Results, read_results
 from calibration.pipeline.stages import Run, run_stages
 from calibration.report import Report
 from calibration.workflow import Runner

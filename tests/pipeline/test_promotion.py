@@ -7,9 +7,8 @@ import pytest
 
 from calibration.errors import WorldError
 from calibration.image.specification import ImageSpecification, OwnDockerfile
-from calibration.pipeline.collection.collected import Collected
 from calibration.pipeline.matrix.matrix import Matrix
-from calibration.pipeline.results import ImageResult, Results
+from calibration.pipeline.results import Collected, ImageResult, Results
 from calibration.pipeline.stages import Run
 from calibration.pipeline.stages.building import promote_stage
 from calibration.pipeline.system import NoiseGrid

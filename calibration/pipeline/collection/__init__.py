@@ -1,8 +1,7 @@
-"""Datasets collected in simulation, proven by calibrating them, and judged.
+"""Collection of datasets: one, or many worlds; each is calibrated for the proof, and judged.
 
-- ``request``: what is to be collected, by our own simulation or by the team's ``applications``;
-- ``collecting``: one dataset; by applications: ``application_dataset``;
-- ``worlds``: many datasets: ``own_worlds`` or ``application_worlds``, as functions here or as jobs in containers;
-- ``world_folder``, ``world_file``: what worlds in containers leave, and what is kept of it;
-- the rest: results and reports.
+- ``request``: what to collect; ``applications``: the containers of a team that collects by its own;
+- ``collecting``: the entry; it calls ``by_simulation`` or ``by_applications``;
+- ``worlds``: many datasets as jobs in containers; ``world_file``: what each leaves beside its dataset;
+- ``results``: checks and verdict; ``report``, ``scenario_report``: tables and outputs, of one dataset and of many.
 """

@@ -1,39 +1,19 @@
-"""One dataset collected by our own simulation or by the team's applications, proven by calibrating it, and judged."""
+"""Collect datasets: one, or many worlds; by our own simulation or by the team's applications."""
 
-import json
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
-import cv2
-import numpy as np
-
-from calibration import __version__
-from calibration.errors import InputError
 from calibration.execution.backends import Place
-from calibration.execution.workspace import identity, workspace
-from calibration.pipeline.collection.application_dataset import collect_by_applications
-from calibration.pipeline.collection.motion import required_motion
-from calibration.pipeline.collection.report import report
-from calibration.pipeline.collection.request import CollectionRequest, ContainerRequest
-from calibration.pipeline.collection.results import CollectionResults
-from calibration.pipeline.collection.world_file import write_world
-from calibration.simulation.collection.capture import Requirements
-from calibration.simulation.collection.collecting import collect, kept
-from calibration.simulation.collection.contact_sheet import write_contact_sheet
-from calibration.simulation.collection.dataset_folder import refuse_existing, replacing_dataset, write_dataset
-from calibration.simulation.collection.proof import prove
-from calibration.simulation.collection.record import Record
-from calibration.simulation.motion.sequence import Motion, motion_document
-from calibration.simulation.placement import Play, play
-from calibration.simulation.scenarios.run import prepare, seen, unseen
-from calibration.simulation.scenarios.scenario import parse_id
-from calibration.simulation.scenarios.scenario_set import read_scenario_set
-from calibration.simulation.system import System, read_system
+from calibration.pipeline.collection.by_applications import ApplicationWorlds, collect_by_applications
+from calibration.pipeline.collection.by_simulation import Begin, PoseDone, SimulatedWorlds, collect_by_simulation
+from calibration.pipeline.collection.request import CollectionRequest, ContainerRequest, ScenarioRequest
+from calibration.pipeline.collection.results import CollectionResults, ScenarioResults
+from calibration.pipeline.collection.worlds import WorldDone, WorldFolder, Worlds, run_in_containers
+from calibration.simulation.collection.dataset_folder import refuse_existing
+from calibration.simulation.scenarios.statistics import Statistics
 
-Begin = Callable[[System, Motion], None]
-Done = Callable[[int, int, Record], None]
-"""Called after each pose."""
+WorldsBegin = Callable[[str, int], None]
+"""Called with the system's name and the number of worlds when everything was read and checked."""
 
 
 def collect_dataset(
@@ -43,7 +23,7 @@ def collect_dataset(
     jobs: int | None = None,
     place: Place | None = None,
     begin: Begin = lambda *_: None,
-    done: Done = lambda *_: None,
+    done: PoseDone = lambda *_: None,
 ) -> CollectionResults:
     """Collect a dataset into a folder, with its results beside it.
 
@@ -67,69 +47,44 @@ def collect_dataset(
     refuse_existing(output, overwrite)
     if isinstance(request, ContainerRequest):
         return collect_by_applications(request, output, place, overwrite)
-    requirements = requirements_of(request)
-    system = read_system(request.system, request.robot, request.configuration)
-    if request.world is None:
-        played = play(system, required_motion(request, system), request.seed)
-        begin(system, played.motion)
-        return _collected(played, request, requirements, output, overwrite, jobs, done)
-    seed, index = parse_id(request.world.id)
-    worlds = read_scenario_set(request.world.scenario_set, system)
-    motion = None if request.motion is None else required_motion(request, system, seed)
-    world = worlds.scenario(seed, index)
-    result = unseen(worlds, world, motion)
-    try:
-        played = prepare(worlds, world, motion)
-    except InputError as error:
-        write_world(replace(result, reasons=(str(error),)), requirements.stillness, output)
-        raise
-    begin(played.system, played.motion)
-    found = _collected(played, request, requirements, output, overwrite, jobs, done, result.hash)
-    write_world(seen(result, found.records, found.proof), requirements.stillness, output)
-    return found
+    return collect_by_simulation(request, output, overwrite, jobs, begin, done)
 
 
-def requirements_of(request: CollectionRequest) -> Requirements:
-    """What each of its collections has to keep to."""
-    return Requirements() if request.stillness is None else Requirements(stillness=request.stillness)
+def collect_worlds(
+    request: ScenarioRequest,
+    folder: WorldFolder,
+    jobs: int | None = None,
+    place: Place | None = None,
+    begin: WorldsBegin = lambda *_: None,
+    done: WorldDone = lambda *_: None,
+) -> ScenarioResults:
+    """Collect, calibrate and judge the worlds 0 to count - 1 of a seed.
 
+    Worlds of our own simulation run in processes here, and one that is interrupted goes on where it was; or, where
+    the request has an image, in containers, as the team's applications do. These leave the datasets too in
+    ``worlds/ID/``, and the containers' logs in ``logs/ID/``.
 
-def _collected(
-    played: Play,
-    request: CollectionRequest,
-    requirements: Requirements,
-    output: Path,
-    overwrite: bool,
-    jobs: int | None,
-    done: Done,
-    world: str = "",
-) -> CollectionResults:
-    """Collect what a motion shows; ``world`` tells the world from the one that the system's files describe."""
-    depends_on = _identity(played, requirements, world)
-    with workspace(output, depends_on, Record.to_json, Record.from_json) as work:
-        records = collect(played, requirements, work, jobs, done)
-        good = kept(records)
-        with replacing_dataset(output, overwrite) as new:
-            proof = None
-            if good:
-                write_dataset(new, played, good, work.folder)
-                proof = prove(new)
-            results = CollectionResults(
-                system=played.system.name,
-                seed=played.seed,
-                motion=played.motion.source,
-                modalities={name: each.modality for name, each in played.system.configuration.sensors.items()},
-                records=tuple(records),
-                proof=proof,
-                limits=request.checks,
-            )
-            write_contact_sheet(new, played.system, records, work.folder)
-            report(results, new).write(new)
-    return results
+    Args:
+        request: which worlds.
+        folder: for the datasets and logs.
+        jobs: processes, or containers at once; None for as many as the machine holds.
+        place: where containers run; this machine's engine unless given.
+        begin: see `WorldsBegin`.
+        done: see `WorldDone`.
 
-
-def _identity(played: Play, requirements: Requirements, world: str) -> str:
-    """What the records of a collection depend on."""
-    versions = f"{__version__} {np.__version__} {cv2.__version__} {played.seed} {requirements} {world}"
-    motion = json.dumps(motion_document(played.motion))
-    return identity(versions.encode(), motion.encode(), *played.system.sources.values())
+    Raises:
+        InputError: an input is wrong, an image is missing, or the folder has worlds already.
+        WorldError: a file cannot be written, a process died, or the place cannot be reached.
+    """
+    if isinstance(request.collection, ContainerRequest):
+        worlds: Worlds = ApplicationWorlds(request.collection, request.count)
+    else:
+        worlds = SimulatedWorlds(request.collection, request)
+    begin(worlds.system, request.count)
+    if isinstance(worlds, SimulatedWorlds) and worlds.image is None:
+        found = worlds.run(folder.output, jobs, done)
+    else:
+        found = run_in_containers(worlds, folder, jobs, place, done)
+    errors = {each.result.id: each.error for each in found if each.error is not None}
+    statistics = Statistics([each.result for each in found], lost=tuple(errors))
+    return ScenarioResults(worlds.system, request, statistics, errors)

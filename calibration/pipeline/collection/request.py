@@ -1,16 +1,32 @@
 """What is to be collected: a dataset, or many, by our own simulation or by the team's applications."""
 
-from dataclasses import dataclass, field
+import dataclasses
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
-from calibration.errors import InputError
 from calibration.pipeline.collection.applications import SECONDS, Applications
-from calibration.pipeline.collection.results import CollectionChecks
+from calibration.records import at_least, between, field, record
 
-MAX_POSES = 1000
-"""No longer motion is generated."""
-GENERATE = "generate:"
 MAX_SCENARIOS = 100_000
+
+
+Share = Annotated[float, between(0, 1)]
+
+
+@record
+class CollectionChecks:
+    """What a collected dataset has to keep to; None where there is no limit."""
+
+    minimum_collections: Annotated[int, at_least(1)] = field(
+        "Fewer make it fail.", default=3, option="Fewer collections that are kept make it fail (3)."
+    )
+    minimum_detection_rate: Share | None = field("Share of the poses that every sensor detects, 0 to 1.", default=None)
+    minimum_coverage: Share | None = field("Share of every image that the corners cover, 0 to 1.", default=None)
+    max_translation_mm: float | None = 5.0
+    """Of the worst sensor against the truth, and of the worst length of a joint."""
+    max_rotation_deg: float | None = 0.3
+    """Likewise, of the worst angle."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +53,7 @@ class CollectionRequest:
     """Of the noise and of a generated motion, or of the worlds."""
     stillness: float | None = None
     """How far a pattern may move while the sensors look, m; None for the usual."""
-    checks: CollectionChecks = field(default_factory=CollectionChecks)
+    checks: CollectionChecks = dataclasses.field(default_factory=CollectionChecks)
     world: WorldOfSet | None = None
     """None for the world that the system's files describe."""
 
@@ -55,7 +71,7 @@ class ContainerRequest:
     motion: str | None = None
     """A file, or ``generate:N``; the system's own motion where None."""
     seed: int = 1
-    checks: CollectionChecks = field(default_factory=CollectionChecks)
+    checks: CollectionChecks = dataclasses.field(default_factory=CollectionChecks)
     truth: str | None = None
     """As `calibration.dataset.truth.choose_truth`; None for the system's, where there is one."""
     scenario: int = 0
@@ -86,15 +102,3 @@ class ScenarioRequest:
     """The options of the command that say what the team's applications are."""
     image: WorldImage | None = None
     """None to run our own simulation's worlds in processes here."""
-
-
-def pose_count(motion: str) -> int:
-    """N of ``generate:N``.
-
-    Raises:
-        InputError: it is no number from 1 to `MAX_POSES`.
-    """
-    count = motion.removeprefix(GENERATE)
-    if not (count.isascii() and count.isdigit() and len(count) < 10 and 1 <= int(count) <= MAX_POSES):
-        raise InputError(f"motion: found '{motion}', expected {GENERATE}N with N from 1 to {MAX_POSES}")
-    return int(count)

@@ -1,42 +1,22 @@
-"""Results of a collection in simulation: numbers, limits, and the verdict."""
+"""Results of a collection: numbers, checks and verdict, of one dataset and of many worlds."""
 
-import dataclasses
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Any
 
-from calibration import records
 from calibration.dataset.modalities import MODALITIES
 from calibration.errors import ExitCode, exit_code_of
-from calibration.records import between, field
-from calibration.report import Check, Verdict, at_least, at_most, verdict_of
-
-if TYPE_CHECKING:
-    from calibration.simulation.collection.proof import Proof
-    from calibration.simulation.collection.record import CornerErrors, Record
-    from calibration.simulation.scenarios.scenario import ScenarioResult
-
-
-Share = Annotated[float, between(0, 1)]
+from calibration.pipeline.collection.request import CollectionChecks, ScenarioRequest
+from calibration.report import Check, Verdict, at_least, at_most, count_of, verdict_of
+from calibration.simulation.collection.proof import Proof
+from calibration.simulation.collection.record import COLUMNS, ROWS, CornerErrors, Record
+from calibration.simulation.scenarios.scenario import ScenarioResult
+from calibration.simulation.scenarios.statistics import Statistics
 
 
-@records.record
-class CollectionChecks:
-    """What a collected dataset has to keep to; None where there is no limit."""
-
-    minimum_collections: Annotated[int, records.at_least(1)] = field(
-        "Fewer make it fail.", default=3, option="Fewer collections that are kept make it fail (3)."
-    )
-    minimum_detection_rate: Share | None = field("Share of the poses that every sensor detects, 0 to 1.", default=None)
-    minimum_coverage: Share | None = field("Share of every image that the corners cover, 0 to 1.", default=None)
-    max_translation_mm: float | None = 5.0
-    """Of the worst sensor against the truth, and of the worst length of a joint."""
-    max_rotation_deg: float | None = 0.3
-    """Likewise, of the worst angle."""
-
-
-def truth_checks(found: "Proof | ScenarioResult | None", limits: CollectionChecks) -> list[Check]:
+def truth_checks(found: Proof | ScenarioResult | None, limits: CollectionChecks) -> list[Check]:
     """The errors of sensors, and of joints where some were calibrated, each with its limit."""
     errors = (
         ("translation", "translation_mm", limits.max_translation_mm, "mm"),
@@ -79,10 +59,10 @@ class CollectionResults:
     motion: str
     modalities: dict[str, str]
     """By sensor."""
-    records: "tuple[Record, ...]"
-    proof: "Proof | None"
+    records: tuple[Record, ...]
+    proof: Proof | None
     """None where no collection was kept."""
-    limits: CollectionChecks = dataclasses.field(default_factory=CollectionChecks)
+    limits: CollectionChecks = field(default_factory=CollectionChecks)
     failures: tuple[str, ...] = ()
     """Why the applications of a team collected nothing, or not everything."""
     error: ExitCode | None = None
@@ -91,12 +71,12 @@ class CollectionResults:
     """Whether there is one: without a system's description nobody knows the images."""
 
     @property
-    def kept(self) -> "list[Record]":
+    def kept(self) -> list[Record]:
         """The collections that make the dataset."""
         return [record for record in self.records if record.kept]
 
     @property
-    def lost(self) -> "list[Record]":
+    def lost(self) -> list[Record]:
         """The poses that do not."""
         return [record for record in self.records if not record.kept]
 
@@ -146,8 +126,6 @@ class CollectionResults:
 
 
 def _sensor_numbers(name: str, modality: str, results: CollectionResults) -> SensorNumbers:
-    from calibration.simulation.collection.record import COLUMNS, ROWS  # OpenCV: who plans or reads needs none
-
     records, kept = results.records, results.kept
     detected = [record for record in records if record.labels[name]]
     camera = MODALITIES[modality].has_corners
@@ -162,7 +140,7 @@ def _sensor_numbers(name: str, modality: str, results: CollectionResults) -> Sen
     )
 
 
-def _together(errors: "list[CornerErrors]") -> dict[str, Any] | None:
+def _together(errors: list[CornerErrors]) -> dict[str, Any] | None:
     """The errors of several views as one; None where there is none."""
     count = sum(error.count for error in errors)
     if not count:
@@ -174,3 +152,60 @@ def _together(errors: "list[CornerErrors]") -> dict[str, Any] | None:
         "bias_px": [round(value, 5) for value in mean],
         "max_px": max(error.largest for error in errors),
     }
+
+
+@dataclass(frozen=True)
+class ScenarioResults:
+    """What came of the worlds, and the verdict on them."""
+
+    system: str
+    request: ScenarioRequest
+    statistics: Statistics
+    errors: Mapping[str, ExitCode] = field(default_factory=dict)
+    """The worlds that could not be run, by id: because of bad input (2) or a failing world (3). They have failed."""
+
+    @cached_property
+    def failed(self) -> dict[str, list[str]]:
+        """The worlds that do not pass, by id, and why."""
+        checks = self.request.collection.checks
+        return {result.id: why for result in self.statistics.results if (why := world_reasons(result, checks))}
+
+    @property
+    def success_rate(self) -> float:
+        """The share of the worlds that pass."""
+        return round(1 - len(self.failed) / len(self.statistics.results), 6)
+
+    @property
+    def reasons(self) -> list[str]:
+        """Why the verdict is fail; nothing where it is pass."""
+        check = at_least("success rate", self.success_rate, self.request.minimum_success_rate)
+        return [] if check.passed else [str(check)]
+
+    @property
+    def verdict(self) -> Verdict:
+        """Pass if enough worlds pass."""
+        return verdict_of(not self.reasons)
+
+    @property
+    def exit_code(self) -> ExitCode:
+        """The verdict's; where it is fail and some could not be run, that of these: who knows what they would be."""
+        if self.verdict == "pass":
+            return ExitCode.PASS
+        return max(self.errors.values(), default=ExitCode.FAIL)
+
+    @property
+    def title(self) -> str:
+        """Such as "100 worlds of t2rgb"."""
+        return f"{count_of(len(self.statistics.results), 'world')} of {self.system}"
+
+
+def world_reasons(result: ScenarioResult, checks: CollectionChecks) -> list[str]:
+    """Why a world does not pass; nothing where it does."""
+    if not result.converged:
+        return list(result.reasons) or ["it does not calibrate"]
+    limits = [at_least("collections", result.kept, checks.minimum_collections)]
+    if checks.minimum_detection_rate is not None:
+        for name, rate in (result.detection or {}).items():
+            limits.append(at_least(f"detection rate of {name}", rate, checks.minimum_detection_rate))
+    limits += truth_checks(result, checks)
+    return [str(check) for check in limits if not check.passed]

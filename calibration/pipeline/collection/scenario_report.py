@@ -10,7 +10,7 @@ from typing import Any
 
 from calibration.errors import InputError
 from calibration.pipeline.collection.report import TITLE
-from calibration.pipeline.collection.scenarios import ScenarioResults
+from calibration.pipeline.collection.results import ScenarioResults
 from calibration.report import FILES, Block, Code, Lines, Outcome, Report, Table, Text, count_of, shown
 from calibration.simulation.scenarios.drivers import SIGNIFICANT
 from calibration.simulation.scenarios.figure import figure

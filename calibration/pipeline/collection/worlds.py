@@ -1,98 +1,163 @@
-"""Many datasets, of our own simulation's worlds or of the team's applications: run and judged."""
+"""Many worlds in containers: each is a job, and leaves a folder, which is kept as soon as it is complete."""
 
-import json
+import shutil
 import tempfile
-from collections.abc import Callable
-from functools import partial
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
+from calibration.errors import ExitCode, InputError, WorldError
 from calibration.execution.backends import Place
+from calibration.execution.job import Job
+from calibration.execution.job_folder import LOGS
+from calibration.execution.outcome import JobOutcome
 from calibration.execution.tasks import Task, run_tasks
-from calibration.execution.workspace import workspace
-from calibration.pipeline.collection.application_worlds import ApplicationWorlds
-from calibration.pipeline.collection.own_worlds import OwnWorlds
-from calibration.pipeline.collection.request import ContainerRequest, ScenarioRequest
-from calibration.pipeline.collection.scenarios import ScenarioResults
-from calibration.pipeline.collection.world_folder import Judged, WorldFolder, Worlds
-from calibration.records import read, text_of
-from calibration.simulation.collection.collecting import single_threaded_opencv
+from calibration.pipeline.collection.scenario_report import REPORT_FILES
+from calibration.pipeline.collection.world_file import read_world, write_world
 from calibration.simulation.scenarios.scenario import ScenarioResult
-from calibration.simulation.scenarios.statistics import Statistics
 
-Begin = Callable[[str, int], None]
-"""Called with the system's name and the number of worlds when everything was read and checked."""
-Done = Callable[[int, int, ScenarioResult], None]
+WORLDS = "worlds"
+"""The folder of the datasets, a folder for each world in it."""
+
+WorldDone = Callable[[int, int, ScenarioResult], None]
 """Called after each world; first with those that are done already."""
 
 
-def run_worlds(
-    request: ScenarioRequest,
-    folder: WorldFolder,
-    jobs: int | None = None,
-    place: Place | None = None,
-    begin: Begin = lambda *_: None,
-    done: Done = lambda *_: None,
-) -> ScenarioResults:
-    """Run the worlds 0 to count - 1 of a seed.
+@dataclass(frozen=True)
+class Judged:
+    """Result of a world, and whether its job could be run."""
 
-    Worlds of our own simulation run in processes here, and one that is interrupted goes on where it was; or, where
-    the request has an image, in containers, as the team's applications do. These leave the datasets too in
-    ``worlds/ID/``, and the containers' logs in ``logs/ID/``.
+    result: ScenarioResult
+    error: ExitCode | None = None
+    """Set where it could not be run: a wrong image (2), the engine, the host or the time (3)."""
+    complete: bool = True
+    """Whether there is nothing to gain from running it again."""
 
-    Args:
-        request: which worlds.
-        folder: for the datasets and logs.
-        jobs: processes, or containers at once; None for as many as the machine holds.
-        place: where containers run; this machine's engine unless given.
-        begin: see `Begin`.
-        done: see `Done`.
+
+class Worlds(ABC):
+    """Worlds of a request whose files are read; each can be run as a job of containers."""
+
+    system: str
+    pending: Sequence[ScenarioResult]
+    """Result of each world before it is run: id, hash and values."""
+    stillness: float | None
+    """How far a pattern may move while the sensors look, m; None where nobody asks."""
+
+    @abstractmethod
+    def write_inputs(self, folder: Path) -> Path | None:
+        """Write what all jobs read into a new folder; None where they read nothing."""
+
+    @abstractmethod
+    def job(self, number: int, inputs: Path | None) -> Job:
+        """The job of a world."""
+
+    @abstractmethod
+    def judge(self, number: int, outcome: JobOutcome, new: Path) -> Judged:
+        """Judge a world by what its job left; its dataset is moved to ``new``, which does not exist yet."""
+
+
+@dataclass(frozen=True)
+class WorldFolder:
+    """The output folder of many worlds."""
+
+    output: Path
+    resume: bool = False
+    """Whether what an earlier run left is kept, and only what is missing is run."""
+    overwrite: bool = False
+    """Whether what an earlier run left is removed."""
+
+    def make_room(self) -> None:
+        """Make the output folder, without the report of an earlier run, and without its worlds if they are to go.
+
+        Raises:
+            InputError: there are worlds of an earlier run, and nobody has said what to do with them.
+            WorldError: the folder cannot be written.
+        """
+        place = self.output / WORLDS
+        if place.exists() and not (self.resume or self.overwrite):
+            raise InputError(f"{place}: exists already; --overwrite replaces the worlds, --resume runs what is missing")
+        try:
+            self.output.mkdir(parents=True, exist_ok=True)
+            for name in REPORT_FILES:
+                (self.output / name).unlink(missing_ok=True)
+            if not self.resume:
+                for folder in (place, self.output / LOGS):
+                    if folder.exists():
+                        shutil.rmtree(folder)
+        except OSError as error:
+            raise WorldError(f"{self.output}: cannot be written: {error.strerror or error}") from error
+
+    def task(self, worlds: Worlds, number: int, inputs: Path | None, work: Path) -> Task[Judged]:
+        """The task of a world.
+
+        Args:
+            worlds: which it is one of.
+            number: of the world.
+            inputs: what all jobs read.
+            work: a folder in the output folder, for what is not complete yet.
+        """
+
+        def judge(outcome: JobOutcome) -> Judged:
+            return self._take(worlds, number, outcome, work / "new")
+
+        return Task.containers(worlds.pending[number].id, worlds.job(number, inputs), judge)
+
+    def find(self, pending: ScenarioResult, stillness: float | None) -> Judged | None:
+        """Result of a world in an earlier run; None where it is missing, or was of another world."""
+        if not self.resume:
+            return None
+        try:
+            return Judged(read_world(self.output / WORLDS / pending.id, pending, stillness))
+        except InputError:
+            return None
+
+    def _take(self, worlds: Worlds, number: int, outcome: JobOutcome, new: Path) -> Judged:
+        """Judge a world, and keep what it left: all of it is there, or nothing."""
+        name = worlds.pending[number].id
+        try:
+            judged = worlds.judge(number, outcome, new)
+            _replace(outcome.folder / LOGS, self.output / LOGS / name)
+            if judged.complete:
+                write_world(judged.result, worlds.stillness, new)
+                _replace(new, self.output / WORLDS / name)
+            for left in (new, outcome.folder):
+                if left.exists():
+                    shutil.rmtree(left)
+        except OSError as error:
+            raise WorldError(f"{self.output}: cannot be written: {error.strerror or error}") from error
+        return judged
+
+
+def run_in_containers(
+    worlds: Worlds, folder: WorldFolder, jobs: int | None, place: Place | None, done: WorldDone
+) -> list[Judged]:
+    """Run worlds as jobs of containers; their datasets and logs are in the folder.
 
     Raises:
-        InputError: an input is wrong, an image is missing, or the folder has worlds already.
-        WorldError: a file cannot be written, a process died, or the place cannot be reached.
+        InputError: an image is missing, or the folder has worlds already.
+        WorldError: a file cannot be written, or the place cannot be reached.
     """
-    if isinstance(request.collection, ContainerRequest):
-        worlds: Worlds = ApplicationWorlds(request.collection, request.count)
-    else:
-        worlds = OwnWorlds(request.collection, request)
-    begin(worlds.system, request.count)
-    if isinstance(worlds, OwnWorlds) and worlds.image is None:
-        found = _run_here(worlds, folder.output, jobs, done)
-    else:
-        found = _run_in_containers(worlds, folder, jobs, place, done)
-    errors = {each.result.id: each.error for each in found if each.error is not None}
-    statistics = Statistics([each.result for each in found], lost=tuple(errors))
-    return ScenarioResults(worlds.system, request, statistics, errors)
-
-
-def _run_here(worlds: OwnWorlds, output: Path, jobs: int | None, done: Done) -> list[Judged]:
-    with (
-        workspace(output, worlds.identity, text_of, _decoded) as work,
-        single_threaded_opencv(),
-    ):
-        tasks = [Task.call(each.id, partial(worlds.collect, number)) for number, each in enumerate(worlds.unseen)]
-        found = run_tasks([work.keeping(task) for task in tasks], workers=jobs, find=work.find, done=done)
-    return [Judged(result) for result in found.values()]
-
-
-def _decoded(text: bytes) -> ScenarioResult:
-    return read(ScenarioResult, json.loads(text), "a finished world")
-
-
-def _run_in_containers(
-    worlds: Worlds, folder: WorldFolder, jobs: int | None, place: Place | None, done: Done
-) -> list[Judged]:
     folder.make_room()
-    unseen = {each.id: each for each in worlds.unseen}
+    pending = {each.id: each for each in worlds.pending}
     with tempfile.TemporaryDirectory(prefix=".worlds-", dir=folder.output) as temporary:
         work = Path(temporary)
         inputs = worlds.write_inputs(work / "in")
         found = run_tasks(
-            [folder.task(worlds, number, inputs, work) for number in range(len(worlds.unseen))],
+            [folder.task(worlds, number, inputs, work) for number in range(len(worlds.pending))],
             work / "jobs",
             jobs,
             place,
-            find=lambda name: folder.find(unseen[name], worlds.stillness),
+            find=lambda name: folder.find(pending[name], worlds.stillness),
             done=lambda count, total, judged: done(count, total, judged.result),
         )
     return list(found.values())
+
+
+def _replace(source: Path, target: Path) -> None:
+    """Move a folder, if there is one, to the place of another."""
+    if target.exists():
+        shutil.rmtree(target)
+    if source.exists():
+        target.parent.mkdir(parents=True, exist_ok=True)
+        source.rename(target)

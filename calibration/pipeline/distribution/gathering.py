@@ -6,7 +6,6 @@ from pathlib import Path
 
 from calibration import records
 from calibration.errors import ExitCode, InputError
-from calibration.pipeline.collection.collected import Collected
 from calibration.pipeline.distribution.cost import Cost, jobs_table, money
 from calibration.pipeline.distribution.jobs import SUCCESS, Needs
 from calibration.pipeline.distribution.plan import COLLECTED_DATA, JobCell, Plan
@@ -14,7 +13,7 @@ from calibration.pipeline.distribution.plan_outputs import plan_of_outputs
 from calibration.pipeline.matrix.cell import OUR_METHOD, Cell, CellResult, nothing_yet
 from calibration.pipeline.matrix.software import SOFTWARE
 from calibration.pipeline.report import report
-from calibration.pipeline.results import Results, read_results
+from calibration.pipeline.results import Collected, Results, read_results
 from calibration.records import result
 from calibration.report import RESULTS_FILE, Report, Text, reasons_in, verdict_of
 

@@ -5,11 +5,11 @@ from dataclasses import replace
 
 from calibration.errors import CalibrationError
 from calibration.execution.backends import EMBEDDED
-from calibration.pipeline.collection.collected import COLLECTED, Collected
 from calibration.pipeline.collection.collecting import collect_dataset
 from calibration.pipeline.collection.report import pose_line
 from calibration.pipeline.configuration import Simulation
-from calibration.pipeline.stages.running import Run
+from calibration.pipeline.results import Collected
+from calibration.pipeline.stages.running import COLLECTED, Run
 from calibration.simulation.collection.record import Record
 from calibration.workflow.progress import progress
 

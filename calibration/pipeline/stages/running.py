@@ -11,7 +11,6 @@ from pathlib import Path
 from calibration.errors import InputError
 from calibration.execution.backends import Place, imported
 from calibration.image.specification import ImageSpecification
-from calibration.pipeline.collection.collected import COLLECTED
 from calibration.pipeline.configuration import Simulation
 from calibration.pipeline.matrix.matrix import Matrix
 from calibration.pipeline.report import report, write_results
@@ -20,6 +19,9 @@ from calibration.report import publish
 from calibration.workflow import Runner
 from calibration.workflow.streams import LogDisplay
 from calibration.workflow.text import did_you_mean
+
+COLLECTED = "collected"
+"""The folder of what was collected, in a pipeline's output folder."""
 
 
 @dataclass(frozen=True)

@@ -6,13 +6,15 @@ the least uncertain, as the engine's own covariance tells. A motion is written w
 played from those, so that the last bits of a machine's arithmetic do not show.
 """
 
+from pathlib import Path
+
 import numpy as np
 
 from calibration.errors import InputError, UndeterminedError
 from calibration.geometry.types import Array, BoolArray
 from calibration.simulation.motion.candidates import Candidates, find_candidates
 from calibration.simulation.motion.information import information
-from calibration.simulation.motion.sequence import Motion
+from calibration.simulation.motion.sequence import GENERATE, Motion, pose_count, read_motion
 from calibration.simulation.placement import Placement, place
 from calibration.simulation.system import System
 
@@ -122,3 +124,14 @@ def _distance(system: System, placement: Placement) -> float:
         for camera in system.cameras
     ]
     return float(np.mean(distances))
+
+
+def named_motion(name: str, system: System | None, seed: int) -> Motion:
+    """The motion of a file, or a generated one where the name is ``generate:N`` and there is a system.
+
+    Raises:
+        InputError: the file cannot be read, or too few poses are seen by every sensor.
+    """
+    if system is None or not name.startswith(GENERATE):
+        return read_motion(Path(name))
+    return generate_motion(system, pose_count(name), seed)

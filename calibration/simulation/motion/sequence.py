@@ -13,12 +13,17 @@ import numpy as np
 
 from calibration.dataset.document import read_json
 from calibration.dataset.edges import QUATERNION_TOLERANCE
+from calibration.errors import InputError
 from calibration.geometry import rotations
 from calibration.geometry.transforms import from_quaternion
 from calibration.geometry.types import Array, IntArray
 from calibration.records import Misfit, Place, field, length, matching, needs, read_as, record, unknown_key
 
 MAX_POSES = 10_000
+GENERATE = "generate:"
+"""What the name of a motion begins with that is generated: ``generate:22`` has 22 poses."""
+MAX_GENERATED = 1000
+"""Poses of a motion that is generated."""
 DECIMALS = 6
 """Positions and quaternions are written to a micrometre and a microradian."""
 
@@ -176,6 +181,18 @@ def _check_same(first: Pose, pose: Pose, place: Place) -> None:
     for name in pose.joints:
         if name not in first.joints:
             raise place.below("joints").fault(unknown_key(name, first.joints))
+
+
+def pose_count(motion: str) -> int:
+    """The number of poses of a motion that is generated: N of ``generate:N``.
+
+    Raises:
+        InputError: it is no number from 1 to `MAX_GENERATED`.
+    """
+    count = motion.removeprefix(GENERATE)
+    if not (count.isascii() and count.isdigit() and len(count) < 10 and 1 <= int(count) <= MAX_GENERATED):
+        raise InputError(f"motion: found '{motion}', expected {GENERATE}N with N from 1 to {MAX_GENERATED}")
+    return int(count)
 
 
 def motion_document(motion: Motion) -> dict[str, Any]:

@@ -23,8 +23,8 @@ from calibration.simulation.scenarios.scenario_set import ScenarioSet
 from calibration.simulation.scenarios.world import build_world, scenario_motion
 
 
-def prepare(worlds: ScenarioSet, scenario: Scenario, motion: Motion | None = None) -> Play:
-    """The play of one scenario: what `calibration.simulation.collection` collects.
+def scenario_play(worlds: ScenarioSet, scenario: Scenario, motion: Motion | None = None) -> Play:
+    """What a scenario plays: its world, its motion and its seed.
 
     Args:
         worlds: the set that the scenario is of.
@@ -46,31 +46,31 @@ def run_scenario(
     Raises:
         WorldError: no temporary file can be written.
     """
-    result = unseen(worlds, scenario, motion)
+    result = pending_result(worlds, scenario, motion)
     try:
-        played = prepare(worlds, scenario, motion)
+        played = scenario_play(worlds, scenario, motion)
     except InputError as error:
         return replace(result, reasons=(str(error),))
     with tempfile.TemporaryDirectory(prefix="calibration-") as folder:
         records = _collect(played, requirements or Requirements(), Path(folder))
-        return seen(result, records, prove(Path(folder)) if kept(records) else None)
+        return finished_result(result, records, prove(Path(folder)) if kept(records) else None)
 
 
-def unseen(worlds: ScenarioSet, scenario: Scenario, motion: Motion | None = None) -> ScenarioResult:
-    """What is known of a scenario before it is run."""
+def pending_result(worlds: ScenarioSet, scenario: Scenario, motion: Motion | None = None) -> ScenarioResult:
+    """Result of a scenario that has not been run: its id, its hash and its values."""
     return ScenarioResult(scenario.id, content_hash(worlds.system, scenario, motion), dict(scenario.values))
 
 
-def seen(result: ScenarioResult, records: Sequence[Record], proof: Proof | None) -> ScenarioResult:
-    """The result with what was collected, and what its calibration says.
+def finished_result(result: ScenarioResult, records: Sequence[Record], proof: Proof | None) -> ScenarioResult:
+    """Result of a scenario that has been run: what was collected, and the errors of its calibration.
 
     Args:
-        result: what is known of the world.
+        result: see `pending_result`.
         records: of all its poses.
         proof: None where no pose gave a collection.
     """
     result = _described(result, records) if records else result
-    return proven(result, proof) if proof else replace(result, reasons=("no pose gave a collection",))
+    return calibrated_result(result, proof) if proof else replace(result, reasons=("no pose gave a collection",))
 
 
 def scenario_task(
@@ -111,8 +111,8 @@ def _described(result: ScenarioResult, records: Sequence[Record]) -> ScenarioRes
     )
 
 
-def proven(result: ScenarioResult, proof: Proof) -> ScenarioResult:
-    """The result with what a calibration says."""
+def calibrated_result(result: ScenarioResult, proof: Proof) -> ScenarioResult:
+    """Result with the errors of a calibration."""
     sigmas = list((proof.sigmas or {}).values())
     return replace(
         result,

@@ -14,13 +14,16 @@ from calibration.errors import ExitCode, InputError
 from calibration.execution.job import OUTPUT, Job
 from calibration.execution.outcome import JobOutcome
 from calibration.pipeline.collection.applications import applications_from
-from calibration.pipeline.collection.collecting import collect_dataset
-from calibration.pipeline.collection.request import CollectionRequest, ContainerRequest, ScenarioRequest
-from calibration.pipeline.collection.results import CollectionChecks
+from calibration.pipeline.collection.collecting import collect_dataset, collect_worlds
+from calibration.pipeline.collection.request import (
+    CollectionChecks,
+    CollectionRequest,
+    ContainerRequest,
+    ScenarioRequest,
+)
+from calibration.pipeline.collection.results import ScenarioResults
 from calibration.pipeline.collection.scenario_report import replay, report
-from calibration.pipeline.collection.scenarios import ScenarioResults
-from calibration.pipeline.collection.world_folder import WorldFolder
-from calibration.pipeline.collection.worlds import run_worlds
+from calibration.pipeline.collection.worlds import WorldFolder
 from calibration.simulation.scenarios.scenario import ScenarioResult
 from tests.pipeline.places import at
 
@@ -100,7 +103,7 @@ def run(
         if told is not None:
             told.append(result.id)
 
-    found = run_worlds(request, WorldFolder(output, resume), place=at(backend), done=done)
+    found = collect_worlds(request, WorldFolder(output, resume), place=at(backend), done=done)
     report(found, output).write(output)
     return found
 

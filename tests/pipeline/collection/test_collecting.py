@@ -15,8 +15,8 @@ from calibration.errors import ExitCode, InputError, WorldError
 from calibration.files import write_atomically
 from calibration.pipeline.collection.collecting import collect_dataset
 from calibration.pipeline.collection.report import SCHEMA, report
-from calibration.pipeline.collection.request import CollectionRequest
-from calibration.pipeline.collection.results import CollectionChecks, CollectionResults
+from calibration.pipeline.collection.request import CollectionChecks, CollectionRequest
+from calibration.pipeline.collection.results import CollectionResults
 from calibration.simulation.collection import collecting
 from calibration.simulation.collection.proof import JointProof, Proof
 from calibration.workflow.summary import escape_markdown

@@ -20,8 +20,8 @@ from calibration.pipeline.collection.applications import (
     collection_job,
 )
 from calibration.pipeline.collection.collecting import collect_dataset
-from calibration.pipeline.collection.request import CollectionRequest, ContainerRequest
-from calibration.pipeline.collection.results import CollectionChecks, CollectionResults
+from calibration.pipeline.collection.request import CollectionChecks, CollectionRequest, ContainerRequest
+from calibration.pipeline.collection.results import CollectionResults
 from tests.pipeline.places import at
 
 DATASETS = Path(__file__).parents[3] / "datasets"

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from calibration.pipeline.collection.request import CollectionRequest, ScenarioRequest
+from calibration.pipeline.collection.results import ScenarioResults
 from calibration.pipeline.collection.scenario_report import document, report, worlds_table
-from calibration.pipeline.collection.scenarios import ScenarioResults
 from calibration.report import Report
 from calibration.simulation.scenarios.scenario import ScenarioResult
 from calibration.simulation.scenarios.statistics import Statistics

@@ -11,10 +11,15 @@ import pytest
 from calibration.commands.collect_data_sim import command
 from calibration.errors import ExitCode
 from calibration.pipeline.collection.collecting import collect_dataset
-from calibration.pipeline.collection.request import MAX_SCENARIOS, CollectionRequest, ScenarioRequest, WorldOfSet
-from calibration.pipeline.collection.results import CollectionChecks
+from calibration.pipeline.collection.request import (
+    MAX_SCENARIOS,
+    CollectionChecks,
+    CollectionRequest,
+    ScenarioRequest,
+    WorldOfSet,
+)
+from calibration.pipeline.collection.results import ScenarioResults, world_reasons
 from calibration.pipeline.collection.scenario_report import replay, report, world_line
-from calibration.pipeline.collection.scenarios import ScenarioResults, world_reasons
 from calibration.simulation.scenarios.scenario import ScenarioResult
 from calibration.simulation.scenarios.statistics import Statistics
 

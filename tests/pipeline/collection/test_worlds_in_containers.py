@@ -18,13 +18,12 @@ from calibration.execution.job import OUTPUT, Job
 from calibration.execution.job_check import check_jobs
 from calibration.execution.outcome import JobOutcome
 from calibration.pipeline.collection.applications import INPUTS
-from calibration.pipeline.collection.collecting import collect_dataset
+from calibration.pipeline.collection.collecting import collect_dataset, collect_worlds
 from calibration.pipeline.collection.request import CollectionRequest, ScenarioRequest, WorldImage, WorldOfSet
+from calibration.pipeline.collection.results import ScenarioResults
 from calibration.pipeline.collection.scenario_report import report
-from calibration.pipeline.collection.scenarios import ScenarioResults
 from calibration.pipeline.collection.world_file import FILE, WorldFile
-from calibration.pipeline.collection.world_folder import WorldFolder
-from calibration.pipeline.collection.worlds import Done, run_worlds
+from calibration.pipeline.collection.worlds import WorldDone, WorldFolder
 from calibration.records import schema_of
 from tests.pipeline.places import at
 from tests.small import first_poses
@@ -122,15 +121,17 @@ def run(
     output: Path,
     backend: RunsHere | None = None,
     begin: Callable[[str, int], None] = lambda *_: None,
-    done: Done = lambda *_: None,
+    done: WorldDone = lambda *_: None,
     **how: bool,
 ) -> ScenarioResults:
     there = replace(asked, image=WorldImage("robot:1", 60))
-    return written(run_worlds(there, WorldFolder(output, **how), None, at(backend or RunsHere()), begin, done), output)
+    return written(
+        collect_worlds(there, WorldFolder(output, **how), None, at(backend or RunsHere()), begin, done), output
+    )
 
 
 def run_here(asked: ScenarioRequest, output: Path) -> ScenarioResults:
-    return written(run_worlds(asked, WorldFolder(output), 1), output)
+    return written(collect_worlds(asked, WorldFolder(output), 1), output)
 
 
 def snapshot(folder: Path) -> dict[str, bytes]:
@@ -388,9 +389,9 @@ def test_worlds_here_that_are_interrupted_go_on_unless_they_are_others(asked: Sc
 
     def run_again(asked: ScenarioRequest) -> list[int]:
         with pytest.raises(KeyboardInterrupt):
-            run_worlds(asked, WorldFolder(tmp_path / "out"), 1, done=interrupt)
+            collect_worlds(asked, WorldFolder(tmp_path / "out"), 1, done=interrupt)
         seen: list[int] = []
-        found = run_worlds(asked, WorldFolder(tmp_path / "out"), 1, done=lambda count, *_: seen.append(count))
+        found = collect_worlds(asked, WorldFolder(tmp_path / "out"), 1, done=lambda count, *_: seen.append(count))
         written(found, tmp_path / "out")
         return seen
 
@@ -400,7 +401,7 @@ def test_worlds_here_that_are_interrupted_go_on_unless_they_are_others(asked: Sc
     assert not [path for path in (tmp_path / "out").iterdir() if path.is_dir()]
 
     with pytest.raises(KeyboardInterrupt):
-        run_worlds(asked, WorldFolder(tmp_path / "out"), 1, done=interrupt)
+        collect_worlds(asked, WorldFolder(tmp_path / "out"), 1, done=interrupt)
     kept = snapshot(tmp_path / "out" / ".unfinished")
     assert len([name for name in kept if name.endswith(".result.json")]) == 2
     set_file(asked).write_text(SET.replace("3]", "4]"))

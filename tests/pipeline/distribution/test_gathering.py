@@ -9,7 +9,6 @@ from typing import Any
 import pytest
 
 from calibration.errors import ExitCode, InputError
-from calibration.pipeline.collection.collected import Collected
 from calibration.pipeline.distribution.gathering import NO_RESULT, gather
 from calibration.pipeline.distribution.jobs import Needs
 from calibration.pipeline.distribution.plan import JobCell, Plan
@@ -17,7 +16,7 @@ from calibration.pipeline.distribution.plan_outputs import plan_outputs
 from calibration.pipeline.matrix.cell import CellResult
 from calibration.pipeline.matrix.matrix import Matrix, run_matrix
 from calibration.pipeline.report import write_results
-from calibration.pipeline.results import ImageResult, Results
+from calibration.pipeline.results import Collected, ImageResult, Results
 from calibration.pipeline.system import NoiseGrid
 from tests.pipeline.conftest import RIWBOT
 from tests.pipeline.matrix.test_judgement import CELL

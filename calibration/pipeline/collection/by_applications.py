@@ -1,9 +1,14 @@
-"""A dataset that the team's own applications collect: they run, the dataset is brought out, proven and judged."""
+"""Collections by the team's applications: they run, their datasets are brought out, calibrated and judged.
 
+One dataset, or many, which ``{seed}`` and ``{scenario}`` tell what to make different.
+"""
+
+import hashlib
+import json
 import shutil
 import tempfile
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -20,18 +25,21 @@ from calibration.execution.tasks import Task, run_tasks
 from calibration.files import read_bytes, write_atomically
 from calibration.json_file import parse_json
 from calibration.pipeline.collection.applications import MOTION, PLAYER, REPORT, collection_job, dataset_place
-from calibration.pipeline.collection.motion import optional_motion
 from calibration.pipeline.collection.report import report
 from calibration.pipeline.collection.request import ContainerRequest
 from calibration.pipeline.collection.results import CollectionResults
+from calibration.pipeline.collection.worlds import Judged, Worlds
 from calibration.simulation.collection.contact_sheet import write_contact_sheet
 from calibration.simulation.collection.dataset_folder import replacing_dataset
 from calibration.simulation.collection.document import truth_document
 from calibration.simulation.collection.proof import prove
 from calibration.simulation.collection.record import Record, image_cells
-from calibration.simulation.motion.sequence import Motion, motion_document
+from calibration.simulation.motion.generation import named_motion
+from calibration.simulation.motion.sequence import GENERATE, Motion, motion_document
 from calibration.simulation.placement import play
 from calibration.simulation.players import check_motion, player_file
+from calibration.simulation.scenarios.run import finished_result
+from calibration.simulation.scenarios.scenario import ScenarioResult, scenario_id
 from calibration.simulation.system import MOTION_FILE, System, read_system
 from calibration.workflow.text import one_line, shorten
 
@@ -39,6 +47,7 @@ NO_FILE = "missing"
 """The name of an image that there is not."""
 MAX_REPORT = 16 * 1024 * 1024
 """Bytes of our player's report that are read."""
+_HASH_DIGITS = 12
 JOB = "collection"
 """The name of the job of one dataset."""
 
@@ -103,6 +112,20 @@ def read_plan(request: ContainerRequest) -> Plan:
     return Plan(request, system, motion)
 
 
+def optional_motion(request: ContainerRequest, system: System | None) -> Motion | None:
+    """The motion that the team's applications are given; None where they have their own.
+
+    Raises:
+        InputError: it cannot be read or generated.
+    """
+    given = request.motion
+    if given is None and request.system is not None and (request.system / MOTION_FILE).exists():
+        given = str(request.system / MOTION_FILE)
+    if given is not None and given.startswith(GENERATE) and system is None:
+        raise InputError(f"{request.name}: motion: found '{given}', but a motion is only generated for a system")
+    return None if given is None else named_motion(given, system, request.seed)
+
+
 def write_inputs(folder: Path, plan: Plan) -> Path | None:
     """Write what the containers see as `INPUTS` into a new folder; None where there is nothing to see.
 
@@ -139,7 +162,6 @@ def judged(plan: Plan, outcome: JobOutcome, scenario: int, new: Path) -> Collect
 
 
 def _results(plan: Plan, outcome: JobOutcome, scenario: int, new: Path) -> CollectionResults:
-
     request = plan.request
     dataset, records, proof = None, [], None
     failures, error = outcome.reasons, None
@@ -225,7 +247,6 @@ def _records(dataset: Dataset, report: list[dict[str, Any]]) -> list[Record]:
 
 
 def _lost(dataset: Dataset, number: int, answer: str) -> Record:
-
     reason = f"not saved: {shorten(one_line(answer), 200)}" if answer else "not saved"
     nothing = {"data": {name: {"data_file": NO_FILE} for name in dataset.sensors}, "labels": {}}
     return Record(number, (reason,), dict.fromkeys(dataset.sensors, 0), {}, {}, {}, nothing, {}, (), named="")
@@ -275,3 +296,52 @@ def _drawn_labels(dataset: Dataset, index: int) -> dict[str, dict[str, dict[str,
         pattern: {s: {"idxs": entries(pattern, s), "idxs_limit_points": []} for s in dataset.sensors}
         for pattern in dataset.patterns
     }
+
+
+class ApplicationWorlds(Worlds):
+    """The collections of a request."""
+
+    stillness = None
+
+    def __init__(self, request: ContainerRequest, count: int) -> None:
+        """Read the request's files.
+
+        Raises:
+            InputError: one is missing or wrong.
+        """
+        self._plan = read_plan(request)
+        self.system = self._plan.name
+        names = [scenario_id(request.seed, number) for number in range(count)]
+        self.pending = [
+            ScenarioResult(name, _hash(self._plan, self._plan.job(name, number, None)), {})
+            for number, name in enumerate(names)
+        ]
+
+    def write_inputs(self, folder: Path) -> Path | None:
+        """Write the motion and our player."""
+        return write_inputs(folder, self._plan)
+
+    def job(self, number: int, inputs: Path | None) -> Job:
+        """The job of a collection."""
+        return self._plan.job(self.pending[number].id, number, inputs)
+
+    def judge(self, number: int, outcome: JobOutcome, new: Path) -> Judged:
+        """What a collection is worth."""
+        new.mkdir()
+        pending, results = self.pending[number], judged(self._plan, outcome, number, new)
+        if results.failures:
+            return Judged(replace(pending, reasons=results.failures), results.error, complete=results.error is None)
+        return Judged(finished_result(pending, results.records, results.proof))
+
+
+def _hash(plan: Plan, job: Job) -> str:
+    """What tells two collections apart: what runs, and on what."""
+    content = {
+        "containers": [(container.name, container.image, container.command) for container in job.containers],
+        "system": {name: hashlib.sha256(data).hexdigest() for name, data in plan.system.sources.items()}
+        if plan.system
+        else None,
+        "motion": motion_document(plan.motion) if plan.motion else None,
+    }
+    text = json.dumps(content, sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()[:_HASH_DIGITS]

@@ -1,0 +1,275 @@
+"""Collections by our own simulation: one dataset, or many worlds in processes here or in containers.
+
+In a container, ``calibration collect-data-sim`` collects one world; the image has this package. What it says of a world
+is not taken on trust: its dataset is calibrated here again.
+"""
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from calibration import __version__
+from calibration.errors import ExitCode, InputError
+from calibration.execution.job import OUTPUT, Artifact, Container, Job, Mount
+from calibration.execution.job_folder import ARTIFACTS, LOGS
+from calibration.execution.outcome import JobOutcome
+from calibration.execution.tasks import run_tasks
+from calibration.execution.workspace import identity, workspace
+from calibration.files import read_bytes, write_atomically
+from calibration.pipeline.collection.applications import INPUTS
+from calibration.pipeline.collection.report import report
+from calibration.pipeline.collection.request import CollectionRequest, ScenarioRequest, WorldImage
+from calibration.pipeline.collection.results import CollectionResults
+from calibration.pipeline.collection.world_file import FILE, read_world, write_world
+from calibration.pipeline.collection.worlds import Judged, WorldDone, Worlds
+from calibration.records import read, text_of
+from calibration.simulation.collection.capture import Requirements
+from calibration.simulation.collection.collecting import collect, kept, single_threaded_opencv
+from calibration.simulation.collection.contact_sheet import write_contact_sheet
+from calibration.simulation.collection.dataset_folder import replacing_dataset, write_dataset
+from calibration.simulation.collection.proof import prove
+from calibration.simulation.collection.record import Record
+from calibration.simulation.motion.generation import named_motion
+from calibration.simulation.motion.sequence import GENERATE, Motion, motion_document
+from calibration.simulation.placement import Play, play
+from calibration.simulation.scenarios.run import (
+    calibrated_result,
+    finished_result,
+    pending_result,
+    scenario_play,
+    scenario_task,
+)
+from calibration.simulation.scenarios.scenario import ScenarioResult, parse_id
+from calibration.simulation.scenarios.scenario_set import read_scenario_set
+from calibration.simulation.system import MOTION_FILE, System, read_system
+from calibration.workflow.text import one_line, shorten
+
+WORLD = "world"
+"""The name of the container."""
+DATASET = "dataset"
+"""The name of the folder that it leaves."""
+SET_FILE, MOTION_INPUT, SYSTEM_FOLDER = "scenarios.yml", "motion.json", "system"
+"""In `INPUTS`; the system's folder is in the last, by its own name."""
+MAX_INPUT = 64 * 1024**2
+"""Bytes of a scenario set or a motion."""
+_TAIL = 4096
+
+Begin = Callable[[System, Motion], None]
+PoseDone = Callable[[int, int, Record], None]
+"""Called after each pose."""
+
+
+def collect_by_simulation(
+    request: CollectionRequest,
+    output: Path,
+    overwrite: bool = False,
+    jobs: int | None = None,
+    begin: Begin = lambda *_: None,
+    done: PoseDone = lambda *_: None,
+) -> CollectionResults:
+    """Collect a dataset, as `calibration.pipeline.collection.collecting.collect_dataset` does.
+
+    Raises:
+        InputError: an input is wrong, or the folder has a dataset and may not be overwritten.
+        WorldError: a file cannot be written, or a process died; the folder's dataset is as it was.
+    """
+    requirements = requirements_of(request)
+    system = read_system(request.system, request.robot, request.configuration)
+    if request.world is None:
+        played = play(system, required_motion(request, system), request.seed)
+        begin(system, played.motion)
+        return _collected(played, request, requirements, output, overwrite, jobs, done)
+    seed, index = parse_id(request.world.id)
+    worlds = read_scenario_set(request.world.scenario_set, system)
+    motion = None if request.motion is None else required_motion(request, system, seed)
+    world = worlds.scenario(seed, index)
+    result = pending_result(worlds, world, motion)
+    try:
+        played = scenario_play(worlds, world, motion)
+    except InputError as error:
+        write_world(replace(result, reasons=(str(error),)), requirements.stillness, output)
+        raise
+    begin(played.system, played.motion)
+    found = _collected(played, request, requirements, output, overwrite, jobs, done, result.hash)
+    write_world(finished_result(result, found.records, found.proof), requirements.stillness, output)
+    return found
+
+
+def required_motion(request: CollectionRequest, system: System, seed: int | None = None) -> Motion:
+    """The motion that our own simulation plays; one that is generated is of the request's seed unless another is given.
+
+    Raises:
+        InputError: it cannot be read or generated, or there is none.
+    """
+    path = request.system / MOTION_FILE
+    if request.motion is None and not path.exists():
+        raise InputError(f"{path}: does not exist; give a motion: a file or {GENERATE}N")
+    return named_motion(request.motion or str(path), system, request.seed if seed is None else seed)
+
+
+def requirements_of(request: CollectionRequest) -> Requirements:
+    """What each of its collections has to keep to."""
+    return Requirements() if request.stillness is None else Requirements(stillness=request.stillness)
+
+
+def _collected(
+    played: Play,
+    request: CollectionRequest,
+    requirements: Requirements,
+    output: Path,
+    overwrite: bool,
+    jobs: int | None,
+    done: PoseDone,
+    world: str = "",
+) -> CollectionResults:
+    """Collect what a motion shows; ``world`` tells the world from the one that the system's files describe."""
+    depends_on = _identity(played, requirements, world)
+    with workspace(output, depends_on, Record.to_json, Record.from_json) as work:
+        records = collect(played, requirements, work, jobs, done)
+        good = kept(records)
+        with replacing_dataset(output, overwrite) as new:
+            proof = None
+            if good:
+                write_dataset(new, played, good, work.folder)
+                proof = prove(new)
+            results = CollectionResults(
+                system=played.system.name,
+                seed=played.seed,
+                motion=played.motion.source,
+                modalities={name: each.modality for name, each in played.system.configuration.sensors.items()},
+                records=tuple(records),
+                proof=proof,
+                limits=request.checks,
+            )
+            write_contact_sheet(new, played.system, records, work.folder)
+            report(results, new).write(new)
+    return results
+
+
+def _identity(played: Play, requirements: Requirements, world: str) -> str:
+    """What the records of a collection depend on."""
+    versions = f"{__version__} {np.__version__} {cv2.__version__} {played.seed} {requirements} {world}"
+    motion = json.dumps(motion_document(played.motion))
+    return identity(versions.encode(), motion.encode(), *played.system.sources.values())
+
+
+class SimulatedWorlds(Worlds):
+    """The worlds of a scenario set."""
+
+    def __init__(self, collection: CollectionRequest, request: ScenarioRequest) -> None:
+        """Read the request's files, and draw the worlds.
+
+        Raises:
+            InputError: one is missing or wrong, or no draw of a world keeps to the constraints.
+        """
+        if request.scenario_set is None:
+            raise InputError("scenarios and scenario need a scenario-set: a YAML file of what varies between worlds")
+        self.image = request.image
+        self._collection = collection
+        self._requirements = requirements_of(collection)
+        self.stillness = self._requirements.stillness
+        self._system = read_system(collection.system, collection.robot, collection.configuration)
+        self.system = self._system.name
+        self._set_file = request.scenario_set
+        self._set = read_scenario_set(request.scenario_set, self._system)
+        self._motion = None if collection.motion is None else required_motion(collection, self._system)
+        self._scenarios = [self._set.scenario(collection.seed, number) for number in range(request.count)]
+        self.pending = [pending_result(self._set, scenario, self._motion) for scenario in self._scenarios]
+
+    def run(self, output: Path, jobs: int | None, done: WorldDone) -> list[Judged]:
+        """Collect and calibrate all worlds in processes here; what an interrupted run has finished is found again.
+
+        Raises:
+            WorldError: a file cannot be written, or a process died.
+        """
+        with workspace(output, self._identity, text_of, _decoded) as work, single_threaded_opencv():
+            tasks = [scenario_task(self._set, each, self._motion, self._requirements) for each in self._scenarios]
+            found = run_tasks([work.keeping(task) for task in tasks], workers=jobs, find=work.find, done=done)
+        return [Judged(result) for result in found.values()]
+
+    @property
+    def _identity(self) -> str:
+        """What the worlds depend on, beside their numbers."""
+        versions = f"{__version__} {np.__version__} {cv2.__version__} {self._requirements}"
+        motion = json.dumps(motion_document(self._motion)) if self._motion else ""
+        content = read_bytes(self._set_file, MAX_INPUT, "a scenario set")
+        return identity(versions.encode(), motion.encode(), content, *self._system.sources.values())
+
+    def write_inputs(self, folder: Path) -> Path:
+        """Write the system, the set and the motion."""
+        for name, content in self._system.sources.items():
+            write_atomically(folder / SYSTEM_FOLDER / self.system / name, content)
+        write_atomically(folder / SET_FILE, read_bytes(self._set_file, MAX_INPUT, "a scenario set"))
+        if (motion := self._motion_file) is not None:
+            write_atomically(folder / MOTION_INPUT, read_bytes(motion, MAX_INPUT, "a motion sequence"))
+        return folder
+
+    @property
+    def _motion_file(self) -> Path | None:
+        motion = self._collection.motion
+        return None if motion is None or motion.startswith(GENERATE) else Path(motion)
+
+    def job(self, number: int, inputs: Path | None) -> Job:
+        """The job of a world."""
+        of, image, name = self._collection, self.image or WorldImage(""), self.pending[number].id
+        options = {
+            "--system": f"{INPUTS}/{SYSTEM_FOLDER}/{self.system}",
+            "--scenario-set": f"{INPUTS}/{SET_FILE}",
+            "--scenario": name,
+            "--output": f"{OUTPUT}/{DATASET}",
+            "--jobs": "1",  # the worlds are the parallel ones
+        }
+        if of.motion is not None:
+            options["--motion"] = of.motion if self._motion_file is None else f"{INPUTS}/{MOTION_INPUT}"
+        if of.stillness is not None:
+            options["--stillness-mm"] = repr(1000 * of.stillness)
+        container = Container(
+            name=WORLD,
+            image=image.image,
+            command=("calibration", "collect-data-sim", *(word for option in options.items() for word in option)),
+            mounts=() if inputs is None else (Mount(inputs.resolve(), INPUTS),),
+            success=(ExitCode.PASS, ExitCode.FAIL, ExitCode.BAD_INPUT),  # what these mean is in the file of the world
+            artifacts=(Artifact(f"{OUTPUT}/{DATASET}", required=False),),
+        )
+        return Job(name, (container,), seconds=image.seconds)
+
+    def judge(self, number: int, outcome: JobOutcome, new: Path) -> Judged:
+        """What a world's job is worth: its dataset is moved to ``new``, and calibrated."""
+        known = self.pending[number]
+        if outcome.exit_code != ExitCode.PASS:
+            error = None if outcome.exit_code == ExitCode.FAIL else outcome.exit_code
+            return Judged(replace(known, reasons=outcome.reasons), error, complete=False)
+        brought = outcome.folder / ARTIFACTS / DATASET
+        try:
+            if not (brought / FILE).exists():
+                raise InputError(f"the image left no {FILE} (it needs calibration-ci){_last_line(outcome)}")
+            said = read_world(brought, known, self.stillness)
+        except InputError as error:
+            return Judged(replace(known, reasons=(str(error),)), complete=False)
+        brought.rename(new)
+        result = replace(
+            known, poses=said.poses, lost=said.lost, detection=said.detection, corner_rms_px=said.corner_rms_px
+        )
+        if said.kept > 0:
+            return Judged(calibrated_result(result, prove(new)))
+        return Judged(replace(result, reasons=said.reasons or ("no pose gave a collection",)))
+
+
+def _decoded(text: bytes) -> ScenarioResult:
+    return read(ScenarioResult, json.loads(text), "a finished world")
+
+
+def _last_line(outcome: JobOutcome) -> str:
+    """What the container said last, for a message; nothing where it said nothing."""
+    try:
+        with (outcome.folder / LOGS / f"{WORLD}.log").open("rb") as log:
+            log.seek(max(0, log.seek(0, 2) - _TAIL))
+            lines = log.read(_TAIL).decode("utf-8", "replace").splitlines()
+    except OSError:
+        return ""
+    last = next((line for line in reversed(lines) if line.strip()), "")
+    return f": {shorten(one_line(last), 300)}" if last else ""
