@@ -8,8 +8,8 @@ import click
 
 from calibration.commands.parameters import path
 from calibration.errors import ExitCode
+from calibration.execution.backends import AWS_BATCH, read_sections
 from calibration.execution.batch.policy import HOLDERS, policy, trust
-from calibration.execution.batch.settings import read_section
 
 _HOLDERS = ("caller", "job", "execution", "trust")
 
@@ -29,7 +29,7 @@ def command(config: Path, holder: str) -> ExitCode:
 
     Nothing is asked of AWS, and nothing changed there.
     """
-    settings = read_section(config)
+    settings = read_sections(AWS_BATCH, config).of(AWS_BATCH)
     found = {each: policy(each, settings) for each in HOLDERS} | {"trust": trust()}
     sys.stdout.write(json.dumps(found[holder], indent=2) + "\n")
     return ExitCode.PASS

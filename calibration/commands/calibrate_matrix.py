@@ -136,7 +136,7 @@ def place_of(settings: Settings, configuration: Configuration, matrix: Matrix, r
         settings.run,
         settings.resume,
         runner,
-        configuration.batch,
+        configuration.sections,
     )
 
 

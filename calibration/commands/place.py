@@ -1,10 +1,9 @@
 """Where a command runs its containers, by its options ``backend``, ``aws-batch``, ``run`` and ``resume``."""
 
 from pathlib import Path
-from typing import Any
 
 from calibration.errors import InputError
-from calibration.execution.backends import KINDS, Place, read_settings
+from calibration.execution.backends import KINDS, Place, Sections, read_sections
 from calibration.execution.docker.labels import new_run
 from calibration.files import read_bytes, write_atomically
 from calibration.workflow import Runner
@@ -23,7 +22,7 @@ def place(
     run: str | None,
     resume: bool,
     runner: Runner,
-    settings: Any = None,
+    sections: Sections | None = None,
 ) -> Place:
     """Say where containers run.
 
@@ -34,21 +33,19 @@ def place(
         run: the name of the run.
         resume: whether an earlier run is resumed.
         runner: where the name of the run is told.
-        settings: of the section, where it has been read already; a file that is given goes first.
+        sections: of the configuration, where it has been read already; a file that is given goes first.
 
     Raises:
         InputError: the section is missing or wrong, or nothing says which run is to be resumed.
         WorldError: the name of the run cannot be kept.
     """
-    if not KINDS[backend].section:
-        return Place(backend, None, run)
-    if file is not None or settings is None:
-        settings = read_settings(backend, file or DEFAULT_FILE)
+    if not KINDS[backend].settings:
+        return Place(backend, run=run)
+    if file is not None or sections is None or sections.of(backend) is None:
+        sections = read_sections(backend, file or DEFAULT_FILE)
     name = name_of_run(output, run, resume)
-    runner.log(
-        f"run {name} on AWS Batch, queue {settings.queue}; with --run {name} --resume only what is missing is run"
-    )
-    return Place(backend, settings, name, resume)
+    runner.log(f"run {name} on {sections.of(backend).where}; with --run {name} --resume only what is missing is run")
+    return Place(backend, sections, name, resume)
 
 
 def name_of_run(output: Path, given: str | None, resume: bool) -> str:

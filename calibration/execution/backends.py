@@ -1,20 +1,61 @@
-"""Backends: what runs work, and how one is chosen by its name."""
+"""Backends: what runs work, how one is chosen by its name, and all that the rest of the package knows of it.
+
+A backend for jobs is an entry of `KINDS`: what makes it, its section of calibration.yml, and what removes what killed
+runs have left there.
+"""
 
 from collections.abc import Generator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
+from dataclasses import field as dataclass_field
 from importlib import import_module
 from pathlib import Path
-from typing import Any, Protocol, TypeVar
+from typing import Any, Literal, Protocol, TypeVar
 
 from calibration.errors import InputError
+from calibration.execution.batch.settings import BatchSettings
+from calibration.execution.docker.labels import Owner
 from calibration.execution.job import Job
 from calibration.execution.outcome import JobOutcome
+from calibration.records import field, flat_fields, read, record
+from calibration.variables import with_variables
 from calibration.workflow.streams import LogDisplay
 from calibration.workflow.text import did_you_mean
+from calibration.yaml_file import read_yaml
 
 Work = TypeVar("Work", contravariant=True)
 Outcome = TypeVar("Outcome", covariant=True)
+
+
+class Leftover(Protocol):
+    """Something that a run has started and not removed."""
+
+    @property
+    def owner(self) -> Owner | None:
+        """The process that started it; None where nothing says which."""
+
+    @property
+    def row(self) -> tuple[str, ...]:
+        """What a table says of it."""
+
+
+Left = TypeVar("Left", bound=Leftover)
+
+
+class Leftovers(AbstractContextManager[Any], Protocol[Left]):
+    """Finds and removes what runs have left in a backend."""
+
+    header: tuple[str, ...]
+    """Of the rows."""
+
+    def find(self, run: str | None) -> Sequence[Left]:
+        """What a run, or every run, has left, in the order in which it can be removed."""
+
+    def remove(self, chosen: Sequence[Left]) -> None:
+        """Remove it; what is gone already is no error."""
+
+    def told(self, chosen: Sequence[Left], dry_run: bool) -> str:
+        """What has been removed, or would be, in one line."""
 
 
 class Backend(Protocol[Work, Outcome]):
@@ -47,10 +88,10 @@ class BackendKind:
 
     target: str
     """``module:callable``, which makes the backend, a context manager, of a `Place`."""
-    section: str = ""
-    """The key of calibration.yml with the backend's settings; empty where it needs none."""
-    settings: str = ""
-    """``module:callable``, which reads the settings from a file that has the section."""
+    leftovers: str
+    """``module:callable``, which makes its `Leftovers`."""
+    settings: Any = None
+    """The record of its section of calibration.yml, which is called as the backend; None where it needs none."""
     resumes: bool = False
     """Whether what a run leaves there outlives the command: a run of the same name takes it and runs the rest."""
 
@@ -59,17 +100,32 @@ EMBEDDED = "embedded"
 """Functions of ours, in processes of this machine."""
 DOCKER, AWS_BATCH = "docker", "aws-batch"
 KINDS: Mapping[str, BackendKind] = {
-    DOCKER: BackendKind("calibration.execution.docker.backend:open_docker"),
+    DOCKER: BackendKind(
+        "calibration.execution.docker.backend:open_docker", "calibration.execution.docker.leftovers:EngineLeftovers"
+    ),
     AWS_BATCH: BackendKind(
         "calibration.execution.batch.backend:open_batch",
-        section="aws-batch",
-        settings="calibration.execution.batch.settings:read_section",
+        "calibration.execution.batch.leftovers:open_leftovers",
+        settings=BatchSettings,
         resumes=True,
     ),
 }
 """The backends for jobs of containers, by their names; one more is registered here."""
 CONTAINERS = tuple(KINDS)
 BACKENDS = (EMBEDDED, *CONTAINERS)
+ContainerBackend = Literal["docker", "aws-batch"]
+BackendName = Literal["embedded", "docker", "aws-batch"]
+
+
+@record
+class Sections:
+    """Settings of backends, each in the section of calibration.yml that is called as the backend."""
+
+    aws_batch: BatchSettings | None = field("Where in AWS containers run that are to run there.", default=None)
+
+    def of(self, backend: str) -> Any:
+        """Settings of a backend; None where the file has no section of it."""
+        return getattr(self, backend.replace("-", "_"), None)
 
 
 def check_backend(name: str, known: tuple[str, ...] = BACKENDS) -> None:
@@ -89,14 +145,19 @@ class Place:
 
     backend: str = DOCKER
     """One of `KINDS`."""
-    settings: Any = None
-    """What the backend's section of calibration.yml says."""
+    sections: Sections = dataclass_field(default_factory=Sections)
+    """Of calibration.yml, with that of the backend."""
     run: str | None = None
     """The name of the run; a new one unless given."""
     resume: bool = False
     """Whether results of an earlier run of this name are taken, and only what is missing is run."""
     show: LogDisplay | None = None
     """Where the logs of the containers are shown."""
+
+    @property
+    def settings(self) -> Any:
+        """Settings of the backend; None where there are none."""
+        return self.sections.of(self.backend)
 
     def open(self) -> AbstractContextManager[JobBackend]:
         """Make the backend, which is looked for when it is entered.
@@ -105,23 +166,28 @@ class Place:
             InputError: its section is missing, or the name of the run is wrong.
         """
         kind = KINDS[self.backend]
-        if kind.section and self.settings is None:
+        if kind.settings and self.settings is None:
             raise InputError(
-                f"backend: found {self.backend}, but nothing says where: expected a section {kind.section} in "
+                f"backend: found {self.backend}, but nothing says where: expected a section {self.backend} in "
                 "calibration.yml, or a file with one"
             )
         backend: AbstractContextManager[JobBackend] = imported(kind.target)(self)
         return backend
 
 
-def read_settings(backend: str, path: Path) -> object:
-    """Read the settings of a backend that has a section of its own.
+def read_sections(backend: str, path: Path) -> Sections:
+    """Read the section of a backend from a file; ``${NAME}`` in it is replaced by the environment variable.
 
     Raises:
         InputError: the file or the section is missing, or it is wrong; names file and key.
     """
-    settings: object = imported(KINDS[backend].settings)(path)
-    return settings
+    kind = KINDS[backend].settings
+    document = read_yaml(path, f"a file with a section {backend}")
+    if not isinstance(document, dict) or backend not in document:
+        required = ", ".join(key for key, each in flat_fields(kind).items() if each.required)
+        raise InputError(f"{path}: missing {backend}: {required}")
+    where = f"{path}: {backend}"
+    return Sections(**{backend.replace("-", "_"): read(kind, with_variables(document[backend], where), where)})
 
 
 def imported(target: str) -> Any:

@@ -3,11 +3,13 @@
 A job says nothing of where it runs: a backend does that.
 """
 
+import os
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
+from calibration.errors import InputError
 from calibration.execution.placeholders import split_command
 from calibration.execution.sizes import Bytes, Seconds
 from calibration.records import (
@@ -202,3 +204,24 @@ class Job:
     own_network: bool = False
     """A private network of its own also for a container that is all that there is in a run: for software that
     finds its peers by multicast, as ROS 2 does."""
+
+
+def with_secrets(container: Container, where: str, environment: Mapping[str, str] | None = None) -> Container:
+    """The container with the values of its ``secrets`` among its variables.
+
+    Args:
+        container: as it was read.
+        where: what messages begin with.
+        environment: where the values are taken from; this process's own unless given.
+
+    Raises:
+        InputError: a secret is not set, or is a variable with another value too.
+    """
+    environment = os.environ if environment is None else environment
+    for name in sorted(container.secrets):
+        if not environment.get(name):
+            raise InputError(f"{where}.secrets: the environment variable {name} is not set")
+        if name in container.environment:
+            raise InputError(f"{where}: {name} stands in environment and in secrets: its value belongs in neither file")
+    secrets = {name: environment[name] for name in container.secrets}
+    return replace(container, environment={**container.environment, **secrets})

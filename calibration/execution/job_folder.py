@@ -1,13 +1,24 @@
-"""The folder of a job: what every backend leaves in it."""
+"""The folder of a job: what every backend leaves in it.
 
+``artifacts/``, ``logs/``, and ``manifest.json``, which says what came of the job: ``schema`` (1), ``job``, ``run``,
+``verdict`` (pass or fail), ``exit_code`` (1, 2 or 3 for a fail), ``reasons`` (a line each), ``seconds``;
+``containers``: ``name``, ``image`` (its id), ``end`` (a value of :class:`calibration.execution.outcome.End`),
+``exit_code``, ``signal``, ``seconds``, ``log`` (relative to the manifest); ``artifacts``: ``path`` (relative to
+``artifacts/``), ``container``, ``size`` (bytes), ``sha256``; ``left_out``: links among the artifacts. Nothing of a
+container's environment is in it.
+"""
+
+import json
 import shutil
 from pathlib import Path
 
 from calibration.errors import WorldError
-from calibration.execution.manifest import FILE_NAME
+from calibration.execution.outcome import JobOutcome
+from calibration.files import write_atomically
 
 ARTIFACTS, LOGS = "artifacts", "logs"
 """Folders in a job's folder."""
+FILE_NAME = "manifest.json"
 
 
 def make_job_folder(folder: Path) -> None:
@@ -26,3 +37,38 @@ def make_job_folder(folder: Path) -> None:
         (folder / LOGS).mkdir(parents=True)
     except OSError as error:
         raise WorldError(f"{folder}: cannot be written: {error.strerror or error}") from error
+
+
+def write_manifest(outcome: JobOutcome, run: str) -> None:
+    """Write the manifest of a job into its folder.
+
+    Raises:
+        WorldError: it cannot be written.
+    """
+    document = {
+        "schema": 1,
+        "job": outcome.job,
+        "run": run,
+        "verdict": outcome.verdict,
+        "exit_code": int(outcome.exit_code),
+        "reasons": outcome.reasons,
+        "seconds": round(outcome.seconds, 3),
+        "containers": [
+            {
+                "name": container.name,
+                "image": container.image,
+                "end": container.end.value,
+                "exit_code": container.exit_code,
+                "signal": container.signal,
+                "seconds": round(container.seconds, 3),
+                "log": None if container.log is None else container.log.relative_to(outcome.folder).as_posix(),
+            }
+            for container in outcome.containers
+        ],
+        "artifacts": [
+            {"path": file.path, "container": file.container, "size": file.size, "sha256": file.sha256}
+            for file in outcome.artifacts
+        ],
+        "left_out": outcome.left_out,
+    }
+    write_atomically(outcome.folder / FILE_NAME, json.dumps(document, indent=1, allow_nan=False) + "\n")

@@ -3,13 +3,12 @@
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 from calibration.errors import InputError
 from calibration.estimation.options import Options
-from calibration.execution.backends import AWS_BATCH, CONTAINERS
+from calibration.execution.backends import CONTAINERS, KINDS, BackendName, ContainerBackend, Sections
 from calibration.execution.backends import Place as Backend
-from calibration.execution.batch.settings import BatchSettings
 from calibration.image.specification import ImageDocument, ImageSpecification, parse_image_specification
 from calibration.pipeline.collection.applications import Applications, checked_applications
 from calibration.pipeline.collection.request import CollectionChecks, CollectionRequest, ContainerRequest
@@ -33,8 +32,6 @@ from calibration.workflow.text import did_you_mean
 from calibration.yaml_file import read_yaml
 
 DEFAULT_FILE = Path("calibration.yml")
-ContainersRunIn = Literal["docker", "aws-batch"]
-RunsIn = Literal["embedded", "docker", "aws-batch"]
 _NAME = matching("[A-Za-z0-9][A-Za-z0-9_.-]{0,63}", "letters, digits and _ . -, at most 64 of them")
 _OF_CONTAINERS = ("player", "ros", "network", "timeout", "dataset", "image", "truth")
 
@@ -74,7 +71,7 @@ class Simulation:
         "the system's.",
         default=None,
     )
-    backend: RunsIn | None = field(
+    backend: BackendName | None = field(
         "embedded: our own simulation. docker, aws-batch: where the containers run; by default where the others do.",
         default=None,
     )
@@ -90,14 +87,14 @@ class Simulation:
         default_factory=CollectionLimits,
     )
 
-    def checked(self, backend: ContainersRunIn, place: Place) -> "Simulation":
+    def checked(self, backend: ContainerBackend, place: Place) -> "Simulation":
         """The simulation as it runs; one of containers on a backend unless it names its own.
 
         Raises:
             InputError: the containers make no sense, or there are none for the backend; names the key.
         """
         contained = bool(self.applications.containers)
-        found: RunsIn = self.backend or (backend if contained else "embedded")
+        found: BackendName = self.backend or (backend if contained else "embedded")
         if (found in CONTAINERS) != contained:
             raise place.below("backend").fault(
                 f"found {found}; containers run with {' or '.join(CONTAINERS)}, and these need containers"
@@ -136,14 +133,12 @@ class Configuration:
     options: Options = field(flat=True, default_factory=Options)
     """Of every system that does not say otherwise; the systems have them too."""
     limits: Limits | None = field("For every system that has none of its own.", default=None)
-    backend: ContainersRunIn = field(
+    backend: ContainerBackend = field(
         "Where containers run: docker, this machine's engine; or aws-batch, the queue that the section of this name "
         "describes.",
         default="docker",
     )
-    batch: BatchSettings | None = field(
-        "Where in AWS containers run that are to run there.", default=None, key="aws-batch"
-    )
+    sections: Sections = field(flat=True, default_factory=Sections)
     systems: Annotated[tuple[System, ...], ByName(_NAME)] = field("The robots to calibrate, by name.", default=())
     simulations: Annotated[tuple[Simulation, ...], ByName(_NAME)] = field(
         "Datasets to collect in simulation and to calibrate, by name.", default=(), key="simulation"
@@ -152,7 +147,7 @@ class Configuration:
     @property
     def place(self) -> Backend:
         """Where the team's software runs."""
-        return Backend(self.backend, self.batch)
+        return Backend(self.backend, self.sections)
 
     def only(self, names: tuple[str, ...]) -> tuple[System, ...]:
         """The systems of these names, or all where there are none.
@@ -206,10 +201,11 @@ def _check_references(configuration: Configuration, path: Path) -> None:
     Raises:
         InputError: naming it.
     """
-    if configuration.batch is None:
-        wanting = [f"simulation.{each.name}.backend" for each in configuration.simulations if each.backend == AWS_BATCH]
-        for key in ["backend"] if configuration.backend == AWS_BATCH else wanting:
-            raise InputError(f"{path}: {key}: found {AWS_BATCH}, but there is no section aws-batch")
+    wanted: dict[str, str] = {"backend": configuration.backend}
+    wanted |= {f"simulation.{each.name}.backend": each.backend or "" for each in configuration.simulations}
+    for key, backend in wanted.items():
+        if backend in KINDS and KINDS[backend].settings and configuration.sections.of(backend) is None:
+            raise InputError(f"{path}: {key}: found {backend}, but there is no section {backend}")
     collected = {simulation.name for simulation in configuration.simulations}
     for system in configuration.systems:
         where = f"{path}: systems.{system.name}"

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from calibration.errors import InputError
-from calibration.execution.batch.settings import BatchSettings, TagKey, TagValue
+from calibration.execution.backends import AWS_BATCH, KINDS
 from calibration.records import Place, flat_fields, read_as
 from calibration.rigel.fields import Fields
 from calibration.rigel.notes import Notes
@@ -133,7 +133,7 @@ def _tags(fields: Fields, section: dict[str, Any], notes: Notes) -> None:
     where = fields.at("tags")
     for key, value in fields.mapping("tags").items():
         texts = plain(key, notes, where), plain(str(value), notes, where)
-        if len(tags) == _MOST_TAGS or not (_is(TagKey, texts[0]) and _is(TagValue, texts[1])):
+        if len(tags) == _MOST_TAGS or not _is("tags", dict([texts])):
             notes.lost(f"{where}.{key}", f"at most {_MOST_TAGS} tags of letters, digits and _ . : / = + - @ are taken")
         else:
             tags[texts[0]] = texts[1]
@@ -154,14 +154,12 @@ def _policy(policy: Fields, section: dict[str, Any], notes: Notes) -> None:
 
 def _fits(key: str, value: str) -> bool:
     """Whether a key may have a value; one that is read from the environment is seen then."""
-    if "${" in value:
-        return True
-    return _is(flat_fields(BatchSettings)[key].type, value)
+    return "${" in value or _is(key, value)
 
 
-def _is(kind: Any, value: str) -> bool:
+def _is(key: str, value: object) -> bool:
     try:
-        read_as(kind, value, Place(""))
+        read_as(flat_fields(KINDS[AWS_BATCH].settings)[key].type, value, Place(""))
     except InputError:
         return False
     return True

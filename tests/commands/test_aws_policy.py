@@ -6,7 +6,8 @@ import pytest
 from calibration.__main__ import _execute
 from calibration.commands.aws_policy import command
 from calibration.execution.batch.policy import policy, trust
-from calibration.execution.batch.settings import settings_from
+from calibration.execution.batch.settings import BatchSettings
+from calibration.records import read
 from tests.execution.batch.test_settings import NEEDED
 
 
@@ -22,7 +23,7 @@ def config(tmp_path: Path) -> Path:
 
 
 def test_the_policies(config: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    settings = settings_from(NEEDED, "x")
+    settings = read(BatchSettings, NEEDED, "x")
     for holder, expected in [
         ([], policy("caller", settings)),
         (["--for", "caller"], policy("caller", settings)),

@@ -131,7 +131,7 @@ def test_red_is_red(small: Path, motion: Path, tmp_path: Path, capsys: pytest.Ca
         ),
         (
             (*WORLDS, "--backend", "aws-batch", "--image", "i", "--aws-batch", "datasets/scenarios.yml"),
-            "datasets/scenarios.yml: missing aws-batch: region, queue, bucket, tools-image and job-role",
+            "datasets/scenarios.yml: missing aws-batch: region, queue, bucket, tools-image, job-role",
         ),
         ((*WORLDS, "--minimum-coverage", "0.5"), "minimum-coverage: judges one dataset"),
         (

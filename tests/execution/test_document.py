@@ -8,8 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from calibration.errors import InputError
-from calibration.execution.document import with_secrets
-from calibration.execution.job import Artifact, Container, Limits, Mount, Readiness, Relaxations
+from calibration.execution.job import Artifact, Container, Limits, Mount, Readiness, Relaxations, with_secrets
 from calibration.records import flat_fields, read, schema_of
 
 FOLDER = Path("/team")

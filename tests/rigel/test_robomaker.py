@@ -10,11 +10,12 @@ import yaml
 from calibration.errors import InputError
 from calibration.execution.batch.checks import check_for_batch
 from calibration.execution.batch.definition import job_definition, shape_of
-from calibration.execution.batch.settings import BatchSettings, settings_from
+from calibration.execution.batch.settings import BatchSettings
 from calibration.execution.job_check import check_jobs
 from calibration.pipeline.collection.applications import collection_job
 from calibration.pipeline.collection.request import ContainerRequest
 from calibration.pipeline.configuration import read_configuration
+from calibration.records import read
 from calibration.rigel.conversion import Conversion, convert
 from calibration.rigel.document import read_rigelfile
 from calibration.rigel.robomaker import region_of
@@ -145,7 +146,7 @@ def test_the_section_of_aws_batch(of_rigel: Callable[[str], Conversion], fields:
     assert section.items() <= found.items()
     assert set(found) - set(section) <= {"region", "queue", "bucket", "tools-image", "job-role", "execution-role"}
     if "${" not in str(found):
-        assert isinstance(settings_from(found, "converted"), BatchSettings)
+        assert isinstance(read(BatchSettings, found, "converted"), BatchSettings)
 
 
 @pytest.mark.parametrize(
@@ -237,7 +238,7 @@ def test_two_jobs_have_one_section(converted: Converted) -> None:
     assert conversion.batch["bucket"] == "one"
     assert conversion.batch["job-role"] == ROLE
     assert "public-ip" not in conversion.batch  # there is none on EC2
-    assert isinstance(settings_from(conversion.batch, "converted"), BatchSettings)
+    assert isinstance(read(BatchSettings, conversion.batch, "converted"), BatchSettings)
     said = [note.text for note in conversion.notes if note.where == "jobs.b.with"]
     assert "there is one section aws-batch, and its bucket is one, not two" in said
     assert any("job-role is" in text for text in said)
@@ -347,7 +348,7 @@ def test_tags_and_output(of_aws: Callable[..., Conversion]) -> None:
     assert conversion.batch["tags"]["k3"] == "3"
     assert (conversion.batch["bucket"], conversion.batch["prefix"]) == ("lab", "a")
     assert {"tags.k9", "tags.ci.calibration.run", "tags.aws:a", "outputLocation.x"} <= noted(conversion).keys()
-    assert isinstance(settings_from(conversion.batch, "converted"), BatchSettings)
+    assert isinstance(read(BatchSettings, conversion.batch, "converted"), BatchSettings)
 
 
 @pytest.mark.parametrize(
@@ -432,8 +433,11 @@ def test_what_is_left_to_do_makes_a_job_that_aws_batch_takes(
     configuration = read_configuration(tmp_path / "calibration.yml")
     [simulation] = configuration.simulations
     assert isinstance(simulation.request, ContainerRequest)
-    assert configuration.batch is not None
+    assert configuration.sections.aws_batch is not None
     job = collection_job(simulation.request.applications.with_image("a"), "collection", "s", 1)
     check_jobs([job])
-    check_for_batch([job], configuration.batch)
-    assert job_definition(shape_of(job, configuration.batch), configuration.batch)["type"] == "container"
+    check_for_batch([job], configuration.sections.aws_batch)
+    assert (
+        job_definition(shape_of(job, configuration.sections.aws_batch), configuration.sections.aws_batch)["type"]
+        == "container"
+    )

@@ -17,9 +17,8 @@ from calibration.execution.batch.store import Store
 from calibration.execution.batch.wire import FILES_FOLDER, OUTCOME_FILE, PREPARE, WATCH, Location
 from calibration.execution.bringing_out import complete_or_not_at_all
 from calibration.execution.job import Container, Job
-from calibration.execution.job_folder import ARTIFACTS, LOGS, make_job_folder
+from calibration.execution.job_folder import ARTIFACTS, LOGS, make_job_folder, write_manifest
 from calibration.execution.judging import failure_of, how_it_ended
-from calibration.execution.manifest import write_manifest
 from calibration.execution.outcome import BroughtOut, ContainerOutcome, End, JobOutcome
 from calibration.files import write_atomically
 from calibration.workflow.masks import redact

@@ -1,17 +1,11 @@
 """Where in AWS jobs run: the section ``aws-batch`` of calibration.yml, or of a file that has nothing else."""
 
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Annotated, Literal
 
-from calibration.errors import InputError
 from calibration.execution.sizes import Bytes, Seconds
-from calibration.records import Misfit, above, at_least, between, field, length, matching, needs, read, record
-from calibration.variables import with_variables
-from calibration.yaml_file import read_yaml
+from calibration.records import Misfit, above, at_least, between, field, length, matching, needs, record
 
-SECTION = "aws-batch"
-"""The key of calibration.yml."""
 Platform = Literal["fargate", "ec2"]
 """fargate: each task has a network and a machine of its own. ec2: instances of the compute environment, for GPUs,
 privileges and shared memory; tasks share the instance's network, so their ports may clash."""
@@ -141,6 +135,11 @@ class BatchSettings:
     )
     prices: Prices | None = field("What an hour costs in your region, for the estimate.", default=None)
 
+    @property
+    def where(self) -> str:
+        """Where runs go, for people."""
+        return f"AWS Batch, queue {self.queue}"
+
     def __post_init__(self) -> None:
         """Refuse values that are right alone and wrong together."""
         fargate = self.platform == "fargate"
@@ -167,29 +166,3 @@ class BatchFile:
     """Where in AWS jobs run; the section aws-batch in a file of its own, or in calibration.yml."""
 
     aws_batch: BatchSettings = field()
-
-
-def settings_from(entry: object, where: str) -> BatchSettings:
-    """Read the section ``aws-batch``.
-
-    Args:
-        entry: the section, its variables filled in.
-        where: what messages begin with: the file and the key.
-
-    Raises:
-        InputError: a key is unknown or missing, a value wrong, or two do not go together.
-    """
-    return read(BatchSettings, entry, where)
-
-
-def read_section(path: Path) -> BatchSettings:
-    """Read where in AWS jobs run; ``${NAME}`` in it is replaced by the environment variable.
-
-    Raises:
-        InputError: the file or the section is missing, or it is wrong; names file and key.
-    """
-    document = read_yaml(path, f"a file with a section {SECTION}")
-    if not isinstance(document, dict) or SECTION not in document:
-        raise InputError(f"{path}: missing {SECTION}: region, queue, bucket, tools-image and job-role")
-    where = f"{path}: {SECTION}"
-    return settings_from(with_variables(document[SECTION], where), where)

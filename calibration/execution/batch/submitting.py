@@ -101,6 +101,11 @@ class CloudLeftover:
     owner: Owner | None
     """None where the tags do not say."""
 
+    @property
+    def row(self) -> tuple[str, ...]:
+        """What a table says of it."""
+        return (self.id, self.name, self.run, str(self.jobs), self.status)
+
 
 def find_in_queue(aws: Aws, queue: str, run: str | None = None) -> list[CloudLeftover]:
     """Find what a run, or every run, has in a queue and has not ended.

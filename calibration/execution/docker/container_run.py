@@ -1,20 +1,21 @@
 """One container of a job on the engine, from its creation to its removal."""
 
+import struct
 import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
 from queue import SimpleQueue
 from typing import Any
 
 import docker.errors
+import requests
 from docker import APIClient, DockerClient
 from requests import Response
 
 from calibration.docker.engine import Engine, engine_errors, lost
 from calibration.errors import CalibrationError
 from calibration.execution.docker.labels import new_run
-from calibration.execution.docker.output import attach, pieces
 from calibration.execution.docker.readiness import Probe
 from calibration.execution.job import Container
 from calibration.execution.judging import how_it_ended
@@ -25,6 +26,8 @@ from calibration.execution.supervision import Supervised
 GRACE = 5
 """Seconds between the polite and the impolite request to end."""
 _TRIES = 5
+_HEADER = struct.Struct(">BxxxL")
+"""Of a piece of output: the stream, and how many bytes follow."""
 _SETTLING = 0.25
 """Seconds; the engine may hear that memory ran out after it has heard of the end."""
 
@@ -164,3 +167,29 @@ class ContainerRun(Supervised):
                 self._output.feed(chunk)
             except CalibrationError as error:
                 self._problem = error
+
+
+def attach(api: APIClient, container: str) -> Response:
+    """Begin to listen to a container: from now on nothing is missed. Whoever asks closes it.
+
+    The SDK reads it from the bare socket, which it then leaves open; this is the same call as plain HTTP.
+
+    Raises:
+        docker.errors.APIError: the engine refuses.
+    """
+    url = f"{api.base_url}/v{api.api_version}/containers/{container}/attach"
+    asked = {"stream": 1, "stdout": 1, "stderr": 1}
+    response = api.post(url, params=asked, stream=True, timeout=(api.timeout, None))  # silence may last
+    try:
+        response.raise_for_status()
+    except requests.HTTPError as error:
+        response.close()
+        docker.errors.create_api_error_from_http_exception(error)
+    return response
+
+
+def pieces(response: Response) -> Iterator[bytes]:
+    """What comes, stdout and stderr in the order of arrival, until the container has ended."""
+    while len(header := response.raw.read(_HEADER.size)) == _HEADER.size:
+        _, size = _HEADER.unpack(header)
+        yield response.raw.read(size)

@@ -4,7 +4,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, Self
 
-from calibration.docker.engine import engine_errors, engine_message
+from calibration.docker.engine import connect, engine_errors, engine_message
 from calibration.errors import WorldError
 from calibration.execution.docker.labels import CONTAINER, JOB, RUN, Owner
 
@@ -28,6 +28,11 @@ class Leftover:
     state: str
     owner: Owner | None
     """None where the labels do not say."""
+
+    @property
+    def row(self) -> tuple[str, ...]:
+        """What a table says of it."""
+        return (self.kind, self.name, self.run, self.job, self.state)
 
     @classmethod
     def of(cls, kind: Kind, identifier: str) -> Self:
@@ -107,3 +112,36 @@ def _leftover(kind: Kind, identifier: str, name: str, record: Any) -> Leftover:
         state=record.get("State", "") if kind == "container" else "",
         owner=Owner.from_labels(labels),
     )
+
+
+class EngineLeftovers:
+    """What runs have left on the Docker Engine of this machine."""
+
+    header = ("what", "name", "run", "job", "state")
+
+    def __enter__(self) -> Self:
+        """Find the engine.
+
+        Raises:
+            WorldError: there is none.
+        """
+        self._client = connect()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Leave it."""
+        self._client.close()
+
+    def find(self, run: str | None) -> list[Leftover]:
+        """Find what a run, or every run, has left."""
+        return find_leftovers(self._client.api, run)
+
+    def remove(self, chosen: Sequence[Leftover]) -> None:
+        """Remove it, running containers too."""
+        remove(self._client.api, chosen)
+
+    def told(self, chosen: Sequence[Leftover], dry_run: bool) -> str:
+        """How much of each kind was removed, or would be."""
+        kinds = [leftover.kind for leftover in chosen]
+        counts = [f"{kinds.count(kind)} {kind}{'s' * (kinds.count(kind) != 1)}" for kind in dict.fromkeys(kinds)]
+        return f"{', '.join(counts) or 'nothing'} {'would be removed' if dry_run else 'removed'}"

@@ -11,7 +11,7 @@ import time
 
 from docker import APIClient
 
-from calibration.execution.docker.archive import exists
+from calibration.execution.docker.copying import exists
 from calibration.execution.job import Readiness
 from calibration.execution.judging import unmet
 

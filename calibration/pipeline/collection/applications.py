@@ -13,8 +13,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from calibration.errors import InputError
-from calibration.execution.document import with_secrets
-from calibration.execution.job import NETWORK_HELP, OUTPUT, Artifact, Container, Job, Mount, Network
+from calibration.execution.job import NETWORK_HELP, OUTPUT, Artifact, Container, Job, Mount, Network, with_secrets
 from calibration.execution.job_check import check_job
 from calibration.execution.placeholders import fill
 from calibration.execution.ros import ROS_HELP, Ros, with_ros

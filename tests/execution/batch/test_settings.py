@@ -4,8 +4,8 @@ from typing import Any
 import pytest
 
 from calibration.errors import InputError
-from calibration.execution.batch.settings import BatchSettings, Prices, settings_from
-from calibration.records import flat_fields
+from calibration.execution.batch.settings import BatchSettings, Prices
+from calibration.records import flat_fields, read
 
 ACCOUNT = "123456789012"
 NEEDED: dict[str, Any] = {
@@ -21,12 +21,12 @@ WHERE = "calibration.yml: aws-batch"
 
 def refused(**changes: Any) -> str:
     with pytest.raises(InputError) as caught:
-        settings_from({**NEEDED, **{key.replace("_", "-"): value for key, value in changes.items()}}, WHERE)
+        read(BatchSettings, {**NEEDED, **{key.replace("_", "-"): value for key, value in changes.items()}}, WHERE)
     return str(caught.value)
 
 
 def test_what_is_needed_is_enough() -> None:
-    assert settings_from(NEEDED, WHERE) == BatchSettings(
+    assert read(BatchSettings, NEEDED, WHERE) == BatchSettings(
         region="eu-west-1",
         queue="robots",
         bucket="team-robots",
@@ -59,7 +59,7 @@ def test_every_key() -> None:
         "log-group": "/team/robots",
         "prices": {"vcpu-hour": 0.04, "gb-hour": 0.0044, "currency": "EUR"},
     }
-    settings = settings_from(entry, WHERE)
+    settings = read(BatchSettings, entry, WHERE)
     assert settings == BatchSettings(
         region="eu-west-1",
         queue=f"arn:aws:batch:eu-west-1:{ACCOUNT}:job-queue/robots",
@@ -84,7 +84,7 @@ def test_every_key() -> None:
         log_group="/team/robots",
         prices=Prices(0.04, 0.0044, "EUR"),
     )
-    ec2 = settings_from({**NEEDED, "platform": "ec2", "shared-hosts": False}, WHERE)
+    ec2 = read(BatchSettings, {**NEEDED, "platform": "ec2", "shared-hosts": False}, WHERE)
     assert (ec2.platform, ec2.shared_hosts) == ("ec2", False)
     # no field without a key, and no key without a field
     keys = {*entry, "shared-hosts"}
@@ -147,20 +147,20 @@ def test_a_wrong_secret_is_not_repeated() -> None:
 @pytest.mark.parametrize("key", ["region", "queue", "bucket", "tools-image", "job-role"])
 def test_what_is_missing(key: str) -> None:
     with pytest.raises(InputError, match=f"missing key '{key}'"):
-        settings_from({name: value for name, value in NEEDED.items() if name != key}, WHERE)
+        read(BatchSettings, {name: value for name, value in NEEDED.items() if name != key}, WHERE)
 
 
 def test_the_execution_role_is_missing() -> None:
     entry = {key: value for key, value in NEEDED.items() if key != "execution-role"}
     with pytest.raises(InputError, match=r"execution-role: it is missing: fargate pulls images"):
-        settings_from(entry, WHERE)
-    assert settings_from({**entry, "platform": "ec2"}, WHERE).execution_role is None
+        read(BatchSettings, entry, WHERE)
+    assert read(BatchSettings, {**entry, "platform": "ec2"}, WHERE).execution_role is None
     secrets = {"TOKEN": f"arn:aws:ssm:eu-west-1:{ACCOUNT}:parameter/token"}
     with pytest.raises(InputError, match=r"execution-role: it is missing: secrets are read"):
-        settings_from({**entry, "platform": "ec2", "secrets": secrets}, WHERE)
+        read(BatchSettings, {**entry, "platform": "ec2", "secrets": secrets}, WHERE)
 
 
 @pytest.mark.parametrize("entry", [None, "fargate", ["region"]])
 def test_no_keys_at_all(entry: object) -> None:
     with pytest.raises(InputError, match=r"expected keys: region, queue"):
-        settings_from(entry, WHERE)
+        read(BatchSettings, entry, WHERE)

@@ -12,9 +12,9 @@ from docker.errors import APIError, NotFound
 
 from calibration.errors import ExitCode, InputError, WorldError
 from calibration.execution.docker.backend import DockerBackend
+from calibration.execution.docker.container_run import attach
 from calibration.execution.docker.labels import RUN, new_run
 from calibration.execution.docker.networks import Networks
-from calibration.execution.docker.output import attach
 from calibration.execution.job import OUTPUT, Artifact, Container, Job, Limits, Readiness
 from calibration.execution.outcome import End
 from tests.engine import PYTHON_IMAGE, only_sleep

@@ -1,0 +1,93 @@
+"""What runs have left in AWS Batch: jobs that have not ended, and old revisions of job definitions."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Self
+
+from calibration.execution.backends import AWS_BATCH, Left, Leftovers, read_sections
+from calibration.execution.batch.session import Aws
+from calibration.execution.batch.submitting import CloudLeftover, deregister, find_in_queue, find_old, terminate
+from calibration.execution.docker.labels import Owner
+
+
+class _InAws(Leftovers[Left]):
+    def __init__(self, region: str, queue: str) -> None:
+        self._aws = Aws(region)
+        self._queue = queue
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._aws.close()
+
+
+class QueuedJobs(_InAws[CloudLeftover]):
+    """Jobs and arrays in a queue that have not ended; they are ended."""
+
+    header = ("job", "name", "run", "jobs", "state")
+
+    def find(self, run: str | None) -> Sequence[CloudLeftover]:
+        """Find those of a run, or of every run."""
+        return find_in_queue(self._aws, self._queue, run)
+
+    def remove(self, chosen: Sequence[CloudLeftover]) -> None:
+        """End them."""
+        terminate(self._aws, [each.id for each in chosen], "calibration cleanup")
+
+    def told(self, chosen: Sequence[CloudLeftover], dry_run: bool) -> str:
+        """How many were ended, or would be."""
+        many = "s" * (len(chosen) != 1)
+        count = f"{len(chosen)} job{many} or array{many}" if chosen else "nothing"
+        return f"{count} in AWS Batch {'would be ended' if dry_run else 'ended'}"
+
+
+@dataclass(frozen=True)
+class OldRevision:
+    """A revision of a job definition that is not the newest; no run needs it."""
+
+    arn: str
+    owner: Owner | None = None
+
+    @property
+    def row(self) -> tuple[str, ...]:
+        """Its ARN."""
+        return (self.arn,)
+
+
+class OldRevisions(_InAws[OldRevision]):
+    """Revisions of our job definitions but the newest of each; they are deregistered."""
+
+    header = ("job definition",)
+
+    def find(self, run: str | None) -> Sequence[OldRevision]:
+        """Find those of all runs, which share them."""
+        return [OldRevision(arn) for arn in find_old(self._aws)]
+
+    def remove(self, chosen: Sequence[OldRevision]) -> None:
+        """Deregister them."""
+        deregister(self._aws, [each.arn for each in chosen])
+
+    def told(self, chosen: Sequence[OldRevision], dry_run: bool) -> str:
+        """How many were deregistered, or would be."""
+        count = f"{len(chosen)} old revision{'s' * (len(chosen) != 1)}" if chosen else "nothing"
+        return f"{count} {'would be deregistered' if dry_run else 'deregistered'}"
+
+
+def open_leftovers(config: Path, queue: str | None, region: str | None, definitions: bool) -> QueuedJobs | OldRevisions:
+    """The leftovers in a queue, or among the definitions of a region.
+
+    Args:
+        config: the file with the section of AWS Batch, for what is not given.
+        queue: of jobs.
+        region: where it is.
+        definitions: whether revisions of job definitions are meant.
+
+    Raises:
+        InputError: the file or its section is missing or wrong.
+    """
+    if not region or not (queue or definitions):
+        settings = read_sections(AWS_BATCH, config).of(AWS_BATCH)
+        region, queue = region or settings.region, queue or settings.queue
+    return OldRevisions(region, "") if definitions else QueuedJobs(region, str(queue))
