@@ -128,10 +128,10 @@ def test_bad_input_is_one_line(words: tuple[str, ...], message: str, capsys: pyt
 def test_a_section_that_has_been_read_counts_unless_a_file_is_given(tmp_path: Path) -> None:
     Path("cloud.yml").write_text(SECTION)
     runner = Runner.from_environment({})
-    given = place("aws-batch", Path("cloud.yml"), tmp_path, "r", False, runner).settings
-    assert given is not None
-    assert given.queue == QUEUE
-    assert place("aws-batch", None, tmp_path, "r", False, runner, given).settings is given
+    given = place("aws-batch", Path("cloud.yml"), tmp_path, "r", False, runner).sections
+    assert given.aws_batch is not None
+    assert given.aws_batch.queue == QUEUE
+    assert place("aws-batch", None, tmp_path, "r", False, runner, given).sections is given
     Path("cloud.yml").write_text(SECTION.replace("${TEST_QUEUE}", "another"))
     changed = place("aws-batch", Path("cloud.yml"), tmp_path, "r", True, runner, given)
     assert changed.settings is not None

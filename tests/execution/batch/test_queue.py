@@ -139,7 +139,8 @@ def test_a_definition_has_a_new_revision_only_where_it_differs(
     assert find_old(aws) == [arns[0], arns[2]]
     monkeypatch.chdir(tmp_path)
     assert main(["cleanup", "--cloud", "--definitions", "--region", REGION, "--dry-run"]) == 0
-    assert capsys.readouterr().out == f"{arns[0]}\n{arns[2]}\n2 old revisions would be deregistered\n"
+    shown = capsys.readouterr().out
+    assert shown == f"job definition\n{arns[0]}\n{arns[2]}\n2 old revisions would be deregistered\n"
     assert main(["cleanup", "--cloud", "--definitions", "--region", REGION]) == 0
     assert capsys.readouterr().out.endswith("2 old revisions deregistered\n")
     assert find_old(aws) == []
