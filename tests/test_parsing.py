@@ -36,10 +36,13 @@ def test_aliases_that_a_person_writes_are_read(tmp_path: Path) -> None:
     assert document["b"] == {"x": 1, "y": {"x": 1}}
 
 
-def test_a_long_list_without_aliases_is_read(tmp_path: Path) -> None:
-    assert read_yaml(written(tmp_path / "a.yml", json.dumps([1] * (MAX_ALIASED + 9))), "a list") == [1] * (
-        MAX_ALIASED + 9
-    )
+def test_a_long_list_without_aliases_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("calibration.yaml_file.MAX_ALIASED", 50)
+    path = written(tmp_path / "a.yml", json.dumps([1] * 100))
+    assert read_yaml(path, "a list") == [1] * 100
+    path.write_text("a: &a [1]\nb: [" + ", ".join(["*a"] * 100) + "]")
+    with pytest.raises(InputError):
+        read_yaml(path, "a list")
 
 
 @pytest.mark.parametrize("text", ['{"a": 1, "a": 1}', '{"b": [{"a": 1, "c": 2, "a": 3}]}'])

@@ -23,6 +23,8 @@ CLOUD_DATA = {"batch", "ecr", "logs", "s3", "sts"}
 """Services whose descriptions botocore keeps: all of them are 25 MB."""
 FOLDER = "/usr/local/lib/python{}.{}/dist-packages"
 PACKAGE = Path(__file__).resolve().parents[2] / "calibration"
+COMPILED = "boto3, botocore.session, click, cv2, defusedxml.ElementTree, numpy.random, rich.console, yaml"
+"""Modules whose bytecode is kept: every container would compile them anew."""
 ENTRY = "#!/usr/bin/python3\nimport sys\nfrom calibration.__main__ import main\nsys.exit(main())\n"
 KEPT_SECONDS = 3600
 
@@ -41,6 +43,7 @@ def build_tools_image(engine: "DockerClient", base: str) -> str:
         return tag
     folder = FOLDER.format(*version)
     dockerfile = f"FROM {below}\nCOPY entry /usr/local/bin/calibration\nCOPY calibration {folder}/calibration\n"
+    dockerfile += f"RUN python3 -m compileall -q {folder}/calibration\n"
     _build(engine, tag, dockerfile, [(f"calibration/{path.relative_to(PACKAGE)}", path) for path in files])
     _forget_older(engine, tag)
     return tag
@@ -51,11 +54,12 @@ def _with_libraries(engine: "DockerClient", base: str, version: tuple[int, int])
     same = version == sys.version_info[:2]
     packages = sorted(_with_all_they_need(NEEDED)) if same else NEEDED
     pinned = [f"{name}=={installed_version(name)}" for name in packages]
-    tag = f"{REPOSITORY}:libraries-{_hash(str(same), engine.images.get(base).id or '', *pinned)}"
+    tag = f"{REPOSITORY}:libraries-{_hash(str(same), engine.images.get(base).id or '', COMPILED, *pinned)}"
     if engine.images.list(tag):
         return tag
     if same:
         dockerfile = f"FROM {base}\nUSER root\nCOPY packages {FOLDER.format(*version)}\n"
+        dockerfile += f"RUN python3 -c 'import {COMPILED}'\n"
         _build(engine, tag, dockerfile, [(f"packages/{name}", path) for name, path in _files_of(packages)])
     else:
         install = (

@@ -33,7 +33,7 @@ STEPS = """
   with:
     dataset: collected
     translation-noise: 0, 0.1
-    rotation-noise: 0, 0.1
+    rotation-noise: 0.1
     evaluate: rgb-to-rgb:right_camera:left_camera
     image: ${{ steps.image.outputs.reference }}
     command: python3 /opt/example_robot/calibrate.py --dataset {start} --output {output}

@@ -19,9 +19,8 @@ if TYPE_CHECKING:
 # Of seed 5's first four worlds the third is so unquiet that no pose of it can be used.
 SET = """
 assembly: {translation_mm: {normal: [0, 3]}}
-motion: {poses: 4, sway_mm: {choice: [0, 0, 0, 0, 0, 0, 0, 50]}}
+motion: {poses: 3, sway_mm: {choice: [0, 0, 0, 0, 0, 0, 0, 50]}}
 """
-SYSTEM = Path(__file__).parents[3] / "datasets" / "t2rgb"
 WORLDS = 4
 FAILS = "s5-00002"
 ROLE = "arn:aws:iam::123456789012:role/robots"
@@ -36,15 +35,17 @@ def worlds(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def on_docker(tools_image: str, worlds: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def on_docker(tools_image: str, small: Path, worlds: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """What the engine of this machine makes of the worlds."""
     output = tmp_path_factory.mktemp("docker") / "out"
-    assert collect(worlds, output, "docker", tools_image) == 1
+    assert collect(small, worlds, output, "docker", tools_image) == 1
     return output
 
 
-def collect(worlds: Path, output: Path, backend: str, image: str, *options: str, count: int = WORLDS) -> int:
-    words = ["--system", str(SYSTEM), "--scenario-set", str(worlds), "--scenarios", str(count), "--seed", "5"]
+def collect(
+    system: Path, worlds: Path, output: Path, backend: str, image: str, *options: str, count: int = WORLDS
+) -> int:
+    words = ["--system", str(system), "--scenario-set", str(worlds), "--scenarios", str(count), "--seed", "5"]
     return main(["collect-data-sim", *words, "--backend", backend, "--image", image, "--output", str(output), *options])
 
 
@@ -57,7 +58,7 @@ def tree(folder: Path) -> dict[str, bytes]:
     return {str(path.relative_to(folder)): path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
 
 
-def test_on_this_machine(on_docker: Path, worlds: Path, tmp_path: Path, engine: "DockerClient") -> None:
+def test_on_this_machine(on_docker: Path, small: Path, worlds: Path, tmp_path: Path, engine: "DockerClient") -> None:
     document = report(on_docker)
     assert (document["success_rate"], document["errors"]) == (0.75, {})
     assert document["failed"] == {FAILS: ["no pose gave a collection"]}
@@ -71,7 +72,7 @@ def test_on_this_machine(on_docker: Path, worlds: Path, tmp_path: Path, engine: 
     ]
     assert left == []
 
-    words = ["--system", str(SYSTEM), "--scenario-set", str(worlds), "--seed", "5"]
+    words = ["--system", str(small), "--scenario-set", str(worlds), "--seed", "5"]
     assert main(["collect-data-sim", *words, "--scenarios", str(WORLDS), "--output", str(tmp_path / "here")]) == 1
     assert {name: (on_docker / name).read_bytes() for name in ("results.json", "worlds.csv", "junit.xml")} == {
         name: (tmp_path / "here" / name).read_bytes() for name in ("results.json", "worlds.csv", "junit.xml")
@@ -80,8 +81,10 @@ def test_on_this_machine(on_docker: Path, worlds: Path, tmp_path: Path, engine: 
     assert tree(on_docker / "worlds" / "s5-00003") == tree(tmp_path / "one")
 
 
-def test_an_image_without_us(base_image: str, worlds: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert collect(worlds, tmp_path / "out", "docker", base_image, count=1) == 1
+def test_an_image_without_us(
+    base_image: str, small: Path, worlds: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert collect(small, worlds, tmp_path / "out", "docker", base_image, count=1) == 1
     assert "s5-00000: container 'world'" in capsys.readouterr().out
     [why] = report(tmp_path / "out")["failed"]["s5-00000"]
     assert "calibration" in why
@@ -99,6 +102,7 @@ def section(tools_image: str, tmp_path: Path) -> Path:
 
 def test_in_the_cloud_the_verdict_and_every_byte_are_the_same(
     on_docker: Path,
+    small: Path,
     worlds: Path,
     section: Path,
     tools_image: str,
@@ -110,7 +114,8 @@ def test_in_the_cloud_the_verdict_and_every_byte_are_the_same(
     batch_in_containers.faults.throttle("SubmitJob")
     batch_in_containers.faults.throttle("DescribeJobs", times=2, after=1)
     output = tmp_path / "out"
-    assert collect(worlds, output, "aws-batch", tools_image, "--aws-batch", str(section), "--run", "nightly") == 1
+    options = ("--aws-batch", str(section), "--run", "nightly")
+    assert collect(small, worlds, output, "aws-batch", tools_image, *options) == 1
     said = capsys.readouterr().out
     assert "attempt 1 of 2 lost its host" in said
     assert tree(output / "worlds") == tree(on_docker / "worlds")
@@ -124,7 +129,6 @@ def test_in_the_cloud_the_verdict_and_every_byte_are_the_same(
 
     calls = len(batch.list_jobs(jobQueue=QUEUE, jobStatus="SUCCEEDED")["jobSummaryList"])
     again = tmp_path / "again"  # another machine: nothing but the name of the run is known
-    options = ("--aws-batch", str(section), "--run", "nightly", "--resume")
-    assert collect(worlds, again, "aws-batch", tools_image, *options) == 1
+    assert collect(small, worlds, again, "aws-batch", tools_image, *options, "--resume") == 1
     assert tree(again / "worlds") == tree(on_docker / "worlds")
     assert len(batch.list_jobs(jobQueue=QUEUE, jobStatus="SUCCEEDED")["jobSummaryList"]) == calls
