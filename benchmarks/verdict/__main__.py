@@ -26,6 +26,10 @@ def main() -> int:
     parser.add_argument("--strata", default=",".join(STRATA))
     parser.add_argument("--seeds", default="1", help="how many, or FIRST-LAST")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
+    parser.add_argument("--sizes", default="0,1,2", help="of the kinds' sizes, from 0")
+    parser.add_argument(
+        "--failures", type=Path, metavar="FILE", help="what went wrong, ranked, with the command of one"
+    )
     parser.add_argument("--recordings", action="store_true", help="real recordings and wrong views instead")
     parser.add_argument("--each", action="store_true", help="print every case with its reasons and warnings")
     parser.add_argument("--json", type=Path, metavar="FILE")
@@ -42,12 +46,15 @@ def main() -> int:
     seeds = range(int(first), int(last) + 1) if last else range(int(first))
     strata = [stratum for stratum in STRATA if stratum in arguments.strata.split(",")]
     of = list(cases(kinds, arguments.systems.split(","), strata, seeds, arguments.quick))
+    sizes = set(map(int, arguments.sizes.split(",")))
     rows = []
-    for row in outcomes(of, arguments.jobs):
+    for row in outcomes([case for case in of if case.size in sizes], arguments.jobs):
         rows.append(row)
         if arguments.each:
             print(_line(row), flush=True)
     print(*summary.lines(rows), sep="\n")
+    if arguments.failures:
+        arguments.failures.write_text("\n".join(summary.failure_lines(rows)) + "\n")
     if arguments.json:
         arguments.json.write_text(json.dumps([summary.record(row) for row in rows], indent=1) + "\n")
     if arguments.markdown:

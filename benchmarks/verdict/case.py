@@ -13,6 +13,7 @@ from benchmarks.verdict.kinds import CLEAN, KINDS, Kind
 from benchmarks.verdict.scene import Scene
 from benchmarks.verdict.strata import Stratum, clean, generator
 from calibration.dataset.model import Dataset
+from calibration.diagnosis.check_data import check_data
 from calibration.errors import CalibrationError, InputError
 from calibration.estimation.result import Calibration
 from calibration.estimation.starting_noise import StartingNoise
@@ -21,7 +22,7 @@ from calibration.evaluation.truth import truth_error
 from calibration.geometry.transforms import inverse, local
 from calibration.introspection.judge import judge
 from calibration.introspection.table import read_table
-from calibration.pipeline.matrix.cell import Cell, CellResult, LoadedSystem, calibrate_cell, table_of
+from calibration.pipeline.matrix.cell import Cell, CellResult, LoadedSystem, calibrate_cell, nothing_yet, table_of
 from calibration.pipeline.matrix.judgement import judge_cells
 from calibration.pipeline.system import Limits
 
@@ -152,6 +153,10 @@ def judged(scene: Scene) -> tuple[CellResult, bool, Calibration | None]:
     entry = replace(scene.system, limits=LIMITS_WITHOUT_TRUTH)
     evaluation = parse_evaluation(entry.evaluate) if entry.evaluate else None
     loaded = LoadedSystem(entry.name, scene.told, None, evaluation, entry.options)
+    try:
+        check_data(scene.told)
+    except InputError as error:
+        return nothing_yet(Cell(entry.name, StartingNoise())).failing(str(error)), True, None
     with tempfile.TemporaryDirectory() as temporary, np.errstate(all="ignore"):
         result, calibration = calibrate_cell(Cell(entry.name, StartingNoise()), loaded)
         violated = True

@@ -132,6 +132,22 @@ def failures(rows: Rows) -> list[tuple[str, str, list[Outcome]]]:
     return sorted((entry for entry in found if entry[2]), key=lambda entry: -len(entry[2]))
 
 
+def failure_lines(rows: Rows) -> Iterable[str]:
+    """`failures`, with the worst case of each and the command that shows it."""
+    for what, name, of in failures(rows):
+        total = sum(row.case.kind == name for row in rows)
+        systems = ", ".join(
+            f"{s} {sum(r.case.system == s for r in of)}" for s in dict.fromkeys(r.case.system for r in of)
+        )
+        worst = max(of, key=lambda row: row.limits or 0)
+        case, size = worst.case, worst.case.planted.sizes[worst.case.size]
+        said = "; ".join([*worst.reasons[:2], *(f"(warning) {each}" for each in worst.warnings[:1])])
+        yield f"{what}: {name}: {len(of)} of {total} cases ({systems})"
+        yield f"    {size:g} {case.planted.unit}, harm {worst.limits or 0:.3g} limits: {said or 'nothing said'}"
+        where = f"--systems {case.system} --strata {case.stratum} --seeds {case.seed}-{case.seed} --sizes {case.size}"
+        yield f"    python -m benchmarks.verdict --jobs 1 --each --kinds '{name}' {where}"
+
+
 def readme_table(rows: Rows) -> str:
     """What the verdict finds, as Markdown: a row for what belongs together."""
     out = ["| what is wrong | smallest size found | red | named | RMS limits |", "| --- | --- | --- | --- | --- |"]
