@@ -2,22 +2,20 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
-from calibration.dataset.model import Collection, CornerLabels, Dataset, Edge, Labels, PointLabels
+from calibration.dataset.model import Collection, CornerLabels, Dataset, Edge, Labels
 from calibration.dataset.pattern import Pattern
 from calibration.dataset.truth import Truth
 from calibration.geometry.joints import JOINT_PARAMETERS
 from calibration.geometry.transforms import apply, inverse
-from calibration.geometry.types import Array
+from calibration.geometry.types import Array, IntArray
 from calibration.pipeline.system import System
 
 LabelChange = Callable[[int, str, Labels], Labels | None]
 """From the collection's index, the sensor's name and its labels to other labels, or to none."""
-
-BORDER_SHIFT = 0.0005
-"""Where a point moves by more (m), other rays would be the last ones on the pattern: its border is not known."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,9 +50,12 @@ class Scene:
 
     def pose(self, sensor: str) -> Array:
         """``T_sensor_pattern`` (N, 4, 4), as it is."""
-        if sensor in self.seen:
-            return self.seen[sensor]
-        return self.world.transform(self.world.sensors[sensor].frame, self.pattern.link)
+        return self._poses[sensor]
+
+    @cached_property
+    def _poses(self) -> dict[str, Array]:
+        frames = {name: sensor.frame for name, sensor in self.world.sensors.items() if name not in self.seen}
+        return {**self.seen, **{n: self.world.transform(frame, self.pattern.link) for n, frame in frames.items()}}
 
     def surface(self, places: Array) -> Array:
         """Height (...) of the pattern, m, at places (..., 2) on it."""
@@ -65,20 +66,13 @@ class Scene:
         heights: Array = along_x * (1 - u**2) + along_y * (1 - v**2) + twist * u * v
         return heights
 
-    def expected(self, i: int, sensor: str, labels: Labels, T_sensor_pattern: Array) -> Array:
-        """What the labels of collection ``i`` would be without noise: pixels (K, 2), or points (K, 3)."""
-        if isinstance(labels, CornerLabels):
-            camera = self.world.sensors[sensor].camera
-            assert camera
-            corners = next(iter(self.world.patterns.values())).corners[labels.ids].copy()
-            corners[:, 2] += self.surface(corners[:, :2])
-            return camera.project(apply(T_sensor_pattern[i], corners))
-        rays = labels.points / np.linalg.norm(labels.points, axis=-1, keepdims=True)
-        normal, place = T_sensor_pattern[i, :3, 2], T_sensor_pattern[i, :3, 3]
-        flat = rays * ((normal @ place) / (rays @ normal))[:, None]
-        heights = self.surface(apply(inverse(T_sensor_pattern[i]), flat)[:, :2])
-        points: Array = rays * ((normal @ place + heights) / (rays @ normal))[:, None]
-        return points
+    def expected(self, i: int, sensor: str, ids: IntArray) -> Array:
+        """Where corners (K,) would be seen in collection ``i`` without noise, px (K, 2)."""
+        camera = self.world.sensors[sensor].camera
+        assert camera
+        corners = next(iter(self.world.patterns.values())).corners[ids].copy()
+        corners[:, 2] += self.surface(corners[:, :2])
+        return camera.project(apply(self.pose(sensor)[i], corners))
 
     def labelled(self, change: LabelChange) -> "Scene":
         """The scene with other labels; collections keep their place."""
@@ -91,19 +85,23 @@ class Scene:
         return replace(self, told=replace(self.told, collections=collections))
 
     def seen_as_in(self, world: "Scene") -> "Scene":
-        """The scene in another world: each label moves as far as its expectation does, and keeps its noise.
+        """The scene in another world: each label moves as far as what is expected there, and keeps its noise.
 
-        Corners that would lie behind a camera, and points whose ray misses the pattern's plane, are gone.
+        The points of a LiDAR move with the pattern and its surface, as if its rays had. Corners that would lie behind
+        a camera are gone.
         """
-        before = {name: self.pose(name) for name in self.told.sensors}
-        after = {name: world.pose(name) for name in self.told.sensors}
+        poses = {name: (self.pose(name), world.pose(name)) for name in self.told.sensors}
 
         def moved(i: int, sensor: str, labels: Labels) -> Labels | None:
-            with np.errstate(all="ignore"):
-                change = world.expected(i, sensor, labels, after[sensor]) - self.expected(
-                    i, sensor, labels, before[sensor]
-                )
-            return _moved(labels, change)
+            if isinstance(labels, CornerLabels):
+                with np.errstate(all="ignore"):
+                    change = world.expected(i, sensor, labels.ids) - self.expected(i, sensor, labels.ids)
+                here = np.asarray(np.isfinite(change).all(-1))
+                return CornerLabels(labels.ids[here], (labels.pixels + change)[here]) if here.sum() >= 4 else None
+            T_sensor_pattern, T_now = (T[i] for T in poses[sensor])
+            places = apply(inverse(T_sensor_pattern), labels.points)
+            places[:, 2] += world.surface(places[:, :2]) - self.surface(places[:, :2])
+            return replace(labels, points=apply(T_now, places))
 
         return replace(world.labelled(moved), seen=world.seen)
 
@@ -125,15 +123,3 @@ class Scene:
         }
         edges = {name: sensor.edge for name, sensor in self.told.sensors.items()}
         return Truth(self.told.path, edges, transforms, {}, joints=joints)
-
-
-def _moved(labels: Labels, change: Array) -> Labels | None:
-    here = np.asarray(np.isfinite(change).all(-1))
-    if isinstance(labels, CornerLabels):
-        if here.sum() < 4:
-            return None
-        return replace(labels, ids=labels.ids[here], pixels=(labels.pixels + change)[here])
-    if not here.any():
-        return None
-    limits = labels.limits[:0] if np.abs(change[here]).max() > BORDER_SHIFT else labels.limits
-    return PointLabels(labels.points + np.where(here[:, None], change, 0), limits)

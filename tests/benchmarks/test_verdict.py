@@ -7,6 +7,7 @@ from benchmarks.verdict import summary
 from benchmarks.verdict.case import Case, Outcome, run
 from benchmarks.verdict.kinds import KINDS
 from benchmarks.verdict.strata import clean
+from calibration.dataset.model import CornerLabels
 
 
 @pytest.fixture(scope="module")
@@ -29,7 +30,8 @@ def test_a_scene_is_the_truth_with_noise() -> None:
     scene = clean("exact", "riwbot", 0)
     collection = scene.told.collections[3]
     ((_, sensor), labels) = next(iter(collection.labels.items()))
-    difference = labels.pixels - scene.expected(3, sensor, labels, scene.pose(sensor))  # type: ignore[union-attr]
+    assert isinstance(labels, CornerLabels)
+    difference = labels.pixels - scene.expected(3, sensor, labels.ids)
     assert 0.03 < np.std(difference) < 0.2
 
 
