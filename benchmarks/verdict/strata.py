@@ -30,10 +30,9 @@ from calibration.simulation.joints import joint_values
 from calibration.simulation.motion.expected import expected_dataset
 from calibration.simulation.motion.generation import generate_motion
 from calibration.simulation.placement import place, play
-from calibration.simulation.scenarios.run import prepare
 from calibration.simulation.scenarios.scenario import Scenario
 from calibration.simulation.scenarios.scenario_set import read_scenario_set
-from calibration.simulation.scenarios.world import build_world
+from calibration.simulation.scenarios.world import build_world, scenario_motion
 from calibration.simulation.system import System, read_system
 
 Stratum = Literal["exact", "rendered", "good"]
@@ -205,7 +204,9 @@ def _collected(name: str, number: int) -> Path:
                 played = play(system, generate_motion(system, POSES, 100 + attempt), 100 + attempt)
             else:
                 worlds = read_scenario_set(ROOT / "datasets" / "scenarios.yml", system)
-                played = prepare(worlds, worlds.scenario(1, 20 * number + attempt))
+                scenario = worlds.scenario(1, 20 * number + attempt)
+                world = build_world(system, scenario)
+                played = play(world, scenario_motion(world, scenario), scenario.collection_seed)
         except InputError:
             continue
         with tempfile.TemporaryDirectory(dir=_made(folder.parent)) as temporary, single_threaded_opencv():
