@@ -28,6 +28,7 @@ from calibration.estimation.calibrate import calibrate
 from calibration.estimation.cost import cost_of
 from calibration.estimation.options import Options
 from calibration.estimation.result import Calibration
+from calibration.estimation.wrong_views import without
 from calibration.evaluation.truth import PoseError, TruthError, error_against
 from calibration.geometry.cameras import Camera
 
@@ -50,8 +51,6 @@ class OurOptimum:
     """What was calibrated."""
     options: Options
     calibration: Calibration
-    cost: float
-    """Of its labels, as `cost_of` has it."""
     relative: bool
     """Whether the labels determine the sensors' poses relative to each other alone."""
     parameters: int
@@ -71,9 +70,15 @@ class OurOptimum:
         """What speaks for and against the data, whoever calibrates them."""
         return diagnose(self.calibration, self.given, self.options)
 
+    @cached_property
+    def cost(self) -> float:
+        """The cost of its labels."""
+        return self.cost_of(self.calibration.dataset)
+
     def cost_of(self, dataset: Dataset) -> float:
-        """The cost of the labels at other transforms, with the same weights."""
-        return cost_of(dataset, self.options, self.calibration.noise_levels)
+        """The cost of the same labels (but for views that ours leaves out) and weights at other transforms."""
+        kept = without(dataset, self.calibration.dropped_views)
+        return cost_of(kept, self.options, self.calibration.noise_levels)
 
 
 def find_optimum(dataset: Dataset, options: Options) -> OurOptimum:
@@ -87,9 +92,9 @@ def find_optimum(dataset: Dataset, options: Options) -> OurOptimum:
     if not calibration.converged:
         raise UndeterminedError(f"{dataset.path}: {calibration.reason}")
     names = {each for sensor in dataset.sensors.values() for each in (sensor.name, "-".join(sensor.edge))}
-    setup = build(dataset, [name for name in options.hold if name not in names])
-    cost = cost_of(calibration.dataset, options, calibration.noise_levels)
-    return OurOptimum(dataset, options, calibration, cost, setup.gauge is not None, setup.problem.sizes[0])
+    kept = without(dataset, calibration.dropped_views)
+    setup = build(kept, [name for name in options.hold if name not in names])
+    return OurOptimum(dataset, options, calibration, setup.gauge is not None, setup.problem.sizes[0])
 
 
 def optimum_for(optimum: OurOptimum, found: Dataset) -> OurOptimum:
@@ -131,13 +136,14 @@ def against_optimum(optimum: OurOptimum, found: Dataset, start: Dataset, toleran
     numbers = Finding(KIND, "note", "", value=away, unit="1", moves_mm=mm, moves_deg=deg)
     cost = _cost(away, excess)
     if not far:
-        text = f"within {_told(mm, deg)} of our optimum on the same labels; {cost}"
-        return (replace(numbers, text=text),)
+        told = f"{max(mm, 0.01):.2g} mm and {max(deg, 0.001):.2g} deg"
+        text = f"the software's calibration is within {told} of our optimum on the same labels"
+        return (replace(numbers, text=f"{text}; {cost}" if excess > optimum.noticeable else text),)
     what = "; ".join(text for _, text, _ in far[:NAMED])
     more = f"; and {len(far) - NAMED} more" if len(far) > NAMED else ""
     names = tuple(dict.fromkeys(name for _, _, sensors in far for name in sensors))
     hint = _hint(optimum, found, start)
-    text = f"far from our optimum on the same labels: {what}{more}; {cost}{hint}"
+    text = f"the software's calibration is far from our optimum on the same labels: {what}{more}; {cost}{hint}"
     return (replace(numbers, severity="red", text=text, sensors=names),)
 
 

@@ -15,6 +15,7 @@ from calibration.estimation.options import Options
 from calibration.estimation.starting_noise import StartingNoise, with_starting_noise
 from calibration.geometry.joints import JOINT_PARAMETERS
 from calibration.geometry.transforms import retract, translation
+from tests.estimation.scenes import relabelled
 from tests.estimation.systems import eye_to_hand, jointed_arm, linked_by_an_arm, stereo
 
 NOISE = StartingNoise(0.1, 0.1, 3)
@@ -52,7 +53,16 @@ def test_our_own_result_is_the_optimum(rig: OurOptimum, arm: OurOptimum) -> None
         finding = judged(optimum, optimum.calibration.dataset)
         assert finding.severity == "note"
         assert finding.moves_mm == pytest.approx(0, abs=1e-6)
-        assert finding.text.startswith("within 0 mm and 0 deg of our optimum on the same labels")
+        assert finding.text.endswith("is within 0.01 mm and 0.001 deg of our optimum on the same labels")
+
+
+def test_views_that_ours_leaves_out_do_not_count() -> None:
+    scene = stereo(12, pixel_noise=0.3).dataset()
+    other = scene.collections[5].labels["board", "right"]
+    optimum = optimum_of(relabelled(scene, lambda i, name, label: other if (i, name) == (2, "right") else label))
+    assert {view.collection for view in optimum.calibration.dropped_views} == {"002"}
+    assert optimum.cost == pytest.approx(optimum.calibration.cost, rel=1e-6)
+    assert judged(optimum, optimum.calibration.dataset).severity == "note"
 
 
 def test_what_labels_cannot_tell_is_no_difference(rig: OurOptimum) -> None:

@@ -244,7 +244,9 @@ def test_far_from_the_optimum_is_red_with_the_distance(
     )
     assert (result.verdict, result.converged, result.error) == ("fail", True, None)
     [reason] = result.reasons
-    assert reason.startswith("far from our optimum on the same labels: 'left_camera' to 'right_camera' by ")
+    assert reason.startswith(
+        "the software's calibration is far from our optimum on the same labels: 'left_camera' to 'right_camera' by "
+    )
     assert says in reason
 
 
