@@ -2,7 +2,8 @@
 
 A start converges when its cell passes: what it led to is an optimum (the right one: see
 `calibration.estimation.calibrate`), and keeps to the system's rules and limits. A system that has neither asks for
-no optimum, so there the RMS counts too: it is that of the best start of the same method in this sweep.
+no optimum, so there the RMS counts too: it is that of the best start of the same method in this sweep. Software whose
+dataset has been held against our optimum needs neither.
 """
 
 import json
