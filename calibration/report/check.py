@@ -5,18 +5,18 @@ import math
 from calibration.records import field, result
 
 
-@result
+@result(kw_only=True)
 class Check:
     """One comparison. Of a number, made by :func:`at_most` or :func:`at_least`; results.json has those."""
 
     subject: str = field("What was compared: ``RMS``, ``detection rate of left``.", key="name")
-    found: str
-    expected: str
-    passed: bool = field("Whether the number passes.")
     value: float | None = field("The number that was found, if it was one.", default=None)
     limit: float | None = field("The smallest or the largest number that passes.", default=None)
     minimum: bool = field("Whether the limit is the smallest number that passes.", key="at_least", default=False)
     unit: str = field("Of both numbers.", default="")
+    passed: bool = field("Whether the number passes.")
+    found: str
+    expected: str
 
     def __str__(self) -> str:
         return expectation(self.subject, self.found, self.expected)
@@ -48,12 +48,12 @@ def _limit_check(subject: str, value: float | None, limit: float, *, minimum: bo
         # a number just beyond the limit must not be rounded onto it
         found = (short if passes(value) == passes(float(short)) else repr(float(value))) + suffix
     return Check(
-        subject,
-        found,
-        f"at {'least' if minimum else 'most'} {limit:g}{suffix}",
-        value is not None and passes(value),
-        value,
-        limit,
-        minimum,
-        unit,
+        subject=subject,
+        found=found,
+        expected=f"at {'least' if minimum else 'most'} {limit:g}{suffix}",
+        passed=value is not None and passes(value),
+        value=value,
+        limit=limit,
+        minimum=minimum,
+        unit=unit,
     )

@@ -29,8 +29,9 @@ class Head:
 
 
 def results_document(verdict: Verdict, results: Any, reasons: Sequence[str] = ()) -> dict[str, Any]:
-    """Return the document of results, a record or a mapping, with the head; reasons among the results are those."""
-    return {**value_of(Head(SCHEMA_NUMBER, verdict, tuple(reasons))), **value_of(results)}
+    """Return the document of results, a record or a mapping, with the head; reasons among the results stay there."""
+    head, document = value_of(Head(SCHEMA_NUMBER, verdict, tuple(reasons))), value_of(results)
+    return {**{key: value for key, value in head.items() if key not in document}, **document}
 
 
 def results_text(verdict: Verdict, results: Any, reasons: Sequence[str] = ()) -> str:
