@@ -25,9 +25,9 @@ def measure(_: bool) -> Iterator[Row]:
             dataset, T_world_camera = rig(COLLECTIONS, seed=seed)
             result = calibrate(dataset, Options(loss=loss))
             error = local(result.transforms[EDGE], T_world_camera[1])
-            nees.append(error @ np.linalg.solve(result.covariances[EDGE], error))
+            nees.append(error @ np.linalg.solve(result.label_covariances[EDGE], error))
             translations.append(1e3 * np.linalg.norm(error[:3]))
-            sigmas.append(result.sigma_mm(EDGE))
+            sigmas.append(result.label_sigma_mm(EDGE))
         rms = [float(np.sqrt(np.mean(np.square(values)))) for values in (translations, sigmas)]
         note = f"6 expected, {len(nees)} scenes; translation {rms[0]:.3f} mm rms, {rms[1]:.3f} mm stated"
         bar = Bar(5, 7) if loss == "linear" else None

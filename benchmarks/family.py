@@ -107,7 +107,7 @@ def _without_border(dataset: Dataset) -> Dataset:
 
 
 def _blocks(exact: Dataset, found: Calibration) -> Iterator[tuple[str, tuple[float, int]]]:
-    for edge, covariance in found.covariances.items():
+    for edge, covariance in found.label_covariances.items():
         yield edge[1], _score(local(found.transforms[edge], exact.transforms[edge][0]), covariance)
     for joint in found.joints.values():
         at = [JOINT_PARAMETERS.index(parameter) for parameter in joint.parameters]

@@ -112,7 +112,7 @@ def _nees(error: Array, covariance: Array) -> float:
 def _pose_nees(result: Calibration, truth: "dict[tuple[str, str], Array]") -> float:
     first, second = (sensor.edge for sensor in result.dataset.sensors.values())
     error = local(relative(result)[second], inverse(truth[first][0]) @ truth[second][0])
-    return _nees(error, result.covariances[second])
+    return _nees(error, result.label_covariances[second])
 
 
 @dataclass(frozen=True, eq=False)

@@ -54,7 +54,7 @@ def _error_bars(name: str, system: Callable[..., Scene], scenes: int) -> Iterato
         dataset = system(seed=seed, pixel_noise=0.3, range_noise=0.008).dataset(seed)
         result = calibrate(dataset, Options(loss="linear"), StartingNoise(3.0, 1.5, seed))
         guessed += any("no equation" in warning for warning in result.warnings)
-        for edge, covariance in result.covariances.items():
+        for edge, covariance in result.label_covariances.items():
             e = local(result.transforms[edge], dataset.transforms[edge][0])
             scores.setdefault(edge, []).append(float(e @ np.linalg.solve(covariance, e)) / 6)
     for edge, each in scores.items():
@@ -78,6 +78,6 @@ def _few_cuts(scenes: int) -> Row:
             continue
         edge = ("world", "scan")
         apart = local(near.transforms[edge], far.transforms[edge])
-        failed += not far.converged or bool(apart @ np.linalg.solve(near.covariances[edge], apart) > 0.1)
+        failed += not far.converged or bool(apart @ np.linalg.solve(near.label_covariances[edge], apart) > 0.1)
     note = f"of {scenes} scenes with {FEWEST} collections; {refused} too poor even from the truth"
     return Row("mixtures/2D LiDAR, another optimum", float(failed), "", Bar(high=0.02 * scenes), note)

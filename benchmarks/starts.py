@@ -83,5 +83,5 @@ def _sigmas(result: Calibration) -> tuple[float, float]:
     """Standard deviations (mm, deg) of the sensor that was free; NaN when it has not converged."""
     for sensor in result.dataset.sensors.values():
         if sensor.edge in result.covariances:
-            return result.sigma_mm(sensor.edge), float(np.degrees(result.sigma_mrad(sensor.edge) / 1e3))
+            return result.label_sigma_mm(sensor.edge), float(np.degrees(result.label_sigma_mrad(sensor.edge) / 1e3))
     return np.nan, np.nan

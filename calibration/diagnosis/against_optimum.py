@@ -19,9 +19,8 @@ from statistics import NormalDist
 import numpy as np
 
 from calibration.dataset.model import Dataset
-from calibration.diagnosis.diagnose import diagnose
 from calibration.diagnosis.finding import Finding
-from calibration.diagnosis.tolerance import Tolerance
+from calibration.diagnosis.limits import Limits
 from calibration.errors import CalibrationError, UndeterminedError
 from calibration.estimation.build import build
 from calibration.estimation.calibrate import calibrate
@@ -64,11 +63,6 @@ class OurOptimum:
         """
         ninth = 2 / (9 * self.parameters)
         return float(self.parameters * (1 - ninth + NormalDist().inv_cdf(1 - RARE) * np.sqrt(ninth)) ** 3)
-
-    @cached_property
-    def findings(self) -> tuple[Finding, ...]:
-        """What speaks for and against the data, whoever calibrates them."""
-        return diagnose(self.calibration, self.given, self.options)
 
     @cached_property
     def cost(self) -> float:
@@ -116,21 +110,21 @@ def optimum_for(optimum: OurOptimum, found: Dataset) -> OurOptimum:
         return optimum
 
 
-def against_optimum(optimum: OurOptimum, found: Dataset, start: Dataset, tolerance: Tolerance) -> tuple[Finding, ...]:
-    """How far a calibrated dataset is from our optimum; red where it is farther than the tolerance.
+def against_optimum(optimum: OurOptimum, found: Dataset, start: Dataset, limits: Limits) -> tuple[Finding, ...]:
+    """How far a calibrated dataset is from our optimum; red where it is farther than the limits.
 
     Args:
         optimum: of the same labels.
         found: the calibrated dataset.
         start: the guess that it was made from.
-        tolerance: of the system.
+        limits: of the system.
 
     Raises:
         InputError: something in the dataset is missing.
     """
     excess = optimum.cost_of(found) - optimum.cost
     error = error_against(found, optimum.calibration.dataset, optimum.relative)
-    far = sorted(_far(optimum, error, tolerance, abs(excess) > optimum.noticeable), key=lambda each: -each[0])
+    far = sorted(_far(optimum, error, limits, abs(excess) > optimum.noticeable), key=lambda each: -each[0])
     mm, deg = error.translation_mm, error.rotation_deg
     away = float(np.sqrt(max(excess, 0.0))) if np.isfinite(excess) else None
     numbers = Finding(KIND, "note", "", value=away, unit="1", moves_mm=mm, moves_deg=deg)
@@ -148,18 +142,18 @@ def against_optimum(optimum: OurOptimum, found: Dataset, start: Dataset, toleran
 
 
 def _far(
-    optimum: OurOptimum, error: TruthError, tolerance: Tolerance, noticeable: bool
+    optimum: OurOptimum, error: TruthError, limits: Limits, noticeable: bool
 ) -> Iterator[tuple[float, str, tuple[str, ...]]]:
     """What is farther than the tolerance: how many times as far, in words, and the sensors.
 
     A limit that is not set counts only where the labels tell the difference.
     """
-    mm, deg = tolerance.sensor
+    mm, deg = limits.sensor
     count_mm, count_deg = (
-        noticeable or tolerance.translation_mm is not None,
-        noticeable or tolerance.rotation_deg is not None,
+        noticeable or limits.translation_mm is not None,
+        noticeable or limits.rotation_deg is not None,
     )
-    is_set = "" if tolerance.translation_mm is not None and tolerance.rotation_deg is not None else ", as none is set"
+    is_set = "" if limits.translation_mm is not None and limits.rotation_deg is not None else ", as none is set"
     for pose in error.poses:
         times = max(_ratio(pose.translation_mm, mm) * count_mm, _ratio(pose.rotation_deg, deg) * count_deg)
         if not times <= 1:
@@ -172,11 +166,11 @@ def _far(
         length = joint.unit == "m"
         if calibrated is None or joint.parameter not in calibrated.parameters:
             continue  # held by ours
-        if not noticeable and (tolerance.joint_mm if length else tolerance.joint_deg) is None:
+        if not noticeable and (limits.joint_mm if length else limits.joint_deg) is None:
             continue
         off, limit_of_joint = (
             1e3 * joint.error if length else float(np.degrees(joint.error)),
-            tolerance.joint[not length],
+            limits.joint[not length],
         )
         if not _ratio(off, limit_of_joint) <= 1:
             unit = "mm" if length else "deg"

@@ -4,20 +4,27 @@ from calibration.dataset.model import Dataset
 from calibration.diagnosis.description import far_from_description
 from calibration.diagnosis.exchanged_labels import exchanged_labels
 from calibration.diagnosis.finding import Finding
+from calibration.diagnosis.limits import Limits
+from calibration.diagnosis.precision import precision
 from calibration.diagnosis.rejected_labels import rejected_labels
 from calibration.diagnosis.repeated import repeated
+from calibration.diagnosis.what_does_not_fit import what_does_not_fit
 from calibration.diagnosis.wrong_views import wrong_views
 from calibration.estimation.options import Options
 from calibration.estimation.result import Calibration
 
 
-def diagnose(calibration: Calibration, description: Dataset, options: Options) -> tuple[Finding, ...]:
+def diagnose(
+    calibration: Calibration, description: Dataset, options: Options, limits: Limits, truth_known: bool = False
+) -> tuple[Finding, ...]:
     """What speaks for and against a calibration.
 
     Args:
         calibration: the result.
         description: the dataset as the robot's description has it, without the noise of a start.
         options: how it was calibrated.
+        limits: how far off it may be.
+        truth_known: whether it is compared with a truth, which then says how far off it is.
     """
     if not calibration.converged:
         return (
@@ -29,6 +36,8 @@ def diagnose(calibration: Calibration, description: Dataset, options: Options) -
     useless = any(each.severity == "red" for each in rejected) and not far
     return (
         *wrong_views(calibration),
+        *what_does_not_fit(calibration, limits),
+        *(() if truth_known else precision(calibration, limits)),
         *far,
         *(exchanged_labels(calibration, description, options) if useless else ()),
         *rejected,

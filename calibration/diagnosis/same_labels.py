@@ -6,7 +6,7 @@ import numpy as np
 
 from calibration.dataset.model import CornerLabels, Dataset, Edge, Labels, PointLabels
 from calibration.diagnosis.finding import Finding
-from calibration.diagnosis.tolerance import Tolerance
+from calibration.diagnosis.limits import Limits
 from calibration.geometry.transforms import distance
 from calibration.geometry.types import Array
 
@@ -86,15 +86,15 @@ def _difference(one: Labels, two: Labels) -> str:
     return "are of another kind"
 
 
-def moved_frames(found: Dataset, given: Dataset, tolerance: Tolerance) -> tuple[Finding, ...]:
+def moved_frames(found: Dataset, given: Dataset, limits: Limits) -> tuple[Finding, ...]:
     """Transforms that are not to be calibrated and have been changed by more than the tolerance; red.
 
     Args:
         found: the calibrated dataset; of the same labels.
         given: the dataset that was to be calibrated.
-        tolerance: of the system.
+        limits: of the system.
     """
-    most_mm, most_deg = tolerance.sensor
+    most_mm, most_deg = limits.sensor
     calibrated = _calibrated(given)
     moved = []
     for edge in given.transforms.keys() & found.transforms.keys() - calibrated:

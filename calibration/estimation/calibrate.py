@@ -10,6 +10,7 @@ from calibration.dataset.model import Dataset, Edge, PointLabels
 from calibration.errors import UndeterminedError, solvable
 from calibration.estimation.blocks import Pose, Values
 from calibration.estimation.build import Setup, build
+from calibration.estimation.error_bars import ErrorBars, error_bars
 from calibration.estimation.intrinsics import CalibratedIntrinsics
 from calibration.estimation.least_squares import minimise
 from calibration.estimation.linear_start import (
@@ -20,10 +21,10 @@ from calibration.estimation.linear_start import (
     place_gauge_patterns,
 )
 from calibration.estimation.noise_levels import NoiseLevels
-from calibration.estimation.observability import considered_covariance, covariances, open_directions
+from calibration.estimation.observability import considered_covariance, open_directions
 from calibration.estimation.optimisation import WeightedOptimum, optimise, unflipped
 from calibration.estimation.options import Options as Options
-from calibration.estimation.result import CalibratedJoint, Calibration, RejectedLabel, ViewResiduals
+from calibration.estimation.result import CalibratedJoint, Calibration, RejectedLabel, Solution, ViewResiduals
 from calibration.estimation.starting_noise import StartingNoise, perturb
 from calibration.estimation.unknown_intrinsics import contradicted_priors
 from calibration.estimation.wrong_views import without, wrong_views
@@ -65,7 +66,7 @@ def _calibrate(dataset: Dataset, options: Options, noise: StartingNoise) -> Cali
             values = tuple(seen_from_guess[i] if i in patterns else T for i, T in enumerate(guess))
             result = optimise(setup.problem, values, options.noise_levels, robust)
             reason = _false_minimum(setup, result, start.values)
-    return replace(_result(dataset, setup, result, reason, start.guessed), dropped_views=dropped)
+    return replace(_result(dataset, setup, result, reason, start.guessed, options), dropped_views=dropped)
 
 
 def _started(dataset: Dataset, options: Options, noise: StartingNoise) -> tuple[Setup, Values, Values, LinearStart]:
@@ -167,6 +168,7 @@ def _result(
     result: WeightedOptimum,
     reason: str,
     guessed: tuple[str, ...],
+    options: Options,
 ) -> Calibration:
     problem, optimum, weighting = setup.problem, result.optimum, result.weighting
     names = [block.name for block in problem.blocks]
@@ -178,7 +180,9 @@ def _result(
     warnings: list[str] = []
     weak: tuple[str, ...] = ()
     by_block: Mapping[int, Array] = {}
-    covariance: dict[Edge, Array] = {}
+    bars: ErrorBars | None = None
+    at_optimum = _calibrated(setup, optimum.values, setup.dataset)
+    solution = Solution(setup, optimum.values, weighting, at_optimum, options.assume)
     if not reason:
         size = max(pattern.size for pattern in setup.dataset.patterns.values())
         undetermined, weakly = open_directions(problem, optimum.equations, size)
@@ -193,14 +197,17 @@ def _result(
                 f"add collections with other rotations of the pattern or the robot{hold}"
             )
         weak = tuple(direction.describe(names) for direction in weakly)
-        more = considered_covariance(problem, optimum.values, weighting)
-        by_block = covariances(problem, optimum.equations, more)
-        covariance = _of_transforms(setup, by_block)
+        considered = considered_covariance(problem, optimum.values, weighting)
+        bars = error_bars(solution.model, problem.shared_parameters, considered)
+        by_block = bars.total
         warnings = contradicted_priors(problem.blocks, optimum.values)
     return Calibration(
         dataset=_calibrated(setup, optimum.values, dataset),
+        solution=solution,
         transforms=_transforms(setup, optimum.values),
-        covariances=covariance,
+        covariances=_of_transforms(setup, by_block),
+        label_covariances=_of_transforms(setup, bars.labels if bars else {}),
+        error_bars=bars,
         converged=not reason,
         reason=reason,
         cost=optimum.cost,

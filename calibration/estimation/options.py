@@ -5,10 +5,16 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Literal
 
+from calibration.estimation.assumptions import EXACT, Assumptions
 from calibration.estimation.intrinsics import CalibratedIntrinsics
 from calibration.estimation.intrinsics_file import read_intrinsics
 from calibration.estimation.noise_levels import NoiseLevels
-from calibration.records import UNIQUE, Converted, field, length, record
+from calibration.records import UNIQUE, Converted, Place, field, length, record
+
+
+def _assumed(found: Literal["exact"] | Assumptions, _: Place) -> Assumptions:
+    return EXACT if found == "exact" else found
+
 
 Start = Literal["linear", "given"]
 """The engine's own linear start, or the noisy guess."""
@@ -59,6 +65,12 @@ class Options:
         "rough: they are only a guess. A transform that is the identity says nothing either way.",
         default="trusted",
         option="Whether sensors far from where the dataset puts them fail, or it is rough (trusted).",
+    )
+    assume: Annotated[Assumptions, Converted(Literal["exact"] | Assumptions, _assumed)] = field(
+        "How well what is held is known, as standard deviations; exact where all of it is, as in a simulation. The "
+        "result's error bars contain it, and only what is off by more is suspicious.",
+        default_factory=Assumptions,
+        option=False,
     )
 
     def known_intrinsics(self) -> Mapping[str, CalibratedIntrinsics]:

@@ -87,10 +87,20 @@ class CornerTerm:
         size = 6 + len(self.free)
         cost, H, g = np.empty(len(T)), np.empty((len(T), size, size)), np.empty((len(T), size))
         for part in chunks(len(T), self.pixels.shape[-1]):
-            cost[part], H[part], g[part] = self._linearise(
-                T[part], self.pixels[part], None if self.seen is None else self.seen[part], scale, huber
-            )
+            cost[part], rows = self._weighted_rows(T, part, scale, huber)
+            H[part], g[part] = _squeezed(rows.reshape(len(rows), size + 1, -1))
         return cost, H, g
+
+    def rows(self, T: Array, scale: float, huber: float | None) -> Array:
+        """See `calibration.estimation.views.Term`."""
+        out = np.empty((len(T), 7 + len(self.free), 2, self.pixels.shape[-1]))
+        for part in chunks(len(T), self.pixels.shape[-1]):
+            out[part] = self._weighted_rows(T, part, scale, huber)[1]
+        return out
+
+    def places(self, T: Array) -> Array:
+        """See `calibration.estimation.views.Term`."""
+        return np.broadcast_to(np.swapaxes(self.corners, -1, -2), (len(T), 3, self.pixels.shape[-1]))
 
     def magnitudes(self, T: Array) -> Array:
         """(V, K): distance from each label to the projected corner (px); NaN where not seen or behind."""
@@ -114,9 +124,9 @@ class CornerTerm:
         inverse_z = 1.0 / z
         return P[:, 0] * inverse_z, P[:, 1] * inverse_z, inverse_z, front
 
-    def _linearise(
-        self, T: Array, pixels: Array, seen: BoolArray | None, scale: float, huber: float | None
-    ) -> Linearised:
+    def _weighted_rows(self, T: Array, part: slice, scale: float, huber: float | None) -> tuple[Array, Array]:
+        """Cost (v,) and rows (v, 7 + m, 2, K) of a part of the views; the rows stay until the next call."""
+        T, pixels, seen = T[part], self.pixels[part], None if self.seen is None else self.seen[part]
         camera = self.camera
         fx, fy = camera.fx / scale, camera.fy / scale
         x, y, inverse_z, front = self._normalised(T, seen)
@@ -149,9 +159,7 @@ class CornerTerm:
             self._intrinsics_rows(rows[:, 6:size], x, y, xd, yd, scale)
             if weight is not None:
                 rows[:, 6:size] *= weight[:, None, None]
-        J = rows.reshape(len(T), size + 1, -1)
-        G = J @ J.transpose(0, 2, 1)
-        return cost, G[:, :size, :size], G[:, :size, size]
+        return cost, rows
 
     def _intrinsics_rows(self, rows: Array, x: Array, y: Array, xd: Array, yd: Array, scale: float) -> None:
         """Fill (v, m, 2, K) rows: the derivative of both image axes to each of the free intrinsics."""
@@ -285,8 +293,21 @@ class RangeTerm(_Rays):
         cost, H, g = np.empty(len(T)), np.empty((len(T), 6, 6)), np.empty((len(T), 6))
         for part in chunks(len(T), self.rays.shape[-1]):
             meeting = _Meeting(T[part], self.rays[part], self.ranges[part])
-            cost[part], H[part], g[part] = _range_rows(meeting, self.present[part], scale, huber)
+            cost[part], rows = _range_rows(meeting, self.present[part], scale, huber)
+            H[part], g[part] = _squeezed(rows)
         return cost, H, g
+
+    def rows(self, T: Array, scale: float, huber: float | None) -> Array:
+        """See `calibration.estimation.views.Term`."""
+        out = np.empty((len(T), 7, 1, self.rays.shape[-1]))
+        for part in chunks(len(T), self.rays.shape[-1]):
+            meeting = _Meeting(T[part], self.rays[part], self.ranges[part])
+            out[part, :, 0] = _range_rows(meeting, self.present[part], scale, huber)[1]
+        return out
+
+    def places(self, T: Array) -> Array:
+        """See `calibration.estimation.views.Term`."""
+        return _in_pattern(T, _Meeting(T, self.rays, self.ranges).hits)
 
     def magnitudes(self, T: Array) -> Array:
         """(V, L): absolute range error in m; NaN where there is no point."""
@@ -332,6 +353,23 @@ class BorderTerm(_Rays):
 
         with ``falls = (m . u) c s^2`` and ``turns = (m . u) h s^2 (2 c^2 s^2 - 1) - falls l``.
         """
+        cost, rows = self._weighted_rows(T, scale, huber)
+        return cost, *_squeezed(rows)
+
+    def rows(self, T: Array, scale: float, huber: float | None) -> Array:
+        """See `calibration.estimation.views.Term`."""
+        return self._weighted_rows(T, scale, huber)[1][:, :, None]
+
+    def places(self, T: Array) -> Array:
+        """See `calibration.estimation.views.Term`; those on the nearest border line."""
+        hits = _Meeting(T, self.rays, self.ranges).hits
+        signed, side = self._distances(T, hits)
+        local = _in_pattern(T, hits)
+        local[:, :2] -= signed[:, None] * np.moveaxis(self.normals[side], -1, 1)
+        return local
+
+    def _weighted_rows(self, T: Array, scale: float, huber: float | None) -> tuple[Array, Array]:
+        """Cost (V,) and rows (V, 7, L), as `linearise` derives them."""
         meeting = _Meeting(T, self.rays, self.ranges)
         signed, side = self._distances(T, meeting.hits)
         m = np.einsum("vij,vlj->vil", T[:, :3, :2], self.normals[side])
@@ -344,7 +382,7 @@ class BorderTerm(_Rays):
         J[:, 3:6] = turns[:, None] * meeting.d_cosine - _cross(meeting.hits, m)
         J[:, 6] = signed
         J /= (scale * self.ranges)[:, None]
-        return _squeezed(J, self.present, huber)
+        return _weighted(J, self.present, huber), J
 
     def magnitudes(self, T: Array) -> Array:
         """(V, L): distance to the nearest border line over the range, rad; NaN where there is no ray."""
@@ -417,8 +455,14 @@ def _cross(a: Array, b: Array) -> Array:
     return np.stack([a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0], 1)
 
 
-def _range_rows(meeting: _Meeting, present: BoolArray, scale: float, huber: float | None) -> Linearised:
-    """Cost, Hessian and gradient of ranges.
+def _in_pattern(T: Array, points: Array) -> Array:
+    """Points (V, 3, L) of the sensor's frame in the pattern's, about its centre."""
+    local: Array = np.swapaxes(T[:, :3, :3], 1, 2) @ (points - T[:, :3, 3:])
+    return local
+
+
+def _range_rows(meeting: _Meeting, present: BoolArray, scale: float, huber: float | None) -> tuple[Array, Array]:
+    """Cost (v,) and weighted rows (v, 7, L) of ranges; the rows stay until the next call.
 
     The plane's height under a point p changes by ``-n . (dt + dw x p)``, the cosine by ``(n x ray) . dw``.
     """
@@ -428,16 +472,21 @@ def _range_rows(meeting: _Meeting, present: BoolArray, scale: float, huber: floa
     turns = slope * (meeting.ranges - meeting.height * meeting.cosine * meeting.slope * meeting.slope)
     rows[:, 3:6] = turns[:, None] * meeting.d_cosine
     rows[:, 6] = meeting.height * slope
-    return _squeezed(rows, present, huber)
+    return _weighted(rows, present, huber), rows
 
 
-def _squeezed(rows: Array, present: BoolArray, huber: float | None) -> Linearised:
-    """Cost, Hessian and gradient of rows (v, 7, L): six of the Jacobian, and the residual; overwrites them."""
+def _weighted(rows: Array, present: BoolArray, huber: float | None) -> Array:
+    """Cost (v,) of rows (v, 7, L), six of the Jacobian and the residual, which are multiplied by their weights."""
     rows[:, 6] = np.where(present, rows[:, 6], 0.0)
     cost, weight = robust(rows[:, 6] ** 2, huber)
     rows *= (present if weight is None else present * weight)[:, None]
+    return cost
+
+
+def _squeezed(rows: Array) -> tuple[Array, Array]:
+    """Hessian (v, p, p) and gradient (v, p) of weighted rows (v, p + 1, n): the Jacobian's, and the residual."""
     G = rows @ rows.transpose(0, 2, 1)
-    return cost, G[:, :6, :6], G[:, :6, 6]
+    return G[:, :-1, :-1], G[:, :-1, -1]
 
 
 def chunks(views: int, labels: int) -> Iterator[slice]:

@@ -10,8 +10,14 @@ import numpy as np
 from calibration import records
 from calibration.dataset.modalities import NoiseKind
 from calibration.dataset.model import Dataset, Edge
+from calibration.estimation.assumptions import Assumptions
+from calibration.estimation.blocks import Values
+from calibration.estimation.build import Setup
+from calibration.estimation.error_bars import ErrorBars
 from calibration.estimation.intrinsics import CalibratedIntrinsics
+from calibration.estimation.linear_model import LinearModel, linear_model
 from calibration.estimation.noise_levels import NoiseLevels
+from calibration.estimation.normal_equations import Weighting
 from calibration.geometry.joints import JointParameter
 from calibration.geometry.types import Array
 from calibration.records import record
@@ -76,15 +82,39 @@ class CalibratedJoint:
 
 
 @dataclass(frozen=True, eq=False)
+class Solution:
+    """The problem that was solved, and where its optimum lies: for checks that linearise it again."""
+
+    setup: Setup
+    values: Values
+    weighting: Weighting
+    dataset: Dataset
+    """The collections that count, with the transforms of the optimum."""
+    assume: Assumptions
+
+    @cached_property
+    def model(self) -> LinearModel:
+        """What near the optimum depends on what, calibrated or held."""
+        return linear_model(self.setup.problem, self.values, self.weighting, self.dataset, self.assume)
+
+
+@dataclass(frozen=True, eq=False)
 class Calibration:
     """The result."""
 
     dataset: Dataset
     """The dataset with the calibrated transforms, the patterns' among them, and the calibrated intrinsics."""
+    solution: Solution
     transforms: Mapping[Edge, Array]
     """The calibrated ``T_parent_child`` (4, 4) of sensors, additional transforms and fixed patterns."""
     covariances: Mapping[Edge, Array]
-    """(6, 6) of each transform that was free: of a twist (translation, rotation) in its child frame, m and rad."""
+    """(6, 6) of each transform that was free, in all: of a twist (translation, rotation) in its child frame, m and rad.
+
+    What it contains, `calibration.estimation.error_bars` says; those of joints and intrinsics are of the same kind."""
+    label_covariances: Mapping[Edge, Array]
+    """The same of the noise of the labels alone."""
+    error_bars: ErrorBars | None
+    """None where it has not converged."""
     converged: bool
     """Whether this is the optimum: reached, finite, no pattern left flipped."""
     reason: str
@@ -119,16 +149,24 @@ class Calibration:
         return float(np.sqrt(np.mean(np.concatenate(errors) ** 2))) if errors else float("nan")
 
     def sigma_mm(self, edge: Edge) -> float:
-        """The standard deviation of a transform's translation, as the norm of the three axes, mm; 0 when it is held."""
-        return 1e3 * self._sigma(edge, slice(0, 3))
+        """The standard deviation of a transform's translation, in all: the norm of the three axes, mm; 0 when held."""
+        return 1e3 * self._sigma(self.covariances, edge, slice(0, 3))
 
     def sigma_mrad(self, edge: Edge) -> float:
-        """The standard deviation of a transform's rotation, as the norm of the three axes, mrad; 0 when it is held."""
-        return 1e3 * self._sigma(edge, slice(3, 6))
+        """The standard deviation of a transform's rotation, in all: the norm of the three axes, mrad; 0 when held."""
+        return 1e3 * self._sigma(self.covariances, edge, slice(3, 6))
 
-    def _sigma(self, edge: Edge, part: slice) -> float:
+    def label_sigma_mm(self, edge: Edge) -> float:
+        """`sigma_mm` of the noise of the labels alone."""
+        return 1e3 * self._sigma(self.label_covariances, edge, slice(0, 3))
+
+    def label_sigma_mrad(self, edge: Edge) -> float:
+        """`sigma_mrad` of the noise of the labels alone."""
+        return 1e3 * self._sigma(self.label_covariances, edge, slice(3, 6))
+
+    def _sigma(self, covariances: Mapping[Edge, Array], edge: Edge, part: slice) -> float:
         if not self.converged:
             return float("nan")
-        if edge not in self.covariances and edge in self.transforms:
+        if edge not in covariances and edge in self.transforms:
             return 0.0
-        return float(np.sqrt(np.trace(self.covariances[edge][part, part])))
+        return float(np.sqrt(np.trace(covariances[edge][part, part])))

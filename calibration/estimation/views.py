@@ -105,6 +105,15 @@ class Term(Protocol):
             huber: the threshold in standard deviations beyond which the loss grows linearly.
         """
 
+    def rows(self, T: Array, scale: float, huber: float | None) -> Array:
+        """Weighted rows (V, 7 + m, d, L): of the twist, of the m free intrinsics, and the residuals; d as `dimension`.
+
+        `linearise` gives their products. Arguments as there.
+        """
+
+    def places(self, T: Array) -> Array:
+        """Where the labels lie on the pattern (V, 3, L), m, in its frame at poses (V, 4, 4)."""
+
     def magnitudes(self, T: Array) -> Array:
         """(V, L): the norm of each label's residual in px, m or rad; NaN where there is no label."""
 

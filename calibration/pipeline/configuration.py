@@ -5,6 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
+from calibration.diagnosis.limits import Limit, Limits
 from calibration.errors import InputError
 from calibration.estimation.options import Options
 from calibration.execution.backends import CONTAINERS, KINDS, BackendName, ContainerBackend, Sections
@@ -12,7 +13,7 @@ from calibration.execution.backends import Place as Backend
 from calibration.image.specification import ImageDocument, ImageSpecification, parse_image_specification
 from calibration.pipeline.collection.applications import Applications, checked_applications
 from calibration.pipeline.collection.request import CollectionChecks, CollectionRequest, ContainerRequest
-from calibration.pipeline.system import Limit, Limits, Noise, NoiseGrid, System, Text, Truth
+from calibration.pipeline.system import Noise, NoiseGrid, System, Text, Truth
 from calibration.records import (
     ByName,
     Converted,

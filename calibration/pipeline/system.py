@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Annotated
 
-from calibration.diagnosis.tolerance import Tolerance
+from calibration.diagnosis.limits import Limits
 from calibration.estimation.options import Options
 from calibration.introspection.rule_set import RuleEntry, RuleSet, checked, unfolded
 from calibration.pipeline.matrix.software import Software, checked_software
@@ -16,16 +16,13 @@ from calibration.records import (
     excludes,
     field,
     length,
-    one_of,
     record,
     result,
 )
 
 COLLECTED = "simulation:"
 """Begins a system's dataset that an entry of ``simulation`` collects."""
-Limit = Annotated[float, at_least(0)]
 Text = Annotated[str, length(1)]
-_LIMITS = ("rms-px", "translation-mm", "rotation-deg", "joint-mm", "joint-deg")
 
 
 def _dataset(text: str, place: Place) -> Path:
@@ -42,22 +39,6 @@ def _rules(found: RuleSet | tuple[RuleEntry, ...], place: Place) -> RuleSet:
 
 Truth = Annotated[str, Converted(Text, _truth)]
 """A path, "dataset" or "none"."""
-
-
-@record(rules=(one_of(*_LIMITS, why=f"expected a limit: {', '.join(_LIMITS)}"),))
-class Limits:
-    """The largest values that pass, in every cell; None where there is no limit."""
-
-    rms_px: Limit | None = field("Root mean square of the table's errors.", default=None, unit="px")
-    translation_mm: Limit | None = field("Error against the truth.", default=None, unit="mm")
-    rotation_deg: Limit | None = field("Error against the truth.", default=None, unit="degrees")
-    joint_mm: Limit | None = field("Error of a joint's length against the truth.", default=None, unit="mm")
-    joint_deg: Limit | None = field("Error of a joint's angle against the truth.", default=None, unit="degrees")
-
-    @property
-    def tolerance(self) -> Tolerance:
-        """Those that need no truth."""
-        return Tolerance(self.translation_mm, self.rotation_deg, self.joint_mm, self.joint_deg)
 
 
 @record

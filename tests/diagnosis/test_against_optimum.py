@@ -8,7 +8,7 @@ import pytest
 from calibration.dataset.model import Dataset
 from calibration.diagnosis.against_optimum import OurOptimum, against_optimum, find_optimum, optimum_for
 from calibration.diagnosis.finding import Finding
-from calibration.diagnosis.tolerance import Tolerance
+from calibration.diagnosis.limits import Limits
 from calibration.errors import UndeterminedError
 from calibration.estimation.calibrate import calibrate
 from calibration.estimation.options import Options
@@ -35,9 +35,9 @@ def arm() -> OurOptimum:
     return optimum_of(eye_to_hand(12, pixel_noise=0.3).dataset())
 
 
-def judged(optimum: OurOptimum, found: Dataset, tolerance: Tolerance | None = None) -> Finding:
+def judged(optimum: OurOptimum, found: Dataset, limits: Limits | None = None) -> Finding:
     start = with_starting_noise(optimum.given, NOISE)
-    [finding] = against_optimum(optimum, found, start, tolerance or Tolerance())
+    [finding] = against_optimum(optimum, found, start, limits or Limits())
     return finding
 
 
@@ -101,8 +101,8 @@ def test_two_millimetres_are_red_with_the_distance(rig: OurOptimum, arm: OurOpti
 
 def test_the_limits_of_the_system_count(rig: OurOptimum) -> None:
     two, tenth = off(rig, "right", 0.002, 0, 0), off(rig, "right", 0.0001, 0, 0)
-    assert judged(rig, two, Tolerance(translation_mm=3)).severity == "note"
-    red = judged(rig, tenth, Tolerance(translation_mm=0.05, rotation_deg=0.1))
+    assert judged(rig, two, Limits(translation_mm=3)).severity == "note"
+    red = judged(rig, tenth, Limits(translation_mm=0.05, rotation_deg=0.1))
     assert (red.severity, "(limit 0.05 mm, 0.1 deg)" in red.text) == ("red", True)
 
 
@@ -113,7 +113,7 @@ def test_what_the_labels_do_not_tell_is_no_fault_but_a_limit_is_a_limit() -> Non
     assert finding.value is not None
     assert 0.5 < finding.value < 4
     assert finding.severity == "note"
-    assert judged(optimum, moved, Tolerance(translation_mm=1)).severity == "red"
+    assert judged(optimum, moved, Limits(translation_mm=1)).severity == "red"
 
 
 def test_the_quantile_of_chi_square(rig: OurOptimum) -> None:

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from calibration.dataset.model import CornerLabels, Dataset, PointLabels
+from calibration.diagnosis.limits import Limits
 from calibration.diagnosis.same_labels import moved_frames, same_labels
-from calibration.diagnosis.tolerance import Tolerance
 from calibration.geometry.transforms import translation
 from tests.estimation.scenes import Labels, relabelled
 from tests.estimation.systems import camera_and_lidar, eye_in_hand, hand_and_world, stereo
@@ -85,17 +85,17 @@ def test_frames_that_are_not_calibrated_stay() -> None:
     given = eye_in_hand(6).dataset()
     [sensor] = given.sensors.values()
     other = next(edge for edge in given.transforms if edge != sensor.edge and "board_link" not in edge)
-    assert moved_frames(given, given, Tolerance()) == ()
-    assert moved_frames(moved(given, sensor.edge, 1.0), given, Tolerance()) == ()
-    assert moved_frames(moved(given, other, 0.0005), given, Tolerance()) == ()
-    [finding] = moved_frames(moved(given, other, 0.005), given, Tolerance())
+    assert moved_frames(given, given, Limits()) == ()
+    assert moved_frames(moved(given, sensor.edge, 1.0), given, Limits()) == ()
+    assert moved_frames(moved(given, other, 0.0005), given, Limits()) == ()
+    [finding] = moved_frames(moved(given, other, 0.005), given, Limits())
     assert finding.severity == "red"
     assert f"moves '{'-'.join(other)}', which is not calibrated, by 5 mm" in finding.text
-    assert moved_frames(moved(given, other, 0.005), given, Tolerance(translation_mm=10)) == ()
+    assert moved_frames(moved(given, other, 0.005), given, Limits(translation_mm=10)) == ()
 
 
 def test_the_anchored_sensor_stays() -> None:
     given = hand_and_world(6).dataset()
     assert given.anchored is not None
-    [finding] = moved_frames(moved(given, given.sensors[given.anchored].edge, 0.1), given, Tolerance())
+    [finding] = moved_frames(moved(given, given.sensors[given.anchored].edge, 0.1), given, Limits())
     assert f"moves the anchored sensor '{given.anchored}', by 100 mm" in finding.text

@@ -24,9 +24,9 @@ def test_a_near_guess_leads_to_the_optimum(scene, loss, size):
     assert result.reason == ""
     # where outliers begin depends on the way there, a little
     assert result.cost == pytest.approx(best.cost, rel=1e-6 if loss == "linear" else 1e-3)
-    for edge, covariance in best.covariances.items():
+    for edge, covariance in best.label_covariances.items():
         np.testing.assert_allclose(
-            result.covariances[edge], covariance, rtol=0.02, atol=0.02 * np.abs(covariance).max()
+            result.label_covariances[edge], covariance, rtol=0.02, atol=0.02 * np.abs(covariance).max()
         )
 
 
@@ -42,7 +42,7 @@ def test_from_afar_it_is_the_optimum_or_it_says_why_not(scene):
         else:
             assert len(result.reason) > 10
             assert "\n" not in result.reason
-            assert result.covariances == {}
+            assert result.label_covariances == {}
             assert result.weak_directions == ()
         for T in result.transforms.values():
             assert np.isfinite(T).all()

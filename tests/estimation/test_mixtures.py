@@ -52,7 +52,7 @@ def test_the_errors_of_every_block_are_as_large_as_stated(mixture):
         dataset = MIXTURES[mixture](seed=seed, pixel_noise=0.3, range_noise=0.008).dataset(seed)
         result = calibrate(dataset, Options(loss="linear"))
         assert result.converged
-        for edge, covariance in result.covariances.items():
+        for edge, covariance in result.label_covariances.items():
             e = local(result.transforms[edge], dataset.transforms[edge][0])
             squares.setdefault(edge, []).append(float(e @ np.linalg.solve(covariance, e)))
     for edge, each in squares.items():
@@ -86,7 +86,7 @@ def test_the_noise_of_a_2d_lidar_can_be_given():
 def test_the_ends_of_the_cuts_tell_more_than_their_planes_alone():
     edge = ("world", "scan")
     with_ends, without = (
-        calibrate(camera_and_lidar2d(pixel_noise=0.3, range_noise=0.008, border=border).dataset()).sigma_mm(edge)
+        calibrate(camera_and_lidar2d(pixel_noise=0.3, range_noise=0.008, border=border).dataset()).label_sigma_mm(edge)
         for border in (True, False)
     )
     assert with_ends < 0.9 * without

@@ -83,7 +83,7 @@ def test_errors_are_as_large_as_is_said():
     for seed in range(30):
         dataset = mobile_base(8, seed=seed, border=False, **NOISY).dataset(seed)
         result = calibrate(dataset, Options(hold=("board", "cam")))
-        for edge, covariance in result.covariances.items():
+        for edge, covariance in result.label_covariances.items():
             d = local(result.transforms[edge], dataset.transforms[edge][0])
             scores.append(d @ np.linalg.solve(covariance, d) / 6)
     assert 0.75 < np.mean(scores) < 1.3  # 60 blocks of 6: a standard deviation of 0.075

@@ -96,7 +96,7 @@ def test_a_given_level_scales_the_covariance_and_the_cost():
     dataset = stereo(10, anchored="left", pixel_noise=0.3).dataset()
     one, two = (calibrate(dataset, Options("linear", "linear", NoiseLevels(pixel=s))) for s in (0.3, 0.6))
     edge = ("world", "right")
-    np.testing.assert_allclose(4 * one.covariances[edge], two.covariances[edge], rtol=1e-6)
+    np.testing.assert_allclose(4 * one.label_covariances[edge], two.label_covariances[edge], rtol=1e-6)
     assert one.cost == pytest.approx(4 * two.cost)
     assert one.cost == pytest.approx(one.degrees_of_freedom, rel=0.2)
 

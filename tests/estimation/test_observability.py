@@ -107,7 +107,7 @@ def test_an_arm_that_hardly_tilts_is_weak_along_its_axis():
     named = np.array([float(x) for x in weak.split("(")[1].split(")")[0].split(",")])
     frame = "cam" if weak.startswith("'world-cam'") else "board_link"
     assert abs(named @ scene.dataset().transform(frame, "flange")[0][:3, :3] @ axis) > 0.98
-    assert result.sigma_mm(("world", "cam")) > 1e3 * WEAK
+    assert result.label_sigma_mm(("world", "cam")) > 1e3 * WEAK
 
 
 def test_an_arm_that_tilts_less_than_the_labels_can_tell_is_refused():

@@ -45,8 +45,8 @@ def test_a_rig_is_within_a_hundredth_of_maximum_likelihood(shared_data: Path):
         translation, rotation = distance(truth, camera_to_camera(result.dataset, "right_camera", "left_camera"))
         assert 1e3 * translation == pytest.approx(0.1525, rel=0.01)
         assert np.degrees(rotation) == pytest.approx(0.00445, rel=0.01)
-        (edge,) = result.covariances
-        assert result.sigma_mm(edge) == pytest.approx(0.217, rel=0.03)
+        (edge,) = result.label_covariances
+        assert result.label_sigma_mm(edge) == pytest.approx(0.217, rel=0.03)
         assert result.noise_levels.pixel == pytest.approx(0.3, rel=0.02)
 
 
@@ -59,7 +59,7 @@ def test_an_arm_is_within_a_hundredth_of_maximum_likelihood(shared_data: Path):
         translation, rotation = distance(dataset.transforms[camera.edge][0], result.transforms[camera.edge])
         assert 1e3 * translation == pytest.approx(0.0376, rel=0.01)
         assert np.degrees(rotation) == pytest.approx(0.00116, rel=0.01)
-        assert result.sigma_mm(camera.edge) == pytest.approx(0.068, rel=0.03)
+        assert result.label_sigma_mm(camera.edge) == pytest.approx(0.068, rel=0.03)
 
 
 @pytest.mark.parametrize("loss", ["linear", "huber"])
@@ -71,8 +71,8 @@ def test_a_lidar_is_as_near_as_it_says(shared_data: Path, loss):
         assert result.converged
         error = local(result.transforms[lidar.edge], dataset.transforms[lidar.edge][0])
         assert 1e3 * np.linalg.norm(error[:3]) < 2.5
-        covariance = result.covariances[lidar.edge]
+        covariance = result.label_covariances[lidar.edge]
         assert (np.abs(error) < 3 * np.sqrt(np.diagonal(covariance))).all()
         assert error @ np.linalg.solve(covariance, error) < 22.5  # 99.9 % of chi-squared with 6 degrees of freedom
-        assert result.sigma_mm(lidar.edge) < 1.61  # with limit points, better than planes alone
+        assert result.label_sigma_mm(lidar.edge) < 1.61  # with limit points, better than planes alone
         assert result.noise_levels.range == pytest.approx(0.01, rel=0.03)

@@ -43,7 +43,7 @@ def test_the_errors_are_as_large_as_stated(case):
         scene = make(8, seed=seed, pixel_noise=0.3, range_noise=0.008, partial=0.3, **changes)
         result = calibrate(scene.dataset(seed), options)
         assert result.converged, seed
-        covariance = result.covariances[edge]
+        covariance = result.label_covariances[edge]
         e = error(result, {k: T if T.ndim == 2 else T[0] for k, T in scene.transforms.items()}, edge)
         nees.append(e @ np.linalg.solve(covariance, e))
         normalised.append(e / np.sqrt(np.diagonal(covariance)))
@@ -57,16 +57,18 @@ def test_the_errors_are_as_large_as_stated(case):
 def test_sigmas_in_words_are_the_roots_of_the_traces():
     result = calibrate(stereo(8, pixel_noise=0.3).dataset())
     edge = ("world", "right")
-    assert list(result.covariances) == [edge]
-    assert result.sigma_mm(edge) == pytest.approx(1e3 * np.sqrt(np.trace(result.covariances[edge][:3, :3])))
-    assert result.sigma_mrad(edge) == pytest.approx(1e3 * np.sqrt(np.trace(result.covariances[edge][3:, 3:])))
+    assert list(result.label_covariances) == [edge]
+    assert result.label_sigma_mm(edge) == pytest.approx(1e3 * np.sqrt(np.trace(result.label_covariances[edge][:3, :3])))
+    assert result.label_sigma_mrad(edge) == pytest.approx(
+        1e3 * np.sqrt(np.trace(result.label_covariances[edge][3:, 3:]))
+    )
 
 
 def test_four_times_the_collections_give_half_the_standard_deviation():
     few, many = (calibrate(stereo(n, pixel_noise=0.3).dataset(3)) for n in (30, 120))
     edge = ("world", "right")
-    assert few.sigma_mm(edge) / many.sigma_mm(edge) == pytest.approx(2, rel=0.15)
-    assert few.sigma_mrad(edge) / many.sigma_mrad(edge) == pytest.approx(2, rel=0.15)
+    assert few.label_sigma_mm(edge) / many.label_sigma_mm(edge) == pytest.approx(2, rel=0.15)
+    assert few.label_sigma_mrad(edge) / many.label_sigma_mrad(edge) == pytest.approx(2, rel=0.15)
 
 
 def test_the_covariance_of_a_pattern_is_about_its_own_frame():

@@ -4,8 +4,9 @@ from pathlib import Path
 
 import pytest
 
+from calibration.diagnosis.limits import Limits
 from calibration.pipeline.matrix.matrix import Matrix
-from calibration.pipeline.system import Limits, NoiseGrid, System
+from calibration.pipeline.system import NoiseGrid, System
 
 DATASETS = Path(__file__).parents[2] / "datasets"
 T2RGB = System("t2rgb", DATASETS / "t2rgb", "rgb-to-rgb:right_camera:left_camera")

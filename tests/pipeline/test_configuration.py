@@ -4,10 +4,10 @@ from pathlib import Path
 
 import pytest
 
+from calibration.diagnosis.limits import Limits
 from calibration.errors import InputError
 from calibration.pipeline.collection.request import ContainerRequest
 from calibration.pipeline.configuration import read_configuration
-from calibration.pipeline.system import Limits
 
 ROOT = Path(__file__).parents[2]
 

@@ -50,7 +50,7 @@ def errors_in_sigmas(folder: Path) -> np.ndarray:
     truth, found = find_truth(dataset), calibrate(dataset)
     assert truth is not None
     values = []
-    for edge, covariance in found.covariances.items():
+    for edge, covariance in found.label_covariances.items():
         if edge in truth.transforms:
             D = inverse(found.transforms[edge]) @ truth.transforms[edge]
             error = np.concatenate([D[:3, 3], rotations.log(D[:3, :3])])

@@ -60,7 +60,7 @@ def test_it_calibrates_to_the_truth_as_well_as_it_says(collected: tuple[Collecti
     dataset = read_dataset(folder)
     assert dataset.sensors[LIDAR].modality == LIDAR2D
     truth, found = find_truth(dataset), calibrate(dataset, Options(), StartingNoise(3, 1.5))
-    ((edge, covariance),) = found.covariances.items()
+    ((edge, covariance),) = found.label_covariances.items()
     D = inverse(found.transforms[edge]) @ truth.transforms[edge]
     error = np.concatenate([D[:3, 3], 0.5 * np.array([D[2, 1] - D[1, 2], D[0, 2] - D[2, 0], D[1, 0] - D[0, 1]])])
     assert error @ np.linalg.solve(covariance, error) < 22.5  # one in a thousand is more

@@ -18,6 +18,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from calibration import __version__
+from calibration.diagnosis.limits import Limits
 from calibration.errors import InputError
 from calibration.estimation.options import Start
 from calibration.execution.backends import Place
@@ -27,7 +28,7 @@ from calibration.pipeline.matrix.cell import OUR_METHOD, CellResult
 from calibration.pipeline.matrix.judgement import judge_cells
 from calibration.pipeline.matrix.matrix import Done, Matrix, matrix_tasks
 from calibration.pipeline.matrix.software import SOFTWARE
-from calibration.pipeline.system import Limits, System
+from calibration.pipeline.system import System
 from calibration.records import document_of, read
 
 CELLS = "cells"

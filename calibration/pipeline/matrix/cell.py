@@ -17,7 +17,7 @@ from calibration.dataset.writing import write_dataset
 from calibration.diagnosis.against_optimum import OurOptimum, find_optimum
 from calibration.diagnosis.diagnose import diagnose
 from calibration.diagnosis.finding import Finding
-from calibration.diagnosis.tolerance import Tolerance
+from calibration.diagnosis.limits import Limits
 from calibration.errors import CalibrationError
 from calibration.estimation.calibrate import calibrate
 from calibration.estimation.intrinsics import CalibratedIntrinsics
@@ -51,8 +51,8 @@ class LoadedSystem:
     evaluation: Evaluation | None
     options: Options = dataclass_field(default_factory=Options)
     """How our engine calibrates it."""
-    tolerance: Tolerance = dataclass_field(default_factory=Tolerance)
-    """What may not be moved farther."""
+    limits: Limits = dataclass_field(default_factory=Limits)
+    """How far off its result may be."""
 
     @cached_property
     def optimum(self) -> OurOptimum:
@@ -274,7 +274,9 @@ def calibrate_cell(cell: Cell, system: LoadedSystem) -> tuple[CellResult, Calibr
     try:
         options = replace(system.options, start=cell.start, loss=cell.loss)
         calibration = calibrate(system.dataset, options, cell.noise)
-        return _described(result, calibration).found(diagnose(calibration, system.dataset, options)), calibration
+        return _described(result, calibration).found(
+            diagnose(calibration, system.dataset, options, system.limits, system.truth is not None)
+        ), calibration
     except CalibrationError as error:
         return _failed(result, error), None
 

@@ -4,10 +4,11 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from calibration.diagnosis.limits import Limits
 from calibration.introspection.judge import judge
 from calibration.introspection.table import read_table
 from calibration.pipeline.matrix.cell import CellResult
-from calibration.pipeline.system import Limits, System
+from calibration.pipeline.system import System
 from calibration.report import at_most
 
 
@@ -37,12 +38,13 @@ def _judged(cell: CellResult, system: System, output: Path) -> CellResult:
 def _over_limits(cell: CellResult, limits: Limits) -> list[str]:
     """Why a cell is over a limit; a number that is missing or not finite is."""
     truth = cell.truth
-    judged = (
-        ("RMS", cell.rms_px, limits.rms_px, "px"),
-        ("translation error against the truth", truth.translation_mm if truth else None, limits.translation_mm, "mm"),
-        ("rotation error against the truth", truth.rotation_deg if truth else None, limits.rotation_deg, "deg"),
-        ("joint translation error against the truth", truth.joint_mm if truth else None, limits.joint_mm, "mm"),
-        ("joint rotation error against the truth", truth.joint_deg if truth else None, limits.joint_deg, "deg"),
-    )
+    judged = [("RMS", cell.rms_px, limits.rms_px, "px")]
+    if truth is not None:  # without one, what moves a sensor and how well it is determined are judged (`diagnosis`)
+        judged += [
+            ("translation error against the truth", truth.translation_mm, limits.translation_mm, "mm"),
+            ("rotation error against the truth", truth.rotation_deg, limits.rotation_deg, "deg"),
+            ("joint translation error against the truth", truth.joint_mm, limits.joint_mm, "mm"),
+            ("joint rotation error against the truth", truth.joint_deg, limits.joint_deg, "deg"),
+        ]
     checks = (at_most(what, value, limit, unit) for what, value, limit, unit in judged if limit is not None)
     return [str(check) for check in checks if not check.passed]

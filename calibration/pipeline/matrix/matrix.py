@@ -200,4 +200,4 @@ def load(system: System) -> LoadedSystem:
                 f"{did_you_mean(sensor, dataset.sensors)} (sensors: {', '.join(dataset.sensors)})"
             )
     options = replace(system.options, intrinsics_covariance=system.options.known_intrinsics())
-    return LoadedSystem(system.name, dataset, truth, evaluation, options, system.limits.tolerance)
+    return LoadedSystem(system.name, dataset, truth, evaluation, options, system.limits)

@@ -10,6 +10,7 @@ from calibration.dataset.model import Dataset
 from calibration.dataset.reading import read_dataset
 from calibration.dataset.writing import write_dataset
 from calibration.diagnosis.against_optimum import against_optimum, optimum_for
+from calibration.diagnosis.diagnose import diagnose
 from calibration.diagnosis.finding import Finding
 from calibration.diagnosis.same_labels import moved_frames, same_labels
 from calibration.diagnosis.table_follows import not_evaluated, table_follows
@@ -149,9 +150,9 @@ def _distance(dataset: Dataset, cell: Cell, system: LoadedSystem) -> tuple[Findi
         return (Finding("against-optimum", "red", text),)
     start = with_starting_noise(system.dataset, cell.noise)
     return (
-        *moved_frames(dataset, system.dataset, system.tolerance),
-        *against_optimum(optimum, dataset, start, system.tolerance),
-        *optimum.findings,
+        *moved_frames(dataset, system.dataset, system.limits),
+        *against_optimum(optimum, dataset, start, system.limits),
+        *diagnose(optimum.calibration, optimum.given, optimum.options, system.limits, system.truth is not None),
     )
 
 

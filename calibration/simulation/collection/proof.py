@@ -101,7 +101,9 @@ def prove_dataset(dataset: Dataset, choice: str | None = None) -> Proof:
         translation_mm=_rounded(error.translation_mm, 4) if error else None,
         rotation_deg=_rounded(error.rotation_deg, 6) if error else None,
         sigmas={
-            name: SensorSigma(round(found.sigma_mm(edge), 4), round(float(np.degrees(found.sigma_mrad(edge) / 1e3)), 6))
+            name: SensorSigma(
+                round(found.label_sigma_mm(edge), 4), round(float(np.degrees(found.label_sigma_mrad(edge) / 1e3)), 6)
+            )
             for name, edge in sensors.items()
         }
         if found.converged

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from calibration.diagnosis.limits import Limits
 from calibration.errors import InputError, WorldError
 from calibration.introspection.rule_set import parse_rules
 from calibration.pipeline.convergence import sweep
@@ -12,7 +13,7 @@ from calibration.pipeline.convergence.sweep import run_sweep, sweep_matrices
 from calibration.pipeline.matrix.cell import OUR_METHOD, CellResult
 from calibration.pipeline.matrix.matrix import Matrix
 from calibration.pipeline.matrix.software import SOFTWARE, Software, software_from
-from calibration.pipeline.system import Limits, NoiseGrid, System
+from calibration.pipeline.system import NoiseGrid, System
 from tests.pipeline.conftest import T2RGB
 
 from .cells import cell

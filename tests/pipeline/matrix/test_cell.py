@@ -12,6 +12,7 @@ from calibration.dataset.model import Dataset
 from calibration.dataset.reading import read_dataset
 from calibration.dataset.truth import truth_of
 from calibration.errors import ExitCode, InputError
+from calibration.estimation.assumptions import EXACT
 from calibration.estimation.calibrate import calibrate
 from calibration.estimation.intrinsics_file import read_intrinsics
 from calibration.estimation.options import Options
@@ -175,9 +176,14 @@ def test_intrinsics_are_told_with_their_sigmas_and_left_for_the_next_run(tmp_pat
     assert found is not None
     np.testing.assert_array_equal(known["left_camera"].values, found.intrinsics[:8])
     later = replace(
-        T2RGB, dataset=folder, truth="none", options=Options(intrinsics_covariance=folder / "intrinsics.json")
+        T2RGB,
+        dataset=folder,
+        truth="none",
+        options=Options(assume=EXACT, intrinsics_covariance=folder / "intrinsics.json"),
     )
-    wider = run_matrix(Matrix((later, replace(later, name="plain", options=Options())), NOISES), tmp_path / "later", 1)
+    wider = run_matrix(
+        Matrix((later, replace(later, name="plain", options=Options(assume=EXACT))), NOISES), tmp_path / "later", 1
+    )
     sigmas = [[each.sigma_mm for each in c.details.transforms if each.sigma_mm] for c in wider.cells]
     assert min(sigmas[0]) > 2 * max(sigmas[1])
     assert wider.cells[0].rms_px == wider.cells[1].rms_px

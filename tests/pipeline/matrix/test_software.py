@@ -13,7 +13,7 @@ import pytest
 from calibration.dataset.model import Dataset
 from calibration.dataset.reading import read_dataset
 from calibration.dataset.writing import write_dataset
-from calibration.diagnosis.tolerance import Tolerance
+from calibration.diagnosis.limits import Limits
 from calibration.errors import ExitCode, InputError
 from calibration.estimation.build import build
 from calibration.estimation.calibrate import initial_values
@@ -35,7 +35,7 @@ from calibration.pipeline.matrix.software import (
     software_from,
 )
 from calibration.pipeline.matrix.software_cell import cell_job, software_result
-from calibration.pipeline.system import Limits, System
+from calibration.pipeline.system import System
 
 DATASETS = Path(__file__).parents[3] / "datasets"
 CELL = Cell("t2rgb", StartingNoise(0.5, 0.1, 7))
@@ -301,7 +301,7 @@ def test_a_table_of_zeros_is_red_where_nothing_says_how_it_is_made(
 def test_the_limits_of_the_system_are_those_of_the_distance() -> None:
     limits = Limits(translation_mm=3, rotation_deg=0.1)
     system = load(System("t2rgb", DATASETS / "t2rgb", limits=limits))
-    assert system.tolerance == Tolerance(translation_mm=3, rotation_deg=0.1)
+    assert system.limits == limits
 
 
 def test_labels_of_something_else_are_red(result_of: Callable[..., CellResult], ours: Path, tmp_path: Path) -> None:

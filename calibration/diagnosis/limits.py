@@ -1,0 +1,82 @@
+"""How far off a result may be, with or without a truth to compare it with."""
+
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+
+from calibration.dataset.model import Edge
+from calibration.estimation.result import Calibration
+from calibration.records import at_least, between, field, one_of, record
+
+Limit = Annotated[float, at_least(0)]
+_LIMITS = ("rms-px", "translation-mm", "rotation-deg", "joint-mm", "joint-deg")
+UNSET = 3.0
+"""Without a limit, so many of the stated standard deviations are one,"""
+SMALLEST = (1.0, 0.05)
+"""and never less than this, mm and degrees."""
+
+
+@record(rules=(one_of(*_LIMITS, why=f"expected a limit: {', '.join(_LIMITS)}"),))
+class Limits:
+    """The largest values that pass, in every cell; None where there is no limit."""
+
+    rms_px: Limit | None = field("Root mean square of the table's errors.", default=None, unit="px")
+    translation_mm: Limit | None = field(
+        "Error of a sensor: against the truth, or what something that does not fit moves it by.",
+        default=None,
+        unit="mm",
+    )
+    rotation_deg: Limit | None = field("The same of its rotation.", default=None, unit="degrees")
+    joint_mm: Limit | None = field("Error of a joint's length, likewise.", default=None, unit="mm")
+    joint_deg: Limit | None = field("Error of a joint's angle, likewise.", default=None, unit="degrees")
+    guard_band: Annotated[float, between(0, 10)] | None = field(
+        "By so many stated standard deviations limits must hold where there is no truth (2).", default=None
+    )
+
+    @property
+    def sensor(self) -> tuple[float, float]:
+        """The largest displacement (mm) and turn (degrees) of a sensor, set or not."""
+        return _or(self.translation_mm, SMALLEST[0]), _or(self.rotation_deg, SMALLEST[1])
+
+    @property
+    def joint(self) -> tuple[float, float]:
+        """The largest change of a joint's length (mm) and angle (degrees), set or not."""
+        return _or(self.joint_mm, SMALLEST[0]), _or(self.joint_deg, SMALLEST[1])
+
+    @property
+    def guard(self) -> float:
+        """Standard deviations of the guard band."""
+        return 2.0 if self.guard_band is None else self.guard_band
+
+
+def _or(limit: float | None, least: float) -> float:
+    return least if limit is None else limit
+
+
+@dataclass(frozen=True)
+class Allowed:
+    """How far a transform may be off."""
+
+    translation_mm: float
+    rotation_deg: float
+    set: bool
+    """Whether a user has set any of it."""
+
+    def exceeded(self, translation_mm: float, rotation_deg: float) -> bool:
+        """Whether a motion is larger."""
+        return translation_mm > self.translation_mm or rotation_deg > self.rotation_deg
+
+    def __str__(self) -> str:
+        return f"{self.translation_mm:.3g} mm, {self.rotation_deg:.2g} deg{'' if self.set else ', as none is set'}"
+
+
+def allowed(calibration: Calibration, limits: Limits, edge: Edge) -> Allowed:
+    """How far a calibrated transform may be off: the limits, or what `UNSET` and `SMALLEST` say."""
+    sigma = (calibration.sigma_mm(edge), float(np.degrees(calibration.sigma_mrad(edge) / 1e3)))
+    given = (limits.translation_mm, limits.rotation_deg)
+    found = [
+        max(least, UNSET * one) if limit is None else limit
+        for limit, one, least in zip(given, sigma, SMALLEST, strict=True)
+    ]
+    return Allowed(found[0], found[1], given != (None, None))

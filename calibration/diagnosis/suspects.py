@@ -1,0 +1,343 @@
+"""Suspects: what is held, and does not fit the labels. Score (Lagrange multiplier) tests at the optimum.
+
+For a cause with columns B beside the calibrated ones A (`calibration.estimation.linear_model`), one Newton step from
+the optimum gives what it would be if it were free too, and what that takes off the cost::
+
+    I = B^T B - B^T A (A^T A)^-1 A^T B,  d = -I^-1 B^T r,  gain = d^T I d
+
+while the calibrated ones move by ``-(A^T A)^-1 A^T B d``
+
+(C. R. Rao, "Large sample tests of statistical hypotheses", 1948). A cause is significant when each of three tests says
+so, family-wise over all causes:
+
+- the gain against how far collections disagree otherwise, an F test: an arm's repeatability is no cause;
+- d against its covariance with collections as clusters (Hotelling's T^2);
+- d against that and what it is assumed to be known with: what is as good as it is known is no suspect.
+
+The best explanation is taken in, and the rest is tested again beside it. Of nearly equal ones the simplest is taken,
+and the others are named with it.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from calibration.diagnosis.significance import score_of_f, threshold
+from calibration.estimation.held import PLACE, Cause
+from calibration.estimation.linear_model import LinearModel
+from calibration.geometry.types import Array, IntArray
+
+FEWEST_CLUSTERS = 6
+"""With fewer independent collections nothing can be told from how they disagree."""
+MOST = 4
+"""Causes that are taken in."""
+EQUAL = 0.85
+"""Explanations of at least this part of the best one's gain could be meant as well."""
+TOLD = 1e-7
+"""Information on a cause beside all else, relative to that on it alone, below which the data cannot tell it."""
+SIDE = 4
+"""So many clusters before and after a change of place, at least; fewer views are tested against all others
+(`calibration.estimation.wrong_views`)."""
+HALF_PIXEL = (0.35, 0.65)
+"""Off by so much, the principal point is of the other convention of pixels' centres."""
+
+
+@dataclass(frozen=True, eq=False)
+class Suspect:
+    """A cause that does not fit, and what it would be."""
+
+    cause: Cause
+    since: int | None
+    """The cluster from which on its place is another one."""
+    value: Array
+    """(k,): what it is off by."""
+    sigma: Array
+    """(k,)."""
+    score: float
+    """How significant that is, as a standard score; above `threshold`."""
+    gain: float
+    """What it takes off the cost."""
+    moves: Array
+    """(S,): what the calibrated parameters would change by if it were free."""
+    rivals: tuple[Cause, ...] = ()
+    """Others that would explain nearly as much."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Candidates:
+    """Causes of the same size, tested at once: of n, with k parameters each."""
+
+    causes: list[Cause]
+    since: list[int | None]
+    columns: IntArray
+    """(n, k): where their columns stand."""
+    masks: Array
+    """(n, K): which clusters they concern."""
+
+
+@dataclass(frozen=True)
+class Disagreement:
+    """How far collections, or sensors in them, disagree beyond the noise inside their views."""
+
+    ratio: float
+    """F: about 1 where there is only that noise."""
+    expected: float
+    """What it may be, by what is assumed of an arm and of all else that is held."""
+    excess: float
+    """The part of the labels' residuals that is explained neither way, in standard deviations of the noise."""
+    worst: tuple[int, str]
+    """The cluster and the sensor that disagree most."""
+
+
+@dataclass(frozen=True, eq=False)
+class Explanation:
+    """What does not fit, the best explanation first, and what they leave unexplained."""
+
+    suspects: tuple[Suspect, ...]
+    disagreement: Disagreement
+
+
+def explain(model: LinearModel) -> Explanation | None:
+    """Search for what does not fit; None with too few collections to tell.
+
+    Args:
+        model: at the optimum.
+    """
+    if len(model.G) < FEWEST_CLUSTERS:
+        return None
+    candidates = list(_candidates(model))
+    limit = threshold(sum(len(each.causes) for each in candidates))
+    found: list[Suspect] = []
+    state = _State.at_optimum(model)
+    while len(found) < MOST:
+        tried = [suspect for each in candidates for suspect in _tested(state, each)]
+        tried = [
+            each for each in tried if not any(each.cause is one.cause and each.since == one.since for one in found)
+        ]
+        significant = [each for each in tried if each.score > limit and _plausible(each)]
+        if not significant:
+            break
+        most = max(each.gain for each in significant)
+        near = [each for each in significant if each.gain >= EQUAL * most]
+        best = min(near, key=lambda each: (each.cause.size, -each.gain))
+        rivals = [each.cause for each in sorted(near, key=lambda each: -each.gain) if each.cause is not best.cause]
+        rivals = [each for each in dict.fromkeys(rivals) if each.size <= best.cause.size]
+        found.append(replace(best, rivals=tuple(rivals[:2])))
+        state = state.with_cause(model.columns_of(best.cause), best.since)
+    return Explanation(tuple(found), _disagreement(model, state))
+
+
+def _disagreement(model: LinearModel, state: "_State") -> Disagreement:
+    """What is left between the clusters after the causes that have been taken in.
+
+    What is assumed of everything held would make each cluster's own optimum scatter by ``P_k G_kh s^2 G_kh^T`` in the
+    metric of its own information, with ``P_k = G_k^+``.
+    """
+    S = state.shared
+    whitening = _whitening(state.G[:, :S, :S], state.alone[:S])
+    pushed = np.swapaxes(whitening, 1, 2) @ (state.G[:, :S, state.held] * state.sigmas)
+    expected = float((pushed**2).sum())
+    freedom = max(1.0, state.freedom)
+    places = [(cause, at) for cause, at in zip(model.causes, model.places, strict=True) if cause.kind == PLACE]
+    each = [
+        (state.residual[:, None, at] @ _whitening(state.G[:, at, at], state.alone[at]))[:, 0] for _, at in places
+    ]  # (K, k) of each place
+    sizes = np.array([(own**2).sum(-1) for own in each])
+    sensor, cluster = np.unravel_index(int(sizes.argmax()), sizes.shape)
+    allowed = freedom + expected
+    return Disagreement(
+        ratio=state.disagreement / freedom,
+        expected=allowed / freedom,
+        excess=float(np.sqrt(max(0.0, state.disagreement - freedom) / len(model.G) / S)),
+        worst=(int(cluster), places[sensor][0].subject),
+    )
+
+
+def _plausible(suspect: Suspect) -> bool:
+    """Whether a convention of pixels' centres, where it is that, is off by about half a pixel."""
+    low, high = HALF_PIXEL
+    return suspect.cause.kind != "pixel convention" or bool(low < abs(suspect.value[0]) < high)
+
+
+def _candidates(model: LinearModel) -> Iterator[_Candidates]:
+    """All causes by their size; places from each collection on."""
+    K = len(model.G)
+    entries: dict[int, list[tuple[Cause, int | None, slice]]] = {}
+    for cause, at in zip(model.causes, model.places, strict=True):
+        since = range(SIDE, K - SIDE + 1) if cause.kind == PLACE else [None]
+        entries.setdefault(cause.size, []).extend((cause, each, at) for each in since)
+    for each in entries.values():
+        columns = np.array([np.arange(at.start, at.stop) for _, _, at in each])
+        masks = np.array([np.arange(K) >= (since or 0) for _, since, _ in each])
+        yield _Candidates([cause for cause, _, _ in each], [since for _, since, _ in each], columns, masks)
+
+
+@dataclass(frozen=True, eq=False)
+class _State:
+    """The linear model with the causes that are taken in among the free parameters."""
+
+    G: Array
+    """(K, C, C)."""
+    free: IntArray
+    """(F,): the columns that are free."""
+    inverse: Array
+    """(F, F): of their information."""
+    residual: Array
+    """(K, C): the gradient of each cluster where the free ones are at their optimum."""
+    disagreement: float
+    """How far clusters disagree with each other: by how much their costs would fall if each had its own parameters."""
+    freedom: float
+    """Degrees of freedom of that."""
+    shared: int
+    """How many of the free ones are calibrated."""
+    held: IntArray
+    """(H,): the columns of what is held and adds to the covariance, but for what has been taken in."""
+    sigmas: Array
+    """(H,): what they are assumed to be known with."""
+    alone: Array
+    """(C,): see `LinearModel`."""
+
+    @classmethod
+    def at_optimum(cls, model: LinearModel) -> "_State":
+        G, g = model.G.copy(), model.g.copy()
+        G[0, : model.shared, : model.shared] += model.prior
+        g[0, : model.shared] -= g[:, : model.shared].sum(0)  # rounding, or what a prior pulls
+        counting = [(cause, at) for cause, at in zip(model.causes, model.places, strict=True) if cause.counts]
+        held = np.concatenate([np.arange(0), *(np.arange(at.start, at.stop) for _, at in counting)])
+        sigmas = np.concatenate([np.zeros(0), *(np.array(cause.assumed) for cause, _ in counting)])
+        return cls._solved(G, g, np.arange(model.shared), model.shared, held, sigmas, model.alone)
+
+    @classmethod
+    def _solved(
+        cls, G: Array, g: Array, free: IntArray, shared: int, held: IntArray, sigmas: Array, alone: Array
+    ) -> "_State":
+        inverse = np.linalg.inv(G.sum(0)[np.ix_(free, free)])
+        z = -inverse @ g.sum(0)[free]
+        residual = g + G[:, :, free] @ z
+        white = np.einsum(
+            "kji,kj->ki", whitening := _whitening(G[:, :shared, :shared], alone[:shared]), residual[:, :shared]
+        )
+        disagreement, rank = float((white**2).sum()), float(np.any(whitening, 1).sum())
+        return cls(G, free, inverse, residual, disagreement, rank - len(free), shared, held, sigmas, alone)
+
+    def with_cause(self, at: slice, since: int | None) -> "_State":
+        """The same with one more cause free."""
+        own = np.arange(at.start, at.stop)
+        mask = (np.arange(len(self.G)) >= (since or 0)).astype(float)[:, None, None]
+        C = self.G.shape[-1]
+        k = len(own)
+        G = np.zeros((len(self.G), C + k, C + k))
+        G[:, :C, :C] = self.G
+        G[:, :C, C:] = mask * self.G[:, :, own]
+        G[:, C:, :C] = np.swapaxes(G[:, :C, C:], 1, 2)
+        G[:, C:, C:] = mask * self.G[:, own[:, None], own]
+        g = np.concatenate([self.residual, mask[..., 0] * self.residual[:, own]], -1)
+        alone = np.append(self.alone, self.alone[own])
+        kept = ~np.isin(self.held, own)
+        free = np.append(self.free, np.arange(C, C + k))
+        return self._solved(G, g, free, self.shared, self.held[kept], self.sigmas[kept], alone)
+
+
+def _whitening(G: Array, alone: Array) -> Array:
+    """Matrices w (K, n, n) with ``w w^T = G^+``; columns of zeros for directions without information.
+
+    Args:
+        G: (K, n, n).
+        alone: (n,), what counts as full information on each column.
+    """
+    scale = 1 / np.sqrt(np.maximum(alone, 1e-300))
+    values, vectors = np.linalg.eigh(scale[:, None] * G * scale)
+    kept = values > TOLD / len(G)
+    root = np.where(kept, 1 / np.sqrt(np.where(kept, values, 1.0)), 0.0)
+    whitening: Array = scale[:, None] * vectors * root[:, None]
+    return whitening
+
+
+def _tested(state: _State, candidates: _Candidates) -> list[Suspect]:
+    """One Newton step for each candidate, with its significance; those that the data cannot tell are left out."""
+    n, k = candidates.columns.shape
+    K = len(state.G)
+    masks, free = candidates.masks.astype(float), state.free
+    columns = candidates.columns
+    unique, index = np.unique(columns[:, 0], return_inverse=True)
+    own = np.array([columns[index == i][0] for i in range(len(unique))])  # (u, k)
+    G_own = state.G[:, own[:, :, None], own[:, None]]  # (K, u, k, k)
+    G_free = state.G[:, free[:, None], own[:, None]]  # (K, u, F, k)
+    residual = state.residual[:, own]  # (K, u, k)
+    A = np.stack([np.tensordot(mask, G_own[:, i], 1) for mask, i in zip(masks, index, strict=True)])
+    mixed = np.stack([np.tensordot(mask, G_free[:, i], 1) for mask, i in zip(masks, index, strict=True)])
+    u = -np.stack([mask @ residual[:, i] for mask, i in zip(masks, index, strict=True)])
+    W = state.inverse @ mixed  # (n, F, k)
+    information = A - np.swapaxes(mixed, 1, 2) @ W
+    scale = 1 / np.sqrt(state.alone[columns])
+    w, U = np.linalg.eigh(scale[:, :, None] * information * scale[:, None])
+    kept = w > TOLD
+    held = state.G[:, :, state.held] * state.sigmas  # (K, C, H)
+    total = held.sum(0)[free]
+    cross = np.stack([np.tensordot(mask, held[:, own[i]], 1) for mask, i in zip(masks, index, strict=True)])
+    cross = cross - np.swapaxes(W, 1, 2) @ total  # (n, k, H): what held errors of one standard deviation do to u
+    rank = kept.sum(-1)
+    basis = scale[:, :, None] * U * np.where(kept, 1 / np.sqrt(np.where(kept, w, 1.0)), 0.0)[:, None]  # I^+ = b b^T
+    white = np.einsum("nij,ni->nj", basis, u)  # standard normal if there is nothing
+    d = np.einsum("nij,nj->ni", basis, white)
+    gain = (white**2).sum(-1)
+    step = -np.einsum("nfk,nk->nf", W, d)
+    # clusters: what is left of each at the estimate
+    left = np.empty((n, K, k))
+    for j, (i, mask) in enumerate(zip(index, masks, strict=True)):
+        own_part = mask[:, None] * (residual[:, i] + G_own[:, i] @ d[j] + np.swapaxes(G_free[:, i], 1, 2) @ step[j])
+        free_part = (
+            state.residual[:, free] + state.G[:, free[:, None], free] @ step[j] + mask[:, None] * (G_free[:, i] @ d[j])
+        )
+        left[j] = own_part - free_part @ W[j]
+    spread = left @ basis  # (n, K, k), whitened
+    scatter = np.swapaxes(spread, 1, 2) @ spread * (K / (K - 1))
+    out = []
+    for j, cause in enumerate(candidates.causes):
+        r = int(rank[j])
+        if r == 0:
+            continue
+        rest = state.freedom - r
+        noise = max(1.0, (state.disagreement - gain[j]) / rest) if rest > 0 else np.inf
+        scores = [score_of_f(gain[j] / r / noise, r, max(rest, 1.0))]
+        on = kept[j]
+        clustered = scatter[j][np.ix_(on, on)]
+        covariance = noise * np.eye(r)
+        if r + 4 > K:
+            continue
+        squared = _mahalanobis(white[j][on], clustered)
+        scores.append(score_of_f(squared * (K - r) / (r * (K - 1)), r, K - r))
+        covariance = _larger(covariance, clustered)
+        own_sigma = () if cause.counts else cause.assumed
+        assumed = np.concatenate([cross[j], information[j] * np.array(own_sigma)], -1) if own_sigma else cross[j]
+        known = basis[j][:, on].T @ assumed
+        squared = _mahalanobis(white[j][on], covariance + known @ known.T)
+        scores.append(score_of_f(squared / r, r, 1e6))
+        sigma = np.sqrt(np.einsum("ij,jk,ik->i", basis[j][:, on], covariance, basis[j][:, on]))
+        out.append(
+            Suspect(
+                cause,
+                candidates.since[j],
+                d[j],
+                sigma,
+                float(min(scores)),
+                float(gain[j] / noise),
+                step[j][: state.shared],
+            )
+        )
+    return out
+
+
+def _mahalanobis(x: Array, C: Array) -> float:
+    """``x^T C^-1 x``; of a direction without variance nothing."""
+    w, U = np.linalg.eigh(C)
+    kept = w > 1e-12 * max(w[-1], 1e-300)
+    return float(((U.T @ x)[kept] ** 2 / w[kept]).sum())
+
+
+def _larger(A: Array, B: Array) -> Array:
+    """A covariance that is nowhere smaller than either of two, the first a multiple of the identity."""
+    w, U = np.linalg.eigh(B)
+    larger: Array = (U * np.maximum(w, A[0, 0])) @ U.T
+    return larger

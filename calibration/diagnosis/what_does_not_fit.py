@@ -1,0 +1,174 @@
+"""Suspects in words: what does not fit, by how much, what it does to the sensors, and what to do about it."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from calibration.diagnosis.finding import Finding
+from calibration.diagnosis.limits import Allowed, Limits, allowed
+from calibration.diagnosis.suspects import Explanation, Suspect, explain
+from calibration.estimation.held import PLACE, Cause
+from calibration.estimation.result import Calibration
+from calibration.geometry.types import Array
+
+KIND = "suspect"
+CONTRADICTION = 3.0
+"""Views that disagree by more than this times what is assumed contradict each other."""
+ADVICE: Mapping[str, str] = {
+    "focal length": "calibrate the intrinsics, or take the camera_info that belongs to this lens and resolution",
+    "aspect": "calibrate the intrinsics; were the images scaled?",
+    "principal point": "calibrate the intrinsics; were the images cropped?",
+    "pixel convention": "pixel (0, 0) is the centre of the first pixel here; shift cx and cy by half a pixel",
+    "image scale": "the labels are of another resolution than camera_info",
+    "skew": "calibrate the intrinsics",
+    "radial distortion": "calibrate the intrinsics with this lens model, or a richer one",
+    "tangential distortion": "calibrate the intrinsics with this lens model, or a richer one",
+    "range bias": "correct the sensor's ranges, or hold it to a surveyed distance",
+    "range scale": "correct the sensor's ranges, or measure the pattern again",
+    "beam elevation": "look at the sensor's own calibration of its beams",
+    "motion during a sweep": "stop the robot for each collection, or compensate the motion in the sweeps",
+    "size": "measure the printed squares over many of them, and correct the pattern's size",
+    "stretch": "measure the squares along both sides: printers stretch one of them",
+    "bow": "put the pattern on a flat plate",
+    "twist": "put the pattern on a flat plate",
+    "border": "measure the board's border, and correct border_size",
+    "link": "look at this link in the robot's description",
+    "lengths": "look at the units and the lengths of the robot's description",
+    "encoder offset": "look at this joint's zero, or calibrate its position_bias",
+    "encoder gain": "look at this joint's unit and gear ratio",
+    "backlash": "approach every pose from the same side",
+    "lag": "look at time stamps; stop the robot for each collection",
+    PLACE: "something was knocked; collect anew, or calibrate the collections before and after apart",
+}
+_UNITS = {"1": (100.0, "%"), "m": (1e3, "mm"), "rad": (180 / np.pi, "deg"), "px": (1.0, "px")}
+
+
+def what_does_not_fit(calibration: Calibration, limits: Limits) -> tuple[Finding, ...]:
+    """Suspects: red where one moves a sensor by more than allowed, else a note; and what nothing explains.
+
+    Args:
+        calibration: a calibration that has converged.
+        limits: how far a sensor may be off.
+    """
+    explanation = explain(calibration.solution.model)
+    if explanation is None:
+        count = len(calibration.solution.model.G)
+        text = f"{count} collections are too few to test what is held (intrinsics, pattern, arm): take 8 or more"
+        return (Finding("untested", "note", text),)
+    findings = [_finding(calibration, limits, suspect) for suspect in explanation.suspects]
+    findings += _contradiction(calibration, limits, explanation)
+    return tuple(findings) or (_nothing(calibration),)
+
+
+def _finding(calibration: Calibration, limits: Limits, suspect: Suspect) -> Finding:
+    moved = _moved(calibration, suspect.moves)
+    over = [name for name, motion in moved.items() if _allowed(calibration, limits, name).exceeded(*motion)]
+    sensor = max(over or moved, key=lambda name: moved[name][0], default="")
+    mm, degrees = moved.get(sensor, (0.0, 0.0))
+    names = " or ".join(dict.fromkeys(_name(each) for each in (suspect.cause, *suspect.rivals)))
+    since = ""
+    collections: tuple[str, ...] = ()
+    if suspect.since is not None:
+        keys = _keys(calibration, suspect.since)
+        since, collections = f" from collection {keys[0]} on", keys
+    size = f"{_size(suspect.cause, suspect.value, suspect.sigma)}"
+    verb = "has moved" if suspect.cause.kind == PLACE else "does not fit"
+    either = ", the data cannot tell which" if suspect.rivals else ""
+    harm = f"moves {sensor} by {mm:.3g} mm and {degrees:.2g} deg" if sensor else "moves no sensor"
+    if over:
+        text = f"{names} {verb}{since}{either}: {size}; it {harm} (limit {_allowed(calibration, limits, sensor)}): "
+        text += ADVICE[suspect.cause.kind]
+    else:
+        text = f"{names} {verb}{since}{either}: {size}; harmless: it {harm}"
+    one = suspect.cause.size == 1
+    return Finding(
+        KIND,
+        "red" if over else "note",
+        text,
+        sensors=tuple(over) if over else tuple(filter(None, [sensor])),
+        collections=collections,
+        value=float(suspect.value[0]) if one else None,
+        sigma=float(suspect.sigma[0]) if one else None,
+        unit=suspect.cause.unit if one else None,
+        moves_mm=round(mm, 4),
+        moves_deg=round(degrees, 5),
+    )
+
+
+def _name(cause: Cause) -> str:
+    return cause.subject if cause.kind == PLACE else f"{cause.subject}'s {cause.kind}"
+
+
+def _size(cause: Cause, value: Array, sigma: Array) -> str:
+    """What a cause is off by, with its standard deviation, in a user's units."""
+    if cause.size == 6:  # a twist: translation and rotation
+        return (
+            f"{1e3 * np.linalg.norm(value[:3]):.3g} +- {1e3 * np.linalg.norm(sigma[:3]):.1g} mm, "
+            f"{np.degrees(np.linalg.norm(value[3:])):.3g} +- {np.degrees(np.linalg.norm(sigma[3:])):.1g} deg"
+        )
+    if cause.unit == "collections":
+        return f"{value[0]:+.3g} +- {sigma[0]:.1g} of the way to the next collection"
+    factor, unit = _UNITS.get(cause.unit, (1.0, cause.unit))
+    if "distortion" in cause.kind:
+        factor, unit = 1.0, ""
+    numbers = ", ".join(f"{factor * v:+.3g} +- {factor * s:.1g}" for v, s in zip(value, sigma, strict=True))
+    return f"off by {numbers} {unit}".rstrip()
+
+
+def _moved(calibration: Calibration, moves: Array) -> dict[str, tuple[float, float]]:
+    """How far each calibrated sensor moves, mm and degrees."""
+    setup = calibration.solution.setup
+    moved = {}
+    for sensor in setup.dataset.sensors.values():
+        at = setup.problem.shared_parameters.get(setup.block(sensor.edge))
+        if at is not None:
+            step = moves[at]
+            moved[sensor.name] = (1e3 * float(np.linalg.norm(step[:3])), float(np.degrees(np.linalg.norm(step[3:]))))
+    return moved
+
+
+def _allowed(calibration: Calibration, limits: Limits, sensor: str) -> Allowed:
+    return allowed(calibration, limits, calibration.dataset.sensors[sensor].edge)
+
+
+def _keys(calibration: Calibration, since: int) -> tuple[str, ...]:
+    """The collections of the clusters from one on."""
+    solution = calibration.solution
+    return tuple(
+        key for key, at in zip(solution.dataset.keys, solution.model.clusters.tolist(), strict=True) if at >= since
+    )
+
+
+def _contradiction(calibration: Calibration, limits: Limits, explanation: Explanation) -> list[Finding]:
+    """Views that contradict each other by more than the noise, an arm and what is held explain."""
+    found = explanation.disagreement
+    if found.ratio <= CONTRADICTION * found.expected:
+        return []
+    cluster, subject = found.worst
+    key = _keys(calibration, cluster)[0]
+    level = calibration.noise_levels.pixel
+    noise = f"{found.excess * level:.2g} px where {level:.2g} px is the noise" if level else f"{found.excess:.2g} sigma"
+    sensors = [s for s in calibration.dataset.sensors.values() if s.edge in calibration.covariances]
+    harmful = False
+    for sensor in sensors:
+        sigma = (calibration.sigma_mm(sensor.edge), float(np.degrees(calibration.sigma_mrad(sensor.edge) / 1e3)))
+        if limits.translation_mm is not None or limits.rotation_deg is not None:
+            harmful |= allowed(calibration, limits, sensor.edge).exceeded(3 * sigma[0], 3 * sigma[1])
+    text = (
+        f"the views contradict each other by {noise}, most {subject} in collection {key}, and nothing that is held "
+        f"explains it: time stamps, or something that moved or gave way"
+    )
+    return [Finding("contradiction", "red" if harmful else "note", text, (subject,), (key,), value=found.ratio)]
+
+
+def _nothing(calibration: Calibration) -> Finding:
+    """The line of a calibration without suspects: what its error bar is made of."""
+    text = "nothing suspicious"
+    bars = calibration.error_bars
+    worth = bars.worth if bars else {}
+    most = max(worth, key=lambda name: worth[name], default="")
+    if most and worth[most] > 0:
+        text += (
+            f"; the result hangs most on the {most}: the usual uncertainty of it is worth {1e3 * worth[most]:.2g} mm"
+        )
+    return Finding("nothing-suspicious", "note", text)

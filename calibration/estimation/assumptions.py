@@ -1,0 +1,31 @@
+"""How well what a calibration holds is known: standard deviations of what a camera, a board or an arm may be off by."""
+
+from dataclasses import fields
+from typing import Annotated
+
+from calibration.records import at_least, field, record
+
+Known = Annotated[float, at_least(0)]
+
+
+@record
+class Assumptions:
+    """Standard deviations of what is held; 0 for what is exactly known, as in a simulation."""
+
+    focal_length: Known = field("Of a camera, relative.", default=0.0005)
+    aspect: Known = field("Of a camera: fx over fy, relative.", default=0.0002)
+    principal_point: Known = field("Of a camera, each axis.", default=0.3, unit="px")
+    distortion: Known = field("Of a camera: each coefficient of its lens.", default=0.0)
+    pattern_size: Known = field("Of the printed squares, relative.", default=0.0005)
+    pattern_stretch: Known = field("Of the squares' length over their height, relative.", default=0.0002)
+    flatness: Known = field("Of the board: its middle against its ends.", default=0.0002, unit="m")
+    border: Known = field("Of the board's border about its squares.", default=0.0005, unit="m")
+    range_bias: Known = field("Of a LiDAR or a depth camera.", default=0.001, unit="m")
+    range_scale: Known = field("Of a LiDAR or a depth camera, relative.", default=0.0002)
+    beam_elevation: Known = field("Of a LiDAR.", default=0.0002, unit="rad")
+    arm_translation: Known = field("Of each moving link of an arm, each axis.", default=0.00005, unit="m")
+    arm_rotation: Known = field("Of each moving link of an arm, each axis.", default=0.0001, unit="rad")
+
+
+EXACT = Assumptions(**dict.fromkeys((each.name for each in fields(Assumptions)), 0.0))
+"""Everything that is held is exactly known."""

@@ -1,0 +1,84 @@
+"""How sure a calibration is: the noise of the labels, collections that disagree, and what is held but not exact.
+
+The inverse of the information, C, is true for independent noise of the labels alone. Two things are added:
+
+- Collections whose disagreement is more than that noise explains (an arm's repeatability, a base that sways) widen C
+  by one factor a block, ``phi = tr(C^-1 V) / k``, never below 1, with the covariance V of the collections as clusters:
+  ``V = sum_c d_c d_c^T`` with ``d_c = A^-1/2 (I - A^-1/2 G_c A^-1/2)^-1/2 A^-1/2 g_c``, which is without bias where
+  there is that noise alone (CR2: R. M. Bell and D. F. McCaffrey, "Bias reduction in standard errors for linear
+  regression with multi-stage samples", 2002). With the factor the expected ``e^T (phi C)^-1 e`` is k whatever the
+  shape of V.
+- What is held is known with a standard deviation s (`calibration.estimation.assumptions`); its error moves the result
+  by ``W = -A^-1 B`` times it, so ``W diag(s^2) W^T`` is added (consider analysis: S. F. Schmidt, 1966).
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from calibration.estimation.linear_model import LinearModel
+from calibration.geometry.types import Array
+
+DECISIVE = 1e-6
+"""Information left without a cluster, relative to all, below which that cluster alone determines a direction."""
+
+
+@dataclass(frozen=True, eq=False)
+class ErrorBars:
+    """Covariances of the shared parameters, by block."""
+
+    labels: Mapping[int, Array]
+    """(k, k): of the noise of the labels alone."""
+    total: Mapping[int, Array]
+    """(k, k): in all."""
+    effective_collections: float
+    """How many independent collections of equal weight would tell as much."""
+    worth: Mapping[str, float]
+    """Of each cause that counts, how far what is assumed of it moves a block, m; what is usual where it is exact."""
+
+
+def error_bars(model: LinearModel, blocks: Mapping[int, slice], considered: Array | None = None) -> ErrorBars:
+    """Covariances at the optimum.
+
+    Args:
+        model: of the calibration.
+        blocks: where the parameters of each shared block stand.
+        considered: (S, S), what given covariances of intrinsics that are held add.
+    """
+    S = model.shared
+    A = model.total[:S, :S]
+    C = np.linalg.inv(A)
+    C = 0.5 * (C + C.T)
+    clustered, effective = _clustered(model, C)
+    worth, considered = {}, np.zeros((S, S)) if considered is None else considered
+    for cause, at, typical in zip(model.causes, model.places, model.typical, strict=True):
+        if cause.counts:
+            moves = -C @ model.total[:S, at]
+            moved = moves * np.array(cause.assumed)
+            considered = considered + moved @ moved.T
+            usual = moves * np.array(cause.assumed if any(cause.assumed) else typical)
+            worth[cause.name] = max((float(np.linalg.norm(usual[part][:3])) for part in blocks.values()), default=0.0)
+    labels, total = {}, {}
+    for block, at in blocks.items():
+        own = C[at, at]
+        factor = max(1.0, float(np.trace(np.linalg.solve(own, clustered[at, at]))) / len(own))
+        labels[block] = own
+        total[block] = factor * own + considered[at, at]
+    return ErrorBars(labels, total, effective, worth)
+
+
+def _clustered(model: LinearModel, C: Array) -> tuple[Array, float]:
+    """The covariance (S, S) of the shared parameters with collections as clusters, and the effective number of them."""
+    S = model.shared
+    values, vectors = np.linalg.eigh(C)
+    root = vectors * np.sqrt(np.maximum(values, 0.0))  # C = root root^T
+    share = root.T @ model.G[:, :S, :S] @ root  # (K, S, S): of the information, in units of all of it
+    pull = model.g[:, :S] @ root
+    w, U = np.linalg.eigh(np.eye(S) - share)
+    left = np.maximum(w, DECISIVE)
+    change = np.einsum("kij,kj,klj,kl->ki", U, 1 / np.sqrt(left), U, pull)
+    leverages = np.trace(share, axis1=1, axis2=2)
+    effective = float(leverages.sum() ** 2 / (leverages**2).sum())
+    V = root @ (change.T @ change) @ root.T
+    return V, effective

@@ -1,0 +1,313 @@
+"""What a calibration holds though it could be wrong: intrinsics, the pattern's shape, a LiDAR's errors, an arm's links.
+
+Each is a *cause*: a few parameters that would be wrong together, with the columns by which they would change the
+labels, and the standard deviation that they are assumed to be known with (`calibration.estimation.assumptions`).
+"""
+
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+
+from calibration.dataset.model import Dataset, Edge, Sensor
+from calibration.dataset.pattern import Pattern
+from calibration.estimation.assumptions import Assumptions
+from calibration.estimation.label_columns import POSE, ColumnNames
+from calibration.estimation.views import ViewGroup
+from calibration.geometry.frames import Step
+from calibration.geometry.transforms import adjoint, inverse, local
+from calibration.geometry.types import Array
+
+Unit = Literal["m", "rad", "px", "1", "s", "collections"]
+STILL = 1e-6
+"""Transforms that differ by less between collections (m, and elements of rotations) do not move."""
+PLACE = "place"
+"""The kind of a cause that is tested from some collection on: of all of them a place is calibrated, or no matter."""
+CROOKED = 1e-4
+"""What turns or shifts besides its axis by more than this part of its motion is no joint of one axis."""
+
+
+@dataclass(frozen=True, eq=False)
+class SeenGroup:
+    """The views of one sensor and one pattern at the optimum."""
+
+    group: ViewGroup
+    sensor: Sensor
+    pattern: Pattern
+    T: Array
+    """``T_sensor_pattern`` (V, 4, 4), the pattern's frame in the middle of its corners."""
+    names: ColumnNames
+    path: tuple[Step, ...]
+    """From the sensor's frame to the pattern's parent."""
+    prefixes: dict[Edge, Array]
+    """``T_sensor_child`` (V, 4, 4) of each edge on the path."""
+
+    @property
+    def width(self) -> int:
+        """6 + E."""
+        return POSE + len(self.names.names)
+
+    def twist(self, edge: Edge, columns: Array | None = None) -> Array | None:
+        """What twists (V, 6, k) or (6, k) in an edge's child frame do to the pose (V, 6, k); None off the path."""
+        step = next((each for each in self.path if (each.parent, each.child) == edge), None)
+        if step is None:
+            return None
+        moved = adjoint(self.prefixes[edge])
+        moved = moved if columns is None else moved @ columns
+        return -moved if step.inverted else moved
+
+    def widened(self, twists: Array | None) -> Array | None:
+        """Twists of the pose (V, 6, k) as combinations of all columns (V, 6 + E, k)."""
+        if twists is None:
+            return None
+        out = np.zeros((len(twists), self.width, twists.shape[-1]))
+        out[:, :POSE] = twists
+        return out
+
+
+Weights = dict[str, float]
+"""Of a group's own columns, by name."""
+Columns = Callable[[SeenGroup], Array | None]
+"""(6 + E, k) or (V, 6 + E, k): which columns of a group's views the parameters of a cause move; None for no view."""
+
+
+@dataclass(frozen=True, eq=False)
+class Cause:
+    """Something held that could be wrong."""
+
+    kind: str
+    """Such as focal length."""
+    subject: str
+    """Of which sensor, pattern or transform."""
+    unit: Unit
+    columns: Columns
+    assumed: tuple[float, ...]
+    """(k,): standard deviations of what is known of each parameter."""
+    counts: bool = True
+    """Whether it adds to the covariance of the result; False where another cause covers the same error."""
+
+    @property
+    def size(self) -> int:
+        """How many parameters there are, k."""
+        return len(self.assumed)
+
+    @cached_property
+    def name(self) -> str:
+        """As a message has it."""
+        return f"{self.kind} of {self.subject}"
+
+
+def causes(
+    dataset: Dataset,
+    groups: Sequence[SeenGroup],
+    assume: Assumptions,
+    free: Mapping[str, Sequence[str]],
+    known: Collection[str] = (),
+) -> list[Cause]:
+    """All that is held in a dataset's calibration and could be wrong.
+
+    Args:
+        dataset: at the optimum.
+        groups: all views.
+        assume: how well it is known.
+        free: of each camera the intrinsics that are calibrated, and so not held.
+        known: cameras whose intrinsics have a covariance of their own, which counts in the place of what is assumed.
+    """
+    seen = {each.sensor.name: each for each in groups}
+    found = [
+        cause
+        for name, each in seen.items()
+        for cause in _of_sensor(each, assume, free.get(name, ()), assumed=name not in known)
+    ]
+    for name in dict.fromkeys(each.pattern.name for each in groups):
+        has_border = any(each.names.camera is None and each.pattern.name == name for each in groups)
+        found += _of_pattern(name, has_border, assume)
+    edges = dict.fromkeys((step.parent, step.child) for each in groups for step in each.path)
+    for edge in edges:
+        T = dataset.transforms[edge]
+        if edge not in dataset.additional_transforms and np.abs(T - T[0]).max() > STILL:
+            found += _of_moving_edge(edge, T, assume)
+    return found
+
+
+def _of_sensor(seen: SeenGroup, assume: Assumptions, free: Sequence[str], assumed: bool) -> Iterator[Cause]:
+    sensor, camera = seen.sensor.name, seen.names.camera
+
+    def cause(kind: str, unit: Unit, sigma: float, *weights: Weights, counts: bool = True) -> Iterator[Cause]:
+        if not all(parameter in free for each in weights for parameter in each):
+            columns = _combinations(weights, lambda group: group.sensor.name == sensor)
+            yield Cause(kind, sensor, unit, columns, (sigma,) * len(weights), counts and assumed)
+
+    if camera is None:
+        yield from cause("range bias", "m", assume.range_bias, {"bias": 1.0})
+        yield from cause("range scale", "1", assume.range_scale, {"scale": 1.0})
+        yield from cause("beam elevation", "rad", assume.beam_elevation, {"elevation": 1.0})
+        yield from cause("motion during a sweep", "m", 0.0, *({f"sweep_{axis}": 1.0} for axis in "xyz"))
+        return
+    yield from cause("focal length", "1", assume.focal_length, {"fx": camera.fx, "fy": camera.fy})
+    yield from cause("aspect", "1", assume.aspect, {"fx": camera.fx / 2, "fy": -camera.fy / 2})
+    yield from cause("principal point", "px", assume.principal_point, {"cx": 1.0}, {"cy": 1.0})
+    yield from cause("pixel convention", "px", assume.principal_point, {"cx": 1.0, "cy": 1.0}, counts=False)
+    scaled = {"fx": camera.fx, "fy": camera.fy, "cx": camera.cx + 0.5, "cy": camera.cy + 0.5}
+    yield from cause("image scale", "1", assume.focal_length, scaled, counts=False)
+    yield from cause("skew", "rad", assume.aspect, {"skew": 1.0}, counts=False)
+    names = camera.distortion.names()
+    for kind, coefficients in (("radial distortion", ("k1", "k2")), ("tangential distortion", ("p1", "p2"))):
+        weights: list[Weights] = [{name: 1.0} for name in coefficients if name in names]
+        if weights:
+            yield from cause(kind, "1", assume.distortion, *weights)
+
+
+def _of_pattern(name: str, has_border: bool, assume: Assumptions) -> Iterator[Cause]:
+    def cause(kind: str, unit: Unit, assumed: float, *weights: Weights) -> Cause:
+        columns = _combinations(weights, lambda group: group.pattern.name == name)
+        return Cause(kind, name, unit, columns, (assumed,) * len(weights))
+
+    yield cause("size", "1", assume.pattern_size, {"size_x": 1.0, "size_y": 1.0})
+    yield cause("stretch", "1", assume.pattern_stretch, {"size_x": 0.5, "size_y": -0.5})
+    yield cause("bow", "m", assume.flatness, {"bow_x": 1.0}, {"bow_y": 1.0})
+    yield cause("twist", "m", assume.flatness, {"twist": 1.0})
+    if has_border:
+        yield cause("border", "m", assume.border, {"border": 1.0})
+
+
+def _combinations(weights: Sequence[Weights], concerns: Callable[[SeenGroup], bool]) -> Columns:
+    """The columns of combinations of a group's own columns, in the groups that are concerned."""
+
+    def columns(group: SeenGroup) -> Array | None:
+        return np.concatenate([group.names.selection(each) for each in weights], -1) if concerns(group) else None
+
+    return columns
+
+
+def _of_moving_edge(edge: Edge, T: Array, assume: Assumptions) -> Iterator[Cause]:
+    name = "-".join(edge)
+    sigma = (assume.arm_translation,) * 3 + (assume.arm_rotation,) * 3
+    yield Cause("link", name, "m", lambda group: group.widened(group.twist(edge)), sigma)
+    axis = joint_axis(T)
+    if axis is None:
+        lengths = _lengths(T)
+        yield Cause("lengths", name, "1", _on_views(edge, lengths), (0.0,))
+        return
+    direction, position, prismatic = axis
+    unit: Unit = "m" if prismatic else "rad"
+    one = assume.arm_translation if prismatic else assume.arm_rotation
+    back = np.sign(np.diff(position, prepend=position[:1])) / 2
+    constant = np.broadcast_to(direction, (len(T), 6))[..., None]
+    yield Cause("encoder offset", name, unit, _on_views(edge, constant), (one,), counts=False)
+    yield Cause("encoder gain", name, "1", _on_views(edge, constant * position[:, None, None]), (0.0,))
+    yield Cause("backlash", name, unit, _on_views(edge, constant * back[:, None, None]), (one,), counts=False)
+
+
+def _on_views(edge: Edge, twists: Array) -> Columns:
+    """The columns of twists (N, 6, k) in an edge's child frame, one for each collection."""
+
+    def columns(group: SeenGroup) -> Array | None:
+        return group.widened(group.twist(edge, twists[group.group.collections]))
+
+    return columns
+
+
+def _lengths(T: Array) -> Array:
+    """(N, 6, 1): the twists in the child frame of translations (N, 4, 4) that are longer by their own length."""
+    out = np.zeros((len(T), 6, 1))
+    out[:, :3] = np.swapaxes(T[:, :3, :3], 1, 2) @ T[:, :3, 3:]
+    return out
+
+
+def joint_axis(T: Array) -> tuple[Array, Array, bool] | None:
+    """The one axis about or along which a transform moves, as a twist (6,) of its child frame.
+
+    Returns:
+        The twist of unit length, the positions (N,) about their mean, whether it is a translation; None where the
+        motion has no such axis.
+    """
+    moved = local(T[0], T)
+    turns, shifts = moved[:, 3:], moved[:, :3]
+    for part, rest, prismatic in ((turns, shifts, False), (shifts, turns, True)):
+        size = np.linalg.norm(part, axis=1).max()
+        if size <= STILL:
+            continue
+        _, _, axes = np.linalg.svd(part, full_matrices=False)
+        position = part @ axes[0]
+        crooked = np.abs(part - position[:, None] * axes[0]).max() + np.abs(rest).max()
+        if crooked <= max(CROOKED * size, STILL):
+            twist = np.zeros(6)
+            twist[slice(0, 3) if prismatic else slice(3, 6)] = axes[0]
+            return twist, position - position.mean(), prismatic
+        return None
+    return None
+
+
+def moved_sensor(sensor: Sensor) -> Cause:
+    """The pose of a sensor on its own, apart from others that may share its transform."""
+
+    def columns(group: SeenGroup) -> Array | None:
+        return group.widened(group.twist(sensor.edge)) if group.sensor.name == sensor.name else None
+
+    return Cause(PLACE, sensor.name, "m", columns, (0.0,) * 6, counts=False)
+
+
+def moved_pattern(pattern: Pattern) -> Cause:
+    """The pose of a fixed pattern."""
+
+    def columns(group: SeenGroup) -> Array | None:
+        return group.widened(adjoint(group.T)) if group.pattern.name == pattern.name else None
+
+    return Cause(PLACE, pattern.name, "m", columns, (0.0,) * 6, counts=False)
+
+
+def lag(sensor: Sensor, velocities: dict[tuple[str, str], Array]) -> Cause:
+    """A sensor whose labels are of an earlier moment than the rest; in steps between collections.
+
+    Args:
+        sensor: whose.
+        velocities: by sensor and pattern, the twists (V, 6) of the pose in the sensor's frame, a step.
+    """
+
+    def columns(group: SeenGroup) -> Array | None:
+        found = velocities.get((group.sensor.name, group.pattern.name))
+        return group.widened(found[..., None]) if found is not None and group.sensor.name == sensor.name else None
+
+    return Cause("lag", sensor.name, "collections", columns, (0.0,), counts=False)
+
+
+def velocities(seen: SeenGroup) -> Array:
+    """(V, 6): how the pose moves from one collection to the next, as a twist in the sensor's frame.
+
+    Central differences; at the ends those to the one neighbour.
+    """
+    before = np.concatenate([seen.T[:1], seen.T[:-1]])
+    after = np.concatenate([seen.T[1:], seen.T[-1:]])
+    both = np.full(len(seen.T), 2.0)
+    both[[0, -1]] = 1.0
+    step = (local(seen.T, after) - local(seen.T, before)) / both[:, None]
+    twists: Array = (adjoint(seen.T) @ step[..., None])[..., 0]
+    return twists
+
+
+def seen_groups(dataset: Dataset, groups: Sequence[ViewGroup], poses: Sequence[Array]) -> list[SeenGroup]:
+    """The views at the optimum.
+
+    Args:
+        dataset: its transforms are those of the optimum.
+        groups: all views.
+        poses: ``T_sensor_pattern`` (V, 4, 4) of each group.
+    """
+    found = []
+    for group, T in zip(groups, poses, strict=True):
+        sensor, pattern = dataset.sensors[group.sensor], dataset.patterns[group.pattern]
+        path = dataset.tree.path(sensor.frame, pattern.parent_link)
+        prefixes, at = {}, np.broadcast_to(np.eye(4), (len(T), 4, 4))
+        for step in path:
+            edge = dataset.transforms[step.parent, step.child][group.collections]
+            if step.inverted:
+                prefixes[step.parent, step.child] = at
+            at = at @ (inverse(edge) if step.inverted else edge)
+            if not step.inverted:
+                prefixes[step.parent, step.child] = at
+        camera = sensor.camera if sensor.modality.has_corners else None
+        found.append(SeenGroup(group, sensor, pattern, T, ColumnNames(camera), path, prefixes))
+    return found

@@ -1,0 +1,127 @@
+"""What moves the labels of a view: its pose, its camera's intrinsics, its LiDAR's errors, its pattern's shape.
+
+The derivative of every residual to a displacement d of its point on the pattern, in the sensor's frame, is what the
+rows of the pose's translation hold: ``dr = r_t . d`` (`calibration.estimation.residuals`). So whatever displaces points
+is a column made from these rows and a field of displacements: a pattern that is bent by ``d = R (0, 0, f(x, y))``, a
+LiDAR that measures b too far by ``d = b u`` (the point is drawn back along its ray u, which is as if the pattern went
+on along it). Intrinsics of a camera have rows of their own.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from calibration.dataset.pattern import Pattern
+from calibration.estimation.normal_equations import Weighting
+from calibration.estimation.residuals import BorderTerm
+from calibration.estimation.views import Term
+from calibration.geometry.cameras import Camera
+from calibration.geometry.types import Array
+
+POSE = 6
+"""The first columns: the twist of the view's pose in the sensor's frame."""
+SHAPE = ("size_x", "size_y", "bow_x", "bow_y", "twist", "border")
+"""Of a pattern: its relative length along x and along y; how far its middle stands out against its ends (m), bent
+about y or about x; how far opposite corners stand out (m); how much farther out its border lies (m)."""
+RANGING = ("bias", "scale", "elevation", "sweep_x", "sweep_y", "sweep_z")
+"""Of a LiDAR or a depth camera: how much too far it measures (m, and relative), by how much its beams point too high
+(rad), and how it moves during a sweep (m a turn, in its own frame)."""
+
+
+@dataclass(frozen=True)
+class ColumnNames:
+    """The columns of the views of one sensor and one pattern."""
+
+    camera: Camera | None
+    """Of a sensor with corner labels."""
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Of the columns behind those of the pose."""
+        own = (*self.camera.parameters, "skew") if self.camera else RANGING
+        return (*own, *SHAPE)
+
+    def selection(self, weights: dict[str, float]) -> Array:
+        """(6 + E, 1): the combination of columns with these weights."""
+        out = np.zeros((POSE + len(self.names), 1))
+        for name, weight in weights.items():
+            out[POSE + self.names.index(name)] = weight
+        return out
+
+
+def squeeze(
+    terms: Sequence[Term], camera: Camera | None, pattern: Pattern, T: Array, weighting: Weighting
+) -> tuple[Array, Array]:
+    """Products of all columns of views, M (V, 6 + E, 6 + E), and their products with the residuals, m (V, 6 + E).
+
+    Args:
+        terms: the labels of the views, with the intrinsics at the optimum.
+        camera: their camera, where they are corners.
+        pattern: what they see.
+        T: ``T_sensor_pattern`` (V, 4, 4), the pattern's frame in the middle of its corners.
+        weighting: what the residuals weigh.
+    """
+    products = [_products(_columns(term, camera, pattern, T, weighting)) for term in terms]
+    M, m = (sum(part[1:], part[0]) for part in zip(*products, strict=True))
+    return M, m
+
+
+def _products(rows: Array) -> tuple[Array, Array]:
+    """M and m of weighted rows (V, 7 + E, n), the last of them the residuals."""
+    G = rows @ rows.transpose(0, 2, 1)
+    return G[:, :-1, :-1], G[:, :-1, -1]
+
+
+def _columns(term: Term, camera: Camera | None, pattern: Pattern, T: Array, weighting: Weighting) -> Array:
+    """All columns of the labels as rows (V, 6 + E + 1, d L), weighted; the last are the residuals."""
+    if camera is not None:
+        term = term.seen_with(camera, range(len(camera.parameters)))
+    rows = term.rows(T, weighting.scales[term.kind], weighting.huber)
+    pull, own, residuals = rows[:, :3], rows[:, POSE:-1], rows[:, -1:]
+    extra = _skew(own, camera) if camera is not None else _ranging(term, pull, T)
+    columns = np.concatenate([rows[:, :POSE], own, extra, _shape(term, pattern, pull, T), residuals], 1)
+    return columns.reshape(len(T), columns.shape[1], -1)
+
+
+def _skew(intrinsics: Array, camera: Camera) -> Array:
+    """(V, 1, 2, L): of axes that are not perpendicular, u = fx (x + skew y), from the column of fy: (0, y)."""
+    out = np.zeros_like(intrinsics[:, :1])
+    out[:, 0, 0] = camera.fx * intrinsics[:, 1, 1]
+    return out
+
+
+def _ranging(term: Term, pull: Array, T: Array) -> Array:
+    """(V, 6, 1, L): the columns of `RANGING`.
+
+    They are made from where the rays should end, not from what was measured: with its noise in a column, that of the
+    scale would explain the noise itself.
+    """
+    ends = T[:, :3, :3] @ term.places(T) + T[:, :3, 3:]
+    length = np.maximum(np.linalg.norm(ends, axis=1, keepdims=True), 1e-9)
+    x, y, z = (ends[:, i] for i in range(3))
+    flat = np.maximum(np.hypot(x, y), 1e-9)
+    higher = np.stack([-x * z / flat, -y * z / flat, flat], 1)
+    turn = np.arctan2(y, x) / (2 * np.pi)
+    columns = [np.einsum("vidl,vil->vdl", pull, each) for each in (ends / length, ends, -higher)]
+    columns += [-pull[:, i] * turn[:, None] for i in range(3)]
+    return np.stack(columns, 1)
+
+
+def _shape(term: Term, pattern: Pattern, pull: Array, T: Array) -> Array:
+    """(V, 6, d, L): the columns of `SHAPE`."""
+    local = np.einsum("vidl,vij->vjdl", pull, T[:, :3, :3])
+    places = term.places(T)
+    half = np.ptp(pattern.outline, axis=0) / 2
+    middle = pattern.outline.mean(0) - pattern.centre[:2]
+    a, b = ((places[:, i] - middle[i]) / half[i] for i in range(2))
+    x, y, z = (local[:, i] for i in range(3))
+    border = np.zeros_like(x)
+    if isinstance(term, BorderTerm):
+        nearest = (np.einsum("si,vil->vls", term.normals, places[:, :2]) - term.offsets).argmax(-1)
+        outward = np.moveaxis(term.normals[nearest], -1, 1)
+        border = x * outward[:, None, 0] + y * outward[:, None, 1]
+    columns = [x * places[:, None, 0], y * places[:, None, 1]]
+    columns += [z * bend[:, None] for bend in (a * a - 1, b * b - 1, a * b)]
+    return np.stack([*columns, border], 1)
