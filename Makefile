@@ -47,14 +47,20 @@ lint: ## ruff, mypy, and the checks of workflows, actions, shell, configurations
 	$(python) -m tests.lint.shell
 	$(python) -m tests.lint.documents
 
-test: ## the tests with their coverage
+# Both halves at once; else every worker would compile all tests for itself.
+tests/__pycache__:
+	@$(setup) dev.txt .
+	@echo 'compiling the tests'
+	@echo tests/*/ | xargs -n $$(( ($(words $(wildcard tests/*/)) + 1) / 2 )) -P 2 $(python) -m pytest --collect-only -qq >/dev/null || true
+
+test: | tests/__pycache__ ## the tests with their coverage
 	@$(setup) dev.txt .
 	$(python) -m coverage erase
 	COVERAGE_PROCESS_START='$(CURDIR)/pyproject.toml' COVERAGE_FILE='$(CURDIR)/.coverage' $(tests) $(ARGS)
 	$(python) -m coverage combine --quiet
 	$(python) -m coverage report
 
-test-only: ## the same without the coverage, which takes a quarter of the time
+test-only: | tests/__pycache__ ## the same without the coverage, which takes a quarter of the time
 	@$(setup) dev.txt .
 	$(tests) $(ARGS)
 

@@ -31,14 +31,14 @@ systems:
   lost: {dataset: data of robots/riwbot}
   later: {dataset: "simulation:fresh"}
 simulation:
-  fresh: {system: data of robots/t2rgb, motion: generate:4, limits: {translation-mm: 0.000001}}
+  fresh: {system: small, motion: generate:4, limits: {translation-mm: 0.000001}}
 """
 NOTHING_LEFT = ("not-there", "lost", "later")
 COLLECTED = """
 systems:
   fresh: {dataset: "simulation:fresh", evaluate: "rgb-to-rgb:right_camera:left_camera"}
 simulation:
-  fresh: {system: data of robots/t2rgb, motion: generate:4, limits: {translation-mm: 5}}
+  fresh: {system: small, motion: generate:4, limits: {translation-mm: 5}}
 """
 
 
@@ -69,7 +69,7 @@ def test_a_matrix_of_jobs_ends_in_one_table(caller: Caller) -> None:
     assert f"outputs: verdict=pass success-rate=1.0 billed-minutes={minutes} cost={price}" in run.printed
 
 
-def test_everything_that_goes_wrong_is_red_and_says_why(caller: Caller, tmp_path: Path) -> None:
+def test_everything_that_goes_wrong_is_red_and_says_why(caller: Caller, small: Path, tmp_path: Path) -> None:
     """A broken limit, a dataset that is not there, a lost result, a collection and its system, and the unit tests.
 
     All that in a pull request from a fork, which has no secrets; that a push is red too, other tests see.
@@ -78,7 +78,7 @@ def test_everything_that_goes_wrong_is_red_and_says_why(caller: Caller, tmp_path
     fork.write_text(json.dumps(FORK))
     inputs = {"tests": "python3 -m unittest -q", "coverage-minimum": "90"}
     robot = {"robot.py": "def still():\n    if False:\n        pass\n    return True\n", "test_robot.py": UNCOVERED}
-    caller.write(inputs, {**DATA, **robot, "calibration.yml": EVERYTHING_FAILS})
+    caller.write(inputs, {**DATA, **robot, "small": small, "calibration.yml": EVERYTHING_FAILS})
     run = caller.run("pull_request", "-e", str(fork), "--env", "LOSE=calibration-lost_0m_0rad")
     assert run.code == 1
     title = "::error title=gather-results::"
@@ -159,7 +159,7 @@ def test_a_plan_that_fails_is_red(caller: Caller) -> None:
     assert "calibrate (" not in run.log  # no cell has begun
 
 
-def test_a_pull_request_from_a_fork_by_commit_without_secrets(caller: Caller, tmp_path: Path) -> None:
+def test_a_pull_request_from_a_fork_by_commit_without_secrets(caller: Caller, small: Path, tmp_path: Path) -> None:
     """The cells wait for the dataset that is collected; the tests run without a token for their coverage."""
     event = tmp_path / "event.json"
     event.write_text(json.dumps(FORK))
@@ -170,7 +170,7 @@ def test_a_pull_request_from_a_fork_by_commit_without_secrets(caller: Caller, tm
         ).stdout.strip()
     )
     inputs = {"translation-noise": "0, 0.1", "noise-inside-cells": True, "job-name-prefix": "robot: "}
-    caller.write(inputs, {**DATA, "calibration.yml": COLLECTED}, reference=reference)
+    caller.write(inputs, {**DATA, "small": small, "calibration.yml": COLLECTED}, reference=reference)
     run = caller.run("pull_request", "-e", str(event), reference=reference)
     assert run.code == 0, run.log
     assert "robot: calibrate (fresh)" in run.log

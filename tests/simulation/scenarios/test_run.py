@@ -15,8 +15,7 @@ from calibration.simulation.scenarios.run import run_scenario, scenario_task
 from calibration.simulation.scenarios.scenario import ScenarioResult, content_hash, parse_id
 from calibration.simulation.scenarios.scenario_set import ScenarioSet, read_scenario_set
 from calibration.simulation.scenarios.statistics import Statistics
-from calibration.simulation.system import System
-from tests.simulation.conftest import DATASETS
+from calibration.simulation.system import read_system
 from tests.simulation.scenarios.conftest import ReadSet
 
 SWAYING = """
@@ -25,7 +24,7 @@ assembly: {translation_mm: {normal: [0, 2]}}
 motion: {poses: 5, sway_mm: {log_uniform: [0.01, 10]}}
 """
 LENIENT = Requirements(stillness=1)
-WORLDS = 12
+WORLDS = 16
 
 
 def run_scenarios(
@@ -42,10 +41,10 @@ def run_scenarios(
 
 
 @pytest.fixture(scope="module")
-def swaying(systems: dict[str, System], tmp_path_factory: pytest.TempPathFactory) -> ScenarioSet:
+def swaying(small: Path, tmp_path_factory: pytest.TempPathFactory) -> ScenarioSet:
     path: Path = tmp_path_factory.mktemp("set") / "scenarios.yml"
     path.write_text(SWAYING)
-    return read_scenario_set(path, systems["t2rgb"])
+    return read_scenario_set(path, read_system(small))
 
 
 @pytest.fixture(scope="module")
@@ -118,11 +117,11 @@ def test_a_world_in_the_dark_says_that_no_pose_gave_a_collection(read_set: ReadS
     assert result.reasons == ("no pose gave a collection",)
 
 
-def test_a_given_motion_is_played_in_every_world(swaying: ScenarioSet, systems: dict[str, System]) -> None:
-    motion = read_motion(DATASETS / "t2rgb" / "motion.json").take([0, 3, 5])
+def test_a_given_motion_is_played_in_every_world(swaying: ScenarioSet, small: Path) -> None:
+    motion = read_motion(small / "motion.json").take([0, 3, 5])
     first, second = run_scenarios(swaying, [0, 1], 1, motion, LENIENT)
     assert (first.poses, second.poses) == (3, 3)
-    assert first.hash == content_hash(systems["t2rgb"], swaying.scenario(1, 0), motion)
+    assert first.hash == content_hash(swaying.system, swaying.scenario(1, 0), motion)
     wrong = replace(motion, positions=None, orientations=None, joints={"elbow": motion.positions[:, 0]})  # type: ignore[index]
     (refused,) = run_scenarios(swaying, [0], 1, wrong)
     assert not refused.converged
