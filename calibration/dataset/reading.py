@@ -12,7 +12,6 @@ from calibration.dataset.edges import is_constant, read_transforms
 from calibration.dataset.frames import check_frames
 from calibration.dataset.joints import read_joints
 from calibration.dataset.labels import read_labels
-from calibration.dataset.layout import check_layouts
 from calibration.dataset.model import Dataset, Edge
 from calibration.dataset.pattern import Pattern, with_explicit_geometry
 from calibration.dataset.sensors import read_sensors
@@ -85,7 +84,6 @@ def _read(path: Path, data: Path | None) -> Dataset:
         raise root["collections"].fault(f"none of the {len(collections)} collections has a detected pattern")
     check_frames(dataset, root, collections)
     _check_image_sizes(dataset, collections)
-    check_layouts(dataset, root)
     return dataset
 
 

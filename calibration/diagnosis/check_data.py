@@ -1,6 +1,7 @@
 """Checks of a dataset that need no calibration: what no least squares should be asked."""
 
 from calibration.dataset.model import Dataset
+from calibration.diagnosis.board_order import check_board_order
 from calibration.diagnosis.copies import check_copies
 from calibration.diagnosis.units import check_units
 
@@ -9,7 +10,9 @@ def check_data(dataset: Dataset) -> None:
     """Refuse data that would calibrate to nonsense; `calibration.dataset.reading` has refused what is no dataset.
 
     Raises:
-        InputError: lengths look like millimetres, angles like degrees, or collections are copies of others.
+        InputError: lengths look like millimetres, angles like degrees, the corners are numbered otherwise than the
+            dataset says, or collections are copies of others.
     """
     check_units(dataset)
+    check_board_order(dataset)
     check_copies(dataset)

@@ -3,7 +3,6 @@
 import base64
 import json
 import os
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -369,52 +368,6 @@ def test_a_region_of_the_whole_image_is_none(tmp_path):
     read_dataset(
         documents.write(tmp_path, changed(documents.document(), {f"{INFO}/roi": region, f"{INFO}/binning_x": 1}))
     )
-
-
-@pytest.mark.parametrize(
-    ("dimension", "said"),
-    [
-        ({"x": 8, "y": 11}, "are numbered by rows of 11 corners; expected x: 11, y: 8 (x counts the corners of a row)"),
-        ({"x": 9, "y": 10}, "are numbered by rows of 11 corners; expected x: 11 (x counts the corners of a row)"),
-    ],
-)
-def test_rows_of_another_length_are_told_by_the_corners(tmp_path, dimension, said):
-    content = json.loads((Path(__file__).parents[2] / "datasets" / "t2rgb" / "dataset.json").read_text())
-    pattern = content[CONFIG]["calibration_patterns"]["pattern_1"]
-    assert pattern["dimension"] == {"x": 11, "y": 8}
-    pattern["dimension"] = dimension
-    content.pop("patterns", None)  # the corners by ATOM, which would count more
-    message = refused(documents.write(tmp_path, content))
-    assert f"pattern_1/dimension: found x: {dimension['x']}" in message
-    assert f"but the labels of 'left_camera' {said}" in message
-
-
-@pytest.mark.parametrize(
-    ("numbered", "said"),
-    [
-        (lambda i: i % 11 * 8 + i // 11, "numbered by rows of 8 corners; expected x: 8, y: 11"),
-        (lambda i: i * i * i % 89 - 1 if i else 87, "fit no view of a flat pattern"),
-        (lambda i: i // 11 * 11 + 10 - i % 11, "those of 'left_camera' are not"),
-    ],
-    ids=["down the columns", "at random", "mirrored"],
-)
-def test_one_detector_that_numbers_otherwise_is_named(tmp_path, numbered, said):
-    content = json.loads((Path(__file__).parents[2] / "datasets" / "t2rgb" / "dataset.json").read_text())
-    for collection in content["collections"].values():
-        for corner in collection["labels"]["pattern_1"]["right_camera"]["idxs"]:
-            corner["id"] = numbered(corner["id"])
-    message = refused(documents.write(tmp_path, content))
-    assert "right_camera" in message
-    assert said in message
-
-
-def test_corners_that_all_cameras_number_mirrored_do_no_harm(tmp_path):
-    content = json.loads((Path(__file__).parents[2] / "datasets" / "t2rgb" / "dataset.json").read_text())
-    for collection in content["collections"].values():
-        for label in collection["labels"]["pattern_1"].values():
-            for corner in label["idxs"]:
-                corner["id"] = corner["id"] // 11 * 11 + 10 - corner["id"] % 11
-    read_dataset(documents.write(tmp_path, content))
 
 
 @pytest.mark.parametrize("place", range(6))

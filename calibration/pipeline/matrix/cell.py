@@ -15,6 +15,7 @@ from calibration.dataset.model import Dataset
 from calibration.dataset.truth import Truth
 from calibration.dataset.writing import write_dataset
 from calibration.diagnosis.against_optimum import OurOptimum, find_optimum
+from calibration.diagnosis.check_data import check_data
 from calibration.diagnosis.diagnose import diagnose
 from calibration.diagnosis.finding import Finding
 from calibration.diagnosis.limits import Limits
@@ -272,6 +273,7 @@ def calibrate_cell(cell: Cell, system: LoadedSystem) -> tuple[CellResult, Calibr
     """
     result = nothing_yet(cell)
     try:
+        check_data(system.dataset)  # of a dataset that `load` has read it is known; of one made otherwise it is not
         options = replace(system.options, start=cell.start, loss=cell.loss)
         calibration = calibrate(system.dataset, options, cell.noise)
         return _described(result, calibration).found(

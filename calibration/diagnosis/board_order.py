@@ -4,9 +4,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from calibration.dataset.document import Node
 from calibration.dataset.model import CornerLabels, Dataset
 from calibration.dataset.pattern import Pattern, grid
+from calibration.errors import InputError
 from calibration.geometry.types import Array, IntArray
 
 LEAST_CORNERS = 12
@@ -26,7 +26,7 @@ View = tuple[IntArray, Array]
 """Ids (K,) and normalised image coordinates (K, 2) of the corners that a camera saw."""
 
 
-def check_layouts(dataset: Dataset, root: Node) -> None:
+def check_board_order(dataset: Dataset) -> None:
     """Refuse a pattern whose corners are numbered by rows of another length, such as one with x for y in ``dimension``.
 
     Whatever the pose and the focal length, a camera sees a flat pattern by a homography, and all see the same side.
@@ -48,27 +48,26 @@ def check_layouts(dataset: Dataset, root: Node) -> None:
             misfit = _median_misfit(pattern.corners, views)
             if misfit <= MISFIT:
                 continue
-            config = root["calibration_config"]
-            several = config.get("calibration_patterns")
-            dimension = (several[name] if several else config["calibration_pattern"])["dimension"]
-            found = f"found x: {columns}, y: {count // columns}, but the labels of '{sensor}'"
+            several = "" if dataset.version.startswith("2") else f"s/{name}"
+            where = f"{dataset.path}: calibration_config/calibration_pattern{several}/dimension"
+            found = f"{where}: found x: {columns}, y: {count // columns}, but the labels of '{sensor}'"
             row = _row(pattern, views)
             if _median_misfit(_numbered(pattern, row), views) >= BETTER * misfit:
                 if misfit < SCRAMBLED:
                     continue
-                raise dimension.fault(
+                raise InputError(
                     f"{found} fit no view of a flat pattern with rows of 2 to {LONGEST_ROW} corners; look at how its "
                     f"detector numbers the corners, and at its distortion"
                 )
             expected = f"x: {row}, y: {count // row}" if count % row == 0 else f"x: {row}"
-            raise dimension.fault(
+            raise InputError(
                 f"{found} are numbered by rows of {row} corners; expected {expected} (x counts the corners of a row)"
             )
         if any(mirrored.values()) and not all(mirrored.values()):
             one, other = (next(s for s, each in mirrored.items() if each is is_so) for is_so in (True, False))
-            raise root["sensors"][one].fault(
-                f"its labels of pattern '{name}' are numbered as from behind it, or from right to left, those of "
-                f"'{other}' are not; expected the same for all cameras"
+            raise InputError(
+                f"{dataset.path}: sensors/{one}: its labels of pattern '{name}' are numbered as from behind it, or from "
+                f"right to left, those of '{other}' are not; expected the same for all cameras"
             )
 
 
