@@ -14,17 +14,21 @@ from calibration.geometry.transforms import distance
 from calibration.geometry.types import Array
 
 MM = 1000.0
+UNITS = {"millimetres": 1 / MM, "centimetres": 0.01, "inches": 0.0254}
 LARGEST_SQUARE = 1.0
 """No square of a pattern, and no border around it, is larger, m."""
 FARTHEST_POINT = 200.0
 """No pattern is labelled in points farther away, m."""
-TOO_FAR = 10.0
-"""A transform that puts two places of one sensor, or two sensors, farther apart than this times what they see of the
-same pattern is in other units: two that see one board are at most the sum of their distances to it apart."""
+TOO_FAR, MOVES_TOO_FAR = 10.0, 5.0
+"""Two sensors, or two places of one, from which the same board is seen, are at most the sum of their distances to it
+apart. What puts sensors, or the places of one, farther apart than so many times that is in other units; how sensors
+stand to each other may be a bad guess."""
 COLLECTIONS = 30
 """Collections that are looked at."""
 LEAST_CORNERS = 6
 """Fewer corners tell a distance badly."""
+TURNS = 4 * np.pi
+"""No joint turns farther from its zero, rad."""
 FITS, DIFFERS = 0.02, 0.2
 """A joint fits its transform within the first, and does not beyond the second, m or rad."""
 
@@ -47,9 +51,10 @@ def _check_pattern(dataset: Dataset, name: str, pattern: Pattern) -> None:
     where = f"{dataset.path}: pattern '{name}'"
     side = square(pattern)
     if side > LARGEST_SQUARE:
+        looks = [f"{unit}: {side * size:.3g} m" for unit, size in UNITS.items() if 0.01 <= side * size <= 0.3]
         raise InputError(
             f"{where}: found squares of {side:g} m, expected {LARGEST_SQUARE:g} m at most; this looks like "
-            f"millimetres: {side / MM:g} m"
+            f"{' or '.join(looks) or 'another unit'}"
         )
     low, high = pattern.corners[:, :2].min(0), pattern.corners[:, :2].max(0)
     border = max(float((low - pattern.outline.min(0)).max()), float((pattern.outline.max(0) - high).max())) - side
@@ -82,6 +87,11 @@ def _check_points(dataset: Dataset) -> None:
 
 def _check_joint(dataset: Dataset, name: str, joint: Joint) -> None:
     """Refuse a joint whose transform fits its parameters only once they are taken for degrees or millimetres."""
+    if not joint.model.prismatic and (far := float(np.abs(joint.positions).max())) > TURNS:
+        raise InputError(
+            f"{dataset.path}: joint '{name}': found a position of {far:.4g} rad, expected two turns at most; this "
+            f"looks like degrees"
+        )
     T = dataset.transforms[joint.edge]
     T = T[~np.isnan(T[:, 0, 0])]
     if not len(T) or _off(joint, joint.values, joint.positions, T) <= DIFFERS:
@@ -117,7 +127,7 @@ def _check_transforms(dataset: Dataset) -> None:
     dataset = dataset.with_collections(some)
     seen = _distances(dataset)
     for a, b, pattern, apart, near, path in _places(dataset, seen):
-        if len(apart) and np.median(apart / near) > TOO_FAR:
+        if len(apart) and np.median(apart / near) > (MOVES_TOO_FAR if a == b else TOO_FAR):
             edge, size, moves = _largest(dataset, path, a == b)
             far, away = f"{np.median(apart):.3g} m", f"{np.median(near) / 2:.2g} m away"
             so = f"'{a}' moves by {far}" if a == b else f"'{a}' and '{b}' are {far} apart"

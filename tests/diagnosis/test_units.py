@@ -52,6 +52,8 @@ def test_a_pattern_in_millimetres(shared_data: Path) -> None:
     assert "found squares of 60 m, expected 1 m at most; this looks like millimetres: 0.06 m" in refusal(
         scaled_pattern(recorded, 1000, 1000)
     )
+    assert "this looks like centimetres: 0.06 m or inches: 0.152 m" in refusal(scaled_pattern(recorded, 100, 100))
+    assert "this looks like centimetres: 0.0236 m or inches: 0.06 m" in refusal(scaled_pattern(recorded, 39.37, 39.37))
     assert "found a border of 699.34 m around the squares" in refusal(scaled_pattern(recorded, 1, 1000))
 
 
@@ -96,7 +98,8 @@ def test_a_lidar_in_millimetres() -> None:
             "origin",
             "its origin's angles and its transform 'j1_link-j2_link' do not go together; this looks like degrees",
         ),
-        ("position", "its position and its transform 'j1_link-j2_link' do not go together; this looks like degrees"),
+        ("position", "found a position of 104.3 rad, expected two turns at most; this looks like degrees"),
+        ("small", "its position and its transform 'j1_link-j2_link' do not go together; this looks like degrees"),
     ],
 )
 def test_a_joint_in_degrees(what: str, said: str) -> None:
@@ -108,10 +111,20 @@ def test_a_joint_in_degrees(what: str, said: str) -> None:
         true = replace(joint, values=turned)
         wrong = replace(joint, values=np.where(angles, np.degrees(turned), turned))
     else:
-        true, wrong = joint, replace(joint, positions=np.degrees(joint.positions))
+        true = joint if what == "position" else replace(joint, positions=joint.positions / 20)
+        wrong = replace(joint, positions=np.degrees(true.positions))
     dataset = dataset.with_transforms({joint.edge: true.transform})
     check_units(replace(dataset, joints={joint.name: true}))
     assert said in refusal(replace(dataset, joints={joint.name: wrong}))
+
+
+def test_a_joint_whose_transform_is_made_of_degrees() -> None:
+    dataset = read_dataset(DATASETS / "spjbot")
+    joint = dataset.joints["j2_joint"]
+    wrong = replace(joint, positions=np.degrees(joint.positions))
+    told = replace(dataset, joints={joint.name: wrong}).with_transforms({joint.edge: wrong.transform})
+    assert "joint 'j2_joint': found a position of" in refusal(told)
+    assert "this looks like degrees" in refusal(told)
 
 
 def test_a_robot_that_drives_far_and_guesses_that_say_nothing_are_not_millimetres() -> None:
