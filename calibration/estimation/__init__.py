@@ -9,6 +9,7 @@ The rooms of the engine, in the order of the work:
 - ``usable_labels``, ``scan``, ``build``: a dataset as such a problem;
 - ``planar_pose``, ``single_views``, ``plane_alignment``, ``robot_world``, ``linear_start``: a start
   that needs no guess;
+- ``wrong_views``: views that contradict the majority of the others, left out before anything is minimised;
 - ``starting_noise``: the matrix's noisy guesses;
 - ``residuals``, ``normal_equations``, ``least_squares``: a minimum;
 - ``noise_levels``, ``optimisation``: what a pixel and a metre weigh, and so the optimum;

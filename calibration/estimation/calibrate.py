@@ -1,7 +1,7 @@
 """Calibrate a dataset: from its labels to transforms, their error bars, and what to think of them."""
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -51,30 +51,51 @@ def calibrate(dataset: Dataset, options: Options | None = None, noise: StartingN
 
 
 def _calibrate(dataset: Dataset, options: Options, noise: StartingNoise) -> Calibration:
-    setup, exact, guess, start = _started(dataset, options, noise)
-    dropped = wrong_views(setup, start.values)
-    if dropped:
-        setup, exact, guess, start = _started(without(dataset, dropped), options, noise)
+    started = _started(dataset, options, noise)
+    dropped = wrong_views(started.setup, started.linear.values)
+    if not dropped:
+        return _solved(dataset, started, options)
+    try:
+        rest = _started(without(dataset, dropped), options, noise)
+        return replace(_solved(dataset, rest, options), dropped_views=dropped)
+    except UndeterminedError as error:
+        views = ", ".join(dict.fromkeys(view.collection for view in dropped))
+        raise UndeterminedError(f"{error} (left out, as their views contradict the others: {views})") from error
+
+
+@dataclass(frozen=True, eq=False)
+class _Started:
+    """A problem and where it starts."""
+
+    setup: Setup
+    exact: Values
+    """As the dataset has it."""
+    guess: Values
+    """The same with noise."""
+    linear: LinearStart
+
+
+def _started(dataset: Dataset, options: Options, noise: StartingNoise) -> _Started:
+    setup = build(dataset, options.hold, options.intrinsics, options.known_intrinsics())
+    exact = initial_values(setup)
+    guess = perturb(setup, exact, noise)
+    return _Started(setup, exact, guess, linear_start(setup, guess))
+
+
+def _solved(dataset: Dataset, started: _Started, options: Options) -> Calibration:
+    setup, start = started.setup, started.linear
     robust = options.loss == "huber"
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         if options.start == "linear":
             result, reason = _from_linear_start(setup, start.values, options)
         else:
             # as ATOM: the patterns stand where the cameras see them from the guess without noise
-            seen_from_guess = pattern_poses(setup, exact)
+            seen_from_guess = pattern_poses(setup, started.exact)
             patterns = free_patterns(setup)
-            values = tuple(seen_from_guess[i] if i in patterns else T for i, T in enumerate(guess))
+            values = tuple(seen_from_guess[i] if i in patterns else T for i, T in enumerate(started.guess))
             result = optimise(setup.problem, values, options.noise_levels, robust)
             reason = _false_minimum(setup, result, start.values)
-    return replace(_result(dataset, setup, result, reason, start.guessed, options), dropped_views=dropped)
-
-
-def _started(dataset: Dataset, options: Options, noise: StartingNoise) -> tuple[Setup, Values, Values, LinearStart]:
-    """The problem, the given guess without and with noise, and the linear start."""
-    setup = build(dataset, options.hold, options.intrinsics, options.known_intrinsics())
-    exact = initial_values(setup)
-    guess = perturb(setup, exact, noise)
-    return setup, exact, guess, linear_start(setup, guess)
+    return _result(dataset, setup, result, reason, start.guessed, options)
 
 
 def initial_values(setup: Setup) -> Values:

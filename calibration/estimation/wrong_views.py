@@ -178,21 +178,19 @@ def _tested(setup: Setup, which: tuple[int, ...], values: Values) -> _Verdict | 
     if part is None or not part.problem.shared:
         return None
     problem = part.problem
-    tested = np.zeros(problem.collections, bool)
-    tested[problem.groups[0].collections] = True
-    majority = int(tested.sum()) // 2 + 1
+    collections = problem.groups[0].collections
     points = any(not isinstance(group.terms[0], CornerTerm) for group in problem.groups)
     equations = sum(6 if isinstance(g.terms[0], CornerTerm) else 3 for g in problem.groups) - problem.sizes[1]
-    if majority * equations < SURPLUS * problem.sizes[0]:
+    if (len(collections) // 2 + 1) * equations < SURPLUS * problem.sizes[0]:
         return None
     unknown = sum(isinstance(problem.blocks[i].parameters, Pose) for i in problem.shared)
     draw = 4 if points else 1 if unknown == 1 else 3
-    search = _Consensus(part, values, np.flatnonzero(tested), majority, equations)
-    found = search.found(draw)
-    if found is None:
+    some = np.sort(np.random.default_rng(0).permutation(collections)[:MOST])
+    most = _Consensus(part, values, some, equations).majority(draw)
+    if most is None or (found := _Consensus(part, values, collections, equations).agreed(most)) is None:
         return None
     best, wrong = found
-    return _Verdict(which, part, best, tested, wrong)
+    return _Verdict(which, part, best, np.isin(np.arange(problem.collections), collections), wrong)
 
 
 def _part(setup: Setup, which: tuple[int, ...]) -> Setup | None:
@@ -228,18 +226,21 @@ def _thinned(term: Term) -> Term:
 class _Consensus:
     """The search for the shared transforms on which most collections agree."""
 
-    def __init__(self, setup: Setup, values: Values, collections: IntArray, majority: int, equations: int) -> None:
-        self.setup, self.problem = setup, setup.problem
+    def __init__(self, setup: Setup, values: Values, collections: IntArray, equations: int) -> None:
+        """Of some collections, each of which tells so many numbers."""
+        self._tested = np.isin(np.arange(setup.problem.collections), collections)
+        self.problem = setup.problem.seen_in(self._tested)
+        self.setup = replace(setup, problem=self.problem)
         self._values = values
-        self._collections, self._majority = collections, majority
+        self._collections, self._majority = collections, len(collections) // 2 + 1
         self._equations, self._parameters = equations, self.problem.sizes[0]
         self._noise = {g.terms[0].kind: 0.1 * NOTICEABLE[g.terms[0].kind] for g in self.problem.groups}
         for group in self.problem.groups:
             kind = group.terms[0].kind
             self._noise[kind] = max(self._noise[kind], _noise(group))
 
-    def found(self, draw: int) -> tuple[Values, BoolArray] | None:
-        """The values of the majority, and which collections (N,) contradict it; None where there is no majority."""
+    def majority(self, draw: int) -> Values | None:
+        """The values on which a bare majority agrees best; None where no collections give any."""
         best: tuple[float, Values] | None = None
         least = np.inf
         for subset in self._draws(draw):
@@ -252,7 +253,7 @@ class _Consensus:
                 best = improved
             if best[0] <= CLEAR:
                 break
-        return None if best is None else self._agreed(best[1])
+        return None if best is None else best[1]
 
     def _draws(self, size: int) -> Iterator[IntArray]:
         """Collections drawn at random, always the same."""
@@ -306,7 +307,7 @@ class _Consensus:
         if not self.problem.local:
             return fitted
         others = choose(self.problem, which, fitted, self._placed(fitted))
-        settled, cost = settle(self.problem, others, weighting, self._mask(self._collections))
+        settled, cost = settle(self.problem, others, weighting, self._tested)
         return unflipped(self.problem, settled, weighting, cost)[0] if thoroughly else settled
 
     def _weighting(self, values: Values, which: BoolArray) -> Weighting:
@@ -328,9 +329,10 @@ class _Consensus:
             score, values = trial_score, trial
         return score, values
 
-    def _agreed(self, values: Values) -> tuple[Values, BoolArray] | None:
+    def agreed(self, values: Values) -> tuple[Values, BoolArray] | None:
         """From the best majority to all collections that agree with it; None where it does not agree itself."""
-        tested, first = self._mask(self._collections), self._mask(self._best(values)[1])
+        values = self._placed(values)
+        tested, first = self._tested, self._mask(self._best(values)[1])
         agreeing = first
         for _ in range(ROUNDS):
             values = self._refitted(values, agreeing, thoroughly=True)
