@@ -30,10 +30,17 @@ BASE = "debian:bookworm"
 """Made here where the engine has none: no image can be pulled where there is no registry."""
 PYTHON_IMAGE = "calibration-test:python"
 """`BASE` with Python, and a user ``robot`` (1000) who is not root."""
-_DOCKERFILE = f"""FROM {BASE}
+PLAIN_IMAGE = "calibration-test:plain"
+"""`PYTHON_IMAGE` with git, to run jobs in as root: nothing of GitHub's."""
+_PYTHON = f"""FROM {BASE}
 RUN apt-get update -qq && apt-get install -y -qq --no-install-recommends python3 && rm -rf /var/lib/apt/lists/*
 RUN useradd --create-home --uid 1000 robot
 USER robot
+"""
+_PLAIN = f"""FROM {PYTHON_IMAGE}
+USER root
+RUN apt-get update -qq && apt-get install -y -qq --no-install-recommends git python3-venv && rm -rf /var/lib/apt/lists/*
+CMD ["bash"]
 """
 
 
@@ -62,11 +69,21 @@ def base_image(engine: "DockerClient") -> str:
 @pytest.fixture(scope="session")
 def python_image(engine: "DockerClient", base_image: str) -> str:
     """`PYTHON_IMAGE`."""
-    with _one_at_a_time("python"), tempfile.TemporaryDirectory() as context:
-        if not engine.images.list(PYTHON_IMAGE):
-            Path(context, "Dockerfile").write_text(_DOCKERFILE)
-            engine.images.build(path=context, tag=PYTHON_IMAGE, forcerm=True)
-    return PYTHON_IMAGE
+    return _made(engine, PYTHON_IMAGE, _PYTHON)
+
+
+@pytest.fixture(scope="session")
+def plain_image(engine: "DockerClient", python_image: str) -> str:
+    """`PLAIN_IMAGE`."""
+    return _made(engine, PLAIN_IMAGE, _PLAIN)
+
+
+def _made(engine: "DockerClient", name: str, dockerfile: str) -> str:
+    """The name of an image, which is made where the engine has none."""
+    with _one_at_a_time(name.partition(":")[2]):
+        if not engine.images.list(name):
+            engine.images.build(fileobj=io.BytesIO(dockerfile.encode()), tag=name, forcerm=True)
+    return name
 
 
 @dataclass(frozen=True)

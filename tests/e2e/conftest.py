@@ -4,11 +4,9 @@ act runs the jobs on the host (`-P ubuntu-latest=-self-hosted`), takes the suite
 GitHub, and answers `actions/checkout` with a copy of the user's repository.
 """
 
-import io
 import json
 import os
 import re
-import secrets
 import shutil
 import signal
 import subprocess
@@ -16,12 +14,8 @@ import sys
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import pytest
-
-if TYPE_CHECKING:
-    from docker import DockerClient
 
 PROJECT = Path(__file__).resolve().parents[2]
 TIMEOUT = 270
@@ -37,12 +31,6 @@ FORK = {
     "repository": {"full_name": "me/robot", "default_branch": "main"},
 }
 """The event of a stranger's pull request."""
-
-PLAIN = """FROM {base}
-USER root
-RUN apt-get update -qq && apt-get install -y -qq --no-install-recommends git python3-venv && rm -rf /var/lib/apt/lists/*
-CMD ["bash"]
-"""
 
 
 @dataclass(frozen=True)
@@ -229,12 +217,3 @@ def repository(suite: Path, cache: Path, tmp_path: Path) -> Repository:
     folder = tmp_path / "my robot"
     folder.mkdir()
     return Repository(folder, suite, cache)
-
-
-@pytest.fixture(scope="session")
-def plain_image(engine: "DockerClient", python_image: str) -> Iterator[str]:
-    """Return an image to run jobs in: Debian with Python and git, and nothing of GitHub's."""
-    name = f"calibration-test:plain-{secrets.token_hex(4)}"
-    engine.images.build(fileobj=io.BytesIO(PLAIN.format(base=python_image).encode()), tag=name, forcerm=True)
-    yield name
-    engine.images.remove(name, force=True)
