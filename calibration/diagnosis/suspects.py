@@ -39,6 +39,8 @@ TOLD = 1e-7
 SIDE = 4
 """So many clusters before and after a change of place, at least; fewer views are tested against all others
 (`calibration.estimation.wrong_views`)."""
+EXACTLY = 1e6
+"""Degrees of freedom of a covariance that is not estimated."""
 HALF_PIXEL = (0.35, 0.65)
 """Off by so much, the principal point is of the other convention of pixels' centres."""
 
@@ -111,11 +113,11 @@ def explain(model: LinearModel) -> Explanation | None:
     found: list[Suspect] = []
     state = _State.at_optimum(model)
     while len(found) < MOST:
-        tried = [suspect for each in candidates for suspect in _tested(state, each)]
+        tried = [suspect for each in candidates for suspect in _tested(state, each, limit)]
         tried = [
             each for each in tried if not any(each.cause is one.cause and each.since == one.since for one in found)
         ]
-        significant = [each for each in tried if each.score > limit and _plausible(each)]
+        significant = [each for each in tried if _plausible(each)]
         if not significant:
             break
         most = max(each.gain for each in significant)
@@ -254,79 +256,104 @@ def _whitening(G: Array, alone: Array) -> Array:
     return whitening
 
 
-def _tested(state: _State, candidates: _Candidates) -> list[Suspect]:
-    """One Newton step for each candidate, with its significance; those that the data cannot tell are left out."""
-    n, k = candidates.columns.shape
-    K = len(state.G)
-    masks, free = candidates.masks.astype(float), state.free
-    columns = candidates.columns
-    unique, index = np.unique(columns[:, 0], return_inverse=True)
-    own = np.array([columns[index == i][0] for i in range(len(unique))])  # (u, k)
-    G_own = state.G[:, own[:, :, None], own[:, None]]  # (K, u, k, k)
-    G_free = state.G[:, free[:, None], own[:, None]]  # (K, u, F, k)
-    residual = state.residual[:, own]  # (K, u, k)
-    A = np.stack([np.tensordot(mask, G_own[:, i], 1) for mask, i in zip(masks, index, strict=True)])
-    mixed = np.stack([np.tensordot(mask, G_free[:, i], 1) for mask, i in zip(masks, index, strict=True)])
-    u = -np.stack([mask @ residual[:, i] for mask, i in zip(masks, index, strict=True)])
-    W = state.inverse @ mixed  # (n, F, k)
-    information = A - np.swapaxes(mixed, 1, 2) @ W
-    scale = 1 / np.sqrt(state.alone[columns])
-    w, U = np.linalg.eigh(scale[:, :, None] * information * scale[:, None])
-    kept = w > TOLD
-    held = state.G[:, :, state.held] * state.sigmas  # (K, C, H)
-    total = held.sum(0)[free]
-    cross = np.stack([np.tensordot(mask, held[:, own[i]], 1) for mask, i in zip(masks, index, strict=True)])
-    cross = cross - np.swapaxes(W, 1, 2) @ total  # (n, k, H): what held errors of one standard deviation do to u
-    rank = kept.sum(-1)
-    basis = scale[:, :, None] * U * np.where(kept, 1 / np.sqrt(np.where(kept, w, 1.0)), 0.0)[:, None]  # I^+ = b b^T
-    white = np.einsum("nij,ni->nj", basis, u)  # standard normal if there is nothing
-    d = np.einsum("nij,nj->ni", basis, white)
-    gain = (white**2).sum(-1)
-    step = -np.einsum("nfk,nk->nf", W, d)
-    # clusters: what is left of each at the estimate
-    left = np.empty((n, K, k))
-    for j, (i, mask) in enumerate(zip(index, masks, strict=True)):
-        own_part = mask[:, None] * (residual[:, i] + G_own[:, i] @ d[j] + np.swapaxes(G_free[:, i], 1, 2) @ step[j])
-        free_part = (
-            state.residual[:, free] + state.G[:, free[:, None], free] @ step[j] + mask[:, None] * (G_free[:, i] @ d[j])
-        )
-        left[j] = own_part - free_part @ W[j]
-    spread = left @ basis  # (n, K, k), whitened
-    scatter = np.swapaxes(spread, 1, 2) @ spread * (K / (K - 1))
-    out = []
-    for j, cause in enumerate(candidates.causes):
-        r = int(rank[j])
-        if r == 0:
-            continue
+@dataclass(frozen=True, eq=False)
+class _Step:
+    """One Newton step that frees a cause."""
+
+    own: IntArray
+    """(k,): its columns."""
+    mask: Array
+    """(K,): 1 for the clusters that it concerns."""
+    information: Array
+    """(k, k): on it, the free parameters being at their optimum: I."""
+    W: Array
+    """(F, k): what the free parameters change by, with the sign turned, when it grows by 1."""
+    basis: Array
+    """(k, r): ``I^+ = basis basis^T``, of the r directions that the data tell."""
+    white: Array
+    """(r,): the step in units of that; standard normal if there is nothing but the noise of the labels."""
+
+    @property
+    def value(self) -> Array:
+        """(k,): what it would be."""
+        value: Array = self.basis @ self.white
+        return value
+
+    @property
+    def gain(self) -> float:
+        """What it takes off the cost."""
+        return float(self.white @ self.white)
+
+    @property
+    def moves(self) -> Array:
+        """(F,): what the free parameters change by."""
+        moves: Array = -self.W @ self.value
+        return moves
+
+
+def _tested(state: _State, candidates: _Candidates, limit: float) -> Iterator[Suspect]:
+    """Those candidates whose significance is above a limit."""
+    for cause, since, step in zip(candidates.causes, candidates.since, _steps(state, candidates), strict=True):
+        r = step.basis.shape[1]
         rest = state.freedom - r
-        noise = max(1.0, (state.disagreement - gain[j]) / rest) if rest > 0 else np.inf
-        scores = [score_of_f(gain[j] / r / noise, r, max(rest, 1.0))]
-        on = kept[j]
-        clustered = scatter[j][np.ix_(on, on)]
-        covariance = noise * np.eye(r)
-        if r + 4 > K:
+        if r == 0 or rest <= 0 or len(state.G) < r + 4:
             continue
-        squared = _mahalanobis(white[j][on], clustered)
-        scores.append(score_of_f(squared * (K - r) / (r * (K - 1)), r, K - r))
-        covariance = _larger(covariance, clustered)
-        own_sigma = () if cause.counts else cause.assumed
-        assumed = np.concatenate([cross[j], information[j] * np.array(own_sigma)], -1) if own_sigma else cross[j]
-        known = basis[j][:, on].T @ assumed
-        squared = _mahalanobis(white[j][on], covariance + known @ known.T)
-        scores.append(score_of_f(squared / r, r, 1e6))
-        sigma = np.sqrt(np.einsum("ij,jk,ik->i", basis[j][:, on], covariance, basis[j][:, on]))
-        out.append(
-            Suspect(
-                cause,
-                candidates.since[j],
-                d[j],
-                sigma,
-                float(min(scores)),
-                float(gain[j] / noise),
-                step[j][: state.shared],
-            )
-        )
-    return out
+        noise = max(1.0, (state.disagreement - step.gain) / rest)
+        score = float(score_of_f(step.gain / r / noise, r, rest))
+        if score <= limit:
+            continue
+        score, covariance = _score(state, cause, step, noise, score)
+        if score > limit:
+            sigma = np.sqrt(np.einsum("ij,jk,ik->i", step.basis, covariance, step.basis))
+            yield Suspect(cause, since, step.value, sigma, score, step.gain / noise, step.moves[: state.shared])
+
+
+def _steps(state: _State, candidates: _Candidates) -> Iterator[_Step]:
+    """The step of each candidate; sums over clusters are made for all of them at once."""
+    masks, free = candidates.masks.astype(float), state.free
+    first, index = np.unique(candidates.columns[:, 0], return_index=True)
+    for start, i in zip(first, index, strict=True):
+        own = candidates.columns[i]
+        of = np.flatnonzero(candidates.columns[:, 0] == start)
+        sums = masks[of] @ state.G[:, :, own].reshape(len(state.G), -1)
+        mixed = sums.reshape(len(of), -1, len(own))  # (n, C, k)
+        pull = masks[of] @ state.residual[:, own]
+        W = state.inverse @ mixed[:, free]
+        information = mixed[:, own] - np.swapaxes(mixed[:, free], 1, 2) @ W
+        scale = 1 / np.sqrt(np.maximum(state.alone[own], 1e-300))
+        values, vectors = np.linalg.eigh(scale[:, None] * information * scale)
+        for j, mask in enumerate(masks[of]):
+            kept = values[j] > TOLD
+            basis = scale[:, None] * vectors[j][:, kept] / np.sqrt(values[j][kept])
+            yield _Step(own, mask, information[j], W[j], basis, -basis.T @ pull[j])
+
+
+def _score(state: _State, cause: Cause, step: _Step, noise: float, score: float) -> tuple[float, Array]:
+    """The least of a cause's three standard scores, and the covariance (r, r) of its step.
+
+    Args:
+        state: the model.
+        cause: it.
+        step: its step.
+        noise: how far clusters disagree otherwise.
+        score: of the first test.
+    """
+    K, r = len(state.G), step.basis.shape[1]
+    own, free, d, moves = step.own, state.free, step.value, step.moves
+    mixed = step.mask[:, None, None] * state.G[:, :, own]  # (K, C, k)
+    left = state.residual + state.G[:, :, free] @ moves + mixed @ d
+    spread = (step.mask[:, None] * left[:, own] - left[:, free] @ step.W) @ step.basis
+    clustered = spread.T @ spread * (K / (K - 1))
+    hotelling = _mahalanobis(step.white, clustered) * (K - r) / (r * (K - 1))
+    covariance = _larger(noise * np.eye(r), clustered)
+    total = state.G[:, :, state.held].sum(0)
+    masked = np.einsum("k,kih->ih", step.mask, state.G[:, own][:, :, state.held])
+    held = (masked - step.W.T @ total[free]) * state.sigmas  # what held errors of one standard deviation do
+    if any(cause.assumed) and not cause.counts:
+        held = np.concatenate([held, step.information * np.array(cause.assumed)], -1)
+    known = step.basis.T @ held
+    beyond = _mahalanobis(step.white, covariance + known @ known.T) / r
+    return min(score, float(score_of_f(hotelling, r, K - r)), float(score_of_f(beyond, r, EXACTLY))), covariance
 
 
 def _mahalanobis(x: Array, C: Array) -> float:
