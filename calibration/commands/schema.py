@@ -33,6 +33,7 @@ RECORDS = {
     "image": "calibration.image.specification:ImageDocument",
     "aws-batch": "calibration.execution.batch.settings:BatchFile",
     "results": "calibration.pipeline.distribution.gathering:RunResults",
+    "collection": "calibration.pipeline.collection.results:CollectionDocument",
     "convergence": "calibration.pipeline.convergence.results:ConvergenceResults",
     "coverage": "calibration.coverage.results:Results",
     "image-results": "calibration.image.report:BuildResult",

@@ -1,16 +1,14 @@
 """The report of a collection in simulation."""
 
 from collections.abc import Iterable
-from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
 
 from calibration import __version__
-from calibration.pipeline.collection.results import CollectionResults, SensorNumbers
-from calibration.records import document_of
+from calibration.pipeline.collection.results import CollectionDocument, CollectionResults, LostPose, SensorNumbers
+from calibration.records import value_of
 from calibration.report import Lines, Outcome, Report, Table, Text, outcome_of_check
 from calibration.simulation.collection.proof import Proof
 from calibration.simulation.collection.record import Record
@@ -30,7 +28,7 @@ def report(results: CollectionResults, output: Path) -> Report:
         output: the folder of the dataset.
     """
     proof, kept = results.proof, len(results.kept)
-    lost = [{"pose": record.number + 1, "reasons": list(record.lost)} for record in results.lost]
+    lost = tuple(LostPose(record.number + 1, record.lost) for record in results.lost)
     lines = tuple(map(lost_line, results.lost))
     sheet = results.contact_sheet
     return Report(
@@ -46,26 +44,26 @@ def report(results: CollectionResults, output: Path) -> Report:
             Text(f"Motion: {results.motion}, seed {results.seed}.", only="summary"),
         ),
         suites={f"{TITLE} {results.system}": list(_outcomes(results))},
-        results={
-            "system": results.system,
-            "seed": results.seed,
-            "motion": results.motion,
-            "poses": len(results.records),
-            "kept": kept,
-            "lost": lost,
-            "sensors": {name: asdict(numbers) for name, numbers in results.sensors.items()},
-            "corner_rms_px": results.corner_rms,
-            "calibration": _calibration(proof) if proof else None,
-            "checks": [document_of(check) for check in results.checks],
-            "reasons": results.reasons,
-            "dataset": "dataset.json" if kept else None,
-            "contact_sheet": CONTACT_SHEET if sheet else None,
-            "made_with": {"calibration": __version__, "numpy": np.__version__, "opencv": cv2.__version__},
-        },
+        results=CollectionDocument(
+            system=results.system,
+            seed=results.seed,
+            motion=results.motion,
+            poses=len(results.records),
+            kept=kept,
+            lost=lost,
+            sensors=results.sensors,
+            corner_rms_px=results.corner_rms,
+            calibration=proof,
+            checks=tuple(results.checks),
+            reasons=tuple(results.reasons),
+            dataset="dataset.json" if kept else None,
+            contact_sheet=CONTACT_SHEET if sheet else None,
+            made_with={"calibration": __version__, "numpy": np.__version__, "opencv": cv2.__version__},
+        ),
         outputs={
             "dataset": output if kept else None,
             "collections": kept,
-            "lost": lost,
+            "lost": value_of(lost),
             "detection-rate": {name: each.detection_rate for name, each in results.sensors.items()},
             "corner-error-px": results.corner_rms,
             "translation-mm": proof.translation_mm if proof else None,
@@ -100,7 +98,7 @@ def sensors_table(results: CollectionResults) -> Table:
             name,
             f"{numbers.detected}/{len(results.records)}",
             str(numbers.partial) if numbers.coverage is not None else "-",
-            f"RMS {error['rms_px']:.3f}, max {error['max_px']:.2f}" if error else "-",
+            f"RMS {error.rms_px:.3f}, max {error.max_px:.2f}" if error else "-",
             f"{100 * numbers.coverage:.0f} %" if numbers.coverage is not None else "-",
             f"{sigma.translation_mm:.3f} mm, {sigma.rotation_deg:.4f} deg" if sigma else "-",
         )
@@ -155,10 +153,3 @@ def _outcomes(results: CollectionResults) -> Iterable[Outcome]:
     yield Outcome(name="the dataset calibrates", group=results.system, reasons=reasons)
     for check in results.checks:
         yield outcome_of_check(check, results.system)
-
-
-def _calibration(proof: Proof) -> dict[str, Any]:
-    document = asdict(proof)
-    if not proof.joints:
-        del document["joints"]
-    return document

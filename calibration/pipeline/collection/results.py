@@ -1,14 +1,15 @@
 """Results of a collection: numbers, checks and verdict, of one dataset and of many worlds."""
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from dataclasses import field as dataclass_field
 from functools import cached_property
-from typing import Any
 
 from calibration.dataset.modalities import MODALITIES
 from calibration.errors import ExitCode, exit_code_of
 from calibration.pipeline.collection.request import CollectionChecks, ScenarioRequest
+from calibration.records import field, result
 from calibration.report import Check, Verdict, at_least, at_most, count_of, verdict_of
 from calibration.simulation.collection.proof import Proof
 from calibration.simulation.collection.record import COLUMNS, ROWS, CornerErrors, Record
@@ -32,22 +33,69 @@ def truth_checks(found: Proof | ScenarioResult | None, limits: CollectionChecks)
     ]
 
 
-@dataclass(frozen=True)
+@result
+class CornerError:
+    """Detected corners against the true ones."""
+
+    corners: int = field("How many.")
+    rms_px: float = field("Root mean square.", unit="px")
+    bias_px: tuple[float, ...] = field("Mean of both coordinates.", unit="px")
+    max_px: float = field("The largest.", unit="px")
+
+    @classmethod
+    def of(cls, errors: Sequence[CornerErrors]) -> "CornerError | None":
+        """The errors of several views as one; None where there is none."""
+        count = sum(error.count for error in errors)
+        if not count:
+            return None
+        mean = [sum(error.count * error.mean[axis] for error in errors) / count for axis in (0, 1)]
+        rms = math.sqrt(sum(error.count * error.rms**2 for error in errors) / count)
+        return cls(
+            count, round(rms, 5), tuple(round(value, 5) for value in mean), max(error.largest for error in errors)
+        )
+
+
+@result
 class SensorNumbers:
     """What one sensor did over all poses."""
 
-    modality: str
-    detected: int
-    """In how many poses."""
-    detection_rate: float
-    partial: int
-    """Of a camera: in how many poses it saw only a part of a pattern."""
-    labels: int
-    """Corners or points, over the collections that were kept."""
-    corner_error: dict[str, Any] | None
-    """Detected corners against the true ones, px; of a camera that detected something."""
-    coverage: float | None
-    """The share of a grid over a camera's image where a corner was seen in a collection that was kept."""
+    modality: str = field("rgb, depth, lidar3d, lidar2d.")
+    detected: int = field("In how many poses.")
+    detection_rate: float = field("Share of the poses, 0 to 1.")
+    partial: int = field("Of a camera: in how many poses it saw only a part of a pattern.")
+    labels: int = field("Corners or points, over the collections that were kept.")
+    corner_error: CornerError | None = field("Of a camera that detected something.")
+    coverage: float | None = field(
+        "The share of a grid over a camera's image where a corner was seen in a collection that was kept."
+    )
+
+
+@result
+class LostPose:
+    """A pose that is not in the dataset."""
+
+    pose: int = field("Counted from 1.")
+    reasons: tuple[str, ...] = field("Why.")
+
+
+@result(kw_only=True)
+class CollectionDocument:
+    """Results of collect-data-sim: one dataset."""
+
+    system: str = field("The system.")
+    seed: int = field("Of everything that is drawn.")
+    motion: str = field("A file, or how it was generated.")
+    poses: int = field("Of the motion.")
+    kept: int = field("The collections in the dataset.")
+    lost: tuple[LostPose, ...] = field("The poses that are not in the dataset.")
+    sensors: Mapping[str, SensorNumbers] = field("By name.")
+    corner_rms_px: float | None = field("All corners in the dataset against the true ones.", unit="px")
+    calibration: Proof | None = field("Of the dataset, from its linear start; null where no collection was kept.")
+    checks: tuple[Check, ...] = field("Every limit with what was found.")
+    reasons: tuple[str, ...] = field("Why the verdict is fail.")
+    dataset: str | None = field("Beside this file; null where no collection was kept.")
+    contact_sheet: str | None = field("A picture of all images, where they are known.")
+    made_with: Mapping[str, str] = field("Versions that the bytes hang on.")
 
 
 @dataclass(frozen=True)
@@ -62,7 +110,7 @@ class CollectionResults:
     records: tuple[Record, ...]
     proof: Proof | None
     """None where no collection was kept."""
-    limits: CollectionChecks = field(default_factory=CollectionChecks)
+    limits: CollectionChecks = dataclass_field(default_factory=CollectionChecks)
     failures: tuple[str, ...] = ()
     """Why the applications of a team collected nothing, or not everything."""
     error: ExitCode | None = None
@@ -88,8 +136,8 @@ class CollectionResults:
     @property
     def corner_rms(self) -> float | None:
         """Of all corners in the dataset against the truth, px."""
-        error = _together([error for record in self.kept for error in record.errors.values()])
-        return error["rms_px"] if error else None
+        error = CornerError.of([error for record in self.kept for error in record.errors.values()])
+        return error.rms_px if error else None
 
     @cached_property
     def checks(self) -> list[Check]:
@@ -135,23 +183,9 @@ def _sensor_numbers(name: str, modality: str, results: CollectionResults) -> Sen
         detection_rate=round(len(detected) / len(records), 4) if records else 0.0,
         partial=sum(not record.complete[name] for record in detected) if camera else 0,
         labels=sum(record.labels[name] for record in kept),
-        corner_error=_together([record.errors[name] for record in kept if name in record.errors]) if camera else None,
+        corner_error=CornerError.of([each.errors[name] for each in kept if name in each.errors]) if camera else None,
         coverage=round(len({c for r in kept for c in r.cells[name]}) / (COLUMNS * ROWS), 4) if camera else None,
     )
-
-
-def _together(errors: list[CornerErrors]) -> dict[str, Any] | None:
-    """The errors of several views as one; None where there is none."""
-    count = sum(error.count for error in errors)
-    if not count:
-        return None
-    mean = [sum(error.count * error.mean[axis] for error in errors) / count for axis in (0, 1)]
-    return {
-        "corners": count,
-        "rms_px": round(math.sqrt(sum(error.count * error.rms**2 for error in errors) / count), 5),
-        "bias_px": [round(value, 5) for value in mean],
-        "max_px": max(error.largest for error in errors),
-    }
 
 
 @dataclass(frozen=True)
@@ -161,7 +195,7 @@ class ScenarioResults:
     system: str
     request: ScenarioRequest
     statistics: Statistics
-    errors: Mapping[str, ExitCode] = field(default_factory=dict)
+    errors: Mapping[str, ExitCode] = dataclass_field(default_factory=dict)
     """The worlds that could not be run, by id: because of bad input (2) or a failing world (3). They have failed."""
 
     @cached_property

@@ -1,9 +1,9 @@
 """The proof of a dataset: does it calibrate, and to the truth?"""
 
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
@@ -15,46 +15,43 @@ from calibration.errors import CalibrationError
 from calibration.estimation.calibrate import calibrate
 from calibration.estimation.result import Calibration
 from calibration.evaluation.truth import TruthError, truth_error
+from calibration.records import field, result
 
 
-@dataclass(frozen=True)
+@result
 class SensorSigma:
-    """How sure a calibration is of one transform, by its own covariance."""
+    """Standard deviation of one transform, by the calibration's own covariance."""
 
-    translation_mm: float
-    rotation_deg: float
+    translation_mm: float = field("Norm of three axes.", unit="mm")
+    rotation_deg: float = field("Norm of three axes.", unit="deg")
 
 
-@dataclass(frozen=True)
+@result
 class JointProof:
-    """What a calibration found of one parameter of a joint, m or rad."""
+    """Result of a calibration for one parameter of a joint, m or rad."""
 
-    joint: str
-    parameter: str
-    unit: str
-    value: float
-    sigma: float
-    error: float | None
-    """Its size against the truth, where that is known."""
+    joint: str = field("Its name.")
+    parameter: str = field("Which of its parameters.")
+    unit: Literal["m", "rad"] = field("Of all numbers.")
+    value: float = field("The calibrated value.")
+    sigma: float = field("Standard deviation.")
+    error: float | None = field("Its size against the truth, where that is known.")
 
 
-@dataclass(frozen=True)
+@result
 class Proof:
-    """What a calibration of a dataset found. Numbers are None where there is none."""
+    """Result of a calibration of a dataset. Numbers are null where there is none."""
 
-    converged: bool
-    reason: str
-    """Why it did not converge; empty where it did."""
-    rms_px: float | None = None
-    """Of the reprojected corners."""
-    translation_mm: float | None = None
-    """The worst error of a calibrated sensor against the truth."""
-    rotation_deg: float | None = None
-    sigmas: dict[str, SensorSigma] | None = None
-    """By sensor, of the transforms that were free."""
-    weak_directions: tuple[str, ...] = ()
-    joints: tuple[JointProof, ...] = ()
-    """The parameters of joints that were free."""
+    converged: bool = field("Whether an optimum was found.")
+    reason: str = field("Why it did not converge; empty where it did.")
+    rms_px: float | None = field("Of the reprojected corners.", unit="px", default=None)
+    translation_mm: float | None = field("Worst error of a calibrated sensor against the truth.", default=None)
+    rotation_deg: float | None = field("Likewise.", default=None)
+    sigmas: Mapping[str, SensorSigma] | None = field("By sensor, of the transforms that were free.", default=None)
+    weak_directions: tuple[str, ...] = field("What the data hardly determine.", default=())
+    joints: tuple[JointProof, ...] | None = field(
+        "The parameters of joints that were free; absent where there is none.", default=None, omitted=True
+    )
 
     @property
     def joint_mm(self) -> float | None:
@@ -69,7 +66,8 @@ class Proof:
         return None if worst is None else round(math.degrees(worst), 6)
 
     def _worst(self, unit: str) -> float | None:
-        return max((each.error for each in self.joints if each.unit == unit and each.error is not None), default=None)
+        errors = (each.error for each in self.joints or () if each.unit == unit and each.error is not None)
+        return max(errors, default=None)
 
 
 def prove(folder: Path, truth: str | None = None) -> Proof:
@@ -109,7 +107,7 @@ def prove_dataset(dataset: Dataset, choice: str | None = None) -> Proof:
         if found.converged
         else None,
         weak_directions=found.weak_directions,
-        joints=tuple(_joints(found, error)) if found.converged else (),
+        joints=(tuple(_joints(found, error)) or None) if found.converged else None,
     )
 
 
