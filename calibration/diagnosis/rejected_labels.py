@@ -15,7 +15,7 @@ VIEW = 0.2
 """Share of the labels of one view."""
 FEW = 3
 """No fewer labels make a view suspicious: one of its four corners is no share of anything."""
-GROSS: Mapping[NoiseKind, float] = {"pixel": 2.5, "range": 0.1}
+GROSS_PIXELS, GROSS_METRES = 2.5, 0.1
 """Labels that are nearer to the result (px, m) do not count: real images and LiDARs have tails beyond five standard
 deviations of the rest, which the robust loss takes care of."""
 NAMED = 5
@@ -26,8 +26,8 @@ def rejected_labels(calibration: Calibration) -> tuple[Finding, ...]:
     """How many labels do not fit, in all and in single views.
 
     A label is rejected where Huber's loss gives it less than half its weight, beyond five standard deviations: of
-    normal noise, 4e-6 of the corners. It counts where it is also off by more than `GROSS`. A robust loss may have
-    found what few labels say, so more than half of them rejected, gross or not, are red too.
+    normal noise, 4e-6 of the corners. It counts where it is also off by more than `GROSS_PIXELS` or `GROSS_METRES`.
+    A robust loss may have found what few labels say, so more than half of them rejected, gross or not, are red too.
     """
     total = sum(int(np.isfinite(view.magnitudes).sum()) for view in calibration.residuals)
     rejected = calibration.rejected
@@ -39,7 +39,7 @@ def rejected_labels(calibration: Calibration) -> tuple[Finding, ...]:
             f"intrinsics, the pattern's dimensions and the joints' positions"
         )
         return (Finding("rejected-labels", "red", text, value=len(rejected) / total, unit="1"),)
-    gross = [label for label in rejected if label.residual > GROSS.get(label.kind, 0.0)]
+    gross = [label for label in rejected if label.residual > (GROSS_PIXELS if label.kind == "pixel" else GROSS_METRES)]
     if (share := len(gross) / total) > WARNING:
         sensors, keys = (Counter(each) for each in zip(*((g.sensor, g.collection) for g in gross), strict=True))
         worst, collections = sensors.most_common(1)[0][0], tuple(key for key, _ in keys.most_common())

@@ -3,7 +3,6 @@
 import numpy as np
 
 from calibration.diagnosis.finding import Finding
-from calibration.estimation.repeated import repeated_collections
 from calibration.estimation.result import Calibration
 
 NAMED = 8
@@ -11,8 +10,7 @@ NAMED = 8
 
 def repeated(calibration: Calibration) -> tuple[Finding, ...]:
     """How many collections are shots of the same poses."""
-    keys = calibration.dataset.keys
-    clusters = repeated_collections(calibration.dataset, calibration.noise_levels.pixel)
+    keys, clusters = calibration.solution.dataset.keys, calibration.solution.clusters
     again = np.flatnonzero(clusters != np.arange(len(clusters))).tolist()
     if not again:
         return ()

@@ -18,8 +18,9 @@ from calibration.estimation.intrinsics import CalibratedIntrinsics
 from calibration.estimation.linear_model import LinearModel, linear_model
 from calibration.estimation.noise_levels import NoiseLevels
 from calibration.estimation.normal_equations import Weighting
+from calibration.estimation.repeated import repeated_collections
 from calibration.geometry.joints import JointParameter
-from calibration.geometry.types import Array
+from calibration.geometry.types import Array, IntArray
 from calibration.records import record
 
 
@@ -95,7 +96,12 @@ class Solution:
     @cached_property
     def model(self) -> LinearModel:
         """What near the optimum depends on what, calibrated or held."""
-        return linear_model(self.setup.problem, self.values, self.weighting, self.dataset, self.assume)
+        return linear_model(self.setup.problem, self.values, self.weighting, self.dataset, self.assume, self.clusters)
+
+    @cached_property
+    def clusters(self) -> IntArray:
+        """(N,): of each collection the first one that it repeats, or itself."""
+        return repeated_collections(self.dataset, self.weighting.scales.get("pixel"))
 
 
 @dataclass(frozen=True, eq=False)

@@ -59,3 +59,14 @@ def test_an_arm_that_has_moved_repeats_nothing() -> None:
     of_board[1] = T[1] @ np.linalg.inv(T[0]) @ of_board[0] if edge[0] == pattern.parent_link else of_board[1]
     moved = twice.with_transforms({edge: T, (pattern.parent_link, pattern.link): of_board})
     assert repeated_collections(moved, SIGMA).tolist() == list(range(7))
+
+
+def test_repeated_shots_make_no_result_more_certain() -> None:
+    """The honest error bar of a dataset is that of its own collections, however often one of them is taken again."""
+    once = repeating(eye_to_hand(10).dataset(), range(10))
+    often = repeating(eye_to_hand(10).dataset(), [*range(10), *[3] * 40])
+    few, many = calibrate(once), calibrate(often)
+    edge = once.sensors["cam"].edge
+    assert many.sigma_mm(edge) > 0.8 * few.sigma_mm(edge)
+    assert many.error_bars is not None
+    assert many.error_bars.effective_collections < 10
