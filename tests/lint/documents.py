@@ -91,8 +91,8 @@ def made_whole(part: Any) -> tuple[str | None, Any]:
 def check(schema: str, paths: list[Path]) -> Iterator[str]:
     """What check-jsonschema says of files."""
     if schema in SCHEMAS:
-        package, name = SCHEMAS[schema]
-        arguments = ["--schemafile", str(files(package).joinpath(name))]
+        shipped = SCHEMAS[schema]
+        arguments = ["--schemafile", str(files(shipped.package).joinpath(shipped.file))]
     else:
         arguments = ["--builtin-schema", schema]
     command = [str(CHECK), "--color", "never", *arguments, *map(str, paths)]

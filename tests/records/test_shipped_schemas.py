@@ -6,17 +6,17 @@ from typing import Any
 import jsonschema
 import pytest
 
-from calibration.commands.schema import RECORDS, generated
+from calibration.commands.schema import SCHEMAS, generated
 
 from ..actions.write_inputs import schema_file
 
 
-@pytest.mark.parametrize("name", RECORDS)
+@pytest.mark.parametrize("name", SCHEMAS)
 def test_what_ships_is_what_the_record_says(name: str) -> None:
     assert schema_file(name).read_text() == generated(name), "run make actions"
 
 
-@pytest.mark.parametrize("name", RECORDS)
+@pytest.mark.parametrize("name", SCHEMAS)
 def test_it_is_a_schema_that_describes_every_key(name: str) -> None:
     schema = json.loads(generated(name))
     jsonschema.Draft202012Validator.check_schema(schema)
