@@ -3,7 +3,8 @@
 A kind of defect (`kinds`) is planted in a `scene`: what the user has, and the world as it is. Scenes come in three
 `strata`: exact labels with Gaussian noise, labels of rendered images, and good robots with the small errors that every
 robot has. `case` judges one of them as `make run` would and holds it against the truth, which the verdict never sees;
-`summary` counts. ``python -m benchmarks.verdict`` runs the catalogue.
+`summary` counts. `software` is what a team's own software leaves in the place of our engine. ``python -m
+benchmarks.verdict`` runs the catalogue.
 """
 
 from collections.abc import Iterator

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from benchmarks.rows import Bar, Row
-from benchmarks.verdict import recordings, summary
+from benchmarks.verdict import recordings, software, summary
 from benchmarks.verdict.case import Outcome
 from benchmarks.verdict.catalogue import cases, outcomes
 from benchmarks.verdict.kinds import ALL, CLEAN, KINDS
@@ -23,6 +23,7 @@ def rows(quick: bool) -> Iterator[Row]:
     clean = list(cases([CLEAN.name], ALL, STRATA, range(5 if quick else CLEAN_SEEDS), False))
     yield from of_outcomes(list(outcomes([*planted, *clean], os.cpu_count() or 1)))
     yield from recordings.rows(quick)
+    yield from software.rows(quick)
 
 
 def of_outcomes(found: list[Outcome]) -> Iterator[Row]:

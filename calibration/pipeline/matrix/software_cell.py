@@ -126,7 +126,27 @@ def _with_dataset(
             f"{error}: its calibrated dataset (or say calibrated: {NO_DATASET}, to believe its table)"
         ) from None
     dataset = read_dataset(output / path, data=system.dataset.path.parent)
-    result = replace(result, dataset=str(path), converged=True)
+    return judged(replace(result, dataset=str(path)), dataset, cell, system, folder, output)
+
+
+def judged(
+    result: CellResult, dataset: Dataset, cell: Cell, system: LoadedSystem, folder: Path, output: Path
+) -> CellResult:
+    """The result with what a calibrated dataset says of it, and of its table.
+
+    Args:
+        result: so far, with its table, where there is one.
+        dataset: what the software has left.
+        cell: from where it was calibrated.
+        system: its data.
+        folder: where the dataset's own table is written if the result has none, relative to ``output``.
+        output: the folder of the jobs.
+
+    Raises:
+        InputError: the dataset cannot be evaluated, or the table cannot be read.
+        WorldError: the table cannot be written.
+    """
+    result = replace(result, converged=True)
     if other := same_labels(dataset, system.dataset):
         return result.found(other)
     result = replace(result, truth=distance_from_truth(dataset, system))
