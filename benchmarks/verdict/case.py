@@ -14,7 +14,9 @@ from benchmarks.verdict.scene import Scene
 from benchmarks.verdict.strata import Stratum, clean, generator
 from calibration.dataset.model import Dataset
 from calibration.diagnosis.check_data import check_data
+from calibration.diagnosis.limits import Limits, allowed
 from calibration.errors import CalibrationError, InputError
+from calibration.estimation.calibrate import calibrate
 from calibration.estimation.result import Calibration
 from calibration.estimation.starting_noise import StartingNoise
 from calibration.evaluation.specification import parse_evaluation
@@ -24,7 +26,6 @@ from calibration.introspection.judge import judge
 from calibration.introspection.table import read_table
 from calibration.pipeline.matrix.cell import Cell, CellResult, LoadedSystem, calibrate_cell, nothing_yet, table_of
 from calibration.pipeline.matrix.judgement import judge_cells
-from calibration.pipeline.system import Limits
 
 BY_NAME: dict[str, Kind] = {kind.name: kind for kind in (CLEAN, *KINDS)}
 
@@ -39,6 +40,8 @@ class Case:
     size: int
     """Which of the kind's sizes."""
     seed: int
+    limits: bool = True
+    """Whether the user has set calibration.yml's limits, or those count that a run takes where none is set."""
 
     @property
     def planted(self) -> Kind:
@@ -48,7 +51,14 @@ class Case:
     def scene(self) -> Scene:
         """The scene with the defect in it."""
         base = clean(self.stratum, self.system, self.seed)
-        return self.planted.plant(base, self.planted.sizes[self.size], generator(self))
+        rng = generator(self.kind, self.stratum, self.system, self.size, self.seed)
+        return self.planted.plant(base, self.planted.sizes[self.size], rng)
+
+    @property
+    def allowed(self) -> Limits:
+        """How far off a result may be."""
+        limits = clean(self.stratum, self.system, self.seed).system.limits
+        return limits if self.limits else _where_none_is_set(self.stratum, self.system, self.seed)
 
 
 @dataclass(frozen=True)
@@ -124,15 +134,16 @@ def run(case: Case) -> Outcome:
     """Plant, judge, compare."""
     scene = case.scene()
     begin = time.perf_counter()
-    result, rms_red, calibration = judged(scene)
+    told = scene.system if case.limits else replace(scene.system, limits=Limits())
+    result, rms_red, calibration = judged(replace(scene, system=told))
     seconds = time.perf_counter() - begin
     harm = harm_of(calibration.dataset, scene) if calibration else None
-    limits = scene.system.limits
+    limits = case.allowed
     return Outcome(
         case=case,
         harm=harm,
         limits=harm.over(limits) if harm else None,
-        clean_limits=_clean_limits(case.stratum, case.system, case.seed) if case.kind != CLEAN.name else 0.0,
+        clean_limits=_clean_limits(case),
         red=result.verdict == "fail",
         reasons=result.reasons,
         kinds=tuple(f.kind for f in result.findings if f.severity == "red"),
@@ -146,13 +157,10 @@ def run(case: Case) -> Outcome:
 
 
 def judged(scene: Scene) -> tuple[CellResult, bool, Calibration | None]:
-    """The verdict on one start without noise, whether the rules for the table alone are red, and the calibration.
-
-    A robot has no truth, so limits that need one are left out.
-    """
-    entry = replace(scene.system, limits=LIMITS_WITHOUT_TRUTH)
+    """The verdict on one start without noise, whether the rules for the table alone are red, and the calibration."""
+    entry = scene.system
     evaluation = parse_evaluation(entry.evaluate) if entry.evaluate else None
-    loaded = LoadedSystem(entry.name, scene.told, None, evaluation, entry.options)
+    loaded = LoadedSystem(entry.name, scene.told, None, evaluation, entry.options, entry.limits)
     try:
         check_data(scene.told)
     except InputError as error:
@@ -175,7 +183,6 @@ def judged(scene: Scene) -> tuple[CellResult, bool, Calibration | None]:
     return result, violated, calibration
 
 
-LIMITS_WITHOUT_TRUTH = Limits()
 TABLE = "table.csv"
 
 
@@ -206,10 +213,32 @@ def _nees(calibration: Calibration, scene: Scene) -> Iterator[float]:
         yield float(error @ np.linalg.solve(covariance, error)) / 6
 
 
+def _clean_limits(case: Case) -> float:
+    """The harm of the same scene without the defect."""
+    if case.kind == CLEAN.name:
+        return 0.0
+    found = _run_clean(replace(case, kind=CLEAN.name, size=0)).limits
+    return found if found is not None else 0.0
+
+
 @cache
-def _clean_limits(stratum: Stratum, system: str, seed: int) -> float:
-    limits = run(Case(CLEAN.name, stratum, system, 0, seed)).limits
-    return limits if limits is not None else 0.0
+def _run_clean(case: Case) -> Outcome:
+    return run(case)
+
+
+@cache
+def _where_none_is_set(stratum: Stratum, system: str, seed: int) -> Limits:
+    """What `calibration.diagnosis.limits` allows the worst of the sensors of the scene without a defect."""
+    scene = clean(stratum, system, seed)
+    found = calibrate(scene.told, scene.system.options)
+    each = [allowed(found, Limits(), sensor.edge) for sensor in scene.told.sensors.values()]
+    joint_mm, joint_deg = Limits().joint
+    return Limits(
+        translation_mm=max(one.translation_mm for one in each),
+        rotation_deg=max(one.rotation_deg for one in each),
+        joint_mm=joint_mm,
+        joint_deg=joint_deg,
+    )
 
 
 def _named(result: CellResult, kind: Kind) -> int:

@@ -18,6 +18,7 @@ from calibration.dataset.reading import FILE_NAME, read_dataset
 from calibration.dataset.truth import read_truth
 from calibration.dataset.writing import write_document
 from calibration.errors import InputError
+from calibration.estimation.assumptions import EXACT, Assumptions
 from calibration.geometry.joints import JOINT_PARAMETERS
 from calibration.geometry.transforms import retract
 from calibration.geometry.types import Array
@@ -68,12 +69,18 @@ def entries() -> Mapping[str, Entry]:
 
 @cache
 def clean(stratum: Stratum, system: str, seed: int) -> Scene:
-    """A scene without a defect."""
+    """A scene without a defect; the user of exact labels assumes that all is exact, the others do as by default."""
     if stratum == "rendered":
-        return _rendered(system, seed % RENDERED_WORLDS)
+        return _assuming(Assumptions(), _rendered(system, seed % RENDERED_WORLDS))
     rng = generator(stratum, system, seed)
-    exact = _exact(system, seed, rng)
-    return _noisy(exact if stratum == "exact" else _imperfect(exact, rng), rng, stratum == "good")
+    scene = _exact(system, seed, rng)
+    if stratum == "exact":
+        return _assuming(EXACT, _noisy(scene, rng, outliers=False))
+    return _assuming(Assumptions(), _noisy(_imperfect(scene, rng), rng, outliers=True))
+
+
+def _assuming(assume: Assumptions, scene: Scene) -> Scene:
+    return replace(scene, system=replace(scene.system, options=replace(scene.system.options, assume=assume)))
 
 
 @cache

@@ -12,7 +12,7 @@ from calibration.dataset.model import CornerLabels
 
 @pytest.fixture(scope="module")
 def good() -> Outcome:
-    return run(Case("clean", "good", "riwbot", 0, 0))
+    return run(Case("clean", "good", "riwbot", 0, 0, limits=False))
 
 
 def test_the_catalogue_is_large_enough() -> None:
