@@ -7,7 +7,7 @@ from calibration.estimation.result import Calibration, DroppedView
 
 RED = 0.05
 """Share of a sensor's views: so many are no accident, and fewer are left to outvote them."""
-NAMED = 8
+NAMED = 20
 """Collections that a message names."""
 
 

@@ -258,8 +258,7 @@ def run_cell(cell: Cell, system: LoadedSystem, output: Path, folder: str | None 
     result, calibration = calibrate_cell(cell, system)
     try:
         if calibration is not None and np.isfinite(calibration.cost):
-            judged = without(calibration.dataset, calibration.dropped_views)
-            result = _written(result, calibration.dataset, system, output, folder or cell.folder, calibration, judged)
+            result = _written(result, calibration.dataset, system, output, folder or cell.folder, calibration)
     except CalibrationError as error:
         result = _failed(result, error)
     return replace(result, seconds=round(time.perf_counter() - begin, 4))
@@ -366,9 +365,13 @@ def distance_from_truth(dataset: Dataset, system: LoadedSystem) -> Deviation | N
 
 
 def table_of(dataset: Dataset, system: LoadedSystem, calibration: Calibration | None) -> Table | None:
-    """The evaluation of a calibrated dataset: the system's, else the reprojection errors of a calibration."""
+    """The evaluation of a calibrated dataset: the system's, else the reprojection errors of a calibration.
+
+    Views that a calibration has left out, since they contradict the others, are left out of it too.
+    """
     if system.evaluation is not None:
-        return system.evaluation.run(dataset, system.truth)
+        counted = dataset if calibration is None else without(dataset, calibration.dropped_views)
+        return system.evaluation.run(counted, system.truth)
     return reprojection(calibration) if calibration is not None else None
 
 

@@ -26,6 +26,7 @@ from calibration.pipeline.results import Results
 from calibration.pipeline.system import NoiseGrid
 from calibration.report import Report
 from tests.estimation.systems import jointed_arm
+from tests.estimation.test_wrong_views import exchanged
 from tests.evaluation.scene import T_LINK_OPTICAL, arm, range_pair, rgb, with_corners
 from tests.pipeline.conftest import DATASETS, T2RGB
 from tests.pipeline.matrix.test_judgement import CELL
@@ -238,3 +239,20 @@ def test_what_most_labels_do_not_fit_is_no_pass(tmp_path: Path, monkeypatch: pyt
         assert results.cells[0].verdict == verdict
     assert results.cells[0].reasons[0].startswith(f"{count // 2 + 1} of {count} labels do not fit the result")
     assert "look at the intrinsics" in results.cells[0].reasons[0]
+
+
+def test_views_that_contradict_the_others_are_red_and_named_and_in_no_table(tmp_path: Path) -> None:
+    dataset = exchanged(read_dataset(DATASETS / "riwbot"), "rgb_world", (3, 8, 11))
+    system = LoadedSystem(
+        "riwbot", dataset, truth_of(dataset), parse_evaluation("inter-collection-rgb-to-rgb:rgb_world:rgb_world")
+    )
+    result = cells.run_cell(cells.Cell("riwbot", StartingNoise()), system, tmp_path)
+    [reason] = result.reasons
+    assert reason.startswith("rgb_world: views of collections 003, 008, 011 contradict the others, by up to")
+    assert result.rms_px is not None
+    assert result.rms_px < 0.2
+    assert result.details is not None
+    assert [view.collection for view in result.details.dropped_views] == ["003", "008", "011"]
+    assert result.dataset is not None
+    written = read_dataset(tmp_path / result.dataset)
+    assert ("pattern_1", "rgb_world") in written.collections[3].labels
