@@ -171,7 +171,7 @@ def _rays(count: int) -> Row:
 
 def _corners(camera: Camera, count: int, bar: Bar) -> Iterator[Row]:
     """The detector that datasets are labelled with, against the projected truth."""
-    from calibration.labelling.detection import corner_detector
+    from calibration.labelling.corner_detector import corner_detector
 
     detector, views, sensor = corner_detector(PATTERN), poses(count), SimulatedCamera(camera)
     truth = [camera.project(apply(T, PATTERN.pattern().corners)) for T in views]

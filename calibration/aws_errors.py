@@ -2,13 +2,12 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING
+
+import botocore.exceptions as aws
+from boto3.exceptions import Boto3Error
 
 from calibration.errors import CalibrationError, InputError, WorldError
 from calibration.workflow.text import one_line, shorten
-
-if TYPE_CHECKING:
-    from botocore.exceptions import ClientError
 
 _EXPIRED = ("ExpiredToken", "ExpiredTokenException", "RequestExpired", "TokenRefreshRequired")
 _UNKNOWN = (
@@ -73,9 +72,6 @@ def aws_errors(where: str, service: str = "batch") -> Iterator[None]:
         InputError: there are no credentials, they are expired or unknown, may not do this, or it makes no sense.
         AwsLostError: AWS cannot be reached, throttles, or fails.
     """
-    import botocore.exceptions as aws
-    from boto3.exceptions import Boto3Error
-
     try:
         yield
     except aws.ClientError as error:
@@ -105,12 +101,12 @@ def aws_errors(where: str, service: str = "batch") -> Iterator[None]:
         raise WorldError(f"{where}: AWS: {_short(error)}") from None
 
 
-def error_code(error: "ClientError") -> str:
+def error_code(error: aws.ClientError) -> str:
     """The code of what AWS answered: ``NoSuchKey``; of a HEAD it is but a number."""
     return str(error.response.get("Error", {}).get("Code", "")) or "unknown error"
 
 
-def _answered(where: str, service: str, error: "ClientError") -> CalibrationError:
+def _answered(where: str, service: str, error: aws.ClientError) -> CalibrationError:
     """What AWS itself answered."""
     code = error_code(error)
     action = _ACTIONS.get(error.operation_name, f"{service}:{error.operation_name}")

@@ -91,6 +91,7 @@ class Http:
         import requests
 
         self._session = requests.Session()
+        self._errors = requests.exceptions
         self._session.get_redirect_target = lambda _: None  # type: ignore  # see _follow
         self._secrets = set(secrets)
         self._address = address
@@ -200,21 +201,19 @@ class Http:
 
     def _explained(self, error: Exception, host: str) -> Exception:
         """What to raise for what went wrong in an attempt."""
-        import requests
-
         if isinstance(error, WorldError):
             return error
         reason = shorten(one_line(redact(innermost_cause(error), self._secrets)), 200)
-        if isinstance(error, requests.exceptions.SSLError):
+        if isinstance(error, self._errors.SSLError):
             ca = "a proxy's own certificate: REQUESTS_CA_BUNDLE"
             return WorldError(f"{host}: its TLS is not trusted: {reason} ({ca})")
-        if isinstance(error, requests.ConnectTimeout):
+        if isinstance(error, self._errors.ConnectTimeout):
             return _NoAnswerError(f"no connection within {self._limits.connect:g} s")
-        if isinstance(error, requests.Timeout) or "timed out" in reason:
+        if isinstance(error, self._errors.Timeout) or "timed out" in reason:
             return _NoAnswerError(f"no answer within {self._limits.silence:g} s")
-        if isinstance(error, requests.exceptions.ChunkedEncodingError):
+        if isinstance(error, self._errors.ChunkedEncodingError):
             return _NoAnswerError(f"broke off in the middle of its answer: {reason}")
-        if isinstance(error, requests.ConnectionError):
+        if isinstance(error, self._errors.ConnectionError):
             return _NoAnswerError(f"no answer: {reason}")
         return WorldError(f"{host}: the request failed: {reason}")
 

@@ -14,7 +14,6 @@ from calibration.commands.place import place
 from calibration.commands.record_options import chosen, given, record_options
 from calibration.errors import ExitCode, InputError
 from calibration.execution.backends import AWS_BATCH, CONTAINERS, DOCKER, Place, check_backend
-from calibration.image.bases import pull_image
 from calibration.introspection.rulesfile import read_rules
 from calibration.pipeline.configuration import Configuration, read_configuration
 from calibration.pipeline.matrix.matrix import Matrix
@@ -151,6 +150,8 @@ def pull(settings: Settings, runner: Runner) -> None:
         raise InputError("registry-username is given without the image that it is for")
 
     login = RegistrySettings(username=settings.registry_username, password_variable=settings.password_variable)
+    from calibration.image.bases import pull_image  # the engine's SDK
+
     pull_image(image, login, runner, TITLE)
 
 

@@ -10,16 +10,16 @@ import subprocess
 from collections.abc import Mapping, Sequence
 from contextlib import closing
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+from coverage import CoverageData
+from coverage.exceptions import CoverageException
 
 from calibration.coverage.formats import MAX_BYTES, MAX_LINE, Report, parse_cobertura
 from calibration.coverage.injection import REPORTER, bring_coverage, reporting, write_settings
 from calibration.errors import InputError, WorldError
 from calibration.files import read_bytes
 from calibration.workflow.text import one_line, shorten
-
-if TYPE_CHECKING:
-    from coverage import CoverageData
 
 MAGIC = b"SQLite format 3\0"
 SECONDS = 300
@@ -51,8 +51,6 @@ def merge(files: Sequence[Path], names: Mapping[str, str], untouched: Sequence[s
     Raises:
         InputError: one of the files is no data file of coverage.py.
     """
-    from coverage import CoverageData
-
     with (
         closing(CoverageData(basename=str(folder / "jumps"))) as jumps,
         closing(CoverageData(basename=str(folder / "lines"))) as lines,
@@ -107,11 +105,8 @@ def report_of(data: Path, name: str, settings: Mapping[str, Any], directory: Pat
     return Report(name, report.files, (str(directory),))
 
 
-def _opened(file: Path) -> "CoverageData":
+def _opened(file: Path) -> CoverageData:
     """The data in a file, which is checked before anything of it is believed."""
-    from coverage import CoverageData
-    from coverage.exceptions import CoverageException
-
     refused = InputError(f"{file}: a data file of coverage.py was expected, and this is none that it can read")
     try:
         with closing(sqlite3.connect(f"{file.absolute().as_uri()}?mode=ro&immutable=1", uri=True)) as database:

@@ -7,6 +7,9 @@ from dataclasses import dataclass, field
 from typing import NoReturn
 from xml.etree.ElementTree import Element
 
+from defusedxml import DefusedXmlException
+from defusedxml.ElementTree import ParseError, iterparse
+
 from calibration.coverage.lines import FileCoverage, Rate
 from calibration.errors import InputError
 from calibration.workflow.text import one_line, shorten
@@ -40,9 +43,6 @@ def elements(data: bytes, name: str) -> Iterator[tuple[str, Element]]:
     Raises:
         InputError: it is no XML, declares entities, or is nested too deeply.
     """
-    from defusedxml import DefusedXmlException
-    from defusedxml.ElementTree import ParseError, iterparse
-
     depth = 0
     try:
         for event, element in iterparse(io.BytesIO(data), ("start", "end")):

@@ -8,6 +8,9 @@ from contextlib import chdir
 from pathlib import Path
 from typing import Any
 
+import coverage
+from coverage.exceptions import ConfigError, CoverageException
+
 from calibration.errors import InputError
 from calibration.workflow.text import one_line, shorten
 
@@ -53,8 +56,6 @@ def reporting(environment: Mapping[str, str], brought: Path) -> dict[str, str]:
 
 def bring_coverage(folder: Path) -> Path:
     """Make a folder with our coverage.py alone, for a Python that has none: none of our other packages gets in."""
-    import coverage
-
     brought = folder / "brought"
     if not brought.is_dir():
         brought.mkdir()
@@ -75,18 +76,15 @@ def team_settings(directory: Path) -> dict[str, Any]:
     Raises:
         InputError: coverage.py does not understand the file.
     """
-    from coverage import Coverage
-    from coverage.exceptions import CoverageException
-
     with chdir(directory), warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of settings for other versions than ours
         try:
-            coverage = Coverage(data_file=None)
+            team = coverage.Coverage(data_file=None)
         except (CoverageException, ValueError, OSError) as error:  # OSError: a file that may not be read
             raise InputError(f"{directory}: coverage.py's settings: {shorten(one_line(str(error)), 300)}") from None
-        settings = {name: _option(coverage, name) for name in _KEPT}
+        settings = {name: _option(team, name) for name in _KEPT}
         for plugin in settings["run:plugins"] or ():
-            options = coverage.config.get_plugin_options(plugin)
+            options = team.config.get_plugin_options(plugin)
             settings |= {f"{plugin}:{key}": value for key, value in options.items()}
         settings["run:omit"] = [_absolute(pattern) for pattern in settings["run:omit"] or ()]
     for name, more in (("exclude_lines", "exclude_also"), ("partial_branches", "partial_also")):
@@ -112,12 +110,10 @@ def _items(value: object) -> Sequence[object]:
     return value if isinstance(value, list | tuple) else [value]
 
 
-def _option(coverage: Any, name: str) -> Any:
+def _option(team: Any, name: str) -> Any:
     """A setting; None too where our version of coverage.py does not have it."""
-    from coverage.exceptions import ConfigError
-
     try:
-        return coverage.get_option(name)
+        return team.get_option(name)
     except ConfigError:
         return None
 

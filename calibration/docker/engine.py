@@ -12,14 +12,15 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+
+import docker.errors
+import requests
+import urllib3
+from docker import DockerClient
+from docker.errors import APIError
 
 from calibration.errors import InputError, WorldError
 from calibration.workflow.text import one_line, shorten
-
-if TYPE_CHECKING:
-    from docker import DockerClient
-    from docker.errors import APIError
 
 SECONDS = 60
 """How long the engine may take for an answer."""
@@ -57,23 +58,17 @@ class Engine:
     local: bool
     """Whether it sees the files that we see: it runs on this machine, and we are in no container of it."""
 
-    def client(self, seconds: int = SECONDS) -> "DockerClient":
+    def client(self, seconds: int = SECONDS) -> DockerClient:
         """Make a client; nothing is asked of the engine."""
         return _client(self.version, seconds)
 
 
-def connect(seconds: int = SECONDS) -> "DockerClient":
+def connect(seconds: int = SECONDS) -> DockerClient:
     """Make a client of the engine, which has answered.
 
     Raises:
-        WorldError: the package docker is not installed, or no engine answers.
+        WorldError: no engine answers.
     """
-    try:
-        import docker  # slow to import
-        import requests
-    except ModuleNotFoundError as error:
-        message = f"containers need the package {error.name}: pip install {error.name}"
-        raise WorldError(message) from None
     try:
         if os.environ.get("DOCKER_HOST", "").startswith(_UNIX):
             _peer(address().removeprefix(_UNIX))  # the SDK leaves a socket open where nobody listens
@@ -135,10 +130,6 @@ def engine_errors(where: str = "") -> Iterator[None]:
         InputError: the engine says that what was asked makes no sense.
         WorldError: the engine failed.
     """
-    import docker.errors
-    import requests
-    import urllib3
-
     try:
         yield
     except docker.errors.APIError as error:
@@ -156,20 +147,18 @@ def lost(error: Exception | None = None) -> EngineLostError:
     return EngineLostError(f"the Docker Engine at {address()} does not answer any more{cause}")
 
 
-def engine_message(error: "APIError") -> str:
+def engine_message(error: APIError) -> str:
     """What the engine says, on one line."""
     return shorten(one_line(f"the Docker Engine says: {error.explanation or error}"), 400)
 
 
-def is_our_fault(error: "APIError") -> bool:
+def is_our_fault(error: APIError) -> bool:
     """Whether the engine refused what was asked of it, and did not fail itself."""
     said = engine_message(error).lower()
     return error.is_client_error() or any(sentence in said for sentence in _OUR_FAULT)
 
 
-def _client(version: str | None, seconds: int) -> "DockerClient":
-    import docker
-
+def _client(version: str | None, seconds: int) -> DockerClient:
     return docker.from_env(version=version, timeout=seconds, use_ssh_client=address().startswith("ssh://"))
 
 

@@ -6,6 +6,9 @@ from contextlib import closing
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+import docker.errors
+
+from calibration.docker.engine import connect, engine_errors
 from calibration.errors import InputError, WorldError
 from calibration.image.builders.build_log import BuildLog
 from calibration.registries.credentials import Credentials, RegistrySettings
@@ -68,8 +71,6 @@ def find_base(client: "DockerClient", name: str, login: Login, *, ask_registry: 
 
 def local_image(client: "DockerClient", name: str) -> "Image | None":
     """The engine's image of that name, or None."""
-    import docker
-
     try:
         return client.images.get(name)
     except docker.errors.ImageNotFound:
@@ -83,8 +84,6 @@ def fetch(client: "DockerClient", name: str, login: Login, platform: str | None,
         InputError: there is no such image, or it may not be seen.
         WorldError: it cannot be fetched.
     """
-    import docker
-
     if local_image(client, name) is not None:
         return
     reference = parse_reference(name)
@@ -136,8 +135,6 @@ def pull_image(name: str, settings: RegistrySettings, runner: Runner, title: str
         InputError: there is no such image, or it may not be seen.
         WorldError: the engine or the registry cannot be reached.
     """
-    from calibration.docker.engine import connect, engine_errors
-
     credentials = registry_login(settings, name, runner)
     with (
         closing(connect()) as client,

@@ -14,6 +14,7 @@ from calibration.errors import CalibrationError, InputError, WorldError
 from calibration.image.bases import Base, fetch, local_image
 from calibration.image.builders.build_log import BuildLog
 from calibration.image.builders.buildkit import build_and_push, build_by_buildkit
+from calibration.image.builders.engine import build_by_engine
 from calibration.image.builders.programs import Program, find_buildkit
 from calibration.image.builders.request import BuildRequest
 from calibration.image.content_key import KEY_LABEL, key_tag
@@ -208,8 +209,6 @@ class _Work:
             for base in plan.bases:
                 self._fetch_base(base, log)
             if program is None:
-                from calibration.image.builders.engine import build_by_engine
-
                 made = build_by_engine(self._client, request, log)
             else:
                 build_by_buildkit(program, request, reference, log)

@@ -10,6 +10,8 @@ from io import BufferedReader, BytesIO
 from pathlib import Path, PurePosixPath
 from typing import IO
 
+from docker.utils.build import Pattern
+
 from calibration.errors import InputError, WorldError
 from calibration.files import read_bytes, write_atomically
 
@@ -47,8 +49,6 @@ class Ignored:
     """What patterns as in a ``.dockerignore`` leave out."""
 
     def __init__(self, patterns: Iterable[str] = ()) -> None:
-        from docker.utils.build import Pattern  # the engine's own meaning of a pattern
-
         self._rules = [rule for rule in map(Pattern, patterns) if rule.dirs]
         self.has_exceptions = any(rule.exclusion for rule in self._rules)
         """Whether a folder that is left out may have something in it that is not."""

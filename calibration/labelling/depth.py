@@ -1,5 +1,6 @@
 """The pixels of a depth image that lie on a pattern, and those on its border."""
 
+import cv2
 import numpy as np
 
 from calibration.dataset.depth_image import NO_RETURN, UNIT
@@ -96,8 +97,6 @@ def _metres(depth: DepthImage) -> Array:
 
 def _largest(region: BoolArray) -> BoolArray:
     """The largest part of a region (h, w) whose pixels are connected by their sides."""
-    import cv2
-
     count, parts, stats, _ = cv2.connectedComponentsWithStats(region.astype(np.uint8), connectivity=4)
     if count < 2:
         return region

@@ -3,10 +3,10 @@
 from dataclasses import dataclass
 from typing import Any, Protocol
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.dataset.configuration import PatternConfiguration
 from calibration.dataset.model import CornerLabels
 from calibration.errors import InputError
 
@@ -39,8 +39,6 @@ def grey(image: NDArray[Any]) -> Image:
         )
     if not colour or not image.size:
         return image.reshape(image.shape[:2]) if not colour else image[:, :, 0]
-    import cv2
-
     return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8)
 
 
@@ -59,19 +57,3 @@ class CornerDetector(Protocol):
             InputError: it is no such image.
         """
         ...
-
-
-def corner_detector(pattern: PatternConfiguration) -> CornerDetector:
-    """The detector for a pattern.
-
-    Raises:
-        InputError: no such board can be printed; the message says why.
-    """
-    # imported here, because OpenCV takes a while to load
-    if pattern.kind == "charuco":
-        from calibration.labelling.charuco import CharucoDetector
-
-        return CharucoDetector(pattern)
-    from calibration.labelling.chessboard import ChessboardDetector
-
-    return ChessboardDetector(pattern)

@@ -1,43 +1,19 @@
 """AWS's registry (ECR): a password for some hours, and a repository where there is none."""
 
 import base64
-import re
-from dataclasses import dataclass
 from typing import Any
+
+import boto3
+from botocore.config import Config
 
 from calibration.aws_errors import aws_errors
 from calibration.errors import WorldError
 from calibration.registries.credentials import Credentials
-from calibration.registries.reference import Reference, parse_reference
+from calibration.registries.reference import ECR_PUBLIC, Reference, ecr_host, parse_reference
 from calibration.workflow import Runner, add_mask
 
-PUBLIC = "public.ecr.aws"
 PUBLIC_REGION = "us-east-1"
 """Where the public registry has its only interface."""
-
-_HOST = re.compile(
-    r"(?P<account>[0-9]{12})\.dkr[.-]ecr(?P<fips>-fips)?\.(?P<region>[a-z]{2}(?:-[a-z]+)+-[0-9])"
-    r"\.(?:amazonaws\.com(?:\.cn)?|on\.aws|on\.amazonwebservices\.com\.cn)"
-)
-
-
-@dataclass(frozen=True)
-class EcrHost:
-    """What the host of a private registry says."""
-
-    account: str
-    region: str
-
-
-def parse_host(registry: str) -> EcrHost | None:
-    """Read ``<account>.dkr.ecr.<region>.amazonaws.com``, also of China, FIPS and dual stack; None for any other."""
-    found = _HOST.fullmatch(registry)
-    return None if found is None else EcrHost(found["account"], found["region"])
-
-
-def is_ecr(registry: str) -> bool:
-    """Whether a registry is one of AWS's, private or public."""
-    return registry == PUBLIC or parse_host(registry) is not None
 
 
 def ecr_credentials(name: str, runner: Runner, create_repository: bool = False, insecure: bool = False) -> Credentials:
@@ -57,7 +33,7 @@ def ecr_credentials(name: str, runner: Runner, create_repository: bool = False, 
         WorldError: AWS cannot be reached, throttles, or fails.
     """
     reference = parse_reference(name)
-    with aws_errors(reference.name, "ecr-public" if reference.registry == PUBLIC else "ecr"):
+    with aws_errors(reference.name, "ecr-public" if reference.registry == ECR_PUBLIC else "ecr"):
         client: Any = _client(reference.registry)
         try:
             data = client.get_authorization_token().get("authorizationData")
@@ -66,7 +42,7 @@ def ecr_credentials(name: str, runner: Runner, create_repository: bool = False, 
         finally:
             client.close()
     try:
-        token = (data if reference.registry == PUBLIC else data[0])["authorizationToken"]
+        token = (data if reference.registry == ECR_PUBLIC else data[0])["authorizationToken"]
         username, colon, password = base64.b64decode(token, validate=True).decode().partition(":")
     except (LookupError, TypeError, ValueError):
         token = colon = ""
@@ -77,13 +53,10 @@ def ecr_credentials(name: str, runner: Runner, create_repository: bool = False, 
 
 
 def _client(registry: str) -> object:
-    import boto3
-    from botocore.config import Config
-
-    host = parse_host(registry)
-    region = PUBLIC_REGION if registry == PUBLIC else host.region if host else None
+    host = ecr_host(registry)
+    region = PUBLIC_REGION if registry == ECR_PUBLIC else host.region if host else None
     return boto3.session.Session().client(
-        "ecr-public" if registry == PUBLIC else "ecr",
+        "ecr-public" if registry == ECR_PUBLIC else "ecr",
         region_name=region,
         config=Config(retries={"mode": "standard", "total_max_attempts": 4}, connect_timeout=10, read_timeout=30),
     )
@@ -91,9 +64,9 @@ def _client(registry: str) -> object:
 
 def _create_repository(client: Any, reference: Reference, runner: Runner) -> None:
     repository = reference.repository
-    if reference.registry == PUBLIC:  # public.ecr.aws/<alias>/<repository>
+    if reference.registry == ECR_PUBLIC:  # public.ecr.aws/<alias>/<repository>
         repository = repository.partition("/")[2]
-    host = parse_host(reference.registry)
+    host = ecr_host(reference.registry)
     account = {"registryId": host.account} if host else {}
     try:
         client.describe_repositories(repositoryNames=[repository], **account)

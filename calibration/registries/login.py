@@ -3,10 +3,11 @@
 import os
 from collections.abc import Mapping
 
+from docker import auth, errors
+
 from calibration.errors import InputError, WorldError
 from calibration.registries.credentials import Credentials, RegistrySettings
-from calibration.registries.ecr import ecr_credentials, is_ecr
-from calibration.registries.reference import DOCKER_HUB, parse_reference
+from calibration.registries.reference import DOCKER_HUB, is_ecr, parse_reference
 from calibration.workflow import Runner, add_mask
 from calibration.workflow.text import one_line, shorten
 
@@ -48,6 +49,8 @@ def _credentials(
         if found is not None:
             return found
     if settings.kind == "ecr" or is_ecr(registry):
+        from calibration.registries.ecr import ecr_credentials  # boto3, which others do not need
+
         return ecr_credentials(name, runner, settings.create_repository, settings.insecure)
     return Credentials(registry, insecure=settings.insecure)
 
@@ -68,8 +71,6 @@ def _from_settings(settings: RegistrySettings, registry: str, environment: Mappi
 
 def _from_docker(registry: str, insecure: bool) -> Credentials | None:
     """What ``docker login`` has left for a registry."""
-    from docker import auth, errors
-
     try:
         found = auth.load_config().resolve_authconfig(None if registry == DOCKER_HUB else registry)
     except errors.DockerException as error:

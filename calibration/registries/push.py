@@ -5,6 +5,9 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+import docker.errors
+import requests
+
 from calibration.errors import CalibrationError, InputError, WorldError
 from calibration.registries.credentials import Credentials
 from calibration.registries.promotion import tag_image
@@ -167,9 +170,6 @@ def _push_once(
 
 def _events(client: "DockerClient", image: Reference, credentials: Credentials | None) -> Iterator[Mapping[str, Any]]:
     """What the engine tells while it pushes."""
-    import docker
-    import requests
-
     # Given even where it is empty: without it docker-py would look for a login of its own.
     login = {} if credentials is None else credentials.auth_config()
     try:

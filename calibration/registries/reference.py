@@ -109,3 +109,29 @@ def is_digest(text: str) -> bool:
 
 def _looks_like_a_host(text: str) -> bool:
     return "." in text or ":" in text or text == "localhost" or text != text.lower()
+
+
+ECR_PUBLIC = "public.ecr.aws"
+_ECR_HOST = re.compile(
+    r"(?P<account>[0-9]{12})\.dkr[.-]ecr(?P<fips>-fips)?\.(?P<region>[a-z]{2}(?:-[a-z]+)+-[0-9])"
+    r"\.(?:amazonaws\.com(?:\.cn)?|on\.aws|on\.amazonwebservices\.com\.cn)"
+)
+
+
+@dataclass(frozen=True)
+class EcrHost:
+    """What the host of a private registry says."""
+
+    account: str
+    region: str
+
+
+def ecr_host(registry: str) -> EcrHost | None:
+    """Read ``<account>.dkr.ecr.<region>.amazonaws.com``, also of China, FIPS and dual stack; None for any other."""
+    found = _ECR_HOST.fullmatch(registry)
+    return None if found is None else EcrHost(found["account"], found["region"])
+
+
+def is_ecr(registry: str) -> bool:
+    """Whether a registry is one of AWS's, private or public."""
+    return registry == ECR_PUBLIC or ecr_host(registry) is not None

@@ -1,7 +1,5 @@
 """Engines that are not there, and what others say of it."""
 
-import importlib.abc
-import sys
 from pathlib import Path
 
 import pytest
@@ -44,19 +42,6 @@ def test_no_engine_answers_at_a_file(monkeypatch: pytest.MonkeyPatch, tmp_path: 
     monkeypatch.setenv("DOCKER_HOST", f"unix://{tmp_path}/docker.sock")
     with pytest.raises(WorldError, match="Connection refused"):
         connect(5)
-
-
-def test_without_the_package(monkeypatch: pytest.MonkeyPatch) -> None:
-    class Hidden(importlib.abc.MetaPathFinder):
-        def find_spec(self, name: str, *_: object) -> None:
-            if name == "docker":
-                raise ModuleNotFoundError("hidden", name=name)
-
-    monkeypatch.setattr(sys, "meta_path", [Hidden(), *sys.meta_path])
-    for name in [name for name in sys.modules if name == "docker" or name.startswith("docker.")]:
-        monkeypatch.delitem(sys.modules, name)
-    with pytest.raises(WorldError, match=r"containers need the package docker: pip install docker"):
-        connect()
 
 
 def api_error(status: int, said: str) -> docker.errors.APIError:

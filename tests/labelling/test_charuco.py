@@ -11,7 +11,8 @@ from calibration.dataset.model import CornerLabels
 from calibration.errors import InputError
 from calibration.execution.embedded import Embedded
 from calibration.labelling.charuco import CharucoDetector
-from calibration.labelling.detection import NotDetected, corner_detector
+from calibration.labelling.corner_detector import corner_detector
+from calibration.labelling.detection import NotDetected
 from tests.labelling.pictures import HD, HD_DISTORTED, VGA, Photograph, charuco, facing, in_view, true_corners
 
 BOARD = charuco()

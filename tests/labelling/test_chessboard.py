@@ -6,7 +6,8 @@ import pytest
 from calibration.dataset.model import CornerLabels
 from calibration.errors import InputError
 from calibration.labelling.chessboard import ChessboardDetector
-from calibration.labelling.detection import NotDetected, corner_detector
+from calibration.labelling.corner_detector import corner_detector
+from calibration.labelling.detection import NotDetected
 from tests.labelling.pictures import HD, VGA, Photograph, chessboard, facing, true_corners
 
 UNIQUE, TWOFOLD, SQUARE, SQUARE_FOURFOLD = chessboard(10, 7), chessboard(9, 7), chessboard(7, 7), chessboard(6, 6)

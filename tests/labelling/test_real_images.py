@@ -15,7 +15,8 @@ from calibration.dataset.reading import read_dataset
 from calibration.estimation.calibrate import Options, calibrate
 from calibration.evaluation.rgb_to_rgb import rgb_to_rgb
 from calibration.geometry.transforms import distance
-from calibration.labelling.detection import NotDetected, corner_detector
+from calibration.labelling.corner_detector import corner_detector
+from calibration.labelling.detection import NotDetected
 
 PATTERN = PatternConfiguration(
     "pattern_1", "charuco", "pattern_link", "world", False, (11, 8), 0.06, 0.045, (0.04, 0.03), "DICT_5X5_100"

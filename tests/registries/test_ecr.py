@@ -7,8 +7,9 @@ import pytest
 
 from calibration.errors import CalibrationError, InputError, WorldError
 from calibration.registries.credentials import RegistrySettings
-from calibration.registries.ecr import ecr_credentials, is_ecr, parse_host
+from calibration.registries.ecr import ecr_credentials
 from calibration.registries.login import registry_login
+from calibration.registries.reference import ecr_host, is_ecr
 from calibration.workflow import Runner
 from tests.registries.server import Reply, serve
 
@@ -73,7 +74,7 @@ def runner(log: io.StringIO) -> Runner:
     ],
 )
 def test_hosts_of_aws(registry: str, region: str) -> None:
-    host = parse_host(registry)
+    host = ecr_host(registry)
     assert host is not None
     assert (host.account, host.region) == (ACCOUNT, region)
     assert is_ecr(registry)

@@ -4,14 +4,15 @@ import time
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
+import botocore.exceptions
+
 from calibration.aws_errors import aws_errors, error_code
 from calibration.errors import CalibrationError, InputError
 from calibration.execution.batch.definition import Resources
 from calibration.execution.batch.following import Look, records
 from calibration.execution.batch.session import Aws
 from calibration.execution.batch.settings import BatchSettings
-from calibration.registries.ecr import parse_host
-from calibration.registries.reference import parse_reference
+from calibration.registries.reference import ecr_host, parse_reference
 from calibration.workflow.text import one_line, shorten
 
 _MISSING = ("RepositoryNotFoundException", "ImageNotFoundException")
@@ -28,10 +29,8 @@ def with_digests(aws: Aws, images: Iterable[str]) -> dict[str, str]:
 
 
 def _with_digest(aws: Aws, image: str) -> str:
-    import botocore.exceptions
-
     reference = parse_reference(image)
-    host = parse_host(reference.registry)
+    host = ecr_host(reference.registry)
     if host is None or reference.digest is not None:
         return image
     with aws_errors(f"image {image}"):

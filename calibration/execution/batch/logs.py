@@ -8,6 +8,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import botocore.exceptions
+
 from calibration.aws_errors import AwsLostError, aws_errors, error_code
 from calibration.errors import CalibrationError
 from calibration.execution.batch.following import Description
@@ -180,8 +182,6 @@ def _pages(
 
 def _page(aws: Aws, group: str, stream: str, token: str | None) -> dict[str, Any] | None:
     """Part of a log; None where there is no such stream (yet)."""
-    import botocore.exceptions
-
     settings = {} if token is None else {"nextToken": token}
     with aws_errors(f"log {group} {stream}"):
         try:

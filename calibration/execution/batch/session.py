@@ -16,6 +16,11 @@ from functools import cached_property
 from typing import Any, TypeVar
 from urllib.parse import urlsplit
 
+import boto3
+import botocore.session
+from botocore.config import Config
+from botocore.credentials import AssumeRoleWithWebIdentityCredentialFetcher, DeferredRefreshableCredentials
+
 from calibration.aws_errors import AwsLostError, aws_errors
 from calibration.errors import WorldError
 from calibration.http import Http
@@ -134,8 +139,6 @@ class Aws:
             return self._clients[key]
 
     def _new_client(self, service: str, tries: int, region: str) -> Any:
-        from botocore.config import Config
-
         config = Config(
             retries={"mode": "standard", "total_max_attempts": tries},
             connect_timeout=10,
@@ -151,11 +154,6 @@ class Aws:
 
     @cached_property
     def _session(self) -> Any:
-        try:
-            import boto3
-            import botocore.session
-        except ModuleNotFoundError as error:
-            raise WorldError(f"AWS Batch needs the package {error.name}: pip install {error.name}") from None
         with aws_errors(f"region {self.region}"):
             session = botocore.session.get_session()
             _take_role_by_tokens_of_github(session, self.region)
@@ -175,7 +173,6 @@ def _take_role_by_tokens_of_github(session: Any, region: str) -> None:
     role = os.environ.get("AWS_ROLE_ARN") or by_file
     if not url or not secret or not role:
         return
-    from botocore.credentials import AssumeRoleWithWebIdentityCredentialFetcher, DeferredRefreshableCredentials
 
     def create(service: str, **settings: Any) -> Any:
         return session.create_client(service, region_name=region, **settings)

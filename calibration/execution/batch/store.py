@@ -6,6 +6,8 @@ from contextlib import closing
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
+import botocore.exceptions
+
 from calibration.aws_errors import aws_errors, error_code
 from calibration.errors import InputError, WorldError
 from calibration.execution.batch.session import Aws
@@ -149,8 +151,6 @@ class Store:
             yield page
 
     def _open(self, key: str) -> dict[str, Any] | None:
-        import botocore.exceptions
-
         with aws_errors(self._where):
             try:
                 answer: dict[str, Any] = self._s3.get_object(Bucket=self._bucket, Key=key)

@@ -4,6 +4,8 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, Self
 
+import docker.errors
+
 from calibration.docker.engine import connect, engine_errors, engine_message
 from calibration.errors import WorldError
 from calibration.execution.docker.labels import CONTAINER, JOB, RUN, Owner
@@ -67,8 +69,6 @@ def remove(api: "APIClient", leftovers: Sequence[Leftover]) -> list[Leftover]:
     Raises:
         WorldError: something cannot be removed; the rest has been. Or the engine does not answer.
     """
-    import docker.errors  # here, as `cleanup --cloud` does without the SDK
-
     removed, problems = [], []
     for leftover in _in_order(leftovers):
         with engine_errors():

@@ -13,7 +13,7 @@ from calibration.workflow.text import one_line, shorten
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+    from matplotlib.patches import Rectangle
 
 MOST_MAPS = 24
 COLUMNS = 2
@@ -44,35 +44,29 @@ def figures(results: ConvergenceResults) -> tuple[bytes, bytes]:
     if len(results.maps) > MOST_MAPS:
         raise InputError(f"no figure: found {len(results.maps)} maps, at most {MOST_MAPS} can be drawn")
     try:
-        from matplotlib import rc_context
+        from matplotlib import figure, patches, rc_context
     except ImportError as error:
         message = "the figure needs matplotlib: pip install matplotlib"
         raise InputError(message) from error
     with rc_context(_STYLE), warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="Glyph")  # a name in a script that the font does not have
-        drawing = _drawing(results)
+        columns = min(COLUMNS, len(results.maps))
+        rows = math.ceil(len(results.maps) / columns)
+        width = max(_CELL * len(results.noise.rotations) + _MARGIN_WIDTH, _LEAST_WIDTH)
+        height = _CELL * len(results.noise.translations) + _MARGIN_HEIGHT
+        size = (columns * width, rows * height + 0.5)
+        drawing = figure.Figure(figsize=size, dpi=_DPI, layout="constrained")
+        seeds = len(results.noise.seeds)
+        drawing.suptitle(f"Starts that converge, % of {seeds} for each pair of noises", fontsize=11)
+        for number, each in enumerate(results.maps):
+            _panel(drawing.add_subplot(rows, columns, number + 1), each, patches.Rectangle)
         png, svg = io.BytesIO(), io.BytesIO()
         drawing.savefig(png, format="png", metadata={"Software": None})
         drawing.savefig(svg, format="svg", metadata={"Date": None, "Creator": None})
     return png.getvalue(), svg.getvalue()
 
 
-def _drawing(results: ConvergenceResults) -> "Figure":
-    from matplotlib.figure import Figure
-
-    columns = min(COLUMNS, len(results.maps))
-    rows = math.ceil(len(results.maps) / columns)
-    width = max(_CELL * len(results.noise.rotations) + _MARGIN_WIDTH, _LEAST_WIDTH)
-    height = _CELL * len(results.noise.translations) + _MARGIN_HEIGHT
-    drawing = Figure(figsize=(columns * width, rows * height + 0.5), dpi=_DPI, layout="constrained")
-    seeds = len(results.noise.seeds)
-    drawing.suptitle(f"Starts that converge, % of {seeds} for each pair of noises", fontsize=11)
-    for number, each in enumerate(results.maps):
-        _panel(drawing.add_subplot(rows, columns, number + 1), each)
-    return drawing
-
-
-def _panel(axes: "Axes", of: ConvergenceMap) -> None:
+def _panel(axes: "Axes", of: ConvergenceMap, rectangle: "type[Rectangle]") -> None:
     shares = [[100 * of.pairs[t, r].share for r in of.rotations] for t in of.translations]
     axes.imshow(shares, cmap=_COLOURS, vmin=0, vmax=100, origin="lower", aspect="equal")
     for y, t in enumerate(of.translations):
@@ -85,7 +79,7 @@ def _panel(axes: "Axes", of: ConvergenceMap) -> None:
     axes.set_yticks(range(len(of.translations)), [number_text(t) for t in of.translations])
     axes.set(xlabel="Rotation noise (rad)", ylabel="Translation noise (m)")
     axes.set_title(f"{shorten(one_line(of.name), 60)}\n{_largest(of)}", fontsize=9)
-    _outline(axes, of)
+    _outline(axes, of, rectangle)
 
 
 def _turned(levels: tuple[float, ...]) -> float:
@@ -100,13 +94,11 @@ def _largest(of: ConvergenceMap) -> str:
     return f"all, up to {number_text(translation)} m with {number_text(rotation)} rad (outlined)"
 
 
-def _outline(axes: "Axes", of: ConvergenceMap) -> None:
+def _outline(axes: "Axes", of: ConvergenceMap, rectangle: "type[Rectangle]") -> None:
     """Mark the cells up to the diagonal's largest noise."""
-    from matplotlib.patches import Rectangle
-
     if of.largest.diagonal is not None:
         translation, rotation = of.largest.diagonal
         width, height = of.rotations.index(rotation) + 1, of.translations.index(translation) + 1
-        box = Rectangle((-0.5, -0.5), width, height, fill=False, edgecolor=_OUTLINE, linewidth=2, clip_on=False)
+        box = rectangle((-0.5, -0.5), width, height, fill=False, edgecolor=_OUTLINE, linewidth=2, clip_on=False)
         box.set_zorder(3)
         axes.add_patch(box)

@@ -39,13 +39,12 @@ def figure(
         InputError: matplotlib is not installed.
     """
     try:
-        from matplotlib import rc_context
-        from matplotlib.figure import Figure
+        import matplotlib.figure
     except ImportError as error:
         message = "the figure needs matplotlib: pip install matplotlib"
         raise InputError(message) from error
-    with rc_context(_STYLE):
-        drawing = Figure(figsize=(_WIDTH, _HEIGHT), dpi=_DPI, layout="constrained")
+    with matplotlib.rc_context(_STYLE):
+        drawing = matplotlib.figure.Figure(figsize=(_WIDTH, _HEIGHT), dpi=_DPI, layout="constrained")
         drawing.suptitle(f"{_plain(title)}: {len(report.calibrated)} of {len(report.results)} calibrate", fontsize=12)
         drivers = report.drivers[:DRIVERS_SHOWN]
         halves = drawing.add_gridspec(2, 1)

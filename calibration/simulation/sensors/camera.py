@@ -23,7 +23,8 @@ from calibration.errors import InputError
 from calibration.geometry.cameras import Camera
 from calibration.geometry.transforms import apply
 from calibration.geometry.types import Array, BoolArray
-from calibration.labelling.detection import CornerDetector, Image, corner_detector
+from calibration.labelling.corner_detector import corner_detector
+from calibration.labelling.detection import CornerDetector, Image
 from calibration.records import between, field, record
 from calibration.simulation.board import Board
 from calibration.simulation.rendering.background import STEPS

@@ -181,14 +181,6 @@ def test_no_token(
     assert "is no URL" in str(failure(Aws(REGION)))
 
 
-def test_without_the_package(monkeypatch: pytest.MonkeyPatch) -> None:
-    import sys
-
-    monkeypatch.setitem(sys.modules, "boto3", None)
-    with pytest.raises(WorldError, match=r"AWS Batch needs the package boto3: pip install boto3"):
-        Aws(REGION).batch.describe_jobs(jobs=["x"])
-
-
 @pytest.mark.parametrize(
     ("bucket", "fault", "message"),
     [
@@ -232,11 +224,12 @@ def test_secrets_are_in_no_repr(batch_emulator: FakeAws) -> None:
     aws.close()
 
 
-def test_importing_costs_nothing() -> None:
+def test_what_stands_before_the_backend_needs_no_package_of_it() -> None:
     import subprocess
     import sys
 
     heavy = "{'boto3', 'botocore', 'docker', 'requests'}"
-    code = f"import calibration.execution.batch.backend, sys; print(sorted({heavy} & set(sys.modules)))"
+    modules = "calibration.execution.batch.settings, calibration.execution.batch.policy, calibration.commands.cleanup"
+    code = f"import {modules}, sys; print(sorted({heavy} & set(sys.modules)))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert json.loads(done.stdout.replace("'", '"')) == []

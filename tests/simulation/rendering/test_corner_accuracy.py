@@ -12,7 +12,7 @@ from calibration.dataset.model import CornerLabels
 from calibration.geometry.cameras import Camera
 from calibration.geometry.distortion import PlumbBob
 from calibration.geometry.transforms import apply
-from calibration.labelling.detection import corner_detector
+from calibration.labelling.corner_detector import corner_detector
 from calibration.simulation.random_streams import stream
 from calibration.simulation.scene import Scene
 from calibration.simulation.sensors import SimulatedCamera

@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from urllib.request import urlopen
 
 from calibration.errors import CalibrationError, ExitCode
 from calibration.execution.batch.documents import TaskOutcome
@@ -31,8 +32,6 @@ _MOST_BYTES = 4 * 1024**2
 
 def ended_neighbours(variables: Mapping[str, str]) -> dict[str, int | None]:
     """The containers of this task that have ended, and with what exit code; none where nobody knows."""
-    from urllib.request import urlopen
-
     address = variables.get(ADDRESS, "")
     if not address.startswith("http://"):
         return {}
