@@ -31,7 +31,7 @@ def main() -> int:
     parser.add_argument(
         "--failures", type=Path, metavar="FILE", help="what went wrong, ranked, with the command of one"
     )
-    parser.add_argument("--limits", choices=("set", "unset"), help="by default those of exact labels are set")
+    parser.add_argument("--no-limits", action="store_true", help="a user who has set no limits and no assumptions")
     parser.add_argument("--recordings", action="store_true", help="real recordings and wrong views instead")
     parser.add_argument("--each", action="store_true", help="print every case with its reasons and warnings")
     parser.add_argument("--json", type=Path, metavar="FILE")
@@ -50,8 +50,8 @@ def main() -> int:
     of = list(cases(kinds, arguments.systems.split(","), strata, seeds, arguments.quick))
     sizes = set(map(int, arguments.sizes.split(",")))
     chosen = [case for case in of if case.size in sizes]
-    if arguments.limits:
-        chosen = [replace(case, limits=arguments.limits == "set") for case in chosen]
+    if arguments.no_limits:
+        chosen = [replace(case, limits=False) for case in chosen]
     rows = []
     for row in outcomes(chosen, arguments.jobs):
         rows.append(row)

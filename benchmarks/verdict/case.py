@@ -16,6 +16,7 @@ from calibration.dataset.model import Dataset
 from calibration.diagnosis.check_data import check_data
 from calibration.diagnosis.limits import Limits, allowed
 from calibration.errors import CalibrationError, InputError
+from calibration.estimation.assumptions import EXACT, Assumptions
 from calibration.estimation.calibrate import calibrate
 from calibration.estimation.result import Calibration
 from calibration.estimation.starting_noise import StartingNoise
@@ -41,7 +42,7 @@ class Case:
     """Which of the kind's sizes."""
     seed: int
     limits: bool = True
-    """Whether the user has set calibration.yml's limits, or those count that a run takes where none is set."""
+    """Whether the user has calibration.yml's limits and assumptions, or has set nothing."""
 
     @property
     def planted(self) -> Kind:
@@ -134,8 +135,7 @@ def run(case: Case) -> Outcome:
     """Plant, judge, compare."""
     scene = case.scene()
     begin = time.perf_counter()
-    told = scene.system if case.limits else replace(scene.system, limits=Limits())
-    result, rms_red, calibration = judged(replace(scene, system=told))
+    result, rms_red, calibration = judged(scene if case.limits else _nothing_set(scene))
     seconds = time.perf_counter() - begin
     harm = harm_of(calibration.dataset, scene) if calibration else None
     limits = case.allowed
@@ -151,7 +151,7 @@ def run(case: Case) -> Outcome:
         warnings=result.warnings,
         notes=tuple(f.text for f in result.findings if f.severity == "note"),
         rms_red=rms_red,
-        nees=tuple(_nees(calibration, scene)) if calibration and case.kind == CLEAN.name else (),
+        nees=tuple(_nees(case, scene)) if case.kind == CLEAN.name else (),
         seconds=seconds,
     )
 
@@ -195,8 +195,18 @@ def harm_of(calibrated: Dataset, scene: Scene) -> Harm | None:
     return Harm(error.translation_mm, error.rotation_deg, error.joint_mm, error.joint_deg)
 
 
-def _nees(calibration: Calibration, scene: Scene) -> Iterator[float]:
-    """Squared errors in standard deviations, over their expectation; relative to the sensor that is held."""
+def _nothing_set(scene: Scene) -> Scene:
+    options = replace(scene.system.options, assume=Assumptions())
+    return replace(scene, system=replace(scene.system, limits=Limits(), options=options))
+
+
+def _nees(case: Case, scene: Scene) -> Iterator[float]:
+    """Squared errors in standard deviations, over their expectation; relative to the sensor that is held.
+
+    What is exact is known to be, and on robots by default as well as usual.
+    """
+    assume = EXACT if case.stratum == "exact" else Assumptions()
+    calibration = calibrate(scene.told, replace(scene.system.options, assume=assume))
     found, truth = calibration.dataset, scene.truth()
     true = found.with_transforms(truth.transforms)
     shift = np.eye(4)
@@ -229,7 +239,7 @@ def _run_clean(case: Case) -> Outcome:
 @cache
 def _where_none_is_set(stratum: Stratum, system: str, seed: int) -> Limits:
     """What `calibration.diagnosis.limits` allows the worst of the sensors of the scene without a defect."""
-    scene = clean(stratum, system, seed)
+    scene = _nothing_set(clean(stratum, system, seed))
     found = calibrate(scene.told, scene.system.options)
     each = [allowed(found, Limits(), sensor.edge) for sensor in scene.told.sensors.values()]
     joint_mm, joint_deg = Limits().joint

@@ -18,7 +18,6 @@ from calibration.dataset.reading import FILE_NAME, read_dataset
 from calibration.dataset.truth import read_truth
 from calibration.dataset.writing import write_document
 from calibration.errors import InputError
-from calibration.estimation.assumptions import EXACT, Assumptions
 from calibration.geometry.joints import JOINT_PARAMETERS
 from calibration.geometry.transforms import retract
 from calibration.geometry.types import Array
@@ -69,18 +68,12 @@ def entries() -> Mapping[str, Entry]:
 
 @cache
 def clean(stratum: Stratum, system: str, seed: int) -> Scene:
-    """A scene without a defect; the user of exact labels assumes that all is exact, the others do as by default."""
+    """A scene without a defect."""
     if stratum == "rendered":
-        return _assuming(Assumptions(), _rendered(system, seed % RENDERED_WORLDS))
+        return _rendered(system, seed % RENDERED_WORLDS)
     rng = generator(stratum, system, seed)
     scene = _exact(system, seed, rng)
-    if stratum == "exact":
-        return _assuming(EXACT, _noisy(scene, rng, outliers=False))
-    return _assuming(Assumptions(), _noisy(_imperfect(scene, rng), rng, outliers=True))
-
-
-def _assuming(assume: Assumptions, scene: Scene) -> Scene:
-    return replace(scene, system=replace(scene.system, options=replace(scene.system.options, assume=assume)))
+    return _noisy(scene if stratum == "exact" else _imperfect(scene, rng), rng, outliers=stratum == "good")
 
 
 @cache
