@@ -39,8 +39,8 @@ def test_each_has_its_place(tmp_path: Path, more: str, default: str) -> None:
     }
     place = configuration.place
     assert (place.backend, place.run, place.resume) == (default, None, False)
-    assert place.settings is not None
-    assert place.settings.queue == "robots"
+    assert place.sections.aws_batch is not None
+    assert place.sections.aws_batch.queue == "robots"
 
 
 def test_nothing_said_is_this_machine(tmp_path: Path) -> None:
