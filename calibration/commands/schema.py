@@ -8,7 +8,7 @@ from typing import NamedTuple
 import click
 
 from calibration.errors import ExitCode
-from calibration.records import schema_text
+from calibration.records.schema import schema_text
 from calibration.report import Head
 
 

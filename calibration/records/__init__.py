@@ -12,7 +12,7 @@ A record's fields carry their type, default, limits, unit and one sentence of he
     read(Limits, {"rms-px": -1}, "calibration.yml: limits")
         # InputError: calibration.yml: limits.rms-px: found -1, expected a number of at least 0
     document_of(limits)                                                 # {"rms-px": 3.0}
-    schema_of(Limits)                                                   # the JSON Schema, for editors
+    schema_of(Limits)            # of `calibration.records.schema`: the JSON Schema, for editors
 
 Types of fields: ``str``, ``int``, ``float``, ``bool``, ``Path`` (relative to the folder of the file), ``Literal``,
 ``tuple[T, ...]``, ``Mapping[str, T]``, records, unions, and ``T | None`` for what may be absent; each with limits in
@@ -58,7 +58,6 @@ from calibration.records.declaration import (
     unknown_key,
 )
 from calibration.records.reading import Place, changed, read, read_as, shown
-from calibration.records.schema import schema_of, schema_text
 from calibration.records.writing import document_of, text_of, value_of
 
 __all__ = [
@@ -86,8 +85,6 @@ __all__ = [
     "read_as",
     "record",
     "result",
-    "schema_of",
-    "schema_text",
     "shown",
     "text_of",
     "unknown_key",

@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 
 from calibration.errors import InputError
 from calibration.execution.job import Artifact, Container, Limits, Mount, Readiness, Relaxations, with_secrets
-from calibration.records import flat_fields, read, schema_of
+from calibration.records import flat_fields, read
+from calibration.records.schema import schema_of
 
 FOLDER = Path("/team")
 KEYS = set(flat_fields(Container))

@@ -35,10 +35,9 @@ from calibration.records import (
     read_as,
     record,
     result,
-    schema_of,
-    schema_text,
     text_of,
 )
+from calibration.records.schema import schema_of, schema_text
 
 NAME = matching("[a-z]+", "small letters")
 

@@ -24,7 +24,7 @@ from calibration.pipeline.collection.results import ScenarioResults
 from calibration.pipeline.collection.scenario_report import report
 from calibration.pipeline.collection.world_file import FILE, WorldFile
 from calibration.pipeline.collection.worlds import WorldDone, WorldFolder
-from calibration.records import schema_of
+from calibration.records.schema import schema_of
 from tests.pipeline.places import at
 from tests.small import first_poses
 
