@@ -6,6 +6,7 @@ import pytest
 
 from calibration.diagnosis.limits import Limits
 from calibration.errors import InputError
+from calibration.estimation.assumptions import EXACT, Assumptions
 from calibration.pipeline.collection.request import ContainerRequest
 from calibration.pipeline.configuration import read_configuration
 
@@ -59,6 +60,32 @@ def test_options_at_the_top_are_for_every_system_that_does_not_say_otherwise(tmp
 def test_what_of_a_system_is_calibrated_has_one_form(tmp_path: Path, entry: str) -> None:
     with pytest.raises(InputError, match=rf"systems\.a\.{entry.split(':')[0]}"):
         read_configuration(write(tmp_path, f"systems: {{a: {{dataset: a, {entry}}}}}"))
+
+
+@pytest.mark.parametrize(
+    ("assume", "expected"),
+    [
+        ("{focal-length: -1}", "assume.focal-length: found -1, expected a number of at least 0"),
+        ("{focal-length: much}", "assume.focal-length: found 'much', expected a number"),
+        ("{focal-length: .nan}", "assume.focal-length: found nan, a finite number was expected"),
+        ("{focal-lenght: 0}", "assume: unknown key 'focal-lenght': did you mean 'focal-length'?"),
+        ("{border: [[1]]}", "assume.border: found a list of 1, expected a number"),
+        ("[[exact]]", "assume: found a list of 1, expected exact or keys: focal-length"),
+        ("exakt", "assume: found 'exakt', expected exact or keys: focal-length"),
+    ],
+)
+def test_what_is_assumed_has_one_form(tmp_path: Path, assume: str, expected: str) -> None:
+    with pytest.raises(InputError) as error:
+        read_configuration(write(tmp_path, f"systems: {{a: {{dataset: a, assume: {assume}}}}}"))
+    assert f"systems.a.{expected}" in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_what_is_assumed_and_described_stands_at_the_top_for_every_system(tmp_path: Path) -> None:
+    text = "assume: exact\ndescription: rough\nsystems: {a: {dataset: a}, b: {dataset: b, assume: {border: 0.01}}}"
+    a, b = read_configuration(write(tmp_path, text)).systems
+    assert (a.options.assume, a.options.description) == (EXACT, "rough")
+    assert (b.options.assume, b.options.description) == (Assumptions(border=0.01), "rough")
 
 
 def test_defaults(tmp_path: Path) -> None:
