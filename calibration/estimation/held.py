@@ -16,6 +16,7 @@ from calibration.dataset.pattern import Pattern
 from calibration.estimation.assumptions import Assumptions
 from calibration.estimation.label_columns import POSE, ColumnNames
 from calibration.estimation.views import ViewGroup
+from calibration.geometry.cameras import Camera
 from calibration.geometry.frames import Step
 from calibration.geometry.transforms import adjoint, inverse, local
 from calibration.geometry.types import Array
@@ -121,6 +122,9 @@ def causes(
         for name, each in seen.items()
         for cause in _of_sensor(each, assume, free.get(name, ()), assumed=name not in known)
     ]
+    cameras = [name for name, each in seen.items() if each.names.camera is not None]
+    if len(cameras) > 1 and not free:
+        found += _of_all_cameras(cameras, assume)
     for name in dict.fromkeys(each.pattern.name for each in groups):
         has_border = any(each.names.camera is None and each.pattern.name == name for each in groups)
         found += _of_pattern(name, has_border, assume)
@@ -158,6 +162,22 @@ def _of_sensor(seen: SeenGroup, assume: Assumptions, free: Sequence[str], assume
         weights: list[Weights] = [{name: 1.0} for name in coefficients if name in names]
         if weights:
             yield from cause(kind, "1", assume.distortion, *weights)
+
+
+def _of_all_cameras(names: Sequence[str], assume: Assumptions) -> Iterator[Cause]:
+    """What is wrong with all cameras alike, of one type and calibrated in one way, explains less of each alone."""
+    subject = " and ".join(names) if len(names) < 4 else "all cameras"
+
+    def cause(kind: str, unit: Unit, sigma: float, weights: Callable[[Camera], Weights]) -> Cause:
+        def columns(group: SeenGroup) -> Array | None:
+            camera = group.names.camera
+            return group.names.selection(weights(camera)) if camera is not None else None
+
+        return Cause(kind, subject, unit, columns, (sigma,), counts=False)
+
+    yield cause("focal length", "1", assume.focal_length, lambda camera: {"fx": camera.fx, "fy": camera.fy})
+    yield cause("pixel convention", "px", assume.principal_point, lambda _: {"cx": 1.0, "cy": 1.0})
+    yield cause("radial distortion", "1", assume.distortion, lambda camera: {camera.parameters[4]: 1.0})
 
 
 def _of_pattern(name: str, has_border: bool, assume: Assumptions) -> Iterator[Cause]:
