@@ -12,7 +12,7 @@ from calibration.records import at_least, between, field, one_of, record
 Limit = Annotated[float, at_least(0)]
 _LIMITS = ("rms-px", "translation-mm", "rotation-deg", "joint-mm", "joint-deg")
 UNSET = 3.0
-"""Without a limit, so many of the stated standard deviations are one,"""
+"""Without a limit, so many standard deviations of a robot whose collections agree are one,"""
 SMALLEST = (1.0, 0.05)
 """and never less than this, mm and degrees."""
 
@@ -73,7 +73,11 @@ class Allowed:
 
 def allowed(calibration: Calibration, limits: Limits, edge: Edge) -> Allowed:
     """How far a calibrated transform may be off: the limits, or what `UNSET` and `SMALLEST` say."""
-    sigma = (calibration.sigma_mm(edge), float(np.degrees(calibration.sigma_mrad(edge) / 1e3)))
+    sigma = (0.0, 0.0)
+    block = calibration.solution.setup.block(edge)
+    if calibration.error_bars and (C := calibration.error_bars.expected.get(block)) is not None:
+        t, r = (float(np.sqrt(np.trace(C[part, part]))) for part in (slice(0, 3), slice(3, 6)))
+        sigma = (1e3 * t, float(np.degrees(r)))
     given = (limits.translation_mm, limits.rotation_deg)
     found = [
         max(least, UNSET * one) if limit is None else limit

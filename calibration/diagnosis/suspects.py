@@ -122,7 +122,7 @@ def explain(model: LinearModel) -> Explanation | None:
             break
         most = max(each.gain for each in significant)
         near = [each for each in significant if each.gain >= EQUAL * most]
-        best = min(near, key=lambda each: (each.cause.size, -each.gain))
+        best = min(near, key=lambda each: (each.cause.size, -round(each.gain / most, 2)))
         rivals = [each.cause for each in sorted(near, key=lambda each: -each.gain) if each.cause is not best.cause]
         rivals = [each for each in dict.fromkeys(rivals) if each.size <= best.cause.size]
         found.append(replace(best, rivals=tuple(rivals[:2])))

@@ -14,6 +14,10 @@ from calibration.geometry.types import Array
 KIND = "suspect"
 CONTRADICTION = 3.0
 """Views that disagree by more than this times what is assumed contradict each other."""
+SURE = 2.0
+"""A motion is over a limit where it is with so many of its standard deviations taken off."""
+GROSS: Mapping[str, float] = {"focal length": 0.025, "image scale": 0.025, "principal point": 15.0}
+"""A camera_info that is off by so much (relative, px) is red whatever it moves: it belongs to another camera."""
 ADVICE: Mapping[str, str] = {
     "focal length": "calibrate the intrinsics, or take the camera_info that belongs to this lens and resolution",
     "aspect": "calibrate the intrinsics; were the images scaled?",
@@ -62,7 +66,8 @@ def what_does_not_fit(calibration: Calibration, limits: Limits) -> tuple[Finding
 
 def _finding(calibration: Calibration, limits: Limits, suspect: Suspect) -> Finding:
     moved = _moved(calibration, suspect.moves)
-    over = [name for name, motion in moved.items() if _allowed(calibration, limits, name).exceeded(*motion)]
+    sure = 1 - SURE / suspect.score
+    over = [n for n, (mm, deg) in moved.items() if _allowed(calibration, limits, n).exceeded(sure * mm, sure * deg)]
     sensor = max(over or moved, key=lambda name: moved[name][0], default="")
     mm, degrees = moved.get(sensor, (0.0, 0.0))
     names = " or ".join(dict.fromkeys(_name(each) for each in (suspect.cause, *suspect.rivals)))
@@ -74,16 +79,19 @@ def _finding(calibration: Calibration, limits: Limits, suspect: Suspect) -> Find
     size = f"{_size(suspect.cause, suspect.value, suspect.sigma)}"
     verb = "has moved" if suspect.cause.kind == PLACE else "does not fit"
     either = ", the data cannot tell which" if suspect.rivals else ""
+    gross = float(np.abs(suspect.value).max()) > GROSS.get(suspect.cause.kind, np.inf)
     harm = f"moves {sensor} by {mm:.3g} mm and {degrees:.2g} deg" if sensor else "moves no sensor"
     if over:
         text = f"{names} {verb}{since}{either}: {size}; it {harm} (limit {_allowed(calibration, limits, sensor)}): "
         text += ADVICE[suspect.cause.kind]
+    elif gross:
+        text = f"{names} {verb}{since}{either}: {size}, more than any camera errs: {ADVICE[suspect.cause.kind]}"
     else:
         text = f"{names} {verb}{since}{either}: {size}; harmless: it {harm}"
     one = suspect.cause.size == 1
     return Finding(
         KIND,
-        "red" if over else "note",
+        "red" if over or gross else "note",
         text,
         sensors=tuple(over) if over else tuple(filter(None, [sensor])),
         collections=collections,

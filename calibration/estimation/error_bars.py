@@ -30,6 +30,8 @@ class ErrorBars:
 
     labels: Mapping[int, Array]
     """(k, k): of the noise of the labels alone."""
+    expected: Mapping[int, Array]
+    """(k, k): of that, and of what is held but not exact: that of a robot whose collections agree."""
     total: Mapping[int, Array]
     """(k, k): in all."""
     effective_collections: float
@@ -59,13 +61,14 @@ def error_bars(model: LinearModel, blocks: Mapping[int, slice], considered: Arra
             considered = considered + moved @ moved.T
             usual = moves * np.array(cause.assumed if any(cause.assumed) else typical)
             worth[cause.name] = max((float(np.linalg.norm(usual[part][:3])) for part in blocks.values()), default=0.0)
-    labels, total = {}, {}
+    labels, expected, total = {}, {}, {}
     for block, at in blocks.items():
         own = C[at, at]
         factor = max(1.0, float(np.trace(np.linalg.solve(own, clustered[at, at]))) / len(own))
         labels[block] = own
+        expected[block] = own + considered[at, at]
         total[block] = factor * own + considered[at, at]
-    return ErrorBars(labels, total, effective, worth)
+    return ErrorBars(labels, expected, total, effective, worth)
 
 
 def _clustered(model: LinearModel, C: Array) -> tuple[Array, float]:

@@ -39,9 +39,9 @@ def test_beside_it_it_grows_with_the_information() -> None:
     edge = found.dataset.sensors["cam"].edge
     rng = np.random.default_rng(1)
     for _ in range(3):
-        step = np.linalg.cholesky(found.covariances[edge]) @ rng.normal(size=6)
+        step = np.linalg.cholesky(found.label_covariances[edge]) @ rng.normal(size=6)
         moved = found.dataset.with_transforms({edge: retract(found.transforms[edge], step)})
-        expected = step @ np.linalg.inv(found.covariances[edge]) @ step
+        expected = step @ np.linalg.inv(found.label_covariances[edge]) @ step
         excess = cost_of(moved, options, found.noise_levels) - found.cost
         assert excess == pytest.approx(expected, rel=0.02)
 

@@ -1,0 +1,152 @@
+"""What does not fit is named with its size; what fits, or is as good as it is known, is not."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calibration.dataset.model import CornerLabels, Dataset
+from calibration.diagnosis.finding import Finding
+from calibration.diagnosis.limits import Limits
+from calibration.diagnosis.suspects import Suspect, explain
+from calibration.diagnosis.what_does_not_fit import what_does_not_fit
+from calibration.estimation.assumptions import EXACT, Assumptions
+from calibration.estimation.calibrate import Options, calibrate
+from calibration.geometry.transforms import retract
+from calibration.geometry.types import Array
+from tests.estimation import systems
+
+NOISE = 0.1
+
+
+def stereo(seed: int = 1) -> Dataset:
+    return systems.stereo(24, seed=seed, pixel_noise=NOISE).dataset(seed)
+
+
+def eye_to_hand(seed: int = 1) -> Dataset:
+    return systems.eye_to_hand(24, seed=seed, pixel_noise=NOISE).dataset(seed)
+
+
+def with_intrinsics(dataset: Dataset, sensor: str, change: Callable[[Array], None]) -> Dataset:
+    """The dataset with another camera_info than the one that its images were made with."""
+    camera = dataset.sensors[sensor].camera
+    assert camera is not None
+    values = camera.intrinsics
+    change(values)
+    return dataset.with_cameras({sensor: camera.with_intrinsics(values)})
+
+
+def found(dataset: Dataset, assume: Assumptions = EXACT) -> tuple[Suspect, ...]:
+    explanation = explain(calibrate(dataset, Options(assume=assume)).solution.model)
+    assert explanation is not None
+    return explanation.suspects
+
+
+def findings(dataset: Dataset, limits: Limits | None = None, assume: Assumptions = EXACT) -> tuple[Finding, ...]:
+    return what_does_not_fit(calibrate(dataset, Options(assume=assume)), limits or Limits())
+
+
+@pytest.mark.parametrize("make", [stereo, eye_to_hand])
+@pytest.mark.parametrize("assume", [EXACT, Assumptions()])
+def test_nothing_is_suspicious_of_a_good_robot(make: Callable[[int], Dataset], assume: Assumptions) -> None:
+    for seed in range(3):
+        [finding] = findings(make(seed), assume=assume)
+        assert (finding.kind, finding.severity) == ("nothing-suspicious", "note")
+        assert "hangs most on the" in finding.text
+
+
+def test_a_focal_length_is_named_with_its_size_and_what_it_moves() -> None:
+    def longer(values: Array) -> None:
+        values[:2] *= 1.01
+
+    dataset = stereo()
+    name = list(dataset.sensors)[1]
+    wrong = with_intrinsics(dataset, name, longer)
+    suspect = found(wrong)[0]
+    assert (suspect.cause.kind, suspect.cause.subject) == ("focal length", name)
+    assert suspect.value[0] == pytest.approx(1 / 1.01 - 1, abs=5 * suspect.sigma[0] + 2e-4)
+    finding = findings(wrong)[0]
+    assert finding.severity == "red"
+    assert finding.sensors == (name,)
+    right, off = calibrate(dataset), calibrate(wrong)
+    edge = dataset.sensors[name].edge
+    moved = 1e3 * np.linalg.norm(right.transforms[edge][:3, 3] - off.transforms[edge][:3, 3])
+    assert finding.moves_mm == pytest.approx(moved, rel=0.1)
+    assert f"{name}'s focal length does not fit: off by -0.9" in finding.text
+
+
+def test_what_moves_no_sensor_by_more_than_the_limit_is_a_note() -> None:
+    def aside(values: Array) -> None:
+        values[2] += 2
+
+    dataset = stereo()
+    name = list(dataset.sensors)[1]
+    wrong = with_intrinsics(dataset, name, aside)
+    [red, *_] = findings(wrong, Limits(translation_mm=0.1, rotation_deg=0.01))
+    [note, *_] = findings(wrong, Limits(translation_mm=100, rotation_deg=10))
+    assert (red.severity, note.severity) == ("red", "note")
+    assert "principal point" in red.text
+    assert "harmless" in note.text
+
+
+def test_what_is_as_good_as_it_is_known_is_no_suspect() -> None:
+    def slightly(values: Array) -> None:
+        values[:2] *= 1.005
+
+    dataset = stereo()
+    wrong = with_intrinsics(dataset, list(dataset.sensors)[1], slightly)
+    assert found(wrong, EXACT)
+    assert not found(wrong, Assumptions(focal_length=0.004))
+
+
+def test_a_pattern_of_another_size_is_named_where_an_arm_tells_it() -> None:
+    dataset = eye_to_hand()
+    (name,) = dataset.patterns
+    pattern = dataset.patterns[name]
+    larger = replace(dataset, patterns={name: replace(pattern, corners=pattern.corners * 1.01)})
+    suspect = found(larger)[0]
+    assert (suspect.cause.kind, suspect.cause.subject) == ("size", name)
+    assert suspect.value[0] == pytest.approx(-0.0099, abs=0.001)
+
+
+def test_two_causes_have_two_names() -> None:
+    dataset = eye_to_hand()
+    (name,) = dataset.patterns
+    pattern = dataset.patterns[name]
+    wrong = replace(dataset, patterns={name: replace(pattern, corners=pattern.corners * [1.02, 1.0, 1.0])})
+
+    def longer(values: Array) -> None:
+        values[2] += 6
+
+    wrong = with_intrinsics(wrong, next(iter(dataset.sensors)), longer)
+    kinds = {each.cause.kind for each in found(wrong)}
+    assert len(kinds) >= 2
+    assert "stretch" in kinds
+
+
+def test_a_sensor_that_has_moved_is_named_with_the_collection() -> None:
+    dataset = eye_to_hand()
+    (sensor,) = dataset.sensors.values()
+    camera, pattern = sensor.camera, next(iter(dataset.patterns.values()))
+    assert camera is not None
+    collections = list(dataset.collections)
+    T = dataset.transform(sensor.frame, pattern.link)
+    for i in range(12, 24):  # knocked: the camera's own frame turns and shifts
+        after = np.linalg.inv(retract(np.eye(4), np.array([0.01, 0.0, 0.005, 0.0, 0.01, 0.0]))) @ T[i]
+        labels = {
+            key: CornerLabels(label.ids, camera.project(pattern.corners[label.ids] @ after[:3, :3].T + after[:3, 3]))
+            for key, label in collections[i].labels.items()
+            if isinstance(label, CornerLabels)
+        }
+        collections[i] = replace(collections[i], labels=labels)
+    [red, *_] = [f for f in findings(replace(dataset, collections=tuple(collections))) if f.severity == "red"]
+    assert "has moved from collection" in red.text
+    assert dataset.keys[12] in red.collections
+
+
+def test_too_few_collections_are_said_to_be_untested() -> None:
+    few = systems.stereo(4, seed=1, pixel_noise=NOISE).dataset(1)
+    [finding] = findings(few)
+    assert (finding.kind, finding.severity) == ("untested", "note")
+    assert "4 collections are too few" in finding.text
