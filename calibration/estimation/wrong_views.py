@@ -43,8 +43,8 @@ ABOVE_NOISE = 4.0
 """Nor does one that misses by less than so many times the noise inside the views."""
 SPREADS = 12.0
 """A view is wrong that misses by so many robust standard deviations of the agreeing ones more than their median,"""
-MEDIANS = 3.0
-"""and by so many times their median."""
+MEDIANS = 8.0
+"""and by so many times their median beyond the noise inside the views: an arm's own errors are no wrong views."""
 FIRST = 3.0
 """but of the first, bare majority, the best half of what may be right, by so many times its largest."""
 WRONG = 0.45
@@ -62,7 +62,7 @@ ROUNDS = 8
 POINTS = 32
 """Of a LiDAR's view, about so many are looked at."""
 IMPROVING = Termination(decrease=0.1, iterations=15)
-SURPLUS = 2.0
+SURPLUS = 2.5
 """What a bare majority of the collections says has to be so many times what is unknown."""
 
 
@@ -356,7 +356,8 @@ class _Consensus:
         optimism = math.sqrt((1 + told) / max(1 - told, 0.1))
         middle = median(agreeing)
         spread = 1.4826 * median(np.abs(agreeing - middle))
-        far = max(middle + SPREADS * spread, MEDIANS * middle, widest * float(agreeing.max()))
+        beyond_noise = math.sqrt(max(0.0, middle**2 - self._noise[group.terms[0].kind] ** 2))
+        far = max(middle + SPREADS * spread, MEDIANS * beyond_noise, widest * float(agreeing.max()))
         return max(NOTICEABLE[group.terms[0].kind], optimism * far)
 
 
