@@ -66,8 +66,8 @@ def check_board_order(dataset: Dataset) -> None:
         if any(mirrored.values()) and not all(mirrored.values()):
             one, other = (next(s for s, each in mirrored.items() if each is is_so) for is_so in (True, False))
             raise InputError(
-                f"{dataset.path}: sensors/{one}: its labels of pattern '{name}' are numbered as from behind it, or "
-                f"from right to left, those of '{other}' are not; expected the same for all cameras"
+                f"{dataset.path}: sensors/{one}: its labels of pattern '{name}' look mirrored, numbered as from "
+                f"behind it or from right to left, those of '{other}' do not; look at its images and its detector"
             )
 
 

@@ -17,6 +17,8 @@ from calibration.estimation.result import Calibration
 from calibration.geometry.transforms import distance, inverse
 from calibration.geometry.types import Array
 
+FAR_AWAY = "far-from-description"
+"""The kind of a finding about one sensor; those of other kinds explain where all are."""
 FAR = (0.25, 0.25)
 """A sensor farther than this from where the description puts it (m, rad) is not the robot that is described."""
 IDENTITY = 1e-6
@@ -183,7 +185,7 @@ def _far(
                 f"{FAR[0]:g} m, {np.degrees(FAR[1]):.1f} degrees); look at the pattern's size and the labels, or, if "
                 f"the description is only a rough guess, say description: rough"
             )
-            findings.append(Finding("far-from-description", "red", text, (sensor.name,), value=t, unit="m"))
+            findings.append(Finding(FAR_AWAY, "red", text, (sensor.name,), value=t, unit="m"))
     return tuple(findings)
 
 

@@ -1,7 +1,7 @@
 """All checks of a calibration that need no ground truth, in the order in which a reader wants to hear of them."""
 
 from calibration.dataset.model import Dataset
-from calibration.diagnosis.description import far_from_description
+from calibration.diagnosis.description import FAR_AWAY, far_from_description
 from calibration.diagnosis.exchanged_labels import exchanged_labels
 from calibration.diagnosis.finding import Finding
 from calibration.diagnosis.limits import Limits
@@ -34,11 +34,13 @@ def diagnose(
         )
     far, rejected = far_from_description(calibration, description, options), rejected_labels(calibration)
     useless = any(each.severity == "red" for each in rejected) and not far
+    explained = any(each.kind != FAR_AWAY for each in far)  # by one mistake, which says more than its consequences
     return (
+        *(far if explained else ()),
         *wrong_views(calibration),
         *what_does_not_fit(calibration, limits),
         *(() if truth_known else precision(calibration, limits)),
-        *far,
+        *(() if explained else far),
         *(exchanged_labels(calibration, description, options) if useless else ()),
         *rejected,
         *repeated(calibration),

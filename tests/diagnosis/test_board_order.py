@@ -55,7 +55,7 @@ def test_rows_of_another_length(shared_data: Path, columns: int, rows: int, expe
     [
         (lambda i: i % 11 * 8 + i // 11, "numbered by rows of 8 corners; expected x: 8, y: 11"),
         (lambda i: i * i * i % 89 - 1 if i else 87, "fit no view of a flat pattern"),
-        (lambda i: i // 11 * 11 + 10 - i % 11, "those of 'left_camera' are not"),
+        (lambda i: i // 11 * 11 + 10 - i % 11, "those of 'left_camera' do not"),
     ],
     ids=["down the columns", "at random", "mirrored"],
 )
