@@ -35,7 +35,8 @@ class Kind:
     """A reason names it when it has one of them, in small letters."""
     systems: tuple[str, ...] = ALL
     memory: tuple[str, ...] = ()
-    """The systems on which only an earlier result could tell: their data fit another calibration as well."""
+    """The systems on which only an earlier result could tell: their data fit another calibration as well. The joint of
+    spjbot whose height is calibrated takes up what its neighbours are off by."""
     wanted: tuple[float, ...] = ()
     """The sizes that have to be red whatever harm they do: mistakes that a user has to correct."""
     spoils: bool = False
@@ -317,7 +318,15 @@ KINDS = (
     ),
     *(
         Kind(
-            f"joint origin {a}", "arm", "origin of a joint", arms.origin_shift(i), (0.001, 0.004, 0.02), "m", LINK, ARMS
+            f"joint origin {a}",
+            "arm",
+            "origin of a joint",
+            arms.origin_shift(i),
+            (0.001, 0.004, 0.02),
+            "m",
+            LINK,
+            ARMS,
+            memory=("spjbot",) if a != "y" else (),
         )
         for i, a in enumerate("xyz")
     ),

@@ -150,7 +150,10 @@ def failure_lines(rows: Rows) -> Iterable[str]:
 
 def readme_table(rows: Rows) -> str:
     """What the verdict finds, as Markdown: a row for what belongs together."""
-    out = ["| what is wrong | smallest size found | red | named | RMS limits |", "| --- | --- | --- | --- | --- |"]
+    out = [
+        "| what is wrong | cases | smallest size found | red | named | RMS limits |",
+        "| --- | --- | --- | --- | --- | --- |",
+    ]
     for what in dict.fromkeys(kind.what for kind in KINDS):
         kinds = [kind for kind in KINDS if kind.what == what]
         names = {kind.name for kind in kinds}
@@ -163,7 +166,7 @@ def readme_table(rows: Rows) -> str:
         smallest = _size(max(known), kinds[0].unit) if len(known) == len(kinds) else "-"
         named = share([row for row in must if row.red], is_named)
         cells = (text(share(must, is_red)), text(named), text(share(must, lambda r: r.rms_red)))
-        out.append(f"| {what} | {smallest} | {' | '.join(cells)} |")
+        out.append(f"| {what} | {len(must)} | {smallest} | {' | '.join(cells)} |")
     return "\n".join(out)
 
 
