@@ -113,7 +113,7 @@ KINDS = (
         cameras.mirrored_images,
         (1, 2, 3),
         "variant",
-        ("mirror", "flip", "upside", "homograph", "ids", "order", "description", "guess"),
+        ("mirror", "numbered", "flip", "upside", "homograph", "ids", "order", "description", "guess"),
         wanted=(1, 2),
     ),
     Kind(
@@ -132,7 +132,7 @@ KINDS = (
         cameras.exchanged_intrinsics,
         (0.01, 0.04, 0.15),
         "share",
-        ("focal", "exchang", "camera_info"),
+        ("focal", "exchang", "camera_info", *LENS),
         PAIRS,
     ),
     Kind(
