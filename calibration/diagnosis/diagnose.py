@@ -35,10 +35,12 @@ def diagnose(
     far, rejected = far_from_description(calibration, description, options), rejected_labels(calibration)
     useless = any(each.severity == "red" for each in rejected) and not far
     explained = any(each.kind != FAR_AWAY for each in far)  # by one mistake, which says more than its consequences
+    suspected = what_does_not_fit(calibration, limits)
     return (
         *(far if explained else ()),
+        *(each for each in suspected if each.severity == "red"),
         *wrong_views(calibration),
-        *what_does_not_fit(calibration, limits),
+        *(each for each in suspected if each.severity != "red"),
         *(() if truth_known else precision(calibration, limits)),
         *(() if explained else far),
         *(exchanged_labels(calibration, description, options) if useless else ()),

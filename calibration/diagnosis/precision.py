@@ -47,6 +47,21 @@ def _remedy(calibration: Calibration) -> str:
     return "add collections with other rotations of the pattern or the robot"
 
 
+def worst_false_accept(calibration: Calibration, limits: Limits) -> float | None:
+    """The probability that the sensor that is known least is off by more than the limits; None without limits."""
+    found = [
+        false_accept(sigma, limit)
+        for sensor in calibration.dataset.sensors.values()
+        if sensor.edge in calibration.covariances
+        for sigma, limit in (
+            (calibration.sigma_mm(sensor.edge), limits.translation_mm),
+            (float(np.degrees(calibration.sigma_mrad(sensor.edge) / 1e3)), limits.rotation_deg),
+        )
+        if limit is not None
+    ]
+    return round(max(found), 6) if found else None
+
+
 def false_accept(sigma: float, limit: float) -> float:
     """The probability that a result is off by more than a limit, in the worst direction of three.
 
@@ -60,4 +75,6 @@ def false_accept(sigma: float, limit: float) -> float:
     if sigma <= 0:
         return 0.0
     x = limit / (math.sqrt(2 / 3) * sigma)
+    if x > 20:
+        return 0.0
     return math.erfc(x) + 2 * x * math.exp(-x * x) / math.sqrt(math.pi)

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from calibration.diagnosis.finding import Finding
+from calibration.diagnosis.finding import Finding, Severity
 from calibration.diagnosis.limits import Allowed, Limits, allowed
 from calibration.diagnosis.suspects import Explanation, Suspect, explain
 from calibration.estimation.held import PLACE, Cause
@@ -157,16 +157,19 @@ def _contradiction(calibration: Calibration, limits: Limits, explanation: Explan
     level = calibration.noise_levels.pixel
     noise = f"{found.excess * level:.2g} px where {level:.2g} px is the noise" if level else f"{found.excess:.2g} sigma"
     sensors = [s for s in calibration.dataset.sensors.values() if s.edge in calibration.covariances]
-    harmful = False
-    for sensor in sensors:
-        sigma = (calibration.sigma_mm(sensor.edge), float(np.degrees(calibration.sigma_mrad(sensor.edge) / 1e3)))
-        if limits.translation_mm is not None or limits.rotation_deg is not None:
-            harmful |= allowed(calibration, limits, sensor.edge).exceeded(3 * sigma[0], 3 * sigma[1])
+    harmful = any(
+        allowed(calibration, limits, sensor.edge).exceeded(
+            3 * calibration.sigma_mm(sensor.edge), 3 * float(np.degrees(calibration.sigma_mrad(sensor.edge) / 1e3))
+        )
+        for sensor in sensors
+    )
+    is_set = limits.translation_mm is not None or limits.rotation_deg is not None
+    severity: Severity = "note" if not harmful else "red" if is_set else "warning"
     text = (
         f"the views contradict each other by {noise}, most {subject} in collection {key}, and nothing that is held "
         f"explains it: time stamps, or something that moved or gave way"
     )
-    return [Finding("contradiction", "red" if harmful else "note", text, (subject,), (key,), value=found.ratio)]
+    return [Finding("contradiction", severity, text, (subject,), (key,), value=found.ratio)]
 
 
 def _nothing(calibration: Calibration) -> Finding:

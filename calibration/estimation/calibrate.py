@@ -241,13 +241,15 @@ def _result(
         warnings=tuple(warnings),
         notes=(*setup.ignored, *notes),
         gauge=setup.gauge,
-        joints=_joints(setup, optimum.values, by_block),
+        joints=_joints(setup, optimum.values, by_block, bars.labels if bars else {}),
         intrinsics=_intrinsics(setup, optimum.values, by_block),
     )
 
 
-def _joints(setup: Setup, values: Values, covariance: Mapping[int, Array]) -> dict[str, CalibratedJoint]:
-    """The joints of which parameters were free; ``covariance`` by block, none where it has not converged."""
+def _joints(
+    setup: Setup, values: Values, covariance: Mapping[int, Array], labels: Mapping[int, Array]
+) -> dict[str, CalibratedJoint]:
+    """The joints of which parameters were free; covariances by block, none where it has not converged."""
     joints = {}
     for name, joint in setup.dataset.joints.items():
         i = setup.block(joint.edge)
@@ -260,6 +262,7 @@ def _joints(setup: Setup, values: Values, covariance: Mapping[int, Array]) -> di
                 values=values[i][block.joint.at],
                 units=tuple(joint.model.unit(parameter) for parameter in free),
                 covariance=covariance.get(i, np.full((len(free), len(free)), np.nan)),
+                label_covariance=labels.get(i, np.full((len(free), len(free)), np.nan)),
             )
     return joints
 

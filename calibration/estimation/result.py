@@ -74,12 +74,19 @@ class CalibratedJoint:
     """(k,): m or rad, as `units` says."""
     units: tuple[Literal["m", "rad"], ...]
     covariance: Array
-    """(k, k); NaN where the calibration has not converged."""
+    """(k, k), in all; NaN where the calibration has not converged."""
+    label_covariance: Array
+    """(k, k): of the noise of the labels alone; NaN likewise."""
 
     @property
     def sigmas(self) -> Array:
-        """(k,): the standard deviation of each parameter, m or rad."""
+        """(k,): the standard deviation of each parameter in all, m or rad."""
         return np.asarray(np.sqrt(np.diagonal(self.covariance)))
+
+    @property
+    def label_sigmas(self) -> Array:
+        """(k,): that by the noise of the labels alone."""
+        return np.asarray(np.sqrt(np.diagonal(self.label_covariance)))
 
 
 @dataclass(frozen=True, eq=False)

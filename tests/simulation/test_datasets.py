@@ -229,8 +229,8 @@ def test_errors_are_within_what_the_calibration_states(
     assert len(free) == len(dataset.sensors) - (dataset.anchored is not None)
     for sensor in free:
         translation, angle = transforms.distance(truth.transforms[sensor.edge], found.transforms[sensor.edge])
-        assert 1e3 * translation < 3 * found.sigma_mm(sensor.edge)
-        assert 1e3 * angle < 3 * found.sigma_mrad(sensor.edge)
+        assert 1e3 * translation < 3 * found.label_sigma_mm(sensor.edge)
+        assert 1e3 * angle < 3 * found.label_sigma_mrad(sensor.edge)
     error = truth_error(found.dataset, truth)
     assert len(error.joints) == (3 if name == "spjbot" else 0)
     sigmas = {(j.name, p): s for j in found.joints.values() for p, s in zip(j.parameters, j.sigmas, strict=True)}

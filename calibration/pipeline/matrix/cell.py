@@ -2,6 +2,7 @@
 
 import math
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from dataclasses import field as dataclass_field
 from functools import cached_property
@@ -19,6 +20,7 @@ from calibration.diagnosis.check_data import check_data
 from calibration.diagnosis.diagnose import diagnose
 from calibration.diagnosis.finding import Finding
 from calibration.diagnosis.limits import Limits
+from calibration.diagnosis.precision import worst_false_accept
 from calibration.errors import CalibrationError
 from calibration.estimation.calibrate import calibrate
 from calibration.estimation.intrinsics import CalibratedIntrinsics
@@ -40,6 +42,8 @@ from calibration.report import Verdict
 from calibration.report.outcome import ErrorCode
 
 OUR_METHOD = "calibration-ci"
+MOST_CAUSES = 5
+"""Of what the result hangs on, so many are told."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,6 +137,14 @@ class Transform:
     sigma_mrad: float | None = field("Standard deviation of the rotation, the norm of three axes.", unit="mrad")
 
 
+@result
+class Worth:
+    """What the usual uncertainty of something held is worth in the result."""
+
+    cause: str = field("What is held.")
+    mm: float = field("How far it displaces the transform that it displaces most.", unit="mm")
+
+
 @result(kw_only=True)
 class Details:
     """What a calibration says of itself; a cell's own results have it, those of the matrix do not."""
@@ -148,6 +160,10 @@ class Details:
     weak_directions: tuple[str, ...] = field("What the data hardly determine.", default=())
     rejected_labels: tuple[RejectedLabel, ...] = field("Labels that do not fit.", default=())
     dropped_views: tuple[DroppedView, ...] = field("Views that contradict the others and were left out.", default=())
+    effective_collections: float | None = field(
+        "Independent collections of equal weight that tell as much.", default=None
+    )
+    hangs_on: tuple[Worth, ...] = field("What the result hangs on, most first.", default=())
 
 
 @result(kw_only=True)
@@ -176,7 +192,11 @@ class CellResult:
         default=(),
     )
     details: Details | None = field(flat=True, default=None)
-    sigma: Deviation | None = field("Standard deviations that our engine states.", default=None)
+    sigma: Deviation | None = field("Standard deviations that our engine states, in all.", default=None)
+    label_sigma: Deviation | None = field("The same by the noise of the labels alone.", default=None)
+    false_accept: float | None = field(
+        "Probability that a sensor is off by more than the limits, by the standard deviations in all.", default=None
+    )
     detail: str | None = field(
         "Of another method: whose implementation it is, and by what of the data it calibrates.", default=None
     )
@@ -275,7 +295,7 @@ def calibrate_cell(cell: Cell, system: LoadedSystem) -> tuple[CellResult, Calibr
         check_data(system.dataset)  # of a dataset that `load` has read it is known; of one made otherwise it is not
         options = replace(system.options, start=cell.start, loss=cell.loss)
         calibration = calibrate(system.dataset, options, cell.noise)
-        return _described(result, calibration).found(
+        return _described(result, calibration, system.limits).found(
             diagnose(calibration, system.dataset, options, system.limits, system.truth is not None)
         ), calibration
     except CalibrationError as error:
@@ -375,7 +395,7 @@ def table_of(dataset: Dataset, system: LoadedSystem, calibration: Calibration | 
     return reprojection(calibration) if calibration is not None else None
 
 
-def _described(result: CellResult, calibration: Calibration) -> CellResult:
+def _described(result: CellResult, calibration: Calibration, limits: Limits) -> CellResult:
     """The result with what the calibration says about itself."""
     covariances = calibration.covariances
     details = Details(
@@ -399,26 +419,39 @@ def _described(result: CellResult, calibration: Calibration) -> CellResult:
         weak_directions=tuple(calibration.weak_directions),
         rejected_labels=tuple(calibration.rejected),
         dropped_views=calibration.dropped_views,
+        effective_collections=round(bars.effective_collections, 2) if (bars := calibration.error_bars) else None,
+        hangs_on=_hangs_on(bars.worth) if bars else (),
     )
     return replace(
         result,
         converged=calibration.converged,
         sigma=_sigma(calibration) if calibration.converged else None,
+        label_sigma=_sigma(calibration, labels_only=True) if calibration.converged else None,
+        false_accept=worst_false_accept(calibration, limits) if calibration.converged else None,
         reasons=(calibration.reason,) if calibration.reason else (),
         details=details,
     )
 
 
-def _sigma(calibration: Calibration) -> Deviation | None:
+def _hangs_on(worth: Mapping[str, float]) -> tuple[Worth, ...]:
+    """The causes that matter, the one that moves most first."""
+    largest = sorted(worth.items(), key=lambda each: -each[1])[:MOST_CAUSES]
+    return tuple(Worth(name, round(1e3 * metres, 4)) for name, metres in largest if metres > 0)
+
+
+def _sigma(calibration: Calibration, labels_only: bool = False) -> Deviation | None:
     """The largest standard deviations of sensors, as norms of three axes, and of joints' parameters."""
     edges = {sensor.edge for sensor in calibration.dataset.sensors.values()} & calibration.covariances.keys()
     if not edges:
         return None
-    joints = list(calibration.joints.values())
+    mm, mrad = calibration.sigma_mm, calibration.sigma_mrad
+    if labels_only:
+        mm, mrad = calibration.label_sigma_mm, calibration.label_sigma_mrad
+    joints = [] if labels_only else list(calibration.joints.values())
     sigmas = [each for joint in joints for each in zip(joint.units, joint.sigmas.tolist(), strict=True)]
     return _deviation(
-        max(map(calibration.sigma_mm, edges)),
-        float(np.degrees(max(map(calibration.sigma_mrad, edges)) / 1e3)),
+        max(map(mm, edges)),
+        float(np.degrees(max(map(mrad, edges)) / 1e3)),
         max((1e3 * sigma for unit, sigma in sigmas if unit == "m"), default=None),
         max((float(np.degrees(sigma)) for unit, sigma in sigmas if unit == "rad"), default=None),
     )

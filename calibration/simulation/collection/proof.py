@@ -114,7 +114,7 @@ def prove_dataset(dataset: Dataset, choice: str | None = None) -> Proof:
 def _joints(found: Calibration, error: TruthError | None) -> Iterator[JointProof]:
     errors = {(each.joint, each.parameter): each.error for each in error.joints} if error else {}
     for name, joint in found.joints.items():
-        numbers = zip(joint.parameters, joint.units, joint.values.tolist(), joint.sigmas.tolist(), strict=True)
+        numbers = zip(joint.parameters, joint.units, joint.values.tolist(), joint.label_sigmas.tolist(), strict=True)
         for parameter, unit, value, sigma in numbers:
             off = errors.get((name, parameter))
             yield JointProof(

@@ -11,6 +11,7 @@ from calibration.comparison.methods import applicable, method_of
 from calibration.dataset.model import Dataset
 from calibration.dataset.reading import read_dataset
 from calibration.dataset.truth import truth_of
+from calibration.diagnosis.limits import Limits
 from calibration.errors import ExitCode, InputError
 from calibration.estimation.assumptions import EXACT
 from calibration.estimation.calibrate import calibrate
@@ -41,7 +42,7 @@ def told(results: Results) -> Report:
 def test_joints_are_told_with_their_sigmas() -> None:
     scene = jointed_arm(free={"j2": ("position_bias",), "j3": ("origin_yaw",)}, pixel_noise=0.2)
     calibration = calibrate(scene.dataset())
-    found = cells._described(CELL, calibration).details.joints
+    found = cells._described(CELL, calibration, Limits()).details.joints
     told = [(each.name, each.parameter, each.unit) for each in found]
     asked = [(joint.name, parameter) for joint in calibration.joints.values() for parameter in joint.parameters]
     assert [each[:2] for each in told] == asked
