@@ -4,9 +4,13 @@ import math
 
 import numpy as np
 
+from calibration.dataset.model import Edge
 from calibration.diagnosis.finding import Finding
 from calibration.diagnosis.limits import Limits
 from calibration.estimation.result import Calibration
+
+DISAGREEING = 1.4
+"""What makes an error bar this many times as wide is more than half of its variance."""
 
 
 def precision(calibration: Calibration, limits: Limits) -> tuple[Finding, ...]:
@@ -29,20 +33,22 @@ def precision(calibration: Calibration, limits: Limits) -> tuple[Finding, ...]:
                 text = (
                     f"'{sensor.name}' is not determined well enough: {sigma:.2g} {unit} (standard deviation, in all), "
                     f"limit {limit:g} {unit} with a guard band of {limits.guard:g} standard deviations; "
-                    f"{_remedy(calibration)}"
+                    f"{_remedy(calibration, sensor.edge)}"
                 )
                 findings.append(Finding("precision", "red", text, (sensor.name,), value=sigma, unit=unit))
                 break
     return tuple(findings)
 
 
-def _remedy(calibration: Calibration) -> str:
+def _remedy(calibration: Calibration, edge: Edge) -> str:
     """What would narrow the error bar most."""
-    bars = calibration.error_bars
-    worth = bars.worth if bars else {}
-    most = max(worth, key=lambda name: worth[name], default="")
-    labels = max((calibration.label_sigma_mm(edge) for edge in calibration.covariances), default=0.0)
-    if most and 1e3 * worth[most] > labels:
+    bars, label = calibration.error_bars, calibration.label_sigma_mm(edge)
+    C = bars.expected.get(calibration.solution.setup.block(edge)) if bars else None
+    expected = 1e3 * float(np.sqrt(np.trace(C[:3, :3]))) if C is not None else label
+    if bars and calibration.sigma_mm(edge) > DISAGREEING * expected:
+        return "the collections disagree by more than their labels' noise: look at the arm, the mounts and time stamps"
+    if bars and expected > DISAGREEING * label:
+        most = max(bars.worth, key=lambda name: bars.worth[name])
         return f"most of it is the {most}: state under 'assume' how well you know it, or calibrate it"
     return "add collections with other rotations of the pattern or the robot"
 

@@ -1,0 +1,33 @@
+"""A limit must hold with the error bar; what would narrow the bar is said."""
+
+import numpy as np
+import pytest
+
+from calibration.diagnosis.limits import Limits
+from calibration.diagnosis.precision import false_accept, precision
+from calibration.estimation.assumptions import EXACT
+from calibration.estimation.calibrate import Options, calibrate
+from tests.estimation import systems
+
+
+def test_a_limit_below_the_guard_band_is_red_and_says_what_would_help() -> None:
+    dataset = systems.stereo(20, seed=1, pixel_noise=0.3).dataset(1)
+    exact, assumed = (calibrate(dataset, options) for options in (Options(assume=EXACT), Options()))
+    edge = next(iter(exact.covariances))
+    between = 1.5 * exact.sigma_mm(edge)
+    [red] = precision(exact, Limits(translation_mm=between))
+    assert (red.kind, red.severity) == ("precision", "red")
+    assert "add collections" in red.text
+    assert precision(exact, Limits(translation_mm=between, guard_band=1)) == ()
+    assert precision(exact, Limits(translation_mm=3 * exact.sigma_mm(edge))) == ()
+    [wider] = precision(assumed, Limits(translation_mm=3 * exact.sigma_mm(edge)))
+    assert "state under 'assume' how well you know it" in wider.text
+    assert precision(exact, Limits()) == ()
+
+
+def test_a_false_accept_is_as_probable_as_draws_say() -> None:
+    draws = np.linalg.norm(np.random.default_rng(1).normal(size=(200_000, 3)), axis=1)
+    for limit in (0.5, 1.0, 2.0, 3.5):
+        assert false_accept(np.sqrt(3), limit) == pytest.approx(np.mean(draws > limit), abs=0.005)
+    assert false_accept(0.0, 1.0) == 0.0
+    assert false_accept(1e-9, 1.0) == 0.0
