@@ -310,6 +310,8 @@ def _tested(state: _State, candidates: _Candidates, limit: float) -> Iterator[Su
 
 def _steps(state: _State, candidates: _Candidates) -> Iterator[_Step]:
     """The step of each candidate; sums over clusters are made for all of them at once."""
+    if not candidates.causes:
+        return
     masks, free = candidates.masks.astype(float), state.free
     first, index = np.unique(candidates.columns[:, 0], return_index=True)
     for start, i in zip(first, index, strict=True):
