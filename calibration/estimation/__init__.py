@@ -14,9 +14,9 @@ The rooms of the engine, in the order of the work:
 - ``residuals``, ``normal_equations``, ``least_squares``: a minimum;
 - ``noise_levels``, ``optimisation``: what a pixel and a metre weigh, and so the optimum;
 - ``observability``: covariance, weak directions, what the data cannot determine;
-- ``label_columns``, ``held``, ``linear_model``: what is held and could be wrong, with the columns by which it would change
-  the labels, beside what is calibrated;
-- ``assumptions``, ``repeated``, ``error_bars``: how well that is known, which collections are independent, and so how sure
-  the result is in all;
+- ``label_columns``, ``held``, ``linear_model``: what is held and could be wrong, with the columns by which it
+  would change the labels, beside what is calibrated;
+- ``assumptions``, ``repeated``, ``error_bars``: how well that is known, which collections are independent, and so
+  how sure the result is in all;
 - ``calibrate``, ``result``: all of it.
 """

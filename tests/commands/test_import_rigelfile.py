@@ -33,7 +33,7 @@ def test_a_rigelfile_becomes_a_calibration_yml(folder: Path, capsys: pytest.Capt
     assert main(["import-rigelfile"]) == 0
     out, err = capsys.readouterr()
     assert out == (
-        "calibration.yml: 1 system, 0 simulations, an image; 3 to do, 0 work otherwise here, 1 not carried over\n"
+        "calibration.yml: 1 system, 0 simulations, an image; 4 to do, 0 work otherwise here, 1 not carried over\n"
     )
     where = "jobs.calibrate.with.components.c"
     assert f"warning: Rigelfile: not carried over: {where}.shm_size: there is no such setting" in err

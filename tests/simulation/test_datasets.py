@@ -233,7 +233,7 @@ def test_errors_are_within_what_the_calibration_states(
         assert 1e3 * angle < 3 * found.label_sigma_mrad(sensor.edge)
     error = truth_error(found.dataset, truth)
     assert len(error.joints) == (3 if name == "spjbot" else 0)
-    sigmas = {(j.name, p): s for j in found.joints.values() for p, s in zip(j.parameters, j.sigmas, strict=True)}
+    sigmas = {(j.name, p): s for j in found.joints.values() for p, s in zip(j.parameters, j.label_sigmas, strict=True)}
     for each in error.joints:
         assert each.error < 3 * sigmas[each.joint, each.parameter] < 2e-4
 

@@ -22,7 +22,7 @@ def test_what_the_engine_says(tmp_path: Path) -> None:
     assert (
         abs(
             proof.sigmas["lidar_right"].translation_mm
-            - found.sigma_mm(("tripod_right_support", "lidar_right_base_link"))
+            - found.label_sigma_mm(("tripod_right_support", "lidar_right_base_link"))
         )
         < 1e-4
     )
@@ -59,7 +59,7 @@ def test_joints_are_proven_too(tmp_path: Path) -> None:
         assert joint.error is not None
         assert abs(abs(joint.value - true) - joint.error) < 1e-6
         assert 0 < joint.error < 3 * joint.sigma
-        assert abs(joint.sigma - found.joints[joint.joint].sigmas[0]) < 1e-8
+        assert abs(joint.sigma - found.joints[joint.joint].label_sigmas[0]) < 1e-8
     lengths, angles = ([each.error for each in proof.joints if each.unit == unit] for unit in ("m", "rad"))
     assert (proof.joint_mm, proof.joint_deg) == (round(1e3 * lengths[0], 4), round(math.degrees(max(angles)), 6))
     shutil.copy(DATASETS / "spjbot" / "dataset.json", tmp_path)

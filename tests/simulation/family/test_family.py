@@ -49,9 +49,9 @@ def test_noise_in_the_labels_leaves_what_is_stated(robot: Robot, tmp_path: Path)
     assert found.converged
     for edge in (sensor.edge for sensor in exact.sensors.values() if sensor.edge in found.covariances):
         translation, angle = distance(exact.transforms[edge][0], found.transforms[edge])
-        assert 0 < 1e3 * translation < 4 * found.sigma_mm(edge)
-        assert 0 < 1e3 * angle < 4 * found.sigma_mrad(edge)
-    sigmas = [sigma for joint in found.joints.values() for sigma in joint.sigmas]
+        assert 0 < 1e3 * translation < 4 * found.label_sigma_mm(edge)
+        assert 0 < 1e3 * angle < 4 * found.label_sigma_mrad(edge)
+    sigmas = [sigma for joint in found.joints.values() for sigma in joint.label_sigmas]
     errors = [each.error for each in truth_error(found.dataset, truth_of(exact)).joints]
     assert all(0 < error < 4 * sigma < 1e-3 for error, sigma in zip(errors, sigmas, strict=True))
 

@@ -34,8 +34,8 @@ def test_what_is_predicted_is_what_a_calibration_states(
             edge = exact.sensors[sensor].edge
             factor = 1.5 if sensor not in system.cameras else 1.15  # the border's noise is less than its step's
             for stated, expected in (
-                (result.sigma_mm(edge), 1e3 * translation),
-                (result.sigma_mrad(edge), 1e3 * rotation),
+                (result.label_sigma_mm(edge), 1e3 * translation),
+                (result.label_sigma_mrad(edge), 1e3 * rotation),
             ):
                 assert expected / factor <= stated <= expected * factor
             off, turned = distance(result.transforms[edge], exact.transforms[edge][0])
@@ -108,8 +108,8 @@ def test_a_depth_camera_is_as_sure_as_a_calibration_with_its_noise_says(
     dataset = noisy(expected_dataset(mixed, place(mixed, motions["t2rgb"])), mixed, 1)
     found = calibrate(dataset)
     edge = dataset.sensors["right_camera"].edge
-    assert found.sigma_mm(edge) == pytest.approx(1e3 * predicted["right_camera"][0], rel=0.15)
-    assert found.sigma_mrad(edge) == pytest.approx(1e3 * predicted["right_camera"][1], rel=0.15)
+    assert found.label_sigma_mm(edge) == pytest.approx(1e3 * predicted["right_camera"][0], rel=0.15)
+    assert found.label_sigma_mrad(edge) == pytest.approx(1e3 * predicted["right_camera"][1], rel=0.15)
 
 
 def test_a_motion_that_does_not_fit(systems: dict[str, System], motions: dict[str, Motion]) -> None:
