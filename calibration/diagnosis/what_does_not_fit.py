@@ -6,14 +6,12 @@ import numpy as np
 
 from calibration.diagnosis.finding import Finding, Severity
 from calibration.diagnosis.limits import Allowed, Limits, allowed
-from calibration.diagnosis.suspects import Explanation, Suspect, explain
 from calibration.estimation.held import PLACE, Cause
 from calibration.estimation.result import Calibration
+from calibration.estimation.suspects import Explanation, Suspect, explain
 from calibration.geometry.types import Array
 
 KIND = "suspect"
-CONTRADICTION = 3.0
-"""Views that disagree by more than this times what is assumed contradict each other."""
 SURE = 2.0
 """A motion is over a limit where it is with so many of its standard deviations taken off."""
 GROSS: Mapping[str, float] = {"focal length": 0.025, "image scale": 0.025, "principal point": 15.0}
@@ -150,7 +148,7 @@ def _keys(calibration: Calibration, since: int) -> tuple[str, ...]:
 def _contradiction(calibration: Calibration, limits: Limits, explanation: Explanation) -> list[Finding]:
     """Views that contradict each other by more than the noise, an arm and what is held explain."""
     found = explanation.disagreement
-    if found.ratio <= CONTRADICTION * found.expected:
+    if not found.contradicts:
         return []
     cluster, subject = found.worst
     key = _keys(calibration, cluster)[0]

@@ -18,5 +18,6 @@ The rooms of the engine, in the order of the work:
   would change the labels, beside what is calibrated;
 - ``assumptions``, ``repeated``, ``error_bars``: how well that is known, which collections are independent, and so
   how sure the result is in all;
+- ``suspects``, ``significance``: which of it does not fit the labels;
 - ``calibrate``, ``result``: all of it.
 """

@@ -12,7 +12,7 @@ from calibration.estimation.blocks import Pose, Values
 from calibration.estimation.build import Setup, build
 from calibration.estimation.error_bars import ErrorBars, error_bars
 from calibration.estimation.intrinsics import CalibratedIntrinsics
-from calibration.estimation.least_squares import minimise
+from calibration.estimation.least_squares import Termination, minimise
 from calibration.estimation.linear_start import (
     LinearStart,
     free_patterns,
@@ -20,18 +20,22 @@ from calibration.estimation.linear_start import (
     pattern_poses,
     place_gauge_patterns,
 )
-from calibration.estimation.noise_levels import NoiseLevels
+from calibration.estimation.noise_levels import NoiseLevels, estimate_scales
+from calibration.estimation.normal_equations import Weighting
 from calibration.estimation.observability import considered_covariance, open_directions
-from calibration.estimation.optimisation import WeightedOptimum, optimise, unflipped
+from calibration.estimation.optimisation import HUBER, WeightedOptimum, optimise, unflipped
 from calibration.estimation.options import Options as Options
 from calibration.estimation.result import CalibratedJoint, Calibration, RejectedLabel, Solution, ViewResiduals
 from calibration.estimation.starting_noise import StartingNoise, perturb
+from calibration.estimation.suspects import explains_all
 from calibration.estimation.unknown_intrinsics import contradicted_priors
 from calibration.estimation.wrong_views import without, wrong_views
 from calibration.geometry.transforms import adjoint, inverse, translation
 from calibration.geometry.types import Array, BoolArray, IntArray
 
 FLIP_ROUNDS = 3
+TRIAL = Termination(decrease=1e-3, iterations=300)
+"""Where all views are explained, their optimum is near enough for this; wrong views make it crawl."""
 
 
 def calibrate(dataset: Dataset, options: Options | None = None, noise: StartingNoise | None = None) -> Calibration:
@@ -55,12 +59,29 @@ def _calibrate(dataset: Dataset, options: Options, noise: StartingNoise) -> Cali
     dropped = wrong_views(started.setup, started.linear.values)
     if not dropped:
         return _solved(dataset, started, options)
+    if (whole := _explained(dataset, started, options)) is not None:
+        return whole
     try:
         rest = _started(without(dataset, dropped), options, noise)
         return replace(_solved(dataset, rest, options), dropped_views=dropped)
     except UndeterminedError as error:
         views = ", ".join(dict.fromkeys(view.collection for view in dropped))
         raise UndeterminedError(f"{error} (left out, as their views contradict the others: {views})") from error
+
+
+def _explained(dataset: Dataset, started: "_Started", options: Options) -> Calibration | None:
+    """The calibration of all views where something held explains why they contradict each other; None else."""
+    problem, start = started.setup.problem, started.linear
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        scales = estimate_scales(problem, start.values, {}, robust=True)
+        trial = minimise(problem, start.values, Weighting(scales, HUBER), TRIAL)
+    if not trial.reached:  # nor would it be with other weights, after long
+        return None
+    try:
+        whole = _solved(dataset, replace(started, linear=replace(start, values=trial.values)), options)
+    except UndeterminedError:
+        return None
+    return whole if whole.converged and explains_all(whole.solution.model) else None
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,10 +9,10 @@ import pytest
 from calibration.dataset.model import CornerLabels, Dataset
 from calibration.diagnosis.finding import Finding
 from calibration.diagnosis.limits import Limits
-from calibration.diagnosis.suspects import Suspect, explain
 from calibration.diagnosis.what_does_not_fit import what_does_not_fit
 from calibration.estimation.assumptions import EXACT, Assumptions
 from calibration.estimation.calibrate import Options, calibrate
+from calibration.estimation.suspects import Suspect, explain
 from calibration.geometry.transforms import retract
 from calibration.geometry.types import Array
 from tests.estimation import systems

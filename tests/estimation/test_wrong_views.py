@@ -10,8 +10,9 @@ from calibration.dataset.model import Dataset
 from calibration.estimation.build import build
 from calibration.estimation.calibrate import calibrate
 from calibration.estimation.linear_start import linear_start
+from calibration.estimation.suspects import explain
 from calibration.estimation.wrong_views import wrong_views
-from tests.estimation.scenes import Scene, true_values
+from tests.estimation.scenes import Scene, pose, true_values
 from tests.estimation.systems import camera_and_lidar, eye_in_hand, eye_to_hand, ring, stereo, two_bodies
 
 FEW, MANY = (3, 8), (0, 2, 5, 8)
@@ -89,6 +90,23 @@ def test_an_arm_that_is_bad_everywhere_contradicts_nothing() -> None:
     poses = dataset.transforms["base", "flange"].copy()
     poses[:, :3, 3] += np.random.default_rng(3).normal(size=(16, 3)) * 0.002
     assert not calibrate(dataset.with_transforms({("base", "flange"): poses})).dropped_views
+
+
+def test_what_one_cause_explains_is_not_left_out() -> None:
+    """The board was pushed by 3 cm in the arm's hand between two collections: all views after that are good."""
+    dataset = eye_to_hand(20, pixel_noise=0.1).dataset()
+    poses = dataset.transforms["base", "flange"].copy()
+    poses[14:] = poses[14:] @ pose(0.03, 0.0, 0.0, 0.0, 0.0, 0.0)
+    pushed = dataset.with_transforms({("base", "flange"): poses})
+    setup = build(pushed)
+    assert {int(view.collection) for view in wrong_views(setup, linear_start(setup, true_values(setup)).values)} == {
+        *range(14, 20)
+    }
+    result = calibrate(pushed)
+    assert not result.dropped_views
+    explanation = explain(result.solution.model)
+    assert explanation is not None
+    assert [(each.cause.kind, each.since) for each in explanation.suspects] == [("place", 14)]
 
 
 def test_no_majority() -> None:

@@ -23,9 +23,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calibration.diagnosis.significance import score_of_f, threshold
 from calibration.estimation.held import PLACE, Cause
 from calibration.estimation.linear_model import LinearModel
+from calibration.estimation.significance import score_of_f, threshold
 from calibration.geometry.types import Array, IntArray
 
 FEWEST_CLUSTERS = 6
@@ -41,6 +41,8 @@ SIDE = 4
 (`calibration.estimation.wrong_views`)."""
 EXACTLY = 1e6
 """Degrees of freedom of a covariance that is not estimated."""
+CONTRADICTION = 3.0
+"""Clusters that disagree by more than this times what is assumed contradict each other."""
 HALF_PIXEL = (0.35, 0.65)
 """Off by so much, the principal point is of the other convention of pixels' centres."""
 
@@ -91,6 +93,11 @@ class Disagreement:
     worst: tuple[int, str]
     """The cluster and the sensor that disagree most."""
 
+    @property
+    def contradicts(self) -> bool:
+        """Whether clusters disagree by far more than the noise and what is assumed explain."""
+        return self.ratio > CONTRADICTION * self.expected
+
 
 @dataclass(frozen=True, eq=False)
 class Explanation:
@@ -128,6 +135,12 @@ def explain(model: LinearModel) -> Explanation | None:
         found.append(replace(best, rivals=tuple(rivals[:2])))
         state = state.with_cause(model.columns_of(best.cause), best.since)
     return Explanation(tuple(found), _disagreement(model, state))
+
+
+def explains_all(model: LinearModel) -> bool:
+    """Whether something held that does not fit leaves no contradiction between clusters once it is taken in."""
+    explanation = explain(model)
+    return explanation is not None and bool(explanation.suspects) and not explanation.disagreement.contradicts
 
 
 def _disagreement(model: LinearModel, state: "_State") -> Disagreement:
