@@ -59,6 +59,18 @@ class LoadedSystem:
     limits: Limits = dataclass_field(default_factory=Limits)
     """How far off its result may be."""
 
+    def check(self) -> None:
+        """Refuse data that would calibrate to nonsense; looked at once, however many cells there are.
+
+        Raises:
+            InputError: they would.
+        """
+        return self._sound
+
+    @cached_property
+    def _sound(self) -> None:
+        check_data(self.dataset)
+
     @cached_property
     def optimum(self) -> OurOptimum:
         """Our engine's, which does not depend on a start.
@@ -292,7 +304,7 @@ def calibrate_cell(cell: Cell, system: LoadedSystem) -> tuple[CellResult, Calibr
     """
     result = nothing_yet(cell)
     try:
-        check_data(system.dataset)  # of a dataset that `load` has read it is known; of one made otherwise it is not
+        system.check()
         options = replace(system.options, start=cell.start, loss=cell.loss)
         calibration = calibrate(system.dataset, options, cell.noise)
         return _described(result, calibration, system.limits).found(

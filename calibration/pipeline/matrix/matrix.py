@@ -15,7 +15,6 @@ from tempfile import TemporaryDirectory
 from calibration.comparison.methods import METHODS, method_of
 from calibration.dataset.reading import read_dataset
 from calibration.dataset.truth import choose_truth
-from calibration.diagnosis.check_data import check_data
 from calibration.errors import InputError
 from calibration.estimation.starting_noise import StartingNoise
 from calibration.evaluation.specification import parse_evaluation
@@ -184,7 +183,6 @@ def load(system: System) -> LoadedSystem:
             wrong.
     """
     dataset = read_dataset(system.dataset)
-    check_data(dataset)
     truth = choose_truth(dataset, system.truth)
     for method in system.compare:
         if method not in METHODS:
@@ -200,4 +198,6 @@ def load(system: System) -> LoadedSystem:
                 f"{did_you_mean(sensor, dataset.sensors)} (sensors: {', '.join(dataset.sensors)})"
             )
     options = replace(system.options, intrinsics_covariance=system.options.known_intrinsics())
-    return LoadedSystem(system.name, dataset, truth, evaluation, options, system.limits)
+    loaded = LoadedSystem(system.name, dataset, truth, evaluation, options, system.limits)
+    loaded.check()  # here, so that cells that are forked know it
+    return loaded
