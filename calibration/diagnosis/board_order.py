@@ -83,9 +83,14 @@ def _side(plane: Array, image: Array) -> float:
 def _views(dataset: Dataset, pattern: str, sensor: str) -> list[View]:
     camera = dataset.sensors[sensor].camera
     labels = [labels for _, labels in dataset.detections(pattern, sensor) if isinstance(labels, CornerLabels)]
-    most = sorted(labels, key=lambda labels: -len(labels.ids))[:VIEWS]
-    enough = (labels for labels in most if len(labels.ids) >= LEAST_CORNERS)
-    return [(labels.ids, camera.normalise(labels.pixels)) for labels in enough] if camera else []
+    most = sorted(labels, key=lambda labels: -len(labels.ids))[:VIEWS] if camera else []
+    views = []
+    for each in most:
+        rays = camera.normalise(each.pixels) if camera else np.empty((0, 2))
+        seen = np.isfinite(rays).all(-1)  # where the lens folds the image over there is no ray
+        if np.count_nonzero(seen) >= LEAST_CORNERS:
+            views.append((each.ids[seen], rays[seen]))
+    return views
 
 
 def _row(pattern: Pattern, views: Sequence[View]) -> int:

@@ -115,6 +115,7 @@ def nearest(M: ArrayLike) -> Array:
     """The rotation nearest to each 3x3 matrix in the Frobenius norm (orthogonal Procrustes)."""
     U, _, Vt = np.linalg.svd(np.asarray(M, float))
     sign = np.ones(U.shape[:-1])
-    sign[..., 2] = np.where(np.linalg.det(U) * np.linalg.det(Vt) < 0, -1.0, 1.0)
+    with np.errstate(invalid="ignore"):  # NaN stays NaN; on some processors LAPACK flags it
+        sign[..., 2] = np.where(np.linalg.det(U) * np.linalg.det(Vt) < 0, -1.0, 1.0)
     R: Array = (U * sign[..., None, :]) @ Vt
     return R
