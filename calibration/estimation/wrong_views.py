@@ -57,8 +57,8 @@ CLEAR = 2.0
 """Where the majority misses by no more than this, in multiples of the noise, nothing better is looked for."""
 AGREEING = 10.0
 """Where it misses by more than this, in multiples of what is noticeable, there is none."""
-"""So many of the drawn poses are improved."""
 ROUNDS = 8
+"""Refits to the better half."""
 POINTS = 32
 """Of a LiDAR's view, about so many are looked at."""
 IMPROVING = Termination(decrease=0.1, iterations=15)

@@ -1,0 +1,96 @@
+"""Error bars contain the labels' noise, collections that disagree, and what is held but not exactly known."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calibration.dataset.model import Dataset
+from calibration.estimation.assumptions import EXACT, Assumptions
+from calibration.estimation.calibrate import Options, calibrate
+from calibration.estimation.result import Calibration
+from calibration.geometry.transforms import local, retract
+from calibration.geometry.types import Array
+from tests.estimation import systems
+
+
+def bars(found: Calibration) -> tuple[Array, Array, Array]:
+    """The covariances of the first calibrated block: labels alone, expected, in all."""
+    assert found.error_bars is not None
+    block = next(iter(found.error_bars.total))
+    return found.error_bars.labels[block], found.error_bars.expected[block], found.error_bars.total[block]
+
+
+def test_where_nothing_is_uncertain_they_are_the_labels_own() -> None:
+    found = calibrate(systems.stereo(20, seed=1, pixel_noise=0.2).dataset(1), Options(assume=EXACT))
+    labels, expected, total = bars(found)
+    np.testing.assert_array_equal(labels, expected)
+    assert np.trace(labels) <= np.trace(total) < 1.6 * np.trace(labels)
+    (edge,) = found.covariances
+    assert found.label_sigma_mm(edge) <= found.sigma_mm(edge)
+
+
+@pytest.mark.parametrize(
+    ("assumed", "change"),
+    [
+        ({"focal_length": 1e-4}, lambda v: v * np.array([1 + 1e-4, 1 + 1e-4, *np.ones(len(v) - 2)])),
+        ({"principal_point": 0.05}, None),
+    ],
+)
+def test_what_is_held_counts_as_much_as_it_moves_the_result(
+    assumed: dict[str, float], change: Callable[[Array], Array] | None
+) -> None:
+    """The covariance that is added, against calibrations with each held value off by its standard deviation."""
+    dataset = systems.stereo(12, seed=1).dataset(1)
+    levels = replace(Options().noise_levels, pixel=0.2)
+    options = Options(assume=replace(EXACT, **assumed), noise_levels=levels)
+    found = calibrate(dataset, options)
+    labels, expected, _ = bars(found)
+    (edge,) = found.covariances
+    moves = []
+    for name, sensor in dataset.sensors.items():
+        camera = sensor.camera
+        assert camera is not None
+        v = camera.intrinsics
+        others = [change(v)] if change else [v + 0.05 * np.eye(len(v))[k] for k in (2, 3)]
+        for values in others:
+            other = calibrate(dataset.with_cameras({name: camera.with_intrinsics(values)}), options)
+            moves.append(local(found.transforms[edge], other.transforms[edge]))
+    added = np.array(moves).T @ np.array(moves)
+    np.testing.assert_allclose(expected - labels, added, rtol=0.03, atol=0.03 * np.abs(added).max())
+
+
+def shaken(dataset: Dataset, sigma: float, seed: int) -> Dataset:
+    """The dataset with an arm that was elsewhere than its encoders say, by so much (m, rad) in each collection."""
+    rng = np.random.default_rng(seed)
+    edge = next(e for e, T in dataset.transforms.items() if np.abs(T - T[0]).max() > 1e-3)
+    T = dataset.transforms[edge]
+    return dataset.with_transforms({edge: retract(T, sigma * rng.normal(size=(len(T), 6)))})
+
+
+def test_an_arm_that_is_not_where_it_says_widens_them_as_much_as_it_errs() -> None:
+    scores, alone = [], []
+    for seed in range(25):
+        exact = systems.eye_to_hand(20, seed=seed, pixel_noise=0.1).dataset(seed)
+        found = calibrate(shaken(exact, 1e-3, seed), Options(assume=EXACT))
+        for sensor in exact.sensors.values():
+            e = local(found.transforms[sensor.edge], exact.transforms[sensor.edge][0])
+            scores.append(e @ np.linalg.solve(found.covariances[sensor.edge], e) / 6)
+            alone.append(e @ np.linalg.solve(found.label_covariances[sensor.edge], e) / 6)
+    assert 0.3 < np.median(scores) < 1.5
+    assert np.median(alone) > 3 * np.median(scores)
+
+
+def test_how_many_collections_count_and_what_the_result_hangs_on() -> None:
+    dataset = systems.stereo(10, seed=1, pixel_noise=0.2).dataset(1)
+    found = calibrate(dataset)
+    assert found.error_bars is not None
+    assert 4 < found.error_bars.effective_collections <= 10
+    assert set(found.error_bars.worth) >= {"focal length of left", "size of board"}
+
+
+def test_the_defaults_are_those_of_a_good_robot() -> None:
+    defaults = Assumptions()
+    assert (defaults.focal_length, defaults.principal_point, defaults.flatness) == (0.0005, 0.3, 0.0002)
+    assert replace(defaults, **dict.fromkeys(vars(defaults), 0.0)) == EXACT
