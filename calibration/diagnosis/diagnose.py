@@ -8,6 +8,7 @@ from calibration.diagnosis.limits import Limits
 from calibration.diagnosis.precision import precision
 from calibration.diagnosis.rejected_labels import rejected_labels
 from calibration.diagnosis.repeated import repeated
+from calibration.diagnosis.too_few import too_few
 from calibration.diagnosis.what_does_not_fit import what_does_not_fit
 from calibration.diagnosis.wrong_views import wrong_views
 from calibration.estimation.options import Options
@@ -41,7 +42,7 @@ def diagnose(
         *(each for each in suspected if each.severity == "red"),
         *wrong_views(calibration),
         *(each for each in suspected if each.severity != "red"),
-        *(() if truth_known else precision(calibration, limits)),
+        *(() if truth_known else (*too_few(calibration), *precision(calibration, limits))),
         *(() if explained else far),
         *(exchanged_labels(calibration, description, options) if useless else ()),
         *rejected,

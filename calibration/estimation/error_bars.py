@@ -36,6 +36,8 @@ class ErrorBars:
     """(k, k): in all."""
     effective_collections: float
     """How many independent collections of equal weight would tell as much."""
+    decisive: float
+    """The largest share of what is known of any direction that one cluster of collections alone tells."""
     worth: Mapping[str, float]
     """Of each cause that counts, how far what is assumed of it moves a block, m; what is usual where it is exact."""
 
@@ -52,7 +54,7 @@ def error_bars(model: LinearModel, blocks: Mapping[int, slice], considered: Arra
     A = model.total[:S, :S]
     C = np.linalg.inv(A)
     C = 0.5 * (C + C.T)
-    clustered, effective = _clustered(model, C)
+    clustered, effective, decisive = _clustered(model, C)
     worth, considered = {}, np.zeros((S, S)) if considered is None else considered
     for cause, at, typical in zip(model.causes, model.places, model.typical, strict=True):
         if cause.counts:
@@ -68,11 +70,11 @@ def error_bars(model: LinearModel, blocks: Mapping[int, slice], considered: Arra
         labels[block] = own
         expected[block] = own + considered[at, at]
         total[block] = factor * own + considered[at, at]
-    return ErrorBars(labels, expected, total, effective, worth)
+    return ErrorBars(labels, expected, total, effective, decisive, worth)
 
 
-def _clustered(model: LinearModel, C: Array) -> tuple[Array, float]:
-    """The covariance (S, S) of the shared parameters with collections as clusters, and the effective number of them."""
+def _clustered(model: LinearModel, C: Array) -> tuple[Array, float, float]:
+    """The covariance (S, S) with collections as clusters, their effective number, and the largest share of one."""
     S = model.shared
     values, vectors = np.linalg.eigh(C)
     root = vectors * np.sqrt(np.maximum(values, 0.0))  # C = root root^T
@@ -84,4 +86,4 @@ def _clustered(model: LinearModel, C: Array) -> tuple[Array, float]:
     leverages = np.trace(share, axis1=1, axis2=2)
     effective = float(leverages.sum() ** 2 / (leverages**2).sum())
     V = root @ (change.T @ change) @ root.T
-    return V, effective
+    return V, effective, float(1 - w.min())

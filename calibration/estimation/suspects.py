@@ -143,6 +143,11 @@ def explains_all(model: LinearModel) -> bool:
     return explanation is not None and bool(explanation.suspects) and not explanation.disagreement.contradicts
 
 
+def disagreement(model: LinearModel) -> Disagreement:
+    """How far clusters disagree, nothing taken in; that can be told of fewer than a search needs."""
+    return _disagreement(model, _State.at_optimum(model))
+
+
 def _disagreement(model: LinearModel, state: "_State") -> Disagreement:
     """What is left between the clusters after the causes that have been taken in.
 
