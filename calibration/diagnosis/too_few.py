@@ -4,8 +4,10 @@ from calibration.diagnosis.finding import Finding
 from calibration.estimation.result import Calibration
 from calibration.estimation.suspects import CONTRADICTION, disagreement
 
-ENOUGH = 8
+ENOUGH = 7
 """From so many independent collections on, suspects and error bars tell what disagreement means."""
+BETTER = 8
+"""What a message asks for."""
 ALONE = 0.7
 """One collection decides a direction of which it alone tells more than this part."""
 
@@ -24,7 +26,7 @@ def too_few(calibration: Calibration) -> tuple[Finding, ...]:
         return ()
     text = (
         f"{count} collections are too few for views that disagree by {ratio**0.5:.2g} times their noise: one of them "
-        f"alone decides {bars.decisive:.0%} of what is known of some direction; take {ENOUGH} or more, with other "
+        f"alone decides {bars.decisive:.0%} of what is known of some direction; take {BETTER} or more, with other "
         f"rotations"
     )
     return (Finding("too-few", "red", text, value=ratio, unit="1"),)
