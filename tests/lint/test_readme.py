@@ -9,6 +9,7 @@ import yaml
 
 from benchmarks.run_picture import LINE, PICTURE, drawing, tables
 from calibration.__main__ import main
+from calibration.estimation.assumptions import Assumptions
 from calibration.execution.batch.settings import BatchSettings
 from calibration.records import flat_fields
 
@@ -92,6 +93,11 @@ def test_what_a_readme_points_to_is_there(readme: Path) -> None:
     assert links
     for link in links:
         assert "://" in link or (readme.parent / link).exists(), link
+
+
+def test_every_assumption_is_described() -> None:
+    text = (PROJECT / "docs" / "verdict.md").read_text()
+    assert [key for key in flat_fields(Assumptions) if f"`{key}`" not in text] == []
 
 
 def test_every_key_of_the_section_for_aws_is_described() -> None:
