@@ -62,7 +62,7 @@ ROUNDS = 8
 POINTS = 32
 """Of a LiDAR's view, about so many are looked at."""
 IMPROVING = Termination(decrease=0.1, iterations=15)
-SURPLUS = 2.5
+SURPLUS = 2.6
 """What a bare majority of the collections says has to be so many times what is unknown."""
 
 
