@@ -46,6 +46,7 @@ def report(results: Results, output: Path, title: str) -> Report:
             main,
             Text(_UNDER_GRID if main.rows else "", only="summary"),
             truth_table(results),
+            precision_table(results),
             Lines(tuple(other_methods(results)), only="summary"),
             parameters_table(results),
             collections_table(results),
@@ -146,6 +147,17 @@ def truth_table(results: Results) -> Table:
         if truths and sigmas:
             rows.append((system, ", ".join(_worst(truths)), ", ".join(_worst(sigmas))))
     return Table(("Against the truth", "Worst error", "Standard deviation stated"), tuple(rows))
+
+
+def precision_table(results: Results) -> Table:
+    """A row for each system without a truth: how sure its cells are, in all and by the noise of the labels alone."""
+    rows = []
+    for system in results.systems:
+        own = [cell for cell in results.cells if cell.system == system and cell.truth is None]
+        sigmas, alone = [c.sigma for c in own if c.sigma], [c.label_sigma for c in own if c.label_sigma]
+        if sigmas and alone:
+            rows.append((system, ", ".join(_worst(sigmas)), ", ".join(_worst(alone))))
+    return Table(("How sure", "Standard deviation in all", "By the labels' noise alone"), tuple(rows))
 
 
 def _text(cells: Sequence[CellResult]) -> str:

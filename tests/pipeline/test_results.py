@@ -13,7 +13,15 @@ from calibration.diagnosis.finding import Finding
 from calibration.errors import ExitCode, InputError
 from calibration.pipeline.matrix.cell import Details, Deviation, Parameter
 from calibration.pipeline.matrix.matrix import Matrix, run_matrix
-from calibration.pipeline.report import failures, grid, parameters_table, report, truth_table, write_results
+from calibration.pipeline.report import (
+    failures,
+    grid,
+    parameters_table,
+    precision_table,
+    report,
+    truth_table,
+    write_results,
+)
 from calibration.pipeline.results import (
     SCHEMA,
     ImageResult,
@@ -155,6 +163,15 @@ def test_the_summary_says_whose_the_other_methods_are() -> None:
 
     assert "- icp on robot: built in\n- shah, li on robot: OpenCV 4.14.0\n" in text
     assert text.count("robot, icp: no points near") == 1
+
+
+def test_without_a_truth_it_is_said_how_sure_a_result_is() -> None:
+    real = replace(CELL, truth=None, sigma=Deviation(1.03, 0.057), label_sigma=Deviation(0.15, 0.006))
+    sure = precision_table(Results((real, replace(real, seed=2, sigma=Deviation(0.9, 0.06)))))
+    assert sure.rows == (("robot", "1.03 mm, 0.06 deg", "0.15 mm, 0.006 deg"),)
+    known = replace(real, truth=Deviation(0.5, 0.02))
+    assert precision_table(Results((known,))).rows == ()
+    assert "| robot | 1.03 mm, 0.057 deg | 0.15 mm, 0.006 deg |" in told(Results((real,))).markdown()
 
 
 def test_errors_stand_beside_what_is_stated(tmp_path: Path) -> None:
