@@ -37,6 +37,7 @@ def root(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         name for name in os.environ if name.startswith(("GITHUB_", "INPUT_", "RUNNER_", "CODACY_", "COVERAGE_"))
     ]:
         monkeypatch.delenv(name)
+    monkeypatch.setenv("PYTHONDONTWRITEBYTECODE", "1")  # so that what lies about afterwards is the command's
     command = LazyCommand("calibration.commands.coverage_upload:command", "")
     monkeypatch.setitem(COMMANDS, NAME, command)  # type: ignore[index]
     root = robot(tmp_path / "p")
