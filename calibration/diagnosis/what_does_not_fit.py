@@ -157,7 +157,8 @@ def _contradiction(calibration: Calibration, limits: Limits, explanation: Explan
     sensors = [s for s in calibration.dataset.sensors.values() if s.edge in calibration.covariances]
     harmful = any(
         allowed(calibration, limits, sensor.edge).exceeded(
-            3 * calibration.sigma_mm(sensor.edge), 3 * float(np.degrees(calibration.sigma_mrad(sensor.edge) / 1e3))
+            limits.guard * calibration.sigma_mm(sensor.edge),
+            limits.guard * float(np.degrees(calibration.sigma_mrad(sensor.edge) / 1e3)),
         )
         for sensor in sensors
     )
