@@ -12,8 +12,6 @@ from calibration.estimation.suspects import Explanation, Suspect, explain
 from calibration.geometry.types import Array
 
 KIND = "suspect"
-SURE = 2.0
-"""A motion is over a limit where it is with so many of its standard deviations taken off."""
 GROSS: Mapping[str, float] = {"focal length": 0.025, "image scale": 0.025, "principal point": 15.0}
 """A camera_info that is off by so much (relative, px) is red whatever it moves: it belongs to another camera."""
 ADVICE: Mapping[str, str] = {
@@ -64,8 +62,7 @@ def what_does_not_fit(calibration: Calibration, limits: Limits) -> tuple[Finding
 
 def _finding(calibration: Calibration, limits: Limits, suspect: Suspect) -> Finding:
     moved = _moved(calibration, suspect.moves)
-    sure = 1 - SURE / suspect.score
-    over = [n for n, (mm, deg) in moved.items() if _allowed(calibration, limits, n).exceeded(sure * mm, sure * deg)]
+    over = [name for name, motion in moved.items() if _allowed(calibration, limits, name).exceeded(*motion)]
     sensor = max(over or moved, key=lambda name: moved[name][0], default="")
     mm, degrees = moved.get(sensor, (0.0, 0.0))
     names = " or ".join(dict.fromkeys(_name(each) for each in (suspect.cause, *suspect.rivals)))
