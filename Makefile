@@ -47,7 +47,8 @@ lint: ## ruff, mypy, and the checks of workflows, actions, shell, configurations
 	$(python) -m tests.lint.shell
 	$(python) -m tests.lint.documents
 
-# Both halves at once; else every worker would compile all tests for itself.
+# Both halves at once; else every worker would compile all tests for itself. A failure here only costs time:
+# tests that cannot be collected fail in the run that follows.
 tests/__pycache__:
 	@$(setup) dev.txt .
 	@echo 'compiling the tests'

@@ -2,7 +2,7 @@
 
 - ``finding``: what a check has found; ``limits``: how far off a result may be;
 - ``check_data`` and what it calls (``copies``, ``units``, ``board_order``): data that are refused unsolved;
-- ``suspects``, ``significance``: the search for what is held and does not fit; ``what_does_not_fit``: that in words;
+- ``what_does_not_fit``: suspects (`calibration.estimation.suspects`) in words; ``too_few``: too few views to tell;
 - ``precision``, ``description``, ``exchanged_labels``, ``wrong_views``, ``rejected_labels``, ``repeated``: one each;
 - ``diagnose``: all of them, in a reader's order;
 - ``same_labels``, ``against_optimum``, ``table_follows``: what the team's own software has left.

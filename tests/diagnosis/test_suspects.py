@@ -90,6 +90,20 @@ def test_what_moves_no_sensor_by_more_than_the_limit_is_a_note() -> None:
     assert "harmless" in note.text
 
 
+def test_a_camera_info_of_another_camera_is_red_whatever_it_moves() -> None:
+    def other(values: Array) -> None:
+        values[:2] *= 1.05
+
+    wrong = stereo()
+    for name in wrong.sensors:
+        wrong = with_intrinsics(wrong, name, other)
+    [red, *_] = findings(wrong, Limits(translation_mm=1e4, rotation_deg=180))
+    assert red.severity == "red"
+    assert red.value == pytest.approx(1 / 1.05 - 1, abs=0.004)
+    assert "left and right's focal length does not fit" in red.text
+    assert "more than any camera errs" in red.text
+
+
 def test_what_is_as_good_as_it_is_known_is_no_suspect() -> None:
     def slightly(values: Array) -> None:
         values[:2] *= 1.005
