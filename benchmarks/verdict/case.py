@@ -241,7 +241,7 @@ def _where_none_is_set(stratum: Stratum, system: str, seed: int) -> Limits:
     """What `calibration.diagnosis.limits` allows the worst of the sensors of the scene without a defect."""
     scene = _nothing_set(clean(stratum, system, seed))
     found = calibrate(scene.told, scene.system.options)
-    each = [allowed(found, Limits(), sensor.edge) for sensor in scene.told.sensors.values()]
+    each = [allowed(found, Limits(), sensor) for sensor in scene.told.sensors]
     joint_mm, joint_deg = Limits().joint
     return Limits(
         translation_mm=max(one.translation_mm for one in each),

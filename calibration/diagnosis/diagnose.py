@@ -5,6 +5,7 @@ from calibration.diagnosis.description import FAR_AWAY, far_from_description
 from calibration.diagnosis.exchanged_labels import exchanged_labels
 from calibration.diagnosis.finding import Finding
 from calibration.diagnosis.limits import Limits
+from calibration.diagnosis.mirrored import mirrored
 from calibration.diagnosis.precision import precision
 from calibration.diagnosis.rejected_labels import rejected_labels
 from calibration.diagnosis.repeated import repeated
@@ -31,13 +32,17 @@ def diagnose(
         return (
             *wrong_views(calibration),
             *exchanged_labels(calibration, description, options),
+            *mirrored(calibration, description, options),
             *_said_by_the_engine(calibration),
         )
     far, rejected = far_from_description(calibration, description, options), rejected_labels(calibration)
     useless = any(each.severity == "red" for each in rejected) and not far
     explained = any(each.kind != FAR_AWAY for each in far)  # by one mistake, which says more than its consequences
     suspected = what_does_not_fit(calibration, limits)
+    hopeless = useless or any(each.kind == "contradiction" and each.severity == "red" for each in suspected) or far
+    flipped = mirrored(calibration, description, options) if hopeless and not explained else ()
     return (
+        *flipped,
         *(far if explained else ()),
         *(each for each in suspected if each.severity == "red"),
         *wrong_views(calibration),

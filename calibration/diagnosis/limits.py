@@ -1,12 +1,13 @@
 """How far off a result may be, with or without a truth to compare it with."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
 
-from calibration.dataset.model import Edge
 from calibration.estimation.result import Calibration
+from calibration.geometry.types import Array
 from calibration.records import at_least, between, field, one_of, record
 
 Limit = Annotated[float, at_least(0)]
@@ -15,6 +16,9 @@ UNSET = 3.0
 """Without a limit, so many standard deviations of a robot whose collections agree are one,"""
 SMALLEST = (1.0, 0.05)
 """and never less than this, mm and degrees."""
+UNITS = ("m", "rad")
+TWIST = ("m",) * 3 + ("rad",) * 3
+"""Of the parameters of a transform."""
 
 
 @record(rules=(one_of(*_LIMITS, why=f"expected a limit: {', '.join(_LIMITS)}"),))
@@ -56,7 +60,7 @@ def _or(limit: float | None, least: float) -> float:
 
 @dataclass(frozen=True)
 class Allowed:
-    """How far a transform may be off."""
+    """How far a sensor or a joint may be off."""
 
     translation_mm: float
     rotation_deg: float
@@ -71,16 +75,40 @@ class Allowed:
         return f"{self.translation_mm:.3g} mm, {self.rotation_deg:.2g} deg{'' if self.set else ', as none is set'}"
 
 
-def allowed(calibration: Calibration, limits: Limits, edge: Edge) -> Allowed:
-    """How far a calibrated transform may be off: the limits, or what `UNSET` and `SMALLEST` say."""
+def allowed(calibration: Calibration, limits: Limits, name: str) -> Allowed:
+    """How far a calibrated sensor or joint may be off: the limits, or what `UNSET` and `SMALLEST` say."""
+    joint, dataset = calibration.joints.get(name), calibration.dataset
+    edge = dataset.joints[name].edge if joint else dataset.sensors[name].edge
+    given = limits_of(calibration, limits, name)
     sigma = (0.0, 0.0)
     block = calibration.solution.setup.block(edge)
     if calibration.error_bars and (C := calibration.error_bars.expected.get(block)) is not None:
-        t, r = (float(np.sqrt(np.trace(C[part, part]))) for part in (slice(0, 3), slice(3, 6)))
-        sigma = (1e3 * t, float(np.degrees(r)))
-    given = (limits.translation_mm, limits.rotation_deg)
+        sigma = sizes(np.sqrt(np.diagonal(C)), joint.units if joint else TWIST)
     found = [
         max(least, UNSET * one) if limit is None else limit
         for limit, one, least in zip(given, sigma, SMALLEST, strict=True)
     ]
     return Allowed(found[0], found[1], given != (None, None))
+
+
+def limits_of(calibration: Calibration, limits: Limits, name: str) -> tuple[float | None, float | None]:
+    """The limits that a user has set for a sensor or a joint, mm and degrees."""
+    if name in calibration.joints:
+        return limits.joint_mm, limits.joint_deg
+    return limits.translation_mm, limits.rotation_deg
+
+
+def sizes(parameters: Array, units: Sequence[str]) -> tuple[float, float]:
+    """The norm of those of the parameters (k,) that are lengths, mm, and of those that are angles, degrees."""
+    m, rad = (np.linalg.norm([v for v, each in zip(parameters, units, strict=True) if each == unit]) for unit in UNITS)
+    return 1e3 * float(m), float(np.degrees(rad))
+
+
+def stated(calibration: Calibration) -> dict[str, tuple[float, float]]:
+    """The standard deviations in all of each calibrated sensor and joint: the norms in mm and degrees."""
+    sensors = {
+        sensor.name: (calibration.sigma_mm(sensor.edge), float(np.degrees(calibration.sigma_mrad(sensor.edge) / 1e3)))
+        for sensor in calibration.dataset.sensors.values()
+        if sensor.edge in calibration.covariances
+    }
+    return sensors | {name: sizes(joint.sigmas, joint.units) for name, joint in calibration.joints.items()}

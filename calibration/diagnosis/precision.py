@@ -4,10 +4,10 @@ import math
 
 import numpy as np
 
-from calibration.dataset.model import Edge
 from calibration.diagnosis.finding import Finding
-from calibration.diagnosis.limits import Limits
+from calibration.diagnosis.limits import Limits, limits_of, stated
 from calibration.estimation.result import Calibration
+from calibration.geometry.types import Array
 
 DISAGREEING = 1.4
 """What makes an error bar this many times as wide is more than half of its variance."""
@@ -21,48 +21,45 @@ def precision(calibration: Calibration, limits: Limits) -> tuple[Finding, ...]:
         limits: those that a user has set; without one nothing is asked.
     """
     findings = []
-    for sensor in calibration.dataset.sensors.values():
-        if sensor.edge not in calibration.covariances:
-            continue
-        stated = (
-            (calibration.sigma_mm(sensor.edge), limits.translation_mm, "mm"),
-            (float(np.degrees(calibration.sigma_mrad(sensor.edge) / 1e3)), limits.rotation_deg, "deg"),
-        )
-        for sigma, limit, unit in stated:
+    for name, sigmas in stated(calibration).items():
+        for sigma, limit, unit in zip(sigmas, limits_of(calibration, limits, name), ("mm", "deg"), strict=True):
             if limit is not None and limits.guard * sigma > limit:
                 text = (
-                    f"'{sensor.name}' is not determined well enough: {sigma:.2g} {unit} (standard deviation, in all), "
+                    f"'{name}' is not determined well enough: {sigma:.2g} {unit} (standard deviation, in all), "
                     f"limit {limit:g} {unit} with a guard band of {limits.guard:g} standard deviations; "
-                    f"{_remedy(calibration, sensor.edge)}"
+                    f"{_remedy(calibration, name)}"
                 )
-                findings.append(Finding("precision", "red", text, (sensor.name,), value=sigma, unit=unit))
+                findings.append(Finding("precision", "red", text, (name,), value=sigma, unit=unit))
                 break
     return tuple(findings)
 
 
-def _remedy(calibration: Calibration, edge: Edge) -> str:
+def _remedy(calibration: Calibration, name: str) -> str:
     """What would narrow the error bar most."""
-    bars, label = calibration.error_bars, calibration.label_sigma_mm(edge)
-    C = bars.expected.get(calibration.solution.setup.block(edge)) if bars else None
-    expected = 1e3 * float(np.sqrt(np.trace(C[:3, :3]))) if C is not None else label
-    if bars and calibration.sigma_mm(edge) > DISAGREEING * expected:
+    dataset = calibration.dataset
+    edge = (dataset.sensors.get(name) or dataset.joints[name]).edge
+    block, bars = calibration.solution.setup.block(edge), calibration.error_bars
+    if bars is None or block not in bars.labels:
+        return "add collections with other rotations of the pattern or the robot"
+    if _wider(bars.total[block], bars.expected[block]) > DISAGREEING:
         return "the collections disagree by more than their labels' noise: look at the arm, the mounts and time stamps"
-    if bars and expected > DISAGREEING * label:
+    if _wider(bars.expected[block], bars.labels[block]) > DISAGREEING:
         most = max(bars.worth, key=lambda name: bars.worth[name])
         return f"most of it is the {most}: state under 'assume' how well you know it, or calibrate it"
     return "add collections with other rotations of the pattern or the robot"
 
 
+def _wider(C: Array, D: Array) -> float:
+    """How many times as wide an error bar of covariance C is as one of D, whatever their units."""
+    return float(np.sqrt(np.trace(np.linalg.solve(D, C)) / len(C)))
+
+
 def worst_false_accept(calibration: Calibration, limits: Limits) -> float | None:
-    """The probability that the sensor that is known least is off by more than the limits; None without limits."""
+    """The probability that the least known sensor or joint is off by more than its limits; None without limits."""
     found = [
         false_accept(sigma, limit)
-        for sensor in calibration.dataset.sensors.values()
-        if sensor.edge in calibration.covariances
-        for sigma, limit in (
-            (calibration.sigma_mm(sensor.edge), limits.translation_mm),
-            (float(np.degrees(calibration.sigma_mrad(sensor.edge) / 1e3)), limits.rotation_deg),
-        )
+        for name, sigmas in stated(calibration).items()
+        for sigma, limit in zip(sigmas, limits_of(calibration, limits, name), strict=True)
         if limit is not None
     ]
     return round(max(found), 6) if found else None

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from calibration.diagnosis.finding import Finding, Severity
-from calibration.diagnosis.limits import Allowed, Limits, allowed
+from calibration.diagnosis.limits import TWIST, Limits, allowed, sizes, stated
 from calibration.estimation.held import PLACE, Cause
 from calibration.estimation.result import Calibration
 from calibration.estimation.suspects import Explanation, Suspect, explain
@@ -62,7 +62,7 @@ def what_does_not_fit(calibration: Calibration, limits: Limits) -> tuple[Finding
 
 def _finding(calibration: Calibration, limits: Limits, suspect: Suspect) -> Finding:
     moved = _moved(calibration, suspect.moves)
-    over = [name for name, motion in moved.items() if _allowed(calibration, limits, name).exceeded(*motion)]
+    over = [name for name, motion in moved.items() if allowed(calibration, limits, name).exceeded(*motion)]
     sensor = max(over or moved, key=lambda name: moved[name][0], default="")
     mm, degrees = moved.get(sensor, (0.0, 0.0))
     names = " or ".join(dict.fromkeys(_name(each) for each in (suspect.cause, *suspect.rivals)))
@@ -77,7 +77,7 @@ def _finding(calibration: Calibration, limits: Limits, suspect: Suspect) -> Find
     gross = float(np.abs(suspect.value).max()) > GROSS.get(suspect.cause.kind, np.inf)
     harm = f"moves {sensor} by {mm:.3g} mm and {degrees:.2g} deg" if sensor else "moves no sensor"
     if over:
-        text = f"{names} {verb}{since}{either}: {size}; it {harm} (limit {_allowed(calibration, limits, sensor)}): "
+        text = f"{names} {verb}{since}{either}: {size}; it {harm} (limit {allowed(calibration, limits, sensor)}): "
         text += ADVICE[suspect.cause.kind]
     elif gross:
         text = f"{names} {verb}{since}{either}: {size}, more than any camera errs: {ADVICE[suspect.cause.kind]}"
@@ -119,19 +119,14 @@ def _size(cause: Cause, value: Array, sigma: Array) -> str:
 
 
 def _moved(calibration: Calibration, moves: Array) -> dict[str, tuple[float, float]]:
-    """How far each calibrated sensor moves, mm and degrees."""
+    """How far each calibrated sensor and joint moves, mm and degrees."""
     setup = calibration.solution.setup
-    moved = {}
-    for sensor in setup.dataset.sensors.values():
-        at = setup.problem.shared_parameters.get(setup.block(sensor.edge))
-        if at is not None:
-            step = moves[at]
-            moved[sensor.name] = (1e3 * float(np.linalg.norm(step[:3])), float(np.degrees(np.linalg.norm(step[3:]))))
+    at = setup.problem.shared_parameters
+    sensors = {sensor.name: setup.block(sensor.edge) for sensor in setup.dataset.sensors.values()}
+    moved = {name: sizes(moves[at[block]], TWIST) for name, block in sensors.items() if block in at}
+    for name, joint in calibration.joints.items():
+        moved[name] = sizes(moves[at[setup.block(setup.dataset.joints[name].edge)]], joint.units)
     return moved
-
-
-def _allowed(calibration: Calibration, limits: Limits, sensor: str) -> Allowed:
-    return allowed(calibration, limits, calibration.dataset.sensors[sensor].edge)
 
 
 def _keys(calibration: Calibration, since: int) -> tuple[str, ...]:
@@ -151,13 +146,9 @@ def _contradiction(calibration: Calibration, limits: Limits, explanation: Explan
     key = _keys(calibration, cluster)[0]
     level = calibration.noise_levels.pixel
     noise = f"{found.excess * level:.2g} px where {level:.2g} px is the noise" if level else f"{found.excess:.2g} sigma"
-    sensors = [s for s in calibration.dataset.sensors.values() if s.edge in calibration.covariances]
     harmful = any(
-        allowed(calibration, limits, sensor.edge).exceeded(
-            limits.guard * calibration.sigma_mm(sensor.edge),
-            limits.guard * float(np.degrees(calibration.sigma_mrad(sensor.edge) / 1e3)),
-        )
-        for sensor in sensors
+        allowed(calibration, limits, name).exceeded(limits.guard * mm, limits.guard * degrees)
+        for name, (mm, degrees) in stated(calibration).items()
     )
     is_set = limits.translation_mm is not None or limits.rotation_deg is not None
     severity: Severity = "note" if not harmful else "red" if is_set else "warning"

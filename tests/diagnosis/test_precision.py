@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from calibration.diagnosis.limits import Limits
-from calibration.diagnosis.precision import false_accept, precision
+from calibration.diagnosis.precision import false_accept, precision, worst_false_accept
 from calibration.estimation.assumptions import EXACT
 from calibration.estimation.calibrate import Options, calibrate
 from tests.estimation import systems
@@ -23,6 +23,16 @@ def test_a_limit_below_the_guard_band_is_red_and_says_what_would_help() -> None:
     [wider] = precision(assumed, Limits(translation_mm=3 * exact.sigma_mm(edge)))
     assert "state under 'assume' how well you know it" in wider.text
     assert precision(exact, Limits()) == ()
+
+
+def test_the_limits_of_a_joint_hold_with_its_error_bar() -> None:
+    calibration = calibrate(systems.jointed_arm(20, seed=1, pixel_noise=0.3).dataset(1), Options(assume=EXACT))
+    sigma = float(np.degrees(calibration.joints["j3"].sigmas[0]))
+    [red] = precision(calibration, Limits(joint_deg=1.5 * sigma, translation_mm=1e3))
+    assert red.sensors == ("j3",)
+    assert "'j3' is not determined well enough" in red.text
+    assert precision(calibration, Limits(joint_deg=2.5 * sigma, joint_mm=1e-6)) == ()
+    assert worst_false_accept(calibration, Limits(joint_deg=sigma)) == pytest.approx(false_accept(1, 1), abs=1e-6)
 
 
 def test_a_false_accept_is_as_probable_as_draws_say() -> None:

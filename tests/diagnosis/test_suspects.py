@@ -164,3 +164,15 @@ def test_too_few_collections_are_said_to_be_untested() -> None:
     [finding] = findings(few)
     assert (finding.kind, finding.severity) == ("untested", "note")
     assert "4 collections are too few" in finding.text
+
+
+def test_what_moves_a_joint_by_more_than_its_limit_is_red() -> None:
+    dataset = with_intrinsics(
+        systems.jointed_arm(24, seed=1, pixel_noise=NOISE).dataset(1), "cam", lambda values: values.__imul__(1.003)
+    )
+    wide = {"translation_mm": 1e3, "rotation_deg": 10.0, "joint_mm": 1e3}
+    [red, *_] = findings(dataset, Limits(**wide, joint_deg=1e-6))
+    assert red.severity == "red"
+    assert red.sensors == ("j3",)
+    assert "it moves j3 by 0 mm" in red.text
+    assert all(each.severity == "note" for each in findings(dataset, Limits(**wide, joint_deg=10.0)))

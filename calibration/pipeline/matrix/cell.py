@@ -20,6 +20,7 @@ from calibration.diagnosis.check_data import check_data
 from calibration.diagnosis.diagnose import diagnose
 from calibration.diagnosis.finding import Finding
 from calibration.diagnosis.limits import Limits
+from calibration.diagnosis.mirrored import mirrored
 from calibration.diagnosis.precision import worst_false_accept
 from calibration.errors import CalibrationError
 from calibration.estimation.calibrate import calibrate
@@ -311,7 +312,7 @@ def calibrate_cell(cell: Cell, system: LoadedSystem) -> tuple[CellResult, Calibr
             diagnose(calibration, system.dataset, options, system.limits, system.truth is not None)
         ), calibration
     except CalibrationError as error:
-        return _failed(result, error), None
+        return _failed(result, error).found(mirrored(None, system.dataset, system.options)), None
 
 
 def _failed(result: CellResult, error: CalibrationError) -> CellResult:
