@@ -9,13 +9,15 @@ from calibration.estimation.assumptions import EXACT, Assumptions
 from calibration.estimation.intrinsics import CalibratedIntrinsics
 from calibration.estimation.intrinsics_file import read_intrinsics
 from calibration.estimation.noise_levels import NoiseLevels
-from calibration.records import UNIQUE, Converted, Place, field, length, record
+from calibration.records import UNIQUE, Converted, Misfit, Place, field, length, record
 
 
 def _assumed(found: Literal["exact"] | Assumptions, _: Place) -> Assumptions:
     return EXACT if found == "exact" else found
 
 
+OF_INTRINSICS = ("focal_length", "aspect", "principal_point", "distortion")
+"""What is assumed of intrinsics that are held."""
 Start = Literal["linear", "given"]
 """The engine's own linear start, or the noisy guess."""
 Loss = Literal["huber", "linear"]
@@ -72,6 +74,20 @@ class Options:
         default_factory=Assumptions,
         option=False,
     )
+
+    def __post_init__(self) -> None:
+        """Refuse to assume what is calibrated, or known otherwise.
+
+        Raises:
+            Misfit: all intrinsics are calibrated, but ``assume`` says how well they are known.
+        """
+        free = set(self.intrinsics) == {"all"} and not any(name.startswith("intrinsics-") for name in self.hold)
+        given = [name for name in OF_INTRINSICS if getattr(self.assume, name) != getattr(Assumptions(), name)]
+        if free and given and self.assume != EXACT:
+            raise Misfit(
+                f"assume: found '{given[0].replace('_', '-')}' beside 'intrinsics: all'; what is calibrated is not "
+                f"assumed: leave one of them out (a file of 'intrinsics-covariance' says what is known beforehand)"
+            )
 
     def known_intrinsics(self) -> Mapping[str, CalibratedIntrinsics]:
         """How well intrinsics are known beforehand, by camera.

@@ -81,6 +81,14 @@ def test_what_is_assumed_has_one_form(tmp_path: Path, assume: str, expected: str
     assert "\n" not in str(error.value)
 
 
+def test_what_is_calibrated_is_not_assumed(tmp_path: Path) -> None:
+    calibrated = "systems: {a: {dataset: a, intrinsics: [all], assume: {focal-length: 0.01}}}"
+    with pytest.raises(InputError, match=r"found .focal-length. beside 'intrinsics: all'.* leave one of them out"):
+        read_configuration(write(tmp_path, calibrated))
+    for good in ("assume: {border: 0.01}", "assume: exact", "hold: [intrinsics-left], assume: {focal-length: 0.01}"):
+        read_configuration(write(tmp_path, f"systems: {{a: {{dataset: a, intrinsics: [all], {good}}}}}"))
+
+
 def test_what_is_assumed_and_described_stands_at_the_top_for_every_system(tmp_path: Path) -> None:
     text = "assume: exact\ndescription: rough\nsystems: {a: {dataset: a}, b: {dataset: b, assume: {border: 0.01}}}"
     a, b = read_configuration(write(tmp_path, text)).systems
