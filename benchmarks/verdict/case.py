@@ -29,6 +29,8 @@ from calibration.pipeline.matrix.cell import Cell, CellResult, LoadedSystem, cal
 from calibration.pipeline.matrix.judgement import judge_cells
 
 BY_NAME: dict[str, Kind] = {kind.name: kind for kind in (CLEAN, *KINDS)}
+AS_WELL = 10.0
+"""Costs (squared standard deviations) that differ by less are alike: of so many tests none could tell."""
 
 
 @dataclass(frozen=True)
@@ -106,6 +108,9 @@ class Outcome:
     nees: tuple[float, ...]
     """Of each calibrated sensor of a clean scene: its squared error in stated standard deviations, over 6."""
     seconds: float
+    invisible: bool
+    """Whether the labels of an arm that is not as it is described fit as well as without the defect: one whose base is
+    turned about the axis of its first joint only changes the camera's pose."""
 
     @property
     def harmful(self) -> bool:
@@ -117,7 +122,7 @@ class Outcome:
     @property
     def memory(self) -> bool:
         """Whether only an earlier result could tell."""
-        return self.case.system in self.case.planted.memory
+        return self.invisible or self.case.system in self.case.planted.memory
 
     @property
     def must_be_red(self) -> bool:
@@ -153,7 +158,19 @@ def run(case: Case) -> Outcome:
         rms_red=rms_red,
         nees=tuple(_nees(case, scene)) if case.kind == CLEAN.name else (),
         seconds=seconds,
+        invisible=calibration is not None and _fits_as_well(case, calibration.cost),
     )
+
+
+def _fits_as_well(case: Case, cost: float) -> bool:
+    """Whether an arm that is not as it is described costs what the described one would, with the same noise."""
+    return case.planted.group == "arm" and abs(cost - _clean_cost(case.stratum, case.system, case.seed)) < AS_WELL
+
+
+@cache
+def _clean_cost(stratum: Stratum, system: str, seed: int) -> float:
+    scene = clean(stratum, system, seed)
+    return calibrate(scene.told, scene.system.options).cost
 
 
 def judged(scene: Scene) -> tuple[CellResult, bool, Calibration | None]:

@@ -9,11 +9,15 @@ from calibration.diagnosis.mirrored import mirrored
 from calibration.diagnosis.precision import precision
 from calibration.diagnosis.rejected_labels import rejected_labels
 from calibration.diagnosis.repeated import repeated
+from calibration.diagnosis.residuals import residuals
 from calibration.diagnosis.too_few import too_few
-from calibration.diagnosis.what_does_not_fit import what_does_not_fit
+from calibration.diagnosis.what_does_not_fit import NOTHING, UNTESTED, what_does_not_fit
 from calibration.diagnosis.wrong_views import wrong_views
 from calibration.estimation.options import Options
 from calibration.estimation.result import Calibration
+
+UNEXPLAINED = (NOTHING, UNTESTED)
+"""What is said of a calibration without suspects."""
 
 
 def diagnose(
@@ -47,6 +51,7 @@ def diagnose(
         *(each for each in suspected if each.severity == "red"),
         *wrong_views(calibration),
         *(each for each in suspected if each.severity != "red"),
+        *(residuals(calibration) if all(each.kind in UNEXPLAINED for each in suspected) else ()),
         *(() if truth_known else (*too_few(calibration), *precision(calibration, limits))),
         *(() if explained else far),
         *(exchanged_labels(calibration, description, options) if useless else ()),

@@ -1,6 +1,6 @@
 """Suspects in words: what does not fit, by how much, what it does to the sensors, and what to do about it."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -12,6 +12,8 @@ from calibration.estimation.suspects import Explanation, Suspect, explain
 from calibration.geometry.types import Array
 
 KIND = "suspect"
+NOTHING = "nothing-suspicious"
+UNTESTED = "untested"
 GROSS: Mapping[str, float] = {"focal length": 0.025, "image scale": 0.025, "principal point": 15.0}
 """A camera_info that is off by so much (relative, px) is red whatever it moves: it belongs to another camera."""
 ADVICE: Mapping[str, str] = {
@@ -54,8 +56,9 @@ def what_does_not_fit(calibration: Calibration, limits: Limits) -> tuple[Finding
     if explanation is None:
         count = len(calibration.solution.model.G)
         text = f"{count} collections are too few to test what is held (intrinsics, pattern, arm): take 8 or more"
-        return (Finding("untested", "note", text),)
+        return (Finding(UNTESTED, "note", text),)
     findings = [_finding(calibration, limits, suspect) for suspect in explanation.suspects]
+    findings += _together(calibration, limits, explanation.suspects, findings)
     findings += _contradiction(calibration, limits, explanation)
     return tuple(findings) or (_nothing(calibration),)
 
@@ -96,6 +99,28 @@ def _finding(calibration: Calibration, limits: Limits, suspect: Suspect) -> Find
         moves_mm=round(mm, 4),
         moves_deg=round(degrees, 5),
     )
+
+
+def _together(
+    calibration: Calibration, limits: Limits, suspects: Sequence[Suspect], findings: Sequence[Finding]
+) -> list[Finding]:
+    """Red where no suspect moves anything by more than allowed, and all of them do.
+
+    Each has been tested with those before it free, so that what they move adds up.
+    """
+    if len(suspects) < 2 or any(each.severity == "red" for each in findings):
+        return []
+    moved = _moved(calibration, np.sum([each.moves for each in suspects], axis=0))
+    for name, (mm, degrees) in moved.items():
+        limit = allowed(calibration, limits, name)
+        if limit.exceeded(mm, degrees):
+            causes = ", ".join(_name(each.cause) for each in suspects)
+            text = (
+                f"{causes} do not fit: together they move {name} by {mm:.3g} mm and {degrees:.2g} deg (limit {limit}): "
+            )
+            text += ADVICE[suspects[0].cause.kind]
+            return [Finding(KIND, "red", text, (name,), moves_mm=round(mm, 4), moves_deg=round(degrees, 5))]
+    return []
 
 
 def _name(cause: Cause) -> str:
@@ -169,4 +194,4 @@ def _nothing(calibration: Calibration) -> Finding:
         text += (
             f"; the result hangs most on the {most}: the usual uncertainty of it is worth {1e3 * worth[most]:.2g} mm"
         )
-    return Finding("nothing-suspicious", "note", text)
+    return Finding(NOTHING, "note", text)

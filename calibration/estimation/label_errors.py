@@ -1,0 +1,41 @@
+"""What is left of each label at the optimum, and where the sensor saw it: for checks of how errors are distributed."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from calibration.dataset.modalities import NoiseKind
+from calibration.estimation.result import Solution
+from calibration.geometry.types import Array, BoolArray
+
+
+@dataclass(frozen=True, eq=False)
+class LabelErrors:
+    """The labels of one kind, of one sensor and one pattern."""
+
+    sensor: str
+    pattern: str
+    kind: NoiseKind
+    errors: Array
+    """(V, d, L): px, m or rad, small for those that the robust loss gives little weight; 0 where there is no label."""
+    seen: BoolArray
+    """(V, L)."""
+    points: Array
+    """(V, 3, L): where the labels should be, in the sensor's frame, m."""
+
+
+def label_errors(solution: Solution) -> Iterator[LabelErrors]:
+    """The errors of all labels.
+
+    Args:
+        solution: at the optimum.
+    """
+    problem, weighting = solution.setup.problem, solution.weighting
+    for group in problem.groups:
+        T = problem.poses(group, solution.values)
+        for term in problem.terms(group, solution.values):
+            scale = weighting.scales[term.kind]
+            errors = scale * term.rows(T, scale, weighting.huber)[:, -1]
+            points = T[:, :3, :3] @ term.places(T) + T[:, :3, 3:]
+            yield LabelErrors(group.sensor, group.pattern, term.kind, errors, np.isfinite(term.magnitudes(T)), points)
