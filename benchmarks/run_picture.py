@@ -13,7 +13,11 @@ PICTURE = ROOT / "docs" / "run.svg"
 
 SIZE, ADVANCE, LINE, MARGIN = 15, 9, 22, 20
 """Pixels: the height of the font, the width of a character, from line to line, around all."""
-CLASSES = (("head", r"\$ |Start |Against |Collected "), ("pass", "pass:"), ("fail", "fail:|.* FAIL"))
+CLASSES = (
+    ("head", r"\$ |Start |Against |How sure |Calibrated |Collected |Notes"),
+    ("pass", "pass:"),
+    ("fail", "fail:|.* FAIL"),
+)
 """How a line is drawn that begins so."""
 DRAWING = f"""\
 <svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {{width}} {{height}}" role="img">

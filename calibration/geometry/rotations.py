@@ -111,6 +111,21 @@ def to_rpy(R: ArrayLike) -> Array:
     return np.stack([roll, pitch, yaw], -1)
 
 
+def rpy_rates(rpy: ArrayLike) -> Array:
+    """How roll, pitch and yaw change with a small rotation in the body's frame: d rpy / d w (3, 3).
+
+    For ``R exp(w)`` with ``R = from_rpy(rpy)``. Without bound where the pitch is +-pi/2.
+
+    Args:
+        rpy: (3,), rad.
+    """
+    roll, pitch, _ = np.asarray(rpy, float)
+    (sr, cr), (sp, cp) = ((np.sin(angle), np.cos(angle)) for angle in (roll, pitch))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        rates: Array = np.array([[1.0, sr * sp / cp, cr * sp / cp], [0.0, cr, -sr], [0.0, sr / cp, cr / cp]])
+    return rates
+
+
 def nearest(M: ArrayLike) -> Array:
     """The rotation nearest to each 3x3 matrix in the Frobenius norm (orthogonal Procrustes)."""
     U, _, Vt = np.linalg.svd(np.asarray(M, float))

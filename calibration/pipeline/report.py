@@ -1,10 +1,11 @@
 """The report of a pipeline, whose main table has noise pairs and other methods down, systems across."""
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 
 from calibration.diagnosis.finding import Severity
-from calibration.pipeline.matrix.cell import OUR_METHOD, CellResult, Deviation, noise_text
+from calibration.pipeline.matrix.cell import OUR_METHOD, CellResult, Details, Deviation, Transform, noise_text
 from calibration.pipeline.results import CELLS_FILE, Collected, ImageResult, Results, own_file
 from calibration.report import Lines, Outcome, Report, Table, Text, count_of, results_text, shown
 
@@ -13,6 +14,7 @@ NOTES_SHOWN = 30
 SIDE_BY_SIDE = 3
 """Systems beside each other in a log."""
 PARAMETERS_SHOWN = 200
+TRANSFORMS_SHOWN = 30
 
 
 def write_results(results: Results, output: Path) -> None:
@@ -48,6 +50,7 @@ def report(results: Results, output: Path, title: str) -> Report:
             truth_table(results),
             precision_table(results),
             Lines(tuple(other_methods(results)), only="summary"),
+            transforms_table(results),
             parameters_table(results),
             collections_table(results),
             Lines(_said(results, "warning"), NOTES_SHOWN, title="To look at", only="summary"),
@@ -219,10 +222,52 @@ def collections_table(results: Results) -> Table:
     )
 
 
+def transforms_table(results: Results) -> Table:
+    """A row for each transform that was calibrated, of each system's first cell that passed, with its error bars."""
+    first = _details(results)
+    rows = [
+        (
+            f"{system}: {each.parent} to {each.child}",
+            _vector(each.trans, each.sigma_trans, 1e3, 2),
+            _vector(each.rpy, each.sigma_rpy, 180 / math.pi, 3),
+            _moved(each),
+        )
+        for system in results.systems
+        if (found := first.get(system))
+        for each in found.transforms
+        if each.rpy
+    ]
+    return Table(
+        ("Calibrated", "x, y, z (mm)", "roll, pitch, yaw (deg)", "From the description"),
+        tuple(rows),
+        TRANSFORMS_SHOWN,
+    )
+
+
+def _vector(values: Sequence[float], sigmas: Sequence[float] | None, factor: float, digits: int) -> str:
+    """Three numbers with the norm of their standard deviations: "10.00, -3.25, 0.40 +- 0.023"."""
+    text = ", ".join(f"{round(factor * value, digits) + 0.0:.{digits}f}" for value in values)  # no -0.00
+    return text if sigmas is None else f"{text} +- {factor * math.hypot(*sigmas):.2g}"
+
+
+def _moved(transform: Transform) -> str:
+    """How far it is from the robot's description, or that it was held."""
+    if transform.sigma_trans is None:
+        return "held"
+    if transform.moved_mm is None:
+        return "-"
+    return f"{transform.moved_mm:.3g} mm, {transform.moved_deg:.2g} deg"
+
+
+def _details(results: Results) -> dict[str, Details]:
+    """What each system's first cell that passed says of itself."""
+    passed = [cell for cell in (*results.cells, *results.comparisons) if cell.verdict == "pass"]
+    return {cell.system: cell.details for cell in reversed(passed) if cell.details}
+
+
 def parameters_table(results: Results) -> Table:
     """A row for each parameter of a joint or a camera that was calibrated, of each system's first cell that passed."""
-    passed = [cell for cell in (*results.cells, *results.comparisons) if cell.verdict == "pass"]
-    first = {cell.system: cell.details for cell in reversed(passed) if cell.details}
+    first = _details(results)
     rows: list[tuple[str, ...]] = [
         (
             system,

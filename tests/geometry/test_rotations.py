@@ -121,3 +121,11 @@ def test_nearest_is_never_a_reflection():
     distance = np.linalg.norm(R - M, axis=(1, 2))
     for other in random_rotations(20, seed=7):
         assert (distance <= np.linalg.norm(other - M, axis=(1, 2)) + 1e-12).all()
+
+
+@pytest.mark.parametrize("rpy", [(0.0, 0.0, 0.0), (0.3, -0.8, 2.0), (-2.5, 1.2, -0.4)])
+def test_rpy_rates_are_the_derivative(rpy: tuple[float, float, float]) -> None:
+    step = 1e-6
+    R = rotations.from_rpy(rpy)
+    forward, back = (rotations.to_rpy(R @ rotations.exp(sign * step * np.eye(3))) for sign in (1, -1))
+    np.testing.assert_allclose(rotations.rpy_rates(rpy), (forward - back).T / (2 * step), atol=1e-8)

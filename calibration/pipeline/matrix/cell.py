@@ -12,7 +12,7 @@ from typing import Literal
 import numpy as np
 
 from calibration.comparison.methods import METHODS, method_of
-from calibration.dataset.model import Dataset
+from calibration.dataset.model import Dataset, Edge
 from calibration.dataset.truth import Truth
 from calibration.dataset.writing import write_dataset
 from calibration.diagnosis.against_optimum import OurOptimum, find_optimum
@@ -36,7 +36,8 @@ from calibration.evaluation.reprojection import reprojection
 from calibration.evaluation.specification import Evaluation
 from calibration.evaluation.table import RMS_PIX, Table
 from calibration.evaluation.truth import truth_error
-from calibration.geometry.rotations import to_quaternion
+from calibration.geometry.rotations import rpy_rates, to_quaternion, to_rpy
+from calibration.geometry.transforms import distance
 from calibration.introspection.numbers import number_text
 from calibration.records import computed, field, record, result
 from calibration.report import Verdict
@@ -148,6 +149,15 @@ class Transform:
     quat: tuple[float, ...] = field("Rotation, a quaternion xyzw.")
     sigma_mm: float | None = field("Standard deviation of the translation, the norm of three axes.", unit="mm")
     sigma_mrad: float | None = field("Standard deviation of the rotation, the norm of three axes.", unit="mrad")
+    rpy: tuple[float, ...] = field("The rotation as roll, pitch and yaw, as a URDF has it.", unit="rad", default=())
+    sigma_trans: tuple[float, ...] | None = field(
+        "Standard deviation of each coordinate of the translation; null where it was held.", unit="m", default=None
+    )
+    sigma_rpy: tuple[float, ...] | None = field("The same of roll, pitch and yaw.", unit="rad", default=None)
+    moved_mm: float | None = field(
+        "How far the translation is from the dataset's own; null where that says nothing.", unit="mm", default=None
+    )
+    moved_deg: float | None = field("The angle to the dataset's own rotation.", unit="degrees", default=None)
 
 
 @result
@@ -308,7 +318,7 @@ def calibrate_cell(cell: Cell, system: LoadedSystem) -> tuple[CellResult, Calibr
         system.check()
         options = replace(system.options, start=cell.start, loss=cell.loss)
         calibration = calibrate(system.dataset, options, cell.noise)
-        return _described(result, calibration, system.limits).found(
+        return _described(result, calibration, system.dataset, system.limits).found(
             diagnose(calibration, system.dataset, options, system.limits, system.truth is not None)
         ), calibration
     except CalibrationError as error:
@@ -408,20 +418,10 @@ def table_of(dataset: Dataset, system: LoadedSystem, calibration: Calibration | 
     return reprojection(calibration) if calibration is not None else None
 
 
-def _described(result: CellResult, calibration: Calibration, limits: Limits) -> CellResult:
+def _described(result: CellResult, calibration: Calibration, description: Dataset, limits: Limits) -> CellResult:
     """The result with what the calibration says about itself."""
-    covariances = calibration.covariances
     details = Details(
-        transforms=tuple(
-            Transform(
-                *edge,
-                tuple(T[:3, 3].tolist()),
-                tuple(to_quaternion(T[:3, :3]).tolist()),
-                calibration.sigma_mm(edge) if edge in covariances else None,
-                calibration.sigma_mrad(edge) if edge in covariances else None,
-            )
-            for edge, T in calibration.transforms.items()
-        ),
+        transforms=tuple(_transform(calibration, description, edge) for edge in calibration.transforms),
         joints=tuple(row for joint in calibration.joints.values() for row in _parameters(joint.name, joint)),
         intrinsics=tuple(row for name, camera in calibration.intrinsics.items() for row in _parameters(name, camera)),
         iterations=calibration.iterations,
@@ -443,6 +443,38 @@ def _described(result: CellResult, calibration: Calibration, limits: Limits) -> 
         false_accept=worst_false_accept(calibration, limits) if calibration.converged else None,
         reasons=(calibration.reason,) if calibration.reason else (),
         details=details,
+    )
+
+
+def _transform(calibration: Calibration, description: Dataset, edge: Edge) -> Transform:
+    """A calibrated transform with its error bars, and how far it is from the robot's description.
+
+    A twist in the child frame moves the translation by ``R`` times its own, and roll, pitch and yaw at `rpy_rates`.
+    """
+    T, C, described = calibration.transforms[edge], calibration.covariances.get(edge), description.transforms.get(edge)
+    rpy = to_rpy(T[:3, :3])
+    known = C is not None and calibration.converged
+    of_trans = of_rpy = None
+    if C is not None and known:
+        J = np.zeros((6, 6))
+        J[:3, :3], J[3:, 3:] = T[:3, :3], rpy_rates(rpy)
+        sigmas = np.sqrt(np.diagonal(J @ C @ J.T))
+        of_trans = tuple(sigmas[:3].tolist())
+        of_rpy = tuple(sigmas[3:].tolist()) if np.isfinite(sigmas).all() else None
+    moved = None
+    if described is not None and np.isfinite(described[0]).all() and not np.array_equal(described[0], np.eye(4)):
+        moved = distance(described[0], T)
+    return Transform(
+        *edge,
+        tuple(T[:3, 3].tolist()),
+        tuple(to_quaternion(T[:3, :3]).tolist()),
+        calibration.sigma_mm(edge) if C is not None else None,
+        calibration.sigma_mrad(edge) if C is not None else None,
+        tuple(rpy.tolist()),
+        of_trans,
+        of_rpy,
+        None if moved is None else round(1e3 * float(moved[0]), 6),
+        None if moved is None else round(float(np.degrees(moved[1])), 8),
     )
 
 

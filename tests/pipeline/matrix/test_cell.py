@@ -1,5 +1,6 @@
 """What a cell's own results say of a calibration."""
 
+import math
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,14 +20,16 @@ from calibration.estimation.intrinsics_file import read_intrinsics
 from calibration.estimation.options import Options
 from calibration.estimation.starting_noise import StartingNoise
 from calibration.evaluation.specification import parse_evaluation
+from calibration.geometry.rotations import from_rpy, to_rpy
+from calibration.geometry.transforms import retract, translation
 from calibration.pipeline.matrix import cell as cells
 from calibration.pipeline.matrix.cell import CellResult, Comparison, Details, LoadedSystem, Parameter, run_comparison
 from calibration.pipeline.matrix.matrix import Matrix, run_matrix
-from calibration.pipeline.report import parameters_table, report
+from calibration.pipeline.report import parameters_table, report, transforms_table
 from calibration.pipeline.results import Results
 from calibration.pipeline.system import NoiseGrid
 from calibration.report import Report
-from tests.estimation.systems import jointed_arm
+from tests.estimation.systems import jointed_arm, stereo
 from tests.estimation.test_wrong_views import exchanged
 from tests.evaluation.scene import T_LINK_OPTICAL, arm, range_pair, rgb, with_corners
 from tests.pipeline.conftest import DATASETS, T2RGB
@@ -42,7 +45,7 @@ def told(results: Results) -> Report:
 def test_joints_are_told_with_their_sigmas() -> None:
     scene = jointed_arm(free={"j2": ("position_bias",), "j3": ("origin_yaw",)}, pixel_noise=0.2)
     calibration = calibrate(scene.dataset())
-    found = cells._described(CELL, calibration, Limits()).details.joints
+    found = cells._described(CELL, calibration, scene.dataset(), Limits()).details.joints
     told = [(each.name, each.parameter, each.unit) for each in found]
     asked = [(joint.name, parameter) for joint in calibration.joints.values() for parameter in joint.parameters]
     assert [each[:2] for each in told] == asked
@@ -210,6 +213,28 @@ def test_a_wrong_covariance_stops_before_anything_is_calibrated(tmp_path: Path) 
             tmp_path,
             1,
         )
+
+
+def test_transforms_are_shown_with_their_error_bars() -> None:
+    calibration = calibrate(stereo(20, seed=1, pixel_noise=0.2).dataset(1))
+    wrong = stereo(20, seed=1, pixel_noise=0.2).dataset(1)
+    edge = next(edge for edge in calibration.covariances if edge[1] in ("left", "right"))
+    shifted = wrong.with_transforms({edge: wrong.transforms[edge] @ translation((0.01, 0.0, 0.0))})
+    found = {(t.parent, t.child): t for t in cells._described(CELL, calibration, shifted, Limits()).details.transforms}
+    free, [held] = found[edge], [t for each, t in found.items() if each != edge]
+    T = calibration.transforms[edge]
+    np.testing.assert_allclose(from_rpy(free.rpy), T[:3, :3], atol=1e-12)
+    assert free.moved_mm == pytest.approx(10, abs=0.5)
+    assert math.hypot(*free.sigma_trans) == pytest.approx(free.sigma_mm / 1e3)
+    draws = np.random.default_rng(1).multivariate_normal(np.zeros(6), calibration.covariances[edge], 4000)
+    moved = retract(T, draws)
+    np.testing.assert_allclose(moved[:, :3, 3].std(0), free.sigma_trans, rtol=0.06)
+    np.testing.assert_allclose(to_rpy(moved[:, :3, :3]).std(0), free.sigma_rpy, rtol=0.06)
+    rows = transforms_table(Results((replace(CELL, details=Details(transforms=(free, held))),))).rows
+    assert [row[-1] for row in rows] == [f"{free.moved_mm:.3g} mm, {free.moved_deg:.2g} deg", "held"]
+    assert f" +- {free.sigma_mm:.2g}" in rows[0][1]
+    assert "+-" not in rows[1][1]
+    assert "-0.00," not in "".join(rows[1])
 
 
 def test_the_summary_shows_joints_and_intrinsics_of_the_first_cell_that_passed() -> None:
