@@ -57,6 +57,9 @@ COMMANDS: Mapping[str, LazyCommand] = {
     "gather-results": LazyCommand(
         "calibration.commands.gather_results:command", "Gather what the jobs of a workflow found."
     ),
+    "export": LazyCommand(
+        "calibration.commands.export:command", "Write a calibration as URDF, launch files, camera_info and more."
+    ),
     "import-rigelfile": LazyCommand(
         "calibration.commands.import_rigelfile:command", "Convert a Rigelfile to calibration.yml."
     ),

@@ -1,0 +1,71 @@
+"""What of a calibrated dataset goes to a robot: transforms, joints, cameras."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from calibration.dataset.model import Dataset, Edge
+from calibration.errors import InputError
+from calibration.geometry.cameras import Camera
+from calibration.geometry.transforms import distance
+from calibration.geometry.types import Array
+
+SAME = 1e-9
+"""m, rad: a calibrated transform is one for all collections."""
+
+
+@dataclass(frozen=True, eq=False)
+class Calibrated:
+    """The calibrated part of a robot."""
+
+    name: str
+    """Of the system."""
+    transforms: Mapping[Edge, Array]
+    """``T_parent_child`` (4, 4) of sensors and additional transforms."""
+    joints: Mapping[Edge, Array]
+    """``T_parent_child`` (4, 4) of calibrated joints at position 0."""
+    cameras: Mapping[str, Camera]
+    frames: Mapping[str, str]
+    """The frame of each camera's images."""
+    poses: Mapping[str, Array]
+    """``T_first_camera`` (4, 4) of each camera from the first one, where no moving transform is between them."""
+
+
+def calibrated(dataset: Dataset) -> Calibrated:
+    """What a calibrated dataset says of its robot.
+
+    Patterns are left out: they are no part of it.
+
+    Raises:
+        InputError: a calibrated transform is missing, or differs between collections.
+    """
+    joints = {joint.edge: joint.model.pose(joint.values) for joint in dataset.joints.values()}
+    edges = dict.fromkeys([sensor.edge for sensor in dataset.sensors.values()])
+    edges |= dict.fromkeys(dataset.additional_transforms)
+    transforms = {}
+    for edge in edges:
+        if edge in dataset.moving_transforms or edge in joints:
+            continue
+        T = dataset.transforms.get(edge)
+        if T is None or not np.isfinite(T).all():
+            raise InputError(f"{dataset.path}: no transform '{'-'.join(edge)}' in every collection; is it calibrated?")
+        if _differs(T):
+            raise InputError(
+                f"{dataset.path}: found transforms '{'-'.join(edge)}' that differ between collections; expected a "
+                f"calibrated dataset, which has the same in all"
+            )
+        transforms[edge] = T[0]
+    cameras = {name: sensor.camera for name, sensor in dataset.sensors.items() if sensor.camera}
+    frames = {name: dataset.sensors[name].frame for name in cameras}
+    poses = {}
+    for name in cameras:
+        T = dataset.transform(next(iter(frames.values())), frames[name])
+        if not _differs(T):
+            poses[name] = T[0]
+    return Calibrated(dataset.name, transforms, joints, cameras, frames, poses)
+
+
+def _differs(T: Array) -> bool:
+    """Whether transforms (N, 4, 4) are not the same in all collections."""
+    return bool(max(float(part.max()) for part in distance(T[0], T)) > SAME)

@@ -1,0 +1,81 @@
+"""Parameters of the cameras, in the files that others read: ROS's camera_info, Kalibr's camchain, OpenCV's storage."""
+
+from itertools import pairwise
+
+import cv2
+import numpy as np
+import yaml
+
+from calibration.errors import InputError
+from calibration.exports.calibrated import Calibrated
+from calibration.geometry.cameras import Camera
+from calibration.geometry.transforms import inverse
+
+
+def camera_info(camera: Camera, name: str) -> str:
+    """The file that ROS's camera_info_manager loads for a camera."""
+    fx, fy, cx, cy = (float(v) for v in camera.intrinsics[:4])
+    coefficients = camera.distortion.coefficients.tolist()
+
+    def matrix(rows: int, columns: int, data: list[float]) -> dict[str, object]:
+        return {"rows": rows, "cols": columns, "data": data}
+
+    document = {
+        "image_width": camera.width,
+        "image_height": camera.height,
+        "camera_name": name,
+        "camera_matrix": matrix(3, 3, [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0]),
+        "distortion_model": camera.distortion.ros_name,
+        "distortion_coefficients": matrix(1, len(coefficients), coefficients),
+        "rectification_matrix": matrix(3, 3, np.eye(3).ravel().tolist()),
+        "projection_matrix": matrix(3, 4, [fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0]),
+    }
+    return yaml.safe_dump(document, sort_keys=False, allow_unicode=True)
+
+
+def kalibr_camchain(of: Calibrated) -> str:
+    """Kalibr's camchain: each camera, and where it stands to the one before (``T_cn_cnm1``).
+
+    Raises:
+        InputError: a lens has coefficients that Kalibr's models have not: k3, or those of a rational one.
+    """
+    document = {}
+    for i, (name, camera) in enumerate(of.cameras.items()):
+        model = "equidistant" if camera.distortion.ros_name == "equidistant" else "radtan"
+        coefficients = camera.distortion.coefficients.tolist()
+        if any(coefficients[4:]):
+            raise InputError(
+                f"camera '{name}': Kalibr has radtan (k1, k2, p1, p2) and equidistant, found "
+                f"{camera.distortion.ros_name} with {camera.distortion.names()[4]} and more: hold these at 0"
+            )
+        document[f"cam{i}"] = {
+            "camera_model": "pinhole",
+            "intrinsics": camera.intrinsics[:4].tolist(),
+            "distortion_model": model,
+            "distortion_coeffs": coefficients[:4],
+            "resolution": [camera.width, camera.height],
+            "rostopic": f"/{name}/image_raw",
+        }
+    for i, (before, name) in enumerate(pairwise(of.cameras), 1):
+        if before in of.poses and name in of.poses:
+            document[f"cam{i}"]["T_cn_cnm1"] = (inverse(of.poses[name]) @ of.poses[before]).tolist()
+    return yaml.safe_dump(document, sort_keys=False, allow_unicode=True)
+
+
+def opencv_storage(of: Calibrated) -> str:
+    """OpenCV's FileStorage: ``K_i`` and ``D_i`` of each camera, ``R_0_i`` and ``T_0_i`` from the first to each.
+
+    A point X of the first camera is ``R X + T`` of the other, as cv2.stereoCalibrate has it.
+    """
+    storage = cv2.FileStorage(".yml", cv2.FileStorage_WRITE | cv2.FileStorage_MEMORY)
+    for i, (name, camera) in enumerate(of.cameras.items()):
+        storage.write(f"name_{i}", name)
+        storage.write(f"size_{i}", np.array([camera.width, camera.height]))
+        storage.write(f"model_{i}", camera.distortion.ros_name)
+        storage.write(f"K_{i}", camera.K)
+        storage.write(f"D_{i}", camera.distortion.coefficients)
+        if i and name in of.poses:
+            T = inverse(of.poses[name])
+            storage.write(f"R_0_{i}", T[:3, :3].copy())
+            storage.write(f"T_0_{i}", T[:3, 3].copy())
+    return str(storage.releaseAndGetString())

@@ -1,0 +1,115 @@
+"""Calibrated transforms for robots whose description does not have them: launch files, YAML."""
+
+import json
+import re
+from xml.sax.saxutils import quoteattr
+
+import yaml
+
+from calibration.errors import InputError
+from calibration.exports.calibrated import Calibrated
+from calibration.geometry.rotations import to_quaternion, to_rpy
+from calibration.geometry.types import Array
+
+FRAME = re.compile(r"[\w./:+-]+")
+"""Of a launch file's attributes: blanks would be more arguments, ``$(...)`` would be evaluated."""
+
+
+def _frame(name: str) -> str:
+    """A frame for an attribute of a launch file.
+
+    Raises:
+        InputError: it would be more than a name there.
+    """
+    if not FRAME.fullmatch(name):
+        raise InputError(f"frame {name!r}: expected letters, digits and _ - . / : + in a frame of a launch file")
+    return name
+
+
+def _parts(T: Array) -> tuple[list[float], list[float]]:
+    """Translation, and the rotation as a quaternion xyzw."""
+    return [float(v) + 0.0 for v in T[:3, 3]], [float(v) + 0.0 for v in to_quaternion(T[:3, :3])]
+
+
+def ros1_launch(of: Calibrated) -> str:
+    """A launch file of ROS 1: one ``static_transform_publisher`` a transform."""
+    lines = ["<launch>"]
+    for i, ((parent, child), T) in enumerate(of.transforms.items()):
+        xyz, quat = _parts(T)
+        arguments = " ".join([*map(repr, (*xyz, *quat)), _frame(parent), _frame(child)])
+        node = f'pkg="tf2_ros" type="static_transform_publisher" name="calibrated_{i}"'
+        lines.append(f"  <node {node} args={quoteattr(arguments)}/>")
+    return "\n".join([*lines, "</launch>", ""])
+
+
+def ros2_xml(of: Calibrated) -> str:
+    """The same for ROS 2, as XML."""
+    lines = ["<launch>"]
+    for arguments in _ros2_arguments(of):
+        text = quoteattr(" ".join([*arguments[:-3], _frame(arguments[-3]), arguments[-2], _frame(arguments[-1])]))
+        lines.append(f'  <node pkg="tf2_ros" exec="static_transform_publisher" args={text}/>')
+    return "\n".join([*lines, "</launch>", ""])
+
+
+def ros2_launch(of: Calibrated) -> str:
+    """The same for ROS 2, as Python."""
+    lines = [
+        "from launch import LaunchDescription",
+        "from launch_ros.actions import Node",
+        "",
+        "",
+        "def generate_launch_description():",
+        "    transforms = [",
+        *(f"        {json.dumps(arguments)}," for arguments in _ros2_arguments(of)),
+        "    ]",
+        '    package, executable = "tf2_ros", "static_transform_publisher"',
+        "    return LaunchDescription(",
+        "        [Node(package=package, executable=executable, arguments=each) for each in transforms]",
+        "    )",
+        "",
+    ]
+    return "\n".join(lines)
+
+
+def _ros2_arguments(of: Calibrated) -> list[list[str]]:
+    found = []
+    for (parent, child), T in of.transforms.items():
+        names = ("--x", "--y", "--z", "--qx", "--qy", "--qz", "--qw")
+        xyz, quat = _parts(T)
+        numbers = [part for name, value in zip(names, (*xyz, *quat), strict=True) for part in (name, repr(value))]
+        found.append([*numbers, "--frame-id", parent, "--child-frame-id", child])
+    return found
+
+
+def tf_static(of: Calibrated) -> str:
+    """A list of transforms as messages of ``/tf_static`` have them, as YAML."""
+    messages = []
+    for (parent, child), T in of.transforms.items():
+        xyz, quat = _parts(T)
+        messages.append(
+            {
+                "header": {"frame_id": parent},
+                "child_frame_id": child,
+                "transform": {
+                    "translation": dict(zip("xyz", xyz, strict=True)),
+                    "rotation": dict(zip("xyzw", quat, strict=True)),
+                },
+            }
+        )
+    return yaml.safe_dump({"transforms": messages}, sort_keys=False, allow_unicode=True)
+
+
+def xacro_properties(of: Calibrated) -> str:
+    """Origins by joint for macros to load, ``parent_to_child: {xyz: ..., rpy: ...}``, as YAML.
+
+    ``<xacro:property name="calibrated" value="${xacro.load_yaml('calibrated.yaml')}"/>`` loads it, and
+    ``<origin xyz="${calibrated['a_to_b']['xyz']}" rpy="${calibrated['a_to_b']['rpy']}"/>`` takes one.
+    """
+    origins = {
+        f"{parent}_to_{child}": {
+            "xyz": " ".join(repr(float(v) + 0.0) for v in T[:3, 3]),
+            "rpy": " ".join(repr(float(v) + 0.0) for v in to_rpy(T[:3, :3])),
+        }
+        for (parent, child), T in {**of.transforms, **of.joints}.items()
+    }
+    return yaml.safe_dump(origins, sort_keys=False, allow_unicode=True)
