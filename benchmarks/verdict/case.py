@@ -115,9 +115,16 @@ class Outcome:
     @property
     def harmful(self) -> bool:
         """Whether the defect moves something beyond its limit: on a good robot more than its small errors do."""
-        if self.limits is None:
+        if self.limits is None or self._displaced():
             return True
         return self.limits > 1 and self.limits - self.clean_limits > 0.5
+
+    def _displaced(self) -> bool:
+        """Whether a sensor has been moved by more than it may be off."""
+        planted, allowed = self.case.planted, self.case.allowed
+        size = planted.sizes[self.case.size]
+        limit, moved = (allowed.rotation_deg, size) if planted.unit == "deg" else (allowed.translation_mm, 1e3 * size)
+        return planted.displaces and limit is not None and moved > limit
 
     @property
     def memory(self) -> bool:

@@ -41,6 +41,9 @@ class Kind:
     """The sizes that have to be red whatever harm they do: mistakes that a user has to correct."""
     spoils: bool = False
     """Whether red is right even where it does no harm: a share of the labels is worthless, or too few are left."""
+    displaces: bool = False
+    """Whether a sensor is moved by the size within the recording: by more than the limit that is harm, wherever the
+    result lies between its places."""
 
 
 LENS = ("lens", "distortion")
@@ -400,8 +403,19 @@ KINDS = (
         ARMS,
         spoils=True,
     ),
-    Kind("pushed sensor", "mount", "sensor that moved", mounts.shifted, (0.002, 0.008, 0.03), "m", MOVED_WORDS),
-    Kind("turned sensor", "mount", "sensor that turned", mounts.turned, (0.1, 0.5, 2), "deg", MOVED_WORDS),
+    Kind(
+        "pushed sensor",
+        "mount",
+        "sensor that moved",
+        mounts.shifted,
+        (0.002, 0.008, 0.03),
+        "m",
+        MOVED_WORDS,
+        displaces=True,
+    ),
+    Kind(
+        "turned sensor", "mount", "sensor that turned", mounts.turned, (0.1, 0.5, 2), "deg", MOVED_WORDS, displaces=True
+    ),
     Kind("drifting sensor", "time", "sensor that drifts", mounts.drifting, (0.002, 0.008, 0.03), "m", MOVED_WORDS),
     Kind(
         "loose sensor",
