@@ -25,6 +25,7 @@ ADVICE: Mapping[str, str] = {
     "skew": "calibrate the intrinsics",
     "radial distortion": "calibrate the intrinsics with this lens model, or a richer one",
     "tangential distortion": "calibrate the intrinsics with this lens model, or a richer one",
+    "lens model": "calibrate the intrinsics with a richer lens model (rational_polynomial, equidistant)",
     "range bias": "correct the sensor's ranges, or hold it to a surveyed distance",
     "range scale": "correct the sensor's ranges, or measure the pattern again",
     "beam elevation": "look at the sensor's own calibration of its beams",
@@ -137,7 +138,7 @@ def _size(cause: Cause, value: Array, sigma: Array) -> str:
     if cause.unit == "collections":
         return f"{value[0]:+.3g} +- {sigma[0]:.1g} of the way to the next collection"
     factor, unit = _UNITS.get(cause.unit, (1.0, cause.unit))
-    if "distortion" in cause.kind:
+    if "distortion" in cause.kind or cause.kind == "lens model":
         factor, unit = 1.0, ""
     numbers = ", ".join(f"{factor * v:+.3g} +- {factor * s:.1g}" for v, s in zip(value, sigma, strict=True))
     return f"off by {numbers} {unit}".rstrip()

@@ -14,7 +14,7 @@ import numpy as np
 from calibration.dataset.model import Dataset, Edge, Sensor
 from calibration.dataset.pattern import Pattern
 from calibration.estimation.assumptions import Assumptions
-from calibration.estimation.label_columns import POSE, ColumnNames
+from calibration.estimation.label_columns import LENS, POSE, ColumnNames
 from calibration.estimation.views import ViewGroup
 from calibration.geometry.cameras import Camera
 from calibration.geometry.frames import Step
@@ -158,6 +158,8 @@ def _of_sensor(seen: SeenGroup, assume: Assumptions, free: Sequence[str], assume
     yield from cause("image scale", "1", assume.focal_length, scaled, counts=False)
     yield from cause("skew", "rad", assume.aspect, {"skew": 1.0}, counts=False)
     names = camera.distortion.names()
+    beyond = [each for each in names if each in ("k3", "k4") and each not in free] + list(LENS[1:])
+    yield from cause("lens model", "1", assume.distortion, *({each: 1.0} for each in beyond), counts=False)
     for kind, coefficients in (("radial distortion", ("k1", "k2")), ("tangential distortion", ("p1", "p2"))):
         weights: list[Weights] = [{name: 1.0} for name in coefficients if name in names]
         if weights:

@@ -25,6 +25,8 @@ POSE = 6
 SHAPE = ("size_x", "size_y", "bow_x", "bow_y", "twist", "border")
 """Of a pattern: its relative length along x and along y; how far its middle stands out against its ends (m), bent
 about y or about x; how far opposite corners stand out (m); how much farther out its border lies (m)."""
+LENS = ("skew", "prism_x", "prism_y")
+"""Of a camera, what its model has no coefficients for: axes that are not perpendicular, a thin prism along x and y."""
 RANGING = ("bias", "scale", "elevation", "sweep_x", "sweep_y", "sweep_z")
 """Of a LiDAR or a depth camera: how much too far it measures (m, and relative), by how much its beams point too high
 (rad), and how it moves during a sweep (m a turn, in its own frame)."""
@@ -40,7 +42,7 @@ class ColumnNames:
     @cached_property
     def names(self) -> tuple[str, ...]:
         """Of the columns behind those of the pose."""
-        own = (*self.camera.parameters, "skew") if self.camera else RANGING
+        own = (*self.camera.parameters, *LENS) if self.camera else RANGING
         return (*own, *SHAPE)
 
     def selection(self, weights: dict[str, float]) -> Array:
@@ -80,15 +82,25 @@ def _columns(term: Term, camera: Camera | None, pattern: Pattern, T: Array, weig
         term = term.seen_with(camera, range(len(camera.parameters)))
     rows = term.rows(T, weighting.scales[term.kind], weighting.huber)
     pull, own, residuals = rows[:, :3], rows[:, POSE:-1], rows[:, -1:]
-    extra = _skew(own, camera) if camera is not None else _ranging(term, pull, T)
+    extra = _lens(own, camera) if camera is not None else _ranging(term, pull, T)
     columns = np.concatenate([rows[:, :POSE], own, extra, _shape(term, pattern, pull, T), residuals], 1)
     return columns.reshape(len(T), columns.shape[1], -1)
 
 
-def _skew(intrinsics: Array, camera: Camera) -> Array:
-    """(V, 1, 2, L): of axes that are not perpendicular, u = fx (x + skew y), from the column of fy: (0, y)."""
-    out = np.zeros_like(intrinsics[:, :1])
-    out[:, 0, 0] = camera.fx * intrinsics[:, 1, 1]
+def _lens(intrinsics: Array, camera: Camera) -> Array:
+    """(V, 3, 2, L): the columns of `LENS`, from those of fx: w (x, 0), of fy: w (0, y) and of cx: w (1, 0).
+
+    ``u = fx (x + skew y + prism_x r^2)``, ``v = fy (y + prism_y r^2)`` with (x, y) as the lens draws them
+    (J. Weng et al., "Camera calibration with distortion models and accuracy evaluation", 1992).
+    """
+    weight = intrinsics[:, 2, 0]
+    across, down = intrinsics[:, 0, 0], intrinsics[:, 1, 1]
+    scale = np.where(weight > 0, weight, 1.0)
+    r2 = (across / scale) ** 2 + (down / scale) ** 2
+    out = np.zeros((len(intrinsics), len(LENS), *intrinsics.shape[2:]))
+    out[:, 0, 0] = camera.fx * down
+    out[:, 1, 0] = camera.fx * weight * r2
+    out[:, 2, 1] = camera.fy * weight * r2
     return out
 
 

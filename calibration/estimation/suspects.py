@@ -232,7 +232,7 @@ class _State:
     def _solved(
         cls, G: Array, g: Array, free: IntArray, shared: int, held: IntArray, sigmas: Array, alone: Array
     ) -> "_State":
-        inverse = np.linalg.inv(G.sum(0)[np.ix_(free, free)])
+        inverse = _inverse(G.sum(0)[np.ix_(free, free)], alone[free])
         z = -inverse @ g.sum(0)[free]
         residual = g + G[:, :, free] @ z
         white = np.einsum(
@@ -257,6 +257,18 @@ class _State:
         kept = ~np.isin(self.held, own)
         free = np.append(self.free, np.arange(C, C + k))
         return self._solved(G, g, free, self.shared, self.held[kept], self.sigmas[kept], alone)
+
+
+def _inverse(information: Array, alone: Array) -> Array:
+    """(n, n): of an information (n, n); zero in directions without any, as a cause that is taken in may have.
+
+    Args:
+        information: it.
+        alone: (n,), what counts as full information on each column.
+    """
+    scale = 1 / np.sqrt(np.maximum(alone, 1e-300))
+    inverse: Array = scale[:, None] * np.linalg.pinv(scale[:, None] * information * scale, 1e-13, True) * scale
+    return inverse
 
 
 def _whitening(G: Array, alone: Array) -> Array:

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calibration.dataset.model import CornerLabels, Dataset
+from calibration.dataset.model import CornerLabels, Dataset, Labels
 from calibration.diagnosis.finding import Finding
 from calibration.diagnosis.limits import Limits
 from calibration.diagnosis.what_does_not_fit import what_does_not_fit
@@ -16,6 +16,7 @@ from calibration.estimation.suspects import Suspect, explain
 from calibration.geometry.transforms import retract
 from calibration.geometry.types import Array
 from tests.estimation import systems
+from tests.estimation.scenes import relabelled
 
 NOISE = 0.1
 
@@ -176,3 +177,22 @@ def test_what_moves_a_joint_by_more_than_its_limit_is_red() -> None:
     assert red.sensors == ("j3",)
     assert "it moves j3 by 0 mm" in red.text
     assert all(each.severity == "note" for each in findings(dataset, Limits(**wide, joint_deg=10.0)))
+
+
+def test_a_lens_that_its_model_cannot_draw_is_named() -> None:
+    dataset = stereo()
+    name = list(dataset.sensors)[1]
+    camera = dataset.sensors[name].camera
+    assert camera is not None
+    centre, focal = np.array([camera.cx, camera.cy]), np.array([camera.fx, camera.fy])
+
+    def drawn(_: int, sensor: str, label: Labels) -> Labels:
+        if sensor != name or not isinstance(label, CornerLabels):
+            return label
+        x, y = ((label.pixels - centre) / focal).T
+        return replace(label, pixels=label.pixels + 0.05 * focal * np.stack([x * x + y * y, 0 * y], -1))
+
+    explanation = explain(calibrate(relabelled(dataset, drawn), Options(intrinsics=(name,))).solution.model)
+    assert explanation is not None
+    suspect = explanation.suspects[0]
+    assert (suspect.cause.kind, suspect.cause.subject) == ("lens model", name)

@@ -7,8 +7,9 @@ import pytest
 
 from calibration.dataset.model import CornerLabels, Dataset, PointLabels
 from calibration.estimation.build import build
-from calibration.estimation.label_columns import POSE, RANGING, SHAPE, ColumnNames, squeeze
+from calibration.estimation.label_columns import LENS, POSE, RANGING, SHAPE, ColumnNames, squeeze
 from calibration.estimation.normal_equations import Weighting
+from calibration.geometry.cameras import Camera
 from calibration.geometry.transforms import apply, inverse, retract, translation
 from calibration.geometry.types import Array
 from tests.estimation.scenes import WIDE, relabelled, true_values
@@ -56,10 +57,9 @@ def changed(dataset: Dataset, sensor: str, name: str, size: float, T: Array) -> 
     def without(i: int, own: str, label: CornerLabels | PointLabels) -> CornerLabels | PointLabels:
         if own != sensor:
             return label
-        if isinstance(label, CornerLabels):  # skew
+        if isinstance(label, CornerLabels):
             assert camera is not None
-            y = (label.pixels[:, 1] - camera.cy) / camera.fy
-            return replace(label, pixels=label.pixels - np.outer(size * camera.fx * y, (1, 0)))
+            return replace(label, pixels=label.pixels - size * _drawn_aside(name, camera, label.pixels))
         return replace(label, points=label.points + size * _correction(name, label.points, T[i], pattern, half, middle))
 
     return relabelled(dataset, without)
@@ -81,6 +81,14 @@ def _shaped(pattern, name: str, size: float, half: Array, middle: Array):
     return replace(pattern, corners=pattern.corners + np.outer(size * _bend(name, a, b), (0, 0, 1)))
 
 
+def _drawn_aside(name: str, camera: Camera, pixels: Array) -> Array:
+    """By what pixels (n, 2) would be elsewhere without one unit of an error of the lens."""
+    focal = np.array([camera.fx, camera.fy])
+    x, y = ((pixels - (camera.cx, camera.cy)) / focal).T
+    r2, none = x * x + y * y, np.zeros_like(x)
+    return focal * np.stack({"skew": (y, none), "prism_x": (r2, none), "prism_y": (none, r2)}[name], -1)
+
+
 def _correction(name: str, points: Array, T: Array, pattern, half: Array, middle: Array) -> Array:
     """By what points (n, 3) would be elsewhere without one unit of an error."""
     x, y, z = points.T
@@ -99,7 +107,7 @@ def _correction(name: str, points: Array, T: Array, pattern, half: Array, middle
 @pytest.mark.parametrize(
     ("dataset", "sensor", "name"),
     [
-        *((CAMERA, "left", name) for name in (*WIDE.parameters, "skew", *SHAPE[:-1])),
+        *((CAMERA, "left", name) for name in (*WIDE.parameters, *LENS, *SHAPE[:-1])),
         *((LIDAR, "lidar", name) for name in (*RANGING, *SHAPE)),
     ],
     ids=lambda value: value if isinstance(value, str) else "",
