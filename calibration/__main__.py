@@ -39,6 +39,7 @@ COMMANDS: Mapping[str, LazyCommand] = {
     "calibrate-matrix": LazyCommand(
         "calibration.commands.calibrate_matrix:command", "Calibrate systems from every noisy start."
     ),
+    "accept": LazyCommand("calibration.commands.accept:command", "Keep a run's results as the baseline of later ones."),
     "convergence": LazyCommand("calibration.commands.convergence:command", "Map how far a starting guess may be off."),
     "introspect-csv": LazyCommand("calibration.commands.introspect_csv:command", "Check tables against rules."),
     "collect-data-sim": LazyCommand(

@@ -109,7 +109,8 @@ def calibrate_matrix(settings: Settings, runner: Runner) -> ExitCode:
     matrix = matrix_of(settings, configuration)
     place = place_of(settings, configuration, matrix, runner)
     pull(settings, runner)
-    run = Run(matrix, settings.output, runner, TITLE, settings.jobs, settings.fail_fast, place=place)
+    baseline = configuration.baseline if settings.dataset is None else None
+    run = Run(matrix, settings.output, runner, TITLE, settings.jobs, settings.fail_fast, baseline=baseline, place=place)
     return run_stages(run, ("calibrate", "introspect")).exit_code
 
 

@@ -57,6 +57,7 @@ def run(settings: Settings, runner: Runner) -> ExitCode:
         jobs=settings.jobs,
         simulations=configuration.simulations,
         image=_image(configuration.image, settings.push),
+        baseline=configuration.baseline,
         place=configuration.place,
     )
     results = run_stages(asked, settings.only or STAGES)

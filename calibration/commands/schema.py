@@ -28,6 +28,7 @@ _CONVERGENCE, _SCENARIOS = "calibration.pipeline.convergence", "calibration.simu
 _RESULTS = "results.schema.json"
 SCHEMAS = {
     "calibration.yml": Shipped(_PIPELINE, "calibration.schema.json", "configuration:Configuration"),
+    "baseline": Shipped("calibration.baseline", "baseline.schema.json", "document:Baseline"),
     "image": Shipped("calibration.image", "image.schema.json", "specification:ImageDocument"),
     "aws-batch": Shipped("calibration.execution.batch", "batch.schema.json", "settings:BatchFile"),
     "results": Shipped(_PIPELINE, _RESULTS, "distribution.gathering:RunResults", "calibrate-matrix and run"),

@@ -4,9 +4,9 @@ import re
 from collections.abc import Iterable, Mapping
 
 from calibration.coverage.lines import FileCoverage, Rate
-from calibration.coverage.repository import Repository
 from calibration.coverage.results import Span
 from calibration.errors import InputError
+from calibration.git.repository import Repository
 
 _HUNK = re.compile(rb"@@ -[0-9]+(?:,([0-9]+))? \+([0-9]+)(?:,([0-9]+))? @@")
 _ESCAPE = re.compile(rb"\\([0-7]{3}|.)")

@@ -12,10 +12,10 @@ from typing import Any, Self
 from calibration.coverage.data_file import MAGIC, copied, measured_names, merge, report_of
 from calibration.coverage.formats import MAX_BYTES, Report, parse_cobertura, parse_lcov
 from calibration.coverage.lines import FileCoverage, combined
-from calibration.coverage.repository import Repository
 from calibration.coverage.sources import Sources, language_of
 from calibration.errors import InputError
 from calibration.files import read_bytes
+from calibration.git.repository import Repository
 
 MAX_COPY = 8 * 1024 * 1024
 """Bytes of a file that is looked at to see whether it is a copy of a tracked one."""

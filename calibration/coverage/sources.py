@@ -4,8 +4,8 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
-from calibration.coverage.repository import Repository
 from calibration.errors import InputError
+from calibration.git.repository import Repository
 
 LANGUAGES = {
     "c": (".c",),

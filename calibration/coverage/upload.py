@@ -12,17 +12,18 @@ from calibration.coverage.badge import badge
 from calibration.coverage.changes import changed_lines, coverage_of_change, find_base
 from calibration.coverage.codacy import API_URL, Account, Codacy, Request, Upload, parse_account, parse_api_url
 from calibration.coverage.command import parse_command
-from calibration.coverage.commit import Event, find_commit
+from calibration.coverage.commit import find_commit
 from calibration.coverage.injection import plain, team_settings
 from calibration.coverage.reading import Found, read_reports
 from calibration.coverage.report import LCOV, report, what_is_left_out
-from calibration.coverage.repository import Repository
 from calibration.coverage.results import Change, Limit, Results, State, Uploaded
 from calibration.coverage.sources import Sources, find_sources
 from calibration.coverage.tests import Tests, measured_environment, measurement, run_tests
 from calibration.errors import ExitCode, InputError, WorldError
 from calibration.execution.sizes import parse_seconds
 from calibration.files import matching, write_atomically
+from calibration.git.event import Event
+from calibration.git.repository import Repository
 from calibration.records import between, field, record
 from calibration.report import FILES, publish, remove_results
 from calibration.workflow import Runner, set_outputs

@@ -3,8 +3,9 @@
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
+from calibration.baseline.settings import FILE, BaselineSettings
 from calibration.diagnosis.limits import Limit, Limits
 from calibration.errors import InputError
 from calibration.estimation.options import Options
@@ -43,6 +44,12 @@ def _motion(text: str, place: Place) -> str:
 
 def _image(document: object, place: Place) -> ImageSpecification:
     return parse_image_specification(document, place.folder, str(place))
+
+
+def _baseline(found: Literal["required"] | BaselineSettings, place: Place) -> BaselineSettings:
+    if isinstance(found, BaselineSettings):
+        return found
+    return BaselineSettings(file=place.folder / FILE, required=True)
 
 
 @record(rules=(one_of("translation-mm", "rotation-deg", why="expected translation-mm or rotation-deg"),))
@@ -138,6 +145,10 @@ class Configuration:
         "Where containers run: docker, this machine's engine; or aws-batch, the queue that the section of this name "
         "describes.",
         default="docker",
+    )
+    baseline: Annotated[BaselineSettings, Converted(Literal["required"] | BaselineSettings, _baseline)] = field(
+        "The accepted calibration that every cell is compared with; required: a system that has none fails.",
+        default_factory=BaselineSettings,
     )
     sections: Sections = field(flat=True, default_factory=Sections)
     systems: Annotated[tuple[System, ...], ByName(_NAME)] = field("The robots to calibrate, by name.", default=())

@@ -4,6 +4,8 @@ import math
 from collections.abc import Sequence
 from pathlib import Path
 
+from calibration.baseline.comparison import Change
+from calibration.baseline.update import BaselineUpdate
 from calibration.diagnosis.finding import Severity
 from calibration.pipeline.matrix.cell import OUR_METHOD, CellResult, Details, Deviation, Transform, noise_text
 from calibration.pipeline.results import CELLS_FILE, Collected, ImageResult, Results, own_file
@@ -42,7 +44,7 @@ def report(results: Results, output: Path, title: str) -> Report:
         verdict=results.verdict,
         error=results.exit_code,
         sentence=_sentence(results),
-        reasons=tuple(failures(results)),
+        reasons=(*failures(results), *(results.baseline.reasons if results.baseline else ())),
         warnings=(*_said(results, "warning"), *left_out),
         blocks=(
             main,
@@ -52,6 +54,9 @@ def report(results: Results, output: Path, title: str) -> Report:
             Lines(tuple(other_methods(results)), only="summary"),
             transforms_table(results),
             parameters_table(results),
+            changes_table(results),
+            updates_table(results),
+            Text(_said_of_baseline(results.baseline)),
             collections_table(results),
             Lines(_said(results, "warning"), NOTES_SHOWN, title="To look at", only="summary"),
             Lines(_said(results, "note"), NOTES_SHOWN, title="Notes"),
@@ -259,10 +264,60 @@ def _moved(transform: Transform) -> str:
     return f"{transform.moved_mm:.3g} mm, {transform.moved_deg:.2g} deg"
 
 
-def _details(results: Results) -> dict[str, Details]:
-    """What each system's first cell that passed says of itself."""
-    passed = [cell for cell in (*results.cells, *results.comparisons) if cell.verdict == "pass"]
+def _details(results: Results, failed: bool = False) -> dict[str, Details]:
+    """What each system's first cell that passed, or that may have failed, says of itself."""
+    passed = [cell for cell in (*results.cells, *results.comparisons) if failed or cell.verdict == "pass"]
     return {cell.system: cell.details for cell in reversed(passed) if cell.details}
+
+
+def changes_table(results: Results) -> Table:
+    """A row for each calibrated transform or parameter: how far it is from the accepted one."""
+    rows = [
+        (f"{system}: {each.name}", _change(each), _in_sigmas(each))
+        for system, found in _details(results, failed=True).items()
+        for each in found.changes
+        if each.kind in ("pose", "parameter") and (each.mm or each.deg or each.value)
+    ]
+    return Table(("Since the baseline", "Difference", "In standard deviations"), tuple(rows), TRANSFORMS_SHOWN)
+
+
+def updates_table(results: Results) -> Table:
+    """A row for each number of the file of accepted calibrations that the change under test replaces."""
+    rows = [
+        (
+            f"{each.system}: {each.change.name}" if each.change else each.system,
+            each.before or "-",
+            each.now or "-",
+            f"{_change(each.change)}, {_in_sigmas(each.change)} sigma" if each.change else "-",
+            each.although or "-",
+        )
+        for each in (results.baseline.updates if results.baseline else ())
+    ]
+    header = ("Accepted by this change", "Before", "Now", "Difference", "Although it failed")
+    return Table(header, tuple(rows), TRANSFORMS_SHOWN)
+
+
+def _change(change: Change) -> str:
+    if change.kind != "pose":
+        return change.kind if change.value is None else f"{change.value:+.3g} {change.unit}"
+    return (
+        f"{change.mm:.3g} +- {change.sigma_mm:.2g} mm ({_vector(change.translation_mm, None, 1.0, 2)}), "
+        f"{change.deg:.2g} +- {change.sigma_deg:.1g} deg ({_vector(change.rotation_deg, None, 1.0, 3)})"
+    )
+
+
+def _in_sigmas(change: Change) -> str:
+    return f"{change.sigmas:.2g}" if change.sigmas < 1e6 else "-"
+
+
+def _said_of_baseline(update: BaselineUpdate | None) -> str:
+    """What else is to be said of the file of accepted calibrations."""
+    if update is None:
+        return ""
+    parts = [update.problem] if update.problem and not update.reasons else []
+    if update.unused:
+        parts.append(f"{update.file} has systems that are calibrated no more: {', '.join(update.unused)}")
+    return ". ".join(parts)
 
 
 def parameters_table(results: Results) -> Table:

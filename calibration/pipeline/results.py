@@ -5,6 +5,7 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from calibration.baseline.update import BaselineUpdate
 from calibration.errors import ExitCode, InputError, exit_code_of
 from calibration.estimation.intrinsics_file import FILE_NAME as INTRINSICS
 from calibration.pipeline.matrix.cell import OUR_METHOD, CellResult, Details
@@ -106,6 +107,9 @@ class Results:
     )
     collections: tuple[Collected, ...] = field("What was collected in simulation, and calibrated.", default=())
     image: ImageResult | None = field("The image with the team's software, where there is one.", default=None)
+    baseline: BaselineUpdate | None = field(
+        "The file of accepted calibrations, and what the change under test does to it.", default=None, omitted=True
+    )
 
     @property
     @computed()
@@ -131,9 +135,9 @@ class Results:
     @property
     def verdict(self) -> Verdict:
         """Pass if every cell and every collection passed, and there is one; or if only an image was built."""
-        return verdict_of(
-            bool(self.judged or self.image is not None) and all(each.verdict == "pass" for each in self.judged)
-        )
+        found = bool(self.judged or self.image is not None)
+        comparable = self.baseline is None or not self.baseline.reasons
+        return verdict_of(found and comparable and all(each.verdict == "pass" for each in self.judged))
 
     @property
     def exit_code(self) -> ExitCode:
@@ -177,7 +181,7 @@ def without_verdicts(results: Results, output: Path) -> Results:
     def reset(cell: CellResult) -> CellResult:
         red = tuple(finding.text for finding in cell.findings if finding.severity == "red")
         reasons = red if cell.converged else cell.reasons
-        return replace(cell, reasons=reasons, details=_details(cell, output))
+        return replace(cell, reasons=reasons, details=own_details(cell, output))
 
     return replace(
         results,
@@ -193,8 +197,12 @@ def own_file(cell: CellResult) -> str | None:
     return str(Path(cell.dataset).with_name(RESULTS_FILE))
 
 
-def _details(cell: CellResult, output: Path) -> Details | None:
-    """What a cell's own results say beyond the common fields."""
+def own_details(cell: CellResult, output: Path) -> Details | None:
+    """What a cell's own results say beyond the common fields; None where it has none.
+
+    Raises:
+        InputError: the file cannot be read.
+    """
     file = own_file(cell)
     return None if file is None else read_results_file(Results, output / file, _COMMAND)[0].cells[0].details
 

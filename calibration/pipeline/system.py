@@ -3,6 +3,7 @@
 from pathlib import Path
 from typing import Annotated
 
+from calibration.baseline.verdict import Accepted
 from calibration.diagnosis.limits import Limits
 from calibration.estimation.options import Options
 from calibration.introspection.rule_set import RuleEntry, RuleSet, checked, unfolded
@@ -84,6 +85,8 @@ class System:
         default=None,
         option=False,
     )
+    accepted: Accepted | None = None
+    """What its cells are compared with, once it has been read."""
 
     @property
     def collected(self) -> str | None:

@@ -6,9 +6,9 @@ from hypothesis import strategies as st
 
 from calibration.coverage.changes import changed_lines, coverage_of_change, find_base
 from calibration.coverage.lines import FileCoverage, Rate
-from calibration.coverage.repository import Repository
 from calibration.coverage.results import Span
 from calibration.errors import InputError
+from calibration.git.repository import Repository
 
 from .projects import commit, git
 

@@ -4,9 +4,10 @@ from typing import Any
 
 import pytest
 
-from calibration.coverage.commit import Event, find_commit
-from calibration.coverage.repository import Repository
+from calibration.coverage.commit import find_commit
 from calibration.errors import InputError
+from calibration.git.event import Event
+from calibration.git.repository import Repository
 
 from .projects import commit, git
 

@@ -5,7 +5,7 @@ import pytest
 from calibration.coverage.formats import Report
 from calibration.coverage.lines import FileCoverage
 from calibration.coverage.reading import MAX_COPY, PathMap, mapped
-from calibration.coverage.repository import Repository
+from calibration.git.repository import Repository
 
 from .projects import commit, write
 

@@ -15,9 +15,9 @@ from calibration.coverage import data_file
 from calibration.coverage.formats import MAX_BYTES
 from calibration.coverage.lines import FileCoverage, Rate
 from calibration.coverage.reading import Found, read_reports
-from calibration.coverage.repository import Repository
 from calibration.coverage.sources import find_sources
 from calibration.errors import InputError, WorldError
+from calibration.git.repository import Repository
 
 from .projects import NAMING, commit, robot, write
 

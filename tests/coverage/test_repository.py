@@ -3,10 +3,10 @@ from pathlib import Path
 
 import pytest
 
-from calibration.coverage import repository
-from calibration.coverage.repository import Repository, is_commit
 from calibration.coverage.sources import Sources, find_sources, language_of
 from calibration.errors import InputError, WorldError
+from calibration.git import repository
+from calibration.git.repository import Repository, is_commit
 from tests.conftest import NEEDS_ROOT
 
 from .projects import commit, git, robot

@@ -68,6 +68,7 @@ def gather(needs: Needs, folder: Path) -> Gathered:
         _each_once(other for part in parts for other in part.comparisons),
         collected.collections,
         collected.image,
+        next((part.baseline for part in parts if part.baseline is not None), None),
     )
     failed = {
         "calibrate": _any_failed(zip(plan.cells, parts, strict=True), collected=False),

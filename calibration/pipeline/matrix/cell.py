@@ -11,6 +11,9 @@ from typing import Literal
 
 import numpy as np
 
+from calibration.baseline.comparison import Change
+from calibration.baseline.snapshot import Snapshot, snapshot
+from calibration.baseline.verdict import Accepted, against_baseline
 from calibration.comparison.methods import METHODS, method_of
 from calibration.dataset.model import Dataset, Edge
 from calibration.dataset.truth import Truth
@@ -60,6 +63,8 @@ class LoadedSystem:
     """How our engine calibrates it."""
     limits: Limits = dataclass_field(default_factory=Limits)
     """How far off its result may be."""
+    accepted: Accepted | None = None
+    """What it is compared with; None where nothing is asked."""
 
     def check(self) -> None:
         """Refuse data that would calibrate to nonsense; looked at once, however many cells there are.
@@ -187,6 +192,8 @@ class Details:
         "Independent collections of equal weight that tell as much.", default=None
     )
     hangs_on: tuple[Worth, ...] = field("What the result hangs on, most first.", default=())
+    snapshot: Snapshot | None = field("The result as `calibration accept` keeps it.", default=None)
+    changes: tuple[Change, ...] = field("Differences from the accepted calibration.", default=())
 
 
 @result(kw_only=True)
@@ -302,6 +309,7 @@ def run_cell(cell: Cell, system: LoadedSystem, output: Path, folder: str | None 
     try:
         if calibration is not None and np.isfinite(calibration.cost):
             result = _written(result, calibration.dataset, system, output, folder or cell.folder, calibration)
+            result = _compared(result, calibration, system)
     except CalibrationError as error:
         result = _failed(result, error)
     return replace(result, seconds=round(time.perf_counter() - begin, 4))
@@ -323,6 +331,16 @@ def calibrate_cell(cell: Cell, system: LoadedSystem) -> tuple[CellResult, Calibr
         ), calibration
     except CalibrationError as error:
         return _failed(result, error).found(mirrored(None, system.dataset, system.options)), None
+
+
+def _compared(result: CellResult, calibration: Calibration, system: LoadedSystem) -> CellResult:
+    """The result with its snapshot, and with what has changed since the accepted calibration."""
+    if not calibration.converged or result.details is None:
+        return result
+    now = snapshot(calibration, system.dataset, result.rms_px)
+    comparison, findings = against_baseline(system.accepted, now) if system.accepted else (None, ())
+    changes = comparison.changes if comparison else ()
+    return replace(result, details=replace(result.details, snapshot=now, changes=changes)).found(findings)
 
 
 def _failed(result: CellResult, error: CalibrationError) -> CellResult:

@@ -198,6 +198,6 @@ def load(system: System) -> LoadedSystem:
                 f"{did_you_mean(sensor, dataset.sensors)} (sensors: {', '.join(dataset.sensors)})"
             )
     options = replace(system.options, intrinsics_covariance=system.options.known_intrinsics())
-    loaded = LoadedSystem(system.name, dataset, truth, evaluation, options, system.limits)
+    loaded = LoadedSystem(system.name, dataset, truth, evaluation, options, system.limits, system.accepted)
     loaded.check()  # here, so that cells that are forked know it
     return loaded

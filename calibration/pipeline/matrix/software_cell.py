@@ -6,9 +6,12 @@ from dataclasses import replace
 from fnmatch import fnmatchcase
 from pathlib import Path
 
+from calibration.baseline.snapshot import Start, hash_of_labels, snapshot
+from calibration.baseline.verdict import QUALITY, against_baseline, software_against_baseline
 from calibration.dataset.model import Dataset
 from calibration.dataset.reading import read_dataset
 from calibration.dataset.writing import write_dataset
+from calibration.diagnosis.against_optimum import KIND as AGAINST_OPTIMUM
 from calibration.diagnosis.against_optimum import against_optimum, optimum_for
 from calibration.diagnosis.diagnose import diagnose
 from calibration.diagnosis.finding import Finding
@@ -146,7 +149,27 @@ def judged(
         InputError: the dataset cannot be evaluated, or the table cannot be read.
         WorldError: the table cannot be written.
     """
-    result = replace(result, converged=True)
+    result = _evaluated(replace(result, converged=True), dataset, cell, system, folder, output)
+    if system.accepted is None:
+        return result
+    return result.found(software_against_baseline(system.accepted, start_of(result), hash_of_labels(system.dataset)))
+
+
+def start_of(result: CellResult, passed: bool | None = None) -> Start:
+    """What the baseline keeps of a cell."""
+    return Start(
+        result.translation_noise or 0.0,
+        result.rotation_noise or 0.0,
+        result.seed or 0,
+        result.verdict == "pass" if passed is None else passed,
+        result.rms_px,
+        next((each.moves_mm for each in result.findings if each.kind == AGAINST_OPTIMUM), None),
+    )
+
+
+def _evaluated(
+    result: CellResult, dataset: Dataset, cell: Cell, system: LoadedSystem, folder: Path, output: Path
+) -> CellResult:
     if other := same_labels(dataset, system.dataset):
         return result.found(other)
     result = replace(result, truth=distance_from_truth(dataset, system))
@@ -173,7 +196,16 @@ def _distance(dataset: Dataset, cell: Cell, system: LoadedSystem) -> tuple[Findi
         *moved_frames(dataset, system.dataset, system.limits),
         *against_optimum(optimum, dataset, start, system.limits),
         *diagnose(optimum.calibration, optimum.given, optimum.options, system.limits, system.truth is not None),
+        *_moved(system),
     )
+
+
+def _moved(system: LoadedSystem) -> tuple[Finding, ...]:
+    """What has moved since the accepted calibration, by our optimum."""
+    if system.accepted is None:
+        return ()
+    now = snapshot(system.optimum.calibration, system.dataset, None)
+    return tuple(each for each in against_baseline(system.accepted, now)[1] if each.kind != QUALITY)
 
 
 def _noise(system: LoadedSystem) -> float:

@@ -1,7 +1,9 @@
 """The stages calibrate and introspect: every cell, then rules and limits over what the cells left in files."""
 
+import os
 from dataclasses import replace
 
+from calibration.pipeline.baseline import with_accepted
 from calibration.pipeline.matrix.cell import CellResult
 from calibration.pipeline.matrix.judgement import judge_cells
 from calibration.pipeline.matrix.matrix import run_matrix
@@ -14,16 +16,20 @@ def calibrate_stage(run: Run) -> Run:
     """Calibrate every cell; it passes when it converged. Leaves tables and datasets in the output folder.
 
     Raises:
-        InputError: a dataset, an evaluation or a truth is wrong.
+        InputError: a dataset, an evaluation, a truth or the baseline is wrong.
         WorldError: a file cannot be written, a process died, or there is no engine.
     """
+    matrix, update = run.matrix, None
+    if run.baseline is not None:
+        matrix, update = with_accepted(run.matrix, run.baseline, os.environ)
     with progress(run.runner, run.title, bar=not run.matrix.software) as advance:
 
         def done(count: int, total: int, cell: CellResult) -> None:
             advance(count, total, _line(cell), important=cell.verdict == "fail")
 
-        found = run_matrix(run.matrix, run.output, run.jobs, run.fail_fast, done, run.place)
-    return replace(run, results=replace(run.results, cells=found.cells, comparisons=found.comparisons))
+        found = run_matrix(matrix, run.output, run.jobs, run.fail_fast, done, run.place)
+    results = replace(run.results, cells=found.cells, comparisons=found.comparisons, baseline=update)
+    return replace(run, results=results)
 
 
 def _line(cell: CellResult) -> str:

@@ -8,6 +8,7 @@ from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+from calibration.baseline.settings import BaselineSettings
 from calibration.errors import InputError
 from calibration.execution.backends import Place, imported
 from calibration.image.specification import ImageSpecification
@@ -44,6 +45,8 @@ class Run:
     """What the stage collect collects."""
     image: ImageSpecification | None = None
     """What the stage build builds."""
+    baseline: BaselineSettings | None = None
+    """What the accepted calibrations are, and what may change; None where nothing is compared with them."""
     place: Place = field(default_factory=Place)
     """Where containers run, and what is known of other places."""
     results: Results = field(default_factory=Results)

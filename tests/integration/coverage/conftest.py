@@ -11,9 +11,9 @@ import pytest
 from calibration.coverage.command import parse_command
 from calibration.coverage.injection import plain, team_settings
 from calibration.coverage.reading import Found, read_reports
-from calibration.coverage.repository import Repository
 from calibration.coverage.sources import find_sources
 from calibration.coverage.tests import Measurement, Tests, measured_environment, measurement, run_tests
+from calibration.git.repository import Repository
 from calibration.workflow import Runner
 from tests.coverage.projects import TOKEN, robot
 

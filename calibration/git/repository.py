@@ -26,6 +26,19 @@ def is_commit(text: str) -> bool:
 
 
 @dataclass(frozen=True)
+class Commit:
+    """A commit in a history."""
+
+    hash: str
+    date: str
+    """YYYY-MM-DD."""
+    subject: str
+
+    def __str__(self) -> str:
+        return f"{self.date} ({self.hash[:7]})"
+
+
+@dataclass(frozen=True)
 class Repository:
     """A checkout."""
 
@@ -90,6 +103,67 @@ class Repository:
         """The last commit that two have in common; None where there is none, or a shallow checkout lacks it."""
         code, output, _ = _git(self.root, "merge-base", one, other)
         return None if code else output.decode("ascii").strip()
+
+    def content(self, commit: str, path: str, most: int) -> bytes | None:
+        """What a file holds in a commit; None where it is not there.
+
+        Raises:
+            InputError: it is no regular file there, or is larger than ``most`` bytes.
+            WorldError: git fails.
+        """
+        code, output, _ = _git(self.root, "ls-tree", "-l", "-z", "--full-tree", commit, "--", path)
+        if code or not output:
+            return None
+        mode, _, name, size = output.split(b"\t")[0].decode("ascii").split()
+        if mode not in _REGULAR:
+            raise InputError(f"{commit[:12]}:{path}: expected a regular file, found a link or a folder")
+        if int(size) > most:
+            raise InputError(f"{commit[:12]}:{path}: found {size} bytes, expected at most {most}")
+        code, output, problem = _git(self.root, "cat-file", "blob", name)
+        if code:
+            raise WorldError(f"git cat-file: {_said(problem)}")
+        return output
+
+    def fetched(self, commit: str) -> str:
+        """Bring one commit from where a shallow checkout came from, and return its hash.
+
+        Raises:
+            InputError: it cannot be brought.
+        """
+        code, _, problem = _git(self.root, "fetch", "--quiet", "--no-tags", "--depth=1", "origin", commit)
+        found = None if code else self.commit(commit)
+        if found is None:
+            raise InputError(
+                f"the commit {shorten(commit, 40)} is not in this checkout (fetch-depth: 2 brings it), and cannot be "
+                f"fetched: {_said(problem)}"
+            )
+        return found
+
+    def changes_of(self, path: str, since: str | None = None, newest: int | None = None) -> list[Commit]:
+        """The commits on the way to HEAD that changed a file, the latest first.
+
+        Args:
+            path: of the file in the repository.
+            since: a date or a commit that they come after.
+            newest: at most so many.
+
+        Raises:
+            InputError: there is no such commit.
+            WorldError: git fails.
+        """
+        arguments = ["log", "-z", "--format=%H%x09%cs%x09%s", "--first-parent", "--diff-merges=first-parent"]
+        if newest is not None:
+            arguments.append(f"--max-count={newest}")
+        if since is not None:
+            found = self.commit(since)
+            arguments.append(f"{found}..HEAD" if found else f"--since={since}")
+        code, output, problem = _git(self.root, *arguments, "--", path)
+        if code:
+            if self.head() is None:
+                return []
+            raise WorldError(f"git log: {_said(problem)}")
+        rows = (entry.split("\t", 2) for entry in output.decode("utf-8", "replace").split("\0") if entry)
+        return [Commit(*row) for row in rows]
 
     def difference(self, commit: str) -> bytes:
         """What the files on the disk have and the commit has not, as ``git diff`` without context.

@@ -1,0 +1,189 @@
+"""How far two calibrations of one robot lie apart.
+
+The difference d of two poses, a twist in the child frame of the first, has the covariance ``C = C_1 + C_2`` where the
+data are others, and ``d^T C^-1 d`` is chi-squared with 6 degrees of freedom where nothing has moved. On the same data
+the result is deterministic, and no noise excuses a difference.
+"""
+
+import math
+from collections.abc import Iterator, Set
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from calibration.baseline.snapshot import Parameter, Pose, Snapshot
+from calibration.estimation.significance import FAMILY_WISE
+from calibration.geometry.transforms import local
+from calibration.geometry.types import Array
+from calibration.records import field, result
+
+Kind = Literal["pose", "parameter", "added", "removed"]
+LEAST = 1e-9
+"""Relative to the largest, a variance below it is rounding."""
+
+
+@result(kw_only=True)
+class Change:
+    """Difference of one calibrated transform or parameter from an earlier one."""
+
+    name: str = field("The sensor, the transform or the parameter.")
+    kind: Kind = field("pose, parameter; added and removed where only one of the two calibrations has it.")
+    translation_mm: tuple[float, ...] = field("Of a pose, in the earlier child frame.", unit="mm", default=())
+    rotation_deg: tuple[float, ...] = field("Of a pose, a rotation vector in that frame.", unit="degrees", default=())
+    value: float | None = field("Of a parameter: the difference.", default=None)
+    unit: str | None = field("Of a parameter.", default=None)
+    mm: float = field("Norm of the translation.", unit="mm", default=0.0)
+    deg: float = field("Angle of the rotation.", unit="degrees", default=0.0)
+    sigma_mm: float = field("Standard deviation of the translation, the norm of three axes.", unit="mm", default=0.0)
+    sigma_deg: float = field("The same of the rotation.", unit="degrees", default=0.0)
+    sigma: float | None = field("Standard deviation of the difference of a parameter.", default=None)
+    sigmas: float = field("The difference in standard deviations: the root of chi-squared.", default=0.0)
+    p: float = field("How probable so large a difference is where nothing has moved.", default=1.0)
+    unseen_mm: float = field(
+        "The largest displacement that could be too small to be significant, in the worst direction.",
+        unit="mm",
+        default=0.0,
+    )
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Two calibrations of one system."""
+
+    before: Snapshot
+    now: Snapshot
+    changes: tuple[Change, ...]
+
+    @property
+    def same_data(self) -> bool:
+        """Whether both are of the same labels."""
+        return self.before.data == self.now.data
+
+    @property
+    def significance(self) -> float:
+        """The probability below which a difference is significant: family-wise over all of them (Bonferroni)."""
+        return FAMILY_WISE / max(1, sum(each.kind in ("pose", "parameter") for each in self.changes))
+
+
+def compare(before: Snapshot, now: Snapshot) -> Comparison:
+    """Compare an accepted calibration with another."""
+    same = before.data == now.data
+    earlier = {each.edge: each for each in before.poses}
+    later = {each.edge: each for each in now.poses}
+    values = {each.name: each for each in before.parameters}
+    new_values = {each.name: each for each in now.parameters}
+    count = len(earlier.keys() & later.keys()) + len(values.keys() & new_values.keys())
+    threshold = chi_squared_quantile(FAMILY_WISE / max(1, count))
+    changes = [_pose_change(earlier[edge], later[edge], same, threshold) for edge in earlier if edge in later]
+    changes += [_parameter_change(values[name], new_values[name], same) for name in values if name in new_values]
+    changes += _unmatched({each.name for each in earlier.values()}, {each.name for each in later.values()})
+    changes += _unmatched(values.keys(), new_values.keys())
+    return Comparison(before, now, tuple(changes))
+
+
+def _unmatched(before: Set[str], now: Set[str]) -> Iterator[Change]:
+    for name in sorted(before - now):
+        yield Change(name=name, kind="removed")
+    for name in sorted(now - before):
+        yield Change(name=name, kind="added")
+
+
+def _pose_change(before: Pose, now: Pose, same: bool, threshold: float) -> Change:
+    d = local(before.matrix, now.matrix)
+    C = _covariance(before, now, same)
+    chi_squared, worst = (0.0, 0.0) if C is None else _chi_squared(d, C)
+    sizes = (0.0, 0.0) if C is None else _norms(np.sqrt(np.diagonal(C)))
+    if C is None and np.abs(d).max() > 0:
+        chi_squared = math.inf  # both were held: there is no error bar, and no noise
+    mm, deg = _norms(d)
+    return Change(
+        name=now.name,
+        kind="pose",
+        translation_mm=_digits(1e3 * d[:3]),
+        rotation_deg=_digits(np.degrees(d[3:])),
+        mm=round(mm, 6),
+        deg=round(deg, 8),
+        sigma_mm=round(sizes[0], 6),
+        sigma_deg=round(sizes[1], 8),
+        sigmas=_finite(math.sqrt(chi_squared)),
+        p=chi_squared_tail(chi_squared, 6),
+        unseen_mm=round(1e3 * math.sqrt(threshold) * worst, 4),
+    )
+
+
+def _parameter_change(before: Parameter, now: Parameter, same: bool) -> Change:
+    difference = now.value - before.value
+    variances = [each.sigma**2 for each in (before, now)]
+    if same:
+        variances = [(before.label_sigma if before.label_sigma is not None else before.sigma) ** 2]
+    sigma = math.sqrt(sum(variances))
+    sigmas = abs(difference) / sigma if sigma > 0 else (math.inf if difference else 0.0)
+    return Change(
+        name=now.name,
+        kind="parameter",
+        value=difference,
+        unit=now.unit,
+        mm=1e3 * abs(difference) if now.unit == "m" else 0.0,
+        deg=math.degrees(abs(difference)) if now.unit == "rad" else 0.0,
+        sigma=sigma,
+        sigma_mm=1e3 * sigma if now.unit == "m" else 0.0,
+        sigma_deg=math.degrees(sigma) if now.unit == "rad" else 0.0,
+        sigmas=_finite(sigmas),
+        p=math.erfc(sigmas / math.sqrt(2)),
+    )
+
+
+def _covariance(before: Pose, now: Pose, same: bool) -> Array | None:
+    """(6, 6) of the difference: of both where the data differ; on the same data that by the labels' noise alone."""
+    C = before.covariance
+    if same and C is not None and before.label_sigma_mm is not None and before.label_sigma_deg is not None:
+        scale = np.repeat([before.label_sigma_mm, before.label_sigma_deg], 3)
+        scale = scale / np.repeat(np.maximum(_norms(np.sqrt(np.diagonal(C))), 1e-300), 3)
+        return C * np.outer(scale, scale)
+    if same:
+        return C
+    parts = [each for each in (C, now.covariance) if each is not None]
+    return np.sum(parts, axis=0) if parts else None
+
+
+def _chi_squared(d: Array, C: Array) -> tuple[float, float]:
+    """``d^T C^-1 d``, and the largest standard deviation of a translation in any direction, m."""
+    scale = np.sqrt(np.maximum(np.diagonal(C), 1e-300))
+    values, vectors = np.linalg.eigh(C / np.outer(scale, scale))
+    values = np.maximum(values, LEAST * values[-1])
+    white = vectors.T @ (d / scale) / np.sqrt(values)
+    return float(white @ white), float(np.sqrt(np.linalg.eigvalsh(C[:3, :3])[-1]))
+
+
+def _norms(d: Array) -> tuple[float, float]:
+    """Of a twist (6,), m and rad: mm and degrees."""
+    return 1e3 * float(np.linalg.norm(d[:3])), float(np.degrees(np.linalg.norm(d[3:])))
+
+
+def _digits(values: Array) -> tuple[float, ...]:
+    return tuple(round(float(v), 8) + 0.0 for v in values)
+
+
+def _finite(value: float) -> float:
+    return round(min(value, 1e9), 4)
+
+
+def chi_squared_tail(x: float, k: Literal[1, 6]) -> float:
+    """The probability that chi-squared with k degrees of freedom is larger than x.
+
+    With an even number of degrees of freedom it is a sum: ``exp(-x/2) (1 + x/2 + x^2/8)`` for six (M. Abramowitz,
+    I. Stegun, "Handbook of mathematical functions", 26.4.21).
+    """
+    if k == 1:
+        return math.erfc(math.sqrt(x / 2))
+    return math.exp(-x / 2) * (1 + x / 2 + x * x / 8) if x < 1400 else 0.0
+
+
+def chi_squared_quantile(p: float) -> float:
+    """The value that chi-squared with 6 degrees of freedom exceeds with a probability p."""
+    low, high = 0.0, 1400.0
+    for _ in range(60):
+        middle = (low + high) / 2
+        low, high = (middle, high) if chi_squared_tail(middle, 6) > p else (low, middle)
+    return high

@@ -1,0 +1,57 @@
+"""What a change against the baseline may be: the section ``baseline`` of calibration.yml."""
+
+from pathlib import Path
+from typing import Annotated
+
+from calibration.errors import InputError
+from calibration.introspection.baseline import Allowance, parse_allowance
+from calibration.records import Converted, Place, at_least, field, length, record
+
+FILE = "calibration-baseline.json"
+Least = Annotated[float, at_least(0)]
+
+
+def _allowance(text: str, place: Place) -> Allowance:
+    try:
+        return parse_allowance(text)
+    except InputError as error:
+        raise place.fault(str(error)) from None
+
+
+Increase = Annotated[Allowance, Converted(Annotated[str, length(1, 30)], _allowance)]
+
+
+@record
+class SameData:
+    """What a result may differ by on the same data, where it is deterministic."""
+
+    sigmas: Least = field("Standard deviations by the labels' noise, and never less than the rest.", default=0.1)
+    translation_mm: Least = field("Of a translation.", default=0.001, unit="mm")
+    rotation_deg: Least = field("Of a rotation.", default=0.00006, unit="degrees")
+
+
+@record
+class MaxIncrease:
+    """How much larger than the baseline a measure of quality may be: 10%, or 0.1 in its unit."""
+
+    rms: Increase = field("Root mean square of the table (5%).", default=Allowance(5, True))
+    noise: Increase = field("Noise of each kind of label (5%).", default=Allowance(5, True))
+    sigma: Increase = field("The largest standard deviation of a translation (25%).", default=Allowance(25, True))
+    rejected: Increase = field("Share of the labels that do not fit, in percent (1).", default=Allowance(1, False))
+
+
+@record
+class BaselineSettings:
+    """The accepted calibration that every cell is compared with."""
+
+    file: Annotated[Path, Converted(Annotated[str, length(1)], lambda text, place: place.folder / text)] = field(
+        f"The reviewed file, relative to this one ({FILE}).", default=Path(FILE)
+    )
+    required: bool = field("Whether a system without an accepted calibration fails (false).", default=False)
+    translation_mm: Least = field("A sensor may have moved by so much on other data (0).", default=0.0, unit="mm")
+    rotation_deg: Least = field("Likewise turned by so much (0).", default=0.0, unit="degrees")
+    same_data: SameData = field("What a result on the same data may differ by.", default_factory=SameData)
+    max_increase: MaxIncrease = field(
+        "How much worse than the baseline the quality may be; on other data, what chance does is added.",
+        default_factory=MaxIncrease,
+    )

@@ -1,0 +1,305 @@
+"""A calibration's result in numbers that can be compared with another's: poses, parameters, error bars, quality."""
+
+import hashlib
+from collections.abc import Iterator, Mapping
+from typing import Annotated, Literal
+
+import numpy as np
+
+from calibration import __version__
+from calibration.dataset.model import CornerLabels, Dataset, Edge, Labels
+from calibration.estimation.gauge import RIGID
+from calibration.estimation.intrinsics import CalibratedIntrinsics
+from calibration.estimation.noise_levels import NoiseLevels
+from calibration.estimation.result import CalibratedJoint, Calibration
+from calibration.geometry.rotations import to_rpy
+from calibration.geometry.transforms import from_xyz_rpy, inverse
+from calibration.geometry.types import Array
+from calibration.records import Misfit, at_least, between, field, length, matching, record
+
+Number = Annotated[float, between(-1e9, 1e9)]
+Positive = Annotated[float, between(0, 1e9)]
+Three = Annotated[tuple[Number, ...], length(3, 3)]
+Sigmas = Annotated[tuple[Positive, ...], length(3, 3)]
+Count = Annotated[int, at_least(0)]
+Name = Annotated[str, length(1, 500)]
+CELLS = 4
+"""The image's coverage counts cells of a grid of so many by so many."""
+DEFINITE = -1e-4
+"""The smallest eigenvalue of correlations, below which no rounding has made it."""
+
+
+@record
+class Pose:
+    """Calibrated transform. Its error bar is that of a twist, translation and rotation in the child frame."""
+
+    parent: Name = field("The parent frame.")
+    child: Name = field("The child frame.")
+    xyz_mm: Three = field("Translation.", unit="mm")
+    rpy_deg: Three = field("Rotation as roll, pitch and yaw.", unit="degrees")
+    sensor: Name | None = field("The sensor that it places, where it is one's.", default=None)
+    sigma_mm: Sigmas | None = field(
+        "Standard deviations of the translation, in all; absent where it was held.", unit="mm", default=None
+    )
+    sigma_deg: Sigmas | None = field("Standard deviations of the rotation, in all.", unit="degrees", default=None)
+    correlations: tuple[Annotated[float, between(-1, 1)], ...] | None = field(
+        "Of these six, below the diagonal, row by row.", default=None
+    )
+    label_sigma_mm: Positive | None = field(
+        "Standard deviation of the translation by the labels' noise alone, the norm of three axes.",
+        unit="mm",
+        default=None,
+    )
+    label_sigma_deg: Positive | None = field("The same of the rotation.", unit="degrees", default=None)
+
+    def __post_init__(self) -> None:
+        """Refuse correlations that no error bar has.
+
+        Raises:
+            Misfit: they are not 15, or some combination of the six would have a negative variance.
+        """
+        parts = (self.sigma_mm, self.sigma_deg, self.correlations)
+        if any(part is None for part in parts) != all(part is None for part in parts):
+            raise Misfit("expected sigma-mm, sigma-deg and correlations, or none of them")
+        if self.correlations is not None:
+            if len(self.correlations) != 15:
+                raise Misfit(f"found {len(self.correlations)} numbers, expected 15", "correlations")
+            if np.linalg.eigvalsh(self._correlation)[0] < DEFINITE:
+                raise Misfit("these are no correlations: a variance would be negative", "correlations")
+
+    @property
+    def edge(self) -> Edge:
+        """Parent and child."""
+        return self.parent, self.child
+
+    @property
+    def name(self) -> str:
+        """What a message calls it."""
+        return self.sensor or f"{self.parent} to {self.child}"
+
+    @property
+    def matrix(self) -> Array:
+        """``T_parent_child`` (4, 4)."""
+        return from_xyz_rpy(1e-3 * np.array(self.xyz_mm), np.radians(self.rpy_deg))
+
+    @property
+    def covariance(self) -> Array | None:
+        """(6, 6), m and rad; None where it was held."""
+        if self.sigma_mm is None or self.sigma_deg is None:
+            return None
+        sigmas = np.concatenate([1e-3 * np.array(self.sigma_mm), np.radians(self.sigma_deg)])
+        return self._correlation * np.outer(sigmas, sigmas)
+
+    @property
+    def norm_mm(self) -> float:
+        """The standard deviation of the translation, the norm of three axes; 0 where it was held."""
+        return float(np.linalg.norm(self.sigma_mm)) if self.sigma_mm else 0.0
+
+    @property
+    def _correlation(self) -> Array:
+        correlation = np.zeros((6, 6))
+        correlation[np.tril_indices(6, -1)] = self.correlations or ()
+        return np.eye(6) + correlation + correlation.T
+
+
+@record
+class Parameter:
+    """Calibrated parameter of a joint or a camera."""
+
+    of: Name = field("The joint or the camera.")
+    parameter: Name = field("What it is of it.")
+    value: Number = field("The calibrated value.")
+    unit: Literal["m", "rad", "px", "1"] = field("Of value and sigmas.")
+    sigma: Positive = field("Standard deviation, in all.")
+    label_sigma: Positive | None = field("Standard deviation by the labels' noise alone, where known.", default=None)
+
+    @property
+    def name(self) -> str:
+        """What a message calls it."""
+        return f"{self.of}'s {self.parameter}"
+
+
+@record
+class Start:
+    """What a team's software made of a system from one start."""
+
+    translation_noise: Positive = field("Of the start.", unit="m")
+    rotation_noise: Positive = field("Of the start.", unit="rad")
+    seed: Count = field("Of the noise.")
+    passed: bool = field("Whether the cell passed.")
+    rms_px: Positive | None = field("Root mean square of its table.", unit="px", default=None)
+    distance_mm: Positive | None = field("How far its result is from our optimum.", unit="mm", default=None)
+
+    @property
+    def start(self) -> tuple[float, float, int]:
+        """Translation noise, rotation noise and seed."""
+        return self.translation_noise, self.rotation_noise, self.seed
+
+
+@record(kw_only=True)
+class Snapshot:
+    """A calibration of one system."""
+
+    data: Annotated[str, matching("[0-9a-f]{64}", "64 hexadecimal digits")] = field(
+        "SHA-256 of the labels: with another one the data are others."
+    )
+    collections: Count = field("Collections in the data.")
+    engine: Name = field("The version that calibrated.")
+    poses: tuple[Pose, ...] = field("Calibrated transforms.")
+    parameters: tuple[Parameter, ...] = field("Calibrated parameters of joints and cameras.", default=())
+    rms_px: Positive | None = field(
+        "Root mean square of the table, or of the reprojected corners.", unit="px", default=None
+    )
+    averages: Mapping[str, float] = field("Averages of the table's columns.", default_factory=dict)
+    noise: NoiseLevels = field("Standard deviations of the labels.", default_factory=NoiseLevels)
+    effective_collections: Positive | None = field(
+        "Independent collections of equal weight that tell as much.", default=None
+    )
+    rejected_labels: Count = field("Labels that do not fit.")
+    labels: Count = field("Labels in all: corners, points.")
+    iterations: Count = field("Of the solver.")
+    views: Mapping[str, Count] = field("Views of a pattern, by sensor.")
+    covered: Mapping[str, Annotated[float, between(0, 1)]] = field(
+        f"Part of each camera's image, of {CELLS * CELLS} cells, in which there are corners.", default_factory=dict
+    )
+    passed: Count | None = field("Starts that passed.", default=None)
+    starts: Count | None = field("Starts in all.", default=None)
+    software: tuple[Start, ...] = field("What the team's software made of each start.", default=())
+    although: Name | None = field("Why it was accepted although the verdict was fail.", default=None)
+
+
+def snapshot(calibration: Calibration, given: Dataset, rms_px: float | None) -> Snapshot:
+    """The snapshot of a calibration that has converged.
+
+    Args:
+        calibration: it.
+        given: the dataset that was calibrated.
+        rms_px: of its table.
+    """
+    sensors: dict[Edge, str] = {}
+    for each in calibration.dataset.sensors.values():
+        sensors.setdefault(each.edge, each.name)
+    labels = [label for _, label in _labels(given)]
+    return Snapshot(
+        data=hash_of_labels(given),
+        collections=len(given.collections),
+        engine=__version__,
+        poses=tuple(
+            _pose(calibration, edge, T, sensors.get(edge)) for edge, T in sorted(_at_description(calibration, given))
+        ),
+        parameters=tuple(_parameters(calibration)),
+        rms_px=_known(rms_px, 6),
+        noise=NoiseLevels(**{k: _significant(v, 4) for k, v in calibration.noise_levels.given().items()}),
+        effective_collections=_significant(bars.effective_collections, 3) if (bars := calibration.error_bars) else None,
+        rejected_labels=len(calibration.rejected),
+        labels=sum(len(label.ids) if isinstance(label, CornerLabels) else len(label.points) for label in labels),
+        iterations=calibration.iterations,
+        views=_views(given),
+        covered=_covered(given),
+    )
+
+
+def hash_of_labels(dataset: Dataset) -> str:
+    """SHA-256 of the labels of a dataset: who saw what of which pattern in which collection."""
+    found = hashlib.sha256()
+    for key, label in _labels(dataset):
+        arrays = (label.ids, label.pixels) if isinstance(label, CornerLabels) else (label.points, label.limits)
+        found.update("\0".join((*key, *(str(array.shape) for array in arrays))).encode() + b"\0")
+        for array in arrays:
+            found.update(np.ascontiguousarray(array, "<i8" if array.dtype.kind == "i" else "<f8").tobytes())
+    return found.hexdigest()
+
+
+def _labels(dataset: Dataset) -> Iterator[tuple[tuple[str, str, str], Labels]]:
+    for collection in dataset.collections:
+        for (pattern, sensor), label in sorted(collection.labels.items()):
+            yield (collection.key, pattern, sensor), label
+
+
+def _at_description(calibration: Calibration, given: Dataset) -> Iterator[tuple[Edge, Array]]:
+    """The calibrated transforms by their edges, from whatever start they were found.
+
+    Where only relative poses are determined, a sensor was held where the start had it: all sensors are moved together,
+    so that it is where the dataset has it, ``T_p_s' = T_p_g D T_g_p T_p_s`` with ``D = T_g_h (given) T_h_g``. A pattern
+    that was held for the same reason is left out.
+    """
+    patterns = {(pattern.parent_link, pattern.link) for pattern in calibration.dataset.patterns.values()}
+    edges = {sensor.edge for sensor in calibration.dataset.sensors.values()}
+    held = calibration.dataset.sensors[calibration.gauge].edge if calibration.gauge else None
+    for edge, T in calibration.transforms.items():
+        if edge in patterns and edge not in calibration.covariances:
+            continue
+        if held is None or edge not in edges:
+            yield edge, T
+            continue
+        to_held = given.transform(edge[0], held[0])
+        rigid = np.abs(to_held - to_held[0]).max() < RIGID
+        moved = given.transforms[held][0] @ inverse(calibration.transforms[held])
+        yield edge, to_held[0] @ moved @ inverse(to_held[0]) @ T if rigid else T
+
+
+def _pose(calibration: Calibration, edge: Edge, T: Array, sensor: str | None) -> Pose:
+    C = calibration.covariances.get(edge)
+    xyz, rpy = _rounded(1e3 * T[:3, 3], 6), _rounded(np.degrees(to_rpy(T[:3, :3])), 9)
+    if C is None:
+        return Pose(*edge, xyz, rpy, sensor)
+    sigmas = np.sqrt(np.diagonal(C))
+    correlation = C / np.outer(sigmas, sigmas)
+    return Pose(
+        *edge,
+        xyz,
+        rpy,
+        sensor,
+        tuple(_significant(v, 4) for v in 1e3 * sigmas[:3]),
+        tuple(_significant(v, 4) for v in np.degrees(sigmas[3:])),
+        _rounded(np.clip(correlation[np.tril_indices(6, -1)], -1, 1), 5),
+        _significant(calibration.label_sigma_mm(edge), 4),
+        _significant(float(np.degrees(1e-3 * calibration.label_sigma_mrad(edge))), 4),
+    )
+
+
+def _parameters(calibration: Calibration) -> Iterator[Parameter]:
+    for name, joint in calibration.joints.items():
+        yield from _each(name, joint, tuple(_significant(v, 4) for v in joint.label_sigmas))
+    for name, camera in calibration.intrinsics.items():
+        yield from _each(name, camera, (None,) * len(camera.parameters))
+
+
+def _each(
+    name: str, found: CalibratedJoint | CalibratedIntrinsics, of_labels: tuple[float | None, ...]
+) -> Iterator[Parameter]:
+    rows = zip(found.parameters, found.values.tolist(), found.units, found.sigmas.tolist(), of_labels, strict=True)
+    for parameter, value, unit, sigma, own in rows:
+        yield Parameter(name, parameter, _significant(value, 12), unit, _significant(sigma, 4), own)
+
+
+def _views(dataset: Dataset) -> dict[str, int]:
+    seen = [sensor for collection in dataset.collections for _, sensor in collection.labels]
+    return {name: seen.count(name) for name in sorted(dataset.sensors)}
+
+
+def _covered(dataset: Dataset) -> dict[str, float]:
+    """Part of each camera's image in which there are corners."""
+    found = {}
+    for name, sensor in sorted(dataset.sensors.items()):
+        if sensor.camera is None or not sensor.modality.has_corners:
+            continue
+        size = np.array([sensor.camera.width, sensor.camera.height])
+        cells: set[tuple[int, ...]] = set()
+        for (_, _, of), label in _labels(dataset):
+            if of == name and isinstance(label, CornerLabels):
+                cells.update(map(tuple, np.clip(label.pixels * CELLS / size, 0, CELLS - 1).astype(int).tolist()))
+        found[name] = round(len(cells) / CELLS**2, 4)
+    return found
+
+
+def _rounded(values: Array, digits: int) -> tuple[float, ...]:
+    return tuple(round(float(v), digits) + 0.0 for v in values)
+
+
+def _significant(value: float, digits: int) -> float:
+    return float(f"{value:.{digits}g}")
+
+
+def _known(value: float | None, digits: int) -> float | None:
+    return None if value is None else _significant(value, digits)

@@ -1,0 +1,73 @@
+"""What a change of the file of accepted calibrations accepts: the base branch's against this one's."""
+
+from collections.abc import Iterator
+
+from calibration.baseline.comparison import Change, compare
+from calibration.baseline.document import Baseline
+from calibration.baseline.snapshot import Snapshot
+from calibration.records import field, result
+
+
+@result(kw_only=True)
+class Update:
+    """One number of the accepted calibration that a change replaces."""
+
+    system: str = field("The system.")
+    before: str = field("What was accepted; empty where there was nothing.", default="")
+    now: str = field("What is; empty where there is nothing any more.", default="")
+    change: Change | None = field("The difference, where both are there.", default=None)
+    although: str | None = field("Why it was accepted although it had failed.", default=None)
+
+
+@result(kw_only=True)
+class BaselineUpdate:
+    """The file of accepted calibrations, and what the change that is tested does to it."""
+
+    file: str = field("Its path.")
+    base: str | None = field("The commit that it is compared with; null where there is none.", default=None)
+    updates: tuple[Update, ...] = field("What the change accepts.", default=())
+    unused: tuple[str, ...] = field("Systems in it that the configuration does not have.", default=())
+    problem: str | None = field("Why the base's cannot be compared with.", default=None)
+    reasons: tuple[str, ...] = field("Why the verdict is fail.", default=())
+
+
+def updates(before: Baseline | None, now: Baseline | None) -> tuple[Update, ...]:
+    """What replaces what, system by system; nothing for what has stayed."""
+    old, new = (each.systems if each else {} for each in (before, now))
+    found: list[Update] = []
+    for name in sorted(old.keys() | new.keys()):
+        if name not in old:
+            found.append(Update(system=name, now=_count(new[name]), although=new[name].although))
+        elif name not in new:
+            found.append(Update(system=name, before=_count(old[name])))
+        elif old[name] != new[name]:
+            found += _updates(name, old[name], new[name])
+    return tuple(found)
+
+
+def _updates(name: str, before: Snapshot, now: Snapshot) -> Iterator[Update]:
+    old, new = _texts(before), _texts(now)
+    for change in compare(before, now).changes:
+        if change.mm or change.deg or change.value or change.kind in ("added", "removed"):
+            was, is_now = old.get(change.name, ""), new.get(change.name, "")
+            yield Update(system=name, before=was, now=is_now, change=change, although=now.although)
+    if before.rms_px != now.rms_px:
+        was, is_now = (f"RMS {each.rms_px:.4g} px" if each.rms_px is not None else "" for each in (before, now))
+        yield Update(system=name, before=was, now=is_now, although=now.although)
+
+
+def _count(snapshot: Snapshot) -> str:
+    return f"{len(snapshot.poses)} transforms of {snapshot.collections} collections"
+
+
+def _texts(snapshot: Snapshot) -> dict[str, str]:
+    """What was calibrated, in words, by name."""
+    poses = {each.name: f"{_numbers(each.xyz_mm, 2)} mm, {_numbers(each.rpy_deg, 3)} deg" for each in snapshot.poses}
+    values = {
+        each.name: f"{each.value:.6g}{'' if each.unit == '1' else f' {each.unit}'}" for each in snapshot.parameters
+    }
+    return poses | values
+
+
+def _numbers(values: tuple[float, ...], digits: int) -> str:
+    return ", ".join(f"{round(value, digits) + 0.0:.{digits}f}" for value in values)

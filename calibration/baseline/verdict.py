@@ -1,0 +1,221 @@
+"""What differences from the accepted calibration mean: red, a note, or nothing."""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from calibration.baseline.comparison import Change, Comparison, compare
+from calibration.baseline.settings import BaselineSettings
+from calibration.baseline.snapshot import Snapshot, Start
+from calibration.diagnosis.finding import Finding
+from calibration.introspection.baseline import Allowance
+from calibration.introspection.numbers import number_text
+from calibration.report import Check, at_most
+from calibration.workflow.text import shorten
+
+MOVED = "baseline"
+QUALITY = "baseline-quality"
+NO_BASELINE = "no-baseline"
+ACCEPT = "accept it: calibration accept"
+SPREAD = 4.0
+"""On other data, quality may be worse by so many of its own standard deviations besides."""
+ALONG = 0.9
+"""A direction with so large a part along one axis is named by it."""
+LEAST_P = 1e-9
+NEGLIGIBLE = 0.1
+"""Part of the standard deviation by which software may be farther from our optimum than it was."""
+
+
+@dataclass(frozen=True)
+class Accepted:
+    """What a system's cells are compared with."""
+
+    settings: BaselineSettings
+    snapshot: Snapshot | None
+    """None where no calibration of the system has been accepted."""
+    since: str = ""
+    """The file, and its last commit, as a message has them: "calibration-baseline.json of 2026-11-02 (1a2b3c4)"."""
+
+
+def against_baseline(accepted: Accepted, now: Snapshot) -> tuple[Comparison | None, tuple[Finding, ...]]:
+    """Compare a calibration with the accepted one.
+
+    Returns:
+        The comparison, None where nothing has been accepted; and what it means.
+    """
+    if accepted.snapshot is None:
+        text = f"no calibration of it has been accepted in {accepted.since}: calibration accept"
+        return None, (Finding(NO_BASELINE, "red" if accepted.settings.required else "note", text),)
+    comparison = compare(accepted.snapshot, now)
+    since, settings = accepted.since, accepted.settings
+    found = [each for change in comparison.changes if (each := _finding(change, comparison, settings, since))]
+    found += _quality(comparison, settings)
+    if not any(each.kind == MOVED and each.severity == "red" for each in found) and not comparison.same_data:
+        found += _nothing_moved(comparison, since)
+    return comparison, tuple(found)
+
+
+def _finding(change: Change, comparison: Comparison, settings: BaselineSettings, since: str) -> Finding | None:
+    if change.kind == "added":
+        return Finding(MOVED, "note", f"{change.name} is calibrated, and not in {since}: {ACCEPT}")
+    if change.kind == "removed":
+        text = f"{change.name} is in {since}, and calibrated no more: was it renamed, or left out? Else {ACCEPT}"
+        return Finding(MOVED, "red", text)
+    if comparison.same_data:
+        return _on_the_same_data(change, comparison, settings, since)
+    return _on_other_data(change, comparison, settings, since)
+
+
+def _on_the_same_data(change: Change, comparison: Comparison, settings: BaselineSettings, since: str) -> Finding | None:
+    least = settings.same_data
+    over_mm = change.mm > max(least.translation_mm, least.sigmas * change.sigma_mm)
+    over_deg = change.deg > max(least.rotation_deg, least.sigmas * change.sigma_deg)
+    plain = change.kind == "parameter" and change.unit not in ("m", "rad") and change.sigmas > least.sigmas
+    if not (over_mm or over_deg or plain):
+        return None
+    before, now = comparison.before.engine, comparison.now.engine
+    engine = f"; the engine went from {before} to {now}" if before != now else ""
+    text = (
+        f"{change.name} differs from {since} on the same data: {_size(change)}, {_sigmas(change.sigmas)}{engine}: "
+        f"look at what this change does to the description, the options or the engine, or {ACCEPT}"
+    )
+    return _found("red", change, text)
+
+
+def _on_other_data(change: Change, comparison: Comparison, settings: BaselineSettings, since: str) -> Finding | None:
+    if change.p >= comparison.significance:
+        return None
+    moved = "has moved" if change.kind == "pose" else "has changed"
+    text = f"{change.name} {moved} since {since}: {_size(change)}; p {_probability(change.p)} that this is chance"
+    harmless = change.kind == "pose" and change.mm <= settings.translation_mm and change.deg <= settings.rotation_deg
+    if harmless:
+        allowed = f"{settings.translation_mm:g} mm, {settings.rotation_deg:g} deg"
+        return _found("note", change, f"{text}; allowed {allowed}")
+    return _found("red", change, f"{text}: look at its mount, or {ACCEPT}")
+
+
+def _found(severity: str, change: Change, text: str) -> Finding:
+    return Finding(
+        MOVED,
+        "red" if severity == "red" else "note",
+        text,
+        sensors=(change.name,),
+        moves_mm=round(change.mm, 4),
+        moves_deg=round(change.deg, 5),
+    )
+
+
+def _nothing_moved(comparison: Comparison, since: str) -> list[Finding]:
+    """What the error bars would hide."""
+    poses = [each for each in comparison.changes if each.kind == "pose"]
+    if not poses:
+        return []
+    worst = max(poses, key=lambda each: each.unseen_mm)
+    text = f"nothing has moved since {since}; a move of {worst.name} by up to {worst.unseen_mm:.2g} mm would go unseen"
+    return [Finding(MOVED, "note", text, (worst.name,))]
+
+
+def _size(change: Change) -> str:
+    """By how much, and in which direction: "4.9 +- 0.3 mm along its x, 0.5 +- 0.02 deg about its z"."""
+    if change.kind == "parameter":
+        sigma = "" if change.sigma is None else f" +- {change.sigma:.2g}"
+        unit = "" if change.unit in (None, "1") else f" {change.unit}"
+        return f"by {change.value:+.3g}{sigma}{unit}"
+    return ", ".join(
+        f"{size:.3g} +- {sigma:.2g} {unit} {_direction(vector, word)}"
+        for size, sigma, unit, vector, word in (
+            (change.mm, change.sigma_mm, "mm", change.translation_mm, "along"),
+            (change.deg, change.sigma_deg, "deg", change.rotation_deg, "about"),
+        )
+    )
+
+
+def _direction(vector: tuple[float, ...], word: str) -> str:
+    norm = math.hypot(*vector)
+    parts = np.array(vector) / (norm or 1.0)
+    axis = int(np.abs(parts).argmax())
+    if abs(parts[axis]) >= ALONG:
+        return f"{word} its {'-' if parts[axis] < 0 else ''}{'xyz'[axis]}"
+    return f"{word} its ({', '.join(f'{part:.2f}' for part in parts)})"
+
+
+def _sigmas(sigmas: float) -> str:
+    return f"{sigmas:.2g} standard deviations" if sigmas < 1e6 else "with no error bar"
+
+
+def _probability(p: float) -> str:
+    return f"< {LEAST_P:.0e}" if p < LEAST_P else f"= {p:.1g}"
+
+
+def _quality(comparison: Comparison, settings: BaselineSettings) -> Iterator[Finding]:
+    """Measures of quality that are worse than the baseline's by more than allowed."""
+    before, now, most = comparison.before, comparison.now, settings.max_increase
+    levels = now.noise.given()
+    # An estimate of a standard deviation from n views has a relative one of 1 / sqrt(4 n): two coordinates each.
+    views = [max(1, sum(each.views.values())) for each in (before, now)]
+    chance = 0.0 if comparison.same_data else SPREAD * math.sqrt(sum(1 / (4 * n) for n in views))
+    sigmas = _largest_sigmas(before, now)
+    rows: list[tuple[str, float | None, float | None, Allowance, float, str]] = [
+        ("RMS", before.rms_px, now.rms_px, most.rms, chance, "px"),
+        *(
+            (f"noise of the labels ({kind})", level, levels.get(kind), most.noise, chance, "")
+            for kind, level in before.noise.given().items()
+        ),
+        ("largest standard deviation", sigmas[0], sigmas[1], most.sigma, 2 * chance, "mm"),
+        ("rejected labels", _rejected(before), _rejected(now), most.rejected, 0.0, "%"),
+    ]
+    for what, old, new, allowance, spread, unit in rows:
+        if old is None:
+            continue
+        check = at_most(what, new, allowance.above(old) + spread * abs(old), unit)
+        if not check.passed:
+            yield Finding(QUALITY, "red", _worse(check, old), value=new)
+
+
+def _largest_sigmas(before: Snapshot, now: Snapshot) -> list[float]:
+    """Of each, the largest standard deviation of a translation, mm, of the poses that both have."""
+    common = {each.edge for each in before.poses} & {each.edge for each in now.poses}
+    return [max((each.norm_mm for each in one.poses if each.edge in common), default=0.0) for one in (before, now)]
+
+
+def software_against_baseline(accepted: Accepted, now: Start, data: str) -> tuple[Finding, ...]:
+    """What has become worse of a team's software from one start on the same data; nothing on other data.
+
+    Args:
+        accepted: what it is compared with.
+        now: what it made of the start.
+        data: the hash of the labels.
+    """
+    before = accepted.snapshot
+    if before is None or before.data != data:
+        return ()
+    earlier = next((each for each in before.software if each.start == now.start), None)
+    if earlier is None:
+        return ()
+    most = accepted.settings.max_increase.rms
+    rows = [
+        ("RMS", earlier.rms_px, now.rms_px, 0.0, "px"),
+        (
+            "distance from our optimum",
+            earlier.distance_mm,
+            now.distance_mm,
+            NEGLIGIBLE * _largest_sigmas(before, before)[0],
+            "mm",
+        ),
+    ]
+    return tuple(
+        Finding(QUALITY, "red", _worse(check, old), value=new)
+        for what, old, new, extra, unit in rows
+        if old is not None and not (check := at_most(what, new, most.above(old) + extra, unit)).passed
+    )
+
+
+def _worse(check: Check, before: float) -> str:
+    return f"worse than the baseline: {shorten(str(check), 200)} (baseline {number_text(round(before, 6))})"
+
+
+def _rejected(snapshot: Snapshot) -> float:
+    """Percent of the labels."""
+    return 100 * snapshot.rejected_labels / max(1, snapshot.labels)

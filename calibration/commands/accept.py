@@ -1,0 +1,39 @@
+"""``accept``: the results of a run become the accepted calibration that later ones are compared with."""
+
+import os
+from pathlib import Path
+
+import click
+
+from calibration.baseline.document import read_baseline, write_baseline
+from calibration.commands.parameters import TEXT_LIST, path, text
+from calibration.errors import ExitCode, InputError
+from calibration.pipeline.accepting import accept
+from calibration.pipeline.configuration import DEFAULT_FILE, read_configuration
+from calibration.pipeline.results import read_results
+from calibration.workflow import Runner, stop_commands
+from calibration.workflow.text import one_line
+
+
+@click.command("accept")
+@click.option("--config", type=path, default=DEFAULT_FILE, show_default=True, help="The configuration.")
+@click.option("--output", type=path, default="output", show_default=True, help="Folder of the run's results.")
+@click.option("--systems", type=TEXT_LIST, help="Only these systems (all of the results).")
+@click.option("--although", type=text, help="Why a system that has failed is accepted; kept in the file.")
+def command(config: Path, output: Path, systems: tuple[str, ...] | None, although: str | None) -> ExitCode:
+    """Keep the results of a run in calibration-baseline.json, to be committed.
+
+    Later runs are compared with it. What has failed, for other reasons than a change against the baseline, is refused
+    unless --although says why it is accepted.
+    """
+    runner = Runner.from_environment(os.environ)
+    if although is not None and not although.strip():
+        raise InputError("--although: found nothing, expected the reason")
+    file = read_configuration(config).baseline.file
+    baseline, names = accept(read_results(output), output, systems or (), although, read_baseline(file))
+    write_baseline(file, baseline)
+    with stop_commands(runner):
+        for name in names:
+            runner.log(one_line(f"{name}: accepted"))
+        runner.log(one_line(f"{file} is written: commit it"))
+    return ExitCode.PASS

@@ -1,0 +1,93 @@
+"""Results of a run as the accepted calibration of its systems."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from calibration.baseline.document import VERSION, Baseline
+from calibration.baseline.snapshot import Snapshot
+from calibration.baseline.verdict import MOVED, NO_BASELINE, QUALITY
+from calibration.errors import InputError
+from calibration.evaluation.table import AVERAGES
+from calibration.introspection.numbers import parse_number
+from calibration.introspection.selection import KeyedTable, LabelledRow
+from calibration.introspection.table import read_table
+from calibration.pipeline.matrix.cell import OUR_METHOD, CellResult
+from calibration.pipeline.matrix.software_cell import start_of
+from calibration.pipeline.results import Results, own_details
+from calibration.workflow.text import did_you_mean, shorten
+
+ABOUT_THE_BASELINE = (MOVED, QUALITY, NO_BASELINE)
+"""Findings that accepting settles."""
+
+
+def accept(
+    results: Results, output: Path, names: Sequence[str], although: str | None, before: Baseline | None
+) -> tuple[Baseline, tuple[str, ...]]:
+    """The baseline with the results of a run in it.
+
+    Args:
+        results: of the run.
+        output: its folder.
+        names: the systems to accept; none for all.
+        although: why a system that has failed is accepted.
+        before: the baseline so far; systems that are not accepted stay in it.
+
+    Returns:
+        The baseline, and the names of the systems that were accepted.
+
+    Raises:
+        InputError: a system is not in the results, has no calibration, or has failed and nothing says why it is
+            accepted.
+    """
+    known = tuple(dict.fromkeys(cell.system for cell in results.cells))
+    for name in names:
+        if name not in known:
+            raise InputError(
+                f"{output}: there is no result of '{name}'{did_you_mean(name, known)} (found: {', '.join(known)})"
+            )
+    accepted = {name: _accepted(name, results, output, although) for name in names or known}
+    if not accepted:
+        raise InputError(f"{output}: there is no calibrated system to accept: run the calibration first")
+    systems = {**(before.systems if before else {}), **accepted}
+    return Baseline(VERSION, dict(sorted(systems.items()))), tuple(accepted)
+
+
+def _accepted(system: str, results: Results, output: Path, although: str | None) -> Snapshot:
+    cells = [cell for cell in results.cells if cell.system == system]
+    failed = [(cell, why) for cell in cells if (why := _against(cell))]
+    if failed and although is None:
+        cell, why = failed[0]
+        raise InputError(
+            f"{cell.name}: has failed ({shorten(why[0], 200)}); what has failed is accepted with --although 'why' only"
+        )
+    references = [cell for cell in results.comparisons if cell.system == system and not cell.by_other_method]
+    ours = [cell for cell in cells if cell.method == OUR_METHOD] or references
+    for cell in ours:
+        details = own_details(cell, output) if cell.converged else None
+        if details is not None and details.snapshot is not None:
+            return replace(
+                details.snapshot,
+                averages=_averages(output / cell.table) if cell.table else {},
+                passed=len(cells) - len(failed),
+                starts=len(cells),
+                software=tuple(start_of(cell, not _against(cell)) for cell in cells if cell.method != OUR_METHOD),
+                although=although if failed else None,
+            )
+    raise InputError(f"{output}: {system}: no cell has a calibration that could be accepted")
+
+
+def _against(cell: CellResult) -> tuple[str, ...]:
+    """Why a cell has failed, but for what accepting it settles."""
+    settled = {finding.text for finding in cell.findings if finding.kind in ABOUT_THE_BASELINE}
+    reasons = tuple(reason for reason in cell.reasons if reason not in settled)
+    return reasons or (() if cell.converged else ("it has not converged",))
+
+
+def _averages(path: Path) -> dict[str, float]:
+    """The row of averages of a table, by column; nothing for a table without one."""
+    table = read_table(path)
+    keyed = KeyedTable.of(table, None, ())
+    row = keyed.row(LabelledRow(AVERAGES)) if AVERAGES in keyed.labels else None
+    numbers = {} if row is None else {column: parse_number(row.cells[table.column(column)]) for column in table.header}
+    return {column: number for column, number in numbers.items() if number is not None}

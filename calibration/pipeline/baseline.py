@@ -1,0 +1,96 @@
+"""The accepted calibrations of a matrix's systems: this checkout's, and what it changes of the base branch's."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+
+from calibration.baseline.document import LARGEST, Baseline, parse_baseline, read_baseline
+from calibration.baseline.settings import BaselineSettings
+from calibration.baseline.update import BaselineUpdate, updates
+from calibration.baseline.verdict import Accepted
+from calibration.errors import CalibrationError
+from calibration.git.event import Event
+from calibration.git.repository import Repository
+from calibration.pipeline.matrix.matrix import Matrix
+
+
+def with_accepted(
+    matrix: Matrix, settings: BaselineSettings, environment: Mapping[str, str]
+) -> tuple[Matrix, BaselineUpdate]:
+    """The matrix whose systems know what has been accepted of them, and what the change under test accepts.
+
+    Args:
+        matrix: what is calibrated.
+        settings: of the comparison.
+        environment: what the runner says of the event that is tested.
+
+    Raises:
+        InputError: the file is no baseline.
+    """
+    baseline = read_baseline(settings.file)
+    known = baseline.systems if baseline else {}
+    try:
+        repository = Repository.around(settings.file.resolve().parent)
+    except CalibrationError:  # no git, or no checkout: there is only the file
+        repository = None
+    since = settings.file.name + (_last_change(settings.file, repository) if baseline and repository else "")
+    systems = (replace(system, accepted=Accepted(settings, known.get(system.name), since)) for system in matrix.systems)
+    found = BaselineUpdate(
+        file=str(settings.file), unused=tuple(sorted(known.keys() - {system.name for system in matrix.systems}))
+    )
+    if repository is not None:
+        found = _against_base(found, baseline, settings, repository, environment)
+    return replace(matrix, systems=tuple(systems)), found
+
+
+def _against_base(
+    found: BaselineUpdate,
+    now: Baseline | None,
+    settings: BaselineSettings,
+    repository: Repository,
+    environment: Mapping[str, str],
+) -> BaselineUpdate:
+    """The update with what it changes of the base's file; a base that cannot be read is said."""
+    try:
+        path = repository.path(settings.file)
+        commit = _base(repository, Event.from_environment(environment))
+        if path is None or commit is None:
+            return found
+        found = replace(found, base=commit)
+        content = repository.content(commit, path, LARGEST)
+        before = None if content is None else parse_baseline(content, f"{commit[:12]}:{path}")
+    except CalibrationError as error:
+        problem = f"the base branch's baseline cannot be compared with: {error}"
+        return replace(found, problem=problem, reasons=(problem,) if settings.required else ())
+    return replace(found, updates=updates(before, now))
+
+
+def _base(repository: Repository, event: Event) -> str | None:
+    """The commit that a change is compared with; that of the checkout outside of a change; None without one.
+
+    A shallow checkout of a pull request has the base as the merge's first parent (``fetch-depth: 2``); else that one
+    commit is fetched.
+
+    Raises:
+        InputError: it is not there, and cannot be fetched.
+    """
+    for name in event.bases:
+        if (commit := repository.commit(name)) is not None:
+            return commit
+    head = repository.head()
+    if head is None or not event.bases:
+        return head
+    for parent in repository.parents(head)[:1]:
+        if (commit := repository.commit(parent)) is not None:
+            return commit
+    return repository.fetched(event.bases[0])
+
+
+def _last_change(path: Path, repository: Repository) -> str:
+    """The last commit of the file, as a message has it; nothing where it has none."""
+    try:
+        inside = repository.path(path)
+        commits = repository.changes_of(inside, newest=1) if inside else []
+    except CalibrationError:
+        return ""
+    return f" of {commits[0]}" if commits else ""

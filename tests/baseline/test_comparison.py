@@ -1,0 +1,77 @@
+"""What has moved is significant and named with its direction; what has not, is not."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calibration.baseline.comparison import chi_squared_quantile, chi_squared_tail, compare
+from calibration.baseline.snapshot import Snapshot
+from tests.baseline.scenes import stereo, taken
+
+MOVED = (0.0, 0.0, 0.005, 0.0, 0.009, 0.0)
+
+
+def test_chi_squared_has_its_known_values() -> None:
+    assert chi_squared_tail(12.592, 6) == pytest.approx(0.05, rel=1e-3)
+    assert chi_squared_tail(22.458, 6) == pytest.approx(0.001, rel=1e-3)
+    assert chi_squared_tail(3.841, 1) == pytest.approx(0.05, rel=1e-3)
+    assert chi_squared_tail(math.inf, 6) == 0
+    assert chi_squared_quantile(0.001) == pytest.approx(22.458, abs=0.001)
+
+
+def test_a_calibration_does_not_differ_from_itself() -> None:
+    found = taken(stereo())
+    comparison = compare(found, found)
+    assert comparison.same_data
+    assert {each.kind for each in comparison.changes} == {"pose"}
+    assert all(each.mm == each.deg == each.sigmas == 0 and each.p == 1 for each in comparison.changes)
+
+
+def test_other_data_of_the_same_robot_are_no_change() -> None:
+    before = taken(stereo(1))
+    for seed in range(2, 12):
+        comparison = compare(before, taken(stereo(seed)))
+        assert not comparison.same_data
+        assert all(each.p > comparison.significance for each in comparison.changes)
+
+
+def test_a_sensor_that_moved_is_the_one_that_changes_in_its_direction() -> None:
+    comparison = compare(taken(stereo(1)), taken(stereo(2, MOVED)))
+    [change] = [each for each in comparison.changes if each.p < comparison.significance]
+    assert change.name == "right"
+    assert change.translation_mm == pytest.approx((0, 0, 5), abs=4 * change.sigma_mm)
+    assert change.rotation_deg == pytest.approx((0, math.degrees(0.009), 0), abs=4 * change.sigma_deg)
+    assert change.mm == pytest.approx(np.linalg.norm(change.translation_mm), rel=1e-3)
+
+
+def test_a_move_that_could_go_unseen_is_about_as_large_as_said() -> None:
+    before = taken(stereo(1))
+    unseen = next(each for each in compare(before, taken(stereo(2))).changes if each.name == "right").unseen_mm
+    far = (0.0, 0.0, 3e-3 * unseen, 0.0, 0.0, 0.0)
+    comparison = compare(before, taken(stereo(2, far)))
+    assert min(each.p for each in comparison.changes) < comparison.significance
+
+
+def test_sensors_that_come_and_go_are_said() -> None:
+    found = taken(stereo())
+    less = replace(found, poses=tuple(each for each in found.poses if each.name != "right"))
+    assert [(each.kind, each.name) for each in compare(found, less).changes if each.kind != "pose"] == [
+        ("removed", "right")
+    ]
+    assert [(each.kind, each.name) for each in compare(less, found).changes if each.kind != "pose"] == [
+        ("added", "right")
+    ]
+
+
+def test_what_both_hold_differs_without_an_error_bar() -> None:
+    found = taken(stereo())
+    [left] = [each for each in found.poses if each.sigma_mm is None]
+    other: Snapshot = replace(
+        found,
+        poses=tuple(replace(each, xyz_mm=(1.0, 2.0, 3.0)) if each is left else each for each in found.poses),
+    )
+    change = next(each for each in compare(found, other).changes if each.name == left.name)
+    assert change.p == 0
+    assert change.mm > 0

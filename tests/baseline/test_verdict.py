@@ -1,0 +1,116 @@
+"""What has changed since the accepted calibration is red, with its name, size and direction; nothing else is."""
+
+from dataclasses import replace
+
+import pytest
+
+from calibration.baseline.settings import BaselineSettings, MaxIncrease, SameData
+from calibration.baseline.snapshot import Snapshot, Start, snapshot
+from calibration.baseline.verdict import Accepted, against_baseline, software_against_baseline
+from calibration.diagnosis.finding import Finding
+from calibration.estimation.calibrate import calibrate
+from calibration.estimation.options import Options
+from calibration.introspection.baseline import parse_allowance
+from tests.baseline.scenes import stereo, taken
+
+SINCE = "calibration-baseline.json of 2026-11-02 (1a2b3c4)"
+MOVED = (0.0, 0.0, 0.005, 0.0, 0.009, 0.0)
+
+
+@pytest.fixture(scope="module")
+def before() -> Snapshot:
+    return taken(stereo(1))
+
+
+@pytest.fixture(scope="module")
+def moved() -> Snapshot:
+    return taken(stereo(2, MOVED))
+
+
+def found(before: Snapshot | None, now: Snapshot, settings: BaselineSettings | None = None) -> tuple[Finding, ...]:
+    return against_baseline(Accepted(settings or BaselineSettings(), before, SINCE), now)[1]
+
+
+def red(*arguments: object) -> list[str]:
+    return [each.text for each in found(*arguments) if each.severity == "red"]  # type: ignore[arg-type]
+
+
+def test_the_same_data_and_program_give_nothing(before: Snapshot) -> None:
+    assert found(before, taken(stereo(1))) == ()
+
+
+def test_other_data_give_a_note_on_what_would_go_unseen(before: Snapshot) -> None:
+    [finding] = found(before, taken(stereo(3)))
+    assert finding.severity == "note"
+    assert f"nothing has moved since {SINCE}; a move of right by up to" in finding.text
+
+
+def test_a_sensor_that_has_moved_is_red_by_name_size_and_direction(before: Snapshot, moved: Snapshot) -> None:
+    [finding] = [each for each in found(before, moved) if each.severity == "red"]
+    assert finding.text.startswith(f"right has moved since {SINCE}: 5")
+    assert "along its z" in finding.text
+    assert "about its y; p < 1e-09 that this is chance" in finding.text
+    assert finding.sensors == ("right",)
+    assert finding.moves_mm == pytest.approx(5, abs=0.5)
+
+
+def test_a_move_within_the_tolerance_is_a_note(before: Snapshot, moved: Snapshot) -> None:
+    settings = BaselineSettings(translation_mm=6, rotation_deg=1)
+    assert red(before, moved, settings) == []
+    assert any("allowed 6 mm, 1 deg" in each.text for each in found(before, moved, settings))
+    assert red(before, moved, replace(settings, rotation_deg=0.3)) != []
+
+
+def test_another_result_of_the_same_data_is_red(before: Snapshot) -> None:
+    dataset = stereo(1)
+    other = calibrate(dataset, Options(loss="linear", intrinsics=("right",)))
+    [text, *_] = red(before, snapshot(other, dataset, other.rms_px))
+    assert text.startswith(f"right differs from {SINCE} on the same data: ")
+    assert "look at what this change does" in text
+
+
+def test_the_tolerance_on_the_same_data_is_what_is_set(before: Snapshot) -> None:
+    pose = next(each for each in before.poses if each.name == "right")
+    x, y, z = pose.xyz_mm
+    shifted = replace(pose, xyz_mm=(x + 0.004, y, z))
+    now = replace(before, poses=tuple(shifted if each is pose else each for each in before.poses))
+    exact = BaselineSettings(same_data=SameData(sigmas=0, translation_mm=0.003))
+    assert red(before, now, exact) != []
+    assert red(before, now, BaselineSettings(same_data=SameData(sigmas=0, translation_mm=0.005))) == []
+
+
+def test_a_removed_sensor_is_red_and_an_added_one_is_not(before: Snapshot) -> None:
+    less = replace(before, poses=tuple(each for each in before.poses if each.name != "right"))
+    [text] = red(before, less)
+    assert text.startswith("right is in ")
+    assert red(less, before) == []
+    assert any("right is calibrated, and not in" in each.text for each in found(less, before))
+
+
+def test_quality_that_is_worse_than_allowed_is_red(before: Snapshot) -> None:
+    assert before.rms_px is not None
+    worse = replace(before, rms_px=1.06 * before.rms_px)
+    [text] = red(before, worse)
+    assert text.startswith("worse than the baseline: RMS: found ")
+    assert red(before, worse, BaselineSettings(max_increase=MaxIncrease(rms=parse_allowance("10%")))) == []
+    rejected = replace(before, rejected_labels=before.labels // 20)
+    assert any("rejected labels" in text for text in red(before, rejected))
+    assert red(before, replace(before, rms_px=None)) != []
+
+
+def test_without_an_accepted_calibration_it_is_said_and_red_where_required(before: Snapshot) -> None:
+    [finding] = found(None, before)
+    assert (finding.severity, finding.kind) == ("note", "no-baseline")
+    assert len(red(None, before, BaselineSettings(required=True))) == 1
+
+
+def test_software_that_became_worse_on_the_same_data_is_red(before: Snapshot) -> None:
+    earlier = Start(0.1, 0.2, 1, True, 0.5, 1.0)
+    accepted = Accepted(BaselineSettings(), replace(before, software=(earlier,)), SINCE)
+    assert software_against_baseline(accepted, replace(earlier, rms_px=0.51), before.data) == ()
+    [finding] = software_against_baseline(accepted, replace(earlier, rms_px=0.53), before.data)
+    assert "RMS: found 0.53 px, expected at most 0.525 px (baseline 0.5)" in finding.text
+    [finding] = software_against_baseline(accepted, replace(earlier, distance_mm=3.0), before.data)
+    assert "distance from our optimum" in finding.text
+    assert software_against_baseline(accepted, replace(earlier, rms_px=0.9), "0" * 64) == ()
+    assert software_against_baseline(accepted, replace(earlier, seed=2, rms_px=0.9), before.data) == ()

@@ -1,0 +1,82 @@
+"""Files in commits: what they held, which commits changed them, and commits that a shallow checkout lacks."""
+
+from pathlib import Path
+
+import pytest
+
+from calibration.errors import InputError
+from calibration.git.repository import Repository
+from tests.coverage.projects import git
+
+FILE = "calibration-baseline.json"
+
+
+@pytest.fixture
+def checkout(tmp_path: Path) -> Path:
+    """A repository with three commits, two of which change the file."""
+    root = tmp_path / "origin"
+    root.mkdir()
+    git(root, "init", "--quiet", "--initial-branch=main")
+    for number, (name, text) in enumerate([(FILE, "one"), ("other", "text"), (FILE, "two")]):
+        (root / name).write_text(text)
+        git(root, "add", ".")
+        git(root, "commit", "--quiet", "-m", f"change {number}: tab\tand more")
+    return root
+
+
+def test_what_a_file_held(checkout: Path) -> None:
+    repository = Repository.around(checkout)
+    head = repository.head()
+    assert head is not None
+    [first] = repository.parents(repository.parents(head)[0])
+    assert repository.content(head, FILE, 100) == b"two"
+    assert repository.content(first, FILE, 100) == b"one"
+    assert repository.content(first, "other", 100) is None
+    assert repository.content("f" * 40, FILE, 100) is None
+    with pytest.raises(InputError, match="found 3 bytes, expected at most 2"):
+        repository.content(head, FILE, 2)
+
+
+def test_a_link_in_a_commit_is_refused(checkout: Path) -> None:
+    (checkout / FILE).unlink()
+    (checkout / FILE).symlink_to("/etc/passwd")
+    git(checkout, "add", ".")
+    git(checkout, "commit", "--quiet", "-m", "link")
+    with pytest.raises(InputError, match="expected a regular file, found a link"):
+        Repository.around(checkout).content("HEAD", FILE, 100)
+
+
+def test_which_commits_changed_a_file(checkout: Path) -> None:
+    repository = Repository.around(checkout)
+    found = repository.changes_of(FILE)
+    assert [each.subject for each in found] == ["change 2: tab\tand more", "change 0: tab\tand more"]
+    assert found[0].hash == repository.head()
+    assert str(found[0]) == f"{found[0].date} ({found[0].hash[:7]})"
+    assert repository.changes_of(FILE, newest=1) == found[:1]
+    assert repository.changes_of(FILE, since=found[1].hash) == found[:1]
+    assert repository.changes_of(FILE, since="2001-01-01") == found
+    assert repository.changes_of("none") == []
+
+
+def test_a_repository_without_commits(tmp_path: Path) -> None:
+    git(tmp_path, "init", "--quiet")
+    assert Repository.around(tmp_path).changes_of(FILE) == []
+
+
+def test_a_shallow_checkout_fetches_the_one_commit(checkout: Path, tmp_path: Path) -> None:
+    git(tmp_path, "clone", "--quiet", "--depth=1", f"file://{checkout}", "shallow")
+    git(checkout, "config", "uploadpack.allowAnySHA1InWant", "true")
+    repository = Repository.around(tmp_path / "shallow")
+    first = Repository.around(checkout).changes_of(FILE)[1].hash
+    assert repository.commit(first) is None
+    assert repository.content(repository.fetched(first), FILE, 100) == b"one"
+
+
+def test_a_commit_that_cannot_be_fetched_is_said(checkout: Path, tmp_path: Path) -> None:
+    git(tmp_path, "clone", "--quiet", "--depth=1", f"file://{checkout}", "shallow")
+    (tmp_path / "origin").rename(tmp_path / "gone")
+    with pytest.raises(
+        InputError, match=r"is not in this checkout \(fetch-depth: 2 brings it\), and cannot be"
+    ) as error:
+        Repository.around(tmp_path / "shallow").fetched("a" * 40)
+    assert "\n" not in str(error.value)
