@@ -40,6 +40,7 @@ COMMANDS: Mapping[str, LazyCommand] = {
         "calibration.commands.calibrate_matrix:command", "Calibrate systems from every noisy start."
     ),
     "accept": LazyCommand("calibration.commands.accept:command", "Keep a run's results as the baseline of later ones."),
+    "history": LazyCommand("calibration.commands.history:command", "Follow the accepted calibrations through git."),
     "convergence": LazyCommand("calibration.commands.convergence:command", "Map how far a starting guess may be off."),
     "introspect-csv": LazyCommand("calibration.commands.introspect_csv:command", "Check tables against rules."),
     "collect-data-sim": LazyCommand(

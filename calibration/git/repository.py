@@ -3,7 +3,7 @@
 import os
 import re
 import subprocess
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Self
@@ -124,6 +124,28 @@ class Repository:
             raise WorldError(f"git cat-file: {_said(problem)}")
         return output
 
+    def contents(self, commits: Sequence[str], path: str, most: int) -> Iterator[tuple[str, bytes | None]]:
+        """What a file held in each of many commits, by one process; None where it is no file, or is too large.
+
+        Raises:
+            WorldError: git fails.
+        """
+        asked = "".join(f"{commit}:{path}\n" for commit in commits).encode("utf-8", "surrogateescape")
+        code, output, problem = _git(self.root, "cat-file", "--batch", given=asked)
+        if code:
+            raise WorldError(f"git cat-file: {_said(problem)}")
+        at = 0
+        for commit in commits:
+            end = output.index(b"\n", at)
+            head = output[at:end].split(b" ")
+            at = end + 1
+            if len(head) != 3 or head[1] not in (b"blob", b"tree", b"commit", b"tag"):
+                yield commit, None  # "... missing"
+                continue
+            size = int(head[2])
+            yield commit, output[at : at + size] if head[1] == b"blob" and size <= most else None
+            at += size + 1
+
     def fetched(self, commit: str) -> str:
         """Bring one commit from where a shallow checkout came from, and return its hash.
 
@@ -181,7 +203,7 @@ class Repository:
         return output
 
 
-def _git(directory: Path, *arguments: str) -> tuple[int, bytes, bytes]:
+def _git(directory: Path, *arguments: str, given: bytes = b"") -> tuple[int, bytes, bytes]:
     """Run git; its exit code, output and errors. Nothing is started that a configuration may ask it to start."""
     settings = [part for setting in _SETTINGS for part in ("-c", setting)]
     variables = {name: value for name, value in os.environ.items() if not name.startswith("GIT_")}
@@ -191,7 +213,7 @@ def _git(directory: Path, *arguments: str) -> tuple[int, bytes, bytes]:
             ["git", "--no-optional-locks", *settings, *arguments],
             cwd=directory,
             env=variables,
-            stdin=subprocess.DEVNULL,
+            input=given,
             capture_output=True,
             timeout=SECONDS,
             check=False,

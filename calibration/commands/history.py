@@ -1,0 +1,122 @@
+"""``history``: the accepted calibrations through the commits of a repository."""
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+import click
+
+from calibration.baseline.history import History, Step, Trend, history, read_history
+from calibration.baseline.trend_figure import figure
+from calibration.commands.parameters import TEXT_LIST, path, text
+from calibration.errors import ExitCode, InputError
+from calibration.git.repository import Repository
+from calibration.pipeline.configuration import DEFAULT_FILE, read_configuration
+from calibration.report import Lines, Report, Table, count_of, publish
+from calibration.workflow import Runner
+
+FIGURE = "history.svg"
+MOST_COMMITS = 10_000
+STEPS_SHOWN = 200
+
+
+@click.command("history")
+@click.option("--config", type=path, default=DEFAULT_FILE, show_default=True, help="The configuration.")
+@click.option("--systems", type=TEXT_LIST, help="Only these systems (all).")
+@click.option("--since", type=text, help="Only commits after this one, or after this date (2026-11-02).")
+@click.option("--output", type=path, default="output/history", show_default=True, help="Folder for results and figure.")
+def command(config: Path, systems: tuple[str, ...] | None, since: str | None, output: Path) -> ExitCode:
+    """Follow calibration-baseline.json through git: where sensors moved, and which creep.
+
+    Nothing is checked out. The verdict is always pass: what a commit has changed was accepted.
+    """
+    runner = Runner.from_environment(os.environ)
+    file = read_configuration(config).baseline.file
+    found = history_of(file, systems or (), since)
+    try:
+        drawing = figure(found)
+    except InputError as error:
+        drawing = None
+        runner.log(str(error))
+    publish(report(found, drawing), runner, output)
+    return ExitCode.PASS
+
+
+def history_of(file: Path, systems: tuple[str, ...], since: str | None) -> History:
+    """The history of a file of accepted calibrations.
+
+    Raises:
+        InputError: it is in no repository, or no commit has it.
+        WorldError: git fails.
+    """
+    repository = Repository.around(file.resolve().parent)
+    inside = repository.path(file)
+    if inside is None:
+        raise InputError(f"{file}: expected a file in the repository {repository.root}")
+    commits = repository.changes_of(inside, since, MOST_COMMITS)
+    accepted, unreadable = read_history(repository, inside, commits)
+    if not accepted:
+        after = f" after {since}" if since else ""
+        raise InputError(f"{inside}: no commit{after} has accepted anything: calibration accept, then commit the file")
+    return history(inside, accepted, unreadable, systems)
+
+
+def report(found: History, drawing: bytes | None) -> Report:
+    """The report of a history.
+
+    Args:
+        found: it.
+        drawing: its figure, SVG; None where there is none.
+    """
+    steps = [(trend, step) for trend in found.trends for step in trend.steps]
+    creeping = [trend for trend in found.trends if trend.crept_mm is not None]
+    return Report(
+        title="history",
+        verdict="pass",
+        sentence=f"{found.commits} accepted, {count_of(len(steps), 'change')}",
+        blocks=(
+            Table(
+                ("Commit", "What", "Change", "Subject"),
+                tuple((f"{step.date} {step.commit[:7]}", _name(t), _size(step), step.subject) for t, step in steps),
+                STEPS_SHOWN,
+            ),
+            Lines(tuple(_crept(trend) for trend in creeping), title="Creeping"),
+            Lines(tuple(f"{each[:12]}: no baseline of this version" for each in found.unreadable), title="Left out"),
+            Table(
+                ("Trend", "From", "To", "Moved in all", "Standard deviation"),
+                tuple(_trends(found)),
+                STEPS_SHOWN,
+            ),
+        ),
+        suites={},
+        results=found,
+        outputs={"changes": found.changes},
+        notes=tuple(_crept(trend) for trend in creeping),
+        files={FIGURE: drawing} if drawing else {},
+    )
+
+
+def _name(trend: Trend) -> str:
+    return f"{trend.system}: {trend.name}"
+
+
+def _size(step: Step) -> str:
+    return f"{step.rms_px:+.3g} px" if step.rms_px is not None else f"{step.mm:.3g} mm, {step.deg:.2g} deg"
+
+
+def _crept(trend: Trend) -> str:
+    first, count = trend.points[0], len(trend.points)
+    return (
+        f"{_name(trend)} has crept {trend.crept_mm:.3g} mm in {count - 1} accepted changes since {first.date} "
+        f"({first.commit[:7]})"
+    )
+
+
+def _trends(found: History) -> Iterator[tuple[str, ...]]:
+    for trend in found.trends:
+        first, last = trend.points[0], trend.points[-1]
+        if trend.name == "RMS":
+            yield _name(trend), f"{first.rms_px:.4g} px", f"{last.rms_px:.4g} px", "-", "-"
+        else:
+            moved = sum(v * v for v in last.translation_mm) ** 0.5
+            yield _name(trend), first.date, last.date, f"{moved:.3g} mm", f"{last.sigma_mm:.2g} mm"
