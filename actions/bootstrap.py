@@ -38,6 +38,7 @@ from typing import NoReturn
 # Which entry point and which lock each action uses: the one place that says so.
 ACTIONS = {
     "build-image": ("build-image/main.py", "image.txt"),
+    "import-data": ("import-data/main.py", "run.txt"),
     "introspect-csv": ("introspect-csv/main.py", "introspect.txt"),
     "calibrate-matrix": ("calibrate-matrix/main.py", "calibrate.txt"),
     "collect-data-sim": ("collect-data-sim/main.py", "run.txt"),

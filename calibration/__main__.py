@@ -59,6 +59,9 @@ COMMANDS: Mapping[str, LazyCommand] = {
     "gather-results": LazyCommand(
         "calibration.commands.gather_results:command", "Gather what the jobs of a workflow found."
     ),
+    "import-data": LazyCommand(
+        "calibration.commands.import_data:command", "Make a dataset of images and poses that were recorded."
+    ),
     "export": LazyCommand(
         "calibration.commands.export:command", "Write a calibration as URDF, launch files, camera_info and more."
     ),

@@ -36,6 +36,8 @@ SCHEMAS = {
     "collection": Shipped(_COLLECTION, "collection.schema.json", "results:CollectionDocument", "collect-data-sim"),
     "simulation.yml": Shipped("calibration.simulation", "simulation.schema.json", "system:Simulation"),
     "motion": Shipped("calibration.simulation.motion", "motion.schema.json", "sequence:MotionFile"),
+    "import.yml": Shipped("calibration.importing", "import.schema.json", "description:ImportDescription"),
+    "import-results": Shipped("calibration.importing", _RESULTS, "results:ImportResults", "import-data"),
     "scenario-set": Shipped(_SCENARIOS, "scenario_set.schema.json", "parameters:ScenarioSetFile"),
     "coverage": Shipped("calibration.coverage", _RESULTS, "results:Results", "coverage-upload"),
     "image-results": Shipped("calibration.image", _RESULTS, "report:BuildResult", "build-image"),

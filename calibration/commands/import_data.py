@@ -1,0 +1,45 @@
+"""``import-data``: what a team has recorded becomes a dataset."""
+
+import os
+from pathlib import Path
+from typing import Annotated, Any
+
+import click
+
+from calibration.commands.record_options import chosen, record_options
+from calibration.errors import ExitCode
+from calibration.importing.importing import import_data
+from calibration.importing.looking import LabelledMoment
+from calibration.importing.report import TITLE, report
+from calibration.records import at_least, field, record
+from calibration.report import publish
+from calibration.workflow import Runner
+from calibration.workflow.progress import progress
+
+
+@record(kw_only=True)
+class Settings:
+    """The inputs of ``import-data``."""
+
+    config: Path = field("What was recorded, and what is calibrated with it: import.yml.")
+    output: Path = field("Folder for the dataset.")
+    overwrite: bool = field("Replace a dataset that the folder has.", default=False)
+    jobs: Annotated[int, at_least(1)] | None = field("Processes (one a core).", default=None)
+
+
+@click.command("import-data")
+@record_options(Settings, required=True)
+def command(**options: Any) -> ExitCode:
+    """Make a dataset of what was recorded: images are paired, patterns found in them, poses and intrinsics read."""
+    settings = chosen(Settings, options)
+    runner = Runner.from_environment(os.environ)
+
+    def done(count: int, total: int, moment: LabelledMoment) -> None:
+        found = [f"{name} {sum(len(f.ids) for f in view.found.values())}" for name, view in moment.views.items()]
+        advance(count, total, f"corners: {', '.join(found)}")
+
+    with progress(runner, TITLE, kept="moments") as advance:
+        results = import_data(settings.config, settings.output, settings.overwrite, settings.jobs, done)
+    found = report(results, settings.output)
+    publish(found, runner, settings.output)
+    return found.exit_code

@@ -1,0 +1,9 @@
+"""What a team has recorded becomes a dataset.
+
+- ``description``: import.yml, which says what there is and how it hangs together;
+- ``camera_files``, ``target_files``, ``samples``: intrinsics, patterns and poses in the files of other tools;
+- ``pictures``, ``moments``: the files of each camera, and which of them belong together;
+- ``looking``: the pattern found in them; ``near_miss``: why it is not;
+- ``starting_intrinsics``: a lens that nobody knows, from the corners;
+- ``document``: the dataset; ``importing``: all of it.
+"""

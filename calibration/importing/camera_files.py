@@ -1,0 +1,178 @@
+"""Intrinsics in the files of other tools: of ROS, Kalibr, OpenCV and robot_cal_tools."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from calibration.dataset.document import Node
+from calibration.dataset.sensors import MAX_PIXELS, read_camera
+from calibration.errors import InputError
+from calibration.files import read_bytes
+from calibration.geometry.cameras import Camera
+from calibration.yaml_file import MAX_BYTES, read_yaml
+
+KALIBR_MODELS = {"radtan": "plumb_bob", "equidistant": "equidistant", "none": "plumb_bob"}
+"""ROS's names of Kalibr's distortion models; its others (fov) have no twin."""
+_KEYS = {
+    "width": ("image_width", "width", "image_Width", "imageWidth"),
+    "height": ("image_height", "height", "image_Height", "imageHeight"),
+    "K": ("camera_matrix", "K", "k", "Camera_Matrix", "cameraMatrix", "intrinsic_matrix"),
+    "D": ("distortion_coefficients", "D", "d", "Distortion_Coefficients", "distCoeffs", "dist_coeffs", "distortion"),
+}
+"""How ROS and OpenCV's samples call them."""
+
+
+@dataclass(frozen=True)
+class KnownLens:
+    """Intrinsics as a file has them."""
+
+    path: Path
+    camera: Camera
+    has_size: bool
+    """Whether the file says how large the images are; else the camera's size is not to be used."""
+
+
+def read_lens(path: Path, name: str | None = None) -> KnownLens:
+    """The intrinsics in a file, whose form is told by its keys.
+
+    Args:
+        path: the file.
+        name: of the camera, in a file of several.
+
+    Raises:
+        InputError: the file cannot be read, is in none of these forms, has several cameras or none of this name, or
+            something in it is missing or wrong.
+    """
+    if read_bytes(path, MAX_BYTES, "a file of intrinsics").startswith(b"%YAML"):
+        root = Node(path, (), _opencv_document(path))
+    else:
+        root = Node(path, (), read_yaml(path, "a file of intrinsics"))
+    document = root.mapping()
+    if cameras := [key for key, value in document.items() if isinstance(value, dict) and "camera_model" in value]:
+        return _kalibr(root[_chosen(root, cameras, name)])
+    if numbered := [key[len("name_") :] for key in document if isinstance(key, str) and key.startswith("name_")]:
+        return _of_our_storage(root, numbered, name)
+    if name is not None:
+        raise root.fault(f"has one camera without a name, expected '{name}': leave out 'camera'")
+    if "intrinsics" in document:
+        return _robot_cal_tools(root["intrinsics"])
+    return _camera_info(root)
+
+
+def _of_our_storage(root: Node, numbered: list[str], name: str | None) -> KnownLens:
+    """A camera of the FileStorage that ``export`` writes: ``name_0``, ``size_0``, ``model_0``, ``K_0``, ``D_0``."""
+    names = {root[f"name_{number}"].text(): number for number in numbered}
+    number = names[_chosen(root, list(names), name)]
+    width, height = Node(root.file, (f"size_{number}",), _numbers(root[f"size_{number}"])).numbers(2)
+    info = {
+        "width": width,
+        "height": height,
+        "K": _numbers(root[f"K_{number}"]),
+        "D": _numbers(root[f"D_{number}"]),
+        "distortion_model": root[f"model_{number}"].text(),
+    }
+    return KnownLens(root.file, read_camera(Node(root.file, root.keys, info)), has_size=True)
+
+
+def _chosen(root: Node, cameras: list[str], name: str | None) -> str:
+    if name is None and len(cameras) > 1:
+        raise root.fault(f"has several cameras: add 'camera' with one of {', '.join(map(str, cameras))}")
+    if name is not None and name not in cameras:
+        raise root.fault(f"found the cameras {', '.join(map(str, cameras))}, expected '{name}'")
+    return name or cameras[0]
+
+
+def _kalibr(node: Node) -> KnownLens:
+    if (model := node["camera_model"]).text() != "pinhole":
+        raise model.unexpected("pinhole")
+    name = node.get("distortion_model")
+    if name and name.text() not in KALIBR_MODELS:
+        raise name.unexpected(f"a lens that ROS has too: {', '.join(KALIBR_MODELS)}")
+    coefficients = node.get("distortion_coeffs")
+    fx, fy, cx, cy = node["intrinsics"].numbers(4)
+    width, height = node["resolution"].numbers(2)
+    info = {
+        "width": width,
+        "height": height,
+        "K": [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0],
+        "D": coefficients.sequence() if coefficients else [],
+        "distortion_model": KALIBR_MODELS[name.value] if name else "plumb_bob",
+    }
+    return KnownLens(node.file, read_camera(Node(node.file, node.keys, info)), has_size=True)
+
+
+def _robot_cal_tools(node: Node) -> KnownLens:
+    fx, fy, cx, cy = (node[key].number() for key in ("fx", "fy", "cx", "cy"))
+    K = [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0]
+    return _without_size(node, {"K": K, "D": [], "distortion_model": "plumb_bob"})
+
+
+def _camera_info(root: Node) -> KnownLens:
+    found = {what: node for what, keys in _KEYS.items() if (node := _first(root, keys)) is not None}
+    if "K" not in found:
+        raise root.fault(
+            "found no camera in it, expected ROS's camera_info (camera_matrix), Kalibr's camchain (cam0) or "
+            "OpenCV's FileStorage (camera_matrix or K)"
+        )
+    D = _numbers(found["D"]) if "D" in found else []
+    model = root.get("distortion_model")
+    info: dict[str, Any] = {
+        "K": _numbers(found["K"]),
+        "D": D,
+        "distortion_model": model.value if model else "rational_polynomial" if len(D) > 5 else "plumb_bob",
+    }
+    if "width" not in found or "height" not in found:
+        return _without_size(root, info)
+    info |= {"width": found["width"].value, "height": found["height"].value}
+    return KnownLens(root.file, read_camera(Node(root.file, root.keys, info)), has_size=True)
+
+
+def _without_size(node: Node, info: Mapping[str, Any]) -> KnownLens:
+    sized = {**info, "width": MAX_PIXELS, "height": MAX_PIXELS}
+    return KnownLens(node.file, read_camera(Node(node.file, node.keys, sized)), has_size=False)
+
+
+def _first(root: Node, keys: tuple[str, ...]) -> Node | None:
+    return next((node for key in keys if (node := root.get(key))), None)
+
+
+def _numbers(node: Node) -> list[Any]:
+    """A matrix as a flat list: written as one, as rows, or as ROS and OpenCV do with its size beside it."""
+    if isinstance(node.value, dict):
+        node = node["data"]
+    rows = list(node.elements())
+    if rows and all(isinstance(row.value, list) for row in rows):
+        return [number.number() for row in rows for number in row.elements()]
+    return [number.number() for number in rows]
+
+
+class _OpenCv(yaml.SafeLoader):
+    """YAML of OpenCV, whose matrices carry a tag of their own."""
+
+
+def _matrix(loader: yaml.SafeLoader, node: yaml.Node) -> Any:
+    if not isinstance(node, yaml.MappingNode):
+        raise yaml.constructor.ConstructorError(None, None, "an opencv-matrix is a mapping", node.start_mark)
+    return loader.construct_mapping(node, deep=True)
+
+
+_OpenCv.add_constructor("tag:yaml.org,2002:opencv-matrix", _matrix)
+
+
+def _opencv_document(path: Path) -> object:
+    """OpenCV's YAML, whose first line is no YAML of today (``%YAML:1.0``)."""
+    text = read_bytes(path, MAX_BYTES, "a file of intrinsics").split(b"\n", 1)[-1]
+    try:
+        if any(isinstance(token, yaml.AliasToken) for token in yaml.scan(text)):
+            raise InputError(f"{path}: found an alias, expected a file that OpenCV has written")
+        return yaml.load(text, _OpenCv)  # noqa: S506 (a safe loader)
+    except yaml.MarkedYAMLError as error:
+        line = f":{error.problem_mark.line + 2}" if error.problem_mark else ""
+        raise InputError(f"{path}{line}: this is not valid YAML: {error.problem or error.context}") from None
+    except (yaml.YAMLError, ValueError, OverflowError, TypeError) as error:
+        raise InputError(f"{path}: this is not valid YAML: {error}") from None
+    except RecursionError:
+        raise InputError(f"{path}: the YAML is nested too deeply") from None

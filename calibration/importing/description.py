@@ -1,0 +1,125 @@
+"""``import.yml``: which sensors and patterns there are, and how they hang together."""
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+from calibration.dataset.configuration import MAX_CORNERS, MAX_SIZE
+from calibration.dataset.pattern import PatternKind
+from calibration.records import ByName, Converted, Misfit, Place, above, between, exactly_one, field, length, record
+
+Name = Annotated[str, length(1, 200)]
+Size = Annotated[float, above(0, MAX_SIZE)]
+Count = Annotated[int, between(2, MAX_CORNERS)]
+
+
+def _beside(text: str, place: Place) -> str:
+    return str(place.folder / text)
+
+
+Files = Annotated[str, Converted(Name, _beside)]
+"""A folder or a pattern of files, relative to the folder of the file."""
+
+
+@record
+class SensorDescription:
+    """A camera: where its images are, and where it is mounted."""
+
+    name: str
+    images: Files | None = field(
+        "Folder of its images, or a pattern such as left/*.png; without it those that samples name.", default=None
+    )
+    intrinsics: Path | None = field(
+        "File with its intrinsics: ROS's camera_info, Kalibr's camchain, OpenCV's FileStorage, robot_cal_tools'. "
+        "Without one they are calibrated, from a start that the corners give.",
+        default=None,
+    )
+    camera: Name | None = field("Its name in that file, where that has several: cam0.", default=None)
+    parent: Name | None = field(
+        "Frame that it is mounted on; its pose relative to this one is calibrated (the world).", default=None
+    )
+    frame: Name | None = field("Frame of its images, z forward (its name and _optical_frame).", default=None)
+
+    @property
+    def link(self) -> str:
+        """The frame of its images."""
+        return self.frame or f"{self.name}_optical_frame"
+
+
+@record(rules=(exactly_one("target", "type"),))
+class PatternDescription:
+    """A pattern, as it is printed and as it is mounted."""
+
+    name: str
+    target: Path | None = field("File that describes it: Kalibr's target YAML, or robot_cal_tools'.", default=None)
+    type: PatternKind | None = field("Its kind.", default=None)
+    columns: Count | None = field("Corners inside, along a row: squares less one.", default=None)
+    rows: Count | None = field("Corners inside, along a column.", default=None)
+    square: Size | None = field("Side of a square, m.", default=None)
+    marker: Size | None = field("Side of a marker of a charuco board, m.", default=None)
+    dictionary: Name | None = field("Dictionary of its markers: DICT_5X5_100.", default=None)
+    border: Annotated[float, between(0, MAX_SIZE)] = field(
+        "What the board has around the squares, m; for LiDARs and depth cameras.", default=0.0
+    )
+    parent: Name | None = field(
+        "Frame that it is mounted on (the world); on any other it is fixed, and its pose there calibrated.",
+        default=None,
+    )
+    fixed: bool | None = field("Whether it has one pose there, or one in each collection.", default=None)
+    frame: Name | None = field("Its own frame (its name and _link).", default=None)
+
+    def __post_init__(self) -> None:
+        """Refuse a pattern of which something is missing.
+
+        Raises:
+            Misfit: names what it lacks.
+        """
+        needed = ("columns", "rows", "square", *(("marker", "dictionary") if self.type == "charuco" else ()))
+        missing = [key for key in needed if getattr(self, key) is None]
+        if self.type is not None and missing:
+            raise Misfit(f"missing key '{missing[0]}' of a {self.type} board")
+        if self.marker is not None and self.square is not None and self.marker >= self.square:
+            raise Misfit(f"found {self.marker:g}, expected less than the square, {self.square:g}", "marker")
+
+
+@record
+class Samples:
+    """Poses of a robot arm, one for each image, or for each pose of the pattern."""
+
+    file: Path = field(
+        "A list of images and poses (robot_cal_tools), a CSV with x, y, z, qx, qy, qz, qw and image, or the "
+        "samples of easy_handeye2 or MoveIt.",
+    )
+    base: Name = field("Frame that the poses are relative to.", default="base_link")
+    tool: Name = field("Frame whose poses they are: the flange.", default="tool0")
+
+
+@record
+class ImportDescription:
+    """What was recorded, and what is calibrated with it."""
+
+    sensors: Annotated[tuple[SensorDescription, ...], ByName()] = field("By their names.")
+    patterns: Annotated[tuple[PatternDescription, ...], ByName()] = field("By their names.")
+    robot: Name | None = field("Name of the robot (of the folder of this file).", default=None)
+    world: Name = field("The frame that all others hang on.", default="world")
+    pairs: Literal["name", "number"] | Path | None = field(
+        "What tells which images belong together: their names, the last numbers in them, or a CSV with a column "
+        "for each sensor (name, else number).",
+        default=None,
+    )
+    samples: Samples | None = field("Poses of a robot arm.", default=None)
+    anchored: Name | None = field(
+        "The sensor that stays where it is (the first, where only patterns move).", default=None
+    )
+
+    def __post_init__(self) -> None:
+        """Refuse what does not go together.
+
+        Raises:
+            Misfit: says what.
+        """
+        names = [sensor.name for sensor in self.sensors]
+        if self.anchored is not None and self.anchored not in names:
+            raise Misfit(f"found '{self.anchored}', expected a sensor: {', '.join(names)}", "anchored")
+        without = [sensor.name for sensor in self.sensors if sensor.images is None]
+        if without and (self.samples is None or len(self.sensors) > 1):
+            raise Misfit(f"sensors: '{without[0]}': missing key 'images', a folder or a pattern of files")

@@ -1,0 +1,124 @@
+"""The document of an imported dataset: ATOM's ``dataset.json``, version 3.0."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from calibration.dataset.configuration import Configuration, SensorConfiguration
+from calibration.dataset.edges import transform_documents
+from calibration.dataset.model import Edge
+from calibration.dataset.pattern import pattern_document
+from calibration.dataset.sensors import camera_document
+from calibration.geometry.cameras import Camera
+from calibration.geometry.frames import FrameTree
+from calibration.geometry.types import Array
+from calibration.importing.looking import FoundCorners, LabelledMoment
+
+ESTIMATED = "estimated_intrinsics"
+"""Key of ``_metadata``: the cameras whose intrinsics are a start from the corners."""
+ROUGH = "rough_transforms"
+"""Key of ``_metadata``: whether the calibrated transforms in the dataset are no statement, only a start."""
+USER = "calibration-ci"
+
+
+@dataclass(frozen=True, eq=False)
+class Imported:
+    """All that a dataset is made of."""
+
+    robot: str
+    configuration: Configuration
+    cameras: Mapping[str, Camera]
+    estimated: tuple[str, ...]
+    """The cameras whose intrinsics are a start from the corners."""
+    moments: Sequence[LabelledMoment]
+    transforms: Mapping[Edge, Array]
+    """(N, 4, 4): of the moments."""
+
+    @property
+    def keys(self) -> list[str]:
+        """Of the collections, such as "000"."""
+        return [f"{number:03d}" for number in range(len(self.moments))]
+
+
+def data_file(sensor: str, key: str, source: str) -> str:
+    """The name that an image has beside the dataset."""
+    return f"{sensor.replace('/', '_')}_{key}{Path(source).suffix.lower()}"
+
+
+def dataset_document(of: Imported) -> dict[str, Any]:
+    """The content of ``dataset.json``."""
+    configuration = of.configuration
+    rows = {edge: transform_documents(edge, T) for edge, T in of.transforms.items()}
+    return {
+        "_metadata": {
+            "dataset_name": of.robot,
+            "package_name": "",
+            "robot_name": of.robot,
+            "user": USER,
+            "version": "3.0",
+            ESTIMATED: list(of.estimated),
+            ROUGH: True,
+        },
+        "additional_sensor_data": {},
+        "calibration_config": configuration.to_document(),
+        "sensors": {name: _sensor(of, sensor) for name, sensor in configuration.sensors.items()},
+        "patterns": {name: pattern_document(p.pattern(), {}) for name, p in configuration.patterns.items()},
+        "collections": {
+            key: {
+                "additional_data": {},
+                "data": {
+                    name: _message(of, name, data_file(name, key, view.file)) for name, view in moment.views.items()
+                },
+                "joints": {},
+                "labels": {
+                    pattern: {name: _label(view.found[pattern]) for name, view in moment.views.items()}
+                    for pattern in configuration.patterns
+                },
+                "transforms": {"-".join(edge): documents[number] for edge, documents in rows.items()},
+            }
+            for number, (key, moment) in enumerate(zip(of.keys, of.moments, strict=True))
+        },
+    }
+
+
+def _label(found: FoundCorners) -> dict[str, Any]:
+    places = zip(found.pixels[::2], found.pixels[1::2], strict=True)
+    rows = [{"id": i, "x": x, "y": y} for i, (x, y) in zip(found.ids, places, strict=True)]
+    return {"detected": bool(rows), "idxs": rows}
+
+
+def _message(of: Imported, sensor: str, file: str) -> dict[str, Any]:
+    camera = of.cameras[sensor]
+    return {
+        "data_file": file,
+        "encoding": "bgr8",
+        "header": {"frame_id": of.configuration.sensors[sensor].link, "seq": 0, "stamp": {"nsecs": 0, "secs": 0}},
+        "height": camera.height,
+        "is_bigendian": 0,
+        "step": 3 * camera.width,
+        "width": camera.width,
+    }
+
+
+def _sensor(of: Imported, sensor: SensorConfiguration) -> dict[str, Any]:
+    steps = FrameTree(of.transforms).path(of.configuration.world_link, sensor.link)
+    return {
+        "_name": sensor.name,
+        "calibration_child": sensor.child_link,
+        "calibration_parent": sensor.parent_link,
+        "camera_info": {
+            **camera_document(of.cameras[sensor.name]),
+            "R": np.eye(3).ravel().tolist(),
+            "binning_x": 0,
+            "binning_y": 0,
+        },
+        "camera_info_topic": "",
+        "chain": [{"parent": s.parent, "child": s.child, "key": f"{s.parent}-{s.child}"} for s in steps],
+        "modality": sensor.modality,
+        "msg_type": "Image",
+        "parent": sensor.link,
+        "topic": sensor.topic_name,
+    }

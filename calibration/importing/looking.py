@@ -1,0 +1,121 @@
+"""What a camera's images show of the patterns."""
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from calibration.dataset.model import CornerLabels
+from calibration.errors import InputError
+from calibration.files import read_bytes
+from calibration.labelling.detection import CornerDetector, Image
+from calibration.records import field, result
+
+MAX_BYTES = 500_000_000
+"""Of the file of one image."""
+MAX_PIXELS = 200_000_000
+"""Of one image."""
+
+
+@result
+class FoundCorners:
+    """Corners of one pattern in one image; none where it is not detected."""
+
+    ids: tuple[int, ...] = field("Of the corners.")
+    pixels: tuple[float, ...] = field("x and y of each corner, one after the other.", unit="px")
+    reason: str = field("Why the pattern is not detected; empty where it is.", default="")
+
+    @property
+    def labels(self) -> CornerLabels | None:
+        """The corners; None where the pattern is not detected."""
+        if not self.ids:
+            return None
+        return CornerLabels(np.array(self.ids, np.int64), np.array(self.pixels).reshape(-1, 2))
+
+
+@result
+class View:
+    """One image, and the patterns in it."""
+
+    file: str = field("The image.")
+    width: int = field("Of the image.", unit="px")
+    height: int = field("Of the image.", unit="px")
+    digest: str = field("Of its pixels.")
+    found: Mapping[str, FoundCorners] = field("By pattern.")
+
+    @property
+    def labelled(self) -> bool:
+        """Whether a pattern is detected in it."""
+        return any(found.ids for found in self.found.values())
+
+
+@result
+class LabelledMoment:
+    """The images of one moment, and the patterns in them."""
+
+    views: Mapping[str, View] = field("By sensor.")
+
+
+def read_image(path: Path) -> Image:
+    """An image (H, W, 3) of 8 bits, blue first, as its pixels lie in the file: not turned as a viewer would.
+
+    Raises:
+        InputError: the file cannot be read, or is no image.
+    """
+    data = read_bytes(path, MAX_BYTES, "an image")
+    try:
+        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
+    except cv2.error as error:
+        raise InputError(f"{path}: this image cannot be read: {error.err}") from None
+    if image is None or image.size > 3 * MAX_PIXELS:
+        raise InputError(f"{path}: this is no image that can be read, or it is cut off or too large")
+    return np.asarray(image, np.uint8)
+
+
+def look(path: Path, detectors: Mapping[str, CornerDetector]) -> View:
+    """Look for every pattern in an image.
+
+    Raises:
+        InputError: it cannot be read.
+    """
+    image = read_image(path)
+    found = {}
+    for pattern, detector in detectors.items():
+        seen = detector.detect(image)
+        if isinstance(seen, CornerLabels):
+            found[pattern] = FoundCorners(tuple(seen.ids.tolist()), tuple(seen.pixels.ravel().tolist()))
+        else:
+            found[pattern] = FoundCorners((), (), seen.reason)
+    digest = hashlib.sha256(np.ascontiguousarray(image).tobytes()).hexdigest()
+    return View(str(path), image.shape[1], image.shape[0], digest, found)
+
+
+def check_sizes(sensor: str, views: Sequence[View]) -> None:
+    """Refuse images of one camera that are not of one size.
+
+    Raises:
+        InputError: names two of them.
+    """
+    first = views[0]
+    for view in views:
+        if (view.width, view.height) != (first.width, first.height):
+            raise InputError(
+                f"{view.file}: found {view.width} x {view.height} pixels, expected {first.width} x {first.height} as "
+                f"{first.file} has, of the same camera '{sensor}'"
+            )
+
+
+def check_copies(sensor: str, views: Sequence[View]) -> None:
+    """Refuse an image that stands twice: it would count as two.
+
+    Raises:
+        InputError: names both files.
+    """
+    seen: dict[str, View] = {}
+    for view in views:
+        if view.labelled and (other := seen.setdefault(view.digest, view)) is not view:
+            raise InputError(
+                f"{view.file}: found the same pixels as in {other.file} ('{sensor}'): leave one of them out"
+            )

@@ -1,0 +1,170 @@
+"""The files of each camera, and which of them belong together."""
+
+import csv
+import io
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from glob import has_magic
+from pathlib import Path
+from typing import Literal
+
+from calibration.errors import InputError
+from calibration.files import matching, read_bytes
+
+ENDINGS = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm", ".ppm", ".webp")
+"""Of images, in small letters."""
+MOST_IMAGES = 20_000
+"""Of one camera."""
+MAX_CSV = 10_000_000
+_NUMBER = re.compile(r"\d+")
+
+Pairs = Literal["name", "number"] | Path | None
+
+
+@dataclass(frozen=True)
+class Pictures:
+    """The images of one camera."""
+
+    sensor: str
+    place: str
+    """The folder, or the pattern of files, for messages."""
+    files: tuple[Path, ...]
+    """In the order of their numbers."""
+
+
+@dataclass(frozen=True)
+class Moment:
+    """Images of one moment."""
+
+    name: str
+    """What they have in common, for messages."""
+    files: Mapping[str, Path]
+    """By sensor."""
+
+
+def find_pictures(sensor: str, place: str) -> Pictures:
+    """The images in a folder, or those that a pattern of files names.
+
+    Raises:
+        InputError: there are none, or too many.
+    """
+    if has_magic(place) and not Path(place).exists():
+        found = [Path(name) for name in matching([place])]
+    elif Path(place).is_dir():
+        found = [path for path in Path(place).iterdir() if path.is_file()]
+    else:
+        raise InputError(f"{place}: found no such folder, expected the images of '{sensor}'")
+    files = [path for path in found if path.suffix.lower() in ENDINGS]
+    if not files:
+        raise InputError(f"{place}: found no image of '{sensor}', expected files that end in {', '.join(ENDINGS)}")
+    if len(files) > MOST_IMAGES:
+        raise InputError(f"{place}: found {len(files)} images of '{sensor}', expected {MOST_IMAGES} at most")
+    return Pictures(sensor, place, tuple(sorted(files, key=_in_order)))
+
+
+def moments_of(pictures: Sequence[Pictures], pairs: Pairs = None) -> list[Moment]:
+    """The images that belong together, in the order of the first camera's; one may lack those of some cameras.
+
+    Args:
+        pictures: of each camera.
+        pairs: what tells it: their names, their last numbers, or a CSV file; names where two cameras have one in
+            common, else numbers.
+
+    Raises:
+        InputError: the images of two cameras have nothing in common, one stands for two moments, or the CSV is wrong.
+    """
+    if isinstance(pairs, Path):
+        return _by_table(pictures, pairs)
+    if pairs == "name" or len(pictures) == 1:
+        return _together(pictures, [_names(each) for each in pictures], "name")
+    if pairs is None:
+        named = [_names(each) for each in pictures]
+        if any(set(one) & set(other) for i, one in enumerate(named) for other in named[:i]):
+            return _together(pictures, named, "name")
+    return _together(pictures, [_numbers(each) for each in pictures], "number")
+
+
+def _in_order(path: Path) -> tuple[list[int], str]:
+    return [int(number) for number in _NUMBER.findall(path.stem)[-1:]], path.name
+
+
+def _names(pictures: Pictures) -> dict[str, Path]:
+    """The images by their names without the ending and the sensor's own name."""
+    found: dict[str, Path] = {}
+    for path in pictures.files:
+        name = path.stem.replace(pictures.sensor, "").strip("_-. ") or path.stem
+        if (other := found.setdefault(name, path)) is not path:
+            raise _ambiguous(pictures, other, path, f"the name '{name}'")
+    return found
+
+
+def _numbers(pictures: Pictures) -> dict[str, Path]:
+    """The images by the last numbers in their names."""
+    found: dict[str, Path] = {}
+    for path in pictures.files:
+        numbers = _NUMBER.findall(path.stem)
+        if not numbers:
+            raise InputError(
+                f"{path}: found no number in its name, expected one that tells which images belong together; or give "
+                "a CSV file: pairs"
+            )
+        if (other := found.setdefault(str(int(numbers[-1])), path)) is not path:
+            raise _ambiguous(pictures, other, path, f"the number {int(numbers[-1])}")
+    return found
+
+
+def _ambiguous(pictures: Pictures, one: Path, other: Path, what: str) -> InputError:
+    return InputError(
+        f"{pictures.place}: found {what} in {one.name} and {other.name}, expected each once to tell which images "
+        "belong together; give a CSV file: pairs"
+    )
+
+
+def _together(pictures: Sequence[Pictures], keyed: Sequence[Mapping[str, Path]], by: str) -> list[Moment]:
+    for each, own in zip(pictures[1:], keyed[1:], strict=True):
+        if not any(set(own) & set(others) for others in keyed if others is not own):
+            one, other = pictures[0], each
+            raise InputError(
+                f"{other.place}: no image of '{other.sensor}' belongs to one of '{one.sensor}' by its {by} (such as "
+                f"{other.files[0].name} and {one.files[0].name}); give a CSV file: pairs"
+            )
+    keys = dict.fromkeys(key for own in keyed for key in own)
+    return [
+        Moment(key, {p.sensor: own[key] for p, own in zip(pictures, keyed, strict=True) if key in own}) for key in keys
+    ]
+
+
+def _by_table(pictures: Sequence[Pictures], path: Path) -> list[Moment]:
+    """The rows of a CSV file with a column for each sensor; an empty cell where one has no image."""
+    content = read_bytes(path, MAX_CSV, "a CSV file of images")
+    try:
+        rows = list(csv.reader(io.StringIO(content.decode("utf-8-sig")), strict=True))
+    except (csv.Error, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: this is no CSV file: {error}") from None
+    header = [cell.strip() for cell in rows[0]] if rows else []
+    columns = {}
+    for each in pictures:
+        if header.count(each.sensor) != 1:
+            raise InputError(
+                f"{path}: found the columns {', '.join(header) or 'none'}, expected one for each sensor: {each.sensor}"
+            )
+        columns[each.sensor] = header.index(each.sensor), {file.name: file for file in each.files}
+    moments, seen = [], set[Path]()
+    for line, row in enumerate(rows[1:], 2):
+        files = {}
+        for sensor, (column, known) in columns.items():
+            cell = row[column].strip() if column < len(row) else ""
+            if not cell:
+                continue
+            if (file := known.get(Path(cell).name)) is None:
+                raise InputError(f"{path}:{line}: found '{cell}', expected an image of '{sensor}'")
+            if file in seen:
+                raise InputError(f"{path}:{line}: found '{cell}' again, expected every image in one row")
+            seen.add(file)
+            files[sensor] = file
+        if files:
+            moments.append(Moment(f"{path.name}:{line}", files))
+    if not moments:
+        raise InputError(f"{path}: found no row with images, expected one for each moment")
+    return moments

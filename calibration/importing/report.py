@@ -1,0 +1,37 @@
+"""What an import has to say."""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from calibration.importing.results import ImportResults
+from calibration.report import Outcome, Report, Table, count_of
+
+TITLE = "import-data"
+
+
+def report(results: ImportResults, folder: Path) -> Report:
+    """Return the report of ``import-data``."""
+    found: Mapping[str, int] = {name: each.labelled for name, each in results.sensors.items()}
+    estimated = [name for name, each in results.sensors.items() if each.intrinsics == "estimated"]
+    rejected = tuple((name, view.file, view.reason) for name, each in results.sensors.items() for view in each.rejected)
+    return Report(
+        title=TITLE,
+        verdict="pass",
+        sentence=f"{count_of(results.collections, 'collection')} of {count_of(results.moments, 'moment')} in {folder}",
+        results=results,
+        outputs={"dataset": folder, "collections": results.collections, "labelled": found},
+        notes=tuple(
+            f"'{name}' has intrinsics from its corners only: calibrate them too (intrinsics)" for name in estimated
+        ),
+        blocks=(
+            Table(
+                ("sensor", "images", "labelled", "corners", "intrinsics"),
+                tuple(
+                    (name, str(each.images), str(each.labelled), str(each.corners), each.intrinsics)
+                    for name, each in results.sensors.items()
+                ),
+            ),
+            Table(("sensor", "image", "why no pattern"), rejected, title="Images without a pattern", folded=True),
+        ),
+        suites={TITLE: [Outcome(name=name) for name in results.sensors]},
+    )

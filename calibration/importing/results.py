@@ -1,0 +1,37 @@
+"""``results.json`` of ``import-data``."""
+
+from collections.abc import Mapping
+from typing import Literal
+
+from calibration.records import field, result
+
+
+@result
+class RejectedView:
+    """An image in which no pattern is detected."""
+
+    file: str = field("The image.")
+    reason: str = field("Why.")
+
+
+@result
+class SensorResult:
+    """What came of the images of one camera."""
+
+    images: int = field("How many there are.")
+    labelled: int = field("How many show a pattern.")
+    corners: int = field("How many were found in all.")
+    intrinsics: Literal["given", "estimated"] = field("Where they come from; estimated ones are a start only.")
+    camera: Mapping[str, float] = field("The intrinsics by their names.")
+    rejected: tuple[RejectedView, ...] = field("Images in which no pattern is detected.", default=())
+
+
+@result
+class ImportResults:
+    """What was imported."""
+
+    robot: str = field("Its name.")
+    moments: int = field("Images that belong together, as they were found.")
+    collections: int = field("Moments with a pattern in them: the collections of the dataset.")
+    together: int = field("Collections in which two sensors or more see a pattern.")
+    sensors: Mapping[str, SensorResult] = field("By name.")

@@ -1,0 +1,92 @@
+"""Patterns as they are printed: from import.yml, Kalibr's target YAML and robot_cal_tools' target."""
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from calibration.dataset.configuration import MAX_CORNERS, MAX_SIZE, MIN_SIZE, PatternConfiguration
+from calibration.dataset.document import Node
+from calibration.importing.description import PatternDescription
+from calibration.yaml_file import read_yaml
+
+EVEN = 1e-6
+"""How far the two sides of a square may differ, relative: patterns here have squares."""
+
+
+def pattern_configuration(described: PatternDescription, world: str) -> PatternConfiguration:
+    """The pattern that an entry of import.yml describes, itself or by its ``target``.
+
+    Raises:
+        InputError: the file cannot be read, or describes none that is known here.
+    """
+    parent = described.parent or world
+    printed = _printed(described.target) if described.target else _described(described)
+    return PatternConfiguration(
+        name=described.name,
+        link=described.frame or f"{described.name}_link",
+        parent_link=parent,
+        fixed=parent != world if described.fixed is None else described.fixed,
+        border_size=(described.border, described.border),
+        **printed,
+    )
+
+
+def _described(pattern: PatternDescription) -> dict[str, Any]:
+    return {
+        "kind": pattern.type,
+        "dimension": (pattern.columns, pattern.rows),
+        "size": pattern.square,
+        "inner_size": pattern.marker,
+        "dictionary": pattern.dictionary,
+    }
+
+
+def _printed(path: Path) -> dict[str, Any]:
+    root = Node(path, (), read_yaml(path, "the description of a pattern"))
+    if finder := root.get("target_finder"):
+        return _by_type(finder, "type", ROBOT_CAL_TOOLS)
+    return _by_type(root, "target_type", KALIBR)
+
+
+def _by_type(node: Node, key: str, kinds: Mapping[str, Callable[[Node], dict[str, Any]]]) -> dict[str, Any]:
+    kind = node[key]
+    if kind.text() not in kinds:
+        raise kind.unexpected(f"one of {', '.join(kinds)}")
+    return kinds[kind.value](node)
+
+
+def _count(node: Node, key: str, less: int = 0) -> int:
+    return node[key].whole(2 + less, MAX_CORNERS) - less
+
+
+def _size(node: Node, key: str) -> float:
+    return node[key].within(MIN_SIZE, MAX_SIZE)
+
+
+def _kalibr_chessboard(node: Node) -> dict[str, Any]:
+    width, height = _size(node, "colSpacingMeters"), _size(node, "rowSpacingMeters")
+    if abs(width - height) > EVEN * width:
+        raise node["rowSpacingMeters"].unexpected(f"{width:g} as colSpacingMeters: squares")
+    columns, rows = _count(node, "targetCols"), _count(node, "targetRows")
+    return {"kind": "chessboard", "dimension": (columns, rows), "size": width}
+
+
+def _charuco(node: Node) -> dict[str, Any]:
+    number = node["dictionary"].whole(0, len(DICTIONARIES) - 1)
+    size, marker = _size(node, "chessboard_dim"), node["aruco_marker_dim"]
+    if marker.within(MIN_SIZE, MAX_SIZE) >= size:
+        raise marker.unexpected(f"less than chessboard_dim, {size:g}")
+    return {
+        "kind": "charuco",
+        "dimension": (_count(node, "cols", 1), _count(node, "rows", 1)),  # of squares there
+        "size": size,
+        "inner_size": marker.number(),
+        "dictionary": DICTIONARIES[number],
+    }
+
+
+DICTIONARIES = tuple(f"DICT_{bits}X{bits}_{count}" for bits in (4, 5, 6, 7) for count in (50, 100, 250, 1000))
+"""By OpenCV's numbers."""
+KALIBR = {"checkerboard": _kalibr_chessboard}
+"""Its kinds of targets; ``targetCols`` and ``targetRows`` count the corners inside."""
+ROBOT_CAL_TOOLS = {f"rct_ros_tools::{name}": _charuco for name in ("CharucoGridTargetFinderPlugin",)}
