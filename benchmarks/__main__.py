@@ -36,6 +36,7 @@ MODULES = {
     "collection": "whole collections in simulation, and how near the truth they calibrate",
     "scenarios": "many worlds",
     "verdict": "planted defects that a run without a truth finds and names, false alarms, error bars",
+    "baseline": "the accepted baseline: false alarms and moves between two recordings, changes in histories",
     "action_start": "how soon an action begins its work",
     "containers": "jobs in containers: many at once, and what one costs over docker run",
     "cloud": "ten thousand jobs on AWS Batch: calls, memory and time for each",

@@ -81,6 +81,24 @@ def _system(name: str) -> System:
     return read_system(entries()[name].dataset)
 
 
+def recording(system: str, robot: int, seed: int, moved: Mapping[str, Array] | None = None) -> Scene:
+    """A good robot's recording: lenses, assembly, camera_info and board are the robot's, motion and noise its own.
+
+    Args:
+        system: of which it is one.
+        robot: its seed.
+        seed: of the recording.
+        moved: twists (6,) of sensors in their frames, since the robot was built.
+    """
+    rng = generator("recording", system, robot, seed)
+    scene = _exact(system, seed, generator("robot", system, robot))
+    for sensor, twist in (moved or {}).items():
+        edge = scene.world.sensors[sensor].edge
+        world = scene.world.with_transforms({edge: retract(scene.world.transforms[edge], twist)})
+        scene = scene.seen_as_in(replace(scene, world=world))
+    return _noisy(_imperfect(scene, rng, generator("held", system, robot)), rng, outliers=True)
+
+
 def _exact(name: str, seed: int, rng: np.random.Generator) -> Scene:
     """Exact labels of a motion, with lenses and an assembly of its own."""
     system = _system(name)
@@ -110,12 +128,13 @@ def _values(system: System, rng: np.random.Generator) -> dict[str, float]:
     return values
 
 
-def _imperfect(scene: Scene, rng: np.random.Generator) -> Scene:
-    """The scene with what every good robot has, the labels without noise."""
+def _imperfect(scene: Scene, rng: np.random.Generator, held: np.random.Generator | None = None) -> Scene:
+    """The scene with what every good robot has, the labels without noise; ``held`` draws what stays of a robot."""
+    held = held or rng
     world, n = scene.world, len(scene.world.collections)
     arm = [edge for edge in moving_edges(scene) if edge not in world.moving_transforms][-1:]
     shaken = {edge: retract(world.transforms[edge], _twists(rng, n, *GOOD_ARM)) for edge in arm}
-    other = replace(scene, world=world.with_transforms(shaken), shape=(*rng.normal(0, GOOD_BOW, 2).tolist(), 0.0))
+    other = replace(scene, world=world.with_transforms(shaken), shape=(*held.normal(0, GOOD_BOW, 2).tolist(), 0.0))
     if not scene.pattern.fixed:
         other = replace(other, seen={s: swayed(other.pose(s), GOOD_SWAY, rng) for s in world.sensors})
     imperfect = replace(scene.seen_as_in(other), world=world, seen={}, shape=other.shape)
@@ -123,8 +142,8 @@ def _imperfect(scene: Scene, rng: np.random.Generator) -> Scene:
     for name in scene.cameras:
         camera = imperfect.told.sensors[name].camera
         assert camera
-        focal = 1 + rng.normal(0, GOOD_FOCAL)
-        cx, cy = rng.normal(0, GOOD_CENTRE, 2).tolist()
+        focal = 1 + held.normal(0, GOOD_FOCAL)
+        cx, cy = held.normal(0, GOOD_CENTRE, 2).tolist()
         cameras[name] = replace(
             camera, fx=camera.fx * focal, fy=camera.fy * focal, cx=camera.cx + cx, cy=camera.cy + cy
         )

@@ -17,21 +17,29 @@ from calibration.geometry.types import Array, IntArray
 NORMAL = 1.4826
 """The standard deviation of normal numbers over their median absolute deviation."""
 FEWEST = 4
-"""With fewer values there is no trend, and no noise to be estimated."""
+"""With fewer values there is no trend."""
+MANY = 12
+"""From so many values on their differences tell their noise."""
+LEAST = 0.02
+"""Of the noise that is stated there is at least this part."""
 
 
 def noise_of(values: Array, stated: Array) -> Array:
-    """The standard deviation of each column of a series, from its differences, at most what is stated of it.
+    """The standard deviation of each column of a series, from its differences; what is stated of it where they are few.
+
+    It is the larger of two halves', so that a series that becomes noisier does not seem to jump.
 
     Args:
         values: (n, d).
         stated: (d,), positive.
     """
-    if len(values) < FEWEST:
+    if len(values) < MANY:
         return stated
     steps = np.diff(values, axis=0)
-    found = NORMAL * np.median(np.abs(steps - np.median(steps, axis=0)), axis=0) / math.sqrt(2)
-    return np.clip(found, 0.02 * stated, stated)
+    halves = np.array_split(steps, 2)
+    deviations = [np.median(np.abs(half - np.median(half, axis=0)), axis=0) for half in halves]
+    noise: Array = np.maximum(NORMAL * np.max(deviations, axis=0) / math.sqrt(2), LEAST * stated)
+    return noise
 
 
 def change_points(values: Array, noise: Array) -> list[int]:

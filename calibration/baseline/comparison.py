@@ -1,8 +1,9 @@
 """How far two calibrations of one robot lie apart.
 
-The difference d of two poses, a twist in the child frame of the first, has the covariance ``C = C_1 + C_2`` where the
-data are others, and ``d^T C^-1 d`` is chi-squared with 6 degrees of freedom where nothing has moved. On the same data
-the result is deterministic, and no noise excuses a difference.
+The difference d of two poses, a twist in the child frame of the first, has the covariance
+``C = C_1 + C_2 - sum (m_1 m_2^T + m_2 m_1^T)`` where the data are others, with the moves m of what both hold: its error
+is the same in both, and moves both results alike. Then ``d^T C^-1 d`` is chi-squared with 6 degrees of freedom where
+nothing has moved. On the same data the result is deterministic, and no noise excuses a difference.
 """
 
 import math
@@ -91,7 +92,7 @@ def _unmatched(before: Set[str], now: Set[str]) -> Iterator[Change]:
 
 def _pose_change(before: Pose, now: Pose, same: bool, threshold: float) -> Change:
     d = local(before.matrix, now.matrix)
-    C = _covariance(before, now, same)
+    C = _label_covariance(before) if same else covariance_of_difference(before, now)
     chi_squared, worst = (0.0, 0.0) if C is None else _chi_squared(d, C)
     sizes = (0.0, 0.0) if C is None else _norms(np.sqrt(np.diagonal(C)))
     if C is None and np.abs(d).max() > 0:
@@ -134,17 +135,24 @@ def _parameter_change(before: Parameter, now: Parameter, same: bool) -> Change:
     )
 
 
-def _covariance(before: Pose, now: Pose, same: bool) -> Array | None:
-    """(6, 6) of the difference: of both where the data differ; on the same data that by the labels' noise alone."""
-    C = before.covariance
-    if same and C is not None and before.label_sigma_mm is not None and before.label_sigma_deg is not None:
-        scale = np.repeat([before.label_sigma_mm, before.label_sigma_deg], 3)
-        scale = scale / np.repeat(np.maximum(_norms(np.sqrt(np.diagonal(C))), 1e-300), 3)
-        return C * np.outer(scale, scale)
-    if same:
+def _label_covariance(pose: Pose) -> Array | None:
+    """(6, 6) by the labels' noise alone, as far as a pose tells it; None where it was held."""
+    C = pose.covariance
+    if C is None or pose.label_sigma_mm is None or pose.label_sigma_deg is None:
         return C
-    parts = [each for each in (C, now.covariance) if each is not None]
-    return np.sum(parts, axis=0) if parts else None
+    scale = np.repeat([pose.label_sigma_mm, pose.label_sigma_deg], 3)
+    scale = scale / np.repeat(np.maximum(_norms(np.sqrt(np.diagonal(C))), 1e-300), 3)
+    return C * np.outer(scale, scale)
+
+
+def covariance_of_difference(before: Pose, now: Pose) -> Array | None:
+    """(6, 6) of the difference of two poses from different data; None where both were held."""
+    parts = [each for each in (before.covariance, now.covariance) if each is not None]
+    if not parts:
+        return None
+    alike = [before.moves(name).T @ now.moves(name) for name in before.held.keys() & now.held.keys()]
+    difference: Array = np.sum([*parts, *(-each - each.T for each in alike)], axis=0)
+    return difference
 
 
 def _chi_squared(d: Array, C: Array) -> tuple[float, float]:

@@ -16,7 +16,7 @@ LARGEST = 32_000_000
 """Bytes of the largest baseline that is read: a thousand systems of many sensors."""
 CONFLICT = b"<<<<<<<"
 WIDTH = 100
-"""A list or a mapping without others in it that fits so many characters stands in one line."""
+"""Characters of a line that a short list or mapping may take."""
 
 
 @record
@@ -86,17 +86,18 @@ def baseline_text(baseline: Baseline) -> str:
 
 def _text(value: Any, indent: str) -> str:
     line = json.dumps(value, ensure_ascii=False, allow_nan=False)
-    if not isinstance(value, dict | list) or (len(line) <= WIDTH and not _nested(value)) or not value:
+    if not value or not isinstance(value, dict | list) or _fits(value, line):
         return line
     inner = indent + "  "
     if isinstance(value, dict):
         lines = [f"{json.dumps(key, ensure_ascii=False)}: {_text(each, inner)}" for key, each in value.items()]
         return "{\n" + ",\n".join(inner + each for each in lines) + f"\n{indent}}}"
-    if not _nested(value):
-        return line
     return "[\n" + ",\n".join(inner + _text(each, inner) for each in value) + f"\n{indent}]"
 
 
-def _nested(value: Any) -> bool:
-    children = value.values() if isinstance(value, dict) else value
-    return any(isinstance(each, dict | list) for each in children)
+def _fits(value: Any, line: str) -> bool:
+    """Whether a value stands in one line: numbers and names of any length, lists of lists and mappings if short."""
+    children = list(value.values()) if isinstance(value, dict) else value
+    if not any(isinstance(each, dict | list) for each in children):
+        return isinstance(value, list) or len(line) <= WIDTH
+    return isinstance(value, list) and len(line) <= WIDTH and not any(isinstance(each, dict) for each in children)

@@ -3,11 +3,13 @@
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
 from calibration.baseline.change_points import change_points, creeps, noise_of
+from calibration.baseline.comparison import covariance_of_difference
 from calibration.baseline.document import LARGEST, VERSION, parse_baseline
 from calibration.baseline.snapshot import Pose, Snapshot
 from calibration.errors import InputError
@@ -151,8 +153,7 @@ def _trends(system: str, accepted: Sequence[Accepted]) -> Iterator[Trend]:
 def _of_pose(system: str, name: str, entries: Sequence[tuple[Commit, Snapshot, Pose]]) -> Trend:
     first = entries[0][2].matrix
     moved = local(first, np.stack([pose.matrix for _, _, pose in entries]))
-    stated = [np.sqrt(np.diagonal(C)) for _, _, pose in entries if (C := pose.covariance) is not None]
-    noise = np.maximum(noise_of(moved, np.maximum(np.median(stated, axis=0), LEAST) if stated else LEAST), LEAST)
+    noise = np.maximum(noise_of(moved, _stated([pose for _, _, pose in entries])), LEAST)
     at = change_points(moved, noise)
     crept = None
     if creeps(moved, noise, at):
@@ -175,6 +176,13 @@ def _of_pose(system: str, name: str, entries: Sequence[tuple[Commit, Snapshot, P
         steps=steps,
         crept_mm=crept,
     )
+
+
+def _stated(poses: Sequence[Pose]) -> Array:
+    """(6,): the standard deviation of a pose among others of the same robot, by their error bars."""
+    found = [covariance_of_difference(*pair) for pair in pairwise(poses)]
+    sigmas = [np.sqrt(np.maximum(np.diagonal(C), 0.0) / 2) for C in found if C is not None]
+    return np.maximum(np.median(sigmas, axis=0), LEAST) if sigmas else LEAST
 
 
 def _step(levels: Sequence[Array], k: int) -> Array:

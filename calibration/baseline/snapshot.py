@@ -13,37 +13,51 @@ from calibration.estimation.intrinsics import CalibratedIntrinsics
 from calibration.estimation.noise_levels import NoiseLevels
 from calibration.estimation.result import CalibratedJoint, Calibration
 from calibration.geometry.rotations import to_rpy
-from calibration.geometry.transforms import from_xyz_rpy, inverse
+from calibration.geometry.transforms import adjoint, from_xyz_rpy, inverse, translation
 from calibration.geometry.types import Array
-from calibration.records import Misfit, at_least, between, field, length, matching, record
+from calibration.records import Misfit, at_least, between, computed, field, length, matching, record
 
 Number = Annotated[float, between(-1e9, 1e9)]
 Positive = Annotated[float, between(0, 1e9)]
 Three = Annotated[tuple[Number, ...], length(3, 3)]
 Sigmas = Annotated[tuple[Positive, ...], length(3, 3)]
+Six = Annotated[tuple[Number, ...], length(6, 6)]
 Count = Annotated[int, at_least(0)]
 Name = Annotated[str, length(1, 500)]
 CELLS = 4
 """The image's coverage counts cells of a grid of so many by so many."""
+NEGLIGIBLE = 1e-3
+"""Part of a variance that is not told apart."""
 DEFINITE = -1e-4
 """The smallest eigenvalue of correlations, below which no rounding has made it."""
 
 
 @record
 class Pose:
-    """Calibrated transform. Its error bar is that of a twist, translation and rotation in the child frame."""
+    """Calibrated transform. Its error bar is that of a twist, translation and rotation in the child frame.
+
+    What is held and not exactly known (intrinsics, the board, an arm) errs alike in every recording of a robot, so that
+    it is told apart: ``C = C_own + sum m m^T`` over the moves m of `held`.
+    """
 
     parent: Name = field("The parent frame.")
     child: Name = field("The child frame.")
     xyz_mm: Three = field("Translation.", unit="mm")
     rpy_deg: Three = field("Rotation as roll, pitch and yaw.", unit="degrees")
     sensor: Name | None = field("The sensor that it places, where it is one's.", default=None)
-    sigma_mm: Sigmas | None = field(
-        "Standard deviations of the translation, in all; absent where it was held.", unit="mm", default=None
+    own_mm: Sigmas | None = field(
+        "Standard deviations of the translation, but for what is held; absent where it was held itself.",
+        unit="mm",
+        default=None,
     )
-    sigma_deg: Sigmas | None = field("Standard deviations of the rotation, in all.", unit="degrees", default=None)
+    own_deg: Sigmas | None = field("The same of the rotation.", unit="degrees", default=None)
     correlations: tuple[Annotated[float, between(-1, 1)], ...] | None = field(
         "Of these six, below the diagonal, row by row.", default=None
+    )
+    held: Mapping[str, tuple[Six, ...]] = field(
+        "By what an error of one standard deviation of what is held moves it, mm and degrees: the same error in "
+        "every recording of this robot.",
+        default_factory=dict,
     )
     label_sigma_mm: Positive | None = field(
         "Standard deviation of the translation by the labels' noise alone, the norm of three axes.",
@@ -58,9 +72,9 @@ class Pose:
         Raises:
             Misfit: they are not 15, or some combination of the six would have a negative variance.
         """
-        parts = (self.sigma_mm, self.sigma_deg, self.correlations)
+        parts = (self.own_mm, self.own_deg, self.correlations)
         if any(part is None for part in parts) != all(part is None for part in parts):
-            raise Misfit("expected sigma-mm, sigma-deg and correlations, or none of them")
+            raise Misfit("expected own-mm, own-deg and correlations, or none of them")
         if self.correlations is not None:
             if len(self.correlations) != 15:
                 raise Misfit(f"found {len(self.correlations)} numbers, expected 15", "correlations")
@@ -84,11 +98,30 @@ class Pose:
 
     @property
     def covariance(self) -> Array | None:
-        """(6, 6), m and rad; None where it was held."""
-        if self.sigma_mm is None or self.sigma_deg is None:
+        """(6, 6), m and rad, in all; None where it was held."""
+        if self.own_mm is None or self.own_deg is None:
             return None
-        sigmas = np.concatenate([1e-3 * np.array(self.sigma_mm), np.radians(self.sigma_deg)])
-        return self._correlation * np.outer(sigmas, sigmas)
+        sigmas = np.concatenate([1e-3 * np.array(self.own_mm), np.radians(self.own_deg)])
+        moves = [each for name in self.held for each in self.moves(name)]
+        covariance: Array = self._correlation * np.outer(sigmas, sigmas)
+        return covariance + sum(np.outer(each, each) for each in moves)
+
+    def moves(self, held: str) -> Array:
+        """(k, 6): what one standard deviation of something held moves it by, m and rad."""
+        moves: Array = np.array(self.held[held]) * np.array([1e-3] * 3 + [np.pi / 180] * 3)
+        return moves
+
+    @property
+    @computed("sigma-mm")
+    def sigma_mm(self) -> tuple[float, ...] | None:
+        """Standard deviations of the translation, in all."""
+        return None if self.covariance is None else _digits(1e3 * np.sqrt(np.diagonal(self.covariance)[:3]), 4)
+
+    @property
+    @computed("sigma-deg")
+    def sigma_deg(self) -> tuple[float, ...] | None:
+        """Standard deviations of the rotation, in all."""
+        return None if self.covariance is None else _digits(np.degrees(np.sqrt(np.diagonal(self.covariance)[3:])), 4)
 
     @property
     def norm_mm(self) -> float:
@@ -243,19 +276,41 @@ def _pose(calibration: Calibration, edge: Edge, T: Array, sensor: str | None) ->
     xyz, rpy = _rounded(1e3 * T[:3, 3], 6), _rounded(np.degrees(to_rpy(T[:3, :3])), 9)
     if C is None:
         return Pose(*edge, xyz, rpy, sensor)
-    sigmas = np.sqrt(np.diagonal(C))
-    correlation = C / np.outer(sigmas, sigmas)
+    held = {name: rows for name, moves in _moved_by_held(calibration, edge).items() if (rows := _relevant(moves, C))}
+    own = C - sum((moves @ moves.T for name, moves in _moved_by_held(calibration, edge).items() if name in held), 0 * C)
+    sigmas = np.sqrt(np.maximum(np.diagonal(own), 1e-30))
+    correlation = own / np.outer(sigmas, sigmas)
     return Pose(
         *edge,
         xyz,
         rpy,
         sensor,
-        tuple(_significant(v, 4) for v in 1e3 * sigmas[:3]),
-        tuple(_significant(v, 4) for v in np.degrees(sigmas[3:])),
+        _digits(1e3 * sigmas[:3], 4),
+        _digits(np.degrees(sigmas[3:]), 4),
         _rounded(np.clip(correlation[np.tril_indices(6, -1)], -1, 1), 5),
+        held,
         _significant(calibration.label_sigma_mm(edge), 4),
         _significant(float(np.degrees(1e-3 * calibration.label_sigma_mrad(edge))), 4),
     )
+
+
+def _moved_by_held(calibration: Calibration, edge: Edge) -> dict[str, Array]:
+    """(6, k) of each cause: what its assumed errors move a transform by, m and rad."""
+    setup, bars = calibration.solution.setup, calibration.error_bars
+    at = setup.problem.shared_parameters[setup.block(edge)]
+    frames = {
+        (pattern.parent_link, pattern.link): adjoint(translation(pattern.centre))
+        for pattern in calibration.dataset.patterns.values()
+    }  # of patterns, the engine's frame is their centre
+    to_frame = frames.get(edge, np.eye(6))
+    return {name: to_frame @ moves[at] for name, moves in bars.held.items()} if bars else {}
+
+
+def _relevant(moves: Array, C: Array) -> tuple[tuple[float, ...], ...]:
+    """What is held as the file has it; nothing where it is no part of the error bar to speak of."""
+    if (np.square(moves) < NEGLIGIBLE * np.diagonal(C)[:, None]).all():
+        return ()
+    return tuple(_digits(row, 4) for row in (moves * np.array([1e3] * 3 + [180 / np.pi] * 3)[:, None]).T)
 
 
 def _parameters(calibration: Calibration) -> Iterator[Parameter]:
@@ -295,6 +350,11 @@ def _covered(dataset: Dataset) -> dict[str, float]:
 
 def _rounded(values: Array, digits: int) -> tuple[float, ...]:
     return tuple(round(float(v), digits) + 0.0 for v in values)
+
+
+def _digits(values: Array, digits: int) -> tuple[float, ...]:
+    """So many significant digits, and none below a billionth."""
+    return tuple(round(_significant(float(v), digits), 9) + 0.0 for v in values)
 
 
 def _significant(value: float, digits: int) -> float:

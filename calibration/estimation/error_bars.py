@@ -40,6 +40,8 @@ class ErrorBars:
     """The largest share of what is known of any direction that one cluster of collections alone tells."""
     worth: Mapping[str, float]
     """Of each cause that counts, how far what is assumed of it moves a block, m; what is usual where it is exact."""
+    held: Mapping[str, Array]
+    """(S, k): by what an error of one assumed standard deviation of each cause that counts moves the parameters."""
 
 
 def error_bars(model: LinearModel, blocks: Mapping[int, slice], considered: Array | None = None) -> ErrorBars:
@@ -55,12 +57,14 @@ def error_bars(model: LinearModel, blocks: Mapping[int, slice], considered: Arra
     C = np.linalg.inv(A)
     C = 0.5 * (C + C.T)
     clustered, effective, decisive = _clustered(model, C)
-    worth, considered = {}, np.zeros((S, S)) if considered is None else considered
+    worth, held, considered = {}, {}, np.zeros((S, S)) if considered is None else considered
     for cause, at, typical in zip(model.causes, model.places, model.typical, strict=True):
         if cause.counts:
             moves = -C @ model.total[:S, at]
             moved = moves * np.array(cause.assumed)
             considered = considered + moved @ moved.T
+            if any(cause.assumed):
+                held[cause.name] = moved
             usual = moves * np.array(cause.assumed if any(cause.assumed) else typical)
             worth[cause.name] = max((float(np.linalg.norm(usual[part][:3])) for part in blocks.values()), default=0.0)
     labels, expected, total = {}, {}, {}
@@ -70,7 +74,7 @@ def error_bars(model: LinearModel, blocks: Mapping[int, slice], considered: Arra
         labels[block] = own
         expected[block] = own + considered[at, at]
         total[block] = factor * own + considered[at, at]
-    return ErrorBars(labels, expected, total, effective, decisive, worth)
+    return ErrorBars(labels, expected, total, effective, decisive, worth, held)
 
 
 def _clustered(model: LinearModel, C: Array) -> tuple[Array, float, float]:

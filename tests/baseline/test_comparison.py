@@ -75,3 +75,13 @@ def test_what_both_hold_differs_without_an_error_bar() -> None:
     change = next(each for each in compare(found, other).changes if each.name == left.name)
     assert change.p == 0
     assert change.mm > 0
+
+
+def test_what_both_hold_errs_alike_and_widens_no_difference() -> None:
+    before, now = taken(stereo(1)), taken(stereo(2))
+    [right] = [each for each in before.poses if each.held]
+    [change] = [each for each in compare(before, now).changes if each.name == "right"]
+    assert right.norm_mm > 3 * change.sigma_mm / math.sqrt(2)
+    apart = replace(now, poses=tuple(replace(each, held={}) for each in now.poses))
+    [alone] = [each for each in compare(before, apart).changes if each.name == "right"]
+    assert alone.sigma_mm > 2 * change.sigma_mm
