@@ -1,6 +1,7 @@
 """``plan-matrix``: the pipeline as jobs of a workflow; what the reusable workflow's first job runs."""
 
 import os
+import re
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
@@ -45,6 +46,17 @@ class Settings:
     push: bool = True
     promote: bool = True
     minute_rate: float | None = None
+    artifact_name: str = "calibration"
+
+
+def artifact_name(value: str) -> str:
+    """Read the name that all artifacts of a run begin with; a usage error for one that another run's could begin with.
+
+    The workflow puts a tilde behind it, and asks for NAME~*: no name has one, and none has what a pattern understands.
+    """
+    if not re.fullmatch(r"[A-Za-z0-9._-]{1,100}", value):
+        raise click.BadParameter(f"{value!r}: expected up to 100 letters, digits, dots, dashes and underscores")
+    return value
 
 
 def minute_rate(value: str | float) -> float:
@@ -68,6 +80,7 @@ def minute_rate(value: str | float) -> float:
 @boolean_option("--push", default=True, help="Images may be pushed (yes); not from a fork, which has no secrets.")
 @boolean_option("--promote", default=True, help="An image that passes may get its release tags (yes).")
 @click.option("--minute-rate", type=minute_rate, help="What a minute of a job costs, in your currency: 0.006.")
+@click.option("--artifact-name", type=artifact_name, help="What the names of the artifacts begin with (calibration).")
 def command(**options: Any) -> ExitCode:
     """Plan the jobs of a workflow: one for each system and pair of noises, as the matrix of a GitHub job."""
     own = {each.name: value for each in fields(Settings) if (value := options.get(each.name)) is not None}

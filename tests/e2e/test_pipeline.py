@@ -143,9 +143,31 @@ def test_names_are_no_code(caller: Caller) -> None:
     table = run.tables["Start"]
     assert table[1][1] == "0.0542 px, 0.00227 mm, 0.00026 deg"
     assert [path.name for path in caller.artifacts.iterdir() if path.name != "calibration"] == [
-        "calibration-ri_touchpwned_touchpwned_touchpwned_wbot_0m_0rad"
+        "calibration~ri_touchpwned_touchpwned_touchpwned_wbot_0m_0rad"
     ]
     assert not list(caller.repository.folder.parent.rglob("pwned"))
+
+
+def test_two_calls_keep_apart_what_their_jobs_leave(caller: Caller) -> None:
+    """The name of one begins with that of the other, which gathers after it: a result that it lost is not replaced."""
+    inputs = {"translation-noise": "0", "datasets": "data of robots/riwbot"}
+    caller.write(inputs, {"data of robots/riwbot": DATASETS / "riwbot"})
+    path = caller.repository.folder / ".github" / "workflows" / "push.yml"
+    workflow = yaml.safe_load(path.read_text())
+    first = workflow["jobs"]["robot"]
+    workflow["jobs"]["arm"] = {**first, "with": {**first["with"], "artifact-name": "calibration-arm"}}
+    first["needs"] = "arm"
+    path.write_text(yaml.safe_dump(workflow, sort_keys=False))
+    commit(caller.repository.folder)
+    lost = "riwbot_0m_0rad"
+    run = caller.run("push", "--env", f"LOSE=calibration~{lost}")
+    assert run.code == 1, run.log
+    verdicts = {
+        name: json.loads((caller.artifacts / name / "results.json").read_text())["verdict"]
+        for name in ("calibration", "calibration-arm")
+    }
+    assert verdicts == {"calibration": "fail", "calibration-arm": "pass"}
+    assert (caller.artifacts / f"calibration-arm~{lost}").is_dir()
 
 
 def test_a_plan_that_fails_is_red(caller: Caller) -> None:
@@ -179,8 +201,8 @@ def test_a_pull_request_from_a_fork_by_commit_without_secrets(caller: Caller, sm
     assert collected[1][:2] == ["fresh", "4 of 4 poses"]
     assert run.annotations == []
     kept = {path.name for path in caller.artifacts.iterdir()}
-    assert kept == {"calibration", "calibration-collected-data", "calibration-fresh"}
-    assert not list((caller.artifacts / "calibration-fresh").glob("*/collected"))  # it is in the other artifact
+    assert kept == {"calibration", "calibration~collected-data", "calibration~fresh"}
+    assert not list((caller.artifacts / "calibration~fresh").glob("*/collected"))  # it is in the other artifact
 
 
 def test_this_repositorys_own_pipeline_runs_what_is_checked_out(caller: Caller, tmp_path: Path) -> None:
@@ -250,7 +272,7 @@ def test_unit_tests_alone(still: bool, caller: Caller, tmp_path: Path) -> None:
         any("gather-results::unit-tests: the tests failed: exit code 1" in line for line in run.annotations)
         is not still
     )
-    assert list(caller.artifacts.glob("calibration-unit-tests/unit-tests/results.json"))
+    assert list(caller.artifacts.glob("calibration~unit-tests/unit-tests/results.json"))
 
 
 def test_the_coverage_is_uploaded_by_a_job_in_which_no_test_runs(repository: Repository, tmp_path: Path) -> None:

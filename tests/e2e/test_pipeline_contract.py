@@ -1,14 +1,17 @@
 """Holds the workflows to what GitHub, and the commands that they run, expect of them."""
 
 import re
+from fnmatch import fnmatch
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+import click
 import pytest
 import yaml
 
 from calibration.__main__ import load_command
+from calibration.commands.plan_matrix import artifact_name
 from calibration.errors import InputError
 from calibration.pipeline.distribution.jobs import FILE, SECONDS
 from calibration.pipeline.distribution.plan import Plan
@@ -79,6 +82,26 @@ def test_the_verdict_waits_for_every_job_and_is_never_skipped() -> None:
     for job in JOBS.values():
         assert "continue-on-error" not in job
         assert all("continue-on-error" not in step for step in job["steps"])
+
+
+def test_no_call_gathers_what_another_one_left() -> None:
+    """Whatever their names, of those that plan-matrix takes, and a job's slug are."""
+    steps = [step["with"] for job in JOBS.values() for step in job["steps"] if "artifact@" in step.get("uses", "")]
+    assert len(steps) == 9
+
+    def names(key: str, call: str) -> list[str]:
+        texts = [step[key] for step in steps if key in step]
+        return [
+            re.sub(r"\$\{\{ (.*?) \}\}", lambda found: {"inputs.artifact-name": call}.get(found[1], "a-b"), text)
+            for text in texts
+        ]
+
+    left, patterns = names("name", "calibration-arm"), names("pattern", "calibration")
+    assert [name for name in left for pattern in patterns if fnmatch(name, pattern)] == []
+    assert set(left) & set(names("name", "calibration")) == set()
+    assert len([name for name in names("name", "calibration") if fnmatch(name, patterns[-1])]) == len(left) - 1
+    with pytest.raises(click.BadParameter, match="expected up to 100 letters"):
+        artifact_name("calibration~arm")
 
 
 def test_an_image_is_promoted_after_a_verdict_that_is_pass_and_never_in_a_pull_request() -> None:
