@@ -2,24 +2,28 @@
 
 The difference d of two poses, a twist in the child frame of the first, has the covariance
 ``C = C_1 + C_2 - sum (m_1 m_2^T + m_2 m_1^T)`` where the data are others, with the moves m of what both hold: its error
-is the same in both, and moves both results alike. Then ``d^T C^-1 d`` is chi-squared with 6 degrees of freedom where
-nothing has moved. On the same data the result is deterministic, and no noise excuses a difference.
+is the same in both, and moves both results alike. Where nothing has moved ``d^T C^-1 d`` is Hotelling's T^2, as the C
+are estimated from collections: with k = 6 parameters and n degrees of freedom, those of the effective collections of
+both, ``T^2 (n - k + 1) / (k n)`` is F-distributed (H. Hotelling, "The generalization of Student's ratio", 1931). On the
+same data the result is deterministic, and no noise excuses a difference.
 """
 
 import math
-from collections.abc import Iterator, Set
+from collections.abc import Callable, Iterator, Set
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
 from calibration.baseline.snapshot import Parameter, Pose, Snapshot
-from calibration.estimation.significance import FAMILY_WISE
+from calibration.estimation.significance import FAMILY_WISE, score_of_f
 from calibration.geometry.transforms import local
 from calibration.geometry.types import Array
 from calibration.records import field, result
 
 Kind = Literal["pose", "parameter", "added", "removed"]
+MOST_FREEDOM = 1e6
+"""More degrees of freedom are as good as any number."""
 LEAST = 1e-9
 """Relative to the largest, a variance below it is rounding."""
 
@@ -39,7 +43,7 @@ class Change:
     sigma_mm: float = field("Standard deviation of the translation, the norm of three axes.", unit="mm", default=0.0)
     sigma_deg: float = field("The same of the rotation.", unit="degrees", default=0.0)
     sigma: float | None = field("Standard deviation of the difference of a parameter.", default=None)
-    sigmas: float = field("The difference in standard deviations: the root of chi-squared.", default=0.0)
+    sigmas: float = field("The difference in standard deviations: the root of T^2.", default=0.0)
     p: float = field("How probable so large a difference is where nothing has moved.", default=1.0)
     unseen_mm: float = field(
         "The largest displacement that could be too small to be significant, in the worst direction.",
@@ -75,12 +79,21 @@ def compare(before: Snapshot, now: Snapshot) -> Comparison:
     values = {each.name: each for each in before.parameters}
     new_values = {each.name: each for each in now.parameters}
     count = len(earlier.keys() & later.keys()) + len(values.keys() & new_values.keys())
-    threshold = chi_squared_quantile(FAMILY_WISE / max(1, count))
-    changes = [_pose_change(earlier[edge], later[edge], same, threshold) for edge in earlier if edge in later]
-    changes += [_parameter_change(values[name], new_values[name], same) for name in values if name in new_values]
+    freedom = _freedom(before, now)
+    threshold = t_squared_quantile(FAMILY_WISE / max(1, count), freedom)
+    changes = [_pose_change(earlier[edge], later[edge], same, threshold, freedom) for edge in earlier if edge in later]
+    changes += [
+        _parameter_change(values[name], new_values[name], same, freedom) for name in values if name in new_values
+    ]
     changes += _unmatched({each.name for each in earlier.values()}, {each.name for each in later.values()})
     changes += _unmatched(values.keys(), new_values.keys())
     return Comparison(before, now, tuple(changes))
+
+
+def _freedom(before: Snapshot, now: Snapshot) -> float:
+    """Degrees of freedom of the covariance of a difference; without end where nothing says how many."""
+    known = [each.effective_collections for each in (before, now)]
+    return sum(each - 1 if each is not None else math.inf for each in known)
 
 
 def _unmatched(before: Set[str], now: Set[str]) -> Iterator[Change]:
@@ -90,7 +103,7 @@ def _unmatched(before: Set[str], now: Set[str]) -> Iterator[Change]:
         yield Change(name=name, kind="added")
 
 
-def _pose_change(before: Pose, now: Pose, same: bool, threshold: float) -> Change:
+def _pose_change(before: Pose, now: Pose, same: bool, threshold: float, freedom: float) -> Change:
     d = local(before.matrix, now.matrix)
     C = _label_covariance(before) if same else covariance_of_difference(before, now)
     chi_squared, worst = (0.0, 0.0) if C is None else _chi_squared(d, C)
@@ -108,12 +121,12 @@ def _pose_change(before: Pose, now: Pose, same: bool, threshold: float) -> Chang
         sigma_mm=round(sizes[0], 6),
         sigma_deg=round(sizes[1], 8),
         sigmas=_finite(math.sqrt(chi_squared)),
-        p=chi_squared_tail(chi_squared, 6),
-        unseen_mm=round(1e3 * math.sqrt(threshold) * worst, 4),
+        p=t_squared_tail(chi_squared, 6, freedom),
+        unseen_mm=round(min(1e3 * math.sqrt(threshold) * worst, 1e9), 4),
     )
 
 
-def _parameter_change(before: Parameter, now: Parameter, same: bool) -> Change:
+def _parameter_change(before: Parameter, now: Parameter, same: bool, freedom: float) -> Change:
     difference = now.value - before.value
     variances = [each.sigma**2 for each in (before, now)]
     if same:
@@ -131,7 +144,7 @@ def _parameter_change(before: Parameter, now: Parameter, same: bool) -> Change:
         sigma_mm=1e3 * sigma if now.unit == "m" else 0.0,
         sigma_deg=math.degrees(sigma) if now.unit == "rad" else 0.0,
         sigmas=_finite(sigmas),
-        p=math.erfc(sigmas / math.sqrt(2)),
+        p=t_squared_tail(sigmas**2, 1, freedom),
     )
 
 
@@ -177,21 +190,44 @@ def _finite(value: float) -> float:
     return round(min(value, 1e9), 4)
 
 
-def chi_squared_tail(x: float, k: Literal[1, 6]) -> float:
-    """The probability that chi-squared with k degrees of freedom is larger than x.
+def t_squared_tail(x: float, k: int, freedom: float) -> float:
+    """The probability that Hotelling's T^2 of k parameters is larger than x where nothing differs.
 
-    With an even number of degrees of freedom it is a sum: ``exp(-x/2) (1 + x/2 + x^2/8)`` for six (M. Abramowitz,
-    I. Stegun, "Handbook of mathematical functions", 26.4.21).
+    1 where the degrees of freedom are too few to tell.
     """
-    if k == 1:
-        return math.erfc(math.sqrt(x / 2))
-    return math.exp(-x / 2) * (1 + x / 2 + x * x / 8) if x < 1400 else 0.0
+    n = min(freedom, MOST_FREEDOM)
+    if n - k + 1 < 1 or x <= 0:
+        return 1.0
+    if math.isinf(x):
+        return 0.0
+    score = float(score_of_f(x * (n - k + 1) / (k * n), k, n - k + 1))
+    return 0.5 * math.erfc(score / math.sqrt(2))
+
+
+def t_squared_quantile(p: float, freedom: float) -> float:
+    """The value that Hotelling's T^2 of 6 parameters exceeds with a probability p; infinite where nothing can tell."""
+    return _exceeded(lambda x: t_squared_tail(x, 6, freedom), p)
 
 
 def chi_squared_quantile(p: float) -> float:
     """The value that chi-squared with 6 degrees of freedom exceeds with a probability p."""
-    low, high = 0.0, 1400.0
-    for _ in range(60):
+    return _exceeded(chi_squared_tail, p)
+
+
+def chi_squared_tail(x: float) -> float:
+    """The probability that chi-squared with 6 degrees of freedom is larger than x.
+
+    ``exp(-x/2) (1 + x/2 + x^2/8)`` (M. Abramowitz, I. Stegun, "Handbook of mathematical functions", 26.4.21).
+    """
+    return math.exp(-x / 2) * (1 + x / 2 + x * x / 8) if x < 1400 else 0.0
+
+
+def _exceeded(tail: Callable[[float], float], p: float) -> float:
+    """Where a falling function is p; infinite where it is above that for long."""
+    low, high = 0.0, 1e6
+    if tail(high) > p:
+        return math.inf
+    for _ in range(80):
         middle = (low + high) / 2
-        low, high = (middle, high) if chi_squared_tail(middle, 6) > p else (low, middle)
+        low, high = (middle, high) if tail(middle) > p else (low, middle)
     return high

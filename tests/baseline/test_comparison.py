@@ -6,19 +6,30 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calibration.baseline.comparison import chi_squared_quantile, chi_squared_tail, compare
+from calibration.baseline.comparison import (
+    chi_squared_quantile,
+    chi_squared_tail,
+    compare,
+    t_squared_quantile,
+    t_squared_tail,
+)
 from calibration.baseline.snapshot import Snapshot
 from tests.baseline.scenes import stereo, taken
 
 MOVED = (0.0, 0.0, 0.005, 0.0, 0.009, 0.0)
 
 
-def test_chi_squared_has_its_known_values() -> None:
-    assert chi_squared_tail(12.592, 6) == pytest.approx(0.05, rel=1e-3)
-    assert chi_squared_tail(22.458, 6) == pytest.approx(0.001, rel=1e-3)
-    assert chi_squared_tail(3.841, 1) == pytest.approx(0.05, rel=1e-3)
-    assert chi_squared_tail(math.inf, 6) == 0
+def test_the_distributions_have_their_known_values() -> None:
+    assert chi_squared_tail(12.592) == pytest.approx(0.05, rel=1e-3)
+    assert chi_squared_tail(22.458) == pytest.approx(0.001, rel=1e-3)
+    assert chi_squared_tail(math.inf) == 0
     assert chi_squared_quantile(0.001) == pytest.approx(22.458, abs=0.001)
+    assert t_squared_tail(22.458, 6, math.inf) == pytest.approx(0.001, rel=0.1)
+    assert t_squared_tail(10.828, 1, math.inf) == pytest.approx(0.001, rel=0.2)
+    assert t_squared_quantile(0.05, 20) == pytest.approx(20 * 6 / 15 * 2.790, rel=0.02)  # F of 6 and 15
+    assert t_squared_tail(math.inf, 6, 20) == 0
+    assert t_squared_tail(1e5, 6, 5) == 1
+    assert t_squared_quantile(0.05, 5) == math.inf
 
 
 def test_a_calibration_does_not_differ_from_itself() -> None:
