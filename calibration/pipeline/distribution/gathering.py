@@ -13,7 +13,7 @@ from calibration.pipeline.distribution.plan_outputs import plan_of_outputs
 from calibration.pipeline.matrix.cell import OUR_METHOD, Cell, CellResult, nothing_yet
 from calibration.pipeline.matrix.software import SOFTWARE
 from calibration.pipeline.report import report
-from calibration.pipeline.results import Collected, Results, read_results
+from calibration.pipeline.results import CELLS_FILE, Collected, Results, own_details, own_file, read_results
 from calibration.records import result
 from calibration.report import RESULTS_FILE, Report, Text, reasons_in, verdict_of
 
@@ -110,6 +110,7 @@ def report_of_run(gathered: Gathered, cost: Cost, output: Path, title: str) -> R
         reasons=(*gathered.problems, *found.reasons),
         blocks=(*found.blocks, jobs_table(gathered.jobs, cost), Text(cost.sentence)),
         results=RunResults(**vars(found.results), cost=cost),
+        files={CELLS_FILE: found.files[CELLS_FILE]},  # the cells' own results stay in the artifacts of their jobs
         outputs={**found.outputs, "billed-minutes": cost.minutes, "cost": money(cost.amount)},
     )
 
@@ -169,7 +170,9 @@ def _read(folder: Path) -> Results:
         return None if path is None else f"{folder.name}/{path}"
 
     def moved(cell: CellResult) -> CellResult:
-        return replace(cell, table=below(cell.table), dataset=below(cell.dataset))
+        file = own_file(cell)
+        details = own_details(cell, folder) if file is not None and (folder / file).exists() else None
+        return replace(cell, table=below(cell.table), dataset=below(cell.dataset), details=details)
 
     return replace(
         found,

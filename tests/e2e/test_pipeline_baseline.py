@@ -1,0 +1,83 @@
+"""The accepted calibration in a user's repository: pushes, pull requests that move a sensor or accept it, a fork's."""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.coverage.projects import git
+from tests.displaced import displace
+
+from .conftest import FORK, PROJECT, Repository, Run, commit
+from .pipeline import Caller
+
+CONFIGURATION = "systems: {robot: {dataset: robot, truth: none}}\nbaseline: required\n"
+KNOCKED = (0.003, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+@pytest.fixture
+def caller(repository: Repository, tmp_path: Path) -> Caller:
+    return Caller(repository, tmp_path / "artifacts", {"python": sys.executable})
+
+
+def accept(folder: Path) -> None:
+    """What a developer does on a laptop: run, accept, commit."""
+    variables = {name: value for name, value in os.environ.items() if not name.startswith("GITHUB_")}
+    for arguments, codes in ((["run"], (0, 1)), (["accept"], (0,))):
+        done = subprocess.run(
+            [sys.executable, "-m", "calibration", *arguments],
+            cwd=folder,
+            env={**variables, "PYTHONPATH": str(PROJECT)},
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert done.returncode in codes, done.stderr
+    shutil.rmtree(folder / "output")
+    commit(folder)
+
+
+def pull_request(caller: Caller, base: str, tmp_path: Path, *, fork: bool = False) -> Run:
+    """Act's run of a pull request against a commit."""
+    event = json.loads(json.dumps(FORK))
+    event["pull_request"]["base"]["sha"] = base
+    if not fork:
+        event["pull_request"]["head"]["repo"] = {"fork": False, "full_name": "me/robot"}
+    path = tmp_path / "event.json"
+    path.write_text(json.dumps(event))
+    return caller.run("pull_request", "-e", str(path))
+
+
+def test_the_life_of_an_accepted_calibration(caller: Caller, tmp_path: Path) -> None:
+    folder = caller.repository.folder
+    caller.write({}, {"robot": PROJECT / "datasets" / "t2rgb", "calibration.yml": CONFIGURATION})
+    (folder / "robot" / "ground_truth.json").unlink()
+
+    unknown = caller.run()
+    assert unknown.code == 1
+    assert "no calibration of it has been accepted in calibration-baseline.json: calibration accept" in unknown.log
+
+    accept(folder)
+    good = caller.run()
+    assert good.code == 0, good.log
+    assert good.tables["Calibrated"][2][0] == "robot: camera\\_right\\_link to camera\\_right\\_rgb\\_frame"
+
+    base = git(folder, "rev-parse", "HEAD")
+    displace(folder / "robot", "right_camera", KNOCKED)
+    commit(folder)
+    knocked = pull_request(caller, base, tmp_path)
+    assert knocked.code == 1
+    [said] = [line for line in knocked.annotations if line.startswith("::error title=gather-results::")]
+    assert "right_camera has moved since calibration-baseline.json of 20" in said
+    assert "mm along its x" in said
+    assert knocked.tables["Since the baseline"][1][0] == "robot: right\\_camera"
+
+    accept(folder)
+    for fork in (False, True):
+        accepted = pull_request(caller, base, tmp_path, fork=fork)
+        assert accepted.code == 0, accepted.log
+        assert accepted.tables["Accepted by this change"][1][0] == "robot: right\\_camera"
