@@ -1,6 +1,7 @@
 """The report of a pipeline, whose main table has noise pairs and other methods down, systems across."""
 
 import math
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -361,14 +362,29 @@ def _sentence(results: Results) -> str:
 
 
 def failures(results: Results) -> list[str]:
-    """A line for everything that failed, with its first reasons; results.json has all of them."""
+    """A line for everything that failed, with its first reasons; results.json has all of them.
+
+    What several starts of a system say in the same words stands there once.
+    """
     references = {cell.start_of_cell: cell for cell in results.comparisons if not cell.by_other_method}
-    cells = [
-        f"{cell.name}: {_first(cell.reasons)}{_whose_fault(cell, references.get(cell.start_of_cell))}"
-        for cell in results.cells
-        if cell.verdict == "fail"
-    ]
+    alike: dict[tuple[str, str], list[CellResult]] = {}
+    for cell in results.cells:
+        if cell.verdict == "fail":
+            why = f"{_first(cell.reasons)}{_whose_fault(cell, references.get(cell.start_of_cell))}"
+            alike.setdefault((cell.system, why), []).append(cell)
+    starts = Counter(cell.system for cell in results.cells)
+    cells = [f"{_names(each, starts[system])}: {why}" for (system, why), each in alike.items()]
     return cells + [f"collected {c.name}: {_first(c.reasons)}" for c in results.collections if c.verdict == "fail"]
+
+
+def _names(alike: Sequence[CellResult], starts: int) -> str:
+    """What a line calls cells of a system of which the same is said."""
+    first, more = alike[0], len(alike) - 1
+    if more == 0:
+        return first.name
+    if len(alike) == starts:
+        return f"{first.system}, all {starts} starts"
+    return f"{first.name}, and {count_of(more, 'more start')}"
 
 
 def _whose_fault(cell: CellResult, reference: CellResult | None) -> str:

@@ -75,6 +75,14 @@ def test_what_is_collected_stands_beside_the_matrix(configured: Configured, tmp_
     assert results.verdict == "pass"
 
 
+def test_nothing_is_collected_for_a_dataset_that_is_not_there(configured: Configured, tmp_path: Path) -> None:
+    path = configured()
+    path.write_text(path.read_text().replace("/riwbot}", "/nowhere}"))
+    with pytest.raises(InputError, match="nowhere: a JSON document was expected"):
+        run(path, tmp_path / "output", "collect", "calibrate", "introspect")
+    assert not (tmp_path / "output").exists()
+
+
 def test_red_in_simulation_is_red(configured: Configured, tmp_path: Path) -> None:
     results, log = run(configured(limit="0.000001"), tmp_path / "output")
     assert results.exit_code == ExitCode.FAIL

@@ -11,7 +11,7 @@ import pytest
 
 from calibration.diagnosis.finding import Finding
 from calibration.errors import ExitCode, InputError
-from calibration.pipeline.matrix.cell import Details, Deviation, Parameter
+from calibration.pipeline.matrix.cell import CellResult, Details, Deviation, Parameter
 from calibration.pipeline.matrix.matrix import Matrix, run_matrix
 from calibration.pipeline.report import (
     failures,
@@ -248,6 +248,24 @@ def test_the_summary_names_what_failed_and_escapes_it() -> None:
     assert told(Results((CELL, FAILED, BROKEN))).line == "fail: 2 of 3 cells failed"
     assert "robot, 0.5 m, 0.5 rad, seed 1: a false minimum" in text
     assert "<b>" not in text
+
+
+def test_what_several_starts_say_alike_is_said_once() -> None:
+    def line(*cells: CellResult) -> list[str]:
+        return failures(Results(cells))
+
+    two = (FAILED, replace(FAILED, seed=2))
+    other = replace(FAILED, seed=3, reasons=("too far",))
+    assert line(*two) == ["robot, all 2 starts: a false minimum"]
+    assert line(*two, CELL) == ["robot, 0.5 m, 0.5 rad, seed 1, and 1 more start: a false minimum"]
+    assert line(*two, other) == [
+        "robot, 0.5 m, 0.5 rad, seed 1, and 1 more start: a false minimum",
+        "robot, 0.5 m, 0.5 rad, seed 3: too far",
+    ]
+    assert line(FAILED, replace(FAILED, system="arm")) == [
+        "robot, 0.5 m, 0.5 rad, seed 1: a false minimum",
+        "arm, 0.5 m, 0.5 rad, seed 1: a false minimum",
+    ]
 
 
 def test_the_summary_says_once_what_to_look_at() -> None:

@@ -4,10 +4,17 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from calibration.diagnosis.limits import Limits
+from calibration.errors import InputError
+from calibration.evaluation.reprojection import COLUMNS, KEY
+from calibration.evaluation.table import Table
 from calibration.introspection.judge import judge
-from calibration.introspection.table import read_table
-from calibration.pipeline.matrix.cell import CellResult
+from calibration.introspection.rule_set import RuleSet
+from calibration.introspection.selection import EveryRow
+from calibration.introspection.table import parse_table, read_table
+from calibration.pipeline.matrix.cell import CellResult, LoadedSystem
 from calibration.pipeline.system import System
 from calibration.report import at_most
 
@@ -20,6 +27,37 @@ def judge_cells(cells: Sequence[CellResult], systems: Sequence[System], output: 
     """
     by_name = {system.name: system for system in systems}
     return tuple(_judged(cell, by_name[cell.system], output) for cell in cells)
+
+
+def check_rules(rules: RuleSet, system: LoadedSystem) -> None:
+    """Refuse rules that cannot be asked of a system's table, before anything is calibrated.
+
+    They are asked of the table of the dataset as it is, whose columns and rows are those of every cell; what they find
+    there does not count.
+
+    Raises:
+        InputError: a column or a row is not there, or a rule needs a table to compare with.
+    """
+    name = f"{system.name}, rules for {system.evaluation or 'the reprojection errors'}"
+    table, complete = _table_to_come(system)
+    if table is None:
+        return
+    if not complete:  # a guess that is far off leaves rows out, which a calibration has
+        rules = RuleSet(tuple(replace(rule, target=EveryRow()) for rule in rules.rules), key_column=rules.key_column)
+    if rules.judges:
+        judge(parse_table(table.to_csv(), name, ","), rules)
+
+
+def _table_to_come(system: LoadedSystem) -> tuple[Table | None, bool]:
+    """A table as the cells will have it, or None where nothing of it can be told; and whether it has every row."""
+    if system.evaluation is None:
+        labels = tuple(collection.key for collection in system.dataset.collections)
+        return Table(KEY, COLUMNS, labels, np.zeros((len(labels), len(COLUMNS)))), True
+    try:
+        table = system.evaluation.run(system.dataset, system.truth)
+    except InputError:  # nothing can be compared before it is calibrated: the cells will say what is wrong
+        return None, False
+    return table, not table.left_out
 
 
 def _judged(cell: CellResult, system: System, output: Path) -> CellResult:

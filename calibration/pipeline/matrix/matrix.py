@@ -30,6 +30,7 @@ from calibration.pipeline.matrix.cell import (
     run_cell,
     run_comparison,
 )
+from calibration.pipeline.matrix.judgement import check_rules
 from calibration.pipeline.matrix.software import Software
 from calibration.pipeline.matrix.software_cell import software_task
 from calibration.pipeline.system import NoiseGrid, System
@@ -179,8 +180,8 @@ def load(system: System) -> LoadedSystem:
     """Read a system's data, and check what is to be done with it.
 
     Raises:
-        InputError: the dataset, the truth, the evaluation, a method to compare with or what is known of intrinsics is
-            wrong.
+        InputError: the dataset, the truth, the evaluation, a rule for its table, a method to compare with or what is
+            known of intrinsics is wrong.
     """
     dataset = read_dataset(system.dataset)
     truth = choose_truth(dataset, system.truth)
@@ -200,4 +201,6 @@ def load(system: System) -> LoadedSystem:
     options = replace(system.options, intrinsics_covariance=system.options.known_intrinsics())
     loaded = LoadedSystem(system.name, dataset, truth, evaluation, options, system.limits, system.accepted)
     loaded.check()  # here, so that cells that are forked know it
+    if system.rules is not None and system.software is None:  # whose table may have any columns
+        check_rules(system.rules, loaded)
     return loaded

@@ -13,7 +13,7 @@ from calibration.errors import InputError
 from calibration.execution.backends import Place, imported
 from calibration.image.specification import ImageSpecification
 from calibration.pipeline.configuration import Simulation
-from calibration.pipeline.matrix.matrix import Matrix
+from calibration.pipeline.matrix.matrix import Matrix, load
 from calibration.pipeline.report import report, write_results
 from calibration.pipeline.results import Results, clear_results
 from calibration.report import publish
@@ -93,6 +93,8 @@ def run_stages(run: Run, stages: Collection[str] = tuple(STAGES)) -> Results:
         WorldError: a file cannot be written, a process died, an engine or a registry does not answer.
     """
     _check(stages)
+    if "calibrate" in stages:
+        _check_systems(run)
     run = _placed(run)
     if "calibrate" in stages or "collect" in stages:
         clear_results(run.output, _inputs(run.matrix))
@@ -111,6 +113,14 @@ def _check(stages: Collection[str]) -> None:
             raise InputError(f"only: there is no stage '{stage}'{did_you_mean(stage, STAGES)}: {', '.join(STAGES)}")
     if "promote" in stages and "introspect" not in stages:
         raise InputError("only: promote needs the verdict of this run: add calibrate and introspect")
+
+
+def _check_systems(run: Run) -> None:
+    """Read what is to be calibrated before an image is built, or anything collected: that takes minutes."""
+    if run.image is not None or run.simulations:
+        for system in run.matrix.systems:
+            if system.collected is None:
+                load(system)
 
 
 def _placed(run: Run) -> Run:

@@ -1,6 +1,7 @@
 """The matrix: every cell once, the same whatever the order and the number of processes."""
 
 import json
+import math
 import os
 import signal
 from dataclasses import replace
@@ -10,12 +11,15 @@ import pytest
 
 from calibration.dataset.reading import read_dataset
 from calibration.errors import ExitCode, InputError, WorldError
+from calibration.geometry.transforms import from_xyz_rpy
+from calibration.introspection.rule_set import parse_rules
 from calibration.pipeline.matrix import cell as cell_module
 from calibration.pipeline.matrix.cell import CellResult
-from calibration.pipeline.matrix.matrix import Matrix, run_matrix
+from calibration.pipeline.matrix.judgement import check_rules
+from calibration.pipeline.matrix.matrix import Matrix, load, run_matrix
 from calibration.pipeline.report import write_results
 from calibration.pipeline.results import Results
-from calibration.pipeline.system import NoiseGrid
+from calibration.pipeline.system import NoiseGrid, System
 from tests.pipeline.conftest import DATASETS, RIWBOT, T2RGB
 
 
@@ -72,6 +76,45 @@ def test_no_cell_is_lost_however_many_there_are(tmp_path: Path) -> None:
     found = run_matrix(matrix, tmp_path, 2)
 
     assert [cell.seed for cell in found.cells] == list(range(30))
+
+
+@pytest.mark.parametrize(
+    ("rule", "system", "message"),
+    [
+        (
+            {"column": "RMS", "max": 3},
+            T2RGB,
+            "t2rgb, rules for rgb-to-rgb:right_camera:left_camera: there is no column",
+        ),
+        ({"column": "RMS (pix)", "row": "Average", "max": 3}, T2RGB, "did you mean 'Averages'"),
+        ({"column": "RMS (pix)", "row": "Averages", "max-increase": "10%"}, T2RGB, "there is no baseline"),
+        (
+            {"column": "X err (pix)", "max": 3},
+            replace(RIWBOT, evaluate=None),
+            "riwbot, rules for the reprojection errors: there is no column",
+        ),
+    ],
+)
+def test_rules_that_cannot_be_asked_are_refused_before_the_first_cell(
+    rule: dict[str, object], system: System, message: str, tmp_path: Path
+) -> None:
+    asked = replace(system, rules=parse_rules([rule], "calibration.yml"))
+    with pytest.raises(InputError, match=message):
+        run_matrix(Matrix((asked,), NoiseGrid()), tmp_path, 1)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_rows_that_a_far_guess_leaves_out_may_still_be_asked_for() -> None:
+    """Turned round, the camera sees nothing, so that its table has fewer rows, or none, before it is calibrated."""
+    system = load(T2RGB)
+    edge = system.dataset.sensors["right_camera"].edge
+    turned = system.dataset.transforms[edge] @ from_xyz_rpy((0, 0, 0), (0, math.pi, 0))
+    away = replace(system, dataset=system.dataset.with_transforms({edge: turned}))
+    row = parse_rules([{"column": "RMS (pix)", "row": "004", "max": 3}], "calibration.yml")
+    check_rules(row, away)
+    check_rules(row, system)
+    with pytest.raises(InputError, match="has no row '999'"):
+        check_rules(parse_rules([{"column": "RMS (pix)", "row": "999", "max": 3}], "calibration.yml"), system)
 
 
 def test_what_a_cell_leaves_reads_back(matrix: Matrix, tmp_path: Path) -> None:
