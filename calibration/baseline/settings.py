@@ -28,6 +28,7 @@ class SameData:
     sigmas: Least = field("Standard deviations by the labels' noise, and never less than the rest.", default=0.1)
     translation_mm: Least = field("Of a translation.", default=0.001, unit="mm")
     rotation_deg: Least = field("Of a rotation.", default=0.00006, unit="degrees")
+    error_bars: Least = field("Noise of the labels and standard deviations, in percent.", default=1.0)
 
 
 @record

@@ -149,8 +149,27 @@ def _probability(p: float) -> str:
     return f"< {LEAST_P:.0e}" if p < LEAST_P else f"= {p:.1g}"
 
 
+def _error_bars(comparison: Comparison, settings: BaselineSettings) -> Iterator[Finding]:
+    """Noise and standard deviations that differ on the same data, where they are deterministic too."""
+    before, now, share = comparison.before, comparison.now, settings.same_data.error_bars / 100
+    levels, new = before.noise.given(), now.noise.given()
+    rows = [(f"noise of the labels ({kind})", levels[kind], new[kind]) for kind in levels if kind in new]
+    poses = {each.edge: each for each in now.poses}
+    rows += [
+        (f"standard deviation of {each.name}", each.norm_mm, poses[each.edge].norm_mm)
+        for each in before.poses
+        if each.edge in poses
+    ]
+    for what, old, value in rows:
+        if abs(value - old) > share * max(old, value):
+            text = f"{what} differs on the same data: {value:.4g}, accepted was {old:.4g}: {ACCEPT}, if it is meant"
+            yield Finding(QUALITY, "red", text, value=value)
+
+
 def _quality(comparison: Comparison, settings: BaselineSettings) -> Iterator[Finding]:
     """Measures of quality that are worse than the baseline's by more than allowed."""
+    if comparison.same_data:
+        yield from _error_bars(comparison, settings)
     before, now, most = comparison.before, comparison.now, settings.max_increase
     levels = now.noise.given()
     # An estimate of a standard deviation from n views has a relative one of 1 / sqrt(4 n): two coordinates each.
