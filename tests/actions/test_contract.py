@@ -127,6 +127,18 @@ def test_what_is_tested_is_what_the_actions_install(bootstrap: ModuleType) -> No
     assert bootstrap.covers(dev, [*run, *coverage])
 
 
+def test_pip_and_the_actions_compare_with_the_same_opencv() -> None:
+    """Another major version has other rows: OpenCV 5 goes on where 4 stops, and lacks the methods for arms."""
+    packaging = pytest.importorskip("packaging.requirements")
+    project = tomllib.loads((PROJECT / "pyproject.toml").read_text())["project"]
+    [asked] = map(packaging.Requirement, project["optional-dependencies"]["opencv"])
+    [locked] = re.findall(
+        r"^opencv-python-headless==(\d+)", (PROJECT / "requirements/run.txt").read_text(), re.MULTILINE
+    )
+    assert not asked.specifier.contains(f"{int(locked) + 1}.0")
+    assert asked.specifier.contains(f"{locked}.99")
+
+
 @pytest.mark.parametrize(
     ("lock", "extras", "groups"),
     [
