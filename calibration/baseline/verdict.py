@@ -46,8 +46,7 @@ def against_baseline(accepted: Accepted, now: Snapshot) -> tuple[Comparison | No
         The comparison, None where nothing has been accepted; and what it means.
     """
     if accepted.snapshot is None:
-        text = f"no calibration of it has been accepted in {accepted.since}: calibration accept"
-        return None, (Finding(NO_BASELINE, "red" if accepted.settings.required else "note", text),)
+        return None, nothing_accepted(accepted)
     comparison = compare(accepted.snapshot, now)
     since, settings = accepted.since, accepted.settings
     found = [each for change in comparison.changes if (each := _finding(change, comparison, settings, since))]
@@ -55,6 +54,12 @@ def against_baseline(accepted: Accepted, now: Snapshot) -> tuple[Comparison | No
     if not any(each.kind == MOVED and each.severity == "red" for each in found) and not comparison.same_data:
         found += _nothing_moved(comparison, since)
     return comparison, tuple(found)
+
+
+def nothing_accepted(accepted: Accepted) -> tuple[Finding, ...]:
+    """That no calibration of a system has been accepted."""
+    text = f"no calibration of it has been accepted in {accepted.since}: calibration accept"
+    return (Finding(NO_BASELINE, "red" if accepted.settings.required else "note", text),)
 
 
 def _finding(change: Change, comparison: Comparison, settings: BaselineSettings, since: str) -> Finding | None:

@@ -7,7 +7,7 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 
 from calibration.baseline.snapshot import Start, hash_of_labels, snapshot
-from calibration.baseline.verdict import QUALITY, against_baseline, software_against_baseline
+from calibration.baseline.verdict import QUALITY, against_baseline, nothing_accepted, software_against_baseline
 from calibration.dataset.model import Dataset
 from calibration.dataset.reading import read_dataset
 from calibration.dataset.writing import write_dataset
@@ -99,10 +99,14 @@ def software_result(
     try:
         result = _with_table(result, software, folder / ARTIFACTS, paths, output)
         if software.leaves_dataset:
-            return _with_dataset(result, cell, system, software, folder, paths, output)
+            result = _with_dataset(result, cell, system, software, folder, paths, output)
+        else:
+            result = replace(result, converged=True).found((NOT_VERIFIED, *_moved(system)))
     except CalibrationError as error:  # of files that the software wrote: it has failed
         return result.failing(str(error))
-    return replace(result, converged=True).found((NOT_VERIFIED,))
+    if system.accepted is None:
+        return result
+    return result.found(software_against_baseline(system.accepted, start_of(result), hash_of_labels(system.dataset)))
 
 
 def _with_table(result: CellResult, software: Software, files: Path, paths: Sequence[str], output: Path) -> CellResult:
@@ -149,27 +153,7 @@ def judged(
         InputError: the dataset cannot be evaluated, or the table cannot be read.
         WorldError: the table cannot be written.
     """
-    result = _evaluated(replace(result, converged=True), dataset, cell, system, folder, output)
-    if system.accepted is None:
-        return result
-    return result.found(software_against_baseline(system.accepted, start_of(result), hash_of_labels(system.dataset)))
-
-
-def start_of(result: CellResult, passed: bool | None = None) -> Start:
-    """What the baseline keeps of a cell."""
-    return Start(
-        result.translation_noise or 0.0,
-        result.rotation_noise or 0.0,
-        result.seed or 0,
-        result.verdict == "pass" if passed is None else passed,
-        result.rms_px,
-        next((each.moves_mm for each in result.findings if each.kind == AGAINST_OPTIMUM), None),
-    )
-
-
-def _evaluated(
-    result: CellResult, dataset: Dataset, cell: Cell, system: LoadedSystem, folder: Path, output: Path
-) -> CellResult:
+    result = replace(result, converged=True)
     if other := same_labels(dataset, system.dataset):
         return result.found(other)
     result = replace(result, truth=distance_from_truth(dataset, system))
@@ -182,6 +166,18 @@ def _evaluated(
     table = folder / f"{system.evaluation.kind.replace('-', '_')}_results.csv"
     made.write(output / table)
     return replace(result, table=str(table), rms_px=_average_rms(output / table))
+
+
+def start_of(result: CellResult, passed: bool | None = None) -> Start:
+    """What the baseline keeps of a cell."""
+    return Start(
+        result.translation_noise or 0.0,
+        result.rotation_noise or 0.0,
+        result.seed or 0,
+        result.verdict == "pass" if passed is None else passed,
+        result.rms_px,
+        next((each.moves_mm for each in result.findings if each.kind == AGAINST_OPTIMUM), None),
+    )
 
 
 def _distance(dataset: Dataset, cell: Cell, system: LoadedSystem) -> tuple[Finding, ...]:
@@ -204,6 +200,8 @@ def _moved(system: LoadedSystem) -> tuple[Finding, ...]:
     """What has moved since the accepted calibration, by our optimum."""
     if system.accepted is None:
         return ()
+    if system.accepted.snapshot is None:
+        return nothing_accepted(system.accepted)
     now = snapshot(system.optimum.calibration, system.dataset, None)
     return tuple(each for each in against_baseline(system.accepted, now)[1] if each.kind != QUALITY)
 

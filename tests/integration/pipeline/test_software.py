@@ -218,3 +218,42 @@ def test_a_planted_secret_is_in_no_log_result_or_summary(python_image: str, tmp_
     assert not [text for text in texts if planted in text]
     [log] = (tmp_path / "out").rglob("calibration.log")
     assert "key ***" in log.read_text()
+
+
+def test_software_that_becomes_worse_on_the_same_data_is_red_against_what_was_accepted(
+    python_image: str, engine: "DockerClient", tmp_path: Path
+) -> None:
+    """The tables of two images on the same data and starts, paired by start."""
+
+    def command(*arguments: str, loss: float = 1.0) -> subprocess.CompletedProcess[str]:
+        program = SOFTWARE.replace("* int(seed)\n", f"* int(seed) * {loss}\n")
+        document = {
+            "noise": {"translation": [0, 0.5]},
+            "systems": {
+                "robot": {
+                    "dataset": str(DATASET),
+                    "truth": "none",
+                    "software": {"image": python_image, "command": python(program), "calibrated": "none"},
+                }
+            },
+        }
+        (tmp_path / "calibration.yml").write_text(json.dumps(document))
+        return subprocess.run(
+            [sys.executable, "-m", "calibration", *arguments],
+            cwd=tmp_path,
+            env={**os.environ, "PYTHONPATH": str(PROJECT)},
+            capture_output=True,
+            text=True,
+            timeout=240,
+            check=False,
+        )
+
+    first = command("run")
+    assert first.returncode == 0, first.stderr
+    assert command("accept").returncode == 0
+    accepted = json.loads((tmp_path / "calibration-baseline.json").read_text())["systems"]["robot"]
+    assert [start["rms-px"] for start in accepted["software"]] == [100.0, 100.5]
+    assert command("run", loss=1.04).returncode == 0
+    worse = command("run", loss=1.06)
+    assert worse.returncode == 1
+    assert "worse than the baseline: RMS: found 106 px, expected at most 105 px (baseline 100)" in worse.stderr
