@@ -29,6 +29,8 @@ from calibration.report import FILES, publish, remove_results
 from calibration.workflow import Runner, set_outputs
 from calibration.workflow.text import one_line
 
+FOR_SERVICE = ("project_token", "api_token", "partial", "final", "dry_run")
+"""Inputs that are for the service, and for nothing else."""
 CLOCK = 2.0
 """Seconds by which the times of files may be wrong."""
 
@@ -54,8 +56,8 @@ class Settings:
     minimum_change: Percent | None = field("Percent of the change's lines that must be run.", default=None)
     base: str | None = field("Branch or commit that the change goes to (what the event says).", default=None)
     badge: Path | None = field("Write a badge of the coverage to this SVG file.", default=None)
-    service: Literal["codacy", "none"] = field(
-        "Who is told of the coverage: codacy or none (codacy).", default="codacy"
+    service: Literal["codacy", "none"] | None = field(
+        "Who is told of the coverage: codacy or none (none).", default=None
     )
     project_token: str | None = field(
         "Codacy's for this repository; locally by CODACY_PROJECT_TOKEN.", default=None, repr=False
@@ -93,6 +95,7 @@ def upload(settings: Settings, runner: Runner) -> ExitCode:
         uploads = [file.name for file in settings.output.glob("upload-*.json")]
         remove_results(settings.output, (*FILES, LCOV, "tests.xml", "tests.log", *uploads))
     _check(settings)
+    settings = replace(settings, service=settings.service or "none")
     repository = Repository.around(settings.directory)
     event = Event.from_environment(os.environ)
     commit, source = find_commit(settings.commit, event, repository)
@@ -117,6 +120,10 @@ def _check(settings: Settings) -> None:
         raise InputError("neither run nor reports is given: say how the tests run, or which reports there are")
     if settings.interpreter and settings.run is None:
         raise InputError("interpreter is given without run, which it is for")
+    given = [name for name in FOR_SERVICE if getattr(settings, name)]
+    if settings.service is None and given:
+        name = given[0].replace("_", "-")
+        raise InputError(f"{name} is given, and nobody whom it is for: add service: codacy (or none, to tell nobody)")
 
 
 def _service(settings: Settings, event: Event) -> tuple[Codacy | None, str]:
@@ -250,15 +257,16 @@ def _only_final(settings: Settings, commit: str, service: Codacy | None, skipped
 
 def _told(results: Results, settings: Settings, service: Codacy | None, skipped: str, runner: Runner) -> Uploaded:
     """Tell the service, and say what came of it."""
+    name = settings.service or "none"
     if service is None:
-        return Uploaded(settings.service, "none" if settings.service == "none" else "skipped", skipped)
+        return Uploaded(name, "none" if name == "none" else "skipped", skipped)
     if results.lines.total == 0:
-        return Uploaded(settings.service, "skipped", "nothing was measured")
+        return Uploaded(name, "skipped", "nothing was measured")
     upload = Upload(results.commit, results.files, settings.partial, settings.final)
     try:
-        return Uploaded(settings.service, _send(service, service.requests(upload), settings, runner))
+        return Uploaded(name, _send(service, service.requests(upload), settings, runner))
     except WorldError as error:
-        return Uploaded(settings.service, "failed", str(error))
+        return Uploaded(name, "failed", str(error))
 
 
 def _send(service: Codacy, requests: Sequence[Request], settings: Settings, runner: Runner) -> State:

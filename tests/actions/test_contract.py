@@ -191,6 +191,15 @@ def examples() -> list[Any]:
     return [yaml.safe_load(text) for _, text in yaml_blocks(README.read_text())]
 
 
+def test_the_readmes_tokens_are_used(examples: list[Any]) -> None:
+    """Both say who is told of the coverage; without that a token is an error, or is not used."""
+    jobs = [job for example in examples if "jobs" in example for job in example["jobs"].values() if "secrets" in job]
+    steps = [each for example in examples if isinstance(example, list) for each in example]
+    uploads = [step["with"] for step in steps if "coverage-upload" in step.get("uses", "")]
+    assert len(jobs) == len(uploads) == 1
+    assert jobs[0]["with"]["coverage-service"] == uploads[0]["service"] == "codacy"
+
+
 def test_the_readme_calls_the_reusable_workflow_right(examples: list[Any]) -> None:
     called = yaml.safe_load((PROJECT / ".github" / "workflows" / "pipeline.yml").read_text())[True]["workflow_call"]
     jobs = [job for example in examples if "jobs" in example for job in example["jobs"].values() if "uses" in job]

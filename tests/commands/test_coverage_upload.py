@@ -75,8 +75,9 @@ def on_github(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
 
 
 def upload(*arguments: str, reports: str | None = "../c.xml") -> int:
-    """Upload the report beside the repository, unless told; a token stays in the environment for the next time."""
+    """Upload the report beside the repository to Codacy, unless told; a token stays in the environment."""
     given = [] if reports is None else ["--reports", reports]
+    given += [] if "--service" in arguments else ["--service", "codacy"]
     before = dict(os.environ)
     try:
         return main([NAME, *given, *arguments])
@@ -353,10 +354,10 @@ def test_the_tests_cannot_steal_the_token(server: projects.Codacy, tmp_path: Pat
         step = f'exec bash "{Path(__file__).parents[2] / "actions/bootstrap.sh"}" {NAME}'
         command = ["bash", "--noprofile", "--norc", "-e", "-o", "pipefail", "-c", step]
         given = {"INPUT_PROJECT_TOKEN": token, "INPUT_RUN": run, "INPUT_REPORTS": "../c.xml"}
-        given |= {"INPUT_API_URL": server.url, "INPUT_PYTHON": sys.executable}
+        given |= {"INPUT_API_URL": server.url, "INPUT_PYTHON": sys.executable, "INPUT_SERVICE": "codacy"}
     else:
         command = [sys.executable, "-m", "calibration", NAME, "--run", run, "--reports", "../c.xml"]
-        command += ["--api-url", server.url]
+        command += ["--api-url", server.url, "--service", "codacy"]
         given = {"CODACY_PROJECT_TOKEN": token, "PYTHONPATH": str(Path(__file__).parents[2])}
     done = subprocess.run(
         command,
@@ -415,6 +416,7 @@ def test_as_an_action_the_inputs_go_before_the_environment(
     monkeypatch.setenv("INPUT_PROJECT_TOKEN", "from-the-input")
     monkeypatch.setenv("INPUT_PARTIAL", "true")
     monkeypatch.setenv("INPUT_MINIMUM", "")
+    monkeypatch.setenv("INPUT_SERVICE", "codacy")
     assert run_action(NAME) == 0
     assert server.asked[0].headers["project-token"] == "from-the-input"
     assert server.asked[0].path.endswith("?partial=true")
@@ -537,6 +539,27 @@ def test_a_signal_stops_the_tests(root: Path, number: signal.Signals) -> None:
     assert process.returncode == 128 + number
     assert not runs(pid)
     assert not Path("out/results.json").exists()
+
+
+def test_nobody_is_told_unless_it_is_said_who(root: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([NAME, "--reports", "../c.xml"]) == 0
+    assert capsys.readouterr().out.splitlines()[-1] == "pass: 66.6 % (4 of 6) of the lines are run"
+
+
+@pytest.mark.parametrize("option", ["--partial", "--final", "--dry-run", ""])
+def test_what_is_for_a_service_without_one_is_an_error(
+    option: str,
+    server: projects.Codacy,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    root: Path,
+) -> None:
+    if option:
+        monkeypatch.delenv("CODACY_PROJECT_TOKEN")
+    assert main([NAME, "--reports", "../c.xml", *filter(None, [option])]) == 2
+    name = option.removeprefix("--") or "project-token"
+    assert f"error: {name} is given, and nobody whom it is for: add service: codacy" in capsys.readouterr().err
+    assert server.asked == []
 
 
 def test_no_secret_in_what_is_printed_of_the_settings() -> None:

@@ -242,9 +242,13 @@ def test_every_action_is_red_in_every_way(repository: Repository, base_image: st
             1,
             ["75", "90"],
         ),
-        (Step("coverage-2", "coverage-upload", coverage), 2, ["CODACY_PROJECT_TOKEN"]),
+        (Step("coverage-2", "coverage-upload", coverage | {"service": "codacy"}), 2, ["CODACY_PROJECT_TOKEN"]),
         (
-            Step("coverage-3", "coverage-upload", coverage | {"project-token": TOKEN, "api-url": refused}),
+            Step(
+                "coverage-3",
+                "coverage-upload",
+                coverage | {"service": "codacy", "project-token": TOKEN, "api-url": refused},
+            ),
             3,
             ["Connection refused"],
         ),

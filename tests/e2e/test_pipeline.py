@@ -275,6 +275,14 @@ def test_unit_tests_alone(still: bool, caller: Caller, tmp_path: Path) -> None:
     assert list(caller.artifacts.glob("calibration~unit-tests/unit-tests/results.json"))
 
 
+def test_a_token_that_nobody_uses_is_warned_of(repository: Repository, tmp_path: Path) -> None:
+    caller = Caller(repository, tmp_path / "artifacts", {"python": sys.executable}, {"codacy-project-token": TOKEN})
+    caller.write({"jobs": "calibrate", "datasets": "riwbot"}, {"riwbot": DATASETS / "riwbot"})
+    unused = "::warning::a token of Codacy is given, and the coverage goes nowhere: add coverage-service: codacy"
+    assert unused in caller.run("push").log
+    assert unused not in caller.run("pull_request").log  # of a fork, which has none
+
+
 def test_the_coverage_is_uploaded_by_a_job_in_which_no_test_runs(repository: Repository, tmp_path: Path) -> None:
     caller = Caller(repository, tmp_path / "artifacts", {"python": sys.executable}, {"codacy-project-token": TOKEN})
     inputs = {
