@@ -91,7 +91,7 @@ lock: ## resolve requirements/*.txt again after a change in pyproject.toml
 	'$(uv)' $(compile) $(UPGRADE) --all-extras --group dev --output-file requirements/dev.txt
 	'$(uv)' $(compile) --extra calibrate --extra opencv --extra containers --extra aws --constraint requirements/dev.txt --output-file requirements/calibrate.txt
 	'$(uv)' $(compile) --extra containers --extra aws --constraint requirements/dev.txt --output-file requirements/image.txt
-	'$(uv)' $(compile) --extra calibrate --extra opencv --extra figures --extra containers --extra aws --constraint requirements/dev.txt --output-file requirements/run.txt
+	'$(uv)' $(compile) --extra calibrate --extra opencv --extra bags --extra figures --extra containers --extra aws --constraint requirements/dev.txt --output-file requirements/run.txt
 	'$(uv)' $(compile) --extra coverage --constraint requirements/dev.txt --output-file requirements/coverage.txt
 	'$(uv)' $(compile) --constraint requirements/dev.txt --output-file requirements/introspect.txt
 	'$(uv)' $(subst pip compile pyproject.toml,pip compile --group installer,$(compile)) --constraint requirements/dev.txt --output-file requirements/uv.txt

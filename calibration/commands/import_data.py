@@ -10,6 +10,7 @@ from calibration.commands.record_options import chosen, record_options
 from calibration.errors import ExitCode
 from calibration.importing.importing import import_data
 from calibration.importing.looking import LabelledMoment
+from calibration.importing.recordings import SeenImages
 from calibration.importing.report import TITLE, report
 from calibration.records import at_least, field, record
 from calibration.report import publish
@@ -34,11 +35,15 @@ def command(**options: Any) -> ExitCode:
     settings = chosen(Settings, options)
     runner = Runner.from_environment(os.environ)
 
-    def done(count: int, total: int, moment: LabelledMoment) -> None:
-        found = [f"{name} {sum(len(f.ids) for f in view.found.values())}" for name, view in moment.views.items()]
+    def done(count: int, total: int, part: LabelledMoment | SeenImages) -> None:
+        if isinstance(part, SeenImages):
+            seen = sum(image.view.labelled for image in part.images)
+            advance(count, total, f"{seen} of {len(part.images)} images show a pattern")
+            return
+        found = [f"{name} {sum(len(f.ids) for f in view.found.values())}" for name, view in part.views.items()]
         advance(count, total, f"corners: {', '.join(found)}")
 
-    with progress(runner, TITLE, kept="moments") as advance:
+    with progress(runner, TITLE, kept="parts") as advance:
         results = import_data(settings.config, settings.output, settings.overwrite, settings.jobs, done)
     found = report(results, settings.output)
     publish(found, runner, settings.output)

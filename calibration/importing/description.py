@@ -5,7 +5,19 @@ from typing import Annotated, Literal
 
 from calibration.dataset.configuration import MAX_CORNERS, MAX_SIZE
 from calibration.dataset.pattern import PatternKind
-from calibration.records import ByName, Converted, Misfit, Place, above, between, exactly_one, field, length, record
+from calibration.records import (
+    ByName,
+    Converted,
+    Misfit,
+    Place,
+    above,
+    between,
+    exactly_one,
+    excludes,
+    field,
+    length,
+    record,
+)
 
 Name = Annotated[str, length(1, 200)]
 Size = Annotated[float, above(0, MAX_SIZE)]
@@ -28,6 +40,8 @@ class SensorDescription:
     images: Files | None = field(
         "Folder of its images, or a pattern such as left/*.png; without it those that samples name.", default=None
     )
+    topic: Name | None = field("Topic of its images in a bag.", default=None)
+    camera_info: Name | None = field("Topic of its intrinsics in a bag (camera_info beside the images).", default=None)
     intrinsics: Path | None = field(
         "File with its intrinsics: ROS's camera_info, Kalibr's camchain, OpenCV's FileStorage, robot_cal_tools'. "
         "Without one they are calibrated, from a start that the corners give.",
@@ -93,14 +107,32 @@ class Samples:
     tool: Name = field("Frame whose poses they are: the flange.", default="tool0")
 
 
+@record(rules=(excludes("every", "at"),))
+class Bags:
+    """A recording of ROS 1 or ROS 2."""
+
+    files: Annotated[tuple[Path, ...], length(1, 1000)] = field(
+        "Bags that follow each other: .bag, .db3, .mcap, or folders with metadata.yaml."
+    )
+    robot_description: Path | None = field("URDF of the robot (that of /robot_description).", default=None)
+    every: Annotated[float, above(0, 1e6)] | None = field(
+        "A moment every so many seconds, still or not, in place of those at which all stands still.", default=None
+    )
+    at: Path | None = field("File with the times of the moments, s, one a line, likewise.", default=None)
+    most: Annotated[int, between(1, 10_000)] = field("Moments at most; of more, evenly chosen ones.", default=100)
+
+
 @record
 class ImportDescription:
     """What was recorded, and what is calibrated with it."""
 
-    sensors: Annotated[tuple[SensorDescription, ...], ByName()] = field("By their names.")
     patterns: Annotated[tuple[PatternDescription, ...], ByName()] = field("By their names.")
+    sensors: Annotated[tuple[SensorDescription, ...], ByName()] = field(
+        "By their names; for a bag, every topic of images unless given.", default=()
+    )
     robot: Name | None = field("Name of the robot (of the folder of this file).", default=None)
     world: Name = field("The frame that all others hang on.", default="world")
+    bags: Bags | None = field("What ROS recorded.", default=None)
     pairs: Literal["name", "number"] | Path | None = field(
         "What tells which images belong together: their names, the last numbers in them, or a CSV with a column "
         "for each sensor (name, else number).",
@@ -120,6 +152,20 @@ class ImportDescription:
         names = [sensor.name for sensor in self.sensors]
         if self.anchored is not None and self.anchored not in names:
             raise Misfit(f"found '{self.anchored}', expected a sensor: {', '.join(names)}", "anchored")
+        if self.bags is not None:
+            self._check_bags()
+            return
+        if not names:
+            raise Misfit("missing key 'sensors'")
+        if topics := [sensor.name for sensor in self.sensors if sensor.topic or sensor.camera_info]:
+            raise Misfit(f"sensors: '{topics[0]}': a topic needs 'bags'")
         without = [sensor.name for sensor in self.sensors if sensor.images is None]
         if without and (self.samples is None or len(self.sensors) > 1):
             raise Misfit(f"sensors: '{without[0]}': missing key 'images', a folder or a pattern of files")
+
+    def _check_bags(self) -> None:
+        if self.samples is not None or self.pairs is not None:
+            raise Misfit("found 'bags' with 'samples' or 'pairs': a bag has its own poses and stamps")
+        for sensor in self.sensors:
+            if sensor.images is not None or sensor.topic is None:
+                raise Misfit(f"sensors: '{sensor.name}': expected the 'topic' of its images in the bag, no folder")

@@ -36,6 +36,8 @@ class Imported:
     moments: Sequence[LabelledMoment]
     transforms: Mapping[Edge, Array]
     """(N, 4, 4): of the moments."""
+    rough: bool
+    """Whether the calibrated transforms are no statement, only a start."""
 
     @property
     def keys(self) -> list[str]:
@@ -60,7 +62,7 @@ def dataset_document(of: Imported) -> dict[str, Any]:
             "user": USER,
             "version": "3.0",
             ESTIMATED: list(of.estimated),
-            ROUGH: True,
+            ROUGH: of.rough,
         },
         "additional_sensor_data": {},
         "calibration_config": configuration.to_document(),

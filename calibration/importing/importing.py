@@ -1,9 +1,11 @@
 """A recording becomes a dataset: what belongs together is found, labelled, and written."""
 
+import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -20,33 +22,53 @@ from calibration.files import place
 from calibration.geometry.cameras import Camera
 from calibration.geometry.frames import FrameTree
 from calibration.geometry.types import Array
+from calibration.importing.bag import open_bag
 from calibration.importing.camera_files import KnownLens, read_lens
 from calibration.importing.description import ImportDescription, SensorDescription
 from calibration.importing.document import Imported, data_file, dataset_document
-from calibration.importing.looking import LabelledMoment, View, check_copies, check_sizes, look
+from calibration.importing.looking import LabelledMoment, View, check_copies, check_sizes, look, read_image
 from calibration.importing.near_miss import check_board, never_seen
 from calibration.importing.pictures import Moment, Pictures, find_pictures, moments_of
+from calibration.importing.recordings import (
+    SeenImages,
+    chosen_moments,
+    decoded_images,
+    frames_of,
+    image_at,
+    looking_tasks,
+    mounting,
+    taken_out,
+)
 from calibration.importing.results import ImportResults, RejectedView, SensorResult
 from calibration.importing.samples import Sample, read_samples
 from calibration.importing.starting_intrinsics import starting_intrinsics
+from calibration.importing.survey import survey
 from calibration.importing.target_files import pattern_configuration
 from calibration.labelling.corner_detector import corner_detector
+from calibration.labelling.detection import Image
 from calibration.records import read, text_of
 from calibration.simulation.collection.collecting import single_threaded_opencv
 from calibration.simulation.collection.dataset_folder import refuse_existing, replacing_dataset
 from calibration.yaml_file import read_yaml
 
-Done = Callable[[int, int, LabelledMoment], None]
-"""Called after each moment with how many are done, how many there are, and what was found."""
+Done = Callable[[int, int, LabelledMoment | SeenImages], None]
+"""Called after each part with how many are done, how many there are, and what was found."""
 
 
 @dataclass(frozen=True, eq=False)
-class Recording:
-    """What was recorded, before anybody looks at it."""
+class Recorded:
+    """What was recorded, with what is seen in it."""
 
-    moments: Sequence[Moment]
+    configuration: Configuration
+    lenses: Mapping[str, KnownLens]
+    """Of the cameras whose intrinsics are known."""
+    moments: Sequence[LabelledMoment]
     transforms: Mapping[Edge, Array]
     """(N, 4, 4): of the moments."""
+    rough: bool
+    """Whether the calibrated transforms are no statement, only a start."""
+    lag: float = 0.0
+    """Between the images of a moment, at most, s."""
 
 
 def read_description(path: Path) -> ImportDescription:
@@ -80,37 +102,113 @@ def import_data(
     described = read_description(config)
     robot = described.robot or config.resolve().parent.name
     patterns = {each.name: pattern_configuration(each, described.world) for each in described.patterns}
-    detectors = {name: corner_detector(pattern) for name, pattern in patterns.items()}
     lenses = {each.name: read_lens(each.intrinsics, each.camera) for each in described.sensors if each.intrinsics}
-    configuration = _configuration(described, patterns)
-    recording = _recording(described, configuration)
-    with workspace(output, _identity(patterns, recording), text_of, _decoded) as work, single_threaded_opencv():
-
-        def label(moment: Moment) -> LabelledMoment:
-            return LabelledMoment({name: look(file, detectors) for name, file in moment.files.items()})
-
-        tasks = [work.keeping(Task.call(f"{i}", partial(label, each))) for i, each in enumerate(recording.moments)]
-        labelled = list(run_tasks(tasks, workers=jobs, find=work.find, done=done).values())
-        imported = _imported(robot, configuration, lenses, labelled, recording)
+    source = (_from_images if described.bags is None else _from_bags)(described, patterns, lenses)
+    with (
+        workspace(output, source.identity, text_of, source.decode) as work,
+        single_threaded_opencv(),
+    ):
+        tasks = [work.keeping(task) for task in source.tasks]
+        seen = list(run_tasks(tasks, workers=jobs, find=work.find, done=done).values())
+        recorded = source.finish(seen, work.folder)
+        imported = _imported(robot, recorded)
         with replacing_dataset(output, overwrite) as new:
             for key, moment in zip(imported.keys, imported.moments, strict=True):
                 for name, view in moment.views.items():
                     place(Path(view.file), new / data_file(name, key, view.file))
             write_document(dataset_document(imported), new / FILE_NAME)
             read_dataset(new)
-    return _results(imported, labelled)
+    return _results(imported, recorded)
 
 
-def _decoded(text: bytes) -> LabelledMoment:
-    import json
+@dataclass(frozen=True, eq=False)
+class _Source:
+    """A recording to look at, in parts."""
 
-    return read(LabelledMoment, json.loads(text), "a finished moment")
+    identity: str
+    """Of what the labels depend on."""
+    tasks: Sequence[Task[Any]]
+    decode: Callable[[bytes], Any]
+    """A part that was kept."""
+    finish: Callable[[Sequence[Any], Path], Recorded]
+    """Makes the moments of all parts; images that are no files are written into a folder."""
 
 
-def _identity(patterns: Mapping[str, PatternConfiguration], recording: Recording) -> str:
-    """What the labels depend on: the patterns, and the images as they are now."""
-    files = [path for moment in recording.moments for path in moment.files.values()]
-    stats = [(str(path), path.stat().st_size, path.stat().st_mtime_ns) for path in files]
+def _from_images(
+    described: ImportDescription, patterns: Mapping[str, PatternConfiguration], lenses: Mapping[str, KnownLens]
+) -> _Source:
+    configuration = _configuration(described, patterns)
+    moments, transforms = _moments(described, configuration)
+    detectors = {name: corner_detector(pattern) for name, pattern in patterns.items()}
+
+    def label(moment: Moment) -> LabelledMoment:
+        return LabelledMoment({name: look(file, detectors) for name, file in moment.files.items()})
+
+    def finish(seen: Sequence[LabelledMoment], _: Path) -> Recorded:
+        for name in configuration.sensors:
+            check_copies(name, [moment.views[name] for moment in seen if name in moment.views])
+        return Recorded(configuration, lenses, seen, transforms, rough=True)
+
+    return _Source(
+        _identity(patterns, [path for moment in moments for path in moment.files.values()]),
+        [Task.call(f"{i}", partial(label, each)) for i, each in enumerate(moments)],
+        lambda text: read(LabelledMoment, json.loads(text), "a finished moment"),
+        finish,
+    )
+
+
+def _from_bags(
+    described: ImportDescription, patterns: Mapping[str, PatternConfiguration], lenses: Mapping[str, KnownLens]
+) -> _Source:
+    bags = described.bags
+    if bags is None:
+        raise AssertionError("called for bags")
+    with open_bag(bags.files) as bag:
+        found = survey(bag, described)
+    where = str(bags.files[0])
+    mounted = mounting(described, patterns, found, where)
+    told = {
+        name: KnownLens(bags.files[0], camera.camera, has_size=True)
+        for name, camera in found.cameras.items()
+        if camera.camera is not None
+    }
+
+    def finish(seen: Sequence[SeenImages], folder: Path) -> Recorded:
+        frames = frames_of(found, seen)
+        for name, own in frames.items():
+            at = partial(image_at, bags.files, found.cameras[name].topic)
+            views, recorded = [frame.view for frame in own], [frame.recorded for frame in own]
+            _check_seen(name, patterns, views, lambda i, at=at, recorded=recorded: at(recorded[i]))  # type: ignore[misc]
+        moments = chosen_moments(bags, frames, found.log, mounted.edges, where)
+        return Recorded(
+            mounted.configuration,
+            {**told, **lenses},
+            taken_out(bags.files, found, moments, folder),
+            mounted.transforms(found.log, [moment.time for moment in moments]),
+            rough=not mounted.edges,
+            lag=max(moment.lag for moment in moments),
+        )
+
+    return _Source(
+        _identity(patterns, [path for each in bags.files for path in ([each] if each.is_file() else each.iterdir())]),
+        looking_tasks(bags.files, found, {name: corner_detector(pattern) for name, pattern in patterns.items()}),
+        decoded_images,
+        finish,
+    )
+
+
+def _identity(patterns: Mapping[str, PatternConfiguration], files: Sequence[Path]) -> str:
+    """What the labels depend on: the patterns, and the files as they are now.
+
+    Raises:
+        InputError: one is not there.
+    """
+    try:
+        stats = [(str(path), path.stat().st_size, path.stat().st_mtime_ns) for path in files]
+    except (OSError, ValueError) as error:
+        reason = error.strerror if isinstance(error, OSError) else error
+        name = error.filename if isinstance(error, OSError) else ""
+        raise InputError(f"{name}: an image was expected, but it cannot be read: {reason}") from None
     return identity(f"{__version__} {np.__version__} {cv2.__version__} {patterns} {stats}".encode())
 
 
@@ -135,7 +233,10 @@ def _sensor(described: SensorDescription, world: str) -> SensorConfiguration:
     return SensorConfiguration(described.name, "rgb", described.link, parent, described.link)
 
 
-def _recording(described: ImportDescription, configuration: Configuration) -> Recording:
+def _moments(
+    described: ImportDescription, configuration: Configuration
+) -> tuple[Sequence[Moment], Mapping[Edge, Array]]:
+    """The images that belong together, and the transforms (N, 4, 4) then."""
     pictures = [find_pictures(each.name, each.images) for each in described.sensors if each.images]
     arm: dict[Edge, Array] = {}
     if described.samples is None:
@@ -144,7 +245,7 @@ def _recording(described: ImportDescription, configuration: Configuration) -> Re
         samples = read_samples(described.samples.file)
         moments, samples = _at_samples(described, pictures, samples)
         arm[described.samples.base, described.samples.tool] = np.stack([each.T_base_tool for each in samples])
-    return Recording(moments, _transforms(configuration, arm, len(moments)))
+    return moments, _transforms(configuration, arm, len(moments))
 
 
 def _at_samples(
@@ -189,13 +290,7 @@ def _transforms(configuration: Configuration, arm: Mapping[Edge, Array], count: 
     return transforms
 
 
-def _imported(
-    robot: str,
-    configuration: Configuration,
-    lenses: Mapping[str, KnownLens],
-    labelled: Sequence[LabelledMoment],
-    recording: Recording,
-) -> Imported:
+def _imported(robot: str, recorded: Recorded) -> Imported:
     """The collections: moments in which at least one sensor sees a pattern.
 
     Raises:
@@ -203,32 +298,39 @@ def _imported(
             it sees gives no intrinsics.
     """
     cameras: dict[str, Camera] = {}
+    configuration, moments = recorded.configuration, recorded.moments
     for name in configuration.sensors:
-        views = [moment.views[name] for moment in labelled if name in moment.views]
+        views = [moment.views[name] for moment in moments if name in moment.views]
         if not views:
             raise InputError(f"'{name}' has no image in any moment")
         check_sizes(name, views)
-        check_copies(name, views)
-        _check_seen(name, configuration, views)
-        cameras[name] = _camera(name, lenses.get(name), configuration, views)
-    kept = [i for i, moment in enumerate(labelled) if any(view.labelled for view in moment.views.values())]
+        _check_seen(name, configuration.patterns, views)
+        for pattern in configuration.patterns.values():
+            check_board(name, pattern, views)
+        cameras[name] = _camera(name, recorded.lenses.get(name), configuration, views)
+    kept = [i for i, moment in enumerate(moments) if any(view.labelled for view in moment.views.values())]
     return Imported(
         robot=robot,
         configuration=configuration,
         cameras=cameras,
-        estimated=tuple(name for name in configuration.sensors if name not in lenses),
-        moments=[labelled[i] for i in kept],
-        transforms={edge: T[kept] for edge, T in recording.transforms.items()},
+        estimated=tuple(name for name in configuration.sensors if name not in recorded.lenses),
+        moments=[moments[i] for i in kept],
+        transforms={edge: T[kept] for edge, T in recorded.transforms.items()},
+        rough=recorded.rough,
     )
 
 
-def _check_seen(name: str, configuration: Configuration, views: Sequence[View]) -> None:
-    """Refuse a camera that sees none of the patterns, or one that is not as described."""
-    patterns = configuration.patterns
+def _check_seen(
+    name: str,
+    patterns: Mapping[str, PatternConfiguration],
+    views: Sequence[View],
+    read_view: Callable[[int], Image] | None = None,
+) -> None:
+    """Refuse a camera that sees none of the patterns."""
     if not any(view.labelled for view in views):
-        raise never_seen(name, next(iter(patterns.values())), views)
-    for pattern in patterns.values():
-        check_board(name, pattern, views)
+        raise never_seen(
+            name, next(iter(patterns.values())), views, read_view or (lambda i: read_image(Path(views[i].file)))
+        )
 
 
 def _camera(name: str, lens: KnownLens | None, configuration: Configuration, views: Sequence[View]) -> Camera:
@@ -250,7 +352,8 @@ def _camera(name: str, lens: KnownLens | None, configuration: Configuration, vie
     return replace(lens.camera, width=width, height=height)
 
 
-def _results(imported: Imported, labelled: Sequence[LabelledMoment]) -> ImportResults:
+def _results(imported: Imported, recorded: Recorded) -> ImportResults:
+    labelled = recorded.moments
     sensors = {}
     for name in imported.configuration.sensors:
         views = [moment.views[name] for moment in labelled if name in moment.views]
@@ -269,7 +372,8 @@ def _results(imported: Imported, labelled: Sequence[LabelledMoment]) -> ImportRe
             rejected=tuple(rejected),
         )
     together = sum(1 for moment in imported.moments if sum(view.labelled for view in moment.views.values()) > 1)
-    return ImportResults(imported.robot, len(labelled), len(imported.moments), together, sensors)
+    lag = round(1e3 * recorded.lag, 3)
+    return ImportResults(imported.robot, len(labelled), len(imported.moments), together, lag, sensors)
 
 
 def document_of_camera(camera: Camera) -> dict[str, float]:

@@ -64,13 +64,21 @@ def read_image(path: Path) -> Image:
     Raises:
         InputError: the file cannot be read, or is no image.
     """
-    data = read_bytes(path, MAX_BYTES, "an image")
+    return decoded_image(read_bytes(path, MAX_BYTES, "an image"), str(path))
+
+
+def decoded_image(data: bytes, where: str) -> Image:
+    """`read_image` of the content of a file.
+
+    Raises:
+        InputError: it is no image.
+    """
     try:
         image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
     except cv2.error as error:
-        raise InputError(f"{path}: this image cannot be read: {error.err}") from None
+        raise InputError(f"{where}: this image cannot be read: {error.err}") from None
     if image is None or image.size > 3 * MAX_PIXELS:
-        raise InputError(f"{path}: this is no image that can be read, or it is cut off or too large")
+        raise InputError(f"{where}: this is no image that can be read, or it is cut off or too large")
     return np.asarray(image, np.uint8)
 
 
@@ -80,7 +88,11 @@ def look(path: Path, detectors: Mapping[str, CornerDetector]) -> View:
     Raises:
         InputError: it cannot be read.
     """
-    image = read_image(path)
+    return look_at(read_image(path), str(path), detectors)
+
+
+def look_at(image: Image, file: str, detectors: Mapping[str, CornerDetector]) -> View:
+    """`look` for an image that is read already; ``file`` is its name."""
     found = {}
     for pattern, detector in detectors.items():
         seen = detector.detect(image)
@@ -89,7 +101,7 @@ def look(path: Path, detectors: Mapping[str, CornerDetector]) -> View:
         else:
             found[pattern] = FoundCorners((), (), seen.reason)
     digest = hashlib.sha256(np.ascontiguousarray(image).tobytes()).hexdigest()
-    return View(str(path), image.shape[1], image.shape[0], digest, found)
+    return View(file, image.shape[1], image.shape[0], digest, found)
 
 
 def check_sizes(sensor: str, views: Sequence[View]) -> None:

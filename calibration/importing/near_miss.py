@@ -1,7 +1,7 @@
 """Why a pattern is never seen: what else is in the images."""
 
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
 import cv2
@@ -23,16 +23,19 @@ _OFF_BY = ((-1, -1), (-1, 0), (0, -1), (1, 1), (1, 0), (0, 1), (-2, -2))
 """How far people miscount corners."""
 
 
-def never_seen(sensor: str, pattern: PatternConfiguration, views: Sequence[View]) -> InputError:
+def never_seen(
+    sensor: str, pattern: PatternConfiguration, views: Sequence[View], read: Callable[[int], Image]
+) -> InputError:
     """The error for a pattern that a camera sees in none of its images, with the nearest that is there.
 
     Args:
         sensor: the camera.
         pattern: what was looked for.
         views: of all its images, at least one.
+        read: gives the image of a view, by its place among them.
     """
     step = -(-len(views) // LOOKED_AT)
-    images = [grey(read_image(Path(view.file))) for view in views[::step]]
+    images = [grey(read(i)) for i in range(0, len(views), step)]
     hint = _markers(pattern, images) if pattern.kind == "charuco" else _corners(pattern, images)
     reasons = Counter(view.found[pattern.name].reason for view in views)
     usual = f"; in most images: {reasons.most_common(1)[0][0]}" if not hint else ""

@@ -34,4 +34,5 @@ class ImportResults:
     moments: int = field("Images that belong together, as they were found.")
     collections: int = field("Moments with a pattern in them: the collections of the dataset.")
     together: int = field("Collections in which two sensors or more see a pattern.")
+    lag_ms: float = field("Between the images of a moment, at most.", unit="ms")
     sensors: Mapping[str, SensorResult] = field("By name.")

@@ -40,6 +40,7 @@ PARTS = {
     "aws-batch": ("calibration.yml", lambda part: {"systems": {"any": {"dataset": "any"}}, **part}),
     "systems": ("calibration.yml", lambda part: part),
     "simulation": ("calibration.yml", lambda part: part),
+    "patterns": ("import.yml", lambda part: part),
     # config.yml and simulation.yml have no schema; read in tests/actions/test_contract.py and tests/simulation
     "sensors": (None, None),
     "joints": (None, None),

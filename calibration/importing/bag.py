@@ -1,0 +1,191 @@
+"""Bags of ROS 1 and ROS 2, read without ROS by the library rosbags.
+
+Messages are decoded by the definitions that the library ships, never by those that a bag carries: the library makes
+program text of definitions.
+"""
+
+import heapq
+import struct
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from calibration.errors import CalibrationError, InputError, WorldError
+
+if TYPE_CHECKING:
+    from rosbags.rosbag1 import Reader as Reader1
+    from rosbags.rosbag2 import Reader as Reader2
+    from rosbags.typesys.store import Typestore
+
+ENDINGS = (".bag", ".db3", ".mcap")
+"""Of single files; a folder has ROS 2's metadata.yaml."""
+SECOND = 10**9
+MORE_TYPES = dict.fromkeys(
+    ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage"), "geometry_msgs/TransformStamped[] transforms"
+)
+"""Messages that the library does not know in every version of ROS, by their definitions."""
+
+
+@dataclass(frozen=True)
+class RawMessage:
+    """A message as it lies in a bag."""
+
+    topic: str
+    recorded: int
+    """When it was recorded, ns."""
+    data: bytes
+
+
+@dataclass(frozen=True, eq=False)
+class _Part:
+    """One file of a bag, or a folder of ROS 2."""
+
+    path: Path
+    reader: "Reader1 | Reader2"
+
+
+class Bag:
+    """An open bag, of one file or of several that follow each other."""
+
+    def __init__(self, parts: Sequence[_Part], ros: int) -> None:
+        self._parts = parts
+        self._ros = ros
+
+    @property
+    def path(self) -> Path:
+        """The first file, for messages."""
+        return self._parts[0].path
+
+    @cached_property
+    def topics(self) -> Mapping[str, str]:
+        """The type of every topic, such as "sensor_msgs/msg/Image"."""
+        found = {}
+        for part in self._parts:
+            with _readable(part.path):
+                found.update({each.topic: each.msgtype for each in part.reader.connections})
+        return dict(sorted(found.items()))
+
+    def of_type(self, *types: str) -> list[str]:
+        """The topics of some types, such as "sensor_msgs/msg/Image"."""
+        return [topic for topic, kind in self.topics.items() if kind in types]
+
+    def messages(
+        self, topics: Collection[str], start: int | None = None, stop: int | None = None
+    ) -> Iterator[RawMessage]:
+        """The messages of some topics in the order in which they were recorded; from ``start`` to before ``stop``, ns.
+
+        Raises:
+            InputError: the bag is damaged.
+        """
+        streams = [self._of_part(part, topics, start, stop) for part in self._parts]
+        yield from streams[0] if len(streams) == 1 else heapq.merge(*streams, key=lambda message: message.recorded)
+
+    @staticmethod
+    def _of_part(part: _Part, topics: Collection[str], start: int | None, stop: int | None) -> Iterator[RawMessage]:
+        with _readable(part.path):
+            wanted = [each for each in part.reader.connections if each.topic in topics]
+            if not wanted:
+                return
+            for connection, recorded, data in part.reader.messages(wanted, start, stop):
+                yield RawMessage(connection.topic, recorded, bytes(data))
+
+    def decode(self, message: RawMessage) -> Any:
+        """A message of one of ROS's own types.
+
+        Raises:
+            InputError: it is none, or cut off.
+        """
+        kind = self.topics[message.topic]
+        with _readable(self.path, f"{message.topic}: a message of {kind} cannot be decoded"):
+            if self._ros == 1:
+                return self._types.deserialize_ros1(message.data, kind)
+            return self._types.deserialize_cdr(message.data, kind)
+
+    @cached_property
+    def _types(self) -> "Typestore":
+        from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+        store = get_typestore(Stores.ROS1_NOETIC if self._ros == 1 else Stores.ROS2_HUMBLE)
+        for kind, definition in MORE_TYPES.items():
+            if kind not in store.fielddefs:
+                store.register(get_types_from_msg(definition, kind))
+        return store
+
+    def stamp(self, message: RawMessage) -> int:
+        """The time in a message's header, ns, without decoding the rest; when it was recorded where that says none.
+
+        Raises:
+            InputError: it is cut off.
+        """
+        try:
+            if self._ros == 1:
+                _, seconds, rest = struct.unpack_from("<III", message.data)
+            else:
+                order = "<" if message.data[1] & 1 else ">"
+                seconds, rest = struct.unpack_from(f"{order}iI", message.data, 4)
+        except (struct.error, IndexError):
+            raise InputError(f"{self.path}: {message.topic}: found a message of {len(message.data)} bytes") from None
+        return seconds * SECOND + rest or message.recorded
+
+
+@contextmanager
+def open_bag(paths: Sequence[Path]) -> Iterator[Bag]:
+    """A bag for reading: files of ROS 1 that follow each other, or files or folders of ROS 2.
+
+    Raises:
+        InputError: there is no such file, it is no bag, it is damaged or encrypted, or files of both kinds are mixed.
+        WorldError: rosbags is not installed.
+    """
+    kinds = {_ros_of(path) for path in paths}
+    if len(kinds) != 1:
+        raise InputError(f"{paths[0]}: found bags of ROS 1 and of ROS 2, expected one kind")
+    ros = kinds.pop()
+    try:
+        from rosbags.rosbag1 import Reader as Reader1
+        from rosbags.rosbag2 import Reader as Reader2
+    except ModuleNotFoundError:
+        raise WorldError("bags need the package rosbags: pip install 'calibration-ci[bags]'") from None
+    with ExitStack() as stack:
+        parts = []
+        for path in paths:
+            with _readable(path):
+                reader: Any = Reader1(path) if ros == 1 else Reader2(path)
+                stack.enter_context(reader)
+                parts.append(_Part(path, reader))
+        yield Bag(parts, ros)
+
+
+def _ros_of(path: Path) -> int:
+    """1 or 2."""
+    if not path.exists():
+        raise InputError(f"{path}: found no such file, expected a bag")
+    if path.is_dir():
+        if not (path / "metadata.yaml").is_file():
+            raise InputError(f"{path}: found no metadata.yaml in it, expected a ROS 2 bag, or a file {_endings()}")
+        return 2
+    if path.suffix not in ENDINGS:
+        raise InputError(f"{path}: expected a bag: a file {_endings()}, or a folder with metadata.yaml")
+    if not path.stat().st_size:
+        raise InputError(f"{path}: this bag is empty: found 0 bytes")
+    if not path.is_file():
+        raise InputError(f"{path}: this is no regular file, a bag was expected")
+    return 1 if path.suffix == ".bag" else 2
+
+
+def _endings() -> str:
+    return f"that ends in {', '.join(ENDINGS)}"
+
+
+@contextmanager
+def _readable(path: Path, what: str = "this bag cannot be read") -> Iterator[None]:
+    """Take whatever the library raises on wrong bytes for what they are."""
+    try:
+        yield
+    except (CalibrationError, MemoryError, GeneratorExit):
+        raise
+    except Exception as error:
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise InputError(f"{path}: {what}: {reason}; is it cut off, unindexed or encrypted?") from None

@@ -1,0 +1,130 @@
+"""Messages of ROS as arrays: images, intrinsics, poses."""
+
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration.dataset.document import Node
+from calibration.dataset.edges import FAR, QUATERNION_TOLERANCE
+from calibration.dataset.model import Edge
+from calibration.dataset.sensors import MAX_PIXELS as LONGEST_SIDE
+from calibration.dataset.sensors import read_camera
+from calibration.errors import InputError
+from calibration.geometry.cameras import Camera
+from calibration.geometry.transforms import from_quaternion
+from calibration.geometry.types import Array
+from calibration.importing.looking import MAX_PIXELS, decoded_image
+from calibration.labelling.detection import Image
+
+_COLOURS = {
+    "bgr8": None,
+    "8UC3": None,
+    "rgb8": cv2.COLOR_RGB2BGR,
+    "mono8": None,
+    "8UC1": None,
+    "bgra8": cv2.COLOR_BGRA2BGR,
+    "8UC4": cv2.COLOR_BGRA2BGR,
+    "rgba8": cv2.COLOR_RGBA2BGR,
+    "bayer_rggb8": cv2.COLOR_BayerBG2BGR,  # OpenCV names them by the second row and column
+    "bayer_bggr8": cv2.COLOR_BayerRG2BGR,
+    "bayer_gbrg8": cv2.COLOR_BayerGR2BGR,
+    "bayer_grbg8": cv2.COLOR_BayerGB2BGR,
+    "mono16": None,
+    "16UC1": None,
+    "bgr16": None,
+    "rgb16": cv2.COLOR_RGB2BGR,
+    "yuv422": cv2.COLOR_YUV2BGR_UYVY,
+    "yuv422_yuy2": cv2.COLOR_YUV2BGR_YUY2,
+    "uyvy": cv2.COLOR_YUV2BGR_UYVY,
+    "yuyv": cv2.COLOR_YUV2BGR_YUY2,
+}
+"""Encodings of an Image, and how OpenCV makes blue, green, red of them."""
+_CHANNELS = {"bgra8": 4, "rgba8": 4, "8UC4": 4, "bgr8": 3, "rgb8": 3, "8UC3": 3, "bgr16": 3, "rgb16": 3}
+_TWO_BYTES = frozenset({"mono16", "16UC1", "bgr16", "rgb16"})
+
+
+def image_of(message: Any, where: str) -> Image:
+    """An Image or a CompressedImage, (H, W) or (H, W, 3) of 8 bits, blue first.
+
+    Of 16 bits the upper eight are kept.
+
+    Raises:
+        InputError: its encoding is not known, or its data are cut off.
+    """
+    data = np.frombuffer(bytes(message.data), np.uint8)
+    if not hasattr(message, "encoding"):
+        return decoded_image(data.tobytes(), f"{where} ({message.format})")
+    encoding, height, width = message.encoding, message.height, message.width
+    if encoding not in _COLOURS:
+        raise InputError(f"{where}: found the encoding '{encoding}', expected one of {', '.join(_COLOURS)}")
+    if not 0 < height * width <= MAX_PIXELS:
+        raise InputError(f"{where}: found an image of {width} x {height} pixels")
+    size = 2 if encoding in _TWO_BYTES else 1
+    channels = _CHANNELS.get(encoding, 2 if "yu" in encoding else 1)
+    row = width * channels * size
+    if message.step < row or len(data) < message.step * (height - 1) + row:
+        raise InputError(
+            f"{where}: found {len(data)} bytes in rows of {message.step}, expected {height} rows of {row} or more"
+        )
+    padded = np.zeros(message.step * height, np.uint8)
+    padded[: min(len(data), len(padded))] = data[: len(padded)]
+    rows = padded.reshape(height, message.step)[:, :row]
+    pixels: NDArray[Any] = np.ascontiguousarray(rows)
+    if size == 2:
+        order = ">u2" if message.is_bigendian else "<u2"
+        pixels = (pixels.view(order) >> 8).astype(np.uint8)
+    pixels = pixels.reshape(height, width, channels)
+    code = _COLOURS[encoding]
+    if code is None:
+        return np.asarray(pixels[:, :, 0] if channels == 1 else pixels, np.uint8)
+    try:
+        return np.asarray(cv2.cvtColor(pixels[:, :, 0] if channels == 1 else pixels, code), np.uint8)
+    except cv2.error as error:
+        raise InputError(
+            f"{where}: an image of {width} x {height} in {encoding} cannot be decoded: {error.err}"
+        ) from None
+
+
+def camera_of(message: Any, where: str) -> Camera | None:
+    """The intrinsics in a CameraInfo; None where it is not calibrated (K of zeros).
+
+    Raises:
+        InputError: they are no camera's.
+    """
+    values = {key: getattr(message, key, None) for key in ("K", "D")}
+    K = values["K"] if values["K"] is not None else message.k
+    D = values["D"] if values["D"] is not None else message.d
+    if not np.any(K):
+        return None
+    roi, width = message.roi, int(message.width)
+    if not 0 < width <= LONGEST_SIDE:
+        raise InputError(f"{where}: found a width of {width}")
+    info = {
+        "width": width,
+        "height": int(message.height),
+        "K": [float(v) for v in K],
+        "D": [float(v) for v in D],
+        "distortion_model": str(message.distortion_model),
+        "binning_x": int(message.binning_x),
+        "binning_y": int(message.binning_y),
+        "roi": {key: int(getattr(roi, key)) for key in ("x_offset", "y_offset", "height", "width")},
+    }
+    return read_camera(Node(Path(where), (), info))
+
+
+def transform_of(message: Any, where: str) -> tuple[Edge, Array]:
+    """A TransformStamped: its frames, without a slash before them, and ``T_parent_child`` (4, 4).
+
+    Raises:
+        InputError: it has numbers that are no pose.
+    """
+    edge = (message.header.frame_id.lstrip("/"), message.child_frame_id.lstrip("/"))
+    t, q = message.transform.translation, message.transform.rotation
+    numbers = np.array([t.x, t.y, t.z, q.x, q.y, q.z, q.w], float)
+    good = np.isfinite(numbers).all() and abs(numbers[:3]).max() <= FAR
+    if not good or abs(np.linalg.norm(numbers[3:]) - 1) > QUATERNION_TOLERANCE:
+        raise InputError(f"{where}: found {numbers.tolist()} from '{edge[0]}' to '{edge[1]}', expected a pose")
+    return edge, from_quaternion(numbers[:3], numbers[3:])

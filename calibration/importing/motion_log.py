@@ -1,0 +1,142 @@
+"""What a recording says of frames and joints, over time."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from calibration.dataset.model import Edge
+from calibration.errors import InputError
+from calibration.geometry.frames import FrameTree
+from calibration.geometry.transforms import distance
+from calibration.geometry.types import Array
+from calibration.simulation.robot import Joint, Robot, parse_robot
+
+NEAR = 0.5
+"""A pose counts for a moment when it was recorded so near to it, s."""
+AROUND = 0.15
+"""Nothing moves so long before and after a moment at which all stands still, s,"""
+STILL_M, STILL_RAD = 1e-3, 2e-3
+"""by more than this."""
+SECOND = 1e9
+
+
+@dataclass
+class Track:
+    """Values over time; of values that stay the same the first and the last are kept."""
+
+    times: list[int] = field(default_factory=list)
+    """ns, rising."""
+    values: list[Array] = field(default_factory=list)
+
+    def add(self, time: int, value: Array) -> None:
+        """Add a value; one that is older than the last is left out."""
+        if self.times and time <= self.times[-1]:
+            return
+        if len(self.values) > 1 and np.array_equal(value, self.values[-1]) and np.array_equal(value, self.values[-2]):
+            self.times[-1] = time
+            return
+        self.times.append(time)
+        self.values.append(value)
+
+    def at(self, time: float) -> Array | None:
+        """The value at a time, ns: that of the nearest record; None where none is near and it has changed since."""
+        after = int(np.searchsorted(self.times, time))
+        before = max(after - 1, 0)
+        after = min(after, len(self.times) - 1)
+        nearest = min(before, after, key=lambda i: abs(self.times[i] - time))
+        between = self.times[before] <= time <= self.times[after]
+        if abs(self.times[nearest] - time) > NEAR * SECOND and not (
+            between and np.array_equal(self.values[before], self.values[after])
+        ):
+            return None
+        return self.values[nearest]
+
+
+@dataclass
+class MotionLog:
+    """Transforms and joints of a recording."""
+
+    static: dict[Edge, Array] = field(default_factory=dict)
+    """``T_parent_child`` (4, 4)."""
+    moving: dict[Edge, Track] = field(default_factory=dict)
+    joints: dict[str, Track] = field(default_factory=dict)
+    """Positions, rad or m, by the joint's name."""
+    robot: Robot | None = None
+
+    def follow(self, edge: Edge, time: int, T: Array) -> None:
+        """Add ``T_parent_child`` (4, 4) at a time, ns."""
+        self.moving.setdefault(edge, Track()).add(time, T)
+
+    def follow_joint(self, name: str, time: int, position: float) -> None:
+        """Add a joint's position at a time, ns."""
+        self.joints.setdefault(name, Track()).add(time, np.array([position]))
+
+    def use_robot(self, urdf: bytes, path: Path) -> None:
+        """Add a robot's links; what the recording says of a frame wins.
+
+        Raises:
+            InputError: it is no URDF.
+        """
+        self.robot = parse_robot(urdf, path)
+
+    @property
+    def _driven(self) -> Mapping[Edge, Joint]:
+        """The robot's joints whose child has no transform in the recording."""
+        if self.robot is None:
+            return {}
+        known = {child for _, child in (*self.static, *self.moving)}
+        return {joint.edge: joint for joint in self.robot.joints if joint.child not in known}
+
+    @property
+    def edges(self) -> list[Edge]:
+        """Every edge that is known.
+
+        Raises:
+            InputError: a frame has two parents.
+        """
+        found = list(dict.fromkeys([*self.static, *self.moving, *self._driven]))
+        FrameTree(found)
+        return found
+
+    def moves(self, edge: Edge) -> bool:
+        """Whether an edge may differ between moments."""
+        if (joint := self._driven.get(edge)) is not None:
+            return joint.is_movable
+        return edge in self.moving
+
+    def transform(self, edge: Edge, time: float) -> Array:
+        """``T_parent_child`` (4, 4) at a time, ns.
+
+        Raises:
+            InputError: nothing was recorded of it near that time.
+        """
+        if edge in self.static:
+            return self.static[edge]
+        T: Array | None
+        if edge in self.moving:
+            T = self.moving[edge].at(time)
+            what = f"no transform from '{edge[0]}' to '{edge[1]}'"
+        else:
+            joint = self._driven[edge]
+            if not joint.is_movable:
+                return joint.T_parent_joint
+            track = self.joints.get(joint.name)
+            position = None if track is None else track.at(time)
+            T = None if position is None else joint.transform(position)[0]
+            what = f"no position of joint '{joint.name}' and no transform from '{edge[0]}' to '{edge[1]}'"
+        if T is None:
+            raise InputError(f"{what} was recorded within {NEAR:g} s of {time / SECOND:.3f}")
+        return T
+
+    def is_still(self, edges: list[Edge], time: float) -> bool:
+        """Whether none of the edges moves around a time, ns."""
+        for edge in edges:
+            if self.moves(edge):
+                T = [self.transform(edge, time + offset * SECOND) for offset in (-AROUND, 0.0, AROUND)]
+                for other in (T[0], T[2]):
+                    m, rad = distance(T[1], other)
+                    if m > STILL_M or rad > STILL_RAD:
+                        return False
+        return True

@@ -1,0 +1,273 @@
+"""Second pass over a bag: every image is searched for patterns, the moments chosen, and their images taken out."""
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import pairwise
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from calibration.dataset.configuration import Configuration, PatternConfiguration, SensorConfiguration
+from calibration.dataset.model import Edge
+from calibration.errors import InputError
+from calibration.execution.tasks import Task
+from calibration.files import read_bytes, write_atomically
+from calibration.geometry.frames import FrameTree
+from calibration.geometry.types import Array
+from calibration.importing.bag import SECOND, Bag, RawMessage, open_bag
+from calibration.importing.description import Bags, ImportDescription, SensorDescription
+from calibration.importing.looking import LabelledMoment, View, look_at
+from calibration.importing.messages import image_of
+from calibration.importing.motion_log import MotionLog
+from calibration.importing.stillness import Frame, StillMoment, moments_at, still_moments, thinned
+from calibration.importing.survey import CameraTopic, Survey
+from calibration.labelling.detection import CornerDetector, Image
+from calibration.records import field, read, result
+
+AT_ONCE = 40
+"""Images that one process looks at before its work is kept."""
+MAX_TIMES = 1_000_000
+
+
+@result
+class SeenImage:
+    """An image of a bag, and the patterns in it."""
+
+    sensor: str = field("The camera.")
+    recorded: int = field("When it was recorded, ns.")
+    view: View = field("What is in it.")
+
+
+@result
+class SeenImages:
+    """Images of a part of a bag."""
+
+    images: tuple[SeenImage, ...] = field("In the order in which they were recorded.")
+
+
+def decoded_images(text: bytes) -> SeenImages:
+    """What was kept of an earlier run."""
+    return read(SeenImages, json.loads(text), "finished images")
+
+
+def looking_tasks(
+    files: Sequence[Path], found: Survey, detectors: Mapping[str, CornerDetector]
+) -> list[Task[SeenImages]]:
+    """The tasks that look at every image, each at a part of the time."""
+    times = sorted({recorded for camera in found.cameras.values() for recorded in camera.stamps})
+    bounds = [*times[::AT_ONCE], times[-1] + 1]
+    topics = {camera.topic: name for name, camera in found.cameras.items()}
+
+    def look(start: int, stop: int) -> SeenImages:
+        with open_bag(files) as bag:
+            images = []
+            for message in bag.messages(topics, start, stop):
+                name = topics[message.topic]
+                view = look_at(_image(bag, message), _where(bag, message), detectors)
+                images.append(SeenImage(name, message.recorded, view))
+        return SeenImages(tuple(images))
+
+    return [Task.call(f"{i}", partial(look, *ends)) for i, ends in enumerate(pairwise(bounds))]
+
+
+def _where(bag: Bag, message: RawMessage) -> str:
+    return f"{bag.path}: {message.topic} at {bag.stamp(message) / SECOND:.3f}"
+
+
+def _image(bag: Bag, message: RawMessage) -> Image:
+    return image_of(bag.decode(message), _where(bag, message))
+
+
+def frames_of(found: Survey, seen: Sequence[SeenImages]) -> dict[str, list[Frame]]:
+    """The images of each camera by their stamps."""
+    frames: dict[str, list[Frame]] = {name: [] for name in found.cameras}
+    for part in seen:
+        for image in part.images:
+            stamp = found.cameras[image.sensor].stamps[image.recorded]
+            frames[image.sensor].append(Frame(image.sensor, stamp, image.recorded, image.view))
+    return {name: sorted(own, key=lambda frame: frame.stamp) for name, own in frames.items()}
+
+
+def chosen_moments(
+    described: Bags, frames: Mapping[str, Sequence[Frame]], log: MotionLog, edges: Sequence[Edge], where: str
+) -> list[StillMoment]:
+    """The moments that become collections.
+
+    Raises:
+        InputError: nothing ever stands still, or no image is near the times that are asked for.
+    """
+    if described.every is None and described.at is None:
+        still = still_moments(frames)
+        kept = thinned(still, described.most, lambda moment: log.is_still(list(edges), moment.time))
+        if not kept:
+            why = (
+                f"the corners stay {len(still)} times, but the robot moves then" if still else "the corners always move"
+            )
+            raise InputError(
+                f"{where}: found no moment at which all stands still ({why}); stop at each pose, or 'every'"
+            )
+        return kept
+    stamps = [frame.stamp for own in frames.values() for frame in own]
+    start, end = min(stamps), max(stamps)
+    if described.at is not None:
+        times = _read_times(described.at, start)
+    else:
+        step = int((described.every or 1.0) * SECOND)
+        times = [float(start + i * step) for i in range(min((end - start) // step + 1, MAX_TIMES))]
+    moments = moments_at(frames, times)
+    if not moments:
+        raise InputError(f"{where}: no image with a pattern is near the times that are asked for")
+    return thinned(moments, described.most, lambda _: True)
+
+
+def _read_times(path: Path, start: int) -> list[float]:
+    """Times in a file, s, one a line; small ones count from the start of the bag."""
+    times = []
+    text = read_bytes(path, 10_000_000, "a file of times").decode("utf-8", "replace")
+    for line, word in enumerate(text.split("\n"), 1):
+        if not word.strip():
+            continue
+        try:
+            seconds = float(word)
+        except ValueError:
+            seconds = math.nan
+        if not 0 <= seconds < 1e11:
+            raise InputError(f"{path}:{line}: found '{word.strip()[:80]}', expected seconds")
+        times.append(seconds * SECOND + (start if seconds < 1e8 else 0))
+    return times
+
+
+def taken_out(
+    files: Sequence[Path], found: Survey, moments: Sequence[StillMoment], folder: Path
+) -> list[LabelledMoment]:
+    """The chosen images as files in a folder; one that is there already stays.
+
+    Raises:
+        InputError: the bag is damaged.
+        WorldError: a file cannot be written.
+    """
+    labelled = []
+    with open_bag(files) as bag:
+        for moment in moments:
+            views = {}
+            for name, frame in moment.frames.items():
+                path = folder / f"{name.replace('/', '_')}_{frame.recorded}.png"
+                if not path.exists():
+                    _take_out(bag, found.cameras[name], frame, path)
+                views[name] = replace(frame.view, file=str(path))
+            labelled.append(LabelledMoment(views))
+    return labelled
+
+
+def image_at(files: Sequence[Path], topic: str, recorded: int) -> Image:
+    """An image of a bag by when it was recorded, ns.
+
+    Raises:
+        InputError: the bag is damaged.
+    """
+    with open_bag(files) as bag:
+        return _image_at(bag, topic, recorded)
+
+
+def _image_at(bag: Bag, topic: str, recorded: int) -> Image:
+    for message in bag.messages({topic}, recorded, recorded + 1):
+        return _image(bag, message)
+    raise InputError(f"{bag.path}: {topic}: the image at {recorded / SECOND:.3f} is gone")
+
+
+def _take_out(bag: Bag, camera: CameraTopic, frame: Frame, path: Path) -> None:
+    image = _image_at(bag, camera.topic, frame.recorded)
+    done, data = cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 1])
+    if not done:
+        raise AssertionError("OpenCV cannot write .png")
+    write_atomically(path, bytes(data))
+
+
+@dataclass(frozen=True, eq=False)
+class Mounting:
+    """How the sensors of a bag hang on its tree of frames."""
+
+    configuration: Configuration
+    edges: tuple[Edge, ...]
+    """Known ones, on the way from the world to the sensors and to the patterns' parents."""
+
+    def transforms(self, log: MotionLog, times: Sequence[float]) -> dict[Edge, Array]:
+        """(N, 4, 4) at each of the times, ns; the identity for what nobody knows.
+
+        Raises:
+            InputError: nothing was recorded of one near a time.
+        """
+        found = {edge: np.stack([log.transform(edge, time) for time in times]) for edge in self.edges}
+        for sensor in self.configuration.sensors.values():
+            edge = (sensor.parent_link, sensor.child_link)
+            if edge not in found:
+                found[edge] = np.broadcast_to(np.eye(4), (len(times), 4, 4))
+        return found
+
+
+def mounting(
+    described: ImportDescription, patterns: Mapping[str, PatternConfiguration], found: Survey, where: str
+) -> Mounting:
+    """What is calibrated: of each sensor the transform below its parent.
+
+    Raises:
+        InputError: a frame that is named is not in the recording, or is not above the sensor's.
+    """
+    edges = [edge for edge in found.log.edges if edge[1] not in {pattern.link for pattern in patterns.values()}]
+    tree, parent_of = FrameTree(edges), {child: parent for parent, child in edges}
+    known = set(tree.frames)
+    world = _world(described, found, parent_of)
+    sensors = {name: _sensor(camera, world, parent_of, found.log, where) for name, camera in found.cameras.items()}
+    ends = [*(sensor.parent_link for sensor in sensors.values()), *(each.parent_link for each in patterns.values())]
+    if stray := [frame for frame in ends if frame != world and frame not in known]:
+        raise InputError(
+            f"{where}: found no frame '{stray[0]}', expected one of those that were recorded: "
+            f"{', '.join(sorted(known)) or 'none'}"
+        )
+    ends += [sensor.link for sensor in sensors.values() if sensor.link in known]
+    used = dict.fromkeys((step.parent, step.child) for end in ends if end != world for step in tree.path(world, end))
+    mounted = any(pattern.fixed for pattern in patterns.values())
+    anchored = described.anchored or (None if mounted else next(iter(sensors)))
+    return Mounting(Configuration(world, sensors, patterns, anchored), tuple(used))
+
+
+def _world(described: ImportDescription, found: Survey, parent_of: Mapping[str, str]) -> str:
+    """The frame that all hang on: the one that is named, if it was recorded; else the root above the first sensor."""
+    frames = {*parent_of, *parent_of.values()}
+    if described.world in frames or not frames:
+        return described.world
+    frame = next((camera.frame for camera in found.cameras.values() if camera.frame in frames), next(iter(frames)))
+    while frame in parent_of:
+        frame = parent_of[frame]
+    return frame
+
+
+def _sensor(
+    camera: CameraTopic, world: str, parent_of: Mapping[str, str], log: MotionLog, where: str
+) -> SensorConfiguration:
+    described: SensorDescription = camera.described
+    name, frame = described.name, camera.frame
+    if frame not in parent_of:
+        parent, child = described.parent or world, frame
+    elif described.parent is None:
+        parent, child = _above_optical(frame, parent_of, log)
+    else:
+        child = frame
+        while parent_of.get(child) not in (described.parent, None):
+            child = parent_of[child]
+        if child not in parent_of:
+            raise InputError(f"{where}: '{described.parent}' is not above '{frame}', the frame of '{name}'")
+        parent = described.parent
+    return SensorConfiguration(name, "rgb", frame, parent, child, camera.topic)
+
+
+def _above_optical(frame: str, parent_of: Mapping[str, str], log: MotionLog) -> Edge:
+    """The transform that mounts a camera: not the one that only turns its axes to those of an image."""
+    edge = (parent_of[frame], frame)
+    if edge[0] in parent_of and not log.moves(edge) and not log.transform(edge, 0.0)[:3, 3].any():
+        return (parent_of[edge[0]], edge[0])
+    return edge

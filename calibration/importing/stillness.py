@@ -1,0 +1,165 @@
+"""Moments at which all stands still: by the corners that each camera saw, image after image."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from calibration.importing.looking import View
+
+GAP = 0.5
+"""Images that are farther apart say nothing of what moved between them, s."""
+SPAN = 0.3
+"""Corners that stay for so long stand still, s,"""
+MOVED = 1.0
+"""within this (px, the median of the corners)."""
+LAG = 0.1
+"""Single images belong together within this, s."""
+SECOND = 1e9
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """One image of one camera."""
+
+    sensor: str
+    stamp: int
+    """ns."""
+    recorded: int
+    """When it was recorded, ns: its place in the bag."""
+    view: View
+
+
+@dataclass(frozen=True, eq=False)
+class Group:
+    """Images of one camera in which a pattern stays where it is."""
+
+    frames: Sequence[Frame]
+
+    @property
+    def start(self) -> int:
+        """Stamp of the first, ns."""
+        return self.frames[0].stamp
+
+    @property
+    def end(self) -> int:
+        """Stamp of the last, ns."""
+        return self.frames[-1].stamp
+
+    def nearest(self, time: float) -> Frame:
+        """The image nearest to a time, ns."""
+        return min(self.frames, key=lambda frame: abs(frame.stamp - time))
+
+
+@dataclass(frozen=True, eq=False)
+class StillMoment:
+    """What the cameras saw at one moment."""
+
+    frames: Mapping[str, Frame]
+    """By sensor; those that see a pattern."""
+
+    @property
+    def time(self) -> float:
+        """The mean of the stamps, ns."""
+        return float(np.mean([frame.stamp for frame in self.frames.values()]))
+
+    @property
+    def lag(self) -> float:
+        """Between the first and the last stamp, s."""
+        stamps = [frame.stamp for frame in self.frames.values()]
+        return (max(stamps) - min(stamps)) / SECOND
+
+
+def still_moments(frames: Mapping[str, Sequence[Frame]]) -> list[StillMoment]:
+    """The moments at which the corners of every camera that sees a pattern stay where they are.
+
+    One for each stay, however long. Where images are farther apart than `GAP`, each stands for itself.
+
+    Args:
+        frames: of each camera, all of them, by their stamps.
+    """
+    groups = {name: still_groups(own) for name, own in frames.items()}
+    order = sorted(groups, key=lambda name: -len(groups[name]))
+    used: set[int] = set()
+    moments = []
+    for i, name in enumerate(order):
+        for group in groups[name]:
+            if id(group) in used:
+                continue
+            start, end, together = group.start, group.end, {name: group}
+            for other in order[i + 1 :]:
+                best = max(groups[other], key=lambda g: _overlap(g, start, end), default=None)
+                if best is not None and id(best) not in used and _overlap(best, start, end) >= -LAG * SECOND:
+                    used.add(id(best))
+                    together[other] = best
+                    start, end = sorted((max(start, best.start), min(end, best.end)))
+            moments.append(StillMoment({s: g.nearest((start + end) / 2) for s, g in together.items()}))
+    return sorted(moments, key=lambda moment: moment.time)
+
+
+def moments_at(frames: Mapping[str, Sequence[Frame]], times: Sequence[float]) -> list[StillMoment]:
+    """The images with a pattern that are nearest to each time (ns) and not farther than `LAG`; moving or not."""
+    moments = []
+    for time in times:
+        found = {}
+        for name, own in frames.items():
+            near = [frame for frame in own if abs(frame.stamp - time) <= LAG * SECOND and frame.view.labelled]
+            if near:
+                found[name] = min(near, key=lambda frame: abs(frame.stamp - time))
+        if found:
+            moments.append(StillMoment(found))
+    return moments
+
+
+def thinned(moments: Sequence[StillMoment], most: int, still: Callable[[StillMoment], bool]) -> list[StillMoment]:
+    """Those at which the robot stands still too, evenly chosen where there are more than ``most``."""
+    kept = [moment for moment in moments if still(moment)]
+    if len(kept) <= most:
+        return kept
+    return [kept[i] for i in np.linspace(0, len(kept) - 1, most).round().astype(int)]
+
+
+def still_groups(frames: Sequence[Frame]) -> list[Group]:
+    """The stays of one camera's patterns, from all of its images by their stamps."""
+    groups: list[Group] = []
+    run: list[Frame] = []
+
+    def finish() -> None:
+        if run and (_alone(frames, run) or run[-1].stamp - run[0].stamp >= SPAN * SECOND):
+            groups.append(Group(tuple(run)))
+        run.clear()
+
+    for frame in frames:
+        if run and (not frame.view.labelled or frame.stamp - run[-1].stamp > GAP * SECOND or _moved(run[0], frame)):
+            finish()
+        if frame.view.labelled:
+            run.append(frame)
+    finish()
+    return groups
+
+
+def _alone(frames: Sequence[Frame], run: Sequence[Frame]) -> bool:
+    """Whether a run is one image that no other of the camera is near to."""
+    if len(run) > 1:
+        return False
+    stamps = [frame.stamp for frame in frames]
+    at = stamps.index(run[0].stamp)
+    near = [abs(stamps[i] - run[0].stamp) for i in (at - 1, at + 1) if 0 <= i < len(stamps)]
+    return all(gap > GAP * SECOND for gap in near)
+
+
+def _moved(one: Frame, other: Frame) -> bool:
+    """Whether the corners that both show are elsewhere; so too where they show none in common."""
+    steps = []
+    for pattern, found in one.view.found.items():
+        a, b = found.labels, other.view.found[pattern].labels
+        if a is not None and b is not None:
+            _, i, j = np.intersect1d(a.ids, b.ids, return_indices=True)
+            steps.append(np.linalg.norm(a.pixels[i] - b.pixels[j], axis=-1))
+    distances = np.concatenate(steps) if steps else np.zeros(0)
+    return not len(distances) or bool(np.median(distances) > MOVED)
+
+
+def _overlap(group: Group, start: int, end: int) -> int:
+    """How long a group and an interval overlap, ns; negative for a gap."""
+    return min(group.end, end) - max(group.start, start)

@@ -1,0 +1,172 @@
+"""First pass over a bag: topics, stamps, intrinsics, and how everything moves. No image is decoded."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+
+import numpy as np
+
+from calibration.errors import InputError
+from calibration.files import read_bytes
+from calibration.geometry.cameras import Camera
+from calibration.importing.bag import MORE_TYPES, SECOND, Bag, RawMessage
+from calibration.importing.description import ImportDescription, SensorDescription
+from calibration.importing.messages import camera_of, transform_of
+from calibration.importing.motion_log import MotionLog
+from calibration.simulation.description import MAX_BYTES
+
+_SENSOR = "sensor_msgs/msg/"
+IMAGES = (f"{_SENSOR}Image", f"{_SENSOR}CompressedImage")
+INFO, JOINTS = f"{_SENSOR}CameraInfo", f"{_SENSOR}JointState"
+TF, TEXT = tuple(MORE_TYPES), "std_msgs/msg/String"
+JUMP = 0.001
+"""Stamps of one topic may go back by no more, s."""
+
+
+@dataclass(frozen=True, eq=False)
+class CameraTopic:
+    """A camera in a bag."""
+
+    described: SensorDescription
+    topic: str
+    frame: str
+    """Of its images, as they say."""
+    stamps: Mapping[int, int]
+    """Of every image, ns, by when it was recorded, ns."""
+    camera: Camera | None
+    """As camera_info has it; None where there is none, or it is not calibrated."""
+
+
+@dataclass(frozen=True, eq=False)
+class Survey:
+    """What a bag has."""
+
+    cameras: Mapping[str, CameraTopic]
+    log: MotionLog
+
+
+def survey(bag: Bag, described: ImportDescription) -> Survey:
+    """Look through a bag.
+
+    Raises:
+        InputError: a topic is missing or has no message, a clock jumps back, the stamps of two cameras do not
+            overlap, or a message is wrong.
+    """
+    sensors = described.sensors or _found(bag)
+    for sensor in sensors:
+        _check_topic(bag, sensor)
+    infos = {sensor.name: _info_topic(bag, sensor) for sensor in sensors if sensor.intrinsics is None}
+    of_topic = {sensor.topic or "": sensor.name for sensor in sensors}
+    first: dict[str, RawMessage] = {}
+    stamps: dict[str, dict[int, int]] = {sensor.name: {} for sensor in sensors}
+    log, texts = MotionLog(), [topic for topic in bag.of_type(TEXT) if topic.endswith("robot_description")]
+    others = [*bag.of_type(*TF), *bag.of_type(JOINTS), *texts]
+    for message in bag.messages({*of_topic, *filter(None, infos.values()), *others}):
+        if (name := of_topic.get(message.topic)) is not None:
+            first.setdefault(message.topic, message)
+            _add_stamp(bag, message, stamps[name])
+        elif message.topic in others:
+            _follow(bag, message, log)
+        else:
+            first.setdefault(message.topic, message)
+    if described.bags is not None and (urdf := described.bags.robot_description):
+        log.use_robot(read_bytes(urdf, MAX_BYTES, "a robot description"), urdf)
+    cameras = {}
+    for sensor in sensors:
+        topic, info = sensor.topic or "", infos.get(sensor.name)
+        if topic not in first:
+            raise InputError(f"{bag.path}: {topic}: found no message, expected the images of '{sensor.name}'")
+        frame = sensor.frame or str(bag.decode(first[topic]).header.frame_id).lstrip("/") or sensor.link
+        camera = None if info is None or info not in first else _camera(bag, first[info])
+        cameras[sensor.name] = CameraTopic(sensor, topic, frame, stamps[sensor.name], camera)
+    _check_overlap(bag, list(cameras.values()))
+    return Survey(cameras, log)
+
+
+def _found(bag: Bag) -> tuple[SensorDescription, ...]:
+    """Every topic of images, but depth, and but one where the same images are there raw and compressed."""
+    raw, compressed = bag.of_type(IMAGES[0]), bag.of_type(IMAGES[1])
+    topics = [*raw, *(topic for topic in compressed if str(PurePosixPath(topic).parent) not in raw)]
+    topics = [topic for topic in topics if "depth" not in topic.lower()]
+    if not topics:
+        kinds = ", ".join(f"{topic} ({kind})" for topic, kind in bag.topics.items()) or "none"
+        raise InputError(f"{bag.path}: found no topic of images, expected one; topics: {kinds}")
+    names = {topic: PurePosixPath(topic).parts[1] for topic in topics}
+    if len(set(names.values())) < len(names):
+        names = {topic: topic.strip("/").replace("/", "_") for topic in topics}
+    return tuple(SensorDescription(name, topic=topic) for topic, name in names.items())
+
+
+def _check_topic(bag: Bag, sensor: SensorDescription) -> None:
+    known = [*bag.of_type(IMAGES[0]), *bag.of_type(IMAGES[1])]
+    if sensor.topic not in known:
+        kind = bag.topics.get(sensor.topic or "")
+        said = f"found '{sensor.topic}' as {kind}" if kind else f"found no topic '{sensor.topic}'"
+        raise InputError(
+            f"{bag.path}: {said}, expected the images of '{sensor.name}'; topics of that type: "
+            f"{', '.join(known) or 'none'}"
+        )
+
+
+def _info_topic(bag: Bag, sensor: SensorDescription) -> str | None:
+    """The topic of a camera's intrinsics: the one that is named, else beside its images."""
+    known = bag.of_type(INFO)
+    if sensor.camera_info is not None:
+        if sensor.camera_info not in known:
+            raise InputError(
+                f"{bag.path}: found no camera_info '{sensor.camera_info}' for '{sensor.name}'; topics of that type: "
+                f"{', '.join(known) or 'none'}"
+            )
+        return sensor.camera_info
+    above = PurePosixPath(sensor.topic or "").parents
+    return next((str(path / "camera_info") for path in above if str(path / "camera_info") in known), None)
+
+
+def _add_stamp(bag: Bag, message: RawMessage, stamps: dict[int, int]) -> None:
+    stamp = bag.stamp(message)
+    last = next(reversed(stamps.values()), None)
+    if last is not None and stamp < last - JUMP * SECOND:
+        raise InputError(
+            f"{bag.path}: {message.topic}: the clock jumps back by {(last - stamp) / SECOND:.3f} s at "
+            f"{last / SECOND:.3f}; expected rising stamps: cut the bag there"
+        )
+    if stamp == last or message.recorded in stamps:
+        raise InputError(
+            f"{bag.path}: {message.topic}: found two images with the stamp {stamp / SECOND:.6f}, expected each once"
+        )
+    stamps[message.recorded] = stamp
+
+
+def _follow(bag: Bag, message: RawMessage, log: MotionLog) -> None:
+    kind, where = bag.topics[message.topic], f"{bag.path}: {message.topic}"
+    content = bag.decode(message)
+    if kind in TF:
+        for each in content.transforms:
+            edge, T = transform_of(each, where)
+            if message.topic.endswith("tf_static"):
+                log.static[edge] = T
+            else:
+                stamp = int(each.header.stamp.sec) * SECOND + int(each.header.stamp.nanosec)
+                log.follow(edge, stamp or message.recorded, T)
+    elif kind == JOINTS:
+        for name, position in zip(content.name, content.position, strict=False):
+            if not np.isfinite(position):
+                raise InputError(f"{where}: found {position} as the position of joint '{name}', expected a number")
+            log.follow_joint(str(name), bag.stamp(message), float(position))
+    elif log.robot is None:
+        log.use_robot(str(content.data).encode(), Path(f"{bag.path}:{message.topic}"))
+
+
+def _camera(bag: Bag, message: RawMessage) -> Camera | None:
+    return camera_of(bag.decode(message), f"{bag.path}: {message.topic}")
+
+
+def _check_overlap(bag: Bag, cameras: Sequence[CameraTopic]) -> None:
+    spans = {each.topic: (min(each.stamps.values()), max(each.stamps.values())) for each in cameras}
+    for topic, (start, end) in spans.items():
+        for other, (first, last) in spans.items():
+            if start > last:
+                raise InputError(
+                    f"{bag.path}: the stamps of {topic} ({start / SECOND:.3f} to {end / SECOND:.3f}) and of {other} "
+                    f"({first / SECOND:.3f} to {last / SECOND:.3f}) do not overlap: are their clocks synchronised?"
+                )
