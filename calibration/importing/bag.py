@@ -181,10 +181,10 @@ def _endings() -> str:
 
 @contextmanager
 def _readable(path: Path, what: str = "this bag cannot be read") -> Iterator[None]:
-    """Take whatever the library raises on wrong bytes for what they are."""
+    """Take whatever the library raises on wrong bytes for what they are; MemoryError too, of a damaged length."""
     try:
         yield
-    except (CalibrationError, MemoryError, GeneratorExit):
+    except CalibrationError:
         raise
     except Exception as error:
         reason = " ".join(str(error).split()) or type(error).__name__

@@ -359,3 +359,15 @@ def test_damaged_bags_are_errors(
     with pytest.raises(CalibrationError):  # 48 rows show no pattern, whatever else is wrong
         import_data(describe(path), folder / "out", jobs=1)
     shutil.rmtree(folder)
+
+
+def test_a_length_beyond_all_memory_is_damage(whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from rosbags.rosbag1 import Reader
+
+    def exhausted(*_: object) -> None:
+        raise MemoryError
+
+    monkeypatch.setattr(Reader, "messages", exhausted)
+    shutil.copytree(whole / "bag", tmp_path / "copy")
+    with pytest.raises(InputError, match="cannot be read: MemoryError; is it cut off"):
+        import_data(describe(file_of(tmp_path / "copy", "bag")), tmp_path / "out", jobs=1)

@@ -27,6 +27,7 @@ DOCUMENTS = {
         *PROJECT.glob("examples/*/calibration.yml"),
         *PROJECT.glob("tests/rigel/rigelfiles/*.calibration.yml"),  # what import-rigelfile writes
     ],
+    "import.yml": [],  # those that the documentation shows
     "scenario-set": [*PROJECT.glob("datasets/**/scenarios.yml")],
     "collection": [*PROJECT.glob("datasets/*/results.json")],
 }
