@@ -10,14 +10,8 @@ import pytest
 import yaml
 
 DATASETS = Path(__file__).resolve().parents[2] / "datasets"
-BOARD = {
-    "type": "charuco",
-    "columns": 11,
-    "rows": 8,
-    "square": 0.06,
-    "marker": 0.045,
-    "dictionary": "DICT_5X5_100",
-}
+DESCRIPTION = Path(__file__).with_name("import.yml")
+BOARD = yaml.safe_load(DESCRIPTION.read_text())["patterns"]["board"]
 CAMERAS = ("left_camera", "right_camera")
 FOCAL = 554.256258422
 
@@ -45,8 +39,7 @@ def stereo(tmp_path: Path) -> Path:
         for number in range(6):
             shutil.copy(DATASETS / "t2rgb" / f"{camera}_{number:03d}.jpg", folder / camera / f"{number}.jpg")
     (folder / "camera.yaml").write_text(yaml.safe_dump(camera_info()))
-    sensors = {camera: {"images": camera, "intrinsics": "camera.yaml"} for camera in CAMERAS}
-    (folder / "import.yml").write_text(json.dumps({"sensors": sensors, "patterns": {"board": BOARD}}))
+    shutil.copy(DESCRIPTION, folder)
     return folder
 
 

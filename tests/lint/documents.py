@@ -27,7 +27,7 @@ DOCUMENTS = {
         *PROJECT.glob("examples/*/calibration.yml"),
         *PROJECT.glob("tests/rigel/rigelfiles/*.calibration.yml"),  # what import-rigelfile writes
     ],
-    "import.yml": [],  # those that the documentation shows
+    "import.yml": [PROJECT / "tests/importing/import.yml"],
     "scenario-set": [*PROJECT.glob("datasets/**/scenarios.yml")],
     "collection": [*PROJECT.glob("datasets/*/results.json")],
 }
