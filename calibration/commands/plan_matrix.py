@@ -18,6 +18,7 @@ from calibration.commands.parameters import (
 )
 from calibration.commands.record_options import given, record_options
 from calibration.errors import ExitCode, InputError
+from calibration.git.event import Event
 from calibration.pipeline.configuration import DEFAULT_FILE, Configuration, read_configuration
 from calibration.pipeline.distribution.plan import Plan, Wishes, datasets_as_configuration, plan_jobs
 from calibration.pipeline.distribution.plan_outputs import plan_outputs
@@ -43,7 +44,6 @@ class Settings:
     command: str | None = None
     tests: str | None = None
     jobs: tuple[str, ...] = ()
-    push: bool = True
     promote: bool = True
     minute_rate: float | None = None
     artifact_name: str = "calibration"
@@ -77,7 +77,6 @@ def minute_rate(value: str | float) -> float:
 @click.option("--command", type=text, help="What it runs.")
 @click.option("--tests", type=text, help="The command that runs the unit tests.")
 @click.option("--jobs", type=TEXT_LIST, help="Only these jobs: calibrate, collect-data, unit-tests.")
-@boolean_option("--push", default=True, help="Images may be pushed (yes); not from a fork, which has no secrets.")
 @boolean_option("--promote", default=True, help="An image that passes may get its release tags (yes).")
 @click.option("--minute-rate", type=minute_rate, help="What a minute of a job costs, in your currency: 0.006.")
 @click.option("--artifact-name", type=artifact_name, help="What the names of the artifacts begin with (calibration).")
@@ -95,7 +94,7 @@ def plan_matrix(settings: Settings, runner: Runner) -> ExitCode:
         InputError: the configuration is wrong, there is nothing to do, or the matrix is too large.
         WorldError: the outputs cannot be written.
     """
-    plan = plan_of(settings)
+    plan = plan_of(settings, Event.from_environment(os.environ))
     outputs = plan_outputs(plan)
     with stop_commands(runner):  # names of systems are the user's
         for job, runs in plan.jobs.items():
@@ -107,8 +106,8 @@ def plan_matrix(settings: Settings, runner: Runner) -> ExitCode:
     return ExitCode.PASS
 
 
-def plan_of(settings: Settings) -> Plan:
-    """The plan of these settings.
+def plan_of(settings: Settings, event: Event) -> Plan:
+    """The plan of these settings; a stranger's change pushes no image.
 
     Raises:
         InputError: the configuration is wrong, there is nothing to do, or the matrix is too large.
@@ -122,7 +121,7 @@ def plan_of(settings: Settings) -> Plan:
         image=bool(settings.image),
         command=bool(settings.command),
         tests=bool(settings.tests),
-        push=settings.push,
+        push=event.by_stranger is None,
         promote=settings.promote,
         minute_rate=settings.minute_rate,
     )

@@ -23,6 +23,8 @@ class Event:
     """GITHUB_SHA."""
     actor: str = ""
     body: Mapping[str, Any] = field(default_factory=dict)
+    repository: str | None = None
+    """GITHUB_REPOSITORY, OWNER/NAME."""
 
     @classmethod
     def from_environment(cls, environment: Mapping[str, str]) -> Self:
@@ -44,6 +46,7 @@ class Event:
             environment.get("GITHUB_SHA", ""),
             environment.get("GITHUB_ACTOR", ""),
             body if isinstance(body, dict) else {},
+            environment.get("GITHUB_REPOSITORY") or None,
         )
 
     def at(self, *keys: str) -> Any:
@@ -54,17 +57,26 @@ class Event:
         return part
 
     @property
-    def without_secrets(self) -> str | None:
-        """Why the event's workflow is given no secrets; None when it is."""
+    def by_stranger(self) -> str | None:
+        """Why GitHub gives the run neither secrets nor a token that may write; None when it does.
+
+        A pull request is a stranger's where its branch is in another repository. That its repository is a fork says
+        nothing: a team's own may be one.
+        """
         if self.actor == _DEPENDABOT or self.at("pull_request", "user", "login") == _DEPENDABOT:
             return "Dependabot started it, which is given no secrets of Actions"
         if self.name.startswith("pull_request") and self.name != "pull_request_target" and self.at("pull_request"):
-            head, base = (self.at("pull_request", side, "repo", "full_name") for side in ("head", "base"))
-            if head != base:  # none at all when the fork was deleted
+            ours = self.at("pull_request", "base", "repo", "full_name") or self.repository
+            if self.at("pull_request", "head", "repo", "full_name") != ours:  # none at all when the fork was deleted
                 return "it is a pull request from a fork, which is given no secrets"
-        if self.at("repository", "fork") is True:
-            return "it runs in a fork, which has no secrets of the original"
         return None
+
+    @property
+    def without_secrets(self) -> str | None:
+        """Why the event's workflow has no secrets of the team; None when it has."""
+        if self.by_stranger is None and self.at("repository", "fork") is True:
+            return "it runs in a fork, which has no secrets of the original"
+        return self.by_stranger
 
     @property
     def bases(self) -> list[str]:

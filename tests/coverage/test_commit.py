@@ -70,6 +70,19 @@ def test_a_commit_that_is_none(repository: Repository, text: str) -> None:
         find_commit(text, Event(), repository)
 
 
+ACT = {"pull_request": {"head": {"ref": "better", "repo": {"full_name": "stranger/robot"}}}}
+"""What the README tells users of act to write."""
+
+
+def test_a_teams_own_repository_may_be_a_fork() -> None:
+    """GitHub says so of every pull request's head, whose branch may still be the team's."""
+    body = pull_request()
+    body["pull_request"]["head"]["repo"]["fork"] = True
+    event = Event("pull_request", body=body | {"repository": {"fork": True}})
+    assert event.by_stranger is None
+    assert event.without_secrets == "it runs in a fork, which has no secrets of the original"
+
+
 def test_the_event_is_read_only_on_github(tmp_path: Path) -> None:
     file = tmp_path / "event.json"
     file.write_text(json.dumps(pull_request()))
@@ -106,6 +119,7 @@ def test_the_event_is_read_only_on_github(tmp_path: Path) -> None:
         (Event("push", actor="dependabot[bot]"), "Dependabot"),
         (Event("pull_request", body={"pull_request": {"user": {"login": "dependabot[bot]"}}}), "Dependabot"),
         (Event("push", body={"repository": {"fork": True}}), "in a fork"),
+        (Event("pull_request", body=ACT, repository="me/robot"), "a pull request from a fork"),
     ],
 )
 def test_who_is_given_no_secrets(event: Event, reason: str | None) -> None:

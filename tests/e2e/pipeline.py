@@ -2,13 +2,14 @@
 
 import re
 import shutil
+import subprocess
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import yaml
 
-from .conftest import PROJECT, Repository, Run, commit
+from .conftest import PROJECT, Repository, Run, commit, tool
 
 OUTPUTS = ("verdict", "success-rate", "billed-minutes", "cost")
 """Of the workflow; a job of the caller prints them."""
@@ -84,6 +85,7 @@ class Caller:
     def _git_configuration(self) -> Path:
         """Git's settings that turn GitHub's address of the suite into its folder here."""
         path = self.artifacts.with_name("gitconfig")
-        suite = f'[url "{self.repository.suite}"]\n\tinsteadOf = https://github.com/me/suite\n'
-        path.write_text(f"{suite}[safe]\n\tdirectory = *\n")
+        settings = (f"url.{self.repository.suite}.insteadOf", "https://github.com/me/suite"), ("safe.directory", "*")
+        for setting in settings:  # the first is what the README tells users of act
+            subprocess.run([tool("git"), "config", "--file", path, *setting], check=True)
         return path

@@ -42,7 +42,7 @@ def plan(monkeypatch: pytest.MonkeyPatch, **inputs: str) -> dict[str, str]:
 
 def test_the_plan_of_a_configuration(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     Path("calibration.yml").write_text(CONFIGURATION)
-    found = plan(monkeypatch, config="", translation_noise="", noise_inside_cells="false", push="true")
+    found = plan(monkeypatch, config="", translation_noise="", noise_inside_cells="false")
     assert [cell["name"] for cell in json.loads(found["cells"])] == [
         f"{system}, {t} m, 0.3 rad" for system in ("robot", "arm") for t in ("0", "0.5")
     ]
@@ -216,6 +216,16 @@ image: {name: ghcr.io/me/robot, base: debian, push: true, promote: [stable]}
 noise: {translation: [0.5, 0], rotation: [0.3]}
 systems: {robot: {dataset: robot, software: {command: calibrate}}}
 """
+
+
+@pytest.mark.parametrize(("head", "pushes"), [("me/robot", "true"), ("stranger/robot", "false")])
+def test_only_the_teams_own_change_pushes_its_image(head: str, pushes: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    Path("calibration.yml").write_text(IMAGE)
+    Path("event.json").write_text(json.dumps({"pull_request": {"head": {"repo": {"full_name": head, "fork": True}}}}))
+    variables = {"ACTIONS": "true", "EVENT_NAME": "pull_request", "EVENT_PATH": "event.json", "REPOSITORY": "me/robot"}
+    for name, value in variables.items():
+        monkeypatch.setenv(f"GITHUB_{name}", value)
+    assert plan(monkeypatch)["push"] == pushes
 
 
 @pytest.mark.parametrize("calibrates", ["success", "failure"])
