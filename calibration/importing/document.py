@@ -9,6 +9,7 @@ import numpy as np
 
 from calibration.dataset.configuration import Configuration, SensorConfiguration
 from calibration.dataset.edges import transform_documents
+from calibration.dataset.modalities import MODALITIES
 from calibration.dataset.model import Edge
 from calibration.dataset.pattern import pattern_document
 from calibration.dataset.sensors import camera_document
@@ -16,6 +17,9 @@ from calibration.geometry.cameras import Camera
 from calibration.geometry.frames import FrameTree
 from calibration.geometry.types import Array
 from calibration.importing.looking import FoundCorners, LabelledMoment
+from calibration.importing.range_data import LabelledRange, RangeView
+from calibration.labelling.detection import NotDetected
+from calibration.labelling.points import PatternPoints
 
 ESTIMATED = "estimated_intrinsics"
 """Key of ``_metadata``: the cameras whose intrinsics are a start from the corners."""
@@ -34,10 +38,21 @@ class Imported:
     estimated: tuple[str, ...]
     """The cameras whose intrinsics are a start from the corners."""
     moments: Sequence[LabelledMoment]
+    ranges: Sequence[Mapping[str, LabelledRange]]
+    """Of the moments: what each LiDAR measured."""
     transforms: Mapping[Edge, Array]
     """(N, 4, 4): of the moments."""
     rough: bool
     """Whether the calibrated transforms are no statement, only a start."""
+
+    @property
+    def seen(self) -> list[list[str]]:
+        """The sensors that see a pattern, at each moment."""
+        return [
+            [name for name, view in moment.views.items() if view.labelled]
+            + [name for name, each in own.items() if any(isinstance(f, PatternPoints) for f in each.found.values())]
+            for moment, own in zip(self.moments, self.ranges, strict=True)
+        ]
 
     @property
     def keys(self) -> list[str]:
@@ -72,16 +87,22 @@ def dataset_document(of: Imported) -> dict[str, Any]:
             key: {
                 "additional_data": {},
                 "data": {
-                    name: _message(of, name, data_file(name, key, view.file)) for name, view in moment.views.items()
+                    **{
+                        name: _message(of, name, data_file(name, key, view.file)) for name, view in moment.views.items()
+                    },
+                    **{name: _range_message(of, name, key, each.view) for name, each in ranges.items()},
                 },
                 "joints": {},
                 "labels": {
-                    pattern: {name: _label(view.found[pattern]) for name, view in moment.views.items()}
+                    pattern: {
+                        **{name: _label(view.found[pattern]) for name, view in moment.views.items()},
+                        **{name: _range_label(each.found[pattern]) for name, each in ranges.items()},
+                    }
                     for pattern in configuration.patterns
                 },
                 "transforms": {"-".join(edge): documents[number] for edge, documents in rows.items()},
             }
-            for number, (key, moment) in enumerate(zip(of.keys, of.moments, strict=True))
+            for number, (key, moment, ranges) in enumerate(zip(of.keys, of.moments, of.ranges, strict=True))
         },
     }
 
@@ -97,12 +118,28 @@ def _message(of: Imported, sensor: str, file: str) -> dict[str, Any]:
     return {
         "data_file": file,
         "encoding": "bgr8",
-        "header": {"frame_id": of.configuration.sensors[sensor].link, "seq": 0, "stamp": {"nsecs": 0, "secs": 0}},
+        "header": _header(of, sensor),
         "height": camera.height,
         "is_bigendian": 0,
         "step": 3 * camera.width,
         "width": camera.width,
     }
+
+
+def _range_label(found: PatternPoints | NotDetected) -> dict[str, Any]:
+    if isinstance(found, NotDetected):
+        return {"detected": False, "idxs": [], "idxs_limit_points": []}
+    return {"detected": True, "idxs": found.on_pattern.tolist(), "idxs_limit_points": found.on_border.tolist()}
+
+
+def _range_message(of: Imported, sensor: str, key: str, view: RangeView) -> dict[str, Any]:
+    file = {} if view.file is None else {"data_file": data_file(sensor, key, view.file.name)}
+    return {**view.message, **file, "header": _header(of, sensor)}
+
+
+def _header(of: Imported, sensor: str) -> dict[str, Any]:
+    frame = of.configuration.sensors[sensor].link
+    return {"frame_id": frame, "seq": 0, "stamp": {"nsecs": 0, "secs": 0}}
 
 
 def _sensor(of: Imported, sensor: SensorConfiguration) -> dict[str, Any]:
@@ -111,16 +148,15 @@ def _sensor(of: Imported, sensor: SensorConfiguration) -> dict[str, Any]:
         "_name": sensor.name,
         "calibration_child": sensor.child_link,
         "calibration_parent": sensor.parent_link,
-        "camera_info": {
-            **camera_document(of.cameras[sensor.name]),
-            "R": np.eye(3).ravel().tolist(),
-            "binning_x": 0,
-            "binning_y": 0,
-        },
-        "camera_info_topic": "",
+        **(_camera_info(of.cameras[sensor.name]) if sensor.name in of.cameras else {}),
         "chain": [{"parent": s.parent, "child": s.child, "key": f"{s.parent}-{s.child}"} for s in steps],
         "modality": sensor.modality,
-        "msg_type": "Image",
+        "msg_type": MODALITIES[sensor.modality].message,
         "parent": sensor.link,
         "topic": sensor.topic_name,
     }
+
+
+def _camera_info(camera: Camera) -> dict[str, Any]:
+    info = {**camera_document(camera), "R": np.eye(3).ravel().tolist(), "binning_x": 0, "binning_y": 0}
+    return {"camera_info": info, "camera_info_topic": ""}

@@ -1,6 +1,7 @@
 """A recording becomes a dataset: what belongs together is found, labelled, and written."""
 
 import json
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -29,6 +30,7 @@ from calibration.importing.document import Imported, data_file, dataset_document
 from calibration.importing.looking import LabelledMoment, View, check_copies, check_sizes, look, read_image
 from calibration.importing.near_miss import check_board, never_seen
 from calibration.importing.pictures import Moment, Pictures, find_pictures, moments_of
+from calibration.importing.range_data import LabelledRange, RangeView, labelled_ranges
 from calibration.importing.recordings import (
     SeenImages,
     chosen_moments,
@@ -37,6 +39,7 @@ from calibration.importing.recordings import (
     image_at,
     looking_tasks,
     mounting,
+    ranges_taken_out,
     taken_out,
 )
 from calibration.importing.results import ImportResults, RejectedView, SensorResult
@@ -45,7 +48,8 @@ from calibration.importing.starting_intrinsics import starting_intrinsics
 from calibration.importing.survey import survey
 from calibration.importing.target_files import pattern_configuration
 from calibration.labelling.corner_detector import corner_detector
-from calibration.labelling.detection import Image
+from calibration.labelling.detection import Image, NotDetected
+from calibration.labelling.points import PatternPoints
 from calibration.records import read, text_of
 from calibration.simulation.collection.collecting import single_threaded_opencv
 from calibration.simulation.collection.dataset_folder import refuse_existing, replacing_dataset
@@ -69,6 +73,8 @@ class Recorded:
     """Whether the calibrated transforms are no statement, only a start."""
     lag: float = 0.0
     """Between the images of a moment, at most, s."""
+    ranges: Sequence[Mapping[str, RangeView]] = ()
+    """Of the moments: what each LiDAR measured; empty where there is none."""
 
 
 def read_description(path: Path) -> ImportDescription:
@@ -116,6 +122,10 @@ def import_data(
             for key, moment in zip(imported.keys, imported.moments, strict=True):
                 for name, view in moment.views.items():
                     place(Path(view.file), new / data_file(name, key, view.file))
+            for key, ranges in zip(imported.keys, imported.ranges, strict=True):
+                for name, each in ranges.items():
+                    if each.view.file is not None:
+                        place(each.view.file, new / data_file(name, key, each.view.file.name))
             write_document(dataset_document(imported), new / FILE_NAME)
             read_dataset(new)
     return _results(imported, recorded)
@@ -187,6 +197,7 @@ def _from_bags(
             mounted.transforms(found.log, [moment.time for moment in moments]),
             rough=not mounted.edges,
             lag=max(moment.lag for moment in moments),
+            ranges=ranges_taken_out(bags.files, found, moments, folder),
         )
 
     return _Source(
@@ -299,7 +310,9 @@ def _imported(robot: str, recorded: Recorded) -> Imported:
     """
     cameras: dict[str, Camera] = {}
     configuration, moments = recorded.configuration, recorded.moments
-    for name in configuration.sensors:
+    for name, sensor in configuration.sensors.items():
+        if sensor.modality != "rgb":
+            continue
         views = [moment.views[name] for moment in moments if name in moment.views]
         if not views:
             raise InputError(f"'{name}' has no image in any moment")
@@ -309,15 +322,40 @@ def _imported(robot: str, recorded: Recorded) -> Imported:
             check_board(name, pattern, views)
         cameras[name] = _camera(name, recorded.lenses.get(name), configuration, views)
     kept = [i for i, moment in enumerate(moments) if any(view.labelled for view in moment.views.values())]
+    ranges = _ranges(recorded, cameras)
     return Imported(
         robot=robot,
         configuration=configuration,
         cameras=cameras,
-        estimated=tuple(name for name in configuration.sensors if name not in recorded.lenses),
+        estimated=tuple(name for name in cameras if name not in recorded.lenses),
         moments=[moments[i] for i in kept],
+        ranges=[ranges[i] for i in kept],
         transforms={edge: T[kept] for edge, T in recorded.transforms.items()},
         rough=recorded.rough,
     )
+
+
+def _ranges(recorded: Recorded, cameras: Mapping[str, Camera]) -> Sequence[Mapping[str, LabelledRange]]:
+    """What the LiDARs see of the patterns.
+
+    Raises:
+        InputError: one sees none at any moment.
+    """
+    configuration = recorded.configuration
+    lidars = [name for name, sensor in configuration.sensors.items() if sensor.modality != "rgb"]
+    if not lidars:
+        return [{} for _ in recorded.moments]
+    ranges = labelled_ranges(recorded.ranges, recorded.moments, configuration, cameras, recorded.transforms)
+    for name in lidars:
+        found = [each for own in ranges if name in own for each in own[name].found.values()]
+        if not any(isinstance(each, PatternPoints) for each in found):
+            reasons = Counter(each.reason for each in found if isinstance(each, NotDetected)).most_common(1)
+            why = reasons[0][0] if reasons else "nothing was recorded at any of the moments"
+            raise InputError(
+                f"'{name}' sees no pattern at any of {len(ranges)} moments where a camera sees it (mostly: {why}); its "
+                "place relative to the cameras must be known to 10 cm: is it in /tf or the robot description?"
+            )
+    return ranges
 
 
 def _check_seen(
@@ -355,7 +393,7 @@ def _camera(name: str, lens: KnownLens | None, configuration: Configuration, vie
 def _results(imported: Imported, recorded: Recorded) -> ImportResults:
     labelled = recorded.moments
     sensors = {}
-    for name in imported.configuration.sensors:
+    for name in imported.cameras:
         views = [moment.views[name] for moment in labelled if name in moment.views]
         rejected = [
             RejectedView(view.file, "; ".join(dict.fromkeys(found.reason for found in view.found.values())))
@@ -371,7 +409,10 @@ def _results(imported: Imported, recorded: Recorded) -> ImportResults:
             camera=document_of_camera(imported.cameras[name]),
             rejected=tuple(rejected),
         )
-    together = sum(1 for moment in imported.moments if sum(view.labelled for view in moment.views.values()) > 1)
+    for name in imported.configuration.sensors:
+        if name not in sensors:
+            sensors[name] = _lidar_result([each[name] for each in imported.ranges if name in each])
+    together = sum(1 for seen in imported.seen if len(seen) > 1)
     lag = round(1e3 * recorded.lag, 3)
     return ImportResults(imported.robot, len(labelled), len(imported.moments), together, lag, sensors)
 
@@ -379,3 +420,17 @@ def _results(imported: Imported, recorded: Recorded) -> ImportResults:
 def document_of_camera(camera: Camera) -> dict[str, float]:
     """The intrinsics by their names."""
     return dict(zip(camera.parameters, camera.intrinsics.tolist(), strict=True))
+
+
+def _lidar_result(views: Sequence[LabelledRange]) -> SensorResult:
+    found = [each for view in views for each in view.found.values()]
+    points = [each for each in found if isinstance(each, PatternPoints)]
+    missed = [each for each in found if isinstance(each, NotDetected)]
+    return SensorResult(
+        images=len(views),
+        labelled=sum(any(isinstance(each, PatternPoints) for each in view.found.values()) for view in views),
+        corners=sum(len(each.on_pattern) for each in points),
+        intrinsics="none",
+        camera={},
+        rejected=tuple(RejectedView("", each.reason) for each in missed),
+    )

@@ -13,6 +13,7 @@ import numpy as np
 
 from calibration.dataset.configuration import Configuration, PatternConfiguration, SensorConfiguration
 from calibration.dataset.model import Edge
+from calibration.dataset.pointcloud import write_points
 from calibration.errors import InputError
 from calibration.execution.tasks import Task
 from calibration.files import read_bytes, write_atomically
@@ -23,13 +24,16 @@ from calibration.importing.description import Bags, ImportDescription, SensorDes
 from calibration.importing.looking import LabelledMoment, View, look_at
 from calibration.importing.messages import image_of
 from calibration.importing.motion_log import MotionLog
+from calibration.importing.range_data import RangeView, cloud_message, cloud_of, scan_message
 from calibration.importing.stillness import Frame, StillMoment, moments_at, still_moments, thinned
-from calibration.importing.survey import CameraTopic, Survey
+from calibration.importing.survey import SensorTopic, Survey
 from calibration.labelling.detection import CornerDetector, Image
 from calibration.records import field, read, result
 
 AT_ONCE = 40
 """Images that one process looks at before its work is kept."""
+LIDAR_LAG = 0.2
+"""A LiDAR that turns needs 0.1 s for one cloud, and nothing moves meanwhile."""
 MAX_TIMES = 1_000_000
 
 
@@ -163,6 +167,38 @@ def taken_out(
     return labelled
 
 
+def ranges_taken_out(
+    files: Sequence[Path], found: Survey, moments: Sequence[StillMoment], folder: Path
+) -> list[dict[str, RangeView]]:
+    """What each LiDAR measured nearest to each moment, and not farther than `LIDAR_LAG`; clouds as files in a folder.
+
+    Raises:
+        InputError: the bag is damaged, or a message is wrong.
+        WorldError: a file cannot be written.
+    """
+    views: list[dict[str, RangeView]] = [{} for _ in moments]
+    with open_bag(files) as bag:
+        for name, lidar in found.lidars.items():
+            recorded = np.array(list(lidar.stamps))
+            stamps = np.array(list(lidar.stamps.values()))
+            for own, moment in zip(views, moments, strict=True):
+                nearest = int(abs(stamps - moment.time).argmin())
+                if abs(stamps[nearest] - moment.time) <= LIDAR_LAG * SECOND:
+                    own[name] = _range_view(bag, name, lidar, int(recorded[nearest]), folder)
+    return views
+
+
+def _range_view(bag: Bag, name: str, lidar: SensorTopic, recorded: int, folder: Path) -> RangeView:
+    for message in bag.messages({lidar.topic}, recorded, recorded + 1):
+        content, where = bag.decode(message), _where(bag, message)
+        if lidar.modality == "lidar2d":
+            return RangeView(scan_message(content, where), None)
+        points, path = cloud_of(content, where), folder / f"{name.replace('/', '_')}_{recorded}.pcd"
+        write_points(path, points)
+        return RangeView(cloud_message(points), path)
+    raise InputError(f"{bag.path}: {lidar.topic}: the message at {recorded / SECOND:.3f} is gone")
+
+
 def image_at(files: Sequence[Path], topic: str, recorded: int) -> Image:
     """An image of a bag by when it was recorded, ns.
 
@@ -179,7 +215,7 @@ def _image_at(bag: Bag, topic: str, recorded: int) -> Image:
     raise InputError(f"{bag.path}: {topic}: the image at {recorded / SECOND:.3f} is gone")
 
 
-def _take_out(bag: Bag, camera: CameraTopic, frame: Frame, path: Path) -> None:
+def _take_out(bag: Bag, camera: SensorTopic, frame: Frame, path: Path) -> None:
     image = _image_at(bag, camera.topic, frame.recorded)
     done, data = cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 1])
     if not done:
@@ -221,7 +257,7 @@ def mounting(
     tree, parent_of = FrameTree(edges), {child: parent for parent, child in edges}
     known = set(tree.frames)
     world = _world(described, found, parent_of)
-    sensors = {name: _sensor(camera, world, parent_of, found.log, where) for name, camera in found.cameras.items()}
+    sensors = {name: _sensor(each, world, parent_of, found.log, where) for name, each in found.sensors.items()}
     ends = [*(sensor.parent_link for sensor in sensors.values()), *(each.parent_link for each in patterns.values())]
     if stray := [frame for frame in ends if frame != world and frame not in known]:
         raise InputError(
@@ -240,14 +276,14 @@ def _world(described: ImportDescription, found: Survey, parent_of: Mapping[str, 
     frames = {*parent_of, *parent_of.values()}
     if described.world in frames or not frames:
         return described.world
-    frame = next((camera.frame for camera in found.cameras.values() if camera.frame in frames), next(iter(frames)))
+    frame = next((each.frame for each in found.sensors.values() if each.frame in frames), next(iter(frames)))
     while frame in parent_of:
         frame = parent_of[frame]
     return frame
 
 
 def _sensor(
-    camera: CameraTopic, world: str, parent_of: Mapping[str, str], log: MotionLog, where: str
+    camera: SensorTopic, world: str, parent_of: Mapping[str, str], log: MotionLog, where: str
 ) -> SensorConfiguration:
     described: SensorDescription = camera.described
     name, frame = described.name, camera.frame
@@ -262,7 +298,7 @@ def _sensor(
         if child not in parent_of:
             raise InputError(f"{where}: '{described.parent}' is not above '{frame}', the frame of '{name}'")
         parent = described.parent
-    return SensorConfiguration(name, "rgb", frame, parent, child, camera.topic)
+    return SensorConfiguration(name, camera.modality, frame, parent, child, camera.topic)
 
 
 def _above_optical(frame: str, parent_of: Mapping[str, str], log: MotionLog) -> Edge:

@@ -16,12 +16,14 @@ class RejectedView:
 
 @result
 class SensorResult:
-    """What came of the images of one camera."""
+    """What came of the images of one camera, or the clouds or scans of one LiDAR."""
 
     images: int = field("How many there are.")
     labelled: int = field("How many show a pattern.")
-    corners: int = field("How many were found in all.")
-    intrinsics: Literal["given", "estimated"] = field("Where they come from; estimated ones are a start only.")
+    corners: int = field("How many corners, or points on a pattern, were found in all.")
+    intrinsics: Literal["given", "estimated", "none"] = field(
+        "Where they come from; estimated ones are a start only; a LiDAR has none."
+    )
     camera: Mapping[str, float] = field("The intrinsics by their names.")
     rejected: tuple[RejectedView, ...] = field("Images in which no pattern is detected.", default=())
 

@@ -17,6 +17,8 @@ from calibration.simulation.description import MAX_BYTES
 
 _SENSOR = "sensor_msgs/msg/"
 IMAGES = (f"{_SENSOR}Image", f"{_SENSOR}CompressedImage")
+MODALITIES = dict.fromkeys(IMAGES, "rgb") | {f"{_SENSOR}PointCloud2": "lidar3d", f"{_SENSOR}LaserScan": "lidar2d"}
+"""Of sensors, by the types of their messages."""
 INFO, JOINTS = f"{_SENSOR}CameraInfo", f"{_SENSOR}JointState"
 TF, TEXT = tuple(MORE_TYPES), "std_msgs/msg/String"
 JUMP = 0.001
@@ -24,15 +26,16 @@ JUMP = 0.001
 
 
 @dataclass(frozen=True, eq=False)
-class CameraTopic:
-    """A camera in a bag."""
+class SensorTopic:
+    """A sensor in a bag."""
 
     described: SensorDescription
     topic: str
+    modality: str
     frame: str
-    """Of its images, as they say."""
+    """Of its data, as they say."""
     stamps: Mapping[int, int]
-    """Of every image, ns, by when it was recorded, ns."""
+    """Of every message, ns, by when it was recorded, ns."""
     camera: Camera | None
     """As camera_info has it; None where there is none, or it is not calibrated."""
 
@@ -41,8 +44,18 @@ class CameraTopic:
 class Survey:
     """What a bag has."""
 
-    cameras: Mapping[str, CameraTopic]
+    sensors: Mapping[str, SensorTopic]
     log: MotionLog
+
+    @property
+    def cameras(self) -> Mapping[str, SensorTopic]:
+        """Those with images."""
+        return {name: each for name, each in self.sensors.items() if each.modality == "rgb"}
+
+    @property
+    def lidars(self) -> Mapping[str, SensorTopic]:
+        """Those with clouds or scans."""
+        return {name: each for name, each in self.sensors.items() if each.modality != "rgb"}
 
 
 def survey(bag: Bag, described: ImportDescription) -> Survey:
@@ -55,7 +68,11 @@ def survey(bag: Bag, described: ImportDescription) -> Survey:
     sensors = described.sensors or _found(bag)
     for sensor in sensors:
         _check_topic(bag, sensor)
-    infos = {sensor.name: _info_topic(bag, sensor) for sensor in sensors if sensor.intrinsics is None}
+    kinds = {sensor.name: MODALITIES[bag.topics[sensor.topic or ""]] for sensor in sensors}
+    if "rgb" not in kinds.values():
+        raise InputError(f"{bag.path}: found no camera among the sensors, expected one that sees where the pattern is")
+    own = [sensor for sensor in sensors if sensor.intrinsics is None and kinds[sensor.name] == "rgb"]
+    infos = {sensor.name: _info_topic(bag, sensor) for sensor in own}
     of_topic = {sensor.topic or "": sensor.name for sensor in sensors}
     first: dict[str, RawMessage] = {}
     stamps: dict[str, dict[int, int]] = {sensor.name: {} for sensor in sensors}
@@ -71,16 +88,16 @@ def survey(bag: Bag, described: ImportDescription) -> Survey:
             first.setdefault(message.topic, message)
     if described.bags is not None and (urdf := described.bags.robot_description):
         log.use_robot(read_bytes(urdf, MAX_BYTES, "a robot description"), urdf)
-    cameras = {}
+    topics = {}
     for sensor in sensors:
         topic, info = sensor.topic or "", infos.get(sensor.name)
         if topic not in first:
-            raise InputError(f"{bag.path}: {topic}: found no message, expected the images of '{sensor.name}'")
+            raise InputError(f"{bag.path}: {topic}: found no message, expected the data of '{sensor.name}'")
         frame = sensor.frame or str(bag.decode(first[topic]).header.frame_id).lstrip("/") or sensor.link
         camera = None if info is None or info not in first else _camera(bag, first[info])
-        cameras[sensor.name] = CameraTopic(sensor, topic, frame, stamps[sensor.name], camera)
-    _check_overlap(bag, list(cameras.values()))
-    return Survey(cameras, log)
+        topics[sensor.name] = SensorTopic(sensor, topic, kinds[sensor.name], frame, stamps[sensor.name], camera)
+    _check_overlap(bag, list(topics.values()))
+    return Survey(topics, log)
 
 
 def _found(bag: Bag) -> tuple[SensorDescription, ...]:
@@ -98,12 +115,12 @@ def _found(bag: Bag) -> tuple[SensorDescription, ...]:
 
 
 def _check_topic(bag: Bag, sensor: SensorDescription) -> None:
-    known = [*bag.of_type(IMAGES[0]), *bag.of_type(IMAGES[1])]
+    known = bag.of_type(*MODALITIES)
     if sensor.topic not in known:
         kind = bag.topics.get(sensor.topic or "")
         said = f"found '{sensor.topic}' as {kind}" if kind else f"found no topic '{sensor.topic}'"
         raise InputError(
-            f"{bag.path}: {said}, expected the images of '{sensor.name}'; topics of that type: "
+            f"{bag.path}: {said}, expected the data of '{sensor.name}'; topics of cameras and LiDARs: "
             f"{', '.join(known) or 'none'}"
         )
 
@@ -132,7 +149,7 @@ def _add_stamp(bag: Bag, message: RawMessage, stamps: dict[int, int]) -> None:
         )
     if stamp == last or message.recorded in stamps:
         raise InputError(
-            f"{bag.path}: {message.topic}: found two images with the stamp {stamp / SECOND:.6f}, expected each once"
+            f"{bag.path}: {message.topic}: found two messages with the stamp {stamp / SECOND:.6f}, expected each once"
         )
     stamps[message.recorded] = stamp
 
@@ -161,7 +178,7 @@ def _camera(bag: Bag, message: RawMessage) -> Camera | None:
     return camera_of(bag.decode(message), f"{bag.path}: {message.topic}")
 
 
-def _check_overlap(bag: Bag, cameras: Sequence[CameraTopic]) -> None:
+def _check_overlap(bag: Bag, cameras: Sequence[SensorTopic]) -> None:
     spans = {each.topic: (min(each.stamps.values()), max(each.stamps.values())) for each in cameras}
     for topic, (start, end) in spans.items():
         for other, (first, last) in spans.items():

@@ -78,6 +78,37 @@ class BagFile:
             )
         self.write(topic, stamp + late, content)
 
+    def cloud(self, topic: str, stamp: int, points: Array, frame: str) -> None:
+        """Write points (N, 3): x, y, z of eight bytes, big endian, with an intensity before them, in two rows."""
+        kind = np.dtype([("intensity", ">f4"), ("x", ">f8"), ("y", ">f8"), ("z", ">f8")])
+        rows = np.zeros(2 * (len(points) // 2), kind)
+        for i, axis in enumerate("xyz"):
+            rows[axis] = points[: len(rows), i]
+        fields = [
+            self.make("sensor_msgs/msg/PointField", name=name, offset=int(kind.fields[name][1]), datatype=code, count=1)
+            for name, code in (("intensity", 7), ("x", 8), ("y", 8), ("z", 8))
+        ]
+        content = self.make(
+            "sensor_msgs/msg/PointCloud2",
+            header=self.header(frame, stamp),
+            height=2,
+            width=len(rows) // 2,
+            fields=fields,
+            is_bigendian=True,
+            point_step=kind.itemsize,
+            row_step=kind.itemsize * len(rows) // 2,
+            data=np.frombuffer(rows.tobytes(), np.uint8),
+            is_dense=False,
+        )
+        self.write(topic, stamp, content)
+
+    def scan(self, topic: str, stamp: int, message: Mapping[str, Any], frame: str) -> None:
+        """Write a LaserScan as a dataset holds it."""
+        values = {key: np.array(message[key], np.float32) for key in ("ranges", "intensities")}
+        rest = {key: message[key] for key in message if key.startswith(("angle", "time_", "scan_", "range_"))}
+        content = self.make("sensor_msgs/msg/LaserScan", header=self.header(frame, stamp), **rest, **values)
+        self.write(topic, stamp, content)
+
     def camera_info(self, topic: str, stamp: int, frame: str, size: tuple[int, int], focal: float) -> None:
         """Write the intrinsics of a camera without distortion."""
         roi = self.make("sensor_msgs/msg/RegionOfInterest", x_offset=0, y_offset=0, height=0, width=0, do_rectify=False)

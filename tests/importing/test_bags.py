@@ -214,10 +214,10 @@ def without_images(folder: Path, kind: Kind) -> Path:
     ("recording", "more", "message"),
     [
         (earlier_stamp, {}, "the clock jumps back by 0.500 s at 1700000002.000"),
-        (twice, {}, "found two images with the stamp"),
+        (twice, {}, "found two messages with the stamp"),
         (unknown_encoding, {}, "found the encoding 'hsv8'"),
         (without_images, {}, "found no topic of images"),
-        (record, {"sensors": {"left": {"topic": "/left"}}}, "topics of that type: /left_camera/image_raw"),
+        (record, {"sensors": {"left": {"topic": "/left"}}}, "topics of cameras and LiDARs: /left_camera/image_raw"),
         (
             record,
             {"sensors": {"left": {"topic": "/left_camera/image_raw", "camera-info": "/info"}}},
