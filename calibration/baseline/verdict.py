@@ -128,13 +128,15 @@ def _size(change: Change) -> str:
         sigma = "" if change.sigma is None else f" +- {change.sigma:.2g}"
         unit = "" if change.unit in (None, "1") else f" {change.unit}"
         return f"by {change.value:+.3g}{sigma}{unit}"
-    return ", ".join(
+    parts = [
         f"{size:.3g} +- {sigma:.2g} {unit} {_direction(vector, word)}"
         for size, sigma, unit, vector, word in (
             (change.mm, change.sigma_mm, "mm", change.translation_mm, "along"),
             (change.deg, change.sigma_deg, "deg", change.rotation_deg, "about"),
         )
-    )
+        if size > sigma / 100
+    ]
+    return ", ".join(parts) or "by less than its digits"
 
 
 def _direction(vector: tuple[float, ...], word: str) -> str:
