@@ -111,7 +111,7 @@ def calibrate_matrix(settings: Settings, runner: Runner) -> ExitCode:
     pull(settings, runner)
     baseline = configuration.baseline if settings.dataset is None else None
     run = Run(matrix, settings.output, runner, TITLE, settings.jobs, settings.fail_fast, baseline=baseline, place=place)
-    return run_stages(run, ("calibrate", "introspect")).exit_code
+    return run_stages(run, ("calibrate", "introspect", "export")).exit_code
 
 
 def place_of(settings: Settings, configuration: Configuration, matrix: Matrix, runner: Runner) -> Place:

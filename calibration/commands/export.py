@@ -8,15 +8,11 @@ import click
 from calibration.commands.parameters import TEXT_LIST, path
 from calibration.dataset.reading import read_dataset
 from calibration.errors import ExitCode, InputError
-from calibration.exports.calibrated import Calibrated, calibrated
+from calibration.exports.files import exported
 from calibration.exports.formats import FORMATS, URDF
-from calibration.exports.urdf import calibrated_urdf
-from calibration.files import read_bytes, write_atomically
+from calibration.files import write_atomically
 from calibration.workflow import Runner, stop_commands
 from calibration.workflow.text import did_you_mean, one_line
-
-LARGEST_URDF = 50_000_000
-CALIBRATED_URDF = "calibrated.urdf"
 
 
 @click.command("export")
@@ -50,35 +46,10 @@ def export(dataset: Path, description: Path | None, formats: tuple[str, ...], ou
     for each in formats:
         if each not in known:
             raise InputError(f"--formats: found '{each}', expected {', '.join(known)}{did_you_mean(each, known)}")
-    if URDF in formats and description is None:
-        raise InputError("--formats: 'urdf' needs the robot's own file: add --robot-description robot.urdf")
-    of = calibrated(read_dataset(dataset))
-    files, notes = _texts(of, formats)
-    if description is not None and (URDF in formats or not formats):
-        made = calibrated_urdf(
-            read_bytes(description, LARGEST_URDF, "a URDF"), {**of.transforms, **of.joints}, str(description)
-        )
-        files = {CALIBRATED_URDF: made.content} | files
-        notes = [*made.notes, *notes]
+    files, notes = exported(read_dataset(dataset), formats, description)
     for name, content in files.items():
         write_atomically(output / name, content)
     with stop_commands(runner):
         for line in (*(f"{output / name}" for name in files), *notes):
             runner.log(one_line(line))
     return ExitCode.PASS
-
-
-def _texts(of: Calibrated, formats: tuple[str, ...]) -> tuple[dict[str, bytes], list[str]]:
-    """The files of formats by their names, and which formats these data cannot have where all are asked for."""
-    files: dict[str, bytes] = {}
-    notes = []
-    for name, each in FORMATS.items():
-        if formats and name not in formats:
-            continue
-        try:
-            files |= {file: text.encode() for file, text in each.files(of).items()}
-        except InputError as error:
-            if formats:
-                raise
-            notes.append(f"no {name}: {error}")
-    return files, notes

@@ -5,7 +5,14 @@ from typing import NamedTuple
 
 from calibration.exports.calibrated import Calibrated
 from calibration.exports.cameras import camera_info, kalibr_camchain, opencv_storage
-from calibration.exports.transforms import ros1_launch, ros2_launch, ros2_xml, tf_static, xacro_properties
+from calibration.exports.transforms import (
+    autoware,
+    ros1_launch,
+    ros2_launch,
+    ros2_xml,
+    tf_static,
+    xacro_properties,
+)
 
 URDF = "urdf"
 """The one format that needs a file of the team's: its own description."""
@@ -26,6 +33,7 @@ FORMATS: Mapping[str, Format] = {
     "ros2": Format("static transforms for ros2 launch", lambda of: {"calibrated.launch.py": ros2_launch(of)}),
     "ros2-xml": Format("the same as XML", lambda of: {"calibrated.launch.xml": ros2_xml(of)}),
     "tf-static": Format("messages of /tf_static", lambda of: {"tf_static.yaml": tf_static(of)}),
+    "autoware": Format("Autoware's sensors_calibration.yaml and sensor_kit_calibration.yaml", autoware),
     "camera-info": Format(
         "camera_info of each camera",
         lambda of: {f"{file_name(name)}.yaml": camera_info(camera, name) for name, camera in of.cameras.items()},

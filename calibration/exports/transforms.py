@@ -11,6 +11,7 @@ from calibration.exports.calibrated import Calibrated
 from calibration.geometry.rotations import to_quaternion, to_rpy
 from calibration.geometry.types import Array
 
+AUTOWARE_BASE = "base_link"
 FRAME = re.compile(r"[\w./:+-]+")
 """Of a launch file's attributes: blanks would be more arguments, ``$(...)`` would be evaluated."""
 
@@ -97,6 +98,25 @@ def tf_static(of: Calibrated) -> str:
             }
         )
     return yaml.safe_dump({"transforms": messages}, sort_keys=False, allow_unicode=True)
+
+
+def autoware(of: Calibrated) -> dict[str, str]:
+    """Autoware's two files of extrinsics, ``parent: {child: {x, y, z, roll, pitch, yaw}}``, as YAML.
+
+    What hangs on ``base_link`` stands in sensors_calibration.yaml, the rest in sensor_kit_calibration.yaml.
+    """
+    files: dict[str, dict[str, dict[str, dict[str, float]]]] = {
+        "sensors_calibration.yaml": {},
+        "sensor_kit_calibration.yaml": {},
+    }
+    for (parent, child), T in of.transforms.items():
+        values = [float(v) + 0.0 for v in (*T[:3, 3], *to_rpy(T[:3, :3]))]
+        names = ("x", "y", "z", "roll", "pitch", "yaw")
+        file = "sensors_calibration.yaml" if parent == AUTOWARE_BASE else "sensor_kit_calibration.yaml"
+        files[file].setdefault(parent, {})[child] = dict(zip(names, values, strict=True))
+    return {
+        name: yaml.safe_dump(content, sort_keys=False, allow_unicode=True) for name, content in files.items() if content
+    }
 
 
 def xacro_properties(of: Calibrated) -> str:

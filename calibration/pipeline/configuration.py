@@ -14,7 +14,7 @@ from calibration.execution.backends import Place as Backend
 from calibration.image.specification import ImageDocument, ImageSpecification, parse_image_specification
 from calibration.pipeline.collection.applications import Applications, checked_applications
 from calibration.pipeline.collection.request import CollectionChecks, CollectionRequest, ContainerRequest
-from calibration.pipeline.system import Noise, NoiseGrid, System, Text, Truth
+from calibration.pipeline.system import Exports, Noise, NoiseGrid, System, Text, Truth
 from calibration.records import (
     ByName,
     Converted,
@@ -146,6 +146,7 @@ class Configuration:
         "describes.",
         default="docker",
     )
+    exports: Exports | None = field("For every system that has none of its own.", default=None)
     baseline: Annotated[BaselineSettings, Converted(Literal["required"] | BaselineSettings, _baseline)] = field(
         "The accepted calibration that every cell is compared with; required: a system that has none fails.",
         default_factory=BaselineSettings,
@@ -202,7 +203,7 @@ def _with_common(document: dict[Any, Any]) -> dict[Any, Any]:
     systems = document.get("systems")
     if not isinstance(systems, dict):
         return document
-    common = {key: document[key] for key in (*flat_fields(Options), "limits") if key in document}
+    common = {key: document[key] for key in (*flat_fields(Options), "limits", "exports") if key in document}
     merged = {name: {**common, **entry} if isinstance(entry, dict) else entry for name, entry in systems.items()}
     return {**document, "systems": merged}
 

@@ -2,7 +2,7 @@
 
 import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from calibration.baseline.comparison import Change
@@ -45,7 +45,11 @@ def report(results: Results, output: Path, title: str) -> Report:
         verdict=results.verdict,
         error=results.exit_code,
         sentence=_sentence(results),
-        reasons=(*failures(results), *(results.baseline.reasons if results.baseline else ())),
+        reasons=(
+            *failures(results),
+            *(results.baseline.reasons if results.baseline else ()),
+            *(reason for each in results.exports for reason in each.reasons),
+        ),
         warnings=(*_said(results, "warning"), *left_out),
         blocks=(
             main,
@@ -61,6 +65,7 @@ def report(results: Results, output: Path, title: str) -> Report:
             collections_table(results),
             Lines(_said(results, "warning"), NOTES_SHOWN, title="To look at", only="summary"),
             Lines(_said(results, "note"), NOTES_SHOWN, title="Notes"),
+            Lines(tuple(_exports(results, output)), NOTES_SHOWN, title="For the robot"),
             Text(f"{image_line(results.image)}." if results.image else ""),
             Lines(left_out, title="Methods without a result", only="summary"),
         ),
@@ -68,6 +73,7 @@ def report(results: Results, output: Path, title: str) -> Report:
         results=results.without_details,
         outputs={
             "output": output,
+            "exports": "\n".join(str(output / each.folder) for each in results.exports if each.files),
             "success-rate": numbers.success_rate if results.judged else None,
             "worst-rms-px": numbers.worst_rms_px,
             "worst-translation-mm": numbers.worst_translation_mm,
@@ -427,6 +433,13 @@ def image_line(image: ImageResult) -> str:
     what = f"built in {image.seconds:.0f} s" if image.built else "unchanged, nothing was built"
     promoted = f"; promoted to {', '.join(image.promoted)}" if image.promoted else ""
     return f"Image {image.reference}: {what}{promoted}"
+
+
+def _exports(results: Results, output: Path) -> Iterator[str]:
+    for each in results.exports:
+        if each.files:
+            yield f"{output / each.folder}: {', '.join(each.files)}"
+        yield from (f"{each.system}: {note}" for note in each.notes)
 
 
 def _said(results: Results, severity: Severity) -> tuple[str, ...]:

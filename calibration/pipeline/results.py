@@ -55,6 +55,19 @@ class ImageResult:
     promoted: tuple[str, ...] = field("The tags that it got because the verdict was pass.", default=())
 
 
+@result(kw_only=True)
+class Exported:
+    """What a system leaves for its robot."""
+
+    system: str = field("The system.")
+    folder: str = field("The folder, relative to the output folder.")
+    files: tuple[str, ...] = field("The files in it.", default=())
+    notes: tuple[str, ...] = field(
+        "Formats that its data cannot have, transforms that moved to another joint.", default=()
+    )
+    reasons: tuple[str, ...] = field("Why it could not be exported.", default=())
+
+
 @result
 class Numbers:
     """Numbers over several cells; the worst is null where no cell has such a number."""
@@ -110,6 +123,7 @@ class Results:
     baseline: BaselineUpdate | None = field(
         "The file of accepted calibrations, and what the change under test does to it.", default=None, omitted=True
     )
+    exports: tuple[Exported, ...] = field("What systems that passed leave for their robots.", default=())
 
     @property
     @computed()
@@ -137,7 +151,8 @@ class Results:
         """Pass if every cell and every collection passed, and there is one; or if only an image was built."""
         found = bool(self.judged or self.image is not None)
         comparable = self.baseline is None or not self.baseline.reasons
-        return verdict_of(found and comparable and all(each.verdict == "pass" for each in self.judged))
+        whole = comparable and not any(each.reasons for each in self.exports)
+        return verdict_of(found and whole and all(each.verdict == "pass" for each in self.judged))
 
     @property
     def exit_code(self) -> ExitCode:
@@ -229,6 +244,7 @@ def clear_results(output: Path, inputs: Collection[Path] = ()) -> None:
         own = own_file(cell)
         names += [name for name in (cell.table, cell.dataset, own) if name]
         names += [str(Path(own).with_name(INTRINSICS))] if own else []
+    names += [f"{each.folder}/{name}" for each in earlier.exports for name in each.files]
     inside = [name for name in names if (output / name).resolve().is_relative_to(output.resolve())]
     needed = {path.resolve() for path in inputs}
     for name in inside:

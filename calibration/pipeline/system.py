@@ -6,21 +6,25 @@ from typing import Annotated
 from calibration.baseline.verdict import Accepted
 from calibration.diagnosis.limits import Limits
 from calibration.estimation.options import Options
+from calibration.exports.formats import FORMATS, URDF
 from calibration.introspection.rule_set import RuleEntry, RuleSet, checked, unfolded
 from calibration.pipeline.matrix.software import Software, checked_software
 from calibration.records import (
     UNIQUE,
     Converted,
+    Misfit,
     Place,
     at_least,
     between,
     excludes,
     field,
     length,
+    matching,
     record,
     result,
 )
 
+FormatName = Annotated[str, matching("|".join((URDF, *FORMATS)), f"one of {', '.join((URDF, *FORMATS))}")]
 COLLECTED = "simulation:"
 """Begins a system's dataset that an entry of ``simulation`` collects."""
 Text = Annotated[str, length(1)]
@@ -40,6 +44,25 @@ def _rules(found: RuleSet | tuple[RuleEntry, ...], place: Place) -> RuleSet:
 
 Truth = Annotated[str, Converted(Text, _truth)]
 """A path, "dataset" or "none"."""
+
+
+@record
+class Exports:
+    """What a system that passes leaves for the robot, in the folder ``exports`` of its first cell that passed."""
+
+    formats: Annotated[tuple[FormatName, ...], UNIQUE] = field(
+        f"The formats: {', '.join((URDF, *FORMATS))}; by default all that there can be.", default=()
+    )
+    robot_description: Path | None = field("The robot's URDF, relative to this file.", default=None)
+
+    def __post_init__(self) -> None:
+        """Refuse a description that is to be written, and is not given.
+
+        Raises:
+            Misfit: it is missing.
+        """
+        if URDF in self.formats and self.robot_description is None:
+            raise Misfit(f"{URDF} needs robot-description, the robot's own URDF", "formats")
 
 
 @record
@@ -84,6 +107,9 @@ class System:
         "The team's own calibration, in the place of our engine, which then only compares.",
         default=None,
         option=False,
+    )
+    exports: Exports | None = field(
+        "What it leaves for the robot where it passes: formats, robot-description.", default=None, option=False
     )
     accepted: Accepted | None = None
     """What its cells are compared with, once it has been read."""

@@ -30,7 +30,7 @@ def test_only_what_is_asked_for_is_written(tmp_path: Path) -> None:
     ("arguments", "message"),
     [
         (["--formats", "urfd"], "found 'urfd', expected urdf, xacro"),
-        (["--formats", "urdf"], "add --robot-description"),
+        (["--formats", "urdf"], "give robot-description"),
         (["--robot-description", "none.urdf"], "none.urdf: a URDF was expected"),
         (["--robot-description", str(DATASETS / "riwbot" / "robot.urdf")], "no chain of joints"),
     ],

@@ -15,7 +15,7 @@ from calibration.exports.calibrated import Calibrated, calibrated
 from calibration.exports.formats import FORMATS, file_name
 from calibration.geometry.distortion import Rational
 from calibration.geometry.rotations import from_quaternion, from_rpy
-from calibration.geometry.transforms import inverse, transform
+from calibration.geometry.transforms import from_xyz_rpy, inverse, transform
 from calibration.geometry.types import Array
 from tests.exports.test_urdf import moved, pose
 from tests.pipeline.conftest import DATASETS
@@ -66,6 +66,17 @@ def test_messages_of_tf_static(of: Calibrated) -> None:
         xyz, quat = (list(each["transform"][k].values()) for k in ("translation", "rotation"))
         found[each["header"]["frame_id"], each["child_frame_id"]] = transform(from_quaternion(quat), xyz)
     equal(of, found)
+
+
+def test_autoware_has_what_hangs_on_the_base_apart(of: Calibrated) -> None:
+    edges = list(of.transforms)
+    other = replace(of, transforms={**of.transforms, ("base_link", "kit"): of.transforms[edges[0]]})
+    files = {name: yaml.safe_load(text) for name, text in FORMATS["autoware"].files(other).items()}
+    assert list(files["sensors_calibration.yaml"]) == ["base_link"]
+    for parent, child in edges:
+        found = files["sensor_kit_calibration.yaml"][parent][child]
+        T = from_xyz_rpy([found[axis] for axis in "xyz"], [found[axis] for axis in ("roll", "pitch", "yaw")])
+        assert of.transforms[parent, child] == pytest.approx(T, abs=1e-12)
 
 
 def test_properties_for_xacro(of: Calibrated) -> None:

@@ -69,6 +69,7 @@ def gather(needs: Needs, folder: Path) -> Gathered:
         collected.collections,
         collected.image,
         next((part.baseline for part in parts if part.baseline is not None), None),
+        tuple({each.system: each for part in parts for each in part.exports}.values()),
     )
     failed = {
         "calibrate": _any_failed(zip(plan.cells, parts, strict=True), collected=False),
@@ -178,5 +179,6 @@ def _read(folder: Path) -> Results:
         found,
         cells=tuple(map(moved, found.cells)),
         comparisons=tuple(map(moved, found.comparisons)),
+        exports=tuple(replace(each, folder=f"{folder.name}/{each.folder}") for each in found.exports),
         collections=tuple(replace(each, dataset=below(each.dataset)) for each in found.collections),
     )

@@ -74,6 +74,10 @@ STAGES: Mapping[str, Stage] = {
     "collect": Stage("calibration.pipeline.stages.collecting:collect_stage", lambda run: bool(run.simulations)),
     "calibrate": Stage("calibration.pipeline.stages.calibrating:calibrate_stage"),
     "introspect": Stage("calibration.pipeline.stages.calibrating:introspect_stage"),
+    "export": Stage(
+        "calibration.pipeline.stages.exporting:export_stage",
+        lambda run: any(system.exports for system in run.matrix.systems),
+    ),
     "promote": Stage(
         "calibration.pipeline.stages.building:promote_stage", lambda run: bool(run.image and run.image.promote)
     ),

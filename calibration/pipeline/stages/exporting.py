@@ -1,0 +1,76 @@
+"""The stage export: what each system that passed leaves for its robot."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Literal
+
+from calibration.baseline.snapshot import Snapshot
+from calibration.dataset.reading import read_dataset
+from calibration.errors import CalibrationError
+from calibration.exports.files import exported
+from calibration.files import write_atomically
+from calibration.pipeline.matrix.cell import CellResult
+from calibration.pipeline.results import Exported, own_details
+from calibration.pipeline.stages.running import Run
+from calibration.pipeline.system import Exports, System
+from calibration.records import field, result, text_of
+from calibration.report import Verdict
+
+FOLDER = "exports"
+CALIBRATION = "calibration.json"
+
+
+@result
+class CalibrationDocument:
+    """All that is known of the calibration of a system: for programs."""
+
+    schema: Literal[1] = field("Number of this form.")
+    system: str = field("The system.")
+    verdict: Verdict = field("Of its first cell that passed.")
+    truth_mm: float | None = field("The worst error of a sensor against the truth, where that is known.", unit="mm")
+    calibration: Snapshot = field("Transforms, parameters, error bars, noise, hash of the labels, engine.")
+
+
+def export_stage(run: Run) -> Run:
+    """Write the exports of each system all of whose cells passed.
+
+    What cannot be exported is a reason of the verdict.
+
+    Raises:
+        WorldError: a file cannot be written.
+    """
+    found = tuple(
+        _exported(
+            system, system.exports, [cell for cell in run.results.cells if cell.system == system.name], run.output
+        )
+        for system in run.matrix.systems
+        if system.exports is not None
+    )
+    return replace(run, results=replace(run.results, exports=tuple(each for each in found if each)))
+
+
+def _exported(system: System, exports: Exports, cells: Sequence[CellResult], output: Path) -> Exported | None:
+    """What a system leaves; None where it has not passed."""
+    if not cells or any(cell.verdict == "fail" for cell in cells) or cells[0].dataset is None:
+        return None
+    first = cells[0]
+    folder = str(Path(first.dataset or "").parent / FOLDER)
+    try:
+        # The data of the cell's labels stay beside the dataset that was calibrated.
+        dataset = read_dataset(output / (first.dataset or ""), data=_data(system))
+        files, notes = exported(dataset, exports.formats, exports.robot_description)
+        details = own_details(first, output)
+    except CalibrationError as error:
+        return Exported(system=system.name, folder=folder, reasons=(f"{system.name}: exports: {error}",))
+    if details is not None and details.snapshot is not None:
+        truth = first.truth.translation_mm if first.truth else None
+        document = CalibrationDocument(1, system.name, first.verdict, truth, details.snapshot)
+        files[CALIBRATION] = text_of(document).encode()
+    for name, content in files.items():
+        write_atomically(output / folder / name, content)
+    return Exported(system=system.name, folder=folder, files=tuple(sorted(files)), notes=tuple(notes))
+
+
+def _data(system: System) -> Path:
+    return system.dataset if system.dataset.is_dir() else system.dataset.parent
