@@ -2,7 +2,6 @@
 
 from itertools import pairwise
 
-import cv2
 import numpy as np
 import yaml
 
@@ -67,6 +66,8 @@ def opencv_storage(of: Calibrated) -> str:
 
     A point X of the first camera is ``R X + T`` of the other, as cv2.stereoCalibrate has it.
     """
+    import cv2  # slow to start, and whoever names a format would start it
+
     storage = cv2.FileStorage(".yml", cv2.FileStorage_WRITE | cv2.FileStorage_MEMORY)
     for i, (name, camera) in enumerate(of.cameras.items()):
         storage.write(f"name_{i}", name)
