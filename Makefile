@@ -26,7 +26,7 @@ help: ## this list
 	@sed -nE 's/^([a-z-]+):.*## (.*)/\1\t\2/p' Makefile | expand -t 16
 
 run: ## calibrate the systems in datasets/ and check the tables, as calibration.yml says
-	@$(setup) calibrate.txt
+	@$(setup) engine.txt
 	@$(python) -m calibration run $(ARGS)
 
 check: ## ROOM=geometry: ruff, mypy, and the tests of one room with few examples: while one works on it
@@ -89,6 +89,7 @@ compile := pip compile pyproject.toml --quiet --no-config --universal --python-v
 lock: ## resolve requirements/*.txt again after a change in pyproject.toml
 	@test -x '$(uv)' || { echo "make lock needs uv: pip install uv"; exit 2; }
 	'$(uv)' $(compile) $(UPGRADE) --all-extras --group dev --output-file requirements/dev.txt
+	'$(uv)' $(compile) --extra calibrate --extra opencv --constraint requirements/dev.txt --output-file requirements/engine.txt
 	'$(uv)' $(compile) --extra calibrate --extra opencv --extra containers --extra aws --constraint requirements/dev.txt --output-file requirements/calibrate.txt
 	'$(uv)' $(compile) --extra containers --extra aws --constraint requirements/dev.txt --output-file requirements/image.txt
 	'$(uv)' $(compile) --extra calibrate --extra opencv --extra bags --extra figures --extra containers --extra aws --constraint requirements/dev.txt --output-file requirements/run.txt

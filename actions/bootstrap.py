@@ -47,13 +47,14 @@ ACTIONS = {
 }
 # Likewise for the steps of the reusable workflow that are no actions.
 WORKFLOW_STEPS = {
-    "plan-matrix": ("workflow_step.py", "calibrate.txt"),
-    "gather-results": ("workflow_step.py", "calibrate.txt"),
+    "plan-matrix": ("workflow_step.py", "engine.txt"),
+    "gather-results": ("workflow_step.py", "engine.txt"),
 }
 # What an interpreter of the user's own must be able to import. Without OpenCV some comparisons and all
 # that collects are missing, without matplotlib a figure, without docker or boto3 what runs containers: each says so.
 MODULES = {
     "introspect.txt": ["click", "yaml"],
+    "engine.txt": ["click", "yaml", "numpy", "defusedxml", "rich"],
     "calibrate.txt": ["click", "yaml", "numpy", "defusedxml", "rich"],
     "coverage.txt": ["click", "yaml", "coverage", "defusedxml", "requests"],
     "image.txt": ["click", "yaml", "rich", "docker"],

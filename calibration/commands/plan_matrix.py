@@ -39,7 +39,7 @@ class Settings:
     datasets: tuple[Path, ...] = ()
     systems: tuple[str, ...] = ()
     noise: Noise = field(default_factory=Noise)
-    noise_inside_cells: bool = False
+    noise_inside_cells: bool | None = None
     image: str | None = None
     command: str | None = None
     tests: str | None = None
@@ -72,7 +72,11 @@ def minute_rate(value: str | float) -> float:
 @click.option("--datasets", type=PATH_LIST, help="Datasets, each a system; instead of config.")
 @click.option("--systems", type=TEXT_LIST, help="Only these systems.")
 @record_options(Noise, names=NOISE, helps={"seeds": "How many seeds for each pair of noises (1); always inside a job."})
-@boolean_option("--noise-inside-cells", help="One job calibrates a system from all its noises.")
+@boolean_option(
+    "--noise-inside-cells",
+    default=None,
+    help="One job calibrates a system from all its noises (where that takes about a minute).",
+)
 @click.option("--image", type=text, help="Image with the team's own calibration.")
 @click.option("--command", type=text, help="What it runs.")
 @click.option("--tests", type=text, help="The command that runs the unit tests.")
@@ -101,7 +105,8 @@ def plan_matrix(settings: Settings, runner: Runner) -> ExitCode:
             runner.log(f"{job}: {'yes' if runs else 'no'}")
         runner.log(f"promote: {', '.join(plan.promote) or 'no'}")
         for cell in plan.cells:
-            runner.log(f"  {cell.name}")
+            starts = len(cell.starts(plan.seeds))
+            runner.log(f"  {cell.name}{'' if starts == 1 else f': {starts} starts in one job'}")
     set_outputs(runner, outputs)
     return ExitCode.PASS
 

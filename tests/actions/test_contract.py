@@ -109,7 +109,7 @@ def test_old_pythons_read_bootstrap_far_enough_to_say_that_they_are_too_old() ->
 
 def test_locks_have_hashes_and_no_addresses() -> None:
     assert {name.removesuffix(".txt") for name in LOCKS} == {
-        *("introspect", "calibrate", "coverage", "image", "run", "uv", "dev")
+        *("introspect", "engine", "calibrate", "coverage", "image", "run", "uv", "dev")
     }
     for text in LOCKS.values():
         assert not re.search(r"://|(?<!\w)/\w|^-", text, re.MULTILINE)
@@ -118,11 +118,13 @@ def test_locks_have_hashes_and_no_addresses() -> None:
 
 
 def test_what_is_tested_is_what_the_actions_install(bootstrap: ModuleType) -> None:
-    introspect, calibrate, coverage, image, run, dev = (
+    introspect, engine, calibrate, coverage, image, run, dev = (
         bootstrap.pins(PROJECT / "requirements" / f"{name}.txt")
-        for name in ("introspect", "calibrate", "coverage", "image", "run", "dev")
+        for name in ("introspect", "engine", "calibrate", "coverage", "image", "run", "dev")
     )
-    assert bootstrap.covers(calibrate, introspect)
+    assert bootstrap.covers(engine, introspect)
+    assert bootstrap.covers(calibrate, engine)
+    assert not {pin.partition("=")[0] for pin in engine} & {"boto3", "docker"}  # `make run` needs neither
     assert bootstrap.covers(run, [*calibrate, *image])
     assert bootstrap.covers(dev, [*run, *coverage])
 
@@ -143,6 +145,7 @@ def test_pip_and_the_actions_compare_with_the_same_opencv() -> None:
     ("lock", "extras", "groups"),
     [
         ("introspect.txt", [], []),
+        ("engine.txt", ["calibrate", "opencv"], []),
         ("calibrate.txt", ["calibrate", "opencv", "containers", "aws"], []),
         ("coverage.txt", ["coverage"], []),
         ("image.txt", ["containers", "aws"], []),
@@ -170,6 +173,7 @@ def test_locks_satisfy_pyproject(lock: str, extras: list[str], groups: list[str]
     ("lock", "extras"),
     [
         ("introspect.txt", []),
+        ("engine.txt", ["calibrate"]),
         ("calibrate.txt", ["calibrate"]),
         ("run.txt", ["calibrate"]),
         ("coverage.txt", ["coverage"]),

@@ -48,7 +48,7 @@ def caller(repository: Repository, tmp_path: Path) -> Caller:
 
 
 def test_a_matrix_of_jobs_ends_in_one_table(caller: Caller) -> None:
-    caller.write({"minute-rate": "0.006"}, {**DATA, "calibration.yml": TWO_BY_TWO})
+    caller.write({"minute-rate": "0.006", "noise-inside-cells": False}, {**DATA, "calibration.yml": TWO_BY_TWO})
     run = caller.run()
     assert run.code == 0, run.log
     assert run.annotations == []
@@ -79,7 +79,7 @@ def test_everything_that_goes_wrong_is_red_and_says_why(caller: Caller, small: P
     inputs = {"tests": "python3 -m unittest -q", "coverage-minimum": "90"}
     robot = {"robot.py": "def still():\n    if False:\n        pass\n    return True\n", "test_robot.py": UNCOVERED}
     caller.write(inputs, {**DATA, **robot, "small": small, "calibration.yml": EVERYTHING_FAILS})
-    run = caller.run("pull_request", "-e", str(fork), "--env", "LOSE=calibration-lost_0m_0rad")
+    run = caller.run("pull_request", "-e", str(fork), "--env", "LOSE=calibration~lost_0m_0rad")
     assert run.code == 1
     title = "::error title=gather-results::"
     said = [line.removeprefix(title) for line in run.annotations if line.startswith(title)]
@@ -117,7 +117,7 @@ def test_everything_that_goes_wrong_is_red_and_says_why(caller: Caller, small: P
     [
         ({"minute-rate": "six"}, "::error::Invalid value for '--minute-rate': 'six' is not a finite number"),
         (
-            {"translation-noise": ",".join(map(str, range(129)))},
+            {"translation-noise": ",".join(map(str, range(129))), "noise-inside-cells": "no"},
             "::error::the matrix has 258 jobs (2 systems x 129 translation noises x 1 rotation noises), GitHub takes",
         ),
         ({"systems": "$(touch pwned)`touch pwned`\n::error::x"}, "::error::systems: there is no '$(touch pwned)`touch"),
@@ -177,7 +177,7 @@ def test_a_plan_that_fails_is_red(caller: Caller) -> None:
     [wrong, gathered] = run.annotations
     assert "unknown key 'datset': did you mean 'dataset'?" in wrong
     assert "the job plan failed" in gathered
-    assert run.installations == ["calibrate", "calibrate"]  # where no interpreter is named
+    assert run.installations == ["engine", "engine"]  # where no interpreter is named
     assert "calibrate (" not in run.log  # no cell has begun
 
 
@@ -214,7 +214,7 @@ def test_this_repositorys_own_pipeline_runs_what_is_checked_out(caller: Caller, 
     workflow = yaml.safe_load((folder / ".github/workflows/push.yml").read_text())
     [called] = [job for job in workflow["jobs"].values() if "uses" in job]
     assert called["uses"] == "./.github/workflows/pipeline.yml"
-    called["with"] |= {"systems": "riwbot", "jobs": "calibrate", "python": sys.executable}
+    called["with"] = {"systems": "riwbot", "jobs": "calibrate", "python": sys.executable}
     (folder / ".github/workflows/push.yml").write_text(
         yaml.safe_dump({"on": "push", "permissions": {}, "jobs": {"robots": called}})
     )

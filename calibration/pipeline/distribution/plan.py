@@ -21,6 +21,9 @@ LONGEST = 80
 _NOT_IN_SLUG = re.compile(r"[^A-Za-z0-9._-]+")
 MOST_JOBS = 256
 """GitHub refuses a larger matrix."""
+MOST_BYTES_INSIDE = 60_000_000
+"""Of the labels of all starts of a job with all noises, in bytes of dataset.json: our engine reads and calibrates a
+megabyte in 0.1 to 0.3 s on one core, on GitHub's machines in less than a second."""
 COLLECTED_DATA, UNIT_TESTS = "collected-data", "unit-tests"
 """The slugs of what these jobs leave."""
 ImageSource: TypeAlias = Literal["", "own", "built", "given"]
@@ -106,7 +109,8 @@ class Wishes:
 
     jobs: tuple[str, ...] = ()
     """Empty for all that the configuration and the inputs describe."""
-    noise_inside_cells: bool = False
+    noise_inside_cells: bool | None = None
+    """None for systems whose cells are short."""
     image: bool = False
     """Whether an image is given."""
     command: bool = False
@@ -208,19 +212,19 @@ def _wanted(wishes: Wishes, systems: bool, simulations: bool) -> list[str]:
 
 
 def _cells(systems: Sequence[System], noise: NoiseGrid, wishes: Wishes, by_path: bool) -> tuple[JobCell, ...]:
-    grids = _grids(noise, wishes.noise_inside_cells)
-    count = len(systems) * len(grids)
+    inside = [_inside(system, noise, wishes) for system in systems]
+    pairs = [(system, *grid) for system, of in zip(systems, inside, strict=True) for grid in _grids(noise, of)]
+    count = len(pairs)
     if count > MOST_JOBS:
         advice = (
             "name fewer systems"
-            if wishes.noise_inside_cells
+            if all(inside)
             else "set noise-inside-cells: true, and one job calibrates a system from all its noises"
         )
         raise InputError(
             f"the matrix has {count} jobs ({len(systems)} systems x {len(noise.translations)} translation noises x "
             f"{len(noise.rotations)} rotation noises), GitHub takes {MOST_JOBS}: {advice}"
         )
-    pairs = [(system, *grid) for system in systems for grid in grids]
     names = [_name(system.name, t, r) for system, t, r in pairs]
     found = slugs([name.replace(", ", "_").replace(" ", "") for name in names], (COLLECTED_DATA, UNIT_TESTS))
     return tuple(
@@ -236,6 +240,27 @@ def _cells(systems: Sequence[System], noise: NoiseGrid, wishes: Wishes, by_path:
         )
         for (system, t, r), name, slug in zip(pairs, names, found, strict=True)
     )
+
+
+def _inside(system: System, noise: NoiseGrid, wishes: Wishes) -> bool:
+    """Whether one job calibrates a system from all its noises: as it is wished, else where that takes about a minute.
+
+    A job takes longer to begin than our engine to calibrate; software in containers is given a job for each start.
+    """
+    if wishes.noise_inside_cells is not None:
+        return wishes.noise_inside_cells
+    if system.software is not None or wishes.command:
+        return False
+    starts = len(noise.translations) * len(noise.rotations) * len(noise.seeds)
+    return starts * _bytes(system.dataset) <= MOST_BYTES_INSIDE
+
+
+def _bytes(dataset: Path) -> int:
+    """The size of a dataset's labels; 0 for one that is not there, of which the job will tell."""
+    try:
+        return (dataset if dataset.suffix == ".json" else dataset / "dataset.json").stat().st_size
+    except OSError:
+        return 0
 
 
 def _grids(noise: NoiseGrid, inside: bool) -> list[tuple[tuple[float, ...], tuple[float, ...]]]:

@@ -40,6 +40,7 @@ def planned(
     **wishes: object,
 ) -> Plan:
     configuration = Configuration(systems=systems, simulations=simulations, image=section)
+    wishes.setdefault("noise_inside_cells", False)
     return plan_jobs(configuration, systems, noise, Wishes(**wishes), by_path=by_path)  # type: ignore[arg-type]
 
 
@@ -77,6 +78,24 @@ def test_noise_inside_cells_makes_a_job_of_each_system() -> None:
     plan = planned(ROBOT, ARM, noise_inside_cells=True)
     assert [(cell.name, cell.slug) for cell in plan.cells] == [("robot", "robot"), ("arm", "arm")]
     assert len(plan.cells[0].starts(plan.seeds)) == 8
+
+
+def test_one_job_calibrates_from_all_noises_where_that_is_short(tmp_path: Path) -> None:
+    """By the size of the labels and the number of starts; a container's software has a job for each."""
+    for name, size in (("small", 7_000_000), ("large", 9_000_000)):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "dataset.json").write_bytes(bytes(size))
+    small, large = (System(name, tmp_path / name) for name in ("small", "large"))
+    contained = System("software", tmp_path / "small", software=software("robot:1"))
+
+    def jobs(*systems: System, noise: NoiseGrid = GRID, **wishes: object) -> list[int]:
+        plan = planned(*systems, noise=noise, noise_inside_cells=None, **wishes)
+        return [sum(cell.system == system.name for cell in plan.cells) for system in systems]
+
+    assert jobs(small, large, contained, ROBOT) == [1, 4, 4, 1]  # the last one's dataset is not there
+    assert jobs(replace(small, dataset=tmp_path / "small" / "dataset.json")) == [1]
+    assert jobs(small, noise=replace(GRID, seeds=(1, 2, 3))) == [4]
+    assert jobs(small, command=True, image=True) == [4]
 
 
 def test_the_largest_matrix_that_github_takes_and_one_more() -> None:

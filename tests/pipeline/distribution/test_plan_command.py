@@ -54,7 +54,14 @@ def test_the_plan_of_a_configuration(monkeypatch: pytest.MonkeyPatch, capsys: py
 
 def test_inputs_come_before_the_configuration(monkeypatch: pytest.MonkeyPatch) -> None:
     Path("calibration.yml").write_text(CONFIGURATION)
-    found = plan(monkeypatch, systems="arm", translation_noise="0.1, 0.1", rotation_noise="0", seed_list="7,3,7")
+    found = plan(
+        monkeypatch,
+        noise_inside_cells="no",
+        systems="arm",
+        translation_noise="0.1, 0.1",
+        rotation_noise="0",
+        seed_list="7,3,7",
+    )
     [cell] = json.loads(found["cells"])
     assert (cell["system"], cell["translation-noise"], cell["rotation-noise"]) == ("arm", "0.1", "0")
     assert found["seeds"] == "[7,3]"
@@ -126,6 +133,7 @@ def gather(monkeypatch: pytest.MonkeyPatch, results: dict[str, str], planned: di
 def planned(monkeypatch: pytest.MonkeyPatch) -> dict[str, str]:
     """Return the plan of two cells, of which both have left a result that passes."""
     inputs = {"translation_noise": "0.5,0", "rotation_noise": "0.3", "tests": "pytest", "minute_rate": "0.006"}
+    inputs["noise_inside_cells"] = "no"
     found = plan(monkeypatch, datasets="robot", **inputs)
     for cell, job in zip(json.loads(found["cells"]), (ONE, TWO), strict=True):
         write_results(Results((result(job),)), Path("left", cell["slug"]))
