@@ -11,6 +11,8 @@ from calibration.diagnosis.finding import Severity
 from calibration.pipeline.matrix.cell import OUR_METHOD, CellResult, Details, Deviation, Transform, noise_text
 from calibration.pipeline.results import CELLS_FILE, Collected, ImageResult, Results, own_file
 from calibration.report import Lines, Outcome, Report, Table, Text, count_of, results_text, shown
+from calibration.report.badge import FILE as BADGE
+from calibration.report.badge import verdict_badge
 
 REASONS_SHOWN = 4
 NOTES_SHOWN = 30
@@ -78,7 +80,11 @@ def report(results: Results, output: Path, title: str) -> Report:
             "worst-rms-px": numbers.worst_rms_px,
             "worst-translation-mm": numbers.worst_translation_mm,
         },
-        files={CELLS_FILE: cells_table(results).csv(), **_own_files(results)},
+        files={
+            CELLS_FILE: cells_table(results).csv(),
+            BADGE: verdict_badge("calibration", results.verdict),
+            **_own_files(results),
+        },
     )
 
 

@@ -16,6 +16,8 @@ from calibration.pipeline.report import report
 from calibration.pipeline.results import CELLS_FILE, Collected, Results, own_details, own_file, read_results
 from calibration.records import result
 from calibration.report import RESULTS_FILE, Report, Text, reasons_in, verdict_of
+from calibration.report.badge import FILE as BADGE
+from calibration.report.badge import verdict_badge
 
 NO_RESULT = "its job left no result: see the job's log"
 
@@ -103,15 +105,17 @@ def report_of_run(gathered: Gathered, cost: Cost, output: Path, title: str) -> R
     """
     found = report(gathered.results, output, title)
     told = [f"{job} {result}" for job, result in gathered.jobs.items()]
+    verdict = verdict_of(gathered.exit_code == ExitCode.PASS)
     return replace(
         found,
-        verdict=verdict_of(gathered.exit_code == ExitCode.PASS),
+        verdict=verdict,
         error=gathered.exit_code,
         sentence="; ".join((*([found.sentence] if gathered.results.judged else []), ", ".join(told))),
         reasons=(*gathered.problems, *found.reasons),
         blocks=(*found.blocks, jobs_table(gathered.jobs, cost), Text(cost.sentence)),
         results=RunResults(**vars(found.results), cost=cost),
-        files={CELLS_FILE: found.files[CELLS_FILE]},  # the cells' own results stay in the artifacts of their jobs
+        # The cells' own results stay in the artifacts of their jobs.
+        files={CELLS_FILE: found.files[CELLS_FILE], BADGE: verdict_badge("calibration", verdict)},
         outputs={**found.outputs, "billed-minutes": cost.minutes, "cost": money(cost.amount)},
     )
 

@@ -1,0 +1,33 @@
+"""A badge: an image for a README, made without a service."""
+
+from html import escape
+
+from calibration.report.verdict import Verdict
+
+FILE = "badge.svg"
+GOOD, FAIR, BAD, NONE = "#3a7d1e", "#946200", "#b3261e", "#6b6b6b"
+"""Dark enough for white text to be read on them (a contrast of 4.5 and more)."""
+
+
+def drawn_badge(label: str, text: str, colour: str) -> str:
+    """Draw a badge as SVG: a label and a text on a colour."""
+    left, right = _width(label), _width(text)
+    whole, label, text = left + right, escape(label), escape(text)
+    return f"""<svg xmlns="http://www.w3.org/2000/svg" width="{whole}" height="20" role="img">
+<title>{label}: {text}</title>
+<clipPath id="r"><rect width="{whole}" height="20" rx="3"/></clipPath>
+<g clip-path="url(#r)"><rect width="{left}" height="20" fill="#444"/>
+<rect x="{left}" width="{right}" height="20" fill="{colour}"/></g>
+<g fill="#fff" text-anchor="middle" font-family="Verdana,DejaVu Sans,sans-serif" font-size="11">
+<text x="{left / 2:g}" y="14">{label}</text><text x="{left + right / 2:g}" y="14">{text}</text></g>
+</svg>
+"""
+
+
+def verdict_badge(label: str, verdict: Verdict) -> str:
+    """Draw a verdict as SVG: green or red."""
+    return drawn_badge(label, verdict, GOOD if verdict == "pass" else BAD)
+
+
+def _width(text: str) -> int:
+    return 10 + 7 * len(text)
