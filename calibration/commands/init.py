@@ -1,0 +1,64 @@
+"""``init``: a first calibration.yml and workflow for a dataset."""
+
+import os
+from pathlib import Path
+
+import click
+
+from calibration.commands.parameters import boolean_option, path
+from calibration.errors import ExitCode, InputError
+from calibration.files import write_atomically
+from calibration.pipeline.beginning import begin
+from calibration.pipeline.configuration import read_configuration
+from calibration.workflow import Runner, stop_commands
+from calibration.workflow.text import one_line
+
+CONFIGURATION, WORKFLOW = Path("calibration.yml"), Path(".github", "workflows", "calibration.yml")
+_WORKFLOW = """# Written by `calibration init`: calibrates what calibration.yml names, on every push and pull request.
+name: Calibration
+on: [push, pull_request]
+permissions: {{}}
+jobs:
+  robot:
+    uses: {suite}/.github/workflows/pipeline.yml@{version}
+    permissions: {{contents: read}}
+"""
+
+
+@click.command("init")
+@click.option("--dataset", type=path, required=True, help="Dataset: its folder in the repository.")
+@click.option("--output", type=path, default=".", show_default=True, help="Folder of the repository.")
+@click.option("--suite", default="OWNER/calibration-ci@v1", show_default=True, help="Where the workflow comes from.")
+@boolean_option("--overwrite", help="Replace files that are there.")
+def command(dataset: Path, output: Path, suite: str, overwrite: bool) -> ExitCode:
+    """Write a first calibration.yml for a dataset, and the workflow that runs it on every push."""
+    return init(dataset, output, suite, Runner.from_environment(os.environ), overwrite=overwrite)
+
+
+def init(dataset: Path, output: Path, suite: str, runner: Runner, *, overwrite: bool = False) -> ExitCode:
+    """Calibrate a dataset, and write what it is held to from now on.
+
+    Returns:
+        FAIL where the dataset does not pass what was written, for reasons that the log has.
+
+    Raises:
+        InputError: a file is there already, or the dataset is wrong or cannot be calibrated.
+        WorldError: a file cannot be written.
+    """
+    repository, at, version = suite.partition("@")
+    if not at or repository.count("/") != 1 or any(not (c.isalnum() or c in "/._-@") for c in suite):
+        raise InputError(f"suite: found '{suite}', expected OWNER/REPOSITORY@VERSION")
+    configuration, workflow = output / CONFIGURATION, output / WORKFLOW
+    for file in (configuration, workflow):
+        if file.exists() and not overwrite:
+            raise InputError(f"{file}: there is such a file already: move it, or add --overwrite")
+    beginning = begin(dataset, output)
+    write_atomically(configuration, beginning.text)
+    write_atomically(workflow, _WORKFLOW.format(suite=repository, version=version))
+    read_configuration(configuration)
+    with stop_commands(runner):
+        for each in beginning.reasons:
+            runner.log(one_line(f"{beginning.name}: {each}"))
+        word = "fails as it is" if beginning.reasons else "passes"
+        runner.log(one_line(f"{configuration}, {workflow}: written; {beginning.name} {word}"))
+    return ExitCode.FAIL if beginning.reasons else ExitCode.PASS

@@ -1,0 +1,180 @@
+"""A first ``calibration.yml`` for a dataset: what it can be checked by, and limits that it states itself."""
+
+import json
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import yaml
+
+from calibration.dataset.model import Dataset
+from calibration.dataset.reading import read_dataset
+from calibration.diagnosis.limits import SMALLEST, UNSET, Limits
+from calibration.errors import InputError
+from calibration.estimation.options import Options
+from calibration.estimation.starting_noise import StartingNoise
+from calibration.importing.document import ESTIMATED, ROUGH
+from calibration.pipeline.matrix.cell import Cell, CellResult, run_cell
+from calibration.pipeline.matrix.matrix import load
+from calibration.pipeline.system import System
+
+SHARED = 3
+"""Collections in which two sensors see a pattern, for a table of both."""
+ROOM = 1.5
+"""So many times the RMS of today may that of a later recording be."""
+LEAST_RMS = 0.5
+"""And this, px, it may always be: the corners of a good camera in bad light."""
+STEPS = (1.0, 1.2, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)
+"""Limits are such numbers, times a power of ten."""
+_PLAIN = re.compile(r"[A-Za-z_./][\w./:-]*")
+
+
+@dataclass(frozen=True, eq=False)
+class Beginning:
+    """The first configuration of a dataset."""
+
+    name: str
+    text: str
+    """The content of calibration.yml."""
+    reasons: tuple[str, ...]
+    """Why the dataset fails as it is; none where it passes."""
+
+
+def begin(path: Path, root: Path) -> Beginning:
+    """Calibrate a dataset, and write down what it was checked by.
+
+    Args:
+        path: the dataset's folder, in ``root``.
+        root: the folder of calibration.yml.
+
+    Raises:
+        InputError: the dataset is wrong, lies elsewhere, or cannot be calibrated.
+    """
+    if not path.resolve().is_relative_to(root.resolve()):
+        raise InputError(f"{path}: expected a dataset in the folder of calibration.yml, {root}, which is checked out")
+    dataset = read_dataset(path)
+    metadata = dataset.document["_metadata"]
+    estimated = [name for name in metadata.get(ESTIMATED) or () if name in dataset.sensors]
+    rough = metadata.get(ROUGH) is True
+    options = Options(
+        description="rough" if rough else "trusted",
+        intrinsics=tuple(estimated),
+    )
+    evaluate, why = _table(dataset)
+    system = System(dataset.name, path, evaluate=evaluate, options=options)
+    first = _calibrated(system)
+    if first.error is not None or first.sigma is None:
+        raise InputError(f"{path}: cannot be calibrated: {'; '.join(first.reasons) or 'no optimum was found'}")
+    limits, comments = _limits(first)
+    judged = _calibrated(replace(system, limits=limits))
+    place = path.resolve().relative_to(root.resolve()).as_posix()
+    lines = [f"  {_scalar(system.name)}:", _line("dataset", place, _seen(dataset))]
+    if rough:
+        lines.append(_line("description", "rough", "where the sensors are, nobody has measured: no pose is held to it"))
+    if estimated:
+        lines.append(_line("intrinsics", estimated, "of these none were given: they are calibrated with the rest"))
+    if evaluate:
+        lines.append(_line("evaluate", evaluate, why))
+    if evaluate and first.rms_px is not None and "-to-rgb:" in evaluate:
+        most = nice(max(ROOM * first.rms_px, LEAST_RMS))
+        rule = f"- {{column: RMS (pix), row: Averages, max: {most:g}}}"
+        lines += [
+            "    rules:",
+            f"      {rule}   # {first.rms_px:.3g} px in this recording, times {ROOM:g}; {_least(LEAST_RMS, 'px')}",
+        ]
+    lines += ["    limits:", *(f"      {key}: {value:g}   # {comments[key]}" for key, value in _set(limits).items())]
+    head = (
+        "# Written by `calibration init`: what this recording is held to, and every later one in its place.\n"
+        "# A limit that your robot needs tighter or looser is yours to change; `calibration run` tells the rest.\n"
+    )
+    return Beginning(system.name, f"{head}\nsystems:\n" + "\n".join(lines) + "\n", judged.reasons)
+
+
+def nice(number: float) -> float:
+    """The next larger round number."""
+    power = 10.0 ** math.floor(math.log10(number))
+    return float(f"{next(step for step in STEPS if step * power >= number * (1 - 1e-9)) * power:.6g}")
+
+
+def _calibrated(system: System) -> CellResult:
+    with TemporaryDirectory() as folder:
+        return run_cell(Cell(system.name, StartingNoise()), load(system), Path(folder))
+
+
+def _table(dataset: Dataset) -> tuple[str | None, str]:
+    """The table that shows most of the dataset, and what it says; None where no two sensors see a pattern together."""
+    seen = {
+        name: {i for i, each in enumerate(dataset.collections) if any(s == name for _, s in each.labels)}
+        for name in dataset.sensors
+    }
+    kinds = {name: sensor.modality.family for name, sensor in dataset.sensors.items()}
+    cameras = [name for name, kind in kinds.items() if kind == "camera"]
+    for kind, word in (("camera", "rgb"), ("lidar", "lidar"), ("depth camera", "depth")):
+        pairs = [
+            (len(seen[one] & seen[other]), one, other)
+            for i, other in enumerate(cameras)
+            for one in (cameras[:i] if kind == "camera" else [name for name, own in kinds.items() if own == kind])
+        ]
+        if pairs and (best := max(pairs, key=lambda pair: pair[0]))[0] >= SHARED:
+            what = f"the corners that {best[1]} sees, in the images of {best[2]}; {best[0]} collections have both"
+            if kind != "camera":
+                what = f"the points of {best[1]} against the images of {best[2]}; {best[0]} collections have both"
+            return f"{word}-to-rgb:{best[1]}:{best[2]}", what
+    if len(cameras) == 1 and any(pattern.fixed for pattern in dataset.patterns.values()):
+        only = cameras[0]
+        return f"inter-collection-rgb-to-rgb:{only}:{only}", "each view of the pattern carried to all others by the arm"
+    return None, ""
+
+
+def _seen(dataset: Dataset) -> str:
+    counts = [
+        f"{name} sees it in {sum(any(s == name for _, s in each.labels) for each in dataset.collections)}"
+        for name in dataset.sensors
+    ]
+    return f"{len(dataset.collections)} collections; {', '.join(counts)}"
+
+
+def _limits(result: CellResult) -> tuple[Limits, dict[str, str]]:
+    """Limits from the standard deviations that the calibration states, and why each is what it is."""
+    sigma = result.sigma
+    if sigma is None:
+        raise AssertionError("a calibration states its standard deviations")
+    stated = {
+        "translation-mm": (sigma.translation_mm, SMALLEST[0], "mm"),
+        "rotation-deg": (sigma.rotation_deg, SMALLEST[1], "deg"),
+        "joint-mm": (sigma.joint_mm, SMALLEST[0], "mm"),
+        "joint-deg": (sigma.joint_deg, SMALLEST[1], "deg"),
+    }
+    values, comments = {}, {}
+    for key, (one, least, unit) in stated.items():
+        if one is None:
+            continue
+        values[key.replace("-", "_")] = nice(max(UNSET * one, least))
+        comments[key] = f"{UNSET:g} x {one:.2g} {unit}, this recording's standard deviation; {_least(least, unit)}"
+    return Limits(**values), comments
+
+
+def _least(number: float, unit: str) -> str:
+    return f"no less than {number:g} {unit}"
+
+
+def _set(limits: Limits) -> Mapping[str, float]:
+    keys = ("translation-mm", "rotation-deg", "joint-mm", "joint-deg")
+    found = {key: getattr(limits, key.replace("-", "_")) for key in keys}
+    return {key: value for key, value in found.items() if value is not None}
+
+
+def _line(key: str, value: Any, why: str) -> str:
+    shown = f"[{', '.join(map(_scalar, value))}]" if isinstance(value, list) else _scalar(value)
+    printable = "".join(c if c.isprintable() else "?" for c in why)
+    return f"    {key}: {shown}   # {printable}"
+
+
+def _scalar(text: str) -> str:
+    """A text as YAML writes it in a line, quoted where it must be."""
+    plain = _PLAIN.fullmatch(text) is not None and not text.endswith(":") and yaml.safe_load(text) == text
+    return text if plain else json.dumps(text)
