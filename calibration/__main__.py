@@ -79,6 +79,7 @@ COMMANDS: Mapping[str, LazyCommand] = {
     "version": LazyCommand("calibration.commands.version:command", "Print the versions in use."),
 }
 """Every command by its name, in the order of ``--help``."""
+COMPLETION = "_CALIBRATION_COMPLETE"
 IMPORTED = 100 << 20
 """Bytes: more than numpy takes of the address space when it is imported, most of it for OpenBLAS."""
 _PACKAGES = {"cv2": "opencv-python-headless", "yaml": "pyyaml"}
@@ -132,8 +133,13 @@ def group() -> None:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line (``sys.argv`` unless arguments are given) and return its exit code.
 
-    Only the arguments count: variables ``INPUT_*`` are not read.
+    Only the arguments count: variables ``INPUT_*`` are not read. A shell that completes the line, or asks how, says so
+    by a variable, as click has it.
     """
+    if arguments is None and (asked := os.environ.get(COMPLETION)):
+        from click.shell_completion import shell_complete
+
+        return shell_complete(group, {}, "calibration", COMPLETION, asked)
     return _execute(group, "calibration", sys.argv[1:] if arguments is None else arguments)
 
 

@@ -28,7 +28,7 @@ from calibration.pipeline.convergence.results import ConvergenceResults, Minimum
 from calibration.pipeline.convergence.sweep import run_sweep, sweep_matrices
 from calibration.pipeline.matrix.cell import CellResult
 from calibration.pipeline.system import System
-from calibration.report import publish, remove_results
+from calibration.report import count_of, publish, remove_results
 from calibration.workflow import Runner
 from calibration.workflow.progress import progress
 from calibration.workflow.streams import LogDisplay
@@ -152,6 +152,8 @@ def convergence(settings: Settings, runner: Runner) -> ExitCode:
     pull(asked, runner)
     remove_results(asked.output, ALL_FILES)
     software = bool(matrix.software)
+    total = sum(len(each.cells) for each in matrices)
+    runner.log(f"{count_of(total, 'start')}; a sweep that is stopped goes on where it was, by the same command")
     with progress(runner, TITLE, bar=not software, kept="starts") as advance:
 
         def done(number: int, total: int, cell: CellResult) -> None:

@@ -204,6 +204,23 @@ def test_the_readmes_tokens_are_used(examples: list[Any]) -> None:
     assert jobs[0]["with"]["coverage-service"] == uploads[0]["service"] == "codacy"
 
 
+def test_the_readmes_steps_have_what_their_actions_require(examples: list[Any]) -> None:
+    """GitHub does not ask for it: the action would, after it has installed its packages."""
+    jobs = [job for example in examples if isinstance(example, dict) for job in example.get("jobs", {}).values()]
+    steps = [step for job in jobs for step in job.get("steps", [])]
+    steps += [step for example in examples if isinstance(example, list) for step in example]
+    used = [
+        (found[1], step.get("with", {}))
+        for step in steps
+        if (found := re.search(r"/actions/([\w-]+)@v1$", step.get("uses", "")))
+    ]
+    assert len(used) > 5
+    for name, given in used:
+        inputs = yaml.safe_load(FILES[name].read_text())["inputs"]
+        assert given.keys() <= inputs.keys()
+        assert {key for key, entry in inputs.items() if entry.get("required")} <= given.keys(), name
+
+
 def test_the_readme_calls_the_reusable_workflow_right(examples: list[Any]) -> None:
     called = yaml.safe_load((PROJECT / ".github" / "workflows" / "pipeline.yml").read_text())[True]["workflow_call"]
     jobs = [job for example in examples if "jobs" in example for job in example["jobs"].values() if "uses" in job]

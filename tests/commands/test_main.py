@@ -438,3 +438,13 @@ def test_a_terminal_that_cannot_show_a_character(tmp_path: Path) -> None:
     )
     assert done.returncode == 0
     assert "\\xfc.csv" in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("words", "proposed"), [("calibration calibrate-m", "calibrate-matrix"), ("calibration run --conf", "--config")]
+)
+def test_a_shell_completes_commands_and_options(words: str, proposed: str) -> None:
+    asked = {"_CALIBRATION_COMPLETE": "bash_complete", "COMP_WORDS": words, "COMP_CWORD": str(words.count(" "))}
+    command = [sys.executable, "-m", "calibration"]
+    done = subprocess.run(command, env={**os.environ, **asked}, capture_output=True, text=True, check=True)
+    assert done.stdout == f"plain,{proposed}\n"
