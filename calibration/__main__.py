@@ -62,6 +62,7 @@ COMMANDS: Mapping[str, LazyCommand] = {
     "import-data": LazyCommand(
         "calibration.commands.import_data:command", "Make a dataset of images and poses that were recorded."
     ),
+    "label": LazyCommand("calibration.commands.label:command", "Find the patterns in the images of a dataset."),
     "init": LazyCommand("calibration.commands.init:command", "Write a first calibration.yml and workflow."),
     "export": LazyCommand(
         "calibration.commands.export:command", "Write a calibration as URDF, launch files, camera_info and more."

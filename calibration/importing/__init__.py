@@ -8,5 +8,6 @@
 - ``range_data``: clouds and scans of LiDARs, and the pattern in them;
 - ``looking``: the pattern found in them; ``near_miss``: why it is not;
 - ``starting_intrinsics``: a lens that nobody knows, from the corners;
+- ``relabelling``: the images of a dataset labelled; ``contact_sheet``: a picture of what was found;
 - ``document``: the dataset; ``importing``: all of it.
 """

@@ -95,7 +95,7 @@ def dataset_document(of: Imported) -> dict[str, Any]:
                 "joints": {},
                 "labels": {
                     pattern: {
-                        **{name: _label(view.found[pattern]) for name, view in moment.views.items()},
+                        **{name: label_document(view.found[pattern]) for name, view in moment.views.items()},
                         **{name: _range_label(each.found[pattern]) for name, each in ranges.items()},
                     }
                     for pattern in configuration.patterns
@@ -107,7 +107,8 @@ def dataset_document(of: Imported) -> dict[str, Any]:
     }
 
 
-def _label(found: FoundCorners) -> dict[str, Any]:
+def label_document(found: FoundCorners) -> dict[str, Any]:
+    """The labels of one image as a dataset holds them."""
     places = zip(found.pixels[::2], found.pixels[1::2], strict=True)
     rows = [{"id": i, "x": x, "y": y} for i, (x, y) in zip(found.ids, places, strict=True)]
     return {"detected": bool(rows), "idxs": rows}

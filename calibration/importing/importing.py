@@ -19,12 +19,14 @@ from calibration.dataset.writing import write_document
 from calibration.errors import InputError
 from calibration.execution.tasks import Task, run_tasks
 from calibration.execution.workspace import identity, workspace
-from calibration.files import place
+from calibration.files import place, write_atomically
 from calibration.geometry.cameras import Camera
 from calibration.geometry.frames import FrameTree
 from calibration.geometry.types import Array
 from calibration.importing.bag import open_bag
 from calibration.importing.camera_files import KnownLens, read_lens
+from calibration.importing.contact_sheet import FILE as SHEET
+from calibration.importing.contact_sheet import contact_sheet
 from calibration.importing.description import ImportDescription, SensorDescription
 from calibration.importing.document import Imported, data_file, dataset_document
 from calibration.importing.looking import LabelledMoment, View, check_copies, check_sizes, look, read_image
@@ -126,6 +128,12 @@ def import_data(
                 for name, each in ranges.items():
                     if each.view.file is not None:
                         place(each.view.file, new / data_file(name, key, each.view.file.name))
+            views = [
+                (f"{key} {name}", view)
+                for key, moment in zip(imported.keys, imported.moments, strict=True)
+                for name, view in moment.views.items()
+            ]
+            write_atomically(new / SHEET, contact_sheet(views, imported.configuration.patterns))
             write_document(dataset_document(imported), new / FILE_NAME)
             read_dataset(new)
     return _results(imported, recorded)

@@ -3,10 +3,10 @@
 from collections.abc import Mapping
 from pathlib import Path
 
-from calibration.importing.results import ImportResults
+from calibration.importing.results import ImportResults, LabelResults
 from calibration.report import Outcome, Report, Table, count_of
 
-TITLE = "import-data"
+TITLE, LABEL = "import-data", "label"
 
 
 def report(results: ImportResults, folder: Path) -> Report:
@@ -34,4 +34,22 @@ def report(results: ImportResults, folder: Path) -> Report:
             Table(("sensor", "image", "why no pattern"), rejected, title="Images without a pattern", folded=True),
         ),
         suites={TITLE: [Outcome(name=name) for name in results.sensors]},
+    )
+
+
+def label_report(results: LabelResults, folder: Path) -> Report:
+    """Return the report of ``label``."""
+    rows = tuple((name, str(each.images), str(each.labelled)) for name, each in results.sensors.items())
+    rejected = tuple((name, view.file, view.reason) for name, each in results.sensors.items() for view in each.rejected)
+    return Report(
+        title=LABEL,
+        verdict="pass",
+        sentence=f"{sum(each.labelled for each in results.sensors.values())} images labelled in {folder}",
+        results=results,
+        outputs={"dataset": folder},
+        blocks=(
+            Table(("sensor", "images", "labelled"), rows),
+            Table(("sensor", "image", "why no pattern"), rejected, title="Images without a pattern", folded=True),
+        ),
+        suites={LABEL: [Outcome(name=name) for name in results.sensors]},
     )

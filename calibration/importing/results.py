@@ -38,3 +38,20 @@ class ImportResults:
     together: int = field("Collections in which two sensors or more see a pattern.")
     lag_ms: float = field("Between the images of a moment, at most.", unit="ms")
     sensors: Mapping[str, SensorResult] = field("By name.")
+
+
+@result
+class LabelledSensor:
+    """What came of the images of one camera that were labelled."""
+
+    images: int = field("How many were looked at.")
+    labelled: int = field("How many show a pattern.")
+    rejected: tuple[RejectedView, ...] = field("Images in which no pattern is detected.", default=())
+
+
+@result
+class LabelResults:
+    """What was labelled."""
+
+    collections: int = field("Of the dataset.")
+    sensors: Mapping[str, LabelledSensor] = field("By name.")

@@ -1,0 +1,36 @@
+"""``label``: the images of a dataset, labelled by our detectors."""
+
+import os
+from pathlib import Path
+
+import click
+
+from calibration.commands.parameters import boolean_option, count, path
+from calibration.errors import ExitCode
+from calibration.importing.looking import LabelledMoment
+from calibration.importing.relabelling import label_dataset
+from calibration.importing.report import label_report
+from calibration.report import publish
+from calibration.workflow import Runner
+from calibration.workflow.progress import progress
+
+
+@click.command("label")
+@click.option("--dataset", type=path, required=True, help="Dataset with images: its folder.")
+@click.option("--output", type=path, required=True, help="Folder for the labelled dataset.")
+@boolean_option("--again", help="Label images anew that have labels.")
+@boolean_option("--overwrite", help="Replace a dataset that the output has.")
+@click.option("--jobs", type=count, help="Processes (one a core).")
+def command(dataset: Path, output: Path, again: bool, overwrite: bool, jobs: int | None) -> ExitCode:
+    """Find the patterns in the images of a dataset's cameras; labels of other sensors stay."""
+    runner = Runner.from_environment(os.environ)
+
+    def done(number: int, total: int, moment: LabelledMoment) -> None:
+        found = [f"{name} {sum(len(f.ids) for f in view.found.values())}" for name, view in moment.views.items()]
+        advance(number, total, f"corners: {', '.join(found)}")
+
+    with progress(runner, "label", kept="collections") as advance:
+        results = label_dataset(dataset, output, again, overwrite, jobs, done)
+    found = label_report(results, output)
+    publish(found, runner, output)
+    return found.exit_code

@@ -1,0 +1,63 @@
+"""A picture of many images, small, with the corners that were found in them."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from calibration.dataset.configuration import PatternConfiguration
+from calibration.importing.looking import View, read_image
+from calibration.labelling.detection import Image
+from calibration.simulation.sensors.drawing import HEIGHT, draw_corner
+
+FILE = "contact_sheet.png"
+WIDTH = 1600
+"""About how wide the sheet is, px."""
+MOST = 240
+"""More images are not shown."""
+_LINE, _GAP = 16, 6
+_PAPER, _INK, _RED = (250, 250, 250), (60, 60, 60), (40, 40, 200)
+
+
+def contact_sheet(views: Sequence[tuple[str, View]], patterns: Mapping[str, PatternConfiguration]) -> bytes:
+    """The sheet as PNG: each image under a line with its title and the number of its corners, red where there are none.
+
+    Raises:
+        InputError: an image cannot be read.
+    """
+    tiles = [_tile(title, view, patterns) for title, view in views[:MOST]]
+    width = max(tile.shape[1] for tile in tiles)
+    tiles = [_padded(tile, width) for tile in tiles]
+    columns = max(1, round(WIDTH / width))
+    tiles += [np.full_like(tiles[0], _PAPER)] * (-len(tiles) % columns)
+    rows = [np.hstack(tiles[i : i + columns]) for i in range(0, len(tiles), columns)]
+    done, data = cv2.imencode(".png", np.vstack(rows), [cv2.IMWRITE_PNG_COMPRESSION, 4])
+    if not done:
+        raise AssertionError("OpenCV cannot write .png")
+    return bytes(data)
+
+
+def _padded(tile: Image, width: int) -> Image:
+    """A tile with paper below it and to its right."""
+    right = width + _GAP - tile.shape[1]
+    return np.asarray(cv2.copyMakeBorder(tile, 0, _GAP, 0, right, cv2.BORDER_CONSTANT, value=_PAPER), np.uint8)
+
+
+def _tile(title: str, view: View, patterns: Mapping[str, PatternConfiguration]) -> Image:
+    scale = HEIGHT / view.height
+    size = (max(1, round(scale * view.width)), HEIGHT)
+    small = cv2.resize(read_image(Path(view.file)), size, interpolation=cv2.INTER_AREA)
+    picture = np.asarray(cv2.convertScaleAbs(small, alpha=0.8, beta=40), np.uint8)  # paler, so that the marks stand out
+    count = 0
+    for name, found in view.found.items():
+        columns, rows = patterns[name].dimension
+        if (labels := found.labels) is not None:
+            count += len(labels.ids)
+            for number, at in zip(labels.ids.tolist(), scale * (labels.pixels + 0.5) - 0.5, strict=True):
+                draw_corner(picture, at, number / (columns * rows))
+    colour = _INK if count else _RED
+    line = np.full((_LINE, size[0], 3), _PAPER, np.uint8)
+    text = f"{title}: {f'{count} corners' if count else 'not detected'}".encode("ascii", "replace").decode()
+    cv2.putText(line, text, (2, _LINE - 5), cv2.FONT_HERSHEY_SIMPLEX, 0.38, colour, 1, cv2.LINE_AA)
+    return np.asarray(np.vstack([line, picture]), np.uint8)
