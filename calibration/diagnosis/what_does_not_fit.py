@@ -32,6 +32,8 @@ ADVICE: Mapping[str, str] = {
     "motion during a sweep": "stop the robot for each collection, or compensate the motion in the sweeps",
     "size": "measure the printed squares over many of them, and correct the pattern's size",
     "stretch": "measure the squares along both sides: printers stretch one of them",
+    "stretch along x": "measure the squares along both sides: printers stretch one of them",
+    "stretch along y": "measure the squares along both sides: printers stretch one of them",
     "bow": "put the pattern on a flat plate",
     "twist": "put the pattern on a flat plate",
     "border": "measure the board's border, and correct border_size",

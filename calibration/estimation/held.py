@@ -183,12 +183,14 @@ def _of_all_cameras(names: Sequence[str], assume: Assumptions) -> Iterator[Cause
 
 
 def _of_pattern(name: str, has_border: bool, assume: Assumptions) -> Iterator[Cause]:
-    def cause(kind: str, unit: Unit, assumed: float, *weights: Weights) -> Cause:
+    def cause(kind: str, unit: Unit, assumed: float, *weights: Weights, counts: bool = True) -> Cause:
         columns = _combinations(weights, lambda group: group.pattern.name == name)
-        return Cause(kind, name, unit, columns, (assumed,) * len(weights))
+        return Cause(kind, name, unit, columns, (assumed,) * len(weights), counts)
 
     yield cause("size", "1", assume.pattern_size, {"size_x": 1.0, "size_y": 1.0})
     yield cause("stretch", "1", assume.pattern_stretch, {"size_x": 0.5, "size_y": -0.5})
+    for axis in "xy":  # a printer stretches one side: how large the other is, the data may not tell
+        yield cause(f"stretch along {axis}", "1", assume.pattern_stretch, {f"size_{axis}": 1.0}, counts=False)
     yield cause("bow", "m", assume.flatness, {"bow_x": 1.0}, {"bow_y": 1.0})
     yield cause("twist", "m", assume.flatness, {"twist": 1.0})
     if has_border:

@@ -14,8 +14,8 @@ so, family-wise over all causes:
 - d against its covariance with collections as clusters (Hotelling's T^2);
 - d against that and what it is assumed to be known with: what is as good as it is known is no suspect.
 
-The best explanation is taken in, and the rest is tested again beside it. Of nearly equal ones the simplest is taken,
-and the others are named with it.
+The best explanation is taken in, and the rest is tested again beside it. Of nearly equal ones the simplest is taken, of
+ways of one cause that the data cannot tell apart the one that moves the result most, and the others are named with it.
 """
 
 from collections.abc import Iterator
@@ -43,6 +43,8 @@ EXACTLY = 1e6
 """Degrees of freedom of a covariance that is not estimated."""
 CONTRADICTION = 3.0
 """Clusters that disagree by more than this times what is assumed contradict each other."""
+STRETCHES = {"stretch", "stretch along x", "stretch along y"}
+"""Kinds that differ by the size of the whole, which the data may not tell."""
 HALF_PIXEL = (0.35, 0.65)
 """Off by so much, the principal point is of the other convention of pixels' centres."""
 
@@ -130,11 +132,22 @@ def explain(model: LinearModel) -> Explanation | None:
         most = max(each.gain for each in significant)
         near = [each for each in significant if each.gain >= EQUAL * most]
         best = min(near, key=lambda each: (each.cause.size, -round(each.gain / most, 2)))
+        best = max([best, *(each for each in near if _are_stretches(each.cause, best.cause))], key=_displaced)
         rivals = [each.cause for each in sorted(near, key=lambda each: -each.gain) if each.cause is not best.cause]
         rivals = [each for each in dict.fromkeys(rivals) if each.size <= best.cause.size]
         found.append(replace(best, rivals=tuple(rivals[:2])))
         state = state.with_cause(model.columns_of(best.cause), best.since)
     return Explanation(tuple(found), _disagreement(model, state))
+
+
+def _are_stretches(cause: Cause, other: Cause) -> bool:
+    """Whether two causes are ways in which one print may be stretched."""
+    return cause.subject == other.subject and {cause.kind, other.kind} <= STRETCHES
+
+
+def _displaced(suspect: Suspect) -> float:
+    """How far a suspect moves the result: of ways that explain as much, the worst one counts."""
+    return float(np.abs(suspect.moves).max())
 
 
 def explains_all(model: LinearModel) -> bool:

@@ -132,12 +132,20 @@ def test_two_causes_have_two_names() -> None:
     wrong = replace(dataset, patterns={name: replace(pattern, corners=pattern.corners * [1.02, 1.0, 1.0])})
 
     def longer(values: Array) -> None:
-        values[2] += 6
+        values[:2] *= 1.02
 
     wrong = with_intrinsics(wrong, next(iter(dataset.sensors)), longer)
-    kinds = {each.cause.kind for each in found(wrong)}
-    assert len(kinds) >= 2
-    assert "stretch" in kinds
+    assert {each.cause.kind for each in found(wrong)} == {"stretch along x", "focal length"}
+
+
+def test_one_side_that_is_stretched_is_one_cause() -> None:
+    dataset = eye_to_hand()
+    (name,) = dataset.patterns
+    pattern = dataset.patterns[name]
+    wrong = replace(dataset, patterns={name: replace(pattern, corners=pattern.corners * [1.0, 1.01, 1.0])})
+    [suspect] = found(wrong)
+    assert (suspect.cause.kind, suspect.cause.subject) == ("stretch along y", name)
+    assert suspect.value[0] == pytest.approx(-0.0099, abs=0.001)
 
 
 def test_a_sensor_that_has_moved_is_named_with_the_collection() -> None:
