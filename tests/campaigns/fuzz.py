@@ -1,0 +1,144 @@
+"""``make fuzz``: files that were changed by a seed, given to every reader of files of others.
+
+Each is read, or refused by an error of one line. What else happens is a failure: another exception, a message of many
+lines or characters, more than `SECONDS` or `MEMORY`. It is named by its target and its seed, and becomes a line of
+`test_fuzz.FOUND`. ``python -m tests.campaigns.fuzz --target table --case 17`` runs one case alone.
+"""
+
+import argparse
+import contextlib
+import random
+import resource
+import signal
+import sys
+import tempfile
+import time
+import traceback
+import warnings
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+
+from calibration.errors import LONGEST_MESSAGE, CalibrationError, solvable
+from tests.campaigns.mutations import mutated
+from tests.campaigns.targets import TARGETS, Target
+
+SECONDS = 20
+"""For one case."""
+MEMORY = 2 << 30
+"""Bytes of address space that a case may ask for beyond what the process has."""
+
+
+class HangError(BaseException):
+    """A case takes too long; no `Exception`, so that no reader catches it."""
+
+
+@dataclass
+class Campaign:
+    """What came of the cases."""
+
+    read: Counter[str] = field(default_factory=Counter)
+    refused: Counter[str] = field(default_factory=Counter)
+    failures: list[str] = field(default_factory=list)
+    slowest: float = 0.0
+    """s."""
+
+    def run(self, name: str, target: Target, seed: int) -> None:
+        """Run one case, and count what came of it."""
+        begin = time.perf_counter()
+        failure = problem_of(target, seed)
+        self.slowest = max(self.slowest, time.perf_counter() - begin)
+        if failure is None:
+            self.read[name] += 1
+        elif failure == "":
+            self.refused[name] += 1
+        else:
+            self.failures.append(f"{name} --case {seed}: {failure}")
+
+
+def problem_of(target: Target, seed: int) -> str | None:
+    """What is wrong with what a case did: None where it was read, empty where it was refused as it should be."""
+    originals = _originals(target)
+    data = mutated(originals[seed % len(originals)], seed)
+    with tempfile.TemporaryDirectory(prefix="calibration-fuzz-") as folder, warnings.catch_warnings(record=True):
+        path = Path(folder) / target.name
+        path.write_bytes(data)
+        try:
+            with bounded(SECONDS, MEMORY), solvable("the data"):
+                target.read(path)
+        except CalibrationError as refused:
+            lines, size = len(str(refused).splitlines()), len(str(refused))
+            return "" if lines == 1 and size <= LONGEST_MESSAGE + 1 else f"an error of {lines} lines, {size} characters"
+        except HangError:
+            return f"not done after {SECONDS} s"
+        except Exception as bug:
+            place = traceback.extract_tb(bug.__traceback__)[-1]
+            return f"{type(bug).__name__}: {str(bug)[:200]} ({Path(place.filename).name}:{place.lineno})"
+    return None
+
+
+@cache
+def _originals(target: Target) -> list[bytes]:
+    return target.originals()
+
+
+@contextlib.contextmanager
+def bounded(seconds: int, memory: int) -> Iterator[None]:
+    """Bound time and address space inside the block, by `HangError` and `MemoryError`."""
+
+    def stop(*_: object) -> None:
+        raise HangError
+
+    before, limits = signal.signal(signal.SIGALRM, stop), resource.getrlimit(resource.RLIMIT_AS)
+    pages = int(Path("/proc/self/statm").read_text().split()[0])
+    resource.setrlimit(resource.RLIMIT_AS, (pages * resource.getpagesize() + memory, limits[1]))
+    signal.alarm(seconds)
+    try:
+        yield
+    finally:
+        signal.alarm(0)
+        resource.setrlimit(resource.RLIMIT_AS, limits)
+        signal.signal(signal.SIGALRM, before)
+
+
+def campaign(cases: int, seed: int, names: list[str], seconds: float | None = None) -> Campaign:
+    """Run so many cases of targets by their shares, or as many as there is time for."""
+    found, draw, end = Campaign(), random.Random(seed), time.monotonic() + (seconds or 1e9)
+    weights = [TARGETS[name].share for name in names]
+    for _ in range(cases):
+        if time.monotonic() > end:
+            break
+        [name] = draw.choices(names, weights)
+        found.run(name, TARGETS[name], draw.randrange(1 << 31))
+    return found
+
+
+def main() -> int:
+    """Run the campaign of the command line, and print its counts; 1 where a case failed."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--cases", type=int, default=100_000)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--seconds", type=float, help="end sooner, after so long")
+    parser.add_argument("--target", choices=TARGETS, help="this one alone")
+    parser.add_argument("--case", type=int, help="of the target, this case alone")
+    asked = parser.parse_args()
+    names = [asked.target] if asked.target else list(TARGETS)
+    if asked.case is not None:
+        print(problem_of(TARGETS[names[0]], asked.case) or "as it should be")
+        return 0
+    found = campaign(asked.cases, asked.seed, names, asked.seconds)
+    for name in names:
+        print(f"{name:20} {found.read[name]:7} read {found.refused[name]:7} refused")
+    print("\n".join(found.failures))
+    total, peak = found.read.total() + found.refused.total(), resource.getrusage(resource.RUSAGE_SELF).ru_maxrss >> 10
+    count = len(found.failures)
+    print(
+        f"{total + count} cases, seed {asked.seed}: {count} failures; slowest {found.slowest:.1f} s, {peak} MiB at most"
+    )
+    return 1 if found.failures else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,78 @@
+"""Changes of a file by a seed: bytes turned over, pieces doubled or gone, values that nobody expects."""
+
+import random
+import re
+
+WORDS = (
+    *("0", "-1", "1e308", "-1e308", "1e20", "1e-320", "NaN", "Infinity", "9" * 400, "0.1", "18446744073709551616"),
+    *(
+        "null",
+        "true",
+        "[]",
+        "{}",
+        '""',
+        "[[]]",
+        '"\\u0000"',
+        '"../../x"',
+        '"\\u202e"',
+        "~",
+        "*a",
+        "&a",
+        "!!python/none",
+    ),
+)
+"""In the place of a value, in text."""
+_VALUE = re.compile(rb'-?[0-9][0-9.eE+-]*|"[^"\n]{0,200}"|[A-Za-z_][\w./-]{0,80}')
+_MOST = 1 << 16
+"""Bytes of a piece that is doubled or removed."""
+
+
+def mutated(data: bytes, seed: int) -> bytes:
+    """A file that was changed in one to four places; the same for the same seed."""
+    draw = random.Random(seed)
+    for _ in range(draw.choice((1, 1, 1, 2, 4))):
+        data = draw.choice((_value, _value, _value, _bits, _doubled, _removed, _swapped, _ended))(data, draw)
+    return data
+
+
+def _value(data: bytes, draw: random.Random) -> bytes:
+    """A value of a text in the place of which stands another one, of the text itself or of `WORDS`."""
+    start = draw.randrange(len(data) + 1)
+    found = _VALUE.search(data, start) or _VALUE.search(data)
+    if found is None:
+        return _bits(data, draw)
+    other = _VALUE.search(data, draw.randrange(len(data) + 1))
+    word = other[0] if other and draw.random() < 0.3 else draw.choice(WORDS).encode()
+    return data[: found.start()] + word + data[found.end() :]
+
+
+def _bits(data: bytes, draw: random.Random) -> bytes:
+    if not data:
+        return bytes([draw.randrange(256)])
+    place = draw.randrange(len(data))
+    return data[:place] + bytes([data[place] ^ (1 << draw.randrange(8))]) + data[place + 1 :]
+
+
+def _piece(data: bytes, draw: random.Random) -> tuple[int, int]:
+    start = draw.randrange(len(data) + 1)
+    return start, min(len(data), start + draw.choice((1, 4, 40, 400, draw.randrange(1, _MOST))))
+
+
+def _doubled(data: bytes, draw: random.Random) -> bytes:
+    start, end = _piece(data, draw)
+    return data[:end] + data[start:end] * draw.choice((1, 1, 3)) + data[end:]
+
+
+def _removed(data: bytes, draw: random.Random) -> bytes:
+    start, end = _piece(data, draw)
+    return data[:start] + data[end:]
+
+
+def _swapped(data: bytes, draw: random.Random) -> bytes:
+    """A piece that also stands where another one was."""
+    (start, end), (other, _) = _piece(data, draw), _piece(data, draw)
+    return data[:other] + data[start:end] + data[other + end - start :]
+
+
+def _ended(data: bytes, draw: random.Random) -> bytes:
+    return data[: draw.randrange(len(data) + 1)]

@@ -1,0 +1,161 @@
+"""What is fuzzed: a reader of files of others, with files that it can read."""
+
+import io
+import json
+import tarfile
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from calibration.coverage.reading import read_reports
+from calibration.coverage.sources import Sources
+from calibration.dataset.configuration import read_configuration as read_atom_configuration
+from calibration.dataset.depth_image import read_depth_image
+from calibration.dataset.pointcloud import read_points
+from calibration.dataset.reading import read_dataset
+from calibration.diagnosis.check_data import check_data
+from calibration.errors import CalibrationError
+from calibration.estimation.starting_noise import StartingNoise
+from calibration.execution.extraction import Budget, extract
+from calibration.execution.globs import Glob
+from calibration.geometry.cameras import Camera
+from calibration.git.repository import Repository
+from calibration.image.specification import read_image_specification
+from calibration.introspection import judge, parse_rules, read_table
+from calibration.introspection.rulesfile import read_rules
+from calibration.pipeline.configuration import read_configuration
+from calibration.pipeline.matrix.cell import Cell, LoadedSystem, calibrate_cell
+from calibration.rigel.conversion import convert
+from calibration.rigel.document import read_rigelfile
+
+PROJECT = Path(__file__).resolve().parents[2]
+DATASETS = PROJECT / "datasets"
+
+
+@dataclass(frozen=True)
+class Target:
+    """A reader, and files that it can read."""
+
+    name: str
+    """The name of the file that it is given."""
+    originals: Callable[[], list[bytes]]
+    read: Callable[[Path], object]
+    """Raises `CalibrationError` for what it refuses; anything else is a bug."""
+    share: int = 10
+    """Of so many cases of all targets together, by weight: what takes long has few."""
+
+
+def _files(*patterns: str) -> Callable[[], list[bytes]]:
+    return lambda: [path.read_bytes() for pattern in patterns for path in sorted(PROJECT.glob(pattern))]
+
+
+def _few_collections() -> list[bytes]:
+    """Two datasets of ten collections each: what is calibrated within a tenth of a second."""
+    found = []
+    for name in ("riwbot", "t2rgb"):
+        document = json.loads((DATASETS / name / "dataset.json").read_text())
+        document["collections"] = dict(list(document["collections"].items())[:10])
+        found.append(json.dumps(document).encode())
+    return found
+
+
+def _calibrated(path: Path) -> None:
+    dataset = read_dataset(path)
+    check_data(dataset)
+    result, _ = calibrate_cell(Cell("robot", StartingNoise(0.0, 0.0, 1)), LoadedSystem("robot", dataset, None, None))
+    if result.error is not None:
+        raise CalibrationError(result.reasons[0])
+
+
+def _judged(path: Path) -> None:
+    judge(
+        read_table(path), parse_rules([{"column": "RMS (pix)", "row": "Averages", "max": 3, "every-max": 5}], "rules")
+    )
+
+
+TABLE = b"Collection #,RMS (pix),X err (pix)\n000,0.5,0.1\n001,0.25,0.2\nAverages,0.3750,0.1500\n"
+RULES = (
+    b'rules:\n  - {column: RMS (pix), row: Averages, max: 3}\n  - {column: Status, matches: "ok|done"}\nmin-rows: 2\n'
+)
+VARIABLES = {"REGISTRY": "registry.example.org"}
+"""What the examples take from the environment."""
+IMAGE = b"""\
+name: ghcr.io/me/robot
+base: "ubuntu:22.04"
+apt: [git, curl]
+environment: {ROS_DOMAIN_ID: "7"}
+commands: ["pip install numpy"]
+push: true
+promote: [stable]
+"""
+LCOV = b"TN:\nSF:a.py\nDA:1,1\nDA:2,0\nBRDA:2,0,0,1\nLF:2\nLH:1\nend_of_record\n"
+COBERTURA = (
+    b'<?xml version="1.0"?><coverage line-rate="0.5"><sources><source>.</source></sources><packages><package name="p">'
+    b'<classes><class name="a" filename="a.py"><lines><line number="1" hits="1"/><line number="2" hits="0"/></lines>'
+    b"</class></classes></package></packages></coverage>"
+)
+
+
+def _covered(path: Path) -> None:
+    source = path.with_name("a.py")
+    source.write_text("x = 1\ny = 2\n")
+    sources = Sources(Repository(path.parent), path.parent, (), ("a.py",), ("a.py",))
+    read_reports([path], sources, {}, path.parent / "meanwhile")
+
+
+def _tars() -> list[bytes]:
+    packed = io.BytesIO()
+    with tarfile.open(fileobj=packed, mode="w", format=tarfile.PAX_FORMAT) as tar:
+        for name, kind in (
+            ("out", tarfile.DIRTYPE),
+            ("out/a", None),
+            ("out/l", tarfile.SYMTYPE),
+            ("out/h", tarfile.LNKTYPE),
+        ):
+            entry = tarfile.TarInfo(name)
+            entry.type = kind or tarfile.REGTYPE
+            entry.linkname = "out/a" if kind in (tarfile.LNKTYPE, tarfile.SYMTYPE) else ""
+            entry.size = 0 if kind else 600
+            tar.addfile(entry, None if kind else io.BytesIO(b"x" * 600))
+    return [packed.getvalue()]
+
+
+def _brought_out(path: Path) -> None:
+    folder, glob = path.parent / "brought", Glob("/out/*")
+    folder.mkdir()
+    extract([path.read_bytes()], glob.landing, glob.source, folder, Budget(1 << 20, 100))
+    outside = [found for found in path.parent.iterdir() if found not in (path, folder)]
+    if outside:
+        raise AssertionError(f"brought out beside the folder: {outside}")
+
+
+def _depth() -> list[bytes]:
+    import cv2
+    import numpy as np
+
+    image = np.arange(16 * 12, dtype=np.uint16).reshape(12, 16)
+    return [bytes(cv2.imencode(".png", image)[1])]
+
+
+TARGETS: Mapping[str, Target] = {
+    "calibration": Target("dataset.json", _few_collections, _calibrated, 1),
+    "dataset": Target("dataset.json", _few_collections, lambda path: check_data(read_dataset(path)), 4),
+    "point-cloud": Target("cloud.pcd", _files("datasets/rlbot/lidar_right_000.pcd"), read_points),
+    "depth-image": Target("depth.png", _depth, lambda path: read_depth_image(path, Camera(10, 10, 7.5, 5.5, 16, 12))),
+    "atom-configuration": Target("config.yml", _files("datasets/*/config.yml"), read_atom_configuration, 4),
+    "calibration.yml": Target(
+        "calibration.yml",
+        _files("calibration.yml", "examples/*/calibration.yml"),
+        lambda path: read_configuration(path, VARIABLES),
+        4,
+    ),
+    "image": Target("image.yml", lambda: [IMAGE], read_image_specification, 4),
+    "rules": Target("rules.yml", lambda: [RULES], read_rules),
+    "table": Target("table.csv", lambda: [TABLE], _judged, 40),
+    "rigelfile": Target(
+        "Rigelfile", _files("tests/rigel/rigelfiles/*.rigel"), lambda path: convert(read_rigelfile(path)), 2
+    ),
+    "coverage": Target("report.info", lambda: [LCOV, COBERTURA], _covered, 10),
+    "tar": Target("artifacts.tar", _tars, _brought_out, 20),
+}
+"""By name."""
