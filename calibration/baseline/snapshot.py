@@ -2,6 +2,7 @@
 
 import hashlib
 from collections.abc import Iterator, Mapping
+from functools import cached_property
 from typing import Annotated, Literal
 
 import numpy as np
@@ -96,7 +97,7 @@ class Pose:
         """``T_parent_child`` (4, 4)."""
         return from_xyz_rpy(1e-3 * np.array(self.xyz_mm), np.radians(self.rpy_deg))
 
-    @property
+    @cached_property
     def covariance(self) -> Array | None:
         """(6, 6), m and rad, in all; None where it was held."""
         if self.own_mm is None or self.own_deg is None:
@@ -128,7 +129,7 @@ class Pose:
         """The standard deviation of the translation, the norm of three axes; 0 where it was held."""
         return float(np.linalg.norm(self.sigma_mm)) if self.sigma_mm else 0.0
 
-    @property
+    @cached_property
     def _correlation(self) -> Array:
         correlation = np.zeros((6, 6))
         correlation[np.tril_indices(6, -1)] = self.correlations or ()
