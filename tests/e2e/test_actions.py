@@ -2,6 +2,7 @@
 
 import json
 import secrets
+import shutil
 import socket
 import sys
 from collections.abc import Iterator
@@ -25,6 +26,14 @@ NO_DOCKER = {"DOCKER_HOST": "unix:///nowhere.sock"}
 EVALUATE = "rgb-to-rgb:left_camera:right_camera"
 PIPELINE = {"systems": {"tripod": {"dataset": "my robot", "evaluate": EVALUATE}}}
 SOFTWARE = {"systems": {"tripod": {"dataset": "my robot", "software": {"command": ["calibrate"], "image": "robot:1"}}}}
+BOARD = {"type": "charuco", "columns": 11, "rows": 8, "square": 0.06, "marker": 0.045, "dictionary": "DICT_5X5_100"}
+IMPORT = {
+    "sensors": {
+        name: {"images": f"my images/{name}_*", "intrinsics": "my camera.yml"}
+        for name in ("left_camera", "right_camera")
+    },
+    "patterns": {"board": BOARD},
+}
 PYTHON = {
     "my package/naming.py": "def name(a, b):\n    return f'{a}-{b}'\n\n\ndef unused():\n    return 1\n",
     "my package/test_naming.py": (
@@ -36,6 +45,8 @@ FILES = {
     "my table.csv": "Collection #,RMS (pix),X err (pix)\n000,0.5,0.1\n001,0.7,0.2\nAverages,0.6,0.1\n",
     "my limits.yml": "rules:\n- {column: RMS (pix), row: Averages, max: 0.01}\n",
     "my pipeline.yml": json.dumps(PIPELINE),
+    "my import.yml": json.dumps(IMPORT),
+    "my camera.yml": "intrinsics: {fx: 554.256, fy: 554.256, cx: 320.5, cy: 240.5}\n",
     "my robot": PROJECT / "datasets" / "t2rgb",
     **PYTHON,
 }
@@ -44,6 +55,16 @@ HOSTILE = """$(touch pwned) `touch pwned`"; touch pwned; '; touch pwned; #
 ::set-output name=verdict::pass
 ::set-env name=INJECTED::yes
 ::add-mask::robot"""
+
+
+@pytest.fixture
+def images(tmp_path: Path) -> Path:
+    """Return a folder with photographs of two cameras."""
+    folder = tmp_path / "photographs"
+    folder.mkdir()
+    for path in (PROJECT / "datasets" / "t2rgb").glob("*_camera_00?.jpg"):
+        shutil.copy(path, folder / f"{path.stem}.jpeg")  # a repository gets no .jpg here
+    return folder
 
 
 def declared(action: str) -> set[str]:
@@ -78,19 +99,21 @@ def green(registry: Registry, server: str, **more: str) -> list[Step]:
         Step(
             "coverage",
             "coverage-upload",
-            coverage | {"minimum": "70", "project-token": "${{ secrets.CODACY }}", "api-url": server},
+            coverage
+            | {"minimum": "70", "service": "codacy", "project-token": "${{ secrets.CODACY }}", "api-url": server},
         ),
         Step("image", "build-image", image | {"push": "${{ github.event_name == 'push' }}"}),
         Step("matrix", "calibrate-matrix", matrix),
         Step("tables", "introspect-csv", {"file": tables, **averages}),
         Step("collection", "collect-data-sim", collection),
+        Step("import", "import-data", {"config": "my import.yml", "output": "the import"}),
         Step("pipeline", "", {"config": "my pipeline.yml", "output": "the pipeline"}),
     ]
     return [replace(step, inputs={**step.inputs, **more}) for step in steps]
 
 
 WRITTEN = """
-for file in "the "{report,coverage,image,matrix,collection,pipeline}/results.json badge.svg; do
+for file in "the "{report,coverage,image,matrix,collection,import,pipeline}/results.json badge.svg; do
     test -s "$file" || echo "missing: $file"
 done
 """
@@ -110,16 +133,17 @@ def check_green(run: Run, steps: list[Step]) -> dict[str, dict[str, str]]:
     assert float(outputs["matrix"]["success-rate"]) == float(outputs["pipeline"]["success-rate"]) == 1
     assert 0 < float(outputs["matrix"]["worst-rms-px"]) < 3
     assert outputs["collection"]["collections"] == "4"
+    assert outputs["import"]["collections"] == "10"
     assert outputs["coverage"]["line-rate"] == "75.0"
     return outputs
 
 
 def test_every_action_is_green_on_a_push_and_for_a_stranger(
-    repository: Repository, base_image: str, registry: Registry
+    repository: Repository, base_image: str, registry: Registry, images: Path
 ) -> None:
     with codacy() as server:
         steps = green(registry, server.url)
-        files = FILES | {"my image.yml": specification(base_image)}
+        files = FILES | {"my image.yml": specification(base_image), "my images": images}
         run = repository.push(workflow(steps, WRITTEN), files, "--secret", f"CODACY={TOKEN}")
         outputs = check_green(run, steps)
         assert outputs["image"]["digest"].startswith("sha256:")
@@ -140,12 +164,13 @@ def test_every_action_is_green_on_a_push_and_for_a_stranger(
 
 
 def test_every_action_is_green_in_a_plain_image(
-    repository: Repository, plain_image: str, base_image: str, registry: Registry
+    repository: Repository, plain_image: str, base_image: str, registry: Registry, images: Path
 ) -> None:
     with codacy() as server:
         steps = green(registry, server.url)
         repository.write(
-            workflow(steps[-1:] + steps[:-1], WRITTEN), FILES | {"my image.yml": specification(base_image)}
+            workflow(steps[-1:] + steps[:-1], WRITTEN),
+            FILES | {"my image.yml": specification(base_image), "my images": images},
         )
         run = repository.act_in(plain_image, "--secret", f"CODACY={TOKEN}")
         outputs = check_green(run, steps)
