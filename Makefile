@@ -20,7 +20,7 @@ rooms = $(patsubst tests/%/__init__.py,%,$(wildcard tests/*/__init__.py tests/*/
 engine_tests = $(addprefix tests/,geometry dataset estimation evaluation comparison labelling simulation/rendering)
 opencv_tests = $(addprefix tests/,dataset/test_depth_image.py dataset/test_reading.py comparison labelling simulation/rendering)
 
-.PHONY: help run check lint test test-only fuzz bench lock test-versions actions pictures clean
+.PHONY: help run check lint test test-only fuzz faults bench lock test-versions actions pictures clean
 
 help: ## this list
 	@sed -nE 's/^([a-z-]+):.*## (.*)/\1\t\2/p' Makefile | expand -t 16
@@ -81,6 +81,10 @@ test-versions: ## the tests of engine, detectors and rendering with the oldest n
 fuzz: ## readers against files that were changed by a seed: ARGS='--cases 100000 --seed 1'
 	@$(setup) dev.txt .
 	$(python) -m tests.campaigns.fuzz $(ARGS)
+
+faults: ## commands on machines that fail, by a seed: signals, a full disk, little memory: ARGS='--cases 500 --seed 1'
+	@$(setup) dev.txt .
+	$(python) -m tests.campaigns.faults $(ARGS)
 
 bench: ## what the measurements of benchmarks/ print
 	@$(setup) dev.txt .

@@ -209,6 +209,10 @@ def _answer(runner: Runner, command: click.Command | str, name: str, arguments: 
         module = error.name.partition(".")[0]
         report_error(runner, f"the package {module} is not installed: pip install {_PACKAGES.get(module, module)}")
         return ExitCode.WORLD
+    except ImportError as error:
+        if "failed to map segment" in str(error):  # of a library for which there is no room
+            raise MemoryError from None
+        return _report_bug(runner)
     except MemoryError:
         raise  # said where its traceback, and with it the memory, is gone
     except Exception:  # whatever was not foreseen is our bug: the traceback is for us

@@ -173,7 +173,7 @@ def _far(
     for sensor in sensors:
         if held_at is None:
             there = description.transform(*sensor.edge)[0], calibration.transforms[sensor.edge]
-        elif (held_at, sensor.name) in found:
+        elif (held_at, sensor.name) in found.keys() & expected.keys():
             there = expected[held_at, sensor.name], found[held_at, sensor.name]
         else:
             continue

@@ -14,7 +14,7 @@ from tests.campaigns.fuzz import campaign, problem_of
 from tests.campaigns.mutations import mutated
 from tests.campaigns.targets import TARGETS, Target
 
-FOUND: list[tuple[str, int]] = []
+FOUND: list[tuple[str, int]] = [("calibration", 1344609849)]
 """Cases that failed once, by target and seed: each stays as it should be."""
 
 

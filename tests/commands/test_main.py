@@ -448,3 +448,14 @@ def test_a_shell_completes_commands_and_options(words: str, proposed: str) -> No
     command = [sys.executable, "-m", "calibration"]
     done = subprocess.run(command, env={**os.environ, **asked}, capture_output=True, text=True, check=True)
     assert done.stdout == f"plain,{proposed}\n"
+
+
+def test_a_library_for_which_there_is_no_memory_is_no_bug(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def refuse(_: str) -> click.Command:
+        raise ImportError("libaom.so.3: failed to map segment from shared object")
+
+    monkeypatch.setattr(entry, "load_command", refuse)
+    assert run_action("run") == 3
+    assert "there is not enough memory" in "".join(capsys.readouterr())
