@@ -240,7 +240,9 @@ def _result(
             )
         weak = tuple(direction.describe(names) for direction in weakly)
         considered = considered_covariance(problem, optimum.values, weighting)
-        bars = error_bars(solution.model, problem.shared_parameters, considered)
+        at = problem.shared_parameters
+        poses = [block for block in at if isinstance(problem.blocks[block].parameters, Pose)]
+        bars = error_bars(solution.model, at, poses, considered)
         by_block = bars.total
         warnings = contradicted_priors(problem.blocks, optimum.values)
     return Calibration(

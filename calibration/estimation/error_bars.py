@@ -12,7 +12,7 @@ The inverse of the information, C, is true for independent noise of the labels a
   by ``W = -A^-1 B`` times it, so ``W diag(s^2) W^T`` is added (consider analysis: S. F. Schmidt, 1966).
 """
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -39,17 +39,20 @@ class ErrorBars:
     decisive: float
     """The largest share of what is known of any direction that one cluster of collections alone tells."""
     worth: Mapping[str, float]
-    """Of each cause that counts, how far what is assumed of it moves a block, m; what is usual where it is exact."""
+    """Of each cause that counts, how far what is assumed of it displaces a transform, m; what is usual if it is exact."""
     held: Mapping[str, Array]
     """(S, k): by what an error of one assumed standard deviation of each cause that counts moves the parameters."""
 
 
-def error_bars(model: LinearModel, blocks: Mapping[int, slice], considered: Array | None = None) -> ErrorBars:
+def error_bars(
+    model: LinearModel, blocks: Mapping[int, slice], poses: Collection[int], considered: Array | None = None
+) -> ErrorBars:
     """Covariances at the optimum.
 
     Args:
         model: of the calibration.
         blocks: where the parameters of each shared block stand.
+        poses: which of the blocks are transforms; of others nothing is displaced.
         considered: (S, S), what given covariances of intrinsics that are held add.
     """
     S = model.shared
@@ -66,7 +69,7 @@ def error_bars(model: LinearModel, blocks: Mapping[int, slice], considered: Arra
             if any(cause.assumed):
                 held[cause.name] = moved
             usual = moves * np.array(cause.assumed if any(cause.assumed) else typical)
-            worth[cause.name] = max((float(np.linalg.norm(usual[part][:3])) for part in blocks.values()), default=0.0)
+            worth[cause.name] = max((float(np.linalg.norm(usual[blocks[block]][:3])) for block in poses), default=0.0)
     labels, expected, total = {}, {}, {}
     for block, at in blocks.items():
         own = C[at, at]

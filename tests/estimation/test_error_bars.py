@@ -94,3 +94,11 @@ def test_the_defaults_are_those_of_a_good_robot() -> None:
     defaults = Assumptions()
     assert (defaults.focal_length, defaults.principal_point, defaults.flatness) == (0.0005, 0.3, 0.0002)
     assert replace(defaults, **dict.fromkeys(vars(defaults), 0.0)) == EXACT
+
+
+def test_what_the_result_hangs_on_is_told_in_metres_of_transforms_alone() -> None:
+    """Intrinsics that are calibrated too, in pixels, are displaced by nothing."""
+    dataset = systems.stereo(24, seed=1, pixel_noise=0.1).dataset(1)
+    bars = calibrate(dataset, Options(intrinsics=("all",))).error_bars
+    assert bars is not None
+    assert 0 < max(bars.worth.values()) < 0.01
