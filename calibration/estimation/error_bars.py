@@ -39,7 +39,7 @@ class ErrorBars:
     decisive: float
     """The largest share of what is known of any direction that one cluster of collections alone tells."""
     worth: Mapping[str, float]
-    """Of each cause that counts, how far what is assumed of it displaces a transform, m; what is usual if it is exact."""
+    """Of each cause that counts, how far what is assumed of it displaces a transform, m; the usual if it is exact."""
     held: Mapping[str, Array]
     """(S, k): by what an error of one assumed standard deviation of each cause that counts moves the parameters."""
 

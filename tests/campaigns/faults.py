@@ -67,7 +67,7 @@ def problem_of(name: str, seed: int) -> str | None:
         process = _started(name, Path(folder), limits, "/dev/full" if kind == "stdout" else None)
         if "signal" in kind:
             number = draw.choice((signal.SIGINT, signal.SIGTERM))
-            # Before the command could take it, or after its last line, a signal ends Python itself: the same for a shell.
+            # Before the command could take it, or after its last line, a signal ends Python itself, as for a shell.
             expected = {code, 128 + number, -number}
             time.sleep(BEGUN + draw.random() * max(0.0, duration - BEGUN))
             for _ in range(2 if kind == "two signals" else 1):
