@@ -37,8 +37,10 @@ READMES = [PROJECT / "README.md", *PROJECT.glob("examples/*/README.md"), *PROJEC
 PARTS = {
     "uses": (WORKFLOW, lambda part: {"on": "push", "jobs": {"job": {"runs-on": "ubuntu-latest", "steps": part}}}),
     "jobs": (WORKFLOW, lambda part: {"on": "push", **part}),
-    "image": ("calibration.yml", lambda part: {"systems": {"any": {"dataset": "any"}}, **part}),
-    "aws-batch": ("calibration.yml", lambda part: {"systems": {"any": {"dataset": "any"}}, **part}),
+    **{
+        key: ("calibration.yml", lambda part: {"systems": {"any": {"dataset": "any"}}, **part})
+        for key in ("image", "aws-batch", "baseline", "exports")
+    },
     "systems": ("calibration.yml", lambda part: part),
     "simulation": ("calibration.yml", lambda part: part),
     "patterns": ("import.yml", lambda part: part),
