@@ -86,8 +86,10 @@ def _in_processes(work: Sequence[Callable[[], Result]], workers: int) -> Generat
         raise WorldError(message) from error
     finally:
         # Workers end with the item they are at, also after a signal: one that is killed while it answers
-        # leaves half an answer in the pipe, for which the pool would wait for ever.
-        pool.shutdown(wait=True, cancel_futures=True)
+        # leaves half an answer in the pipe, for which the pool would wait for ever. A second signal waits for them too:
+        # a shutdown that is broken off leaves workers that nobody tells to end, and Python waits for them.
+        with held_back():
+            pool.shutdown(wait=True, cancel_futures=True)
 
 
 def _begin(work: Sequence[Callable[[], Any]]) -> None:
