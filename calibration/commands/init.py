@@ -16,7 +16,9 @@ from calibration.workflow.text import one_line
 CONFIGURATION, WORKFLOW = Path("calibration.yml"), Path(".github", "workflows", "calibration.yml")
 _WORKFLOW = """# Written by `calibration init`: calibrates what calibration.yml names, on every push and pull request.
 name: Calibration
-on: [push, pull_request]
+on:
+  push: {{branches: [main]}}
+  pull_request:
 permissions: {{}}
 jobs:
   robot:
@@ -61,4 +63,6 @@ def init(dataset: Path, output: Path, suite: str, runner: Runner, *, overwrite: 
             runner.log(one_line(f"{beginning.name}: {each}"))
         word = "fails as it is" if beginning.reasons else "passes"
         runner.log(one_line(f"{configuration}, {workflow}: written; {beginning.name} {word}"))
+        if not beginning.reasons:
+            runner.log("next: calibration run, calibration accept, and commit these with calibration-baseline.json")
     return ExitCode.FAIL if beginning.reasons else ExitCode.PASS
