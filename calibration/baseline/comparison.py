@@ -15,7 +15,7 @@ from typing import Literal
 
 import numpy as np
 
-from calibration.baseline.snapshot import Parameter, Pose, Snapshot
+from calibration.baseline.snapshot import POSITIONS, Parameter, Pose, Snapshot
 from calibration.estimation.significance import FAMILY_WISE, score_of_f
 from calibration.geometry.transforms import local
 from calibration.geometry.types import Array
@@ -64,6 +64,16 @@ class Comparison:
     def same_data(self) -> bool:
         """Whether both are of the same labels."""
         return self.before.data == self.now.data
+
+    @property
+    def other_inputs(self) -> tuple[str, ...]:
+        """What beside the labels is another than before."""
+        before, now = self.before.inputs, self.now.inputs
+        changed = [name for name in now if before.get(name, now[name]) != now[name]]
+        if not self.same_data:
+            changed = [name for name in changed if name != POSITIONS]
+        engines = [f"the engine ({self.before.engine} to {self.now.engine})"]
+        return (*changed, *(engines if self.before.engine != self.now.engine else []))
 
     @property
     def significance(self) -> float:

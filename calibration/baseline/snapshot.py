@@ -1,7 +1,8 @@
 """A calibration's result in numbers that can be compared with another's: poses, parameters, error bars, quality."""
 
 import hashlib
-from collections.abc import Iterator, Mapping
+import json
+from collections.abc import Collection, Iterator, Mapping
 from functools import cached_property
 from typing import Annotated, Literal
 
@@ -12,11 +13,12 @@ from calibration.dataset.model import CornerLabels, Dataset, Edge, Labels
 from calibration.estimation.gauge import RIGID
 from calibration.estimation.intrinsics import CalibratedIntrinsics
 from calibration.estimation.noise_levels import NoiseLevels
+from calibration.estimation.options import Options
 from calibration.estimation.result import CalibratedJoint, Calibration
 from calibration.geometry.rotations import to_rpy
 from calibration.geometry.transforms import adjoint, from_xyz_rpy, inverse, translation
 from calibration.geometry.types import Array
-from calibration.records import Misfit, at_least, between, computed, field, length, matching, record
+from calibration.records import Misfit, at_least, between, computed, document_of, field, length, matching, record
 
 Number = Annotated[float, between(-1e9, 1e9)]
 Positive = Annotated[float, between(0, 1e9)]
@@ -29,6 +31,8 @@ CELLS = 4
 """The image's coverage counts cells of a grid of so many by so many."""
 NEGLIGIBLE = 1e-3
 """Part of a variance that is not told apart."""
+POSITIONS = "the robot's moving transforms"
+"""An input that is another one with every recording."""
 DEFINITE = -1e-4
 """The smallest eigenvalue of correlations, below which no rounding has made it."""
 
@@ -177,6 +181,10 @@ class Snapshot:
     data: Annotated[str, matching("[0-9a-f]{64}", "64 hexadecimal digits")] = field(
         "SHA-256 of the labels: with another one the data are others."
     )
+    inputs: Mapping[str, Annotated[str, matching("[0-9a-f]{16}", "16 hexadecimal digits")]] = field(
+        "What else went in, by hashes: camera_info, patterns, what of the robot is held, options.",
+        default_factory=dict,
+    )
     collections: Count = field("Collections in the data.")
     engine: Name = field("The version that calibrated.")
     poses: tuple[Pose, ...] = field("Calibrated transforms.")
@@ -202,13 +210,16 @@ class Snapshot:
     although: Name | None = field("Why it was accepted although the verdict was fail.", default=None)
 
 
-def snapshot(calibration: Calibration, given: Dataset, rms_px: float | None) -> Snapshot:
+def snapshot(
+    calibration: Calibration, given: Dataset, rms_px: float | None, options: Options | None = None
+) -> Snapshot:
     """The snapshot of a calibration that has converged.
 
     Args:
         calibration: it.
         given: the dataset that was calibrated.
         rms_px: of its table.
+        options: how it was calibrated.
     """
     sensors: dict[Edge, str] = {}
     for each in calibration.dataset.sensors.values():
@@ -216,6 +227,7 @@ def snapshot(calibration: Calibration, given: Dataset, rms_px: float | None) -> 
     labels = [label for _, label in _labels(given)]
     return Snapshot(
         data=hash_of_labels(given),
+        inputs=hashes_of_inputs(given, calibration.transforms, options or Options()),
         collections=len(given.collections),
         engine=__version__,
         poses=tuple(
@@ -242,6 +254,39 @@ def hash_of_labels(dataset: Dataset) -> str:
         for array in arrays:
             found.update(np.ascontiguousarray(array, "<i8" if array.dtype.kind == "i" else "<f8").tobytes())
     return found.hexdigest()
+
+
+def hashes_of_inputs(given: Dataset, calibrated: Collection[Edge], options: Options) -> dict[str, str]:
+    """Hashes of what a calibration takes beside the labels, by names for messages.
+
+    Args:
+        given: the dataset.
+        calibrated: the transforms that it calibrates; the others are held.
+        options: how.
+    """
+    found = {}
+    for name, sensor in sorted(given.sensors.items()):
+        if (camera := sensor.camera) is not None:
+            model = f"{camera.distortion.ros_name} {camera.width} {camera.height}"
+            found[f"camera_info of {name}"] = _hash(model, camera.intrinsics)
+    for name, pattern in sorted(given.patterns.items()):
+        found[f"pattern {name}"] = _hash("", pattern.corners, pattern.outline)
+    held = {edge: np.nan_to_num(T) for edge, T in sorted(given.transforms.items()) if edge not in calibrated}
+    fixed = {edge: T[:1] for edge, T in held.items() if np.abs(T - T[0]).max() < RIGID}
+    moving = {edge: T for edge, T in held.items() if edge not in fixed}
+    found["the robot's fixed transforms"] = _hash(repr(list(fixed)), *fixed.values())
+    found[POSITIONS] = _hash(repr(list(moving)), *moving.values())
+    asked = {key: value for key, value in document_of(options).items() if key != "start"}  # the optimum is the same
+    found["options"] = _hash(json.dumps(asked, sort_keys=True, default=str))
+    return found
+
+
+def _hash(text: str, *arrays: Array) -> str:
+    """Of numbers to a billionth: what is computed may differ in its last bits between processors."""
+    found = hashlib.sha256(text.encode())
+    for array in arrays:
+        found.update(np.ascontiguousarray(np.round(array, 9) + 0.0, "<f8").tobytes())
+    return found.hexdigest()[:16]
 
 
 def _labels(dataset: Dataset) -> Iterator[tuple[tuple[str, str, str], Labels]]:

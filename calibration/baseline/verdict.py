@@ -80,11 +80,9 @@ def _on_the_same_data(change: Change, comparison: Comparison, settings: Baseline
     plain = change.kind == "parameter" and change.unit not in ("m", "rad") and change.sigmas > least.sigmas
     if not (over_mm or over_deg or plain):
         return None
-    before, now = comparison.before.engine, comparison.now.engine
-    engine = f"; the engine went from {before} to {now}" if before != now else ""
     text = (
-        f"{change.name} differs from {since} on the same data: {_size(change)}, {_sigmas(change.sigmas)}{engine}: "
-        f"look at what this change does to the description, the options or the engine, or {ACCEPT}"
+        f"{change.name} differs from {since} on the same data: {_size(change)}, {_sigmas(change.sigmas)}; "
+        f"{_why(comparison)}, or {ACCEPT}"
     )
     return _found("red", change, text)
 
@@ -98,7 +96,17 @@ def _on_other_data(change: Change, comparison: Comparison, settings: BaselineSet
     if harmless:
         allowed = f"{settings.translation_mm:g} mm, {settings.rotation_deg:g} deg"
         return _found("note", change, f"{text}; allowed {allowed}")
-    return _found("red", change, f"{text}: look at its mount, or {ACCEPT}")
+    others = f", and at {', '.join(comparison.other_inputs)}, which changed too" if comparison.other_inputs else ""
+    return _found("red", change, f"{text}: look at its mount{others}, or {ACCEPT}")
+
+
+def _why(comparison: Comparison) -> str:
+    """What may have made another result of the same data."""
+    if comparison.other_inputs:
+        return f"what changed beside: {', '.join(comparison.other_inputs)}: look there"
+    if comparison.before.inputs:
+        return "nothing that goes in has changed, but the program has: look at it"
+    return "look at what this change does to the description, the options or the engine"
 
 
 def _found(severity: str, change: Change, text: str) -> Finding:

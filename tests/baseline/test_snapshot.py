@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from calibration.baseline.document import Baseline, baseline_text, parse_baseline
-from calibration.baseline.snapshot import Snapshot, hash_of_labels
+from calibration.baseline.snapshot import POSITIONS, Snapshot, hash_of_labels, hashes_of_inputs
 from calibration.dataset.model import CornerLabels, Dataset, Labels
 from calibration.estimation.calibrate import calibrate
+from calibration.estimation.options import Options
 from calibration.estimation.starting_noise import StartingNoise
 from calibration.geometry.transforms import local
 from tests.baseline.scenes import RIGHT, stereo, taken
@@ -78,3 +79,30 @@ def test_views_and_the_images_coverage_are_counted() -> None:
     assert found.views == {"left": 24, "right": 23}
     assert 0 < found.covered["left"] <= 1
     assert found.labels > 23 * 2 * 4
+
+
+def test_inputs_are_told_apart_by_hashes() -> None:
+    dataset = stereo()
+    calibrated = {each.edge for each in dataset.sensors.values()}
+    before = hashes_of_inputs(dataset, calibrated, Options())
+    camera = dataset.sensors["left"].camera
+    assert camera is not None
+
+    def changed(other: Dataset, options: Options | None = None) -> set[str]:
+        after = hashes_of_inputs(other, calibrated, options or Options())
+        return {name for name in after if after[name] != before[name]}
+
+    assert changed(dataset, Options(start="given")) == set()
+    assert changed(dataset, Options(loss="linear")) == {"options"}
+    assert changed(dataset.with_cameras({"left": replace(camera, fx=camera.fx + 1)})) == {"camera_info of left"}
+    assert changed(dataset.with_transforms({RIGHT: np.eye(4)})) == set()
+    board = replace(dataset.patterns["board"], corners=1.01 * dataset.patterns["board"].corners)
+    assert changed(replace(dataset, patterns={"board": board})) == {"pattern board"}
+    arm = systems.eye_to_hand(24).dataset()
+    moved = {edge: np.abs(T - T[0]).max() > 1e-6 for edge, T in arm.transforms.items()}
+    for edge, moves in moved.items():
+        before = hashes_of_inputs(arm, (), Options())
+        after = hashes_of_inputs(arm.with_transforms({edge: 1.001 * arm.transforms[edge]}), (), Options())
+        name = POSITIONS if moves else "the robot's fixed transforms"
+        assert {each for each in after if after[each] != before[each]} == {name}
+    assert len(set(moved.values())) == 2

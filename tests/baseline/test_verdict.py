@@ -63,10 +63,11 @@ def test_a_move_within_the_tolerance_is_a_note(before: Snapshot, moved: Snapshot
 
 def test_another_result_of_the_same_data_is_red(before: Snapshot) -> None:
     dataset = stereo(1)
-    other = calibrate(dataset, Options(loss="linear", intrinsics=("right",)))
-    [text, *_] = red(before, snapshot(other, dataset, other.rms_px))
+    options = Options(loss="linear", intrinsics=("right",))
+    other = calibrate(dataset, options)
+    [text, *_] = red(before, snapshot(other, dataset, other.rms_px, options))
     assert text.startswith(f"right differs from {SINCE} on the same data: ")
-    assert "look at what this change does" in text
+    assert "what changed beside: options: look there" in text
 
 
 def test_the_tolerance_on_the_same_data_is_what_is_set(before: Snapshot) -> None:
@@ -114,3 +115,19 @@ def test_software_that_became_worse_on_the_same_data_is_red(before: Snapshot) ->
     assert "distance from our optimum" in finding.text
     assert software_against_baseline(accepted, replace(earlier, rms_px=0.9), "0" * 64) == ()
     assert software_against_baseline(accepted, replace(earlier, seed=2, rms_px=0.9), before.data) == ()
+
+
+def test_what_else_has_changed_is_named(before: Snapshot, moved: Snapshot) -> None:
+    def with_input(now: Snapshot, name: str) -> Snapshot:
+        return replace(now, inputs={**now.inputs, name: "0" * 16})
+
+    pose = next(each for each in before.poses if each.name == "right")
+    shifted = replace(pose, xyz_mm=(0.0, 0.0, 0.0))
+    now = replace(before, poses=tuple(shifted if each is pose else each for each in before.poses))
+    assert "nothing that goes in has changed, but the program has" in red(before, now)[0]
+    assert (
+        "what changed beside: camera_info of left: look there" in red(before, with_input(now, "camera_info of left"))[0]
+    )
+    newer = replace(with_input(now, "pattern board"), engine="9.9")
+    assert f"pattern board, the engine ({before.engine} to 9.9): look there" in red(before, newer)[0]
+    assert "at its mount, and at options, which changed too, or" in red(before, with_input(moved, "options"))[0]

@@ -337,7 +337,7 @@ def _compared(result: CellResult, calibration: Calibration, system: LoadedSystem
     """The result with its snapshot, and with what has changed since the accepted calibration."""
     if not calibration.converged or result.details is None:
         return result
-    now = snapshot(calibration, system.dataset, result.rms_px)
+    now = snapshot(calibration, system.dataset, result.rms_px, system.options)
     comparison, findings = against_baseline(system.accepted, now) if system.accepted else (None, ())
     changes = comparison.changes if comparison else ()
     return replace(result, details=replace(result.details, snapshot=now, changes=changes)).found(findings)

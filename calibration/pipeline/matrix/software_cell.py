@@ -202,7 +202,7 @@ def _moved(system: LoadedSystem) -> tuple[Finding, ...]:
         return ()
     if system.accepted.snapshot is None:
         return nothing_accepted(system.accepted)
-    now = snapshot(system.optimum.calibration, system.dataset, None)
+    now = snapshot(system.optimum.calibration, system.dataset, None, system.options)
     return tuple(each for each in against_baseline(system.accepted, now)[1] if each.kind != QUALITY)
 
 
