@@ -36,7 +36,7 @@ def test_in_a_plain_image(plain_image: str, repository: Repository, tmp_path: Pa
     assert run.code == 0, run.log
     table = run.tables["Start"]
     assert table[1] == ["0 m, 0 rad", "0.1127 px, 0.00227 mm, 0.00026 deg"]  # with what evaluate asks for
-    assert run.installations == ["calibrate"] * 3  # in each of the three containers
+    assert run.installations == ["engine", "calibrate", "engine"]  # in each of the three containers
 
 
 TABLE = "Collection #,RMS (pix)\n000,0.5\nAverages,0.5\n"
