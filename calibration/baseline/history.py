@@ -23,7 +23,7 @@ LEAST = np.array([1e-6] * 3 + [1e-6] * 3)
 
 
 @dataclass(frozen=True)
-class Accepted:
+class Revision:
     """What a commit accepted."""
 
     commit: Commit
@@ -84,7 +84,7 @@ class History:
         return sum(len(trend.steps) for trend in self.trends)
 
 
-def read_history(repository: Repository, path: str, commits: Sequence[Commit]) -> tuple[list[Accepted], list[str]]:
+def read_history(repository: Repository, path: str, commits: Sequence[Commit]) -> tuple[list[Revision], list[str]]:
     """What each commit accepted, the earliest first, and the commits in which the file cannot be read.
 
     Args:
@@ -92,9 +92,10 @@ def read_history(repository: Repository, path: str, commits: Sequence[Commit]) -
         path: of the file in it.
         commits: those that changed the file, the latest first.
     """
-    found: list[Accepted] = []
+    found: list[Revision] = []
     unreadable: list[str] = []
     known: dict[str, tuple[Any, Snapshot]] = {}
+    by_hash = {each.hash: each for each in commits}
     for commit, content in repository.contents([each.hash for each in commits], path, LARGEST):
         if content is None:
             continue
@@ -103,7 +104,7 @@ def read_history(repository: Repository, path: str, commits: Sequence[Commit]) -
         except InputError:
             unreadable.append(commit)
             continue
-        found.append(Accepted(next(each for each in commits if each.hash == commit), systems))
+        found.append(Revision(by_hash[commit], systems))
     return found[::-1], unreadable
 
 
@@ -124,7 +125,7 @@ def _read(content: bytes, where: str, known: dict[str, tuple[Any, Snapshot]]) ->
     return {name: {**stayed, **read}[name] for name in entries}
 
 
-def history(file: str, accepted: Sequence[Accepted], unreadable: Iterable[str], systems: Sequence[str]) -> History:
+def history(file: str, accepted: Sequence[Revision], unreadable: Iterable[str], systems: Sequence[str]) -> History:
     """The trends of systems, all where none is named.
 
     Raises:
@@ -138,7 +139,7 @@ def history(file: str, accepted: Sequence[Accepted], unreadable: Iterable[str], 
     return History(file=file, commits=len(accepted), unreadable=tuple(unreadable), trends=tuple(trends))
 
 
-def _trends(system: str, accepted: Sequence[Accepted]) -> Iterator[Trend]:
+def _trends(system: str, accepted: Sequence[Revision]) -> Iterator[Trend]:
     having = [(each.commit, each.systems[system]) for each in accepted if system in each.systems]
     poses: dict[str, list[tuple[Commit, Snapshot, Pose]]] = {}
     for commit, snapshot in having:
