@@ -1,12 +1,12 @@
 """YAML that others wrote, read safely."""
 
-from collections.abc import Hashable
+from collections.abc import Hashable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import yaml
 
-from calibration.errors import InputError
+from calibration.errors import CalibrationError, InputError
 from calibration.files import read_bytes
 from calibration.workflow.text import shorten
 
@@ -79,3 +79,40 @@ def read_yaml(path: Path | str, what: str) -> object:
         raise InputError(f"{path}: this is not valid YAML: {error}") from None
     except RecursionError:
         raise InputError(f"{path}: the YAML is nested too deeply") from None
+
+
+def line_of(path: Path | str, keys: Sequence[str], value: str | None = None) -> int | None:
+    """The line of a key in a YAML file, the first is 1; of the last that is there, on the way to it; None without any.
+
+    Args:
+        path: a file that `read_yaml` reads.
+        keys: the keys from the top on.
+        value: a text below the key; its line where it is there.
+    """
+    try:
+        node = yaml.compose(read_bytes(path, MAX_BYTES, "YAML"), yaml.SafeLoader)
+    except (yaml.YAMLError, CalibrationError, RecursionError):
+        return None
+    line = None
+    for key in keys:
+        pairs = node.value if isinstance(node, yaml.MappingNode) else ()
+        found = next(((name, below) for name, below in pairs if name.value == key), None)
+        if found is None:
+            return line
+        line, node = found[0].start_mark.line + 1, found[1]
+    texts = (each for each in _below(node, set()) if isinstance(each, yaml.ScalarNode) and each.value == value)
+    text = next(texts, None)
+    return line if text is None else text.start_mark.line + 1
+
+
+def _below(node: yaml.Node | None, seen: set[int]) -> Iterator[yaml.Node]:
+    """A node, if there is one, and all below it, each once."""
+    if node is None or id(node) in seen:
+        return
+    seen.add(id(node))
+    yield node
+    children = node.value if isinstance(node, yaml.SequenceNode) else ()
+    if isinstance(node, yaml.MappingNode):
+        children = [part for pair in node.value for part in pair]
+    for child in children:
+        yield from _below(child, seen)

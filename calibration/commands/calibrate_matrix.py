@@ -110,7 +110,17 @@ def calibrate_matrix(settings: Settings, runner: Runner) -> ExitCode:
     place = place_of(settings, configuration, matrix, runner)
     pull(settings, runner)
     baseline = configuration.baseline if settings.dataset is None else None
-    run = Run(matrix, settings.output, runner, TITLE, settings.jobs, settings.fail_fast, baseline=baseline, place=place)
+    run = Run(
+        matrix,
+        settings.output,
+        runner,
+        TITLE,
+        settings.config,
+        settings.jobs,
+        settings.fail_fast,
+        baseline=baseline,
+        place=place,
+    )
     return run_stages(run, ("calibrate", "introspect", "export")).exit_code
 
 

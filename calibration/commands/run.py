@@ -54,6 +54,7 @@ def run(settings: Settings, runner: Runner) -> ExitCode:
         matrix,
         settings.output,
         runner,
+        config=settings.config,
         jobs=settings.jobs,
         simulations=configuration.simulations,
         image=_image(configuration.image, settings.push),

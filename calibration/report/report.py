@@ -45,6 +45,8 @@ class Report:
     """Annotated as warnings."""
     notes: tuple[str, ...] = ()
     """Annotated as notices."""
+    places: Mapping[str, tuple[Path, int]] = field(default_factory=dict)
+    """Where what a reason is about stands, file and line, by the reason."""
     annotations: tuple[Annotation, ...] = ()
     """Further annotations, at a file and line or with a title of their own."""
     blocks: tuple[Block, ...] = ()
@@ -96,7 +98,7 @@ class Report:
     def all_annotations(self) -> list[Annotation]:
         """Return annotations of everything that has some: first what failed."""
         listed = ((self.reasons, Level.ERROR), (self.warnings, Level.WARNING), (self.notes, Level.NOTICE))
-        own = [Annotation(line, level) for lines, level in listed for line in lines]
+        own = [Annotation(line, level, *self.places.get(line, ())) for lines, level in listed for line in lines]
         return [replace(each, title=each.title or self.title) for each in (*self.annotations, *own)]
 
     def written(self) -> dict[str, str | bytes]:

@@ -86,3 +86,14 @@ def test_the_schemas_are_printed(capsys: pytest.CaptureFixture[str]) -> None:
     for name in ("calibration.yml", "results", "introspection"):
         assert main(["schema", name]) == 0
         assert "$schema" in json.loads(capsys.readouterr().out)
+
+
+def test_on_github_a_broken_rule_is_annotated_where_it_stands(
+    repository: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    edit(repository, "row: Averages, min: 0, max: 1", "row: Averages, min: 0, max: 0.001")
+    monkeypatch.setenv("GITHUB_ACTIONS", "true")
+    assert main(["run", "--only", "calibrate,introspect"]) == 1
+    lines = (repository / "calibration.yml").read_text().splitlines()
+    [at] = [i for i, line in enumerate(lines, 1) if "max: 0.001" in line]
+    assert f"::error file=calibration.yml,line={at},title=calibration run::" in capsys.readouterr().out

@@ -94,7 +94,7 @@ def test_everything_that_goes_wrong_is_red_and_says_why(caller: Caller, small: P
     assert len(said) == 6
     others = sorted(line for line in run.annotations if not line.startswith(title))  # each job itself says why
     assert [line.partition("::")[2] for line in others] == [
-        "error title=calibrate-matrix::" + said[1],
+        "error file=calibration.yml,line=3,title=calibrate-matrix::" + said[1],
         "error title=calibration run::" + said[5],
         "error title=coverage-upload::lines that are run: found 0.0 %25 (0 of 3), expected at least 90 %25 (minimum)",
         "error::nowhere: a JSON document was expected, but it cannot be read: No such file or directory",

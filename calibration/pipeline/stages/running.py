@@ -4,7 +4,7 @@ A stage takes a `Run` and gives it back with what it has found; it says only wha
 function in a module of its own, and a line in `STAGES`.
 """
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -20,6 +20,7 @@ from calibration.report import publish
 from calibration.workflow import Runner
 from calibration.workflow.streams import LogDisplay
 from calibration.workflow.text import did_you_mean
+from calibration.yaml_file import line_of
 
 COLLECTED = "collected"
 """The folder of what was collected, in a pipeline's output folder."""
@@ -37,6 +38,8 @@ class Run:
     """Where progress, logs of containers and the report are shown."""
     title: str = "calibration run"
     """Of the progress and the annotations."""
+    config: Path | None = None
+    """The file that says so, for annotations in it."""
     jobs: int | None = None
     """Processes, or containers at once; None for as many as the machine holds."""
     fail_fast: bool = False
@@ -107,8 +110,26 @@ def run_stages(run: Run, stages: Collection[str] = tuple(STAGES)) -> Results:
             run = imported(stage.target)(run)
             if run.results.judged:  # what an earlier run left there is not replaced by an image
                 write_results(run.results, run.output)
-    publish(report(run.results, run.output, run.title), run.runner, run.output)
+    found = report(run.results, run.output, run.title)
+    publish(replace(found, places=_places(found.reasons, run)), run.runner, run.output)
     return run.results
+
+
+def _places(reasons: Sequence[str], run: Run) -> dict[str, tuple[Path, int]]:
+    """Where the rules or limits stand that reasons are about, on a runner that shows it beside them."""
+    if run.config is None or not run.runner.github:
+        return {}
+    found = {}
+    for reason in reasons:
+        names = (system for system in run.matrix.systems if reason.startswith((f"{system.name},", f"{system.name}:")))
+        if (system := next(names, None)) is None:
+            continue
+        rules = system.rules.rules if system.rules else ()
+        column = next((rule.column for rule in rules if f"{rule.column}, " in reason), None)
+        keys = ("systems", system.name, "limits" if column is None else "rules")
+        if (line := line_of(run.config, keys, column)) is not None:
+            found[reason] = (run.config, line)
+    return found
 
 
 def _check(stages: Collection[str]) -> None:
