@@ -37,6 +37,7 @@ MODULES = {
     "scenarios": "many worlds",
     "verdict": "planted defects that a run without a truth finds and names, false alarms, error bars",
     "baseline": "the accepted baseline: false alarms and moves between two recordings, changes in histories",
+    "mutants": "the engine with one line broken: what the accepted baseline finds that RMS limits do not",
     "action_start": "how soon an action begins its work",
     "containers": "jobs in containers: many at once, and what one costs over docker run",
     "cloud": "ten thousand jobs on AWS Batch: calls, memory and time for each",
