@@ -45,7 +45,8 @@ def test_its_rays_and_ends_are_found_where_a_guess_is_wrong(azimuth, distance, t
     measured = measure(RAYS, board(T), [WALL] if walled else [], 0.005)
     labels = found(points_of(measured), displaced(T, 0.03 * np.array(shift), 0.04 * np.array(twist)))
     true = set(np.flatnonzero(measured.on_board[0]).tolist())
-    assert len(true ^ set(labels.on_pattern.tolist())) <= 2
+    # of some 80 rays, more than four lie beyond three standard deviations once in a million
+    assert len(true ^ set(labels.on_pattern.tolist())) <= 4
     # the outermost ray on the board may err so much that it is taken for something else, which hides the end
     strays = true & {int(labels.on_pattern[0]) - 1, int(labels.on_pattern[-1]) + 1}
     assert 2 - len(strays) <= len(labels.on_border) <= 2
