@@ -2,11 +2,14 @@
 
 import os
 import re
+import shutil
 import subprocess
 import sys
 import tempfile
 from html import escape
 from pathlib import Path
+
+from calibration.baseline.settings import FILE
 
 ROOT = Path(__file__).resolve().parents[1]
 PICTURE = ROOT / "docs" / "run.svg"
@@ -49,6 +52,7 @@ def run() -> str:
     with tempfile.TemporaryDirectory() as folder:
         for name in ("calibration.yml", "datasets"):
             (Path(folder) / name).symlink_to(ROOT / name)
+        shutil.copy(ROOT / FILE, folder)
         environment = {name: value for name, value in os.environ.items() if not name.startswith("GITHUB_")}
         done = subprocess.run(
             [sys.executable, "-m", "calibration", "run"],

@@ -24,6 +24,9 @@ class BaselineUpdate:
     """The file of accepted calibrations, and what the change that is tested does to it."""
 
     file: str = field("Its path.")
+    since: str = field("Its name with its last commit.", default="")
+    compared: tuple[str, ...] = field("Systems whose accepted calibration is in it.", default=())
+    not_accepted: tuple[str, ...] = field("Systems of which it has none.", default=())
     base: str | None = field("The commit that it is compared with; null where there is none.", default=None)
     updates: tuple[Update, ...] = field("What the change accepts.", default=())
     unused: tuple[str, ...] = field("Systems in it that the configuration does not have.", default=())

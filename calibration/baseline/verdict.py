@@ -57,9 +57,11 @@ def against_baseline(accepted: Accepted, now: Snapshot) -> tuple[Comparison | No
 
 
 def nothing_accepted(accepted: Accepted) -> tuple[Finding, ...]:
-    """That no calibration of a system has been accepted."""
+    """Red where an accepted calibration is required; else nothing: the run's report names all such systems at once."""
+    if not accepted.settings.required:
+        return ()
     text = f"no calibration of it has been accepted in {accepted.since}: calibration accept"
-    return (Finding(NO_BASELINE, "red" if accepted.settings.required else "note", text),)
+    return (Finding(NO_BASELINE, "red", text),)
 
 
 def _finding(change: Change, comparison: Comparison, settings: BaselineSettings, since: str) -> Finding | None:

@@ -35,8 +35,13 @@ def with_accepted(
         repository = None
     since = settings.file.name + (_last_change(settings.file, repository) if baseline and repository else "")
     systems = (replace(system, accepted=Accepted(settings, known.get(system.name), since)) for system in matrix.systems)
+    names = [system.name for system in matrix.systems]
     found = BaselineUpdate(
-        file=str(settings.file), unused=tuple(sorted(known.keys() - {system.name for system in matrix.systems}))
+        file=str(settings.file),
+        since=since,
+        compared=tuple(name for name in names if name in known),
+        not_accepted=tuple(name for name in names if name not in known),
+        unused=tuple(sorted(known.keys() - set(names))),
     )
     if repository is not None:
         found = _against_base(found, baseline, settings, repository, environment)

@@ -324,13 +324,16 @@ def _in_sigmas(change: Change) -> str:
 
 
 def _said_of_baseline(update: BaselineUpdate | None) -> str:
-    """What else is to be said of the file of accepted calibrations."""
+    """Which systems have been compared with the file of accepted calibrations, and what else is to be said of it."""
     if update is None:
         return ""
-    parts = [update.problem] if update.problem and not update.reasons else []
+    parts = [f"Compared with {update.since}: {', '.join(update.compared)}"] if update.compared else []
+    if update.not_accepted:
+        parts.append(f"no calibration accepted yet of {', '.join(update.not_accepted)}: calibration accept")
+    parts += [update.problem] if update.problem and not update.reasons else []
     if update.unused:
         parts.append(f"{update.file} has systems that are calibrated no more: {', '.join(update.unused)}")
-    return ". ".join(parts)
+    return "; ".join(parts)
 
 
 def parameters_table(results: Results) -> Table:

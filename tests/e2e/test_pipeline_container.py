@@ -124,7 +124,8 @@ def test_the_image_is_built_once_every_cell_runs_in_it_and_then_it_is_promoted(t
     assert run.code == 1
     crashed = "arm, 0 m, 0 rad, seed 1: container 'calibration' ended with exit code 7; "
     own, gathered = run.annotations
-    assert own.startswith(f"::error title=calibrate-matrix::{crashed}")
+    at_its_rule = "::error file=calibration.yml,line=10,title="
+    assert own.startswith(f"{at_its_rule}calibrate-matrix::{crashed}")
     assert gathered.startswith(f"::error title=gather-results::{crashed}")
     assert "promote" not in jobs(run)
     assert team.digest("red") is None

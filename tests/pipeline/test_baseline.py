@@ -1,6 +1,7 @@
 """The baseline of the base branch: what a change accepts is shown, and a base that cannot be read is said."""
 
 import json
+import re
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -59,6 +60,7 @@ def test_a_file_that_stayed_accepts_nothing(repository: Path) -> None:
     assert system.accepted.snapshot is not None
     assert system.accepted.since.startswith(f"{FILE} of 2")
     assert (update.updates, update.problem, update.unused) == ((), None, ())
+    assert (update.compared, update.since) == (("robot",), system.accepted.since)
 
 
 def test_a_pull_request_that_updates_the_file_shows_what_it_accepts(
@@ -137,6 +139,8 @@ def test_a_run_shows_what_the_change_accepts(
     monkeypatch.setenv("GITHUB_STEP_SUMMARY", str(tmp_path / "step.md"))
     capsys.readouterr()
     assert main(["run"]) == 0
-    assert "Accepted by this change" in capsys.readouterr().out
+    out = capsys.readouterr().out
+    assert "Accepted by this change" in out
+    assert re.search(r"^Compared with calibration-baseline.json of \S+ \(\w{7}\): robot$", out, re.MULTILINE)
     summary = (tmp_path / "step.md").read_text()
     assert "| robot: right\\_camera | " in summary
