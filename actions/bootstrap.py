@@ -39,6 +39,7 @@ from typing import NoReturn
 ACTIONS = {
     "build-image": ("build-image/main.py", "image.txt"),
     "import-data": ("import-data/main.py", "run.txt"),
+    "comment": ("comment/main.py", "github.txt"),
     "introspect-csv": ("introspect-csv/main.py", "introspect.txt"),
     "calibrate-matrix": ("calibrate-matrix/main.py", "calibrate.txt"),
     "collect-data-sim": ("collect-data-sim/main.py", "run.txt"),
@@ -57,6 +58,7 @@ MODULES = {
     "engine.txt": ["click", "yaml", "numpy", "defusedxml", "rich"],
     "calibrate.txt": ["click", "yaml", "numpy", "defusedxml", "rich"],
     "coverage.txt": ["click", "yaml", "coverage", "defusedxml", "requests"],
+    "github.txt": ["click", "yaml", "requests"],
     "image.txt": ["click", "yaml", "rich", "docker"],
     "run.txt": ["click", "yaml", "numpy", "defusedxml", "rich"],
 }

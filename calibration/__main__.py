@@ -59,6 +59,7 @@ COMMANDS: Mapping[str, LazyCommand] = {
     "gather-results": LazyCommand(
         "calibration.commands.gather_results:command", "Gather what the jobs of a workflow found."
     ),
+    "comment": LazyCommand("calibration.commands.comment:command", "Keep one comment on a pull request up to date."),
     "import-data": LazyCommand(
         "calibration.commands.import_data:command", "Make a dataset of images and poses that were recorded."
     ),

@@ -77,6 +77,7 @@ class Http:
         address: str = "its address",
         explain: Callable[[bytes], str] = beginning,
         limits: Limits | None = None,
+        most_bytes: int = MAX_BYTES,
         pause: Callable[[float], None] = time.sleep,
     ) -> None:
         """Open a session.
@@ -86,6 +87,7 @@ class Http:
             address: what tells us the server's address, for messages.
             explain: finds in the body of an answer what the server says went wrong.
             limits: of the time that an attempt may take.
+            most_bytes: of an answer.
             pause: waits for so many seconds between two attempts.
         """
         import requests
@@ -97,6 +99,7 @@ class Http:
         self._address = address
         self._explain = explain
         self._limits = limits or Limits()
+        self._most_bytes = most_bytes
         self._pause = pause
 
     def close(self) -> None:
@@ -195,8 +198,8 @@ class Http:
             content = bytearray()
             for chunk in response.iter_content(64 * 1024):
                 content += chunk
-                if len(content) > MAX_BYTES:
-                    raise WorldError(f"{urlsplit(url).netloc}: answers with more than {MAX_BYTES} bytes")
+                if len(content) > self._most_bytes:
+                    raise WorldError(f"{urlsplit(url).netloc}: answers with more than {self._most_bytes} bytes")
             return Answer(response.status_code, response.headers, bytes(content))
 
     def _explained(self, error: Exception, host: str) -> Exception:

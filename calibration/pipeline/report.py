@@ -149,6 +149,7 @@ def grid(results: Results) -> Table:
         ("Start", *columns),
         tuple((row, *(_text(found.get(column, ())) for column in columns)) for row, found in rows.items()),
         most_columns=SIDE_BY_SIDE,
+        brief=True,
     )
 
 
@@ -291,7 +292,8 @@ def changes_table(results: Results) -> Table:
         for each in found.changes
         if each.kind in ("pose", "parameter") and (each.mm or each.deg or each.value)
     ]
-    return Table(("Since the baseline", "Difference", "In standard deviations"), tuple(rows), TRANSFORMS_SHOWN)
+    header = ("Since the baseline", "Difference", "In standard deviations")
+    return Table(header, tuple(rows), TRANSFORMS_SHOWN, brief=True)
 
 
 def updates_table(results: Results) -> Table:
@@ -307,7 +309,7 @@ def updates_table(results: Results) -> Table:
         for each in (results.baseline.updates if results.baseline else ())
     ]
     header = ("Accepted by this change", "Before", "Now", "Difference", "Although it failed")
-    return Table(header, tuple(rows), TRANSFORMS_SHOWN)
+    return Table(header, tuple(rows), TRANSFORMS_SHOWN, brief=True)
 
 
 def _change(change: Change) -> str:

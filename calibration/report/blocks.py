@@ -26,6 +26,8 @@ class Block(ABC):
     """Whether the summary shows the title only, until a reader opens it."""
     only: Literal["log", "summary"] | None = None
     """Where it is shown; None for everywhere."""
+    brief: bool = False
+    """Whether a comment on a pull request shows it too: of a table only."""
 
     @abstractmethod
     def plain(self) -> str:

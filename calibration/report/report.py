@@ -8,8 +8,10 @@ from typing import Any
 from calibration.errors import ExitCode
 from calibration.files import write_atomically
 from calibration.report.blocks import Block, Lines
+from calibration.report.brief import BRIEF_FILE, Brief, BriefTable
 from calibration.report.outcome import Outcome
 from calibration.report.results_json import RESULTS_FILE, results_document, results_text
+from calibration.report.table import Table
 from calibration.report.verdict import Verdict
 from calibration.workflow.annotations import Annotation, Level
 from calibration.workflow.outputs import OutputValue
@@ -17,8 +19,8 @@ from calibration.workflow.summary import escape_markdown
 from calibration.workflow.text import one_line
 
 SUMMARY_FILE, JUNIT_FILE = "summary.md", "junit.xml"
-FILES = (RESULTS_FILE, SUMMARY_FILE, JUNIT_FILE)
-"""Written for every report."""
+FILES = (RESULTS_FILE, SUMMARY_FILE, JUNIT_FILE, BRIEF_FILE)
+"""Written for every report, the last for those that a comment on a pull request can show."""
 REASONS_SHOWN = 50
 
 
@@ -67,6 +69,19 @@ class Report:
         return results_document(self.verdict, self.results, self.reasons)
 
     @property
+    def brief(self) -> Brief | None:
+        """What a comment on a pull request shows; None for a command whose results are none of its matters."""
+        tables = [block for block in self.blocks if isinstance(block, Table) and block.brief]
+        if not tables:
+            return None
+        return Brief(
+            verdict=self.verdict,
+            sentence=self.sentence,
+            reasons=self.reasons[:REASONS_SHOWN],
+            tables=tuple(BriefTable(table.columns, table.rows[:REASONS_SHOWN]) for table in tables if table.rows),
+        )
+
+    @property
     def line(self) -> str:
         """The verdict in one line."""
         return f"{self.verdict}: {self.sentence}"
@@ -109,6 +124,8 @@ class Report:
             RESULTS_FILE: results_text(self.verdict, self.results, self.reasons),
             JUNIT_FILE: junit_xml(self.suites),
         }
+        if self.brief is not None:
+            texts[BRIEF_FILE] = self.brief.text
         return {**self.files, **texts, SUMMARY_FILE: self.markdown()}
 
     def write(self, folder: Path) -> None:

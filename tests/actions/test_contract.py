@@ -19,7 +19,7 @@ from calibration.simulation.sensors import SimulatedCamera, SimulatedDepthCamera
 from calibration.simulation.system import Simulation
 from tests.lint.documents import made_whole, yaml_blocks
 
-from .write_inputs import FILES, README, options, with_inputs, with_tables
+from .write_inputs import COMMENT, FILES, README, options, with_inputs, with_tables
 
 PROJECT = Path(__file__).resolve().parents[2]
 LOCKS = {path.name: path.read_text() for path in (PROJECT / "requirements").glob("*.txt")}
@@ -37,10 +37,11 @@ def action(name: str) -> dict[str, Any]:
 
 
 @pytest.fixture
-def step(action: dict[str, Any]) -> dict[str, Any]:
-    steps: list[dict[str, Any]] = action["runs"]["steps"]
-    [step] = steps
-    return step
+def step(name: str, action: dict[str, Any]) -> dict[str, Any]:
+    """Return the step that runs the action's command."""
+    step, *further = action["runs"]["steps"]
+    assert [each["name"] for each in further] == (["Comment"] if name == "run" else [])
+    return dict(step)
 
 
 def test_inputs_are_those_of_the_command(name: str, bootstrap: ModuleType) -> None:
@@ -56,7 +57,8 @@ def test_the_readme_shows_every_input_and_output() -> None:
 
 
 def test_every_input_reaches_its_option(name: str, action: dict[str, Any], step: dict[str, Any]) -> None:
-    variables = {name: f"INPUT_{name.upper().replace('-', '_')}" for name in action["inputs"]}
+    inputs = [each for each in action["inputs"] if name != "run" or each not in COMMENT]
+    variables = {name: f"INPUT_{name.upper().replace('-', '_')}" for name in inputs}
     assert step["env"] == {variable: f"${{{{ inputs.{name} }}}}" for name, variable in variables.items()}
     # click reads the variable that it makes of the parameter's name.
     assert {option: f"INPUT_{(declared.name or '').upper()}" for option, declared in options(name).items()} | {
@@ -109,7 +111,7 @@ def test_old_pythons_read_bootstrap_far_enough_to_say_that_they_are_too_old() ->
 
 def test_locks_have_hashes_and_no_addresses() -> None:
     assert {name.removesuffix(".txt") for name in LOCKS} == {
-        *("introspect", "engine", "calibrate", "coverage", "image", "run", "uv", "dev")
+        *("introspect", "engine", "calibrate", "coverage", "github", "image", "run", "uv", "dev")
     }
     for text in LOCKS.values():
         assert not re.search(r"://|(?<!\w)/\w|^-", text, re.MULTILINE)
@@ -148,6 +150,7 @@ def test_pip_and_the_actions_compare_with_the_same_opencv() -> None:
         ("engine.txt", ["calibrate", "opencv"], []),
         ("calibrate.txt", ["calibrate", "opencv", "containers", "aws"], []),
         ("coverage.txt", ["coverage"], []),
+        ("github.txt", ["github"], []),
         ("image.txt", ["containers", "aws"], []),
         ("run.txt", ["calibrate", "opencv", "bags", "figures", "containers", "aws"], []),
         ("dev.txt", ["opencv", "bags", "figures", "record"], ["dev"]),
@@ -177,6 +180,7 @@ def test_locks_satisfy_pyproject(lock: str, extras: list[str], groups: list[str]
         ("calibrate.txt", ["calibrate"]),
         ("run.txt", ["calibrate"]),
         ("coverage.txt", ["coverage"]),
+        ("github.txt", ["github"]),
     ],
 )
 def test_an_interpreter_of_ones_own_is_asked_for_all_modules(

@@ -17,6 +17,11 @@ from calibration.commands.schema import SCHEMAS, generated
 PROJECT = Path(__file__).resolve().parents[2]
 README = PROJECT / "README.md"
 FILES = {"run": PROJECT / "action.yml"} | {path.parent.name: path for path in PROJECT.glob("actions/*/action.yml")}
+COMMENT = {
+    "comment": "keep: one comment on the pull request is kept up to date; delete: it is removed (no comment).",
+    "token": "For the comment: the job's ${{ github.token }}, with permissions: pull-requests: write.",
+}
+"""Inputs of the root action's second step."""
 PYTHON = "A Python >= 3.11 that has the packages of requirements/{lock}; nothing is installed then."
 
 
@@ -32,11 +37,13 @@ def with_inputs(text: str, name: str, lock: str) -> str:
     for option, declared in options(name).items():
         inputs += f"  {option}:\n    description: {scalar(declared.help or '')}\n"
         inputs += "    required: true\n" if declared.required else ""
+    for option, text_of in COMMENT.items() if name == "run" else ():
+        inputs += f"  {option}:\n    description: {scalar(text_of)}\n"
     inputs += f"  python:\n    description: {scalar(PYTHON.format(lock=lock))}\n"
     for option in [*options(name), "python"]:
         env += f"        INPUT_{option.upper().replace('-', '_')}: ${{{{ inputs.{option} }}}}\n"
     text = re.sub(r"(?<=^inputs:\n).*?(?=^\n)", lambda _: inputs, text, flags=re.MULTILINE | re.DOTALL)
-    return re.sub(r"(?<=^      env:\n).*", lambda _: env, text, flags=re.MULTILINE | re.DOTALL)
+    return re.sub(r"(?<=^      env:\n)(?: {8}.*\n)+", lambda _: env, text, count=1, flags=re.MULTILINE)
 
 
 def with_tables(readme: str) -> str:

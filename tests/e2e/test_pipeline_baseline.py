@@ -1,16 +1,21 @@
-"""The accepted calibration in a user's repository: pushes, pull requests that move a sensor or accept it, a fork's."""
+"""The accepted calibration in a user's repository: pushes, pull requests that move a sensor or accept it, a fork's.
+
+GitHub's API, for the comment on the pull request, is a stand-in.
+"""
 
 import json
 import os
 import shutil
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from tests.coverage.projects import git
 from tests.displaced import displace
+from tests.github.stand_in import TOKEN, GitHub, github
 
 from .conftest import FORK, PROJECT, Repository, Run, commit
 from .pipeline import Caller
@@ -41,7 +46,7 @@ def accept(folder: Path) -> None:
     commit(folder)
 
 
-def pull_request(caller: Caller, base: str, tmp_path: Path, *, fork: bool = False) -> Run:
+def pull_request(caller: Caller, base: str, tmp_path: Path, *arguments: str, fork: bool = False) -> Run:
     """Act's run of a pull request against a commit."""
     event = json.loads(json.dumps(FORK))
     event["pull_request"]["base"]["sha"] = base
@@ -49,12 +54,21 @@ def pull_request(caller: Caller, base: str, tmp_path: Path, *, fork: bool = Fals
         event["pull_request"]["head"]["repo"] = {"fork": False, "full_name": "me/robot"}
     path = tmp_path / "event.json"
     path.write_text(json.dumps(event))
-    return caller.run("pull_request", "-e", str(path))
+    return caller.run("pull_request", "-e", str(path), *arguments)
 
 
-def test_the_life_of_an_accepted_calibration(caller: Caller, tmp_path: Path) -> None:
+@pytest.fixture
+def api(caller: Caller) -> Iterator[GitHub]:
+    """GitHub's API."""
+    with github() as found:
+        found.repository = f"me/{caller.repository.folder.name.replace(' ', '-')}"
+        yield found
+
+
+def test_the_life_of_an_accepted_calibration(caller: Caller, api: GitHub, tmp_path: Path) -> None:
     folder = caller.repository.folder
-    caller.write({}, {"robot": PROJECT / "datasets" / "t2rgb", "calibration.yml": CONFIGURATION})
+    with_api = ("-s", f"GITHUB_TOKEN={TOKEN}", "--env", f"INPUT_API_URL={api.url}")
+    caller.write({"comment": "keep"}, {"robot": PROJECT / "datasets" / "t2rgb", "calibration.yml": CONFIGURATION})
     (folder / "robot" / "ground_truth.json").unlink()
 
     unknown = caller.run()
@@ -69,15 +83,23 @@ def test_the_life_of_an_accepted_calibration(caller: Caller, tmp_path: Path) -> 
     base = git(folder, "rev-parse", "HEAD")
     displace(folder / "robot", "right_camera", KNOCKED)
     commit(folder)
-    knocked = pull_request(caller, base, tmp_path)
+    knocked = pull_request(caller, base, tmp_path, *with_api)
     assert knocked.code == 1
     [said] = [line for line in knocked.annotations if line.startswith("::error title=gather-results::")]
     assert "right_camera has moved since calibration-baseline.json of 20" in said
     assert "mm along its x" in said
     assert knocked.tables["Since the baseline"][1][0] == "robot: right\\_camera"
+    [comment] = api.bodies()
+    assert "❌ Calibration: fail" in comment
+    assert "- robot, 0 m, 0 rad, seed 1: right\\_camera has moved since calibration-baseline.json of 20" in comment
+    assert "| Since the baseline | Difference | In standard deviations |" in comment
 
     accept(folder)
     for fork in (False, True):
-        accepted = pull_request(caller, base, tmp_path, fork=fork)
+        accepted = pull_request(caller, base, tmp_path, *with_api, fork=fork)
         assert accepted.code == 0, accepted.log
         assert accepted.tables["Accepted by this change"][1][0] == "robot: right\\_camera"
+        assert ("no comment: it is a pull request from a fork" in accepted.log) == fork
+        [comment] = api.bodies()
+        assert "✅ Calibration: pass" in comment
+        assert "| Accepted by this change |" in comment

@@ -1,0 +1,104 @@
+"""``comment``: one comment on the pull request that shows what the last run found."""
+
+import os
+from pathlib import Path
+from typing import Any, Literal
+
+import click
+
+from calibration.commands.record_options import chosen, record_options
+from calibration.errors import ExitCode, InputError
+from calibration.git.event import Event
+from calibration.github.api import API_URL, GitHubApi
+from calibration.github.comment_text import comment_text
+from calibration.github.comments import Comments, Marker
+from calibration.github.pull_requests import pull_request_of
+from calibration.github.workflow_run import WorkflowRun, tested_run
+from calibration.records import field, record
+from calibration.report import count_of
+from calibration.report.brief import BRIEF_FILE, Brief, read_brief
+from calibration.workflow import Runner, add_mask
+from calibration.workflow.annotations import Annotation, Level, annotate
+from calibration.workflow.outputs import set_outputs
+
+TITLE = "comment"
+VARIABLE = "GITHUB_TOKEN"
+NOTHING = Brief(verdict="fail", sentence="The run has ended before it had results: see its log.")
+
+
+@record
+class Settings:
+    """The inputs of ``comment``."""
+
+    results: Path = field("Folder with the results of run, calibrate-matrix or the workflow.", default=Path("output"))
+    mode: Literal["keep", "delete"] = field("keep one comment up to date, or delete it (keep).", default="keep")
+    name: str | None = field("What tells it from other comments of the same workflow.", default=None)
+    report_url: str | None = field("Address of the report, for a link.", default=None)
+    api_url: str | None = field("Address of GitHub's API (what the runner says).", default=None)
+    token: str | None = field(
+        "Token that may write comments (permissions: pull-requests: write); locally by GITHUB_TOKEN.",
+        default=None,
+        repr=False,
+    )
+
+
+@click.command(TITLE)
+@record_options(Settings)
+@click.pass_context
+def command(click_context: click.Context, /, **options: Any) -> ExitCode:
+    """Keep one comment on the pull request up to date, with the verdict and what has changed.
+
+    For pull requests (events pull_request and workflow_run). Outside of GitHub the comment is printed.
+    """
+    runner = Runner.from_environment(os.environ)
+    if click_context.get_parameter_source("token") is click.core.ParameterSource.COMMANDLINE:
+        raise InputError(f"token: found on the command line, where every process reads it: put it into {VARIABLE}")
+    options["token"] = options["token"] or os.environ.get(VARIABLE, "").strip() or None
+    if options["token"]:
+        add_mask(runner, options["token"])
+    return comment(chosen(Settings, options), runner, Event.from_environment(os.environ))
+
+
+def comment(settings: Settings, runner: Runner, event: Event) -> ExitCode:
+    """Write, or delete, the comment on an event's pull request.
+
+    Raises:
+        InputError: the results are none, or the token may not.
+        WorldError: GitHub cannot be reached.
+    """
+    if not event.name:
+        runner.log(comment_text(_found(settings.results), settings.name or "", {}))
+        return ExitCode.PASS
+    if event.name != "workflow_run" and (reason := event.by_stranger):  # after a stranger's run, the token is ours
+        return _without(runner, f"no comment: {reason}; a workflow of your own can write it (docs/comment.md)")
+    if settings.token is None:
+        raise InputError("token: found none, expected ${{ github.token }} (on a command line: GITHUB_TOKEN)")
+    api = GitHubApi.open(settings.token, settings.api_url or os.environ.get("GITHUB_API_URL") or API_URL)
+    number, run = pull_request_of(event, api), tested_run(event, os.environ)
+    if number is None or event.repository is None:
+        return _without(runner, f"no comment: the event {event.name} is about no open pull request at this commit")
+    set_outputs(runner, {"number": number})
+    comments = Comments(api, event.repository, number)
+    key = f"{run.workflow}/{settings.name or ''}"
+    if settings.mode == "delete":
+        runner.log(f"pull request {number}: {count_of(comments.remove(key), 'comment')} deleted")
+        return ExitCode.PASS
+    text = _text(settings, run)
+    runner.log(f"pull request {number}: comment {comments.keep(Marker(key, run.number), text)}")
+    return ExitCode.PASS
+
+
+def _text(settings: Settings, run: WorkflowRun) -> str:
+    """What the comment says; where a run has left no results, that: the comment of an earlier run would mislead."""
+    found = _found(settings.results) if (settings.results / BRIEF_FILE).exists() else NOTHING
+    links = {"run": run.url} | ({"report": settings.report_url} if settings.report_url else {})
+    return comment_text(found, settings.name or "", links, run.commit)
+
+
+def _found(folder: Path) -> Brief:
+    return read_brief(folder / BRIEF_FILE)
+
+
+def _without(runner: Runner, reason: str) -> ExitCode:
+    annotate(runner, [Annotation(reason, Level.NOTICE, title=TITLE)])
+    return ExitCode.PASS

@@ -1,0 +1,124 @@
+"""GitHub's REST API: requests of JSON, lists page by page, and errors in words for users.
+
+https://docs.github.com/en/rest
+"""
+
+import json
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from typing import Any
+from urllib.parse import urlsplit
+
+from calibration.errors import InputError, WorldError
+from calibration.http import Answer, Http, is_loopback
+
+API_URL = "https://api.github.com"
+MOST_BYTES = 64 * 1024**2
+"""Of an answer: a page of the longest comments has some 25 MiB."""
+PAGE = 100
+MOST_PAGES = 100
+
+
+class MissingError(Exception):
+    """What a request is about is not there (any more), or the token may not know of it."""
+
+
+@dataclass(frozen=True)
+class GitHubApi:
+    """The API with a token."""
+
+    token: str = field(repr=False)
+    url: str = API_URL
+    http: Http = field(repr=False, compare=False, kw_only=True)
+
+    @classmethod
+    def open(cls, token: str, url: str = API_URL, pause: Callable[[float], None] = time.sleep) -> "GitHubApi":
+        """Open a session.
+
+        Args:
+            token: of a job, a user or an app.
+            url: the address of the API.
+            pause: waits for so many seconds before a request is repeated.
+
+        Raises:
+            InputError: the address is no address, or a token sent there could be read on the way.
+        """
+        parts = urlsplit(url)
+        if not parts.netloc or parts.scheme not in ("https", "http" if is_loopback(parts.netloc) else "https"):
+            raise InputError(f"GITHUB_API_URL: found {url!r:.80}, expected an address such as {API_URL}")
+        http = Http([token], address="GITHUB_API_URL", explain=_message, most_bytes=MOST_BYTES, pause=pause)
+        return cls(token, url.rstrip("/"), http=http)
+
+    def request(self, method: str, path: str, body: object = None) -> Any:
+        """Send a request, and return the JSON that is answered; None where the answer is empty.
+
+        Args:
+            method: of HTTP.
+            path: below the address, with ``/`` first.
+            body: is sent as JSON; None for none.
+
+        Raises:
+            MissingError: 404, 410.
+            InputError: the token is refused, or may not do this.
+            WorldError: GitHub cannot be reached, has had too many requests, or answers something unexpected.
+        """
+        headers = {
+            "Accept": "application/vnd.github+json",
+            "Authorization": f"Bearer {self.token}",
+            "X-GitHub-Api-Version": "2022-11-28",
+        }
+        content = None if body is None else json.dumps(body).encode()
+        answer = self.http.send(method, self.url + path, headers, content)
+        if 200 <= answer.status < 300:
+            return self._json(answer)
+        said = f"{urlsplit(self.url).netloc}: answered {answer.status}{self.http.quote(answer.body)}"
+        if answer.status in (404, 410):
+            raise MissingError(said)
+        if answer.status == 401:
+            raise InputError(f"{said}: the token is wrong or has expired")
+        if answer.status == 403 and _has_had_too_many(answer):
+            raise WorldError(f"{said}: it has had too many requests of this token: run it again later")
+        if answer.status == 403:
+            raise InputError(f"{said}: the token may not: the job needs permissions: pull-requests: write")
+        raise WorldError(f"{said}: this was not expected of {method} {path}")
+
+    def pages(self, path: str) -> Iterator[dict[str, Any]]:
+        """Yield the entries of a list, whose path ends in its query (``?...&``) or in ``?``.
+
+        Raises:
+            WorldError: as `request`, or the answer is no list.
+        """
+        for page in range(1, MOST_PAGES + 1):
+            entries = self.request("GET", f"{path}per_page={PAGE}&page={page}")
+            if not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):
+                raise WorldError(f"{urlsplit(self.url).netloc}: {path}: expected a list of objects")
+            yield from entries
+            if len(entries) < PAGE:
+                return
+
+    def _json(self, answer: Answer) -> Any:
+        if not answer.body:
+            return None
+        try:
+            return json.loads(answer.body)
+        except (ValueError, RecursionError):
+            host = urlsplit(self.url).netloc
+            raise WorldError(
+                f"{host}: answered something else than JSON: is GITHUB_API_URL the address of an API?"
+            ) from None
+
+
+def _has_had_too_many(answer: Answer) -> bool:
+    """Whether a 403 is a rate limit: https://docs.github.com/en/rest/using-the-rest-api/rate-limits-for-the-rest-api."""
+    return answer.headers.get("X-RateLimit-Remaining") == "0" or "Retry-After" in answer.headers
+
+
+def _message(body: bytes) -> str:
+    """What an answer of GitHub says went wrong."""
+    try:
+        document = json.loads(body)
+    except (ValueError, RecursionError):
+        return ""
+    message = document.get("message") if isinstance(document, dict) else None
+    return message if isinstance(message, str) else ""

@@ -1,0 +1,30 @@
+"""The pull request that an event is about."""
+
+from urllib.parse import quote
+
+from calibration.git.event import Event
+from calibration.github.api import GitHubApi
+
+
+def pull_request_of(event: Event, api: GitHubApi) -> int | None:
+    """Return the number of an event's pull request; None where there is none, or it is closed or has gone on since.
+
+    After a run of another workflow (``workflow_run``), it is found by the branch and the commit of that run, which
+    GitHub tells: never by what the run left, which a stranger may have written.
+
+    Raises:
+        InputError, WorldError: as `GitHubApi.request`.
+    """
+    if event.name != "workflow_run":
+        number = event.at("pull_request", "number")
+        return number if isinstance(number, int) else None
+    owner = event.at("workflow_run", "head_repository", "owner", "login")
+    branch, commit = event.at("workflow_run", "head_branch"), event.at("workflow_run", "head_sha")
+    if not all(isinstance(each, str) and each for each in (owner, branch, commit)) or event.repository is None:
+        return None
+    head = quote(f"{owner}:{branch}", safe="")
+    for found in api.pages(f"/repos/{event.repository}/pulls?state=open&head={head}&"):
+        where, number = found.get("head"), found.get("number")
+        if isinstance(where, dict) and where.get("sha") == commit and isinstance(number, int):
+            return number
+    return None

@@ -1,0 +1,46 @@
+"""The run of a workflow that a comment is about: this one, or the one after which this one was started."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from calibration.errors import InputError
+from calibration.git.event import Event
+
+
+@dataclass(frozen=True)
+class WorkflowRun:
+    """A run of a workflow."""
+
+    workflow: str
+    """Its name."""
+    number: tuple[int, int]
+    """Of the run and of its attempt."""
+    url: str
+    """Of its page."""
+    commit: str | None
+    """That is tested, as the pull request has it."""
+
+
+def tested_run(event: Event, environment: Mapping[str, str]) -> WorkflowRun:
+    """Return the run that an event is about.
+
+    Raises:
+        InputError: the runner does not tell which run this is.
+    """
+    if event.name == "workflow_run":
+        keys = ("id", "run_attempt", "name", "html_url", "head_sha")
+        run, attempt, name, url, commit = (event.at("workflow_run", key) for key in keys)
+    else:
+        run, attempt = (environment.get(f"GITHUB_RUN_{key}") for key in ("ID", "ATTEMPT"))
+        name, commit = environment.get("GITHUB_WORKFLOW"), event.at("pull_request", "head", "sha")
+        url = f"{environment.get('GITHUB_SERVER_URL')}/{event.repository}/actions/runs/{run}"
+    number = _number(run, "GITHUB_RUN_ID"), _number(attempt or 1, "GITHUB_RUN_ATTEMPT")
+    return WorkflowRun(str(name), number, str(url), commit if isinstance(commit, str) else None)
+
+
+def _number(value: Any, name: str) -> int:
+    text = str(value)
+    if not text.isascii() or not text.isdigit() or len(text) > 18:
+        raise InputError(f"{name}: found {text!r:.40}, expected the number of a run: is this a GitHub runner?")
+    return int(text)
