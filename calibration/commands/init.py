@@ -23,7 +23,9 @@ permissions: {{}}
 jobs:
   robot:
     uses: {suite}/.github/workflows/pipeline.yml@{version}
-    permissions: {{contents: read}}
+    permissions: {{contents: read, pull-requests: write}}
+    with:
+      comment: keep   # one comment on the pull request, written anew by every run; a fork's has the summary alone
 """
 
 

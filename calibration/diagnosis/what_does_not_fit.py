@@ -37,7 +37,7 @@ ADVICE: Mapping[str, str] = {
     "bow": "put the pattern on a flat plate",
     "twist": "put the pattern on a flat plate",
     "border": "measure the board's border, and correct border_size",
-    "link": "look at this link in the robot's description",
+    "link": "look at the origin of the joint that follows it in the robot's description",
     "lengths": "look at the units and the lengths of the robot's description",
     "encoder offset": "look at this joint's zero, or calibrate its position_bias",
     "encoder gain": "look at this joint's unit and gear ratio",

@@ -13,7 +13,7 @@ import yaml
 
 from calibration.dataset.model import Dataset
 from calibration.dataset.reading import read_dataset
-from calibration.diagnosis.limits import SMALLEST, UNSET, Limits
+from calibration.diagnosis.limits import SMALLEST, Limits
 from calibration.errors import InputError
 from calibration.estimation.options import Options
 from calibration.estimation.starting_noise import StartingNoise
@@ -28,6 +28,9 @@ ROOM = 1.5
 """So many times the RMS of today may that of a later recording be."""
 LEAST_RMS = 0.5
 """And this, px, it may always be: the corners of a good camera in bad light."""
+SIGMAS = 4.0
+"""Limits are so many stated standard deviations: a later recording's may be twice as large, and its guard band of two
+still holds. Of halves of recordings of an arm they differ by up to that."""
 STEPS = (1.0, 1.2, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)
 """Limits are such numbers, times a power of ten."""
 _PLAIN = re.compile(r"[A-Za-z_./][\w./:-]*")
@@ -153,8 +156,8 @@ def _limits(result: CellResult) -> tuple[Limits, dict[str, str]]:
     for key, (one, least, unit) in stated.items():
         if one is None:
             continue
-        values[key.replace("-", "_")] = nice(max(UNSET * one, least))
-        comments[key] = f"{UNSET:g} x {one:.2g} {unit}, this recording's standard deviation; {_least(least, unit)}"
+        values[key.replace("-", "_")] = nice(max(SIGMAS * one, least))
+        comments[key] = f"{SIGMAS:g} x {one:.2g} {unit}, this recording's standard deviation; {_least(least, unit)}"
     return Limits(**values), comments
 
 

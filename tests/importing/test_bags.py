@@ -20,6 +20,7 @@ from calibration.importing.bag import open_bag
 from calibration.importing.importing import import_data
 from calibration.importing.messages import image_of
 from calibration.importing.survey import IMAGES
+from tests.importing.arm import ON_FLANGE, keys, record_arm
 from tests.importing.bags import BEGIN, ENCODINGS, SECOND, BagFile, Kind
 from tests.importing.conftest import BOARD, CAMERAS, DATASETS, FOCAL
 from tests.importing.test_importing import true_relative
@@ -144,31 +145,10 @@ def test_times_are_chosen(tmp_path: Path) -> None:
 
 def test_joints_of_a_robot_move_a_camera(tmp_path: Path) -> None:
     """The arm's poses come from joint_states and robot_description; moments at which it moves are left out."""
-    system = DATASETS / "riwbot"
-    known = read_dataset(system)
-    motion = json.loads((system / "motion.json").read_text())
-    poses = [motion[str(int(key) + 1)] for key in known.keys]
-    joints = poses[0].get("joints") or {k: v for k, v in poses[0].items() if isinstance(v, float)}
-    assert joints
     path = file_of(tmp_path, "db3")
-    frame = known.sensors["rgb_world"].frame
-    with BagFile(path, "db3") as bag:
-        bag.text("/robot_description", BEGIN, (system / "robot.urdf").read_text())
-        camera = known.sensors["rgb_world"].camera
-        assert camera is not None
-        for n, (key, pose) in enumerate(zip(known.keys, poses, strict=True)):
-            stamp = BEGIN + n * SECOND
-            for offset in (-2, 0, 2):
-                shift = 0.1 if n == 3 and offset else 0.0  # it moves at the fourth pose
-                positions = {name: value + shift for name, value in (pose.get("joints") or pose).items()}
-                bag.joints("/joint_states", stamp + offset * SECOND // 10, positions)
-            bag.camera_info("/rgb_world/camera_info", stamp, frame, (camera.width, camera.height), camera.fx)
-            shown = np.asarray(cv2.imread(str(system / f"rgb_world_{key}.jpg")))
-            bag.image("/rgb_world/image_raw", stamp, shown, frame, "rgb8")
-    board = {**BOARD, "columns": 7, "rows": 7, "square": 0.02, "marker": 0.015, "dictionary": "DICT_4X4_100"}
-    config = describe(path, patterns={"board": {**board, "parent": "flange"}})
-    results = import_data(config, tmp_path / "out", jobs=1)
-    assert results.collections == len(known.keys) - 1
+    record_arm(path, "db3", keys(), moving=[3])
+    results = import_data(describe(path, patterns={"board": ON_FLANGE}), tmp_path / "out", jobs=1)
+    assert results.collections == len(keys()) - 1
     dataset = read_dataset(tmp_path / "out")
     assert dataset.patterns["board"].fixed
     calibration = calibrate(dataset, Options())
