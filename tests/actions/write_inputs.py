@@ -19,7 +19,7 @@ README = PROJECT / "README.md"
 FILES = {"run": PROJECT / "action.yml"} | {path.parent.name: path for path in PROJECT.glob("actions/*/action.yml")}
 COMMENT = {
     "comment": "keep: one comment on the pull request is kept up to date; delete: it is removed (no comment).",
-    "token": "For the comment: the job's ${{ github.token }}, with permissions: pull-requests: write.",
+    "token": "For the comment: github.token of a job with permissions: pull-requests: write.",
 }
 """Inputs of the root action's second step."""
 PYTHON = "A Python >= 3.11 that has the packages of requirements/{lock}; nothing is installed then."
