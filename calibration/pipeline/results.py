@@ -12,6 +12,7 @@ from calibration.pipeline.matrix.cell import OUR_METHOD, CellResult, Details
 from calibration.records import computed, field, result
 from calibration.report import FILES, RESULTS_FILE, Verdict, read_results_file, remove_results, verdict_of
 from calibration.report.badge import FILE as BADGE
+from calibration.report.brief import BRIEF_FILE
 from calibration.report.outcome import ErrorCode
 
 SCHEMA = Path(__file__).with_name("results.schema.json")
@@ -240,7 +241,7 @@ def clear_results(output: Path, inputs: Collection[Path] = ()) -> None:
         earlier = read_results(output)
     except InputError:
         earlier = Results()
-    names = [*FILES, CELLS_FILE, BADGE]
+    names = [*FILES, BRIEF_FILE, CELLS_FILE, BADGE]
     for cell in (*earlier.cells, *earlier.comparisons):
         own = own_file(cell)
         names += [name for name in (cell.table, cell.dataset, own) if name]

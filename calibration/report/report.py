@@ -19,8 +19,8 @@ from calibration.workflow.summary import escape_markdown
 from calibration.workflow.text import one_line
 
 SUMMARY_FILE, JUNIT_FILE = "summary.md", "junit.xml"
-FILES = (RESULTS_FILE, SUMMARY_FILE, JUNIT_FILE, BRIEF_FILE)
-"""Written for every report, the last for those that a comment on a pull request can show."""
+FILES = (RESULTS_FILE, SUMMARY_FILE, JUNIT_FILE)
+"""Written for every report."""
 REASONS_SHOWN = 50
 
 

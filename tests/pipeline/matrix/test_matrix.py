@@ -53,7 +53,7 @@ def test_the_same_bytes_with_any_number_of_processes(matrix: Matrix, tmp_path: P
         write_results(Results(found.cells, found.comparisons), output)
         written.append(files(output))
 
-    assert len(written[0]) == 8 * 3 + 4
+    assert len(written[0]) == 8 * 3 + 5
     assert written[0] == written[1]
 
 
