@@ -10,12 +10,24 @@ from typing import Any, get_args
 
 from calibration.dataset.document import Node
 from calibration.dataset.model import Edge
-from calibration.dataset.pattern import Pattern, PatternKind, corner_origin, grid, outline
+from calibration.dataset.pattern import (
+    Pattern,
+    PatternKind,
+    corner_origin,
+    grid,
+    outline,
+    tag_grid,
+    tag_outline,
+)
 
 MAX_CORNERS = 1000
 """The largest number of corners along one side of a pattern."""
 MIN_SIZE, MAX_SIZE = 1e-6, 1e3
 """The smallest and the largest square of a pattern (m)."""
+TAGS, TAG_COUNT = "DICT_APRILTAG_36h11", 587
+"""The dictionary of an aprilgrid's tags, and how many it has."""
+MIN_SPACING, MAX_SPACING = 0.01, 1.0
+"""The narrowest and the widest gap between two tags, in sides of a tag."""
 FIRST_PATTERN = "pattern_1"
 """The name that a version 2 configuration's only pattern gets."""
 
@@ -44,30 +56,30 @@ class PatternConfiguration:
     parent_link: str
     fixed: bool
     dimension: tuple[int, int]
-    """Inner corners along x and y."""
+    """Inner corners along x and y; of an aprilgrid, tags."""
     size: float
-    """The side of a square."""
+    """The side of a square, or of a tag."""
     inner_size: float | None = None
     """The side of a charuco board's markers."""
     border_size: tuple[float, float] = (0.0, 0.0)
-    """What the physical board has around the squares, along x and y."""
+    """What the physical board has around what is printed, along x and y."""
     dictionary: str | None = None
-    """The ArUco dictionary of a charuco board."""
+    """The ArUco dictionary of a charuco board; of an aprilgrid `TAGS`."""
     mesh_file: str = ""
+    spacing: float = 0.0
+    """Of an aprilgrid: the gap between two tags, in sides of a tag (Kalibr's ``tagSpacing``)."""
 
     def pattern(self, version: str = "3.0") -> Pattern:
         """The geometry that a dataset of this version gives the pattern."""
         columns, rows = self.dimension
-        origin = corner_origin(self.kind, version, self.size)
-        return Pattern(
-            name=self.name,
-            kind=self.kind,
-            link=self.link,
-            parent_link=self.parent_link,
-            fixed=self.fixed,
-            corners=grid(columns, rows, self.size, origin),
-            outline=outline(columns, rows, self.size, self.border_size, origin),
-        )
+        if self.kind == "aprilgrid":
+            corners = tag_grid(columns, rows, self.size, self.spacing)
+            border = tag_outline(columns, rows, self.size, self.spacing, self.border_size)
+        else:
+            origin = corner_origin(self.kind, version, self.size)
+            corners = grid(columns, rows, self.size, origin)
+            border = outline(columns, rows, self.size, self.border_size, origin)
+        return Pattern(self.name, self.kind, self.link, self.parent_link, self.fixed, corners, border)
 
 
 @dataclass(frozen=True)
@@ -125,6 +137,7 @@ class Configuration:
                     "dimension": {"x": pattern.dimension[0], "y": pattern.dimension[1]},
                     "size": pattern.size,
                     "inner_size": pattern.inner_size,
+                    **({"spacing": pattern.spacing} if pattern.kind == "aprilgrid" else {}),
                 }
                 for pattern in self.patterns.values()
             },
@@ -193,25 +206,42 @@ def _sensor(name: str, node: Node) -> SensorConfiguration:
 def _pattern(name: str, node: Node) -> PatternConfiguration:
     kind = node["pattern_type"]
     if kind.text() not in get_args(PatternKind):
-        raise kind.unexpected(" or ".join(get_args(PatternKind)))
+        raise kind.unexpected(f"one of {', '.join(get_args(PatternKind))}")
     dimension = node["dimension"]
     size = node["size"].within(MIN_SIZE, MAX_SIZE)
     inner = node.get("inner_size")
     if inner and inner.within(MIN_SIZE, MAX_SIZE) >= size:
         raise inner.unexpected(f"less than the size of a square, {size:g}")
+    columns, rows = dimension["x"].whole(2, MAX_CORNERS), dimension["y"].whole(2, MAX_CORNERS)
+    tags = kind.value == "aprilgrid"
+    if tags:
+        check_tags(columns, rows, dimension)
+        if (dictionary := node.get("dictionary")) and dictionary.text() not in ("", TAGS):
+            raise dictionary.unexpected(f"{TAGS}, that of an aprilgrid")
     return PatternConfiguration(
         name=name,
         kind=kind.value,
         link=node["link"].name(),
         parent_link=node["parent_link"].name(),
         fixed=node["fixed"].flag(),
-        dimension=(dimension["x"].whole(2, MAX_CORNERS), dimension["y"].whole(2, MAX_CORNERS)),
+        dimension=(columns, rows),
         size=size,
-        inner_size=inner.number() if inner else None,
+        inner_size=inner.number() if inner and not tags else None,
         border_size=_border(node.get("border_size")),
-        dictionary=_text(node, "dictionary") or None,
+        dictionary=TAGS if tags else _text(node, "dictionary") or None,
         mesh_file=_text(node, "mesh_file"),
+        spacing=node["spacing"].within(MIN_SPACING, MAX_SPACING) if tags else 0.0,
     )
+
+
+def check_tags(columns: int, rows: int, where: Node) -> None:
+    """Refuse an aprilgrid of more tags than there are.
+
+    Raises:
+        InputError: it has.
+    """
+    if columns * rows > TAG_COUNT:
+        raise where.fault(f"found {columns} x {rows} tags, expected {TAG_COUNT} at most, as {TAGS} has")
 
 
 def _border(node: Node | None) -> tuple[float, float]:

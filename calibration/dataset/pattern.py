@@ -14,7 +14,7 @@ from calibration.dataset.corners import read_corners
 from calibration.dataset.document import Node
 from calibration.geometry.types import Array
 
-PatternKind = Literal["charuco", "chessboard"]
+PatternKind = Literal["charuco", "chessboard", "aprilgrid"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,7 +30,7 @@ class Pattern:
     fixed: bool
     """One pose for all collections, or one for each."""
     corners: Array
-    """(K, 3): the inner corners, by label id; z = 0."""
+    """(K, 3): the inner corners, of an aprilgrid those of its tags, by label id; z = 0."""
     outline: Array
     """(4, 2): the corners of the physical border: top left, top right, bottom right, bottom left."""
 
@@ -53,6 +53,31 @@ def grid(columns: int, rows: int, square: float, origin: tuple[float, float]) ->
     corners[:, 0] = origin[0] + column * square
     corners[:, 1] = origin[1] + row * square
     return corners
+
+
+def tag_lines(count: int, tag: float, spacing: float) -> Array:
+    """(2 count,): where tags in a row begin and end, the first at 0; ``spacing`` in sides of a tag."""
+    begins = np.arange(count) * (1 + spacing) * tag
+    return np.stack([begins, begins + tag], -1).ravel()
+
+
+def tag_grid(columns: int, rows: int, tag: float, spacing: float) -> Array:
+    """(4 * columns * rows, 3): the corners of an aprilgrid's tags, numbered as Kalibr does.
+
+    Corner 0 is the bottom left of tag 0, the tag at the bottom left of the board; along the bottom of the first
+    row of tags, then along its top, and so on upwards, ``2 columns`` corners a row. Corner 0 is the origin, x points to
+    the right, as Kalibr's; its y points up and its z out of the board, here down and into it, as for all patterns.
+    """
+    y, x = np.meshgrid(-tag_lines(rows, tag, spacing), tag_lines(columns, tag, spacing), indexing="ij")
+    return np.stack([x.ravel(), y.ravel() + 0.0, np.zeros(x.size)], -1)
+
+
+def tag_outline(columns: int, rows: int, tag: float, spacing: float, border: tuple[float, float]) -> Array:
+    """(4, 2): the tags, the squares at their corners (a gap between tags wide), and the border around these."""
+    (width, height), gap = ((n * (1 + spacing) - spacing) * tag for n in (columns, rows)), spacing * tag
+    left, right = -gap - border[0], width + gap + border[0]
+    top, bottom = -height - gap - border[1], gap + border[1]
+    return np.array([[left, top], [right, top], [right, bottom], [left, bottom]])
 
 
 def outline(columns: int, rows: int, square: float, border: tuple[float, float], origin: tuple[float, float]) -> Array:

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from calibration.dataset.model import CornerLabels, Dataset
-from calibration.dataset.pattern import Pattern, grid
+from calibration.dataset.pattern import Pattern, grid, tag_grid
 from calibration.errors import InputError
 from calibration.geometry.types import Array, IntArray
 
@@ -20,7 +20,7 @@ BETTER = 0.2
 SCRAMBLED = 0.3
 """Views that miss every layout by more are not numbered by rows at all; less may be a lens without its distortion."""
 LONGEST_ROW = 60
-"""The largest number of corners in a row that is tried."""
+"""The largest number of corners, or of an aprilgrid's tags, in a row that is tried."""
 
 View = tuple[IntArray, Array]
 """Ids (K,) and normalised image coordinates (K, 2) of the corners that a camera saw."""
@@ -50,18 +50,20 @@ def check_board_order(dataset: Dataset) -> None:
                 continue
             several = "" if dataset.version.startswith("2") else f"s/{name}"
             where = f"{dataset.path}: calibration_config/calibration_pattern{several}/dimension"
-            found = f"{where}: found x: {columns}, y: {count // columns}, but the labels of '{sensor}'"
+            each, what = (2, "tags") if pattern.kind == "aprilgrid" else (1, "corners")
+            found = f"{where}: found x: {columns // each}, y: {count // columns // each}, but the labels of '{sensor}'"
             row = _row(pattern, views)
             if _median_misfit(_numbered(pattern, row), views) >= BETTER * misfit:
                 if misfit < SCRAMBLED:
                     continue
                 raise InputError(
-                    f"{found} fit no view of a flat pattern with rows of 2 to {LONGEST_ROW} corners; look at how its "
+                    f"{found} fit no view of a flat pattern with rows of 2 to {LONGEST_ROW} {what}; look at how its "
                     f"detector numbers the corners, and at its distortion"
                 )
-            expected = f"x: {row}, y: {count // row}" if count % row == 0 else f"x: {row}"
+            row //= each
+            expected = f"x: {row}, y: {count // row // each**2}" if count % (row * each**2) == 0 else f"x: {row}"
             raise InputError(
-                f"{found} are numbered by rows of {row} corners; expected {expected} (x counts the corners of a row)"
+                f"{found} are numbered by rows of {row} {what}; expected {expected} (x counts the {what} of a row)"
             )
         if any(mirrored.values()) and not all(mirrored.values()):
             one, other = (next(s for s, each in mirrored.items() if each is is_so) for is_so in (True, False))
@@ -95,11 +97,15 @@ def _views(dataset: Dataset, pattern: str, sensor: str) -> list[View]:
 
 def _row(pattern: Pattern, views: Sequence[View]) -> int:
     """The length of the rows by which the views' ids fit best."""
-    return min(range(2, LONGEST_ROW + 1), key=lambda row: _median_misfit(_numbered(pattern, row), views))
+    each = 2 if pattern.kind == "aprilgrid" else 1
+    return min(range(2, each * LONGEST_ROW + 1, each), key=lambda row: _median_misfit(_numbered(pattern, row), views))
 
 
 def _numbered(pattern: Pattern, row: int) -> Array:
     """(K, 3): the corners by id if a row had so many."""
+    if pattern.kind == "aprilgrid":
+        tag, gap = np.diff(pattern.corners[:3, 0])
+        return tag_grid(row // 2, -(-len(pattern.corners) // (2 * row)), 1.0, float(gap / tag) if tag else 1.0)
     return grid(row, -(-len(pattern.corners) // row), 1.0, (0.0, 0.0))
 
 

@@ -51,11 +51,11 @@ def _tile(title: str, view: View, patterns: Mapping[str, PatternConfiguration]) 
     picture = np.asarray(cv2.convertScaleAbs(small, alpha=0.8, beta=40), np.uint8)  # paler, so that the marks stand out
     count = 0
     for name, found in view.found.items():
-        columns, rows = patterns[name].dimension
         if (labels := found.labels) is not None:
+            corners = len(patterns[name].pattern().corners)
             count += len(labels.ids)
             for number, at in zip(labels.ids.tolist(), scale * (labels.pixels + 0.5) - 0.5, strict=True):
-                draw_corner(picture, at, number / (columns * rows))
+                draw_corner(picture, at, number / corners)
     colour = _INK if count else _RED
     line = np.full((_LINE, size[0], 3), _PAPER, np.uint8)
     text = f"{title}: {f'{count} corners' if count else 'not detected'}".encode("ascii", "replace").decode()

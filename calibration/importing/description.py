@@ -1,9 +1,10 @@
 """``import.yml``: which sensors and patterns there are, and how they hang together."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Literal
 
-from calibration.dataset.configuration import MAX_CORNERS, MAX_SIZE
+from calibration.dataset.configuration import MAX_CORNERS, MAX_SIZE, MAX_SPACING, MIN_SPACING, TAG_COUNT, TAGS
 from calibration.dataset.pattern import PatternKind
 from calibration.records import (
     ByName,
@@ -59,6 +60,18 @@ class SensorDescription:
         return self.frame or f"{self.name}_optical_frame"
 
 
+_OF_KIND: Mapping[PatternKind, tuple[str, ...]] = {
+    "charuco": ("square", "marker", "dictionary"),
+    "chessboard": ("square",),
+    "aprilgrid": ("tag", "spacing"),
+}
+"""The keys of a pattern by its kind, beside its columns and rows."""
+
+
+def _a(kind: PatternKind) -> str:
+    return "an aprilgrid" if kind == "aprilgrid" else f"a {kind} board"
+
+
 @record(rules=(exactly_one("target", "type"),))
 class PatternDescription:
     """A pattern, as it is printed and as it is mounted."""
@@ -66,11 +79,17 @@ class PatternDescription:
     name: str
     target: Path | None = field("File that describes it: Kalibr's target YAML, or robot_cal_tools'.", default=None)
     type: PatternKind | None = field("Its kind.", default=None)
-    columns: Count | None = field("Corners inside, along a row: squares less one.", default=None)
-    rows: Count | None = field("Corners inside, along a column.", default=None)
+    columns: Count | None = field(
+        "Corners inside, along a row: squares less one. Of an aprilgrid: tags (Kalibr's tagCols).", default=None
+    )
+    rows: Count | None = field("Corners inside, along a column. Of an aprilgrid: tags (tagRows).", default=None)
     square: Size | None = field("Side of a square, m.", default=None)
     marker: Size | None = field("Side of a marker of a charuco board, m.", default=None)
     dictionary: Name | None = field("Dictionary of its markers: DICT_5X5_100.", default=None)
+    tag: Size | None = field("Side of a tag of an aprilgrid, m (tagSize).", default=None)
+    spacing: Annotated[float, between(MIN_SPACING, MAX_SPACING)] | None = field(
+        "Gap between two tags of an aprilgrid, in sides of a tag (tagSpacing).", default=None
+    )
     border: Annotated[float, between(0, MAX_SIZE)] = field(
         "What the board has around the squares, m; for LiDARs and depth cameras.", default=0.0
     )
@@ -87,10 +106,13 @@ class PatternDescription:
         Raises:
             Misfit: names what it lacks.
         """
-        needed = ("columns", "rows", "square", *(("marker", "dictionary") if self.type == "charuco" else ()))
-        missing = [key for key in needed if getattr(self, key) is None]
-        if self.type is not None and missing:
-            raise Misfit(f"missing key '{missing[0]}' of a {self.type} board")
+        if self.type is None:
+            return
+        needed = ("columns", "rows", *_OF_KIND[self.type])
+        if missing := [key for key in needed if getattr(self, key) is None]:
+            raise Misfit(f"missing key '{missing[0]}' of {_a(self.type)}")
+        if self.type == "aprilgrid" and (self.columns or 0) * (self.rows or 0) > TAG_COUNT:
+            raise Misfit(f"found {self.columns} x {self.rows} tags, expected {TAG_COUNT} at most, as {TAGS} has")
         if self.marker is not None and self.square is not None and self.marker >= self.square:
             raise Misfit(f"found {self.marker:g}, expected less than the square, {self.square:g}", "marker")
 

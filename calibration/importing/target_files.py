@@ -4,7 +4,16 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from calibration.dataset.configuration import MAX_CORNERS, MAX_SIZE, MIN_SIZE, PatternConfiguration
+from calibration.dataset.configuration import (
+    MAX_CORNERS,
+    MAX_SIZE,
+    MAX_SPACING,
+    MIN_SIZE,
+    MIN_SPACING,
+    TAGS,
+    PatternConfiguration,
+    check_tags,
+)
 from calibration.dataset.document import Node
 from calibration.importing.description import PatternDescription
 from calibration.yaml_file import read_yaml
@@ -35,9 +44,10 @@ def _described(pattern: PatternDescription) -> dict[str, Any]:
     return {
         "kind": pattern.type,
         "dimension": (pattern.columns, pattern.rows),
-        "size": pattern.square,
-        "inner_size": pattern.marker,
-        "dictionary": pattern.dictionary,
+        "size": pattern.tag if pattern.type == "aprilgrid" else pattern.square,
+        "inner_size": pattern.marker if pattern.type == "charuco" else None,
+        "dictionary": TAGS if pattern.type == "aprilgrid" else pattern.dictionary,
+        "spacing": pattern.spacing or 0.0,
     }
 
 
@@ -71,6 +81,18 @@ def _kalibr_chessboard(node: Node) -> dict[str, Any]:
     return {"kind": "chessboard", "dimension": (columns, rows), "size": width}
 
 
+def _kalibr_aprilgrid(node: Node) -> dict[str, Any]:
+    columns, rows = _count(node, "tagCols"), _count(node, "tagRows")
+    check_tags(columns, rows, node)
+    return {
+        "kind": "aprilgrid",
+        "dimension": (columns, rows),
+        "size": _size(node, "tagSize"),
+        "dictionary": TAGS,
+        "spacing": node["tagSpacing"].within(MIN_SPACING, MAX_SPACING),
+    }
+
+
 def _charuco(node: Node) -> dict[str, Any]:
     number = node["dictionary"].whole(0, len(DICTIONARIES) - 1)
     size, marker = _size(node, "chessboard_dim"), node["aruco_marker_dim"]
@@ -87,6 +109,6 @@ def _charuco(node: Node) -> dict[str, Any]:
 
 DICTIONARIES = tuple(f"DICT_{bits}X{bits}_{count}" for bits in (4, 5, 6, 7) for count in (50, 100, 250, 1000))
 """By OpenCV's numbers."""
-KALIBR = {"checkerboard": _kalibr_chessboard}
-"""Its kinds of targets; ``targetCols`` and ``targetRows`` count the corners inside."""
+KALIBR = {"aprilgrid": _kalibr_aprilgrid, "checkerboard": _kalibr_chessboard}
+"""Its kinds of targets; ``targetCols`` and ``targetRows`` count corners inside, ``tagCols`` and ``tagRows`` tags."""
 ROBOT_CAL_TOOLS = {f"rct_ros_tools::{name}": _charuco for name in ("CharucoGridTargetFinderPlugin",)}

@@ -1,7 +1,7 @@
 """Patterns found in the data of cameras, LiDARs and depth cameras, real or simulated.
 
 - ``detection``: images, and what every detector answers where it sees no pattern;
-- ``corners``: the detector of corners for a pattern, of which there are two, ``charuco`` and ``chessboard``;
+- ``corner_detector``: the detector of corners for a pattern: ``charuco``, ``chessboard`` or ``aprilgrid``;
 - ``markers``, ``layouts``: the markers of a charuco board, and which of OpenCV's two layouts they speak for;
 - ``board_image``: where corners are, by the corners around them, and which of them do not fit;
 - ``printed_corners``: where corners are exactly, and whether they look as printed;

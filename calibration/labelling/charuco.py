@@ -1,10 +1,6 @@
 """The corners of charuco boards, from whole or partial views.
 
-OpenCV reads the markers and refines the corners. What lies between is ours, because the small
-boards, strong perspectives and hidden parts of real data need it: the markers tell roughly where
-the corners are, then every corner that is found helps to tell where its neighbours are, and a corner
-counts when it looks as printed and lies where its neighbours say. So corners are found whose own
-markers are too small to be read.
+OpenCV reads the markers; they lead to the corners (`calibration.labelling.board_corners`).
 
 Ids are ATOM's: ``row * columns + column`` in the pattern's frame, x along a row, y along a column, z
 away from the camera, as OpenCV's board has them since 4.6; labels that ATOM made with OpenCV 4.6 have
@@ -18,24 +14,13 @@ import numpy as np
 from calibration.dataset.configuration import PatternConfiguration
 from calibration.dataset.model import CornerLabels
 from calibration.errors import InputError
-from calibration.estimation.planar_pose import planar_poses
-from calibration.geometry.types import Array, IntArray
-from calibration.labelling.board_image import fits_neighbours, predict
+from calibration.labelling.board_corners import enough, find_corners
 from calibration.labelling.detection import Image, NotDetected, grey
 from calibration.labelling.layouts import Reading, board_layouts, readings
 from calibration.labelling.markers import MarkerFinder
-from calibration.labelling.printed_corners import refine
 
-DECIMALS = 4
-"""Of the corners' pixels."""
-LIKENESS = 0.8
-"""The least correlation of what is seen around a corner with what is printed there."""
-SUPPORT = 1.0
-"""A corner is looked for where at least so much speaks for it; see `Prediction.support`."""
-ROUNDS = 5
-"""How often corners that are found may lead to others."""
-LEAST_MARKERS, LEAST_SHARE = 8, 0.25
-"""More markers than that, and a larger share of the corners, make a detection (ATOM's rule).
+LEAST_MARKERS = 8
+"""More markers than that, and enough corners, make a detection (ATOM's rule).
 
 A board with fewer than 33 markers needs more than a quarter of them.
 """
@@ -82,17 +67,13 @@ class CharucoDetector:
         count = len(found[0].markers) if found else 0
         if count <= self._needed:
             return NotDetected(f"{count} markers, more than {self._needed} are needed")
-        candidates = sorted((self._find_corners(image, reading) for reading in found), key=lambda c: -len(c[0]))
+        candidates = [find_corners(image, reading, self._corners, self._clearance) for reading in found]
+        candidates.sort(key=lambda candidate: -len(candidate[0]))
         ids, pixels = candidates[0]
-        if len(ids) <= LEAST_SHARE * len(self._corners):
-            return NotDetected(
-                f"{len(ids)} of {len(self._corners)} corners, more than {100 * LEAST_SHARE:g} % are needed"
-            )
-        if len(candidates) > 1 and len(candidates[1][0]) == len(ids):
+        labels = enough(self._corners, ids, pixels)
+        if isinstance(labels, CornerLabels) and len(candidates) > 1 and len(candidates[1][0]) == len(ids):
             return NotDetected("too little is seen to tell in which of OpenCV's two layouts the board is printed")
-        if _open_pose(self._corners[ids]):
-            return NotDetected("the corners lie on a line")
-        return CornerLabels(ids, np.round(pixels, DECIMALS))
+        return labels
 
     def _read(self, image: Image) -> list[Reading]:
         """The markers as the likeliest layouts have them; looked for again, finer, where many should be and are not."""
@@ -101,27 +82,6 @@ class CharucoDetector:
             return found
         finer = readings(self._layouts, self._finder.find_small(image))
         return max(found, finer, key=lambda r: len(r[0].markers) if r else 0)
-
-    def _find_corners(self, image: Image, reading: Reading) -> tuple[IntArray, Array]:
-        """The ids (K,) and pixels (K, 2) of the corners, from the markers and then from each other."""
-        places = reading.layout.markers[reading.markers.ids].reshape(-1, 2)
-        predicted = predict(places, reading.markers.corners.reshape(-1, 2), self._corners)
-        pixels, found = predicted.pixels.copy(), np.zeros(len(self._corners), bool)
-        for _ in range(ROUNDS):
-            wanted = np.flatnonzero((predicted.support >= SUPPORT) & ~found)
-            refined, at = refine(image, predicted.pixels[wanted], predicted.jacobians[wanted], self._clearance)
-            seen = found.copy()
-            seen[wanted[at]] = True
-            pixels[wanted[at]] = refined[at]
-            likeness = reading.layout.patches.likeness(image, pixels, predicted.jacobians)
-            before, found = found, seen & (likeness >= LIKENESS)
-            if found.sum() < 4:
-                break
-            found[found] = fits_neighbours(self._corners[found], pixels[found])
-            if found.sum() < 4 or not (found & ~before).any():
-                break
-            predicted = predict(self._corners[found], pixels[found], self._corners)
-        return np.flatnonzero(found), pixels[found]
 
 
 def _dictionary(pattern: PatternConfiguration) -> "cv2.aruco.Dictionary":
@@ -132,9 +92,3 @@ def _dictionary(pattern: PatternConfiguration) -> "cv2.aruco.Dictionary":
             f"pattern '{pattern.name}': found dictionary '{name}', expected one of OpenCV's: {', '.join(known)}"
         )
     return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
-
-
-def _open_pose(corners: Array) -> bool:
-    """Whether corners (K, 2), all but at most one on a line, leave the pose of the board open."""
-    flat = np.column_stack([corners, np.zeros(len(corners))])
-    return bool(np.isnan(planar_poses(corners.T[None], flat)[0, 0, 0]))

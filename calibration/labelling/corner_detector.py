@@ -1,9 +1,20 @@
 """The detector of corners for a pattern, by its kind."""
 
+from collections.abc import Callable, Mapping
+
 from calibration.dataset.configuration import PatternConfiguration
+from calibration.dataset.pattern import PatternKind
+from calibration.labelling.aprilgrid import AprilgridDetector
 from calibration.labelling.charuco import CharucoDetector
 from calibration.labelling.chessboard import ChessboardDetector
 from calibration.labelling.detection import CornerDetector
+
+DETECTORS: Mapping[PatternKind, Callable[[PatternConfiguration], CornerDetector]] = {
+    "charuco": CharucoDetector,
+    "chessboard": ChessboardDetector,
+    "aprilgrid": AprilgridDetector,
+}
+"""By the kind of a pattern."""
 
 
 def corner_detector(pattern: PatternConfiguration) -> CornerDetector:
@@ -12,4 +23,4 @@ def corner_detector(pattern: PatternConfiguration) -> CornerDetector:
     Raises:
         InputError: no such board can be printed; the message says why.
     """
-    return CharucoDetector(pattern) if pattern.kind == "charuco" else ChessboardDetector(pattern)
+    return DETECTORS[pattern.kind](pattern)

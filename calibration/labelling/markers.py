@@ -32,9 +32,10 @@ class MarkerFinder:
     LEAST_SIDE = 8
     """No smaller marker is found (px)."""
 
-    def __init__(self, dictionary: "cv2.aruco.Dictionary", count: int) -> None:
-        self._plain = cv2.aruco.ArucoDetector(dictionary, _parameters(windows=(9, 9)))
-        self._fine = cv2.aruco.ArucoDetector(dictionary, _parameters(windows=(7, 17)))
+    def __init__(self, dictionary: "cv2.aruco.Dictionary", count: int, border: int = 1) -> None:
+        """For markers with so many black modules around their bits."""
+        self._plain = cv2.aruco.ArucoDetector(dictionary, _parameters((9, 9), border))
+        self._fine = cv2.aruco.ArucoDetector(dictionary, _parameters((7, 17), border))
         self._count = count
 
     def find(self, image: Image) -> Markers:
@@ -57,7 +58,7 @@ class MarkerFinder:
         return Markers(found, pixels[known][first])
 
 
-def _parameters(windows: tuple[int, int]) -> "cv2.aruco.DetectorParameters":
+def _parameters(windows: tuple[int, int], border: int) -> "cv2.aruco.DetectorParameters":
     """What finds most markers in a given time, by measurement.
 
     A low threshold constant finds dark boards; much lower ones trace the noise of the image.
@@ -67,5 +68,6 @@ def _parameters(windows: tuple[int, int]) -> "cv2.aruco.DetectorParameters":
     parameters.adaptiveThreshWinSizeMin, parameters.adaptiveThreshWinSizeMax = windows
     parameters.adaptiveThreshWinSizeStep = 10
     parameters.errorCorrectionRate = 0.9
+    parameters.markerBorderBits = border
     parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_NONE
     return parameters

@@ -197,11 +197,11 @@ def print_of(configuration: PatternConfiguration, legacy_layout: bool) -> Image:
     whole = texture(configuration, legacy_layout)
     level = min(max(int(math.log2(max(whole.texels / _TEXELS, 1))), 0), len(whole.levels) - 1)
     x, y = whole.margin
-    squares = whole.levels[level]
-    squares = squares[y : squares.shape[0] - y, x : squares.shape[1] - x]
-    side = squares.shape[1] / (configuration.dimension[0] + 1)  # of a square, texels
-    right, down = (round(border / configuration.size * side) for border in configuration.border_size)
-    grey = np.pad(squares, ((down, down), (right, right)), constant_values=WHITE)
+    unit = whole.texels / 2**level
+    width, height = (round(length * unit) for length in whole.size)
+    printed = whole.levels[level][y : y + height, x : x + width]
+    right, down = (round(border / configuration.size * unit) for border in configuration.border_size)
+    grey = np.pad(printed, ((down, down), (right, right)), constant_values=WHITE)
     return np.repeat(grey[:, :, None], 3, axis=2)
 
 

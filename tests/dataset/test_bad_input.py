@@ -19,6 +19,7 @@ FIRST, SECOND = "collections/000", "collections/002"
 CAM, LIDAR = f"{FIRST}/labels/board/cam", f"{FIRST}/labels/board/lidar"
 CONFIG = "calibration_config"
 PATTERN = f"{CONFIG}/calibration_patterns/board"
+TAGGED = {f"{PATTERN}/pattern_type": "aprilgrid", f"{PATTERN}/dictionary": None}
 INFO = "sensors/cam/camera_info"
 EDGE = f"{SECOND}/transforms/mount-cam_link"
 
@@ -91,7 +92,20 @@ CASES = [
     ({f"{PATTERN}/inner_size": 0.1}, f"{PATTERN}/inner_size: found 0.1, expected less than the size of a square, 0.1"),
     ({f"{PATTERN}/border_size/x": -1}, f"{PATTERN}/border_size/x: found -1, expected a number from 0 to 1000"),
     ({f"{PATTERN}/border_size": "1"}, f"{PATTERN}/border_size: found '1', expected a finite number"),
-    ({f"{PATTERN}/pattern_type": "aprilgrid"}, f"{PATTERN}/pattern_type: found 'aprilgrid', expected charuco or chess"),
+    (
+        {f"{PATTERN}/pattern_type": "dots"},
+        f"{PATTERN}/pattern_type: found 'dots', expected one of charuco, chessboard, ",
+    ),
+    (TAGGED, f"{PATTERN}: missing key 'spacing'"),
+    ({**TAGGED, f"{PATTERN}/spacing": 30}, f"{PATTERN}/spacing: found 30, expected a number from 0.01 to 1"),
+    (
+        {**TAGGED, f"{PATTERN}/dimension/x": 300},
+        f"{PATTERN}/dimension: found 300 x 2 tags, expected 587 at most, as DICT",
+    ),
+    (
+        {**TAGGED, f"{PATTERN}/dictionary": "DICT_4X4_50"},
+        f"{PATTERN}/dictionary: found 'DICT_4X4_50', expected DICT_APR",
+    ),
     ({"collections": []}, "collections: found an empty list, expected an object"),
     ({FIRST: None}, f"{FIRST}: found null, expected an object"),
     ({f"{FIRST}/transforms": []}, f"{FIRST}/transforms: found an empty list, expected an object"),

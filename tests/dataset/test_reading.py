@@ -7,6 +7,8 @@ import sys
 import numpy as np
 import pytest
 
+from calibration.dataset.configuration import parse_configuration
+from calibration.dataset.document import Node
 from calibration.dataset.modalities import LIDAR3D, RGB
 from calibration.dataset.model import CornerLabels, PointLabels
 from calibration.dataset.pointcloud import read_points
@@ -231,6 +233,25 @@ def test_a_chessboards_origin_is_its_first_corner(tmp_path):
     board = read(tmp_path, changed(documents.document(), changes)).patterns["board"]
     np.testing.assert_allclose(board.corners[4], [0.1, 0.1, 0], atol=1e-15)
     np.testing.assert_allclose(board.outline[[0, 2]], [[-0.15, -0.15], [0.35, 0.25]], atol=1e-15)
+
+
+def test_an_aprilgrid_is_numbered_as_kalibr_does(tmp_path):
+    """Kalibr's own formula, of a grid of twice as many corners as tags; y and z point the other way here."""
+    pattern = "calibration_config/calibration_patterns/board"
+    changes = {f"{pattern}/pattern_type": "aprilgrid", f"{pattern}/dictionary": None, f"{pattern}/spacing": 0.3}
+    content = changed(documents.document(), changes)
+    board = read(tmp_path, content).patterns["board"]
+    assert len(board.corners) == 4 * 3 * 2
+    for number, corner in enumerate(board.corners):
+        row, column = divmod(number, 6)
+        x, y = (i // 2 * (1 + 0.3) * 0.1 + i % 2 * 0.1 for i in (column, row))
+        np.testing.assert_allclose(corner, [x, -y, 0], atol=1e-15)
+    # tags and gaps, a gap more around them, and the border
+    expected = [[-0.05, -0.27], [0.41, -0.27], [0.41, 0.04], [-0.05, 0.04]]
+    np.testing.assert_allclose(board.outline, expected, atol=1e-12)
+    again = parse_configuration(Node("here", (), content["calibration_config"]))
+    assert again.patterns["board"].dictionary == "DICT_APRILTAG_36h11"
+    assert parse_configuration(Node("here", (), again.to_document())) == again
 
 
 def test_explicit_geometry_wins(tmp_path):

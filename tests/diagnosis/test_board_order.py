@@ -8,10 +8,12 @@ import numpy as np
 import pytest
 
 from calibration.dataset.model import CornerLabels, Dataset, Labels
-from calibration.dataset.pattern import grid
+from calibration.dataset.pattern import grid, tag_grid
 from calibration.dataset.reading import read_dataset
 from calibration.diagnosis.board_order import check_board_order
 from calibration.errors import InputError
+from calibration.geometry import rotations
+from calibration.geometry.transforms import apply, transform
 from tests.estimation.scenes import relabelled
 
 DATASETS = Path(__file__).parents[2] / "datasets"
@@ -48,6 +50,26 @@ def test_rows_of_another_length(shared_data: Path, columns: int, rows: int, expe
         message = refusal(replace(dataset, patterns={"pattern_1": pattern}))
         assert f"/dimension: found x: {columns}, y: {rows}, but the labels of 'left_camera' are numbered by" in message
         assert f"by rows of 11 corners; expected {expected} (x counts the corners of a row)" in message
+
+
+def test_an_aprilgrid_with_another_number_of_tags_in_a_row() -> None:
+    """Labels of 4 x 3 tags, seen through t2rgb's cameras, in a dataset that says 3 x 4."""
+    printed, said = (tag_grid(columns, rows, 0.1, 0.3) for columns, rows in ((4, 3), (3, 4)))
+
+    def change(_: int, sensor: str, label: Labels) -> Labels:
+        camera = T2RGB.sensors[sensor].camera
+        if not isinstance(label, CornerLabels) or camera is None:
+            return label
+        pose = transform(rotations.exp(np.array([0.1 * len(label.ids) % 0.5, 0.3, 0.2])), [-0.2, 0.2, 1.5])
+        return CornerLabels(np.arange(48), camera.project(apply(pose, printed)))
+
+    old = T2RGB.patterns["pattern_1"]
+    right = replace(old, kind="aprilgrid", corners=printed)
+    dataset = relabelled(replace(T2RGB, patterns={"pattern_1": right}), change)
+    check_board_order(dataset)
+    message = refusal(replace(dataset, patterns={"pattern_1": replace(right, corners=said)}))
+    assert "/dimension: found x: 3, y: 4, but the labels of 'left_camera' are numbered by" in message
+    assert "by rows of 4 tags; expected x: 4, y: 3 (x counts the tags of a row)" in message
 
 
 @pytest.mark.parametrize(

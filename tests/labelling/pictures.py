@@ -33,8 +33,11 @@ def chessboard(columns: int = 10, rows: int = 7, size: float = 0.06) -> PatternC
     )
 
 
+@cache
 def printed(pattern: PatternConfiguration, legacy: bool = False) -> Image:
-    """The printed squares, `TEXELS` each, with half a square of white around; black at the top left."""
+    """The print, `TEXELS` a square or a tag, with half of that of white around; black at the top left."""
+    if pattern.kind == "aprilgrid":
+        return cv2.copyMakeBorder(_tags(pattern), *[TEXELS // 2] * 4, cv2.BORDER_CONSTANT, value=255)
     columns, rows = (n + 1 for n in pattern.dimension)
     if pattern.kind == "charuco":
         dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, pattern.dictionary))
@@ -45,6 +48,23 @@ def printed(pattern: PatternConfiguration, legacy: bool = False) -> Image:
         squares = np.kron(np.indices((rows, columns)).sum(0) % 2 * 255, np.ones((TEXELS, TEXELS))).astype(np.uint8)
     half = TEXELS // 2
     return cv2.copyMakeBorder(squares, half, half, half, half, cv2.BORDER_CONSTANT, value=255)
+
+
+def _tags(pattern: PatternConfiguration) -> Image:
+    """Kalibr's print: tags upside down as OpenCV sees them, from the bottom left, and squares where gaps cross."""
+    (columns, rows), gap, fine = pattern.dimension, pattern.spacing, 10
+    dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
+    size = TEXELS * fine
+    width, height = (round((n * (1 + gap) + gap) * size) for n in (columns, rows))
+    image = np.full((height, width), 255, np.uint8)
+    for row, column in np.ndindex(rows + 1, columns + 1):
+        left, top = (round(n * (1 + gap) * size) for n in (column, row))
+        image[top : top + round(gap * size), left : left + round(gap * size)] = 0
+    for tag in range(columns * rows):
+        left, bottom = (round((n * (1 + gap) + gap) * size) for n in (tag % columns, tag // columns))
+        drawn = cv2.aruco.generateImageMarker(dictionary, tag, size, borderBits=2)
+        image[height - bottom - size : height - bottom, left : left + size] = drawn[::-1, ::-1]
+    return np.asarray(cv2.resize(image, None, fx=1 / fine, fy=1 / fine, interpolation=cv2.INTER_AREA), np.uint8)
 
 
 def facing(
@@ -85,7 +105,8 @@ class Photograph:
         """The image; `hidden` is a box (left, top, right, bottom) in pixels that stands in front, and its grey."""
         width, height = self.camera.width, self.camera.height
         rays = _rays(self.camera, self.supersampling)
-        origin = pattern.pattern().corners[0, :2] / pattern.size - 1.0
+        border = np.array(pattern.border_size)
+        origin = (pattern.pattern().outline[0] + border) / pattern.size  # where the print begins
         # Of `printed`'s pixels by metres on the board.
         T_texel_board = np.diag([TEXELS / pattern.size, TEXELS / pattern.size, 1.0])
         T_texel_board[:2, 2] = (0.5 - origin) * TEXELS - 0.5

@@ -95,6 +95,19 @@ def test_a_print_is_as_large_as_the_board_and_has_its_border() -> None:
     assert picture[-1, side].min() > 200 or picture[-1, side].max() < 60  # no border below
 
 
+def test_the_print_of_an_aprilgrid_is_as_large_as_the_board_too() -> None:
+    pattern = PatternConfiguration(
+        "board", "aprilgrid", "board", "world", False, (3, 2), 0.1, border_size=(0.05, 0.0), spacing=0.3
+    )
+    picture = print_of(pattern, False)
+    width, height = np.ptp(pattern.pattern().outline, axis=0)
+    assert picture.shape[1] / picture.shape[0] == pytest.approx(width / height, rel=0.02)
+    side = picture.shape[0] / 2.9  # of a tag
+    assert (picture[:, : int(side / 2) - 2] > 200).all()  # the border on the left
+    for corner in (picture[3, int(side / 2) + 3], picture[-4, -int(side / 2) - 4]):
+        assert corner.max() < 60  # black squares at the corners
+
+
 def test_quaternions_have_w_first() -> None:
     T = from_xyz_rpy([1.0, 2.0, 3.0], [0.3, -0.2, 1.1])
     w, x, y, z = wxyz(T)

@@ -1,11 +1,14 @@
 """What is printed on a pattern, as grey images of halving resolution.
 
+A unit is the side of a square, of an aprilgrid the side of a tag.
+
 Both charuco layouts and their history: OpenCV 4.6 put a black square into the first corner of every
 board; before, a board with an even number of rows of squares began with a white one
 (``cv2.aruco.CharucoBoard.setLegacyPattern``).
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -17,26 +20,31 @@ from calibration.dataset.configuration import PatternConfiguration
 from calibration.dataset.pattern import Pattern
 from calibration.errors import InputError
 from calibration.geometry.types import Array
+from calibration.labelling.tags import cell_ends, tag_cells
 
 Grey = NDArray[np.uint8]
 
 TEXELS = 256
-"""Along the side of a square; a power of two, so that halves of it stay whole."""
+"""Along a unit; a power of two, so that halves of it stay whole."""
 MAX_TEXELS = 8192
-"""Along the side of a board: one with more squares has fewer texels for each."""
+"""Along the side of a board: one of more units has fewer texels for each."""
 BLACK, WHITE = 27, 230
 """What ink and paper reflect, in grey levels under a light of 1."""
 
 
 @dataclass(frozen=True, eq=False)
 class Texture:
-    """The print of a pattern. Level k has ``texels / 2^k`` texels a square; beyond an image its last texels go on."""
+    """The print of a pattern. Level k has ``texels / 2^k`` texels a unit; beyond an image its last texels go on."""
 
     levels: tuple[Grey, ...]
     texels: int
-    """Along the side of a square at level 0."""
+    """Along a unit at level 0."""
     margin: tuple[int, int]
-    """The texels of border, along x and along y, that every level has on each side of the squares."""
+    """The texels of border, along x and along y, that every level has on each side of the print."""
+    size: tuple[float, float]
+    """Of the print, along x and along y, units; an image may have more white to the right and below."""
+    before: tuple[float, float]
+    """How far the print reaches to the left and up from corner 0, units."""
 
     def place(self, pattern: Pattern, size: float, level: int) -> tuple[Array, float]:
         """From the pattern frame to the texels' centres: ``texel = offset + scale * (x, y)``.
@@ -45,7 +53,7 @@ class Texture:
             The offset (2,) and the scale, texels a metre.
         """
         scale = self.texels / 2**level / size
-        first = pattern.corners[0, :2] - size  # the outer corner of the first square
+        first = pattern.corners[0, :2] - np.array(self.before) * size
         return np.array(self.margin) - 0.5 - scale * first, scale
 
     def level(self, density: float) -> int:
@@ -57,29 +65,67 @@ class Texture:
 
 @lru_cache(maxsize=16)
 def texture(pattern: PatternConfiguration, legacy_layout: bool = False) -> Texture:
-    """The print of a pattern, as white and black squares with or without markers.
+    """The print of a pattern.
 
     Raises:
         InputError: a charuco board without a marker size, with an unknown dictionary, or one that
             has fewer markers than the board needs.
     """
-    columns, rows = pattern.dimension[0] + 1, pattern.dimension[1] + 1
+    size, before, draw = _KINDS[pattern.kind](pattern, legacy_layout)
     texels = TEXELS
-    while texels > 1 and texels * max(columns, rows) > MAX_TEXELS:
+    while texels > 1 and texels * max(size) > MAX_TEXELS:
         texels //= 2
-    row, column = np.mgrid[:rows, :columns]
-    black = (row + column) % 2 == int(pattern.kind == "charuco" and legacy_layout and rows % 2 == 0)
-    image = np.repeat(np.repeat(np.where(black, BLACK, WHITE).astype(np.uint8), texels, 0), texels, 1)
-    if pattern.kind == "charuco":
-        for (y, x), bits in zip(np.argwhere(~black) * texels, _markers(pattern, int((~black).sum())), strict=True):
-            share = _square_with_marker(pattern, bits, texels)
-            image[y : y + texels, x : x + texels] = np.round(BLACK + (WHITE - BLACK) * share)
-    levels = [image]
-    while levels[-1].shape[1] > columns:  # until a square is one texel
+    levels = [draw(texels)]
+    while texels >> len(levels):  # until a unit is one texel
         height, width = levels[-1].shape
         levels.append(np.asarray(cv2.resize(levels[-1], (width // 2, height // 2), interpolation=cv2.INTER_AREA)))
     margin = (int(pattern.border_size[0] > 0), int(pattern.border_size[1] > 0))
-    return Texture(tuple(_with_border(level, margin) for level in levels), texels, margin)
+    return Texture(tuple(_with_border(level, margin) for level in levels), texels, margin, size, before)
+
+
+_Sketch = tuple[tuple[float, float], tuple[float, float], Callable[[int], Grey]]
+"""The size of a print, what of it lies before corner 0, and what draws it with so many texels a unit."""
+
+
+def _squares(pattern: PatternConfiguration, legacy_layout: bool) -> _Sketch:
+    """White and black squares, with or without markers."""
+    columns, rows = pattern.dimension[0] + 1, pattern.dimension[1] + 1
+    row, column = np.mgrid[:rows, :columns]
+    black = (row + column) % 2 == int(pattern.kind == "charuco" and legacy_layout and rows % 2 == 0)
+    markers = _markers(pattern, int((~black).sum())) if pattern.kind == "charuco" else []
+
+    def draw(texels: int) -> Grey:
+        image = np.repeat(np.repeat(np.where(black, BLACK, WHITE).astype(np.uint8), texels, 0), texels, 1)
+        for (y, x), bits in zip(np.argwhere(~black) * texels if markers else (), markers, strict=True):
+            share = _square_with_marker(pattern, bits, texels)
+            image[y : y + texels, x : x + texels] = np.round(BLACK + (WHITE - BLACK) * share)
+        return image
+
+    return (columns, rows), (1, 1), draw
+
+
+def _tags(pattern: PatternConfiguration, _: bool) -> _Sketch:
+    """An aprilgrid; an image has whole units, white beyond the print."""
+    black, ends = tag_cells(*pattern.dimension).astype(float), cell_ends(*pattern.dimension, pattern.spacing)
+    size = tuple(float(each[-1]) for each in ends)
+
+    def draw(texels: int) -> Grey:
+        across, down = (_cover(math.ceil(each[-1]) * texels, texels * each) for each in ends)
+        ink = black @ across.T
+        strips = [np.round(WHITE + (BLACK - WHITE) * (some @ ink)) for some in np.split(down, len(down) // texels)]
+        return np.concatenate([strip.astype(np.uint8) for strip in strips])
+
+    return (size[0], size[1]), (pattern.spacing, size[1] - pattern.spacing), draw
+
+
+_KINDS = {"charuco": _squares, "chessboard": _squares, "aprilgrid": _tags}
+
+
+def _cover(texels: int, ends: Array) -> Array:
+    """(texels, N - 1): how much of each texel is covered by what lies between one of the ends (N,) and the next."""
+    texel = np.arange(texels)[:, None]
+    cover: Array = np.clip(np.minimum(texel + 1, ends[1:]) - np.maximum(texel, ends[:-1]), 0, None)
+    return cover
 
 
 def _with_border(image: Grey, margin: tuple[int, int]) -> Grey:
@@ -92,9 +138,7 @@ def _square_with_marker(pattern: PatternConfiguration, bits: Array, texels: int)
     assert pattern.inner_size is not None  # noqa: S101 (checked with the markers)
     side = texels * pattern.inner_size / pattern.size
     ends = (texels - side) / 2 + side * np.linspace(0, 1, len(bits) + 1)
-    texel = np.arange(texels)[:, None]
-    # (texels, modules): how much of a texel a row of modules covers
-    cover = np.clip(np.minimum(texel + 1, ends[1:]) - np.maximum(texel, ends[:-1]), 0, None)
+    cover = _cover(texels, ends)
     black: Array = cover @ (1 - bits) @ cover.T
     return 1 - black
 

@@ -1,7 +1,8 @@
 """Cameras: images of patterns, and the corners in them.
 
-A detector finds a corner by the squares around it, so a corner counts as seen where its four squares
-are on the image, large enough, with nothing before them. Ours finds nearly all of these, and some more.
+A detector finds a corner by what is printed around it, so a corner counts as seen where its four squares (of an
+aprilgrid the tag, the gaps and the square between them) are on the image, large enough, with nothing before them. Ours
+finds nearly all of these, and some more.
 """
 
 import math
@@ -18,7 +19,7 @@ from numpy.typing import NDArray
 from calibration.dataset.configuration import PatternConfiguration
 from calibration.dataset.modalities import RGB, Modality, NoiseKind
 from calibration.dataset.model import CornerLabels, Labels
-from calibration.dataset.pattern import Pattern, grid
+from calibration.dataset.pattern import Pattern, grid, tag_lines
 from calibration.errors import InputError
 from calibration.geometry.cameras import Camera
 from calibration.geometry.transforms import apply
@@ -51,6 +52,8 @@ CELLS = (4, 3)
 LEAST_SQUARE = 14.0
 """The width of a square in the image, px. At 12 our detector finds 98 % of the corners (markers of 7 bits
 on 3/4 of a square, blur 0.65 px), at 10 it finds 60 %."""
+LEAST_TAG = 18.0
+"""The width of an aprilgrid's tag in the image, px. At 17 our detector finds all corners, at 14 a quarter of them."""
 _ROWS = 64
 """So many rows of an image are worked on at a time: they stay in the cache."""
 _OPTICS = {"exposure": "exposure", "noise_levels": "noise", "blur_px": "blur", "vignetting": "vignetting"}
@@ -174,14 +177,14 @@ class SimulatedCamera(SimulatedSensor):
 
     def corner_views(self, views: Views) -> "CornerViews":
         """What it sees of a pattern's corners."""
-        squares = square_corners(views.configuration, views.pattern)
+        squares, least = square_corners(views.configuration, views.pattern), least_widths(views.configuration)
         rows, columns = squares.shape[:2]
         places = squares.reshape(-1, 3)
         pixels, visible = corners_in_image(self.camera, apply(views.T_sensor_pattern, places))
         visible &= ~views.hidden(places)
         pixels, visible = pixels.reshape(-1, rows, columns, 2), visible.reshape(-1, rows, columns)
         with np.errstate(invalid="ignore"):
-            clear = _all_four(visible) & (_widths(pixels) >= LEAST_SQUARE)
+            clear = _all_four(visible) & (_widths(pixels) >= least)
         seen = _all_four(clear).reshape(len(clear), (rows - 2) * (columns - 2))
         share = 1.0 if views.pattern.kind == "chessboard" else LEAST_SHARE  # one is found whole or not at all
         front = facing(views.T_sensor_pattern, views.pattern.centre)
@@ -272,10 +275,31 @@ def _gain(camera: Camera, vignetting: float) -> NDArray[np.float32]:
 
 
 def square_corners(configuration: PatternConfiguration, pattern: Pattern) -> Array:
-    """(rows + 2, columns + 2, 3): the corners of all squares, the pattern's (rows, columns) of them inside."""
+    """(rows + 2, columns + 2, 3): the corners of all squares, the pattern's (rows, columns) of them inside.
+
+    Of an aprilgrid: of the tags, of the gaps between them and around them, and of the squares where these cross.
+    """
     (columns, rows), square = configuration.dimension, configuration.size
+    if configuration.kind == "aprilgrid":
+        x, y = (_tag_lines(configuration, n) for n in (columns, rows))
+        lines = np.meshgrid(pattern.corners[0, 0] + x, pattern.corners[0, 1] - y)
+        return np.stack([*lines, np.zeros(lines[0].shape)], -1)
     x, y = pattern.corners[0, :2] - square
     return grid(columns + 2, rows + 2, square, (float(x), float(y))).reshape(rows + 2, columns + 2, 3)
+
+
+def least_widths(configuration: PatternConfiguration) -> Array:
+    """(rows + 1, columns + 1) or (1, 1): how wide each of the squares of `square_corners` must be in the image, px."""
+    if configuration.kind != "aprilgrid":
+        return np.full((1, 1), LEAST_SQUARE)
+    x, y = (np.diff(_tag_lines(configuration, n)) / configuration.size for n in configuration.dimension)
+    return LEAST_TAG * np.minimum(x, y[:, None])
+
+
+def _tag_lines(configuration: PatternConfiguration, count: int) -> Array:
+    """Where tags begin and end, and the gaps before and behind them, m."""
+    lines, gap = tag_lines(count, configuration.size, configuration.spacing), configuration.spacing * configuration.size
+    return np.concatenate([[-gap], lines, [lines[-1] + gap]])
 
 
 def _all_four(of: BoolArray) -> BoolArray:

@@ -54,6 +54,29 @@ def test_a_camera_in_the_hand_of_an_arm_with_a_distorted_lens_and_a_chessboard(t
     assert results.corner_rms < 0.06
 
 
+def test_a_camera_that_sees_an_aprilgrid_on_an_arm(tmp_path: Path) -> None:
+    results = collected(
+        "riwbot",
+        tmp_path,
+        {
+            "config.yml": {
+                "pattern_type: charuco": "pattern_type: aprilgrid\n    spacing: 0.3",
+                "dictionary: DICT_4X4_100": "dictionary: DICT_APRILTAG_36h11",
+                "dimension: {x: 7, y: 7}": "dimension: {x: 4, y: 4}",
+                "size: 0.02": "size: 0.03",
+                "inner_size: 0.015": "inner_size: null",
+            },
+        },
+    )
+    assert results.reasons == []
+    assert len(results.kept) == 8
+    assert results.proof is not None
+    assert results.proof.translation_mm is not None
+    assert results.proof.translation_mm < 0.1
+    assert results.corner_rms is not None
+    assert results.corner_rms < 0.06
+
+
 def test_the_old_charuco_layout_with_an_even_number_of_rows(tmp_path: Path) -> None:
     results = collected(
         "riwbot",

@@ -12,7 +12,14 @@ from calibration.simulation.placement import Placement, place
 from calibration.simulation.placement import views as views_of
 from calibration.simulation.scene import Box, Scene
 from calibration.simulation.sensors import SimulatedDepthCamera
-from calibration.simulation.sensors.camera import CELLS, LEAST_SQUARE, CornerViews, square_corners
+from calibration.simulation.sensors.camera import (
+    CELLS,
+    LEAST_SQUARE,
+    LEAST_TAG,
+    CornerViews,
+    least_widths,
+    square_corners,
+)
 from calibration.simulation.sensors.sensor import LEAST_SHARE
 from calibration.simulation.system import System
 from tests.simulation.conftest import corner_views, detects
@@ -172,6 +179,20 @@ def test_a_depth_camera_needs_range_and_sight(rlbot: System) -> None:
     assert not detects(system, CAMERA, PATTERN, in_front(rlbot, tilt=math.pi)).any()
     wall = Scene(boxes=(between(in_front(rlbot), CAMERA, 0.5, (0.01, 3.0, 3.0)),))
     assert not detects(replace(system, scene=wall), CAMERA, PATTERN, in_front(rlbot)).any()
+
+
+def test_the_squares_of_an_aprilgrid_are_its_tags_and_gaps() -> None:
+    board = PatternConfiguration("b", "aprilgrid", "b", "world", True, (3, 2), 0.1, spacing=0.2)
+    corners = square_corners(board, board.pattern())
+    assert corners.shape == (6, 8, 3)
+    np.testing.assert_allclose(corners[1:-1, 1:-1].reshape(-1, 3), board.pattern().corners, atol=1e-15)
+    np.testing.assert_allclose(np.diff(corners[0, :, 0]), [0.02, 0.1, 0.02, 0.1, 0.02, 0.1, 0.02])
+    np.testing.assert_allclose(np.diff(corners[:, 0, 1]), [-0.02, -0.1, -0.02, -0.1, -0.02])
+    outline = board.pattern().outline
+    np.testing.assert_allclose([corners[-1, 0, :2], corners[0, -1, :2]], [outline[0], outline[2]], atol=1e-12)
+    widths = least_widths(board)
+    np.testing.assert_allclose(widths[1], LEAST_TAG * np.array([0.2, 1, 0.2, 1, 0.2, 1, 0.2]))
+    np.testing.assert_allclose(widths[0], LEAST_TAG * 0.2)
 
 
 def test_squares_of_any_pattern() -> None:

@@ -16,7 +16,16 @@ from calibration.labelling.corner_detector import corner_detector
 from calibration.simulation.random_streams import stream
 from calibration.simulation.scene import Scene
 from calibration.simulation.sensors import SimulatedCamera
-from tests.simulation.rendering.views import CHARUCO, CHESSBOARD, DISTORTION, T_WORLD_CAMERA, board, camera, random_pose
+from tests.simulation.rendering.views import (
+    APRILGRID,
+    CHARUCO,
+    CHESSBOARD,
+    DISTORTION,
+    T_WORLD_CAMERA,
+    board,
+    camera,
+    random_pose,
+)
 
 POSES = 4
 EVEN_ROWS = replace(CHARUCO, dimension=(11, 7))
@@ -73,6 +82,7 @@ def check(error: np.ndarray, limit: float) -> None:
     ("pattern", "legacy", "distortion", "limit"),
     [
         (CHARUCO, False, DISTORTION, 0.08),
+        (APRILGRID, False, DISTORTION, 0.06),
         (EVEN_ROWS, False, PlumbBob(), 0.06),
         (EVEN_ROWS, True, PlumbBob(), 0.06),
     ],

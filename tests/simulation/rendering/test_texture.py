@@ -6,7 +6,9 @@ import pytest
 
 from calibration.errors import InputError
 from calibration.simulation.rendering.texture import BLACK, MAX_TEXELS, TEXELS, WHITE, texture
-from tests.simulation.rendering.views import CHARUCO, CHESSBOARD, SMALL
+from tests.simulation.rendering.views import APRILGRID, CHARUCO, CHESSBOARD, SMALL
+
+SIDES = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)])
 
 
 @pytest.mark.parametrize("legacy", [False, True])
@@ -37,6 +39,40 @@ def test_a_chessboard() -> None:
     assert (image[:TEXELS, :TEXELS] == BLACK).all()
     assert (image[:TEXELS, TEXELS : 2 * TEXELS] == WHITE).all()
     assert (image[-TEXELS:, -TEXELS:] == WHITE).all()
+
+
+def test_an_aprilgrid_has_tags_that_are_upside_down_for_opencv() -> None:
+    """From the bottom left on; black squares where gaps cross, of which there is one more than tags each way."""
+    print_ = texture(replace(APRILGRID, dimension=(3, 2)))
+    image = print_.levels[0][1:-1, 1:-1]
+    assert print_.size == pytest.approx((4.2, 2.9))
+    assert image.shape == (3 * TEXELS, 5 * TEXELS)
+    dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
+    for tag in range(6):
+        left, bottom = (0.3 + 1.3 * n for n in (tag % 3, tag // 3))
+        theirs = cv2.aruco.generateImageMarker(dictionary, tag, 10, borderBits=2)[::-1, ::-1]
+        middles = TEXELS * (np.arange(10) + 0.5) / 10
+        x, y = (TEXELS * left + middles).astype(int), (TEXELS * (2.9 - bottom - 1) + middles).astype(int)
+        np.testing.assert_array_equal(image[y[:, None], x] == WHITE, theirs == 255)
+    at = TEXELS * (0.15 + 1.3 * np.arange(4))
+    assert (image[at[:3, None].astype(int), at.astype(int)] == BLACK).all()
+    assert (image[at[:3, None].astype(int), (at[:3] + 0.6 * TEXELS).astype(int)] == WHITE).all()
+    assert (image[int(2.9 * TEXELS) + 1 :] == WHITE).all()
+
+
+def test_the_corners_of_tags_lie_where_black_and_white_meet_crosswise() -> None:
+    print_, pattern = texture(APRILGRID), APRILGRID.pattern()
+    for k in (0, 2):
+        offset, scale = print_.place(pattern, APRILGRID.size, k)
+        texel = offset + scale * pattern.corners[:, :2]
+        image, near = print_.levels[k], 6 >> k
+        quarters = [
+            [image[tuple(np.round(xy[::-1] + np.array([j, i])).astype(int))] for xy in texel] for i, j in SIDES * near
+        ]
+        a, b, c, d = np.array(quarters, int)
+        np.testing.assert_array_equal(a, c)
+        np.testing.assert_array_equal(b, d)
+        np.testing.assert_array_equal(np.abs(a - b), WHITE - BLACK)
 
 
 def test_halving_keeps_the_mean() -> None:

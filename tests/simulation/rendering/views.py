@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from calibration.dataset.configuration import PatternConfiguration
+from calibration.dataset.configuration import TAGS, PatternConfiguration
 from calibration.geometry import rotations
 from calibration.geometry.cameras import Camera
 from calibration.geometry.distortion import PlumbBob
@@ -20,6 +20,9 @@ SMALL = PatternConfiguration(
 )
 CHESSBOARD = PatternConfiguration(
     "pattern_2", "chessboard", "pattern", "world", False, (9, 6), 0.08, None, (0.05, 0.04)
+)
+APRILGRID = PatternConfiguration(
+    "pattern_3", "aprilgrid", "pattern", "world", False, (6, 6), 0.088, None, (0.03, 0.02), TAGS, spacing=0.3
 )
 DISTORTION = PlumbBob(-0.25, 0.08, 0.0008, -0.0005, 0.0)
 T_WORLD_CAMERA = from_xyz_rpy([0.3, -0.2, 1.2], [-np.pi / 2, 0, -np.pi / 2])

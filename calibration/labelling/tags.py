@@ -1,0 +1,91 @@
+"""What is printed on an aprilgrid, as Kalibr prints it.
+
+Tags of AprilTag's family 36h11 with a border of two modules, half a turn from how OpenCV draws them, and a
+black square wherever gaps cross, so that four quarters of black and white meet in every corner of a tag. The print is
+made of cells: a gap, the modules of a tag, a gap, and so on.
+
+Places are from the top left corner of the print; x to the right, y down. The unit is about the mean distance of
+corners in a row, so that detectors look as far as on a board of squares.
+"""
+
+from functools import lru_cache
+
+import cv2
+import numpy as np
+
+from calibration.dataset.configuration import TAGS
+from calibration.dataset.pattern import tag_grid, tag_lines, tag_outline
+from calibration.geometry.types import Array, BoolArray, IntArray
+from calibration.labelling.detection import Image
+
+BORDER = 2
+"""The black modules around the bits of a tag."""
+MODULES = 6 + 2 * BORDER
+"""Along the side of a tag."""
+STRETCH = 1.15
+"""A unit is so many mean distances of corners in a row: at 1 and at 1.3 fewer corners are found."""
+
+
+def tag_dictionary() -> "cv2.aruco.Dictionary":
+    """OpenCV's dictionary of the tags."""
+    return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, TAGS))
+
+
+@lru_cache(maxsize=8)
+def tag_cells(columns: int, rows: int) -> BoolArray:
+    """Which cells (rows * (MODULES + 1) + 1, columns * (MODULES + 1) + 1) are black, for so many tags."""
+    step, dictionary = MODULES + 1, tag_dictionary()
+    black = np.zeros((rows * step + 1, columns * step + 1), bool)
+    black[::step, ::step] = True
+    for tag in range(rows * columns):
+        row, column = divmod(tag, columns)
+        top, left = (rows - 1 - row) * step + 1, column * step + 1
+        drawn = np.asarray(cv2.aruco.generateImageMarker(dictionary, tag, MODULES, borderBits=BORDER))
+        black[top : top + MODULES, left : left + MODULES] = np.rot90(drawn < 128, 2)
+    black.flags.writeable = False
+    return black
+
+
+def unit(spacing: float) -> float:
+    """Sides of a tag."""
+    return STRETCH * (1 + spacing) / 2
+
+
+def cell_ends(columns: int, rows: int, spacing: float) -> tuple[Array, Array]:
+    """Where cells begin and end, in sides of a tag from 0 on: along x and along y."""
+    return _ends(columns, spacing), _ends(rows, spacing)
+
+
+def _ends(count: int, spacing: float) -> Array:
+    begins = tag_lines(count, 1.0, spacing)[::2] + spacing
+    cells = begins[:, None] + np.array([-spacing, *(np.arange(MODULES) / MODULES)])
+    return np.concatenate([cells.ravel(), begins[-1] + [1.0, 1.0 + spacing]])
+
+
+def corner_places(columns: int, rows: int, spacing: float) -> Array:
+    """(4 * columns * rows, 2): the corners of the tags, by id, in units."""
+    side = 1 / unit(spacing)
+    top_left = tag_outline(columns, rows, side, spacing, (0.0, 0.0))[0]
+    places: Array = tag_grid(columns, rows, side, spacing)[:, :2] - top_left
+    return places
+
+
+def corner_ids(columns: int, rows: int) -> IntArray:
+    """(columns * rows, 4): the ids of the corners of each tag, in the order in which OpenCV finds them.
+
+    Clockwise from what is the top left as OpenCV draws a tag: here the bottom right.
+    """
+    row, column = np.divmod(np.arange(columns * rows), columns)
+    bottom_left = 4 * columns * row + 2 * column
+    ids: IntArray = bottom_left[:, None] + np.array([1, 0, 2 * columns, 2 * columns + 1])
+    return ids
+
+
+def drawn(columns: int, rows: int, spacing: float, texels: int) -> Image:
+    """The print, black and white, with so many texels along a unit."""
+    tag = texels / unit(spacing)
+    across, down = (
+        np.searchsorted(ends, (np.arange(int(ends[-1] * tag)) + 0.5) / tag) - 1
+        for ends in cell_ends(columns, rows, spacing)
+    )
+    return np.where(tag_cells(columns, rows)[down[:, None], across], 0, 255).astype(np.uint8)
