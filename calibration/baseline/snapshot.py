@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 import numpy as np
 
 from calibration import __version__
-from calibration.dataset.model import CornerLabels, Dataset, Edge, Labels
+from calibration.dataset.model import CornerLabels, Dataset, Edge, Labels, label_arrays, label_count
 from calibration.estimation.gauge import RIGID
 from calibration.estimation.intrinsics import CalibratedIntrinsics
 from calibration.estimation.noise_levels import NoiseLevels
@@ -238,7 +238,7 @@ def snapshot(
         noise=NoiseLevels(**{k: _significant(v, 4) for k, v in calibration.noise_levels.given().items()}),
         effective_collections=_significant(bars.effective_collections, 3) if (bars := calibration.error_bars) else None,
         rejected_labels=len(calibration.rejected),
-        labels=sum(len(label.ids) if isinstance(label, CornerLabels) else len(label.points) for label in labels),
+        labels=sum(map(label_count, labels)),
         iterations=calibration.iterations,
         views=_views(given),
         covered=_covered(given),
@@ -249,7 +249,7 @@ def hash_of_labels(dataset: Dataset) -> str:
     """SHA-256 of the labels of a dataset: who saw what of which pattern in which collection."""
     found = hashlib.sha256()
     for key, label in _labels(dataset):
-        arrays = (label.ids, label.pixels) if isinstance(label, CornerLabels) else (label.points, label.limits)
+        arrays = label_arrays(label)
         found.update("\0".join((*key, *(str(array.shape) for array in arrays))).encode() + b"\0")
         for array in arrays:
             found.update(np.ascontiguousarray(array, "<i8" if array.dtype.kind == "i" else "<f8").tobytes())

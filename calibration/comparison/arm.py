@@ -16,7 +16,7 @@ from calibration.dataset.pattern import Pattern
 from calibration.errors import InputError, UndeterminedError
 from calibration.estimation.linear_start import SINGLE_AXIS
 from calibration.estimation.robot_world import solve_robot_world
-from calibration.evaluation.views import corner_views
+from calibration.evaluation.views import corner_views, measured_views
 from calibration.geometry import rotations
 from calibration.geometry.transforms import distance, inverse, transform
 from calibration.geometry.types import Array
@@ -51,7 +51,7 @@ class ArmViews:
 
 def why_not_arm(dataset: Dataset) -> str | None:
     """One line that says why hand-eye methods do not apply to a dataset; None if they do."""
-    others = [s for s in dataset.sensors.values() if not s.modality.has_corners]
+    others = [s for s in dataset.sensors.values() if not (s.modality.has_corners or s.modality.has_poses)]
     if others:
         return f"it needs cameras only, and '{others[0].name}' is {others[0].modality}"
     if dataset.additional_transforms:
@@ -140,7 +140,7 @@ def _all_views(dataset: Dataset, sensor: Sensor) -> list[ArmViews]:
 
 
 def _views(dataset: Dataset, sensor: Sensor, pattern: Pattern) -> ArmViews:
-    views = corner_views(dataset, sensor.name, pattern)
+    views = (measured_views if sensor.modality.has_poses else corner_views)(dataset, sensor.name, pattern)
     seen_in = dataset.with_collections(views.collections.tolist())
     arm = seen_in.transform(sensor.calibration_parent, pattern.parent_link)
     seen = seen_in.transform(sensor.calibration_child, sensor.frame) @ views.T_camera_pattern

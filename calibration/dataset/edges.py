@@ -74,6 +74,29 @@ def read_transform(node: Node) -> tuple[Edge, Array]:
     return edge, transforms.from_quaternion(translation, quaternion)
 
 
+def read_pose(node: Node, far: float) -> Array:
+    """A pose (4, 4) as ROS's messages have it: ``position`` and ``orientation``.
+
+    Raises:
+        InputError: something in it is missing or wrong, or it is farther away than ``far``, m.
+    """
+    position, orientation = node["position"], node["orientation"]
+    quaternion = [orientation[axis].number() for axis in "xyzw"]
+    length = math.hypot(*quaternion)
+    if not abs(length - 1) <= QUATERNION_TOLERANCE:
+        raise _wrong_length(orientation, length)
+    return transforms.from_quaternion([position[axis].within(-far, far) for axis in "xyz"], quaternion)
+
+
+def pose_document(T: Array) -> dict[str, Any]:
+    """A pose (4, 4) as `read_pose` reads it."""
+    position, quaternion = T[:3, 3].tolist(), rotations.to_quaternion(T[:3, :3]).tolist()
+    return {
+        "position": dict(zip("xyz", position, strict=True)),
+        "orientation": dict(zip("xyzw", quaternion, strict=True)),
+    }
+
+
 def transform_documents(edge: Edge, T: Array) -> list[dict[str, Any]]:
     """Transforms (N, 4, 4) of an edge as a document holds them."""
     translations, quaternions = T[:, :3, 3].tolist(), rotations.to_quaternion(T[:, :3, :3]).tolist()

@@ -9,8 +9,9 @@ import numpy as np
 
 from calibration.dataset.corners import read_corners
 from calibration.dataset.document import Node, NotNumbersError, integers
+from calibration.dataset.edges import read_pose
 from calibration.dataset.modalities import IndexedPoints, PointData
-from calibration.dataset.model import Collection, CornerLabels, Labels, PointLabels, Sensor
+from calibration.dataset.model import Collection, CornerLabels, Labels, PointLabels, PoseLabels, Sensor
 from calibration.dataset.pattern import Pattern
 from calibration.geometry.types import Array, BoolArray, IntArray
 
@@ -47,18 +48,21 @@ def read_labels(
     """
     corners: list[_Detection] = []
     points: list[_Detection] = []
+    poses: list[_Detection] = []
     for i, collection in enumerate(collections):
         for pattern, by_sensor in _by_pattern(collection["labels"], patterns, version):
             for sensor, label in by_sensor.items():
                 if sensor not in sensors:
                     raise label.fault(f"no sensor '{sensor}' in the dataset (sensors: {', '.join(sensors)})")
                 if label["detected"].flag() and (idxs := label["idxs"]).sequence():
-                    kind = corners if sensors[sensor].modality.has_corners else points
+                    modality = sensors[sensor].modality
+                    kind = corners if modality.has_corners else poses if modality.has_poses else points
                     kind.append(_Detection(i, pattern, sensor, label, idxs))
     found: list[dict[tuple[str, str], Labels]] = [{} for _ in collections]
     everything: list[tuple[_Detection, Labels]] = [
         *zip(corners, _read_corners(corners, patterns, sensors), strict=True),
         *zip(points, _read_points(points, collections, sensors, data), strict=True),
+        *((each, _read_pose(each.idxs)) for each in poses),
     ]
     for detection, labels in everything:
         found[detection.collection][detection.pattern, detection.sensor] = labels
@@ -125,6 +129,12 @@ def _check_pixels(
                 f"sensor '{name}' has outside of its image of {width:g} x {height:g} px; does its camera_info have the "
                 "size of the images?"
             )
+
+
+def _read_pose(idxs: Node) -> PoseLabels:
+    if len(idxs.sequence()) != 1:
+        raise idxs.fault(f"found {len(idxs.sequence())} poses, expected one")
+    return PoseLabels(read_pose(_element(idxs, 0), FARTHEST))
 
 
 def _read_points(

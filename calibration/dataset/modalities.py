@@ -20,9 +20,19 @@ from calibration.errors import InputError
 from calibration.geometry.cameras import Camera
 from calibration.geometry.types import Array, IntArray
 
-Family = Literal["camera", "lidar", "depth camera"]
-NoiseKind = Literal["pixel", "range", "border", "depth_border", "lidar2d_range", "lidar2d_border"]
-"""What is measured of a label: a corner, px; a range, m; the direction in which a border is found, rad."""
+Family = Literal["camera", "lidar", "depth camera", "tracker"]
+NoiseKind = Literal[
+    "pixel",
+    "range",
+    "border",
+    "depth_border",
+    "lidar2d_range",
+    "lidar2d_border",
+    "pose_translation",
+    "pose_rotation",
+]
+"""What is measured of a label: a corner, px; a range, m; the direction in which a border is found, rad; where a
+pattern is, m, and how it is turned, rad."""
 
 
 class IndexedPoints(Protocol):
@@ -86,18 +96,20 @@ class Modality:
     has_intrinsics: bool = False
     """It is a camera in its geometry: a dataset has its ``camera_info``."""
     points: PointData | None = None
-    """How labels refer to its data; None where they are corners, which need no data."""
+    """How labels refer to its data; None where they are corners or poses, which need no data."""
+    has_poses: bool = False
+    """Its labels are poses of patterns, that it or a software before it has measured."""
 
     @property
     def has_corners(self) -> bool:
         """Whether its labels are corners in images."""
-        return self.points is None
+        return self.points is None and not self.has_poses
 
     @property
     def point_data(self) -> PointData:
-        """How labels refer to its data; not for those that `has_corners`."""
+        """How labels refer to its data; not for those that `has_corners` or `has_poses`."""
         if self.points is None:
-            raise AssertionError(f"labels of a sensor {self.name} are corners")
+            raise AssertionError(f"labels of a sensor {self.name} are no points")
         return self.points
 
     @property
@@ -172,7 +184,8 @@ DEPTH = Modality(
         noise=("range", "depth_border"),
     ),
 )
-MODALITIES = {modality.name: modality for modality in (RGB, LIDAR3D, LIDAR2D, DEPTH)}
+POSE = Modality("pose", "tracker", "PoseStamped", has_poses=True)
+MODALITIES = {modality.name: modality for modality in (RGB, LIDAR3D, LIDAR2D, DEPTH, POSE)}
 """By name."""
 BORDERS: frozenset[NoiseKind] = frozenset(each.points.noise[1] for each in MODALITIES.values() if each.points)
 """How points on a border err, an angle, in rad."""

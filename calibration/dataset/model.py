@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from calibration.dataset.modalities import Modality
 from calibration.dataset.pattern import Pattern
@@ -85,7 +86,37 @@ class PointLabels:
     """(L,): which of `points` lie on the pattern's physical border: of a 2D LiDAR the ends of its cut."""
 
 
-Labels = CornerLabels | PointLabels
+@dataclass(frozen=True, eq=False)
+class PoseLabels:
+    """The pose that a pattern was measured to have in one collection."""
+
+    T: Array
+    """(4, 4): ``T_sensor_pattern``, of the pattern's frame."""
+
+
+Labels = CornerLabels | PointLabels | PoseLabels
+
+
+def label_arrays(label: Labels) -> tuple[NDArray[Any], ...]:
+    """All that a label says, to be hashed or compared."""
+    match label:
+        case CornerLabels():
+            return label.ids, label.pixels
+        case PointLabels():
+            return label.points, label.limits
+        case PoseLabels():
+            return (label.T,)
+
+
+def label_count(label: Labels) -> int:
+    """How many labels there are: corners, points, or one pose."""
+    match label:
+        case CornerLabels():
+            return len(label.ids)
+        case PointLabels():
+            return len(label.points)
+        case PoseLabels():
+            return 1
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,7 +4,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from calibration.dataset.model import CornerLabels, Dataset, Labels
+from calibration.dataset.model import CornerLabels, Dataset, Labels, label_arrays
 from calibration.errors import InputError
 from calibration.geometry.transforms import distance
 
@@ -52,8 +52,7 @@ def check_copies(dataset: Dataset) -> None:
 
 def _print(label: Labels) -> int:
     """A number that differs, but for chance, where labels do."""
-    arrays = (label.ids, label.pixels) if isinstance(label, CornerLabels) else (label.points, label.limits)
-    return hash(tuple(array.tobytes() for array in arrays))
+    return hash(tuple(array.tobytes() for array in label_arrays(label)))
 
 
 def _pairs(dataset: Dataset, groups: Iterable[list[int]]) -> str:

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from calibration.dataset.model import CornerLabels, Dataset, Labels, PointLabels
+from calibration.dataset.model import CornerLabels, Dataset, Labels, PointLabels, PoseLabels
 from calibration.diagnosis.finding import Finding
 from calibration.errors import CalibrationError
 from calibration.estimation.calibrate import calibrate
@@ -40,7 +40,8 @@ def mirrored(calibration: Calibration | None, description: Dataset, options: Opt
     if options.start != "linear":
         return ()
     now = disagreement(calibration.solution.model).ratio if calibration and calibration.converged else NONE
-    found = [name for name in list(description.sensors)[:SENSORS] if _then(description, name, options) < BETTER * now]
+    tried = [name for name, each in description.sensors.items() if not each.modality.has_poses][:SENSORS]
+    found = [name for name in tried if _then(description, name, options) < BETTER * now]
     if not found:
         return ()
     what = {name: "images" if description.sensors[name].camera else "points" for name in found}
@@ -66,6 +67,8 @@ def with_mirrored(dataset: Dataset, sensor: str) -> Dataset:
     def reflected(label: Labels) -> Labels:
         if isinstance(label, PointLabels):
             return replace(label, points=label.points * (1, -1, 1))
+        if isinstance(label, PoseLabels):
+            return label
         width = camera.width if camera else 0
         return CornerLabels(label.ids, np.stack([width - 1 - label.pixels[:, 0], label.pixels[:, 1]], -1))
 

@@ -4,7 +4,7 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
-from calibration.dataset.model import CornerLabels, Dataset, Edge, Labels, PointLabels
+from calibration.dataset.model import CornerLabels, Dataset, Edge, Labels, PointLabels, PoseLabels
 from calibration.diagnosis.finding import Finding
 from calibration.diagnosis.limits import Limits
 from calibration.geometry.transforms import distance
@@ -83,6 +83,9 @@ def _difference(one: Labels, two: Labels) -> str:
             return f"are {len(one.points)} points, expected the {len(two.points)} that were given"
         off = float(np.abs(one.points - two.points).max(initial=0))
         return f"differ by up to {1e3 * off:.3g} mm" if off > METRES else ""
+    if isinstance(one, PoseLabels) and isinstance(two, PoseLabels):
+        off, turned = (float(each) for each in distance(one.T, two.T))
+        return f"differ by {1e3 * off:.3g} mm, {np.degrees(turned):.2g} deg" if max(off, turned) > METRES else ""
     return "are of another kind"
 
 

@@ -5,7 +5,7 @@ from itertools import combinations
 
 import numpy as np
 
-from calibration.dataset.model import Dataset, Edge, Joint, PointLabels
+from calibration.dataset.model import Dataset, Edge, Joint, PointLabels, PoseLabels
 from calibration.dataset.pattern import Pattern
 from calibration.errors import InputError
 from calibration.estimation.planar_pose import planar_poses
@@ -149,6 +149,8 @@ def _distances(dataset: Dataset) -> Mapping[tuple[str, str], Array]:
             for i, label in dataset.detections(pattern, name):
                 if isinstance(label, PointLabels):
                     away[i] = np.linalg.norm(label.points.mean(0)) if len(label.points) else np.nan
+                elif isinstance(label, PoseLabels):
+                    away[i] = np.linalg.norm(label.T[:3, 3])
                 elif len(label.ids) >= LEAST_CORNERS:
                     pixels[i, label.ids] = label.pixels
             if sensor.camera and sensor.modality.has_corners:

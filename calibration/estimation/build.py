@@ -6,7 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
-from calibration.dataset.model import CornerLabels, Dataset, Edge, Labels, PointLabels, Sensor
+from calibration.dataset.model import CornerLabels, Dataset, Edge, Labels, PointLabels, PoseLabels, Sensor
 from calibration.dataset.pattern import Pattern
 from calibration.errors import InputError, UndeterminedError
 from calibration.estimation.blocks import Block, FreeJoint
@@ -15,13 +15,13 @@ from calibration.estimation.gauge import free_gauge
 from calibration.estimation.holding import held_blocks
 from calibration.estimation.intrinsics import CalibratedIntrinsics
 from calibration.estimation.problem import Problem
-from calibration.estimation.residuals import BorderTerm, RangeTerm
+from calibration.estimation.residuals import BorderTerm, PoseTerm, RangeTerm
 from calibration.estimation.scan import border_rays
 from calibration.estimation.single_views import corner_term
 from calibration.estimation.unknown_intrinsics import intrinsics_blocks
 from calibration.estimation.usable_labels import usable_labels
 from calibration.estimation.views import Chain, Link, Term, ViewGroup
-from calibration.geometry.transforms import inverse
+from calibration.geometry.transforms import inverse, translation
 from calibration.geometry.types import Array, BoolArray, IntArray
 
 
@@ -177,6 +177,10 @@ def _simplified(T: Array | None) -> Array | None:
 def _terms(sensor: Sensor, pattern: Pattern, labels: list[Labels]) -> tuple[Term, ...]:
     corners = [label for label in labels if isinstance(label, CornerLabels)]
     points = [label for label in labels if isinstance(label, PointLabels)]
+    poses = [label.T for label in labels if isinstance(label, PoseLabels)]
+    if poses:
+        measured = np.stack(poses) @ translation(pattern.centre)
+        return PoseTerm(measured, "pose_translation"), PoseTerm(measured, "pose_rotation")
     if not corners:
         return _point_terms(sensor, pattern, points)
     if sensor.camera is None:

@@ -114,7 +114,7 @@ def _solved(dataset: Dataset, started: _Started, options: Options) -> Calibratio
             seen_from_guess = pattern_poses(setup, started.exact)
             patterns = free_patterns(setup)
             values = tuple(seen_from_guess[i] if i in patterns else T for i, T in enumerate(started.guess))
-            result = optimise(setup.problem, values, options.noise_levels, robust)
+            result = optimise(setup.problem, values, options.known_noise(), robust)
             reason = _false_minimum(setup, result, start.values)
     return _result(dataset, setup, result, reason, start.guessed, options)
 
@@ -143,14 +143,14 @@ def initial_values(setup: Setup) -> Values:
 
 def _from_linear_start(setup: Setup, start: Values, options: Options) -> tuple[WeightedOptimum, str]:
     """The optimum from the linear start, or why there is none; with flipped patterns put right it is solved again."""
-    result = optimise(setup.problem, start, options.noise_levels, options.loss == "huber")
+    result = optimise(setup.problem, start, options.known_noise(), options.loss == "huber")
     for _ in range(FLIP_ROUNDS):
         if trouble := _not_reached(setup, result):
             return result, trouble
         values, flipped = _unflipped(setup, result)
         if not len(flipped):
             return result, ""
-        result = optimise(setup.problem, values, options.noise_levels, options.loss == "huber")
+        result = optimise(setup.problem, values, options.known_noise(), options.loss == "huber")
     return result, _trouble(setup, result)
 
 

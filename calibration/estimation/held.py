@@ -120,13 +120,14 @@ def causes(
     found = [
         cause
         for name, each in seen.items()
+        if not each.names.poses
         for cause in _of_sensor(each, assume, free.get(name, ()), assumed=name not in known)
     ]
     cameras = [name for name, each in seen.items() if each.names.camera is not None]
     if len(cameras) > 1 and not free:
         found += _of_all_cameras(cameras, assume)
-    for name in dict.fromkeys(each.pattern.name for each in groups):
-        has_border = any(each.names.camera is None and each.pattern.name == name for each in groups)
+    for name in dict.fromkeys(each.pattern.name for each in groups if not each.names.poses):
+        has_border = any(each.sensor.modality.points is not None and each.pattern.name == name for each in groups)
         found += _of_pattern(name, has_border, assume)
     edges = dict.fromkeys((step.parent, step.child) for each in groups for step in each.path)
     for edge in edges:
@@ -201,7 +202,9 @@ def _combinations(weights: Sequence[Weights], concerns: Callable[[SeenGroup], bo
     """The columns of combinations of a group's own columns, in the groups that are concerned."""
 
     def columns(group: SeenGroup) -> Array | None:
-        return np.concatenate([group.names.selection(each) for each in weights], -1) if concerns(group) else None
+        if group.names.poses or not concerns(group):
+            return None
+        return np.concatenate([group.names.selection(each) for each in weights], -1)
 
     return columns
 
@@ -333,5 +336,7 @@ def seen_groups(dataset: Dataset, groups: Sequence[ViewGroup], poses: Sequence[A
             if not step.inverted:
                 prefixes[step.parent, step.child] = at
         camera = sensor.camera if sensor.modality.has_corners else None
-        found.append(SeenGroup(group, sensor, pattern, T, ColumnNames(camera), path, prefixes))
+        found.append(
+            SeenGroup(group, sensor, pattern, T, ColumnNames(camera, sensor.modality.has_poses), path, prefixes)
+        )
     return found

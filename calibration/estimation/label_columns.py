@@ -15,7 +15,7 @@ import numpy as np
 
 from calibration.dataset.pattern import Pattern
 from calibration.estimation.normal_equations import Weighting
-from calibration.estimation.residuals import BorderTerm
+from calibration.estimation.residuals import BorderTerm, PoseTerm
 from calibration.estimation.views import Term
 from calibration.geometry.cameras import Camera
 from calibration.geometry.types import Array
@@ -38,10 +38,14 @@ class ColumnNames:
 
     camera: Camera | None
     """Of a sensor with corner labels."""
+    poses: bool = False
+    """Whether the labels are poses: whatever errs in them is their noise."""
 
     @cached_property
     def names(self) -> tuple[str, ...]:
         """Of the columns behind those of the pose."""
+        if self.poses:
+            return ()
         own = (*self.camera.parameters, *LENS) if self.camera else RANGING
         return (*own, *SHAPE)
 
@@ -81,6 +85,8 @@ def _columns(term: Term, camera: Camera | None, pattern: Pattern, T: Array, weig
     if camera is not None:
         term = term.seen_with(camera, range(len(camera.parameters)))
     rows = term.rows(T, weighting.scales[term.kind], weighting.huber)
+    if isinstance(term, PoseTerm):
+        return rows.reshape(len(T), rows.shape[1], -1)
     pull, own, residuals = rows[:, :3], rows[:, POSE:-1], rows[:, -1:]
     extra = _lens(own, camera) if camera is not None else _ranging(term, pull, T)
     columns = np.concatenate([rows[:, :POSE], own, extra, _shape(term, pattern, pull, T), residuals], 1)

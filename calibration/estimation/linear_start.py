@@ -23,7 +23,7 @@ from calibration.estimation.blocks import Pose, Values
 from calibration.estimation.build import Setup
 from calibration.estimation.planar_pose import mean_pose
 from calibration.estimation.plane_alignment import align_planes, fit_planes
-from calibration.estimation.residuals import CornerTerm, RangeTerm
+from calibration.estimation.residuals import CornerTerm, PoseTerm, RangeTerm
 from calibration.estimation.robot_world import RobotWorld, solve_robot_world_robustly
 from calibration.estimation.scan_alignment import align_scans, scan_equations
 from calibration.estimation.single_views import robust_poses
@@ -115,7 +115,7 @@ class _Sight:
     counts: IntArray
     """(V,): labels."""
     seen: Array | None
-    """``T_sensor_pattern`` (V, 4, 4) of a camera; NaN where a view gives none."""
+    """``T_sensor_pattern`` (V, 4, 4) of a camera, or measured; NaN where a view gives none."""
     points: RangeTerm | None
     """On the pattern's plane, of a LiDAR or a depth camera."""
 
@@ -135,7 +135,9 @@ class _Sight:
 
 def _sight(group: ViewGroup) -> _Sight:
     term = group.terms[0]
-    seen = robust_poses(term) if isinstance(term, CornerTerm) else None
+    seen = term.measured if isinstance(term, PoseTerm) else None
+    if isinstance(term, CornerTerm):
+        seen = robust_poses(term)
     points = term if isinstance(term, RangeTerm) else None
     return _Sight(group.sensor, group.pattern, group.chain, group.collections, term.counts, seen, points)
 

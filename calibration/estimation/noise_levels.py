@@ -17,10 +17,10 @@ FLOORS: dict[NoiseKind, float] = {kind: 1e-6 if kind == "pixel" else 1e-8 for ki
 """Nothing is labelled better than this (px, m or rad); keeps exact data from weighing infinitely much."""
 INLIERS = 3.0
 """Labels within so many standard deviations make the estimate."""
-# For a squared Gaussian residual of 1 or 2 dimensions: its median, and its mean below INLIERS^2
+# For a squared Gaussian residual of 1, 2 or 3 dimensions: its median, and its mean below INLIERS^2
 # (d P(chi2_{d+2} < c) / P(chi2_d < c), with c = 9), both in squared standard deviations.
-_MEDIAN = {1: 0.4549364, 2: 1.3862944}
-_TRUNCATED_MEAN = {1: 0.9733369, 2: 1.8988755}
+_MEDIAN = {1: 0.4549364, 2: 1.3862944, 3: 2.3659739}
+_TRUNCATED_MEAN = {1: 0.9733369, 2: 1.8988755, 3: 2.7534587}
 
 
 @result
@@ -48,6 +48,13 @@ class NoiseLevels:
         key="lidar2d_border_rad",
         unit="rad",
         default=None,
+    )
+
+    pose_translation: float | None = field(
+        "Of each coordinate of where a pattern was measured to be.", key="pose_translation_m", unit="m", default=None
+    )
+    pose_rotation: float | None = field(
+        "Of how it was measured to be turned, about each axis.", key="pose_rotation_rad", unit="rad", default=None
     )
 
     def given(self) -> dict[NoiseKind, float]:
@@ -85,7 +92,7 @@ def estimate_scales(
 
 
 def _scale(squared: Array, dimension: int, parameters: float, robust: bool) -> float:
-    """The standard deviation per axis, from squared residuals (n,) of 1 or 2 dimensions."""
+    """The standard deviation per axis, from squared residuals (n,) of 1 to 3 dimensions."""
     if not len(squared):
         return 0.0
     freedom = max(1.0, len(squared) * dimension - parameters) / (len(squared) * dimension)

@@ -1,6 +1,7 @@
 """Options of a calibration, declared once: for commands, calibration.yml and the engine."""
 
 import dataclasses
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Literal
@@ -9,7 +10,7 @@ from calibration.estimation.assumptions import EXACT, Assumptions
 from calibration.estimation.intrinsics import CalibratedIntrinsics
 from calibration.estimation.intrinsics_file import read_intrinsics
 from calibration.estimation.noise_levels import NoiseLevels
-from calibration.records import UNIQUE, Converted, Misfit, Place, field, length, record
+from calibration.records import UNIQUE, Converted, Misfit, Place, above, field, length, record
 
 
 def _assumed(found: Literal["exact"] | Assumptions, _: Place) -> Assumptions:
@@ -29,6 +30,14 @@ KnownIntrinsics = Path | Mapping[str, CalibratedIntrinsics]
 
 
 @record
+class PoseNoise:
+    """How exactly poses of patterns were measured."""
+
+    mm: Annotated[float, above(0)] = field("Of each coordinate.", unit="mm")
+    deg: Annotated[float, above(0)] = field("About each axis.", unit="deg")
+
+
+@record
 class Options:
     """How to calibrate."""
 
@@ -44,6 +53,11 @@ class Options:
     )
     noise_levels: NoiseLevels = dataclasses.field(default_factory=NoiseLevels)
     """Standard deviations of the labels; those not given are estimated."""
+    pose_noise: PoseNoise | None = field(
+        "How exactly poses of patterns were measured, where it is known; else the residuals tell.",
+        default=None,
+        option=False,
+    )
     hold: Names = field(
         "What stays as the dataset has it: sensors, transforms (parent-child), patterns, joints (joint-elbow, "
         "joint-elbow-origin_yaw), intrinsics (intrinsics-left, intrinsics-left-k3).",
@@ -88,6 +102,13 @@ class Options:
                 f"assume: found '{given[0].replace('_', '-')}' beside 'intrinsics: all'; what is calibrated is not "
                 f"assumed: leave one of them out (a file of 'intrinsics-covariance' says what is known beforehand)"
             )
+
+    def known_noise(self) -> NoiseLevels:
+        """Standard deviations of the labels that are not to be estimated."""
+        if self.pose_noise is None:
+            return self.noise_levels
+        mm, deg = self.pose_noise.mm, self.pose_noise.deg
+        return dataclasses.replace(self.noise_levels, pose_translation=1e-3 * mm, pose_rotation=math.radians(deg))
 
     def known_intrinsics(self) -> Mapping[str, CalibratedIntrinsics]:
         """How well intrinsics are known beforehand, by camera.

@@ -12,11 +12,12 @@ import threading
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import ClassVar, Self
+from typing import ClassVar, Literal, Self
 
 import numpy as np
 
 from calibration.dataset.modalities import NoiseKind
+from calibration.geometry import rotations
 from calibration.geometry.cameras import Camera
 from calibration.geometry.types import Array, BoolArray, IntArray
 
@@ -395,6 +396,74 @@ class BorderTerm(_Rays):
         signed = np.einsum("si,vil->vls", self.normals, local) - self.offsets
         side = np.abs(signed).argmin(-1)
         return np.take_along_axis(signed, side[..., None], -1)[..., 0], side
+
+
+@dataclass(frozen=True, eq=False)
+class PoseTerm:
+    """Measured poses of a pattern: how far it is from there, or how far it is turned, along the sensor's axes.
+
+    The two are terms of their own, since they err by different amounts.
+    """
+
+    measured: Array
+    """(V, 4, 4): ``T_sensor_pattern``, of the pattern's centre."""
+    kind: Literal["pose_translation", "pose_rotation"]
+    dimension: ClassVar[int] = 3
+
+    @cached_property
+    def counts(self) -> IntArray:
+        """(V,): one label in each view."""
+        return np.ones(len(self.measured), int)
+
+    def take(self, views: IntArray | slice) -> Self:
+        """Only some of the views."""
+        return replace(self, measured=self.measured[views])
+
+    def seen_with(self, camera: Camera, free: Sequence[int]) -> Self:
+        """See `calibration.estimation.views.Term`; a pose has no intrinsics."""
+        return self
+
+    def linearise(self, T: Array, scale: float, huber: float | None) -> Linearised:
+        """See `calibration.estimation.views.Term`."""
+        cost, rows = self._weighted_rows(T, scale, huber)
+        return cost, *_squeezed(rows)
+
+    def rows(self, T: Array, scale: float, huber: float | None) -> Array:
+        """See `calibration.estimation.views.Term`."""
+        return self._weighted_rows(T, scale, huber)[1][..., None]
+
+    def places(self, T: Array) -> Array:
+        """See `calibration.estimation.views.Term`: the pattern's centre."""
+        return np.zeros((len(T), 3, 1))
+
+    def magnitudes(self, T: Array) -> Array:
+        """(V, 1): the distance in m, or the angle in rad."""
+        norms: Array = np.linalg.norm(self._residuals(T), axis=-1, keepdims=True)
+        return norms
+
+    def _residuals(self, T: Array) -> Array:
+        """(V, 3): m, or a rotation vector, in the sensor's frame."""
+        if self.kind == "pose_translation":
+            return np.asarray(T[:, :3, 3] - self.measured[:, :3, 3])
+        return rotations.log(T[:, :3, :3] @ np.swapaxes(self.measured[:, :3, :3], 1, 2))
+
+    def _weighted_rows(self, T: Array, scale: float, huber: float | None) -> tuple[Array, Array]:
+        """Cost (V,) and rows (V, 7, 3).
+
+        A twist (dt, dw) moves t by ``dt + dw x t``. It changes a rotation vector r by ``dw`` to first order in r, and
+        along r exactly: the gradient has no error.
+        """
+        residuals = self._residuals(T)
+        rows = np.zeros((len(T), 7, 3))
+        if self.kind == "pose_translation":
+            rows[:, :3] = np.eye(3)
+            rows[:, 3:6] = rotations.hat(T[:, :3, 3])  # transposed: - hat(t)
+        else:
+            rows[:, 3:6] = np.eye(3)
+        rows[:, 6] = residuals
+        rows /= scale
+        cost, weight = robust((rows[:, 6] ** 2).sum(-1, keepdims=True), huber)
+        return cost, rows if weight is None else rows * weight[:, None]
 
 
 GRAZING = 0.05

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from calibration.dataset.modalities import Modality
-from calibration.dataset.model import CornerLabels, Dataset, Labels
+from calibration.dataset.model import CornerLabels, Dataset, Labels, PointLabels, PoseLabels
 from calibration.errors import InputError, UndeterminedError
 from calibration.estimation.planar_pose import planar_poses
 
@@ -64,16 +64,18 @@ def usable_labels(dataset: Dataset) -> tuple[Dataset, tuple[str, ...]]:
 
 
 def _seen_by_cameras(labels: Mapping[tuple[str, str], Labels]) -> set[str]:
-    """The patterns of which there are corners."""
-    return {pattern for (pattern, _), label in labels.items() if isinstance(label, CornerLabels)}
+    """The patterns of which there are corners, or poses: what a camera has seen, or a software in its place."""
+    return {pattern for (pattern, _), label in labels.items() if isinstance(label, CornerLabels | PoseLabels)}
 
 
 def _too_few(label: Labels, modality: Modality) -> str:
     """Why labels are too few to tell what a view of a sensor can tell, or nothing."""
     if isinstance(label, CornerLabels):
         count, minimum, what = len(label.ids), MINIMUM_CORNERS, "corners"
-    else:
+    elif isinstance(label, PointLabels):
         count, minimum, what = len(label.points), modality.point_data.minimum, "points"
+    else:
+        return ""
     return f"{count} {what}, at least {minimum} are needed" if count < minimum else ""
 
 

@@ -81,7 +81,7 @@ class Term(Protocol):
 
     @property
     def dimension(self) -> int:
-        """Residuals per label: 2 for a corner (its two axes go together), 1 for a distance."""
+        """Residuals per label: 2 for a corner (its axes go together), 1 for a distance, 3 for a half of a pose."""
 
     @property
     def counts(self) -> IntArray:

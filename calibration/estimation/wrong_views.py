@@ -30,14 +30,14 @@ from calibration.estimation.normal_equations import Weighting
 from calibration.estimation.optimisation import HUBER, unflipped
 from calibration.estimation.plane_alignment import fit_planes
 from calibration.estimation.problem import Problem
-from calibration.estimation.residuals import CornerTerm, RangeTerm
+from calibration.estimation.residuals import CornerTerm, PoseTerm, RangeTerm
 from calibration.estimation.result import DroppedView
 from calibration.estimation.single_views import linear_poses, robust_poses
 from calibration.estimation.views import Term, ViewGroup
 from calibration.geometry.transforms import distance
 from calibration.geometry.types import Array, BoolArray, IntArray
 
-NOTICEABLE: dict[NoiseKind, float] = {"pixel": 1.0, "range": 0.01, "lidar2d_range": 0.01}
+NOTICEABLE: dict[NoiseKind, float] = {"pixel": 1.0, "range": 0.01, "lidar2d_range": 0.01, "pose_translation": 0.01}
 """A view whose labels miss by less than this in the median (px or m) contradicts nothing."""
 ABOVE_NOISE = 4.0
 """Nor does one that misses by less than so many times the noise inside the views."""
@@ -179,7 +179,7 @@ def _tested(setup: Setup, which: tuple[int, ...], values: Values) -> _Verdict | 
         return None
     problem = part.problem
     collections = problem.groups[0].collections
-    points = any(not isinstance(group.terms[0], CornerTerm) for group in problem.groups)
+    points = any(isinstance(group.terms[0], RangeTerm) for group in problem.groups)
     equations = sum(6 if isinstance(g.terms[0], CornerTerm) else 3 for g in problem.groups) - problem.sizes[1]
     if (len(collections) // 2 + 1) * equations < SURPLUS * problem.sizes[0]:
         return None
@@ -396,14 +396,15 @@ def _apart(verdict: _Verdict, collection: int) -> tuple[float, float]:
     """
     problem = verdict.setup.problem
     one = problem.seen_in(np.arange(problem.collections) == collection)
-    camera = max(one.groups, key=lambda group: isinstance(group.terms[0], CornerTerm))
+    camera = max(one.groups, key=lambda group: isinstance(group.terms[0], CornerTerm | PoseTerm))
     other = next((group for group in one.groups if group is not camera), camera)
     values = verdict.values
     if problem.local:
         values = local_poses(replace(verdict.setup, problem=replace(one, groups=(camera,))), values)
     T, term = one.poses(other, values)[0], other.terms[0]
-    if isinstance(term, CornerTerm):
-        t, r = distance(T, robust_poses(term)[0])
+    if isinstance(term, CornerTerm | PoseTerm):
+        seen = robust_poses(term) if isinstance(term, CornerTerm) else term.measured
+        t, r = distance(T, seen[0])
         return float(t), float(r)
     if not isinstance(term, RangeTerm):
         return float("nan"), float("nan")

@@ -56,6 +56,15 @@ def depth_of(dataset: Dataset, name: str) -> tuple[Sensor, Camera]:
     return _with_intrinsics(dataset, name, of_family("depth camera"))
 
 
+def tracker_of(dataset: Dataset, name: str) -> Sensor:
+    """The sensor of this name, whose labels are poses.
+
+    Raises:
+        InputError: the dataset has no such sensor, or its labels are no poses.
+    """
+    return _of_modality(dataset, name, of_family("tracker"))
+
+
 def _with_intrinsics(dataset: Dataset, name: str, modalities: tuple[Modality, ...]) -> tuple[Sensor, Camera]:
     sensor = _of_modality(dataset, name, modalities)
     if sensor.camera is None:

@@ -9,6 +9,7 @@ from calibration.dataset.truth import Truth
 from calibration.errors import InputError
 from calibration.evaluation.annotation import Annotation, annotation_for
 from calibration.evaluation.ground_truth import ground_truth_frame, ground_truth_transform
+from calibration.evaluation.measured_poses import measured_poses
 from calibration.evaluation.range_to_range import depth_to_depth, lidar_to_depth, lidar_to_lidar
 from calibration.evaluation.range_to_rgb import (
     depth_to_rgb,
@@ -69,6 +70,9 @@ KINDS: Mapping[str, Kind] = {
     "single-rgb": Kind(
         (), ("CAMERA", "PATTERN"), lambda dataset, _, names: single_rgb(dataset, _nth(names, 0), _nth(names, 1))
     ),
+    "measured-poses": Kind(
+        ("SENSOR",), _PATTERN, lambda dataset, _, names: measured_poses(dataset, names[0], _nth(names, 1))
+    ),
     "lidar-to-rgb": Kind(("LIDAR", "CAMERA"), _PATTERN, _to_image(lidar_to_rgb)),
     "inter-collection-lidar-to-rgb": Kind(("LIDAR", "CAMERA"), _PATTERN, _to_image(inter_collection_lidar_to_rgb)),
     "depth-to-rgb": Kind(("DEPTH", "CAMERA"), _PATTERN, _to_image(depth_to_rgb)),
@@ -90,7 +94,7 @@ KINDS: Mapping[str, Kind] = {
         ("FRAME",), ("SENSOR",), lambda dataset, truth, names: ground_truth_frame(dataset, truth, *names)
     ),
 }
-"""All tables that ATOM has, by the name of its script."""
+"""All tables that ATOM has, by the name of its script, and that of measured poses, which it does not know."""
 
 
 @dataclass(frozen=True)

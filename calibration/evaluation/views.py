@@ -5,7 +5,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from calibration.dataset.model import Collection, CornerLabels, Dataset
+from calibration.dataset.model import Collection, CornerLabels, Dataset, PoseLabels
 from calibration.dataset.pattern import Pattern
 from calibration.estimation.single_views import corner_term, fitted_poses
 from calibration.evaluation.selection import camera_of
@@ -41,6 +41,23 @@ class CornerViews:
             self.T_camera_pattern[views],
             self.left_out,
         )
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuredViews:
+    """Poses of a pattern as they were measured, V of them."""
+
+    collections: IntArray
+    """(V,): the index of each pose's collection, ascending."""
+    T_camera_pattern: Array
+    """(V, 4, 4)."""
+
+
+def measured_views(dataset: Dataset, sensor: str, pattern: Pattern) -> MeasuredViews:
+    """The labels of a sensor that are poses."""
+    found = [(i, label.T) for i, label in dataset.detections(pattern.name, sensor) if isinstance(label, PoseLabels)]
+    poses = np.array([T for _, T in found]).reshape(-1, 4, 4)
+    return MeasuredViews(np.array([i for i, _ in found], int), poses)
 
 
 def corner_views(dataset: Dataset, sensor: str, pattern: Pattern) -> CornerViews:

@@ -13,7 +13,6 @@ from calibration.records import (
     Place,
     above,
     between,
-    exactly_one,
     excludes,
     field,
     length,
@@ -72,13 +71,15 @@ def _a(kind: PatternKind) -> str:
     return "an aprilgrid" if kind == "aprilgrid" else f"a {kind} board"
 
 
-@record(rules=(exactly_one("target", "type"),))
+@record(rules=(excludes("target", "type"),))
 class PatternDescription:
     """A pattern, as it is printed and as it is mounted."""
 
     name: str
     target: Path | None = field("File that describes it: Kalibr's target YAML, or robot_cal_tools'.", default=None)
-    type: PatternKind | None = field("Its kind.", default=None)
+    type: PatternKind | None = field(
+        "Its kind; of a pattern whose poses are in the samples it need not be known.", default=None
+    )
     columns: Count | None = field(
         "Corners inside, along a row: squares less one. Of an aprilgrid: tags (Kalibr's tagCols).", default=None
     )
@@ -116,14 +117,28 @@ class PatternDescription:
         if self.marker is not None and self.square is not None and self.marker >= self.square:
             raise Misfit(f"found {self.marker:g}, expected less than the square, {self.square:g}", "marker")
 
+    @property
+    def is_printed(self) -> bool:
+        """Whether it is said what to look for in images."""
+        return self.target is not None or self.type is not None
+
+    def check_printed(self) -> None:
+        """Refuse a pattern that cannot be looked for.
+
+        Raises:
+            Misfit: neither its kind nor its file is given.
+        """
+        if not self.is_printed:
+            raise Misfit(f"patterns: '{self.name}': missing key 'type', or 'target'")
+
 
 @record
 class Samples:
     """Poses of a robot arm, one for each image, or for each pose of the pattern."""
 
     file: Path = field(
-        "A list of images and poses (robot_cal_tools), a CSV with x, y, z, qx, qy, qz, qw and image, or the "
-        "samples of easy_handeye2 or MoveIt.",
+        "A list of images and poses (robot_cal_tools), a CSV with x, y, z, qx, qy, qz, qw and image, or pairs of "
+        "poses: the samples of easy_handeye2 or MoveIt, or a CSV with pattern_x ... pattern_qw too.",
     )
     base: Name = field("Frame that the poses are relative to.", default="base_link")
     tool: Name = field("Frame whose poses they are: the flange.", default="tool0")
@@ -174,6 +189,9 @@ class ImportDescription:
         names = [sensor.name for sensor in self.sensors]
         if self.anchored is not None and self.anchored not in names:
             raise Misfit(f"found '{self.anchored}', expected a sensor: {', '.join(names)}", "anchored")
+        if self.bags is not None or self.samples is None:
+            for pattern in self.patterns:
+                pattern.check_printed()
         if self.bags is not None:
             self._check_bags()
             return
@@ -184,6 +202,11 @@ class ImportDescription:
         without = [sensor.name for sensor in self.sensors if sensor.images is None]
         if without and (self.samples is None or len(self.sensors) > 1):
             raise Misfit(f"sensors: '{without[0]}': missing key 'images', a folder or a pattern of files")
+
+    @property
+    def in_hand(self) -> bool:
+        """Whether the arm carries a sensor, not a pattern."""
+        return self.samples is not None and any(each.parent == self.samples.tool for each in self.sensors)
 
     def _check_bags(self) -> None:
         if self.samples is not None or self.pairs is not None:

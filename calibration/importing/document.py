@@ -1,14 +1,14 @@
 """The document of an imported dataset: ATOM's ``dataset.json``, version 3.0."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from calibration.dataset.configuration import Configuration, SensorConfiguration
-from calibration.dataset.edges import transform_documents
+from calibration.dataset.edges import pose_document, transform_documents
 from calibration.dataset.modalities import MODALITIES
 from calibration.dataset.model import Edge
 from calibration.dataset.pattern import pattern_document
@@ -44,6 +44,8 @@ class Imported:
     """(N, 4, 4): of the moments."""
     rough: bool
     """Whether the calibrated transforms are no statement, only a start."""
+    poses: Mapping[tuple[str, str], Array] = field(default_factory=dict)
+    """By sensor and pattern: poses ``T_sensor_pattern`` (N, 4, 4) that were measured at the moments."""
 
     @property
     def seen(self) -> list[list[str]]:
@@ -91,12 +93,18 @@ def dataset_document(of: Imported) -> dict[str, Any]:
                         name: _message(of, name, data_file(name, key, view.file)) for name, view in moment.views.items()
                     },
                     **{name: _range_message(of, name, key, each.view) for name, each in ranges.items()},
+                    **{name: {"header": _header(of, name)} for name, _ in of.poses},
                 },
                 "joints": {},
                 "labels": {
                     pattern: {
                         **{name: label_document(view.found[pattern]) for name, view in moment.views.items()},
                         **{name: _range_label(each.found[pattern]) for name, each in ranges.items()},
+                        **{
+                            name: {"detected": True, "idxs": [pose_document(T[number])]}
+                            for (name, measured), T in of.poses.items()
+                            if measured == pattern
+                        },
                     }
                     for pattern in configuration.patterns
                 },

@@ -111,6 +111,13 @@ def import_data(
     robot = described.robot or config.resolve().parent.name
     patterns = {each.name: pattern_configuration(each, described.world) for each in described.patterns}
     lenses = {each.name: read_lens(each.intrinsics, each.camera) for each in described.sensors if each.intrinsics}
+    if described.samples is not None and not any(each.images for each in described.sensors):
+        samples = read_samples(described.samples.file, described.in_hand)
+        if not any(each.image for each in samples) and samples[0].T_camera_pattern is not None:
+            return _import_poses(described, robot, patterns, samples, output, overwrite)
+    for pattern in described.patterns:
+        if not pattern.is_printed:
+            raise InputError(f"{config}: patterns/{pattern.name}: missing key 'type', or 'target': images are given")
     source = (_from_images if described.bags is None else _from_bags)(described, patterns, lenses)
     with (
         workspace(output, source.identity, text_of, source.decode) as work,
@@ -137,6 +144,44 @@ def import_data(
             write_document(dataset_document(imported), new / FILE_NAME)
             read_dataset(new)
     return _results(imported, recorded)
+
+
+def _import_poses(
+    described: ImportDescription,
+    robot: str,
+    patterns: Mapping[str, PatternConfiguration],
+    samples: Sequence[Sample],
+    output: Path,
+    overwrite: bool,
+) -> ImportResults:
+    """Import pairs of poses, of an arm and of the pattern that a camera saw."""
+    (sensor, *other), (pattern, *more) = described.sensors, patterns
+    if other or more or described.samples is None:
+        raise InputError(
+            f"{samples[0].where}: has poses of one pattern before one sensor, found {len(described.sensors)} sensors "
+            f"and {len(patterns)} patterns in the description"
+        )
+    if sensor.intrinsics is not None:
+        raise InputError(f"{samples[0].where}: found poses, no images: leave out 'intrinsics' of '{sensor.name}'")
+    configuration = _configuration(described, patterns, "pose")
+    arm = {(described.samples.base, described.samples.tool): np.stack([each.T_base_tool for each in samples])}
+    imported = Imported(
+        robot=robot,
+        configuration=configuration,
+        cameras={},
+        estimated=(),
+        moments=[LabelledMoment({}) for _ in samples],
+        ranges=[{} for _ in samples],
+        transforms=_transforms(configuration, arm, len(samples)),
+        rough=True,
+        poses={(sensor.name, pattern): np.stack([T for s in samples if (T := s.T_camera_pattern) is not None])},
+    )
+    with replacing_dataset(output, overwrite) as new:
+        write_document(dataset_document(imported), new / FILE_NAME)
+        read_dataset(new)
+    N = len(samples)
+    found = SensorResult(images=N, labelled=N, corners=0, intrinsics="none", camera={})
+    return ImportResults(robot, N, N, 0, 0.0, {sensor.name: found})
 
 
 @dataclass(frozen=True, eq=False)
@@ -231,9 +276,11 @@ def _identity(patterns: Mapping[str, PatternConfiguration], files: Sequence[Path
     return identity(f"{__version__} {np.__version__} {cv2.__version__} {patterns} {stats}".encode())
 
 
-def _configuration(described: ImportDescription, patterns: Mapping[str, PatternConfiguration]) -> Configuration:
+def _configuration(
+    described: ImportDescription, patterns: Mapping[str, PatternConfiguration], modality: str = "rgb"
+) -> Configuration:
     """What is calibrated: the pose of each sensor on its parent."""
-    sensors = {each.name: _sensor(each, described.world) for each in described.sensors}
+    sensors = {each.name: _sensor(each, described.world, modality) for each in described.sensors}
     mounted = {pattern.parent_link for pattern in patterns.values() if pattern.fixed}
     if described.samples is not None:
         tool = described.samples.tool
@@ -247,9 +294,9 @@ def _configuration(described: ImportDescription, patterns: Mapping[str, PatternC
     return Configuration(world_link=described.world, sensors=sensors, patterns=patterns, anchored_sensor=anchored)
 
 
-def _sensor(described: SensorDescription, world: str) -> SensorConfiguration:
+def _sensor(described: SensorDescription, world: str, modality: str) -> SensorConfiguration:
     parent = described.parent or world
-    return SensorConfiguration(described.name, "rgb", described.link, parent, described.link)
+    return SensorConfiguration(described.name, modality, described.link, parent, described.link)
 
 
 def _moments(
@@ -261,7 +308,7 @@ def _moments(
     if described.samples is None:
         moments = moments_of(pictures, described.pairs)
     else:
-        samples = read_samples(described.samples.file)
+        samples = read_samples(described.samples.file, described.in_hand)
         moments, samples = _at_samples(described, pictures, samples)
         arm[described.samples.base, described.samples.tool] = np.stack([each.T_base_tool for each in samples])
     return moments, _transforms(configuration, arm, len(moments))

@@ -18,6 +18,8 @@ from calibration.dataset.document import Node
 from calibration.importing.description import PatternDescription
 from calibration.yaml_file import read_yaml
 
+NOMINAL = {"kind": "chessboard", "dimension": (2, 2), "size": 0.1}
+"""Of a pattern that is never looked for: what matters of it is its frame."""
 EVEN = 1e-6
 """How far the two sides of a square may differ, relative: patterns here have squares."""
 
@@ -30,6 +32,8 @@ def pattern_configuration(described: PatternDescription, world: str) -> PatternC
     """
     parent = described.parent or world
     printed = _printed(described.target) if described.target else _described(described)
+    if not described.is_printed:
+        printed = NOMINAL
     return PatternConfiguration(
         name=described.name,
         link=described.frame or f"{described.name}_link",

@@ -17,6 +17,7 @@ from calibration.diagnosis.limits import SMALLEST, Limits
 from calibration.errors import InputError
 from calibration.estimation.options import Options
 from calibration.estimation.starting_noise import StartingNoise
+from calibration.evaluation.measured_poses import COLUMNS
 from calibration.importing.document import ESTIMATED, ROUGH
 from calibration.pipeline.matrix.cell import Cell, CellResult, run_cell
 from calibration.pipeline.matrix.matrix import load
@@ -28,6 +29,8 @@ ROOM = 1.5
 """So many times the RMS of today may that of a later recording be."""
 LEAST_RMS = 0.5
 """And this, px, it may always be: the corners of a good camera in bad light."""
+LEAST_POSE = 1e-3
+"""And this, mm and deg, measured poses may always be off by: they are written with so many digits."""
 SIGMAS = 4.0
 """Limits are so many stated standard deviations: a later recording's may be twice as large, and its guard band of two
 still holds. Of halves of recordings of an arm they differ by up to that."""
@@ -89,6 +92,11 @@ def begin(path: Path, root: Path) -> Beginning:
             "    rules:",
             f"      {rule}   # {first.rms_px:.3g} px in this recording, times {ROOM:g}; {_least(LEAST_RMS, 'px')}",
         ]
+    if first.poses is not None:
+        lines.append("    rules:")
+        for column, value in zip(COLUMNS, (first.poses.translation_mm, first.poses.rotation_deg), strict=True):
+            rule = f"- {{column: {column}, row: Averages, max: {nice(max(ROOM * value, LEAST_POSE)):g}}}"
+            lines.append(f"      {rule}   # {value:.3g} in this recording, times {ROOM:g}")
     lines += ["    limits:", *(f"      {key}: {value:g}   # {comments[key]}" for key, value in _set(limits).items())]
     head = (
         "# Written by `calibration init`: what this recording is held to, and every later one in its place.\n"
@@ -130,6 +138,8 @@ def _table(dataset: Dataset) -> tuple[str | None, str]:
     if len(cameras) == 1 and any(pattern.fixed for pattern in dataset.patterns.values()):
         only = cameras[0]
         return f"inter-collection-rgb-to-rgb:{only}:{only}", "each view of the pattern carried to all others by the arm"
+    if trackers := [name for name, kind in kinds.items() if kind == "tracker"]:
+        return f"measured-poses:{trackers[0]}", "the poses as they were measured, against those of the result"
     return None, ""
 
 

@@ -190,6 +190,8 @@ def _text(cells: Sequence[CellResult]) -> str:
     rms = [cell.rms_px for cell in cells if cell.rms_px is not None]
     if rms:
         parts.append(f"{max(rms):.4f} px")
+    if poses := _worst([cell.poses for cell in cells if cell.poses is not None]):
+        parts.append(f"poses off by {', '.join(poses)}")
     parts += _worst([cell.truth for cell in cells if cell.truth is not None])
     passed = sum(cell.verdict == "pass" for cell in cells)
     if cells[0].by_other_method:

@@ -1,6 +1,7 @@
 """Residual terms: their gradient and Hessian against differences, views against each other, what cannot be seen."""
 
 from collections.abc import Callable
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -9,10 +10,10 @@ from hypothesis import strategies as st
 
 from calibration.estimation import residuals
 from calibration.estimation.problem import Term
-from calibration.estimation.residuals import BorderTerm, CornerTerm, RangeTerm, robust
+from calibration.estimation.residuals import BorderTerm, CornerTerm, PoseTerm, RangeTerm, robust
 from calibration.geometry import rotations
 from calibration.geometry.cameras import Camera
-from calibration.geometry.transforms import apply, transform
+from calibration.geometry.transforms import apply, retract, transform
 from calibration.geometry.types import Array
 from tests.estimation.scenes import PINHOLE, WIDE, board, looks
 
@@ -61,12 +62,19 @@ def border(error: float) -> BorderTerm:
     )
 
 
+def measured(kind: Literal["pose_translation", "pose_rotation"], error: float) -> PoseTerm:
+    errors = np.random.default_rng(24).normal(size=(V, 6)) * error
+    return PoseTerm(retract(poses(), errors), kind)
+
+
 TERMS: dict[str, tuple[Callable[[float], Term], float]] = {
     "corners": (lambda e: corners(PINHOLE, e), 0.5),
     "distorted corners": (lambda e: corners(WIDE, e), 0.5),
     "partial views": (lambda e: corners(WIDE, e, partial=True), 0.5),
     "ranges": (ranges, 0.01),
     "border": (border, 0.005),
+    "measured translation": (lambda e: measured("pose_translation", e), 0.002),
+    "measured rotation": (lambda e: measured("pose_rotation", e), 0.02),
 }
 EVERY_TERM = pytest.mark.parametrize("name", TERMS)
 

@@ -4,7 +4,9 @@ import json
 import random
 from collections.abc import Callable
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import cv2
 import numpy as np
@@ -20,6 +22,7 @@ from calibration.importing.importing import import_data, read_description
 from calibration.importing.samples import read_samples
 from calibration.importing.target_files import pattern_configuration
 from tests.importing.conftest import BOARD, CAMERAS, camera_info, change
+from tests.importing.hand_eye import WRITERS, Samples, simulated
 
 LEFT, RIGHT = CAMERAS
 
@@ -123,7 +126,7 @@ def test_too_few_images_for_intrinsics(stereo: Path, tmp_path: Path) -> None:
 def test_poses_that_are_none(tmp_path: Path, text: str, message: str) -> None:
     (tmp_path / "poses.csv").write_text(text)
     with pytest.raises(InputError) as error:
-        read_samples(tmp_path / "poses.csv")
+        read_samples(tmp_path / "poses.csv", in_hand=True)
     assert message in str(error.value)
 
 
@@ -132,7 +135,14 @@ def test_samples_stay_in_their_folder(tmp_path: Path) -> None:
     (tmp_path / "pose.yaml").write_text("x: 0")
     (tmp_path / "in" / "list.yaml").write_text("- {image: a.jpg, pose: ../pose.yaml}")
     with pytest.raises(InputError, match="expected a file in the folder of this one"):
-        read_samples(tmp_path / "in" / "list.yaml")
+        read_samples(tmp_path / "in" / "list.yaml", in_hand=True)
+
+
+def text_of(write: Callable[[Samples, Path], None]) -> str:
+    """Of a file with three hand-eye samples."""
+    with TemporaryDirectory() as folder:
+        write(simulated(in_hand=True, count=3), Path(folder) / "file")
+        return (Path(folder) / "file").read_text()
 
 
 FILES: dict[str, tuple[str, Callable[[Path], object]]] = {
@@ -148,8 +158,9 @@ FILES: dict[str, tuple[str, Callable[[Path], object]]] = {
         yaml.safe_dump({"sensors": {"left": {"images": "left"}}, "patterns": {"board": BOARD}}),
         read_description,
     ),
-    "poses.csv": ("image,x,y,z,qx,qy,qz,qw\na.jpg,1,2,3,0,0,0,1\n", read_samples),
-    "poses.yaml": ("- {image: a.jpg, pose: poses.yaml}\n", read_samples),
+    "poses.csv": ("image,x,y,z,qx,qy,qz,qw\na.jpg,1,2,3,0,0,0,1\n", partial(read_samples, in_hand=True)),
+    "poses.yaml": ("- {image: a.jpg, pose: poses.yaml}\n", partial(read_samples, in_hand=True)),
+    **{name: (text_of(write), partial(read_samples, in_hand=True)) for name, write in WRITERS.items()},
 }
 
 

@@ -13,7 +13,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from calibration.dataset import truth
-from calibration.dataset.model import CornerLabels, Dataset
+from calibration.dataset.model import CornerLabels, Dataset, label_count
 from calibration.dataset.reading import read_dataset
 from calibration.dataset.writing import write_document
 from calibration.errors import CalibrationError, ExitCode, InputError, WorldError
@@ -259,11 +259,9 @@ def _record(dataset: Dataset, index: int, number: int) -> Record:
     labels, complete = dict.fromkeys(dataset.sensors, 0), dict.fromkeys(corners, False)
     for (pattern, sensor), found in collection.labels.items():
         if isinstance(found, CornerLabels):
-            labels[sensor] += len(found.ids)
             corners[sensor].append(found)
             complete[sensor] |= len(found.ids) == len(dataset.patterns[pattern].corners)
-        else:
-            labels[sensor] += len(found.points)
+        labels[sensor] += label_count(found)
     cells = {
         name: image_cells(sensor.camera, corners[name])
         for name, sensor in dataset.sensors.items()

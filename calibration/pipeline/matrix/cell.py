@@ -35,6 +35,7 @@ from calibration.estimation.options import Loss, Options, Start
 from calibration.estimation.result import CalibratedJoint, Calibration, DroppedView, RejectedLabel
 from calibration.estimation.starting_noise import StartingNoise, with_starting_noise
 from calibration.estimation.wrong_views import without
+from calibration.evaluation import measured_poses
 from calibration.evaluation.reprojection import reprojection
 from calibration.evaluation.specification import Evaluation
 from calibration.evaluation.table import RMS_PIX, Table
@@ -209,6 +210,9 @@ class CellResult:
     loss: str | None = field("huber or linear.", default=None)
     converged: bool = field("Whether an optimum was found.")
     rms_px: float | None = field("Averages of the table, or of the reprojected corners.", unit="px")
+    poses: Deviation | None = field(
+        "Averages of the table of measured poses: how far they are from those of the result.", default=None
+    )
     table: str | None = field("The CSV, relative to the output folder.")
     dataset: str | None = field("The calibrated dataset, relative to the output folder.")
     truth: Deviation | None = field("How far the calibration is from the truth, if that is known.")
@@ -404,8 +408,11 @@ def _written(
         table.write(output / folder / name)
         rms = round(table.average(RMS_PIX), 4) if RMS_PIX in table.columns else None
         result = replace(result, table=f"{folder}/{name}", rms_px=rms)
+        if table.columns == measured_poses.COLUMNS:
+            mm, deg = (round(table.average(column), 4) for column in table.columns)
+            result = replace(result, poses=Deviation(mm, deg))
     if calibration is not None and (system.evaluation is None or result.rms_px is None):
-        result = replace(result, rms_px=round(calibration.rms_px, 4))
+        result = replace(result, rms_px=None if math.isnan(calibration.rms_px) else round(calibration.rms_px, 4))
     result = replace(result, truth=distance_from_truth(judged, system))
     write_dataset(dataset, output / folder, images=False)  # they would weigh more than all the rest
     if calibration is not None and calibration.converged and calibration.intrinsics:

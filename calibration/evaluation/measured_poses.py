@@ -1,0 +1,32 @@
+"""Poses of a pattern as they were measured, against those that follow from a calibration and the pattern's pose."""
+
+import numpy as np
+
+from calibration.dataset.model import Dataset
+from calibration.errors import InputError
+from calibration.evaluation.selection import pattern_of, tracker_of
+from calibration.evaluation.table import COLLECTION, Table
+from calibration.evaluation.views import measured_views
+from calibration.geometry.transforms import distance
+
+COLUMNS = ("Translation (mm)", "Rotation (deg)")
+
+
+def measured_poses(dataset: Dataset, sensor: str, pattern: str | None = None) -> Table:
+    """How far each measured pose is from where the dataset has the pattern, and how far it is turned.
+
+    Args:
+        dataset: with the transforms to evaluate, that of the pattern among them.
+        sensor: whose labels are poses.
+        pattern: which; None where the dataset has one.
+
+    Raises:
+        InputError: no such sensor or pattern, its labels are no poses, or the dataset has no pose of the pattern.
+    """
+    found, board = tracker_of(dataset, sensor), pattern_of(dataset, pattern)
+    views = measured_views(dataset, sensor, board)
+    if not len(views.collections):
+        raise InputError(f"{dataset.path}: '{sensor}' measures no pose of '{board.name}'")
+    seen = dataset.with_collections(views.collections.tolist())
+    off, turned = distance(seen.transform(found.frame, board.link), views.T_camera_pattern)
+    return Table(COLLECTION, COLUMNS, seen.keys, np.stack([1e3 * off, np.degrees(turned)], -1))

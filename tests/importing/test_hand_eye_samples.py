@@ -1,0 +1,146 @@
+"""Pairs of poses, without images, become a verdict."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from calibration.__main__ import main
+from calibration.comparison.methods import METHODS, applicable
+from calibration.dataset.model import Dataset
+from calibration.dataset.reading import read_dataset
+from calibration.errors import InputError
+from calibration.estimation.calibrate import calibrate
+from calibration.estimation.options import Options, PoseNoise
+from calibration.evaluation.specification import parse_evaluation
+from calibration.geometry.transforms import distance, local
+from calibration.importing.importing import import_data
+from tests.importing.conftest import change
+from tests.importing.hand_eye import DEG, MM, WRITERS, X, Y, moveit, simulated, write_import
+
+FRAME = "camera_optical_frame"
+ROUGH = Options(description="rough")
+ALL = {"shah", "li", "tsai", "park", "horaud", "andreff", "daniilidis"}
+
+
+def imported(folder: Path, in_hand: bool, file: str = "pairs.csv", seed: int = 1, noise: float = 1.0) -> Dataset:
+    folder.mkdir(exist_ok=True)
+    config = write_import(folder, simulated(in_hand, seed, noise=noise), file)
+    import_data(config, folder / "out", jobs=1)
+    return read_dataset(folder / "out")
+
+
+@pytest.mark.parametrize("in_hand", [True, False])
+@pytest.mark.parametrize("file", WRITERS)
+def test_every_file_gives_the_true_transforms(tmp_path: Path, file: str, in_hand: bool) -> None:
+    found = calibrate(imported(tmp_path / "it", in_hand, file, noise=1e-3), ROUGH).dataset
+    ends = [("tool0", FRAME, X), ("base_link", "board_link", Y)]
+    if not in_hand:
+        ends = [("tool0", "board_link", X), ("base_link", FRAME, Y)]
+    for parent, child, true in ends:
+        m, rad = (float(v) for v in distance(true, found.transform(parent, child)[0]))
+        assert m < 1e-5
+        assert rad < 1e-5
+
+
+def test_the_noise_is_found_and_the_error_bars_are_as_large_as_the_errors(tmp_path: Path) -> None:
+    """Of 20 recordings: normalised squared errors of 6 degrees of freedom have a mean of 6, within 3.5 sigma."""
+    squares, levels = [], []
+    for seed in range(20):
+        found = calibrate(imported(tmp_path / str(seed), True, seed=seed), ROUGH)
+        edge = ("tool0", FRAME)
+        error = local(found.transforms[edge], X)
+        squares.append(float(error @ np.linalg.solve(found.label_covariances[edge], error)))
+        levels.append((found.noise_levels.pose_translation, found.noise_levels.pose_rotation))
+    assert np.mean(squares) == pytest.approx(6, abs=3.5 * np.sqrt(2 * 6 / 20))
+    np.testing.assert_allclose(np.mean(levels, 0), [1e-3 * MM, np.radians(DEG)], rtol=0.15)
+
+
+def test_a_noise_that_is_stated_is_taken(tmp_path: Path) -> None:
+    dataset = imported(tmp_path / "it", True)
+    one, two = (calibrate(dataset, Options(description="rough", pose_noise=PoseNoise(k * MM, k * DEG))) for k in (1, 2))
+    assert one.noise_levels.pose_translation == 1e-3 * MM
+    edge = ("tool0", FRAME)
+    assert two.label_sigma_mm(edge) == pytest.approx(2 * one.label_sigma_mm(edge), rel=0.02)
+
+
+def test_a_wrong_pair_is_left_out_and_named(tmp_path: Path) -> None:
+    folder = tmp_path / "it"
+    folder.mkdir()
+    samples = simulated(True)
+    samples.seen[[3, 8]] = samples.seen[[8, 3]]
+    import_data(write_import(folder, samples, "pairs.csv"), folder / "out", jobs=1)
+    found = calibrate(read_dataset(folder / "out"), ROUGH)
+    assert [view.collection for view in found.dropped_views] == ["003", "008"]
+    assert float(distance(X, found.transforms["tool0", FRAME])[0]) < 3e-3
+
+
+@pytest.mark.parametrize("in_hand", [True, False])
+def test_other_methods_stand_beside_it(tmp_path: Path, in_hand: bool) -> None:
+    dataset = imported(tmp_path / "it", in_hand)
+    assert {method.name for method in applicable(dataset)} == ALL
+    table = parse_evaluation("measured-poses:camera")
+    ours = table.run(calibrate(dataset, ROUGH).dataset).average("Translation (mm)")
+    for name in ALL:
+        assert table.run(METHODS[name].calibrate(dataset)).average("Translation (mm)") == pytest.approx(ours, rel=0.3)
+
+
+def test_from_the_samples_to_a_verdict(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The three commands of the documentation."""
+    monkeypatch.chdir(tmp_path)
+    write_import(tmp_path, simulated(False), "robot.samples")
+    assert main(["import-data", "--config", "import.yml", "--output", "data/robot"]) == 0
+    assert main(["init", "--dataset", "data/robot"]) == 0
+    file = tmp_path / "calibration.yml"
+    assert yaml.safe_load(file.read_text())["systems"]["robot"]["evaluate"] == "measured-poses:camera"
+    file.write_text(file.read_text() + "    compare: [shah, tsai]\n")
+    capsys.readouterr()
+    assert main(["run", "--jobs", "1"]) == 0
+    shown = capsys.readouterr().out
+    assert [line.split()[0] for line in shown.splitlines() if "poses off by 1." in line] == ["0", "shah", "tsai"]
+    assert main(["accept"]) == 0
+    assert main(["run", "--jobs", "1"]) == 0
+
+
+def test_what_is_wrong_is_said(tmp_path: Path) -> None:
+    folder = tmp_path / "it"
+    folder.mkdir()
+    samples = simulated(True)
+
+    def refused(message: str) -> None:
+        with pytest.raises(InputError, match=message) as caught:
+            import_data(folder / "import.yml", folder / "out", jobs=1)
+        assert "\n" not in str(caught.value)
+
+    write_import(folder, samples, "robot.samples")
+    text = (folder / "robot.samples").read_text()
+    (folder / "robot.samples").write_text(text.replace("calibration_type: ''", "calibration_type: eye_on_base"))
+    refused("found 'eye_on_base', expected 'eye_in_hand' as import.yml has it: the parent of the sensor is the tool")
+    (folder / "robot.samples").write_text(text.replace("tracking:", "optical:", 1))
+    refused("samples/0: missing key 'tracking'")
+
+    write_import(folder, samples, "moveit.yaml")
+    samples.seen[2, 0, 0] += 0.01
+    moveit(samples, folder / "moveit.yaml")
+    refused("2/object_wrt_sensor: found no rigid transform")
+
+    write_import(folder, simulated(True), "pairs.csv")
+    lines = (folder / "pairs.csv").read_text().splitlines()
+    (folder / "pairs.csv").write_text("\n".join([lines[0].replace(",pattern_qw", ""), *lines[1:]]))
+    refused(r"pairs.csv:2: missing column 'pattern_qw', expected pattern_x, .*, pattern_qw")
+    (folder / "pairs.csv").write_text("\n".join([lines[0], lines[1].rpartition(",")[0] + ",nan"]))
+    refused("pairs.csv:2: found 'nan' as pattern_qw, expected a finite number")
+
+    write_import(folder, simulated(True), "pairs.csv")
+    change(folder, "sensors", "other", to={"parent": "tool0"})
+    refused("'camera': missing key 'images'")
+    change(folder, "sensors", "other", to=None)
+    change(folder, "patterns", "other", to={"parent": "base_link"})
+    refused("has poses of one pattern before one sensor, found 1 sensors and 2 patterns")
+    change(folder, "patterns", "other", to=None)
+    change(folder, "sensors", "camera", "intrinsics", to="camera.yaml")
+    (folder / "camera.yaml").write_text("{intrinsics: {fx: 500, fy: 500, cx: 320, cy: 240}}")
+    refused("found poses, no images: leave out 'intrinsics' of 'camera'")
