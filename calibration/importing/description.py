@@ -151,7 +151,10 @@ class Bags:
     files: Annotated[tuple[Path, ...], length(1, 1000)] = field(
         "Bags that follow each other: .bag, .db3, .mcap, or folders with metadata.yaml."
     )
-    robot_description: Path | None = field("URDF of the robot (that of /robot_description).", default=None)
+    robot_description: Path | None = field("URDF or xacro of the robot (that of /robot_description).", default=None)
+    packages: Path | None = field(
+        "Folder in which the packages are looked for that a xacro includes; those above it are found.", default=None
+    )
     every: Annotated[float, above(0, 1e6)] | None = field(
         "A moment every so many seconds, still or not, in place of those at which all stands still.", default=None
     )

@@ -7,13 +7,12 @@ from pathlib import Path, PurePosixPath
 import numpy as np
 
 from calibration.errors import InputError
-from calibration.files import read_bytes
 from calibration.geometry.cameras import Camera
 from calibration.importing.bag import MORE_TYPES, SECOND, Bag, RawMessage
 from calibration.importing.description import ImportDescription, SensorDescription
 from calibration.importing.messages import camera_of, transform_of
 from calibration.importing.motion_log import MotionLog
-from calibration.simulation.description import MAX_BYTES
+from calibration.importing.xacro import read_robot_description
 
 _SENSOR = "sensor_msgs/msg/"
 IMAGES = (f"{_SENSOR}Image", f"{_SENSOR}CompressedImage")
@@ -87,7 +86,7 @@ def survey(bag: Bag, described: ImportDescription) -> Survey:
         else:
             first.setdefault(message.topic, message)
     if described.bags is not None and (urdf := described.bags.robot_description):
-        log.use_robot(read_bytes(urdf, MAX_BYTES, "a robot description"), urdf)
+        log.use_robot(read_robot_description(urdf, described.bags.packages), urdf)
     topics = {}
     for sensor in sensors:
         topic, info = sensor.topic or "", infos.get(sensor.name)

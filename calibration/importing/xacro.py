@@ -1,0 +1,83 @@
+"""Robot descriptions that are made of macros, expanded by the library xacrodoc, without ROS.
+
+A xacro has expressions, which are program text: it is expanded in a process of its own, which has no variables of
+this one's environment, and an end to its time, its memory and what it writes.
+"""
+
+import os
+import subprocess
+import sys
+from importlib.util import find_spec
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from calibration.errors import InputError, WorldError
+from calibration.files import read_bytes
+from calibration.simulation.description import MAX_BYTES
+from calibration.workflow.text import one_line, shorten
+
+ENDING = ".xacro"
+SECONDS, MEMORY = 60, 2 * 1024**3
+"""What the expansion may take: of a processor, and bytes."""
+_CHILD = """
+import resource, sys
+from pathlib import Path
+seconds, memory, most = map(int, sys.argv[4:7])
+resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds))
+resource.setrlimit(resource.RLIMIT_FSIZE, (most, most))
+if sys.platform == "linux":
+    resource.setrlimit(resource.RLIMIT_AS, (memory, memory))
+from xacrodoc import XacroDoc, packages
+if sys.argv[3]:
+    packages.look_in([sys.argv[3]])
+try:
+    text = XacroDoc.from_file(sys.argv[1], resolve_packages=False).to_urdf_string()
+except Exception as error:
+    sys.exit(" ".join(f"{type(error).__name__}: {error}".split()))
+Path(sys.argv[2]).write_text(text)
+"""
+
+
+def read_robot_description(path: Path, packages: Path | None) -> bytes:
+    """A URDF, or what a xacro expands to.
+
+    Args:
+        path: of the file; the name of a xacro ends with ``.xacro``.
+        packages: the folder in which ``$(find PACKAGE)`` is looked for, beside those above the file.
+
+    Raises:
+        InputError: the file cannot be read or expanded, or the folder is none.
+        WorldError: xacrodoc is not installed.
+    """
+    content = read_bytes(path, MAX_BYTES, "a robot description")
+    if packages is not None and not packages.is_dir():
+        raise InputError(f"{packages}: there is no such folder, expected one with the packages of {path.name}")
+    return _expanded(path, packages) if path.name.endswith(ENDING) else content
+
+
+def _expanded(path: Path, packages: Path | None) -> bytes:
+    if find_spec("xacrodoc") is None:
+        raise WorldError(f"{path}: a xacro needs the package xacrodoc: pip install 'calibration-ci[xacro]'")
+    with TemporaryDirectory() as folder:
+        target = Path(folder) / "robot.urdf"
+        words = [str(path.resolve()), str(target), str(packages.resolve()) if packages else ""]
+        try:
+            done = subprocess.run(
+                [sys.executable, "-I", "-c", _CHILD, *words, str(SECONDS), str(MEMORY), str(MAX_BYTES)],
+                env={"PATH": os.defpath, "HOME": folder, "ROS_HOME": folder},
+                cwd=folder,
+                capture_output=True,
+                timeout=2 * SECONDS,
+                check=False,
+            )
+        except subprocess.TimeoutExpired:
+            raise InputError(f"{path}: cannot be expanded in {2 * SECONDS} s") from None
+        if done.returncode != 0:
+            lines = done.stderr.decode(errors="replace").strip().splitlines()
+            ended = (
+                f"it took more than {SECONDS} s or {MAX_BYTES:g} bytes" if done.returncode < 0 else "no reason given"
+            )
+            why = shorten(one_line(lines[-1]), 300) if lines else ended
+            hint = "; its packages are looked for above the file, or in 'packages'" if "ackage" in why else ""
+            raise InputError(f"{path}: this xacro cannot be expanded: {why}{hint}")
+        return read_bytes(target, MAX_BYTES, "an expanded robot description")

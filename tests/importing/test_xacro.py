@@ -1,0 +1,87 @@
+"""Robot descriptions made of macros: expanded as a team's are, and kept from doing harm."""
+
+from pathlib import Path
+
+import pytest
+
+from calibration.dataset.reading import read_dataset
+from calibration.errors import InputError
+from calibration.importing import xacro
+from calibration.importing.importing import import_data
+from calibration.importing.xacro import read_robot_description
+from calibration.simulation.robot import parse_robot
+from tests.importing.arm import ON_FLANGE, SYSTEM, keys, record_arm
+from tests.importing.test_bags import describe, file_of
+
+HEAD = '<robot name="it" xmlns:xacro="http://www.ros.org/wiki/xacro">'
+
+
+def package(folder: Path, name: str, file: str, text: str) -> Path:
+    """Write a file of a ROS package."""
+    (folder / name / "urdf").mkdir(parents=True)
+    (folder / name / "package.xml").write_text(f"<package><name>{name}</name><version>1.0.0</version></package>")
+    (folder / name / "urdf" / file).write_text(text)
+    return folder / name / "urdf" / file
+
+
+def arm_in_packages(folder: Path) -> Path:
+    """riwbot's description as a macro of one package, which a file of another one calls."""
+    urdf = (SYSTEM / "robot.urdf").read_text()
+    body = urdf[urdf.index(">", urdf.index("<robot")) + 1 : urdf.rindex("</robot>")]
+    package(folder, "arm_description", "arm.xacro", f'{HEAD}<xacro:macro name="arm">{body}</xacro:macro></robot>')
+    call = '<xacro:include filename="$(find arm_description)/urdf/arm.xacro"/><xacro:arm/></robot>'
+    return package(folder, "cell_description", "cell.urdf.xacro", HEAD + call)
+
+
+def test_joints_of_a_xacro_move_a_camera(tmp_path: Path) -> None:
+    path = file_of(tmp_path, "db3")
+    record_arm(path, "db3", keys()[:8], urdf=False)
+    arm_in_packages(tmp_path / "src")
+    bags = {"robot-description": "src/cell_description/urdf/cell.urdf.xacro", "packages": "src"}
+    results = import_data(describe(path, patterns={"board": ON_FLANGE}, bags=bags), tmp_path / "out", jobs=1)
+    assert results.collections == 8
+    assert read_dataset(tmp_path / "out").patterns["board"].fixed
+
+
+def test_it_expands_to_the_same_robot(tmp_path: Path) -> None:
+    file = arm_in_packages(tmp_path)
+    found = parse_robot(read_robot_description(file, tmp_path), file)
+    assert [joint.name for joint in found.joints] == [
+        joint.name for joint in parse_robot((SYSTEM / "robot.urdf").read_bytes(), file).joints
+    ]
+
+
+@pytest.mark.parametrize(
+    ("body", "message"),
+    [
+        ('<xacro:include filename="$(find nowhere)/a.xacro"/>', "nowhere.*looked for above the file, or in 'packages'"),
+        ("<link name='${1 / 0}'/>", "division by zero"),
+        ("<link name='${undefined}'/>", "undefined"),
+        ("<link", "not well-formed|no element found|unclosed token"),
+        ("<link name='$(env SECRET)'/>", "SECRET"),
+    ],
+)
+def test_what_cannot_be_expanded_is_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, body: str, message: str
+) -> None:
+    monkeypatch.setenv("SECRET", "hush")
+    file = tmp_path / "robot.urdf.xacro"
+    file.write_text(f"{HEAD}{body}</robot>")
+    with pytest.raises(InputError, match=message) as error:
+        read_robot_description(file, None)
+    assert "hush" not in str(error.value)
+    assert "\n" not in str(error.value)
+    assert str(error.value).startswith(f"{file}: this xacro cannot be expanded: ")
+
+
+def test_an_endless_one_ends(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(xacro, "SECONDS", 2)
+    file = tmp_path / "robot.urdf.xacro"
+    file.write_text(f"{HEAD}<link name='${{sum(1 for _ in range(10**12))}}'/><link name='${{10**(10**9)}}'/></robot>")
+    with pytest.raises(InputError, match="cannot be expanded"):
+        read_robot_description(file, None)
+
+
+def test_a_folder_of_packages_that_is_none(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="there is no such folder, expected one with the packages"):
+        read_robot_description(SYSTEM / "robot.urdf", tmp_path / "nowhere")
