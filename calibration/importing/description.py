@@ -41,6 +41,9 @@ class SensorDescription:
         "Folder of its images, or a pattern such as left/*.png; without it those that samples name.", default=None
     )
     topic: Name | None = field("Topic of its images in a bag.", default=None)
+    modality: Literal["rgb", "depth"] | None = field(
+        "What its images in a bag show: depth where the topic has that word (rgb).", default=None
+    )
     camera_info: Name | None = field("Topic of its intrinsics in a bag (camera_info beside the images).", default=None)
     intrinsics: Path | None = field(
         "File with its intrinsics: ROS's camera_info, Kalibr's camchain, OpenCV's FileStorage, robot_cal_tools'. "
@@ -200,8 +203,8 @@ class ImportDescription:
             return
         if not names:
             raise Misfit("missing key 'sensors'")
-        if topics := [sensor.name for sensor in self.sensors if sensor.topic or sensor.camera_info]:
-            raise Misfit(f"sensors: '{topics[0]}': a topic needs 'bags'")
+        if topics := [each.name for each in self.sensors if each.topic or each.camera_info or each.modality]:
+            raise Misfit(f"sensors: '{topics[0]}': a topic needs 'bags', and so does a modality")
         without = [sensor.name for sensor in self.sensors if sensor.images is None]
         if without and (self.samples is None or len(self.sensors) > 1):
             raise Misfit(f"sensors: '{without[0]}': missing key 'images', a folder or a pattern of files")

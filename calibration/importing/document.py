@@ -39,7 +39,7 @@ class Imported:
     """The cameras whose intrinsics are a start from the corners."""
     moments: Sequence[LabelledMoment]
     ranges: Sequence[Mapping[str, LabelledRange]]
-    """Of the moments: what each LiDAR measured."""
+    """Of the moments: what LiDARs and depth cameras measured."""
     transforms: Mapping[Edge, Array]
     """(N, 4, 4): of the moments."""
     rough: bool

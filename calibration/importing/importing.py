@@ -76,7 +76,7 @@ class Recorded:
     lag: float = 0.0
     """Between the images of a moment, at most, s."""
     ranges: Sequence[Mapping[str, RangeView]] = ()
-    """Of the moments: what each LiDAR measured; empty where there is none."""
+    """Of the moments: what LiDARs and depth cameras measured; empty where there is none."""
 
 
 def read_description(path: Path) -> ImportDescription:
@@ -232,7 +232,7 @@ def _from_bags(
     mounted = mounting(described, patterns, found, where)
     told = {
         name: KnownLens(bags.files[0], camera.camera, has_size=True)
-        for name, camera in found.cameras.items()
+        for name, camera in found.sensors.items()
         if camera.camera is not None
     }
 
@@ -366,6 +366,8 @@ def _imported(robot: str, recorded: Recorded) -> Imported:
     cameras: dict[str, Camera] = {}
     configuration, moments = recorded.configuration, recorded.moments
     for name, sensor in configuration.sensors.items():
+        if sensor.modality == "depth":
+            cameras[name] = recorded.lenses[name].camera
         if sensor.modality != "rgb":
             continue
         views = [moment.views[name] for moment in moments if name in moment.views]
@@ -391,17 +393,17 @@ def _imported(robot: str, recorded: Recorded) -> Imported:
 
 
 def _ranges(recorded: Recorded, cameras: Mapping[str, Camera]) -> Sequence[Mapping[str, LabelledRange]]:
-    """What the LiDARs see of the patterns.
+    """What LiDARs and depth cameras see of the patterns.
 
     Raises:
         InputError: one sees none at any moment.
     """
     configuration = recorded.configuration
-    lidars = [name for name, sensor in configuration.sensors.items() if sensor.modality != "rgb"]
-    if not lidars:
+    measuring = [name for name, sensor in configuration.sensors.items() if sensor.modality != "rgb"]
+    if not measuring:
         return [{} for _ in recorded.moments]
     ranges = labelled_ranges(recorded.ranges, recorded.moments, configuration, cameras, recorded.transforms)
-    for name in lidars:
+    for name in measuring:
         found = [each for own in ranges if name in own for each in own[name].found.values()]
         if not any(isinstance(each, PatternPoints) for each in found):
             reasons = Counter(each.reason for each in found if isinstance(each, NotDetected)).most_common(1)
@@ -448,7 +450,10 @@ def _camera(name: str, lens: KnownLens | None, configuration: Configuration, vie
 def _results(imported: Imported, recorded: Recorded) -> ImportResults:
     labelled = recorded.moments
     sensors = {}
-    for name in imported.cameras:
+    for name, configured in imported.configuration.sensors.items():
+        if configured.modality != "rgb":
+            sensors[name] = _range_result([each[name] for each in imported.ranges if name in each])
+            continue
         views = [moment.views[name] for moment in labelled if name in moment.views]
         rejected = [
             RejectedView(view.file, "; ".join(dict.fromkeys(found.reason for found in view.found.values())))
@@ -464,9 +469,6 @@ def _results(imported: Imported, recorded: Recorded) -> ImportResults:
             camera=document_of_camera(imported.cameras[name]),
             rejected=tuple(rejected),
         )
-    for name in imported.configuration.sensors:
-        if name not in sensors:
-            sensors[name] = _lidar_result([each[name] for each in imported.ranges if name in each])
     together = sum(1 for seen in imported.seen if len(seen) > 1)
     lag = round(1e3 * recorded.lag, 3)
     return ImportResults(imported.robot, len(labelled), len(imported.moments), together, lag, sensors)
@@ -477,7 +479,7 @@ def document_of_camera(camera: Camera) -> dict[str, float]:
     return dict(zip(camera.parameters, camera.intrinsics.tolist(), strict=True))
 
 
-def _lidar_result(views: Sequence[LabelledRange]) -> SensorResult:
+def _range_result(views: Sequence[LabelledRange]) -> SensorResult:
     found = [each for view in views for each in view.found.values()]
     points = [each for each in found if isinstance(each, PatternPoints)]
     missed = [each for each in found if isinstance(each, NotDetected)]

@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from calibration.dataset.depth_image import NO_RETURN, UNIT
 from calibration.dataset.document import Node
 from calibration.dataset.edges import FAR, QUATERNION_TOLERANCE
 from calibration.dataset.model import Edge
@@ -17,7 +18,7 @@ from calibration.geometry.cameras import Camera
 from calibration.geometry.transforms import from_quaternion
 from calibration.geometry.types import Array
 from calibration.importing.looking import MAX_PIXELS, decoded_image
-from calibration.labelling.detection import Image
+from calibration.labelling.detection import DepthImage, Image
 
 _COLOURS = {
     "bgr8": None,
@@ -42,6 +43,8 @@ _COLOURS = {
     "yuyv": cv2.COLOR_YUV2BGR_YUY2,
 }
 """Encodings of an Image, and how OpenCV makes blue, green, red of them."""
+DEPTHS = {"16UC1": ("u2", 1e-3), "mono16": ("u2", 1e-3), "32FC1": ("f4", 1.0)}
+"""Encodings of depth images: how they hold numbers, and what these count in, m."""
 _CHANNELS = {"bgra8": 4, "rgba8": 4, "8UC4": 4, "bgr8": 3, "rgb8": 3, "8UC3": 3, "bgr16": 3, "rgb16": 3}
 _TWO_BYTES = frozenset({"mono16", "16UC1", "bgr16", "rgb16"})
 
@@ -54,9 +57,8 @@ def image_of(message: Any, where: str) -> Image:
     Raises:
         InputError: its encoding is not known, or its data are cut off.
     """
-    data = np.frombuffer(bytes(message.data), np.uint8)
     if not hasattr(message, "encoding"):
-        return decoded_image(data.tobytes(), f"{where} ({message.format})")
+        return decoded_image(bytes(message.data), f"{where} ({message.format})")
     encoding, height, width = message.encoding, message.height, message.width
     if encoding not in _COLOURS:
         raise InputError(f"{where}: found the encoding '{encoding}', expected one of {', '.join(_COLOURS)}")
@@ -64,15 +66,7 @@ def image_of(message: Any, where: str) -> Image:
         raise InputError(f"{where}: found an image of {width} x {height} pixels")
     size = 2 if encoding in _TWO_BYTES else 1
     channels = _CHANNELS.get(encoding, 2 if "yu" in encoding else 1)
-    row = width * channels * size
-    if message.step < row or len(data) < message.step * (height - 1) + row:
-        raise InputError(
-            f"{where}: found {len(data)} bytes in rows of {message.step}, expected {height} rows of {row} or more"
-        )
-    padded = np.zeros(message.step * height, np.uint8)
-    padded[: min(len(data), len(padded))] = data[: len(padded)]
-    rows = padded.reshape(height, message.step)[:, :row]
-    pixels: NDArray[Any] = np.ascontiguousarray(rows)
+    pixels: NDArray[Any] = _rows(message, width * channels * size, where)
     if size == 2:
         order = ">u2" if message.is_bigendian else "<u2"
         pixels = (pixels.view(order) >> 8).astype(np.uint8)
@@ -86,6 +80,47 @@ def image_of(message: Any, where: str) -> Image:
         raise InputError(
             f"{where}: an image of {width} x {height} in {encoding} cannot be decoded: {error.err}"
         ) from None
+
+
+def depth_of(message: Any, where: str) -> DepthImage:
+    """A depth Image as a dataset has them (`calibration.dataset.depth_image`): (H, W), in tenths of a millimetre.
+
+    Raises:
+        InputError: its encoding is none of depth, or its data are cut off.
+    """
+    encoding, height, width = getattr(message, "encoding", "a CompressedImage"), *_size(message)
+    if encoding not in DEPTHS:
+        raise InputError(f"{where}: found the encoding '{encoding}', expected one of depth: {', '.join(DEPTHS)}")
+    kind, metres = DEPTHS[encoding]
+    if not 0 < height * width <= MAX_PIXELS:
+        raise InputError(f"{where}: found an image of {width} x {height} pixels")
+    order = np.dtype(kind).newbyteorder(">" if message.is_bigendian else "<")
+    rows = _rows(message, width * order.itemsize, where).view(order)
+    with np.errstate(invalid="ignore", over="ignore"):
+        counts = np.rint(rows.astype(float) * (metres / UNIT))
+        measured = (counts > 0) & (counts < NO_RETURN)
+    return np.where(measured, counts, NO_RETURN).astype(np.uint16)
+
+
+def _size(message: Any) -> tuple[int, int]:
+    return int(getattr(message, "height", 0)), int(getattr(message, "width", 0))
+
+
+def _rows(message: Any, row: int, where: str) -> NDArray[np.uint8]:
+    """The bytes (H, row) of an Image, whose rows may be longer.
+
+    Raises:
+        InputError: there are fewer.
+    """
+    data = np.frombuffer(bytes(message.data), np.uint8)
+    height = int(message.height)
+    if message.step < row or len(data) < message.step * (height - 1) + row:
+        raise InputError(
+            f"{where}: found {len(data)} bytes in rows of {message.step}, expected {height} rows of {row} or more"
+        )
+    padded = np.zeros(message.step * height, np.uint8)
+    padded[: min(len(data), len(padded))] = data[: len(padded)]
+    return np.ascontiguousarray(padded.reshape(height, message.step)[:, :row])
 
 
 def camera_of(message: Any, where: str) -> Camera | None:

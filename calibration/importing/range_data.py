@@ -1,18 +1,21 @@
-"""Clouds and scans of LiDARs in a recording, and the pattern in them: where a camera of the same moment sees it."""
+"""Clouds, scans and depth images in a recording, and the pattern in them: where a camera of the same moment sees it."""
 
 import base64
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from calibration.dataset.configuration import Configuration
+from calibration.dataset.depth_image import read_depth_image
 from calibration.dataset.document import Node
 from calibration.dataset.laser_scan import read_scan
 from calibration.dataset.model import Edge
+from calibration.dataset.pattern import Pattern
 from calibration.dataset.pointcloud import decode_message, read_points
 from calibration.errors import InputError
 from calibration.geometry.cameras import Camera
@@ -20,6 +23,7 @@ from calibration.geometry.frames import FrameTree
 from calibration.geometry.transforms import inverse
 from calibration.geometry.types import Array
 from calibration.importing.looking import LabelledMoment
+from calibration.labelling.depth import label_depth
 from calibration.labelling.detection import NotDetected
 from calibration.labelling.points import PatternPoints, label_points
 from calibration.labelling.scan_line import label_scan_line
@@ -32,12 +36,12 @@ MAX_POINTS = 20_000_000
 
 @dataclass(frozen=True, eq=False)
 class RangeView:
-    """What a LiDAR measured at one moment."""
+    """What a LiDAR or a depth camera measured at one moment."""
 
     message: Mapping[str, Any]
     """As the dataset holds it, but for the name of its file."""
     file: Path | None
-    """Of a cloud; the ranges of a scan stand in the message."""
+    """Of a cloud or a depth image; the ranges of a scan stand in the message."""
 
     @property
     def points(self) -> Array:
@@ -49,7 +53,7 @@ class RangeView:
 
 @dataclass(frozen=True, eq=False)
 class LabelledRange:
-    """What a LiDAR measured at one moment, and the patterns in it."""
+    """What a LiDAR or a depth camera measured at one moment, and the patterns in it."""
 
     view: RangeView
     found: Mapping[str, PatternPoints | NotDetected]
@@ -106,14 +110,14 @@ def labelled_ranges(
     cameras: Mapping[str, Camera],
     transforms: Mapping[Edge, Array],
 ) -> list[dict[str, LabelledRange]]:
-    """The patterns in the data of every LiDAR at N moments.
+    """The patterns in the data of every LiDAR and depth camera at N moments.
 
     Args:
-        views: what each LiDAR measured, by its name.
+        views: what each of them measured, by its name.
         moments: what the cameras saw.
         configuration: the sensors and the patterns.
-        cameras: the intrinsics.
-        transforms: (N, 4, 4) of each edge; they tell where a LiDAR may expect what a camera sees.
+        cameras: the intrinsics, of depth cameras too.
+        transforms: (N, 4, 4) of each edge; they tell where it may expect what a camera sees.
     """
     tree = FrameTree(transforms)
     place = {
@@ -127,7 +131,10 @@ def labelled_ranges(
             for pattern in configuration.patterns
         }
         labelled.append(
-            {name: _labelled(name, view, guesses, configuration, place[name][i]) for name, view in ranges.items()}
+            {
+                name: _labelled(name, view, guesses, configuration, place[name][i], cameras.get(name))
+                for name, view in ranges.items()
+            }
         )
     return labelled
 
@@ -149,15 +156,30 @@ def _seen_by_cameras(
 
 
 def _labelled(
-    name: str, view: RangeView, guesses: Mapping[str, Array | None], configuration: Configuration, T_world_sensor: Array
+    name: str,
+    view: RangeView,
+    guesses: Mapping[str, Array | None],
+    configuration: Configuration,
+    T_world_sensor: Array,
+    camera: Camera | None,
 ) -> LabelledRange:
-    points = view.points
     found: dict[str, PatternPoints | NotDetected] = {}
-    label = label_points if configuration.sensors[name].modality == "lidar3d" else label_scan_line
+    label = _labelling(configuration.sensors[name].modality, view, camera)
     for pattern, T_world_pattern in guesses.items():
         if T_world_pattern is None:
             found[pattern] = NotDetected("no camera sees it at that moment")
         else:
             own = configuration.patterns[pattern].pattern()
-            found[pattern] = label(points, own, inverse(T_world_sensor) @ T_world_pattern)
+            found[pattern] = label(own, inverse(T_world_sensor) @ T_world_pattern)
     return LabelledRange(view, found)
+
+
+def _labelling(
+    modality: str, view: RangeView, camera: Camera | None
+) -> Callable[[Pattern, Array], PatternPoints | NotDetected]:
+    """How a pattern is found in what a sensor measured, from its geometry and where it is expected."""
+    if modality != "depth":
+        return partial(label_points if modality == "lidar3d" else label_scan_line, view.points)
+    if camera is None or view.file is None:
+        raise AssertionError("a depth camera has intrinsics, and its images are files")
+    return partial(label_depth, read_depth_image(view.file, camera).depth, camera)

@@ -22,18 +22,18 @@ from calibration.geometry.types import Array
 from calibration.importing.bag import SECOND, Bag, RawMessage, open_bag
 from calibration.importing.description import Bags, ImportDescription, SensorDescription
 from calibration.importing.looking import LabelledMoment, View, look_at
-from calibration.importing.messages import image_of
+from calibration.importing.messages import depth_of, image_of
 from calibration.importing.motion_log import MotionLog
 from calibration.importing.range_data import RangeView, cloud_message, cloud_of, scan_message
 from calibration.importing.stillness import Frame, StillMoment, moments_at, still_moments, thinned
 from calibration.importing.survey import SensorTopic, Survey
-from calibration.labelling.detection import CornerDetector, Image
+from calibration.labelling.detection import CornerDetector, DepthImage, Image
 from calibration.records import field, read, result
 
 AT_ONCE = 40
 """Images that one process looks at before its work is kept."""
 LIDAR_LAG = 0.2
-"""A LiDAR that turns needs 0.1 s for one cloud, and nothing moves meanwhile."""
+"""s: a LiDAR that turns needs 0.1 s for one cloud, and nothing moves meanwhile."""
 MAX_TIMES = 1_000_000
 
 
@@ -170,7 +170,7 @@ def taken_out(
 def ranges_taken_out(
     files: Sequence[Path], found: Survey, moments: Sequence[StillMoment], folder: Path
 ) -> list[dict[str, RangeView]]:
-    """What each LiDAR measured nearest to each moment, and not farther than `LIDAR_LAG`; clouds as files in a folder.
+    """What LiDARs and depth cameras measured nearest to each moment, within `LIDAR_LAG`; all but scans as files.
 
     Raises:
         InputError: the bag is damaged, or a message is wrong.
@@ -178,7 +178,7 @@ def ranges_taken_out(
     """
     views: list[dict[str, RangeView]] = [{} for _ in moments]
     with open_bag(files) as bag:
-        for name, lidar in found.lidars.items():
+        for name, lidar in found.range_sensors.items():
             recorded = np.array(list(lidar.stamps))
             stamps = np.array(list(lidar.stamps.values()))
             for own, moment in zip(views, moments, strict=True):
@@ -193,6 +193,17 @@ def _range_view(bag: Bag, name: str, lidar: SensorTopic, recorded: int, folder: 
         content, where = bag.decode(message), _where(bag, message)
         if lidar.modality == "lidar2d":
             return RangeView(scan_message(content, where), None)
+        if lidar.modality == "depth":
+            depth, file = depth_of(content, where), folder / f"{name.replace('/', '_')}_{recorded}.png"
+            height, width = depth.shape
+            if (known := lidar.camera) is not None and (known.width, known.height) != (width, height):
+                raise InputError(
+                    f"{where}: found a depth image of {width} x {height} pixels, expected {known.width} x "
+                    f"{known.height} as camera_info has for '{name}'"
+                )
+            _write_png(depth, file)
+            size = {"height": height, "width": width, "step": 2 * width}
+            return RangeView({**size, "encoding": "16UC1", "is_bigendian": 0}, file)
         points, path = cloud_of(content, where), folder / f"{name.replace('/', '_')}_{recorded}.pcd"
         write_points(path, points)
         return RangeView(cloud_message(points), path)
@@ -216,7 +227,10 @@ def _image_at(bag: Bag, topic: str, recorded: int) -> Image:
 
 
 def _take_out(bag: Bag, camera: SensorTopic, frame: Frame, path: Path) -> None:
-    image = _image_at(bag, camera.topic, frame.recorded)
+    _write_png(_image_at(bag, camera.topic, frame.recorded), path)
+
+
+def _write_png(image: Image | DepthImage, path: Path) -> None:
     done, data = cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 1])
     if not done:
         raise AssertionError("OpenCV cannot write .png")

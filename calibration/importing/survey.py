@@ -52,8 +52,8 @@ class Survey:
         return {name: each for name, each in self.sensors.items() if each.modality == "rgb"}
 
     @property
-    def lidars(self) -> Mapping[str, SensorTopic]:
-        """Those with clouds or scans."""
+    def range_sensors(self) -> Mapping[str, SensorTopic]:
+        """Those with clouds, scans or depth images."""
         return {name: each for name, each in self.sensors.items() if each.modality != "rgb"}
 
 
@@ -67,10 +67,10 @@ def survey(bag: Bag, described: ImportDescription) -> Survey:
     sensors = described.sensors or _found(bag)
     for sensor in sensors:
         _check_topic(bag, sensor)
-    kinds = {sensor.name: MODALITIES[bag.topics[sensor.topic or ""]] for sensor in sensors}
+    kinds = {sensor.name: _modality(bag, sensor) for sensor in sensors}
     if "rgb" not in kinds.values():
         raise InputError(f"{bag.path}: found no camera among the sensors, expected one that sees where the pattern is")
-    own = [sensor for sensor in sensors if sensor.intrinsics is None and kinds[sensor.name] == "rgb"]
+    own = [sensor for sensor in sensors if sensor.intrinsics is None and kinds[sensor.name] in ("rgb", "depth")]
     infos = {sensor.name: _info_topic(bag, sensor) for sensor in own}
     of_topic = {sensor.topic or "": sensor.name for sensor in sensors}
     first: dict[str, RawMessage] = {}
@@ -94,6 +94,11 @@ def survey(bag: Bag, described: ImportDescription) -> Survey:
             raise InputError(f"{bag.path}: {topic}: found no message, expected the data of '{sensor.name}'")
         frame = sensor.frame or str(bag.decode(first[topic]).header.frame_id).lstrip("/") or sensor.link
         camera = None if info is None or info not in first else _camera(bag, first[info])
+        if kinds[sensor.name] == "depth" and sensor.intrinsics is None and camera is None:
+            raise InputError(
+                f"{bag.path}: found no camera_info for the depth images of {topic}, expected one beside them, or "
+                f"'intrinsics' of '{sensor.name}'; topics of that type: {', '.join(bag.of_type(INFO)) or 'none'}"
+            )
         topics[sensor.name] = SensorTopic(sensor, topic, kinds[sensor.name], frame, stamps[sensor.name], camera)
     _check_overlap(bag, list(topics.values()))
     return Survey(topics, log)
@@ -103,7 +108,7 @@ def _found(bag: Bag) -> tuple[SensorDescription, ...]:
     """Every topic of images, but depth, and but one where the same images are there raw and compressed."""
     raw, compressed = bag.of_type(IMAGES[0]), bag.of_type(IMAGES[1])
     topics = [*raw, *(topic for topic in compressed if str(PurePosixPath(topic).parent) not in raw)]
-    topics = [topic for topic in topics if "depth" not in topic.lower()]
+    topics = [topic for topic in topics if not _is_depth(topic)]
     if not topics:
         kinds = ", ".join(f"{topic} ({kind})" for topic, kind in bag.topics.items()) or "none"
         raise InputError(f"{bag.path}: found no topic of images, expected one; topics: {kinds}")
@@ -122,6 +127,18 @@ def _check_topic(bag: Bag, sensor: SensorDescription) -> None:
             f"{bag.path}: {said}, expected the data of '{sensor.name}'; topics of cameras and LiDARs: "
             f"{', '.join(known) or 'none'}"
         )
+
+
+def _modality(bag: Bag, sensor: SensorDescription) -> str:
+    """By the type of its messages, and the name of its topic where they are images."""
+    kind = MODALITIES[bag.topics[sensor.topic or ""]]
+    if kind != "rgb":
+        return kind
+    return sensor.modality or ("depth" if _is_depth(sensor.topic or "") else "rgb")
+
+
+def _is_depth(topic: str) -> bool:
+    return "depth" in topic.lower()
 
 
 def _info_topic(bag: Bag, sensor: SensorDescription) -> str | None:

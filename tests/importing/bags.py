@@ -78,6 +78,24 @@ class BagFile:
             )
         self.write(topic, stamp + late, content)
 
+    def depth(self, topic: str, stamp: int, metres: Array, frame: str, encoding: str) -> None:
+        """Write a depth image (H, W), m, NaN where there is nothing: millimetres in 16UC1, big endian, or 32FC1."""
+        if encoding == "16UC1":
+            pixels = np.where(np.isnan(metres), 0, np.rint(1000 * metres)).astype(">u2")
+        else:
+            pixels = metres.astype("<f4")
+        content = self.make(
+            "sensor_msgs/msg/Image",
+            header=self.header(frame, stamp),
+            height=metres.shape[0],
+            width=metres.shape[1],
+            encoding=encoding,
+            is_bigendian=int(encoding == "16UC1"),
+            step=pixels.nbytes // metres.shape[0],
+            data=np.frombuffer(pixels.tobytes(), np.uint8),
+        )
+        self.write(topic, stamp, content)
+
     def cloud(self, topic: str, stamp: int, points: Array, frame: str) -> None:
         """Write points (N, 3): x, y, z of eight bytes, big endian, with an intensity before them, in two rows."""
         kind = np.dtype([("intensity", ">f4"), ("x", ">f8"), ("y", ">f8"), ("z", ">f8")])

@@ -1,0 +1,119 @@
+"""Depth images in a bag: the pixels on the pattern are found where a camera sees it."""
+
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from calibration.dataset.depth_image import NO_RETURN, UNIT, read_depth_image
+from calibration.dataset.model import Dataset, PointLabels
+from calibration.dataset.reading import read_dataset
+from calibration.dataset.truth import choose_truth
+from calibration.errors import InputError
+from calibration.estimation.calibrate import Options, calibrate
+from calibration.geometry.transforms import distance, translation
+from calibration.importing.importing import import_data
+from calibration.pipeline.collection.collecting import collect_dataset
+from calibration.pipeline.collection.request import CollectionRequest
+from tests.importing.bags import BEGIN, SECOND, BagFile, Kind
+from tests.importing.conftest import BOARD, CAMERAS, DATASETS
+from tests.importing.test_bags import describe, file_of
+
+DEPTH, CAMERA = CAMERAS
+SENSORS: dict[str, Any] = {
+    "camera": {"topic": "/camera/image_raw"},
+    "range": {"topic": "/range/depth/image_raw"},
+}
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """t2rgb, whose left camera measures depths instead, at ten poses."""
+    system, output = tmp_path_factory.mktemp("system"), tmp_path_factory.mktemp("collected")
+    for name in ("robot.urdf", "simulation.yml"):
+        (system / name).write_bytes((DATASETS / "t2rgb" / name).read_bytes())
+    config = (DATASETS / "t2rgb" / "config.yml").read_text()
+    (system / "config.yml").write_text(config.replace("modality: rgb", "modality: depth", 1))
+    collect_dataset(CollectionRequest(system, motion="generate:10"), output)
+    return output
+
+
+def true(recorded: Path) -> Dataset:
+    dataset = read_dataset(recorded)
+    truth = choose_truth(dataset, None)
+    assert truth is not None
+    return dataset.with_transforms({edge: truth.transforms[edge] for edge in truth.sensors.values()})
+
+
+def record(
+    recorded: Path, folder: Path, kind: Kind, encoding: str, topic: str = "/range/depth", width: int | None = None
+) -> Path:
+    """A bag of what was collected; the depth camera is described 3 cm beside where it is."""
+    path, dataset = file_of(folder, kind), true(recorded)
+    boards = {pattern.link for pattern in dataset.patterns.values()}
+    edges = {edge: T[0] for edge, T in dataset.transforms.items() if edge[1] not in boards}
+    edges[dataset.sensors[DEPTH].edge] = edges[dataset.sensors[DEPTH].edge] @ translation([0.03, 0.0, 0.0])
+    collections = dataset.document["collections"]
+    with BagFile(path, kind) as bag:
+        bag.transforms("/tf_static", BEGIN, edges)
+        for n, key in enumerate(dataset.keys):
+            stamp = BEGIN + n * SECOND
+            for name, beside in ((CAMERA, "/camera"), (DEPTH, topic)):
+                sensor = dataset.sensors[name]
+                assert sensor.camera is not None
+                file = recorded / collections[key]["data"][name]["data_file"]
+                size = sensor.camera.width, sensor.camera.height
+                told = (width or size[0], size[1]) if name == DEPTH else size
+                bag.camera_info(f"{beside}/camera_info", stamp, sensor.frame, told, sensor.camera.fx)
+                if name == CAMERA:
+                    bag.image(f"{beside}/image_raw", stamp, np.asarray(cv2.imread(str(file))), sensor.frame)
+                else:
+                    counts = read_depth_image(file, sensor.camera).depth
+                    metres = np.where(counts == NO_RETURN, np.nan, counts * UNIT)
+                    bag.depth(f"{beside}/image_raw", stamp, metres, sensor.frame, encoding)
+    return path
+
+
+def imported(path: Path, sensors: dict[str, Any] = SENSORS) -> Dataset:
+    board = {**BOARD, "border": 0.035}
+    import_data(describe(path, sensors=sensors, patterns={"board": board}), path.parent / "out", jobs=1)
+    return read_dataset(path.parent / "out")
+
+
+@pytest.mark.parametrize(("kind", "encoding"), [("bag", "16UC1"), ("mcap", "32FC1")])
+def test_they_calibrate_to_the_truth(recorded: Path, tmp_path: Path, kind: Kind, encoding: str) -> None:
+    dataset, known = imported(record(recorded, tmp_path, kind, encoding)), true(recorded)
+    assert dataset.sensors["range"].modality.name == "depth"
+    for collection, other in zip(dataset.collections, known.collections, strict=True):
+        ours = collection.labels.get(("board", "range"))
+        theirs = other.labels.get((next(iter(known.patterns)), DEPTH))
+        if isinstance(ours, PointLabels) and isinstance(theirs, PointLabels):
+            assert abs(len(ours.points) - len(theirs.points)) <= 0.1 * len(theirs.points)
+    found = calibrate(dataset, Options()).dataset
+    frames = known.sensors[CAMERA].frame, known.sensors[DEPTH].frame
+    m, rad = (float(v) for v in distance(known.transform(*frames)[0], found.transform(*frames)[0]))
+    assert m < 0.005
+    assert np.degrees(rad) < 0.3
+
+
+def test_a_topic_without_the_word_is_said_to_be_of_depth(recorded: Path, tmp_path: Path) -> None:
+    path = record(recorded, tmp_path, "db3", "32FC1", topic="/tof")
+    sensors = {**SENSORS, "range": {**SENSORS["range"], "topic": "/tof/image_raw"}}
+    with pytest.raises(InputError, match=r"/tof/image_raw at .*: found the encoding '32FC1', expected one of bgr8"):
+        imported(path, sensors)
+    sensors["range"]["modality"] = "depth"
+    assert imported(path, sensors).sensors["range"].modality.name == "depth"
+
+
+def test_what_is_wrong_is_said(recorded: Path, tmp_path: Path) -> None:
+    path = record(recorded, tmp_path, "db3", "32FC1", width=320)
+    with pytest.raises(InputError, match=r"found a depth image of 640 x 480 pixels, expected 320 x 480 as camera_info"):
+        imported(path)
+    other = {**SENSORS, "range": {**SENSORS["range"], "camera-info": "/nowhere"}}
+    with pytest.raises(InputError, match="found no camera_info '/nowhere' for 'range'"):
+        imported(path, other)
+    colours = {**SENSORS, "camera": {**SENSORS["camera"], "modality": "depth"}}
+    with pytest.raises(InputError, match="found no camera among the sensors"):
+        imported(path, colours)
