@@ -3,7 +3,7 @@
 import os
 import re
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,8 @@ from calibration.errors import ExitCode
 from calibration.pipeline.distribution.cost import cost_of_run
 from calibration.pipeline.distribution.gathering import gather, report_of_run
 from calibration.pipeline.distribution.jobs import parse_needs, parse_seconds
-from calibration.pipeline.results import clear_results
+from calibration.pipeline.page.whole import report_page
+from calibration.pipeline.results import PAGE_FILE, clear_results
 from calibration.report import publish
 from calibration.workflow import Runner
 
@@ -55,7 +56,10 @@ def gather_results(settings: Settings, runner: Runner) -> ExitCode:
     code = gathered.exit_code
     promotes = bool(gathered.plan.promote) and code == ExitCode.PASS
     cost = cost_of_run(gathered.plan, needs, settings.folder, _seconds_since(settings.began), promotes=promotes)
-    publish(report_of_run(gathered, cost, settings.output, TITLE), runner, settings.output)
+    found = report_of_run(gathered, cost, settings.output, TITLE)
+    files = {**found.files, PAGE_FILE: report_page(found, gathered.results, settings.folder)}
+    outputs = {**found.outputs, "report": settings.output / PAGE_FILE}
+    publish(replace(found, files=files, outputs=outputs), runner, settings.output)
     return code
 
 

@@ -17,6 +17,7 @@ from calibration.report.outcome import ErrorCode
 
 SCHEMA = Path(__file__).with_name("results.schema.json")
 CELLS_FILE = "cells.csv"
+PAGE_FILE = "report.html"
 _COMMAND = "calibrate-matrix or run"
 
 
@@ -241,7 +242,7 @@ def clear_results(output: Path, inputs: Collection[Path] = ()) -> None:
         earlier = read_results(output)
     except InputError:
         earlier = Results()
-    names = [*FILES, BRIEF_FILE, CELLS_FILE, BADGE]
+    names = [*FILES, BRIEF_FILE, PAGE_FILE, CELLS_FILE, BADGE]
     for cell in (*earlier.cells, *earlier.comparisons):
         own = own_file(cell)
         names += [name for name in (cell.table, cell.dataset, own) if name]

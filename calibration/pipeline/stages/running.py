@@ -14,8 +14,9 @@ from calibration.execution.backends import Place, imported
 from calibration.image.specification import ImageSpecification
 from calibration.pipeline.configuration import Simulation
 from calibration.pipeline.matrix.matrix import Matrix, load
+from calibration.pipeline.page.whole import report_page
 from calibration.pipeline.report import report, write_results
-from calibration.pipeline.results import Results, clear_results
+from calibration.pipeline.results import PAGE_FILE, Results, clear_results
 from calibration.report import publish
 from calibration.workflow import Runner
 from calibration.workflow.streams import LogDisplay
@@ -111,7 +112,9 @@ def run_stages(run: Run, stages: Collection[str] = tuple(STAGES)) -> Results:
             if run.results.judged:  # what an earlier run left there is not replaced by an image
                 write_results(run.results, run.output)
     found = report(run.results, run.output, run.title)
-    publish(replace(found, places=_places(found.reasons, run)), run.runner, run.output)
+    files = {**found.files, PAGE_FILE: report_page(found, run.results, run.output, run.matrix)}
+    outputs = {**found.outputs, "report": run.output / PAGE_FILE}
+    publish(replace(found, places=_places(found.reasons, run), files=files, outputs=outputs), run.runner, run.output)
     return run.results
 
 

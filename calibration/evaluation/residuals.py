@@ -1,0 +1,60 @@
+"""Residuals of a calibrated dataset, label by label: for figures, as the tables have only their averages."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from calibration.dataset.model import CornerLabels, Dataset, PointLabels, Sensor
+from calibration.errors import InputError
+from calibration.geometry.transforms import apply, inverse
+from calibration.geometry.types import Array, IntArray
+
+
+@dataclass(frozen=True, eq=False)
+class Residuals:
+    """Residuals of the labels of one sensor, n of them."""
+
+    collections: IntArray
+    """(n,): indices."""
+    where: Array
+    """(n, 2): pixels of a camera's labels; (n, 3): points of another sensor, in its frame, m."""
+    values: Array
+    """(n, 2): reprojection less label, px; (n, 1): distance from the pattern's plane, m."""
+
+    @property
+    def sizes(self) -> Array:
+        """(n,): lengths of the residuals."""
+        sizes: Array = np.linalg.norm(self.values, axis=-1)
+        return sizes
+
+
+def residuals(dataset: Dataset, sensor: Sensor) -> Residuals:
+    """Residuals of a sensor's labels with the transforms of a dataset; views that have none are left out."""
+    indices: list[IntArray] = [np.zeros(0, np.int64)]
+    camera = sensor.camera if sensor.modality.has_corners else None
+    places: list[Array] = [np.zeros((0, 2 if camera else 3))]
+    values: list[Array] = [np.zeros((0, 2 if camera else 1))]
+    for pattern in dataset.patterns.values():
+        views = dict(dataset.detections(pattern.name, sensor.name))
+        for i, T in _poses(dataset, sensor.frame, pattern.link, list(views)):
+            labels = views[i]
+            if camera is not None and isinstance(labels, CornerLabels):
+                places.append(labels.pixels)
+                values.append(camera.project(apply(T, pattern.corners[labels.ids])) - labels.pixels)
+            elif isinstance(labels, PointLabels):
+                places.append(labels.points)
+                values.append(apply(inverse(T), labels.points)[:, 2:])
+            indices.append(np.full(len(places[-1]), i))
+    found = Residuals(np.concatenate(indices), np.concatenate(places), np.concatenate(values))
+    finite = np.isfinite(found.values).all(axis=-1)
+    return Residuals(found.collections[finite], found.where[finite], found.values[finite])
+
+
+def _poses(dataset: Dataset, sensor: str, pattern: str, views: list[int]) -> Iterator[tuple[int, Array]]:
+    """``T_sensor_pattern`` of each view; none where a transform is missing, as in a view that was left out."""
+    try:
+        yield from zip(views, dataset.with_collections(views).transform(sensor, pattern), strict=True)
+    except InputError:
+        for i in views if len(views) > 1 else ():
+            yield from _poses(dataset, sensor, pattern, [i])

@@ -1,0 +1,39 @@
+"""The whole page: head, style, sections, and a script for what is more than reading."""
+
+from importlib.resources import files
+
+from calibration.pages.html import Html, element, join
+
+_POLICY = "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; img-src data:"
+"""Nothing is loaded from anywhere."""
+
+
+def page(title: str, sections: list[Html]) -> str:
+    """Return a page that stands alone: the same bytes for the same sections."""
+    style, script = (files(__package__).joinpath(name).read_text(encoding="utf-8") for name in ("page.css", "page.js"))
+    head = join(
+        [
+            element("meta", charset="utf-8"),
+            element("meta", name="viewport", content="width=device-width, initial-scale=1"),
+            element("meta", http_equiv="Content-Security-Policy", content=_POLICY),
+            element("title", title),
+            Html(f"<style>\n{style}</style>"),
+        ]
+    )
+    body = join([element("main", *sections), Html(f"<script>\n{script}</script>")])
+    return f'<!doctype html>\n<html lang="en">\n<head>{head}</head>\n<body>{body}</body>\n</html>\n'
+
+
+def section(title: str, *content: str, level: int = 2, anchor: str | None = None) -> Html:
+    """Return a part of the page with its heading."""
+    return element("section", element(f"h{level}", title), *content, id_=anchor)
+
+
+def figure(drawing: Html, caption: str) -> Html:
+    """Return a figure with what it shows in words."""
+    return element("figure", drawing, element("figcaption", caption))
+
+
+def folded(title: str, *content: str, opened: bool = False) -> Html:
+    """Return a part that a reader opens."""
+    return element("details", element("summary", title), *content, open_="open" if opened else None)

@@ -1,0 +1,40 @@
+"""Residuals on a camera's image plane, as enlarged vectors; where the image is not covered is empty."""
+
+import numpy as np
+
+from calibration.geometry.types import Array
+from calibration.pages.html import Html, element, join
+from calibration.pages.svg import drawing, text, thinned
+
+MOST_VECTORS = 3000
+WIDTH = 560.0
+"""Of the figure, px."""
+LENGTH = 18.0
+"""Of the vector of a residual of three times the RMS, px of the figure."""
+
+
+def residual_plane(name: str, size: tuple[int, int], pixels: Array, residuals: Array) -> Html:
+    """Return the figure.
+
+    Args:
+        name: of the camera.
+        size: width and height of the image, px.
+        pixels: (n, 2), of the labels.
+        residuals: (n, 2), reprojection less label, px.
+    """
+    scale = WIDTH / size[0]
+    height = size[1] * scale
+    rms = float(np.sqrt(np.mean(np.sum(residuals**2, axis=-1)))) if len(residuals) else 0.0
+    enlarged = LENGTH / (3 * rms) if rms else 1.0
+    chosen = thinned(len(pixels), MOST_VECTORS)
+    at, to = pixels[chosen] * scale, (pixels[chosen] * scale + residuals[chosen] * enlarged)
+    large = np.sum(residuals[chosen] ** 2, axis=-1) > (3 * rms) ** 2
+    lines = [_vectors(at[~large], to[~large], "vector"), _vectors(at[large], to[large], "vector far")]
+    frame = element("rect", x=0.5, y=0.5, width=WIDTH - 1, height=height - 1, class_="frame")
+    title = f"Residuals of {name}: RMS {rms:.3g} px, vectors enlarged {enlarged / scale:.0f} times"
+    return drawing(WIDTH, height, title, frame, join(lines), text(WIDTH - 8, height - 8, f"RMS {rms:.3g} px", "end"))
+
+
+def _vectors(at: Array, to: Array, class_: str) -> Html:
+    d = "".join(f"M{a[0]:.1f} {a[1]:.1f}L{b[0]:.1f} {b[1]:.1f}" for a, b in zip(at, to, strict=True))
+    return element("path", d=d, class_=class_) if d else Html("")

@@ -1,0 +1,21 @@
+"""Tables of a report as HTML; a click on a header sorts them."""
+
+from collections.abc import Sequence
+
+from calibration.pages.html import Html, element, join
+
+MOST_ROWS = 500
+
+
+def table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> Html:
+    """Return a table whose first column names the rows; empty where there are none."""
+    if not rows:
+        return Html("")
+    head = element("tr", *(element("th", name, scope="col") for name in columns))
+    body = [
+        element("tr", element("th", row[0], scope="row"), *(element("td", cell) for cell in row[1:]))
+        for row in rows[:MOST_ROWS]
+    ]
+    more = f"The first {MOST_ROWS} of {len(rows)} rows." if len(rows) > MOST_ROWS else ""
+    whole = element("table", element("thead", head), element("tbody", *body), class_="sortable")
+    return join([element("div", whole, class_="scroll", tabindex="0", role="group", aria_label=columns[0]), more])

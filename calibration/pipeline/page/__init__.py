@@ -1,0 +1,1 @@
+"""``report.html``: `whole` composes the page, the other modules its parts about one system."""

@@ -1,0 +1,118 @@
+"""The part of the page that shows where sensors, patterns and the robot's frames are."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from calibration.dataset.model import Dataset, Sensor
+from calibration.errors import CalibrationError
+from calibration.geometry.transforms import apply
+from calibration.geometry.types import Array
+from calibration.pages.html import Html, element, join
+from calibration.pages.scene import Line, scene
+from calibration.pages.svg import thinned
+
+BOARDS_DRAWN = 30
+DEPTH = 0.06
+"""Of a camera's frustum, and radius of a LiDAR's circle, as part of the scene's size."""
+SMALLEST = 0.1
+"""Size of a scene that has but one place, m."""
+SHORTEST_LINK = 1e-3
+"""Between the origins of two frames that are drawn apart, m."""
+KINDS = {
+    "camera": ("blue", "cameras"),
+    "range": ("violet", "LiDARs and depth cameras"),
+    "pattern": ("orange", "the pattern, by collection"),
+    "robot": ("green", "the robot's links"),
+    "before": ("soft", "before the calibration"),
+}
+"""What lines show: the colour and the words for it."""
+
+
+def in_space(dataset: Dataset, before: Dataset | None) -> Html:
+    """Return the scene; empty where no place is known.
+
+    Args:
+        dataset: calibrated; its first collection is drawn, and the patterns of some of the others.
+        before: as it was given.
+    """
+    lines = [Line(outline, "pattern") for outline in _patterns(dataset)]
+    places = [T[:3, 3] for sensor in dataset.sensors.values() if (T := _place(dataset, sensor.frame)) is not None]
+    if not places:
+        return Html("")
+    everything = np.concatenate([np.stack(places), *(line.points for line in lines)])
+    depth = DEPTH * max(float(np.linalg.norm(np.ptp(everything, axis=0))), SMALLEST)
+    lines += [Line(link, "robot") for link in _links(dataset)]
+    lines += [Line(outline, "before") for _, outline in _sensors(before, depth)] if before else []
+    lines += [
+        Line(outline, "range" if sensor.camera is None else "camera", sensor.name)
+        for sensor, outline in _sensors(dataset, depth)
+    ]
+    title = f"Sensors, patterns and links in the first of {len(dataset.collections)} collections"
+    return join([element("h3", "In space"), element("figure", scene(lines, title), _legend(lines))])
+
+
+def _legend(lines: list[Line]) -> Html:
+    used = {line.class_ for line in lines}
+    entries = [
+        element("span", element("i", style=f"border-color: var(--{colour})"), words)
+        for kind, (colour, words) in KINDS.items()
+        if kind in used
+    ]
+    return element("figcaption", *entries, class_="legend")
+
+
+def _place(dataset: Dataset, frame: str) -> Array | None:
+    """``T_world_frame`` (4, 4) in the first collection; None where it is not known."""
+    try:
+        T = dataset.with_collections([0]).transform(dataset.world, frame)[0]
+    except CalibrationError:
+        return None
+    return T if np.isfinite(T).all() else None
+
+
+def _sensors(dataset: Dataset, depth: float) -> Iterator[tuple[Sensor, Array]]:
+    for sensor in dataset.sensors.values():
+        if (T := _place(dataset, sensor.frame)) is not None:
+            yield sensor, apply(T, _frustum(sensor, depth) if sensor.camera else _circle(depth))
+
+
+def _frustum(sensor: Sensor, depth: float) -> Array:
+    """A line (N, 3) along all edges of what a camera sees, to a depth."""
+    camera = sensor.camera
+    if camera is None:
+        raise AssertionError(f"{sensor.name} has no intrinsics")
+    x, y = 0.5 * camera.width / camera.fx * depth, 0.5 * camera.height / camera.fy * depth
+    a, b, c, d = ((-x, -y, depth), (x, -y, depth), (x, y, depth), (-x, y, depth))
+    centre = (0.0, 0.0, 0.0)
+    return np.array([centre, a, b, c, d, a, centre, b, c, centre, d])
+
+
+def _circle(radius: float) -> Array:
+    angle = np.linspace(0, 2 * np.pi, 25)
+    return radius * np.stack([np.cos(angle), np.sin(angle), np.zeros(25)], axis=-1)
+
+
+def _patterns(dataset: Dataset) -> Iterator[Array]:
+    """Outlines of the patterns, in evenly chosen collections; once of one that stays where it is."""
+    for pattern in dataset.patterns.values():
+        seen = [i for i, each in enumerate(dataset.collections) if any(p == pattern.name for p, _ in each.labels)]
+        chosen = [seen[k] for k in thinned(len(seen), BOARDS_DRAWN)]
+        (x0, y0, _), (x1, y1, _) = pattern.corners.min(axis=0), pattern.corners.max(axis=0)
+        outline = np.array([(x0, y0, 0), (x1, y0, 0), (x1, y1, 0), (x0, y1, 0), (x0, y0, 0)])
+        for i in chosen:
+            alone = dataset.with_collections([i])
+            if (T := _place(alone, pattern.link)) is not None:
+                yield apply(T, outline)
+
+
+def _links(dataset: Dataset) -> Iterator[Array]:
+    """(2, 3): the origins of two frames that follow each other."""
+    patterns = {pattern.link for pattern in dataset.patterns.values()}
+    first = dataset.with_collections([0])
+    for parent, child in first.transforms:
+        ends = [_place(first, frame) for frame in (parent, child)]
+        if child in patterns or ends[0] is None or ends[1] is None:
+            continue
+        if np.linalg.norm(ends[1][:3, 3] - ends[0][:3, 3]) > SHORTEST_LINK:
+            yield np.stack([ends[0][:3, 3], ends[1][:3, 3]])

@@ -1,0 +1,63 @@
+"""The part of the page that shows residuals: over the image, beside the stated noise, by collection."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from calibration.dataset.model import Dataset, Sensor
+from calibration.estimation.noise_levels import NoiseLevels
+from calibration.evaluation.residuals import Residuals, residuals
+from calibration.geometry.types import Array
+from calibration.pages.heat_map import heat_map
+from calibration.pages.histogram import histogram
+from calibration.pages.html import Html, element
+from calibration.pages.page import figure
+from calibration.pages.residual_plane import residual_plane
+
+_PLANE = (
+    "where its corners come out less where they were seen, enlarged. Red ones are longer than three times the RMS. "
+    "Where the image is empty, the lens is not known."
+)
+
+
+def label_residuals(dataset: Dataset, levels: NoiseLevels | None) -> Iterator[Html]:
+    """Yield the figures of each sensor that has labels, then the views' RMS.
+
+    Args:
+        dataset: calibrated.
+        levels: standard deviations of the labels that the calibration states.
+    """
+    found = {name: residuals(dataset, sensor) for name, sensor in dataset.sensors.items()}
+    found = {name: each for name, each in found.items() if len(each.collections)}
+    if found:
+        yield element("h3", "Residuals")
+    for name, each in found.items():
+        yield element("div", *_figures(dataset.sensors[name], each, levels), class_="figures")
+    for unit, factor, width in (("px", 1.0, 2), ("mm", 1e3, 1)):
+        rows = [name for name, each in found.items() if each.values.shape[-1] == width]
+        if rows:
+            values = factor * np.array([_by_collection(found[name], len(dataset.collections)) for name in rows])
+            drawn = heat_map("RMS of each view", rows, dataset.keys, values, unit)
+            yield figure(drawn, f"RMS of each view, {unit}: the stronger, the larger; empty where nothing was seen.")
+
+
+def _figures(sensor: Sensor, found: Residuals, levels: NoiseLevels | None) -> Iterator[Html]:
+    stated = "beside the normal distribution of the noise that the calibration states."
+    if sensor.camera is not None and found.values.shape[-1] == 2:
+        size = sensor.camera.width, sensor.camera.height
+        yield figure(residual_plane(sensor.name, size, found.where, found.values), f"{sensor.name}: {_PLANE}")
+        sigma = levels.pixel if levels else None
+        drawn = histogram(f"{sensor.name}, x and y", found.values.ravel(), sigma or 0.0, "px")
+        yield figure(drawn, f"{sensor.name}: residuals in x and y {stated}")
+    else:
+        sigma = levels.range if levels else None
+        drawn = histogram(sensor.name, 1e3 * found.values.ravel(), 1e3 * (sigma or 0.0), "mm")
+        yield figure(drawn, f"{sensor.name}: distances from the pattern {stated}")
+
+
+def _by_collection(found: Residuals, count: int) -> Array:
+    """(count,): RMS of each view; NaN where there is none."""
+    sums = np.bincount(found.collections, found.sizes**2, count)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        rms: Array = np.sqrt(sums / np.bincount(found.collections, minlength=count))
+    return rms

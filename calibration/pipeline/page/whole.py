@@ -1,0 +1,117 @@
+"""The page of a run: the verdict and the tables of all systems, then each system by itself."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+from calibration.dataset.model import Dataset
+from calibration.dataset.reading import read_dataset
+from calibration.diagnosis.limits import Limits
+from calibration.errors import CalibrationError
+from calibration.pages.ellipses import ellipses
+from calibration.pages.html import Html, element, join
+from calibration.pages.page import figure, page, section
+from calibration.pages.tables import table
+from calibration.pipeline.matrix.cell import CellResult
+from calibration.pipeline.matrix.matrix import Matrix
+from calibration.pipeline.page.in_space import in_space
+from calibration.pipeline.page.label_residuals import label_residuals
+from calibration.pipeline.report import (
+    changes_table,
+    collections_table,
+    grid,
+    parameters_table,
+    precision_table,
+    transforms_table,
+    truth_table,
+    updates_table,
+)
+from calibration.pipeline.results import Results
+from calibration.pipeline.system import System
+from calibration.report import Report
+
+
+def report_page(report: Report, results: Results, output: Path, matrix: Matrix | None = None) -> str:
+    """Return the page, which stands alone.
+
+    Args:
+        report: of the run: its verdict and its reasons.
+        results: what was found, with the cells' details.
+        output: the folder with the cells' datasets.
+        matrix: what was calibrated, where its datasets are at hand, for limits and for how it was before.
+    """
+    shown = {system: cell for system in results.systems if (cell := _shown(results, system)) is not None}
+    systems = {system.name: system for system in matrix.systems} if matrix else {}
+    links = [element("li", element("a", system, href=f"#{_anchor(system)}")) for system in shown]
+    tables = (grid, truth_table, precision_table, updates_table, collections_table)
+    head = [
+        element("h1", "Calibration"),
+        _verdict(report.verdict, report.sentence),
+        _list(report.reasons),
+        element("nav", element("ul", *links), aria_label="Systems") if len(links) > 1 else Html(""),
+        *(table(each.columns, each.rows) for each in (make(results) for make in tables)),
+    ]
+    sections = [_system(name, cell, output, systems.get(name)) for name, cell in shown.items()]
+    return page(f"Calibration: {report.verdict}", [join(head), *sections])
+
+
+def _shown(results: Results, system: str) -> CellResult | None:
+    """The cell of our engine that stands for a system: the first that passed, else the first."""
+    cells = [cell for cell in (*results.cells, *results.comparisons) if cell.system == system and cell.details]
+    return next((cell for cell in cells if cell.verdict == "pass"), next(iter(cells), None))
+
+
+def _anchor(system: str) -> str:
+    return "system-" + "".join(c if c.isascii() and c.isalnum() else f"-{ord(c):x}-" for c in system)
+
+
+def _verdict(verdict: str, sentence: str) -> Html:
+    return element("p", element("span", verdict, class_=f"verdict {verdict}"), f" {sentence}")
+
+
+def _list(lines: tuple[str, ...]) -> Html:
+    return element("ul", *(element("li", line) for line in lines), class_="reasons") if lines else Html("")
+
+
+def _system(name: str, cell: CellResult, output: Path, system: System | None) -> Html:
+    """Everything about one system, by one of its cells."""
+    tables = (transforms_table, parameters_table, changes_table)
+    notes = tuple(finding.text for finding in cell.findings if finding.severity != "red")
+    content = [
+        _verdict(cell.verdict, cell.name),
+        _list(cell.reasons),
+        *(table(each.columns, each.rows) for each in (make(Results((cell,))) for make in tables)),
+        join([element("h3", "What speaks for it, and what to look at"), _list(notes)]) if notes else Html(""),
+    ]
+    try:
+        dataset = read_dataset(output / cell.dataset) if cell.dataset else None
+    except CalibrationError as error:  # of a job whose files were not kept
+        content.append(element("p", f"No figures: {error}", class_="soft"))
+    else:
+        if dataset is not None:
+            levels = cell.details.noise_levels if cell.details else None
+            content += [in_space(dataset, _before(system)), *label_residuals(dataset, levels)]
+    content += _error_bars(cell, system.limits if system else None)
+    return section(name, *content, anchor=_anchor(name))
+
+
+def _before(system: System | None) -> Dataset | None:
+    """The dataset as it was given, where it is at hand."""
+    try:
+        return read_dataset(system.dataset) if system else None
+    except CalibrationError:
+        return None
+
+
+def _error_bars(cell: CellResult, limits: Limits | None) -> Iterator[Html]:
+    snapshot = cell.details.snapshot if cell.details else None
+    figures = [
+        figure(
+            ellipses(pose.name, 1e6 * covariance[:3, :3], limits.translation_mm if limits else None),
+            f"{pose.name}: two standard deviations of where it is, along its axes; dashed, the limit.",
+        )
+        for pose in (snapshot.poses if snapshot else ())
+        if (covariance := pose.covariance) is not None
+    ]
+    if figures:
+        yield element("h3", "How sure")
+        yield element("div", *figures, class_="figures")

@@ -1,0 +1,108 @@
+"""``report.html`` of real runs, read in a browser: everything drawn, nothing loaded, usable without eyes or scripts."""
+
+import json
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from calibration.__main__ import main
+from tests.recorder.browser import CHROMIUM
+
+pytest.importorskip("playwright")
+pytest.importorskip("axe_playwright_python")
+from axe_playwright_python.sync_playwright import Axe
+from playwright.sync_api import Browser, sync_playwright
+
+ROOT = Path(__file__).parents[2]
+CONFIGURATION = {
+    "systems": {
+        "cameras": {"dataset": "t2rgb", "evaluate": "rgb-to-rgb:left_camera:right_camera"},
+        "lidar": {"dataset": "rlbot", "truth": "none"},
+        "red": {"dataset": "riwbot", "limits": {"translation-mm": 0.0001}},
+    }
+}
+RULES = ("wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "best-practice")
+
+
+@pytest.fixture(scope="module")
+def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The page of a run of three systems, one of them red."""
+    folder = tmp_path_factory.mktemp("run")
+    for name in ("t2rgb", "rlbot", "riwbot"):
+        shutil.copytree(ROOT / "datasets" / name, folder / name, ignore=shutil.ignore_patterns("*.jpg", "*.png"))
+    (folder / "calibration.yml").write_text(json.dumps(CONFIGURATION))
+    output = folder / "output"
+    assert main(["run", "--config", str(folder / "calibration.yml"), "--output", str(output), "--jobs", "1"]) == 1
+    return output / "report.html"
+
+
+@pytest.fixture(scope="module")
+def chromium() -> Iterator[Browser]:
+    if CHROMIUM is None:
+        pytest.skip("needs chromium")
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        yield browser
+        browser.close()
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_it_opens_offline_without_an_error_and_axe_finds_nothing(report: Path, chromium: Browser, scheme: Any) -> None:
+    context = chromium.new_context(color_scheme=scheme, offline=True)
+    page = context.new_page()
+    said: list[str] = []
+    page.on("console", lambda message: said.append(message.text))
+    page.on("pageerror", lambda error: said.append(str(error)))
+    page.goto(report.as_uri())
+    assert said == []
+    assert page.locator("h1").inner_text() == "Calibration"
+    assert page.locator("h2").all_inner_texts() == list(CONFIGURATION["systems"])
+    assert page.locator("canvas").count() == 3
+    drawn = page.evaluate(
+        "[...document.querySelectorAll('canvas')].map(c => new Set(c.getContext('2d').getImageData(0, 0, c.width,"
+        " c.height).data).size)"
+    )
+    assert min(drawn) > 3  # more than one colour: not empty
+    found = Axe().run(page, options={"runOnly": {"type": "tag", "values": list(RULES)}})
+    assert found.violations_count == 0, found.generate_report()
+    context.close()
+
+
+def test_tables_are_sorted_and_the_scene_is_turned_by_keys(report: Path, chromium: Browser) -> None:
+    page = chromium.new_page()
+    page.goto(report.as_uri())
+    header = page.get_by_role("columnheader", name="x, y, z (mm)").first
+    header.get_by_role("button").focus()
+    page.keyboard.press("Enter")
+    assert header.get_attribute("aria-sort") == "ascending"
+    canvas = page.locator("canvas").first
+    before = canvas.evaluate("c => c.toDataURL()")
+    canvas.focus()
+    page.keyboard.press("ArrowRight")
+    page.keyboard.press("+")
+    assert canvas.evaluate("c => c.toDataURL()") != before
+    page.close()
+
+
+def test_it_reads_without_scripts(report: Path, chromium: Browser) -> None:
+    context = chromium.new_context(java_script_enabled=False)
+    page = context.new_page()
+    page.goto(report.as_uri())
+    for text in ("How sure", "Residuals", "expected at most 0.0001 mm"):
+        assert page.get_by_text(text).first.is_visible(), text
+    assert page.locator(".turning svg").first.is_visible()
+    context.close()
+
+
+def test_the_same_results_make_the_same_bytes(report: Path, tmp_path: Path) -> None:
+    folder = report.parents[1]
+    again = tmp_path / "output"
+    assert main(["run", "--config", str(folder / "calibration.yml"), "--output", str(again), "--jobs", "2"]) == 1
+    assert (again / "report.html").read_bytes() == report.read_bytes()
+
+
+def test_it_is_small(report: Path) -> None:
+    assert report.stat().st_size < 1_000_000
