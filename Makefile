@@ -110,9 +110,10 @@ actions: ## write the inputs of the commands into every action.yml, and the reco
 	@$(setup) dev.txt .
 	$(python) -m tests.actions.write_inputs
 
-pictures: ## draw docs/run.svg, the README's table, from a real run
+pictures: ## draw docs/run.svg and docs/report.png, the pictures of the README, from real runs
 	@$(setup) dev.txt .
 	$(python) -m benchmarks.run_picture
+	$(python) -m benchmarks.report_picture
 
 clean: ## remove what running and testing leave behind (not .venv)
 	rm -rf output build dist .coverage .coverage.* coverage.xml .pytest_cache .mypy_cache .ruff_cache .hypothesis

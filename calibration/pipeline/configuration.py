@@ -193,7 +193,10 @@ def read_configuration(path: Path, environment: Mapping[str, str] | None = None)
     found = read(Configuration, document, str(path), path.parent)
     place = Place(str(path), ("simulation",), path.parent)
     simulations = (each.checked(found.backend, place.below(each.name)) for each in found.simulations)
-    configuration = replace(found, simulations=tuple(simulations))
+    baseline = found.baseline
+    if baseline.file == Path(FILE):  # by default: beside the configuration, wherever that is
+        baseline = replace(baseline, file=path.parent / FILE)
+    configuration = replace(found, simulations=tuple(simulations), baseline=baseline)
     _check_references(configuration, path)
     return configuration
 

@@ -104,6 +104,18 @@ def test_wrong_arguments_are_named(
     assert not Path(FILE).exists()
 
 
+def test_the_accepted_calibrations_lie_beside_the_configuration(
+    repository: Path, monkeypatch: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    """Wherever a run is started."""
+    monkeypatch.chdir(tmp_path_factory.mktemp("elsewhere"))
+    config = ["--config", str(repository / "calibration.yml")]
+    Path(FILE).write_text("another project's")
+    assert main(["run", *config]) == 0
+    assert main(["accept", *config]) == 0
+    assert "robot" in json.loads((repository / FILE).read_text())["systems"]
+
+
 def test_a_required_baseline_that_is_missing_is_red(repository: Path) -> None:
     Path("calibration.yml").write_text(CONFIGURATION + "baseline: required\n")
     assert main(["run"]) == 1

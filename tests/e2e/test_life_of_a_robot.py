@@ -147,6 +147,7 @@ def test_from_a_bag_to_pull_requests(caller: Caller, api: GitHub, python_image: 
         commit(folder)
         run = pull_request(caller, api, accepted, tmp_path)
         assert run.code == code, run.log
+        assert "In space" in (caller.artifacts / "calibration" / "report.html").read_text()
         [comment] = api.bodies()
         assert f"Calibration: {'fail' if code else 'pass'}" in comment
         for cause in causes:

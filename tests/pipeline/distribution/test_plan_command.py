@@ -155,7 +155,7 @@ def test_one_table_and_one_verdict(
     assert summary.count("| Start | robot |") == 1
     assert outputs(Path("gathered"))["verdict"] == "pass"
     assert json.loads(Path("of all/results.json").read_text())["cost"]["jobs"][0]["seconds"] == 7
-    files = {"results.json", "cells.csv", "junit.xml", "summary.md", "badge.svg", "comment.json"}
+    files = {"results.json", "cells.csv", "junit.xml", "summary.md", "badge.svg", "comment.json", "report.html"}
     assert {path.name for path in Path("of all").iterdir()} == files
     assert "calibration: pass" in Path("of all/badge.svg").read_text()
     assert capsys.readouterr().out.splitlines()[-1] == (
