@@ -176,9 +176,9 @@ class ImportDescription:
     robot: Name | None = field("Name of the robot (of the folder of this file).", default=None)
     world: Name = field("The frame that all others hang on.", default="world")
     bags: Bags | None = field("What ROS recorded.", default=None)
-    pairs: Literal["name", "number"] | Path | None = field(
-        "What tells which images belong together: their names, the last numbers in them, or a CSV with a column "
-        "for each sensor (name, else number).",
+    pairs: Literal["name", "number", "stamp"] | Path | None = field(
+        "What tells which images belong together: their names, the last numbers in them, the stamps in nanoseconds "
+        "that their names are, or a CSV with a column for each sensor (stamp where all names are, name, else number).",
         default=None,
     )
     samples: Samples | None = field("Poses of a robot arm.", default=None)

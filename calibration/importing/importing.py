@@ -210,7 +210,8 @@ def _from_images(
     def finish(seen: Sequence[LabelledMoment], _: Path) -> Recorded:
         for name in configuration.sensors:
             check_copies(name, [moment.views[name] for moment in seen if name in moment.views])
-        return Recorded(configuration, lenses, seen, transforms, rough=True)
+        lag = max(moment.lag for moment in moments)
+        return Recorded(configuration, lenses, seen, transforms, rough=True, lag=lag)
 
     return _Source(
         _identity(patterns, [path for moment in moments for path in moment.files.values()]),

@@ -2,25 +2,56 @@
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
 import numpy as np
 
-from calibration.dataset.configuration import PatternConfiguration
+from calibration.dataset.configuration import TAGS, PatternConfiguration
 from calibration.errors import InputError
 from calibration.importing.looking import View, read_image
 from calibration.labelling.chessboard import LEAST_CORNERS
 from calibration.labelling.detection import Image, grey
-from calibration.labelling.markers import MarkerFinder
+from calibration.labelling.markers import MarkerFinder, Markers
+from calibration.labelling.tags import BORDER
 
 LOOKED_AT = 8
 """So many images are searched for other patterns."""
-FAMILIES = tuple(f"DICT_{bits}X{bits}_1000" for bits in (4, 5, 6, 7))
-"""The largest dictionaries of their kind: the smaller ones are their beginnings."""
 _SIZES = (50, 100, 250, 1000)
 _OFF_BY = ((-1, -1), (-1, 0), (0, -1), (1, 1), (1, 0), (0, 1), (-2, -2))
 """How far people miscount corners."""
+GAP_OFF = 0.2
+"""Gaps between tags that differ by more from what is described are others, in sides of a tag: small tags blur."""
+
+
+@dataclass(frozen=True)
+class Family:
+    """Markers of one kind."""
+
+    dictionary: str
+    """The largest of its kind."""
+    border: int = 1
+    """The black modules around the bits."""
+
+    def finder(self) -> MarkerFinder:
+        """Finds all of them."""
+        dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, self.dictionary))
+        return MarkerFinder(dictionary, len(dictionary.bytesList), self.border)
+
+    def named(self, highest: int) -> str:
+        """The smallest dictionary with the marker of this id: the smaller ones are the beginnings of the largest."""
+        kind, _, size = self.dictionary.rpartition("_")
+        return f"{kind}_{next(n for n in _SIZES if highest < n)}" if size == "1000" else self.dictionary
+
+
+GRID = Family(TAGS, BORDER)
+"""What an aprilgrid has."""
+FAMILIES = (
+    GRID,
+    *(Family(f"DICT_{bits}X{bits}_1000") for bits in (4, 5, 6, 7)),
+    *(Family(f"DICT_APRILTAG_{kind}") for kind in ("25h9", "36h10", "36h11")),
+)
 
 
 def never_seen(
@@ -36,7 +67,8 @@ def never_seen(
     """
     step = -(-len(views) // LOOKED_AT)
     images = [grey(read(i)) for i in range(0, len(views), step)]
-    hint = _markers(pattern, images) if pattern.kind == "charuco" else _corners(pattern, images)
+    hint = _corners(pattern, images) if pattern.kind == "chessboard" else ""
+    hint = hint or _markers(pattern, images)
     reasons = Counter(view.found[pattern.name].reason for view in views)
     usual = f"; in most images: {reasons.most_common(1)[0][0]}" if not hint else ""
     return InputError(
@@ -45,35 +77,75 @@ def never_seen(
 
 
 def _named(pattern: PatternConfiguration) -> str:
+    size = f"{pattern.kind}, {pattern.dimension[0]} x {pattern.dimension[1]}"
+    if pattern.kind == "aprilgrid":
+        return f"{size} tags"
     dictionary = f", {pattern.dictionary}" if pattern.dictionary else ""
-    return f"{pattern.kind}, {pattern.dimension[0]} x {pattern.dimension[1]} corners{dictionary}"
+    return f"{size} corners{dictionary}"
 
 
 def _markers(pattern: PatternConfiguration, images: Sequence[Image]) -> str:
-    """The markers of the dictionary that most are found of."""
-    columns, rows = pattern.dimension
-    expected = (columns + 1) * (rows + 1) // 2
-    named = pattern.dictionary or ""
-    best: tuple[int, int, str] = (0, 0, "")
-    for family in FAMILIES:
-        finder = MarkerFinder(cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, family)), 1000)
-        found = [set(finder.find(image).ids.tolist()) for image in images]
-        most = max(map(len, found))
-        highest = max((max(ids) for ids in found if len(ids) > most / 2), default=0)
-        best = max(best, (most, highest, family), key=lambda each: each[0])
-    most, highest, family = best
-    if most < 2:
-        return "; no markers of 4x4 to 7x7 bits are found either"
-    if family.rpartition("_")[0] != named.rpartition("_")[0]:
-        smallest = next(size for size in _SIZES if highest < size)
-        other = f"{family.rpartition('_')[0]}_{smallest}"
-        return f"; found {most} markers of another dictionary, {other}"
-    if highest + 1 != expected:
+    """The markers of the family that most are found of."""
+    plain = {family: [family.finder().find(image) for image in images] for family in FAMILIES}
+    if max(map(len, plain[GRID])) > 1:
+        del plain[Family(TAGS)]  # with a border of one the same tags are read as others
+    family = max(plain, key=lambda each: max(map(len, plain[each])))
+    if max(map(len, plain[family])) < 2:
+        return "" if pattern.kind == "chessboard" else "; no markers of 4x4 to 7x7 bits and no tags are found either"
+    found = [max(one, family.finder().find_small(i), key=len) for one, i in zip(plain[family], images, strict=True)]
+    seen = max(found, key=len)
+    highest = max(int(markers.ids.max()) for markers in found if len(markers) > len(seen) / 2)
+    if pattern.kind == "chessboard":
+        return f"; found {len(seen)} markers of {family.named(highest)}: is it a charuco board or an aprilgrid?"
+    if pattern.kind == "aprilgrid":
+        return _tags(pattern, family, highest, seen)
+    if family.border > 1 or family.named(0).rpartition("_")[0] != (pattern.dictionary or "").rpartition("_")[0]:
+        return f"; found {len(seen)} markers of another dictionary, {family.named(highest)}"
+    if highest + 1 != (expected := marker_count(pattern)):
         return (
             f"; found its markers with ids up to {highest}, expected 0 to {expected - 1}: are columns and rows those "
             f"of the printed board (corners inside: squares less one)?"
         )
-    return f"; found {most} of its markers, not as a board of this size has them: are columns and rows exchanged?"
+    return f"; found {len(seen)} of its markers, not as a board of this size has them: are columns and rows exchanged?"
+
+
+def _tags(pattern: PatternConfiguration, family: Family, highest: int, seen: Markers) -> str:
+    """What is wrong with the tags of an image, for an aprilgrid."""
+    if family != GRID:
+        border = (
+            " with a border of one module, expected two, as Kalibr prints them" if family.dictionary == TAGS else ""
+        )
+        other = border or f", expected {TAGS}"
+        return f"; found {len(seen)} markers of {family.named(highest)}{other}"
+    expected, gap = marker_count(pattern), _gap(seen)
+    if highest + 1 == expected and 0 < gap < 1 and abs(gap - pattern.spacing) > GAP_OFF:
+        return (
+            f"; found {len(seen)} of its tags, with gaps of about {gap:.1f} sides of a tag, expected "
+            f"{pattern.spacing:g}: spacing is the gap by the side of a tag, both in one unit"
+        )
+    if highest + 1 != expected:
+        return (
+            f"; found its tags with ids up to {highest}, expected 0 to {expected - 1}: are columns and rows those of "
+            "the printed board (tags)?"
+        )
+    return (
+        f"; found {len(seen)} of its tags, not as a board of this size has them: are columns and rows exchanged, or is "
+        "it not printed by Kalibr (tag 0 at the bottom left, its corner squares black)?"
+    )
+
+
+def _gap(seen: Markers) -> float:
+    """Between neighbours in a row, in sides of a tag, the median; NaN where no two are seen."""
+    (first,) = np.nonzero(np.diff(seen.ids) == 1)
+    right, left = seen.corners[first, 0], seen.corners[first, 1]  # at the bottom, as Kalibr turns its tags
+    gaps = np.linalg.norm(seen.corners[first + 1, 1] - right, axis=-1) / np.linalg.norm(right - left, axis=-1)
+    return float(np.median(gaps)) if len(gaps) else np.nan
+
+
+def marker_count(pattern: PatternConfiguration) -> int:
+    """How many markers a charuco board has, or tags an aprilgrid."""
+    columns, rows = pattern.dimension
+    return columns * rows if pattern.kind == "aprilgrid" else (columns + 1) * (rows + 1) // 2
 
 
 def _corners(pattern: PatternConfiguration, images: Iterable[Image]) -> str:
@@ -91,27 +163,30 @@ def _corners(pattern: PatternConfiguration, images: Iterable[Image]) -> str:
 
 
 def check_board(sensor: str, pattern: PatternConfiguration, views: Sequence[View]) -> None:
-    """Refuse a charuco board whose own markers tell that it is larger than described.
+    """Refuse a board whose own markers tell that it is larger than described.
 
     Markers that a board of this size has not, in most of the images that are looked at, are the rest of it.
 
     Raises:
         InputError: names the highest marker.
     """
-    if pattern.kind != "charuco" or not pattern.dictionary:
+    if pattern.kind == "chessboard" or not pattern.dictionary:
         return
-    columns, rows = pattern.dimension
-    expected = (columns + 1) * (rows + 1) // 2
-    dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, pattern.dictionary))
-    finder = MarkerFinder(dictionary, len(dictionary.bytesList))
+    expected = marker_count(pattern)
+    finder = (GRID if pattern.kind == "aprilgrid" else Family(pattern.dictionary)).finder()
     labelled = [view for view in views if view.found[pattern.name].ids]
     others = []
     for view in labelled[:: -(-len(labelled) // LOOKED_AT) or 1]:
-        ids = finder.find(grey(read_image(Path(view.file)))).ids
+        ids = finder.find_small(grey(read_image(Path(view.file)))).ids
         others.append(int(np.max(ids[ids >= expected], initial=-1)))
     if sum(highest >= 0 for highest in others) > len(others) / 2:
+        marker, corners, counted = (
+            ("tag", "tags", "tags")
+            if pattern.kind == "aprilgrid"
+            else ("marker", "corners", "corners inside: squares less one")
+        )
         raise InputError(
-            f"'{sensor}' sees marker {max(others)} of {pattern.dictionary}, expected 0 to {expected - 1}, as pattern "
-            f"'{pattern.name}' of {columns} x {rows} corners has: are columns and rows those of the printed board "
-            "(corners inside: squares less one)?"
+            f"'{sensor}' sees {marker} {max(others)} of {pattern.dictionary}, expected 0 to {expected - 1}, as pattern "
+            f"'{pattern.name}' of {pattern.dimension[0]} x {pattern.dimension[1]} {corners} has: are columns and rows "
+            f"those of the printed board ({counted})?"
         )

@@ -6,6 +6,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from glob import has_magic
+from itertools import pairwise
 from pathlib import Path
 from typing import Literal
 
@@ -19,7 +20,11 @@ MOST_IMAGES = 20_000
 MAX_CSV = 10_000_000
 _NUMBER = re.compile(r"\d+")
 
-Pairs = Literal["name", "number"] | Path | None
+_STAMP = re.compile(r"\d{15,19}")
+TOGETHER = 20_000_000
+"""Images whose stamps differ by no more belong together, ns; as Kalibr has it."""
+
+Pairs = Literal["name", "number", "stamp"] | Path | None
 
 
 @dataclass(frozen=True)
@@ -41,6 +46,8 @@ class Moment:
     """What they have in common, for messages."""
     files: Mapping[str, Path]
     """By sensor."""
+    lag: float = 0.0
+    """Between the first and the last of them, s, where their names are stamps."""
 
 
 def find_pictures(sensor: str, place: str) -> Pictures:
@@ -68,14 +75,17 @@ def moments_of(pictures: Sequence[Pictures], pairs: Pairs = None) -> list[Moment
 
     Args:
         pictures: of each camera.
-        pairs: what tells it: their names, their last numbers, or a CSV file; names where two cameras have one in
-            common, else numbers.
+        pairs: what tells it: their names, their last numbers, the stamps in nanoseconds that their names are, or a CSV
+            file; stamps where all names are, names where two cameras have one in common, else numbers.
 
     Raises:
         InputError: the images of two cameras have nothing in common, one stands for two moments, or the CSV is wrong.
     """
     if isinstance(pairs, Path):
         return _by_table(pictures, pairs)
+    stamped = all(_STAMP.fullmatch(path.stem) for each in pictures for path in each.files)
+    if pairs == "stamp" or (pairs is None and stamped and len(pictures) > 1):
+        return _by_stamp(pictures)
     if pairs == "name" or len(pictures) == 1:
         return _together(pictures, [_names(each) for each in pictures], "name")
     if pairs is None:
@@ -112,6 +122,57 @@ def _numbers(pictures: Pictures) -> dict[str, Path]:
         if (other := found.setdefault(str(int(numbers[-1])), path)) is not path:
             raise _ambiguous(pictures, other, path, f"the number {int(numbers[-1])}")
     return found
+
+
+@dataclass(frozen=True, order=True)
+class _Stamped:
+    """An image whose name is its stamp, ns."""
+
+    stamp: int
+    sensor: str
+    path: Path
+
+
+def _by_stamp(pictures: Sequence[Pictures]) -> list[Moment]:
+    """Images that follow each other within `TOGETHER`, one of each camera; each with the nearest of the first's."""
+    of = {each.sensor: sorted(_stamped(each)) for each in pictures}
+    after = {one: other.stamp for images in of.values() for one, other in pairwise(images)}
+    groups: list[dict[str, _Stamped]] = []
+    for image in sorted(image for images in of.values() for image in images):
+        first = next(iter(groups[-1].values())) if groups else image
+        apart = image.stamp - first.stamp
+        nearer = first not in after or apart <= abs(after[first] - image.stamp)
+        if groups and image.sensor not in groups[-1] and apart <= TOGETHER and nearer:
+            groups[-1][image.sensor] = image
+        else:
+            groups.append({image.sensor: image})
+    for each in pictures[1:]:
+        if not any(each.sensor in group and len(group) > 1 for group in groups):
+            one, other = (of[sensor][0] for sensor in (pictures[0].sensor, each.sensor))
+            raise InputError(
+                f"{each.place}: no image of '{each.sensor}' was taken within {TOGETHER / 1e9:g} s of another camera's, "
+                f"by the stamps that are their names ({other.path.name}, '{pictures[0].sensor}' {one.path.name}): are "
+                "their clocks synchronised?"
+            )
+    return [_moment(group) for group in groups]
+
+
+def _stamped(pictures: Pictures) -> list[_Stamped]:
+    """The images with their stamps."""
+    for path in pictures.files:
+        if not _STAMP.fullmatch(path.stem):
+            raise InputError(f"{path}: found '{path.stem}' as its name, expected a stamp in nanoseconds (pairs: stamp)")
+    found = {int(path.stem): path for path in pictures.files}
+    if len(found) < len(pictures.files):
+        stem = next(path.stem for path in pictures.files if path not in found.values())
+        raise InputError(f"{pictures.place}: found two images with the stamp {int(stem)}, expected each once")
+    return [_Stamped(stamp, pictures.sensor, path) for stamp, path in found.items()]
+
+
+def _moment(group: Mapping[str, _Stamped]) -> Moment:
+    stamps = [image.stamp for image in group.values()]
+    files = {sensor: image.path for sensor, image in group.items()}
+    return Moment(str(stamps[0]), files, (stamps[-1] - stamps[0]) / 1e9)
 
 
 def _ambiguous(pictures: Pictures, one: Path, other: Path, what: str) -> InputError:

@@ -15,7 +15,7 @@ from calibration.geometry.types import Array, IntArray
 from calibration.labelling.board_image import fits_neighbours, predict
 from calibration.labelling.detection import Image, NotDetected
 from calibration.labelling.layouts import Reading
-from calibration.labelling.printed_corners import refine
+from calibration.labelling.printed_corners import refine, shortest
 
 DECIMALS = 4
 """Of the corners' pixels."""
@@ -29,7 +29,9 @@ LEAST_SHARE = 0.25
 """A larger share of the corners makes a detection (ATOM's rule)."""
 
 
-def find_corners(image: Image, reading: Reading, corners: Array, clearance: float) -> tuple[IntArray, Array]:
+def find_corners(
+    image: Image, reading: Reading, corners: Array, clearance: float, least: float = 0.0
+) -> tuple[IntArray, Array]:
     """The corners of a board that has so far been read by its markers: from these, and then from each other.
 
     Args:
@@ -37,6 +39,7 @@ def find_corners(image: Image, reading: Reading, corners: Array, clearance: floa
         reading: the markers, and the layout that they speak for.
         corners: (C, 2), places of all corners by id.
         clearance: how far nothing else is printed around a corner, along x and y.
+        least: corners are not looked for where that is seen shorter, px.
 
     Returns:
         The ids (K,) and the pixels (K, 2).
@@ -45,7 +48,8 @@ def find_corners(image: Image, reading: Reading, corners: Array, clearance: floa
     predicted = predict(places, reading.markers.corners.reshape(-1, 2), corners)
     pixels, found = predicted.pixels.copy(), np.zeros(len(corners), bool)
     for _ in range(ROUNDS):
-        wanted = np.flatnonzero((predicted.support >= SUPPORT) & ~found)
+        free = clearance * shortest(predicted.jacobians)
+        wanted = np.flatnonzero((predicted.support >= SUPPORT) & (free >= least) & ~found)
         refined, at = refine(image, predicted.pixels[wanted], predicted.jacobians[wanted], clearance)
         seen = found.copy()
         seen[wanted[at]] = True

@@ -42,13 +42,19 @@ def refine(image: Image, pixels: Array, jacobians: Array, clearance: float) -> t
         The corners (K, 2), and which of them (K,) are found: within their window, and that in the image.
     """
     known: BoolArray = np.logical_and(np.isfinite(jacobians).all(axis=(1, 2)), np.isfinite(pixels).all(axis=-1))
-    shortest = np.linalg.svd(np.where(known[:, None, None], jacobians, 0.0), compute_uv=False)[:, 1]
-    half = np.clip(np.floor(clearance * shortest), *WINDOWS).astype(int)
+    half = np.clip(np.floor(clearance * shortest(jacobians)), *WINDOWS).astype(int)
     refined, found = np.where(known[:, None], pixels, 0.0), np.zeros(len(pixels), bool)
     for each in np.unique(half[known]).tolist():
         chosen = known & (half == each)
         refined[chosen], found[chosen] = _refined(image, refined[chosen], each)
     return refined, found
+
+
+def shortest(jacobians: Array) -> Array:
+    """(K,): how long a unit on the board is in the image where it is seen at its shortest, px; 0 where nobody knows."""
+    known = np.isfinite(jacobians.sum(axis=(1, 2)))
+    lengths: Array = np.linalg.svd(np.where(known[:, None, None], jacobians, 0.0), compute_uv=False)[:, 1]
+    return lengths
 
 
 def _refined(image: Image, start: Array, half: int) -> tuple[Array, BoolArray]:

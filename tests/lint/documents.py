@@ -47,6 +47,7 @@ PARTS = {
     # config.yml and simulation.yml have no schema; read in tests/actions/test_contract.py and tests/simulation
     "sensors": (None, None),
     "joints": (None, None),
+    "calibration_patterns": (None, None),
 }
 """What a block of YAML in a README is a part of, by a key in it: the schema, and how the block becomes a document."""
 
