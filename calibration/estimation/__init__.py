@@ -12,6 +12,7 @@ The rooms of the engine, in the order of the work:
 - ``wrong_views``: views that contradict the majority of the others, left out before anything is minimised;
 - ``starting_noise``: the matrix's noisy guesses;
 - ``residuals``, ``normal_equations``, ``least_squares``: a minimum;
+- ``design``: which collections determine a calibration best;
 - ``noise_levels``, ``optimisation``: what a pixel and a metre weigh, and so the optimum;
 - ``observability``: covariance, weak directions, what the data cannot determine;
 - ``label_columns``, ``held``, ``linear_model``: what is held and could be wrong, with the columns by which it

@@ -11,67 +11,13 @@ from pathlib import Path
 import numpy as np
 
 from calibration.errors import InputError, UndeterminedError
-from calibration.geometry.types import Array, BoolArray
+from calibration.estimation.design import choose
+from calibration.geometry.types import Array
 from calibration.simulation.motion.candidates import Candidates, find_candidates
 from calibration.simulation.motion.information import information
 from calibration.simulation.motion.sequence import GENERATE, Motion, pose_count, read_motion
 from calibration.simulation.placement import Placement, place
 from calibration.simulation.system import System
-
-PRIOR = 0.1
-"""What is known before the first pose, as a standard deviation, so that there is a covariance from the start;
-in rad and in the length that translations are measured in."""
-_DIGITS = 6  # of a score: what differs by less is rounding, and the first of equal ones is taken
-
-
-def choose(
-    information: Array, parameters: int, partial: Array, share: float, cells: BoolArray, count: int
-) -> list[int]:
-    """The indices of the best poses, one after the other, as many as asked for if there are so many.
-
-    Each next pose is the one after which the calibrated parameters have the least variance (the
-    trace of their covariance: A-optimality, F. Pukelsheim, "Optimal design of experiments", 1993)
-    among those with partial views or those without, as the share of partial views so far asks for;
-    and among those that show the pattern where no pose has shown it, while there are any.
-
-    Args:
-        information: (N, D, D), what each pose tells about D parameters, in units that compare.
-        parameters: how many of the D are calibrated; the others, after them, come along.
-        partial: (N,), the share of each pose's views that are partial.
-        share: that of the motion.
-        cells: (N, C), the places where each pose shows the pattern.
-        count: how many poses are wanted.
-    """
-    chosen: list[int] = []
-    in_part = partial > 0
-    left = np.ones(len(information), bool)
-    shown = np.zeros(cells.shape[1], bool)
-    known = np.eye(information.shape[-1]) / PRIOR**2
-    while len(chosen) < count and left.any():
-        wanted_in_part = bool(partial[chosen].sum() < share * len(chosen))
-        pool = _narrowed(left, in_part == wanted_in_part)
-        pool = _narrowed(pool, np.any(cells & ~shown, axis=-1))
-        index = np.flatnonzero(pool)
-        best = int(index[_variance(known + information[index], parameters).argmin()])
-        chosen.append(best)
-        left[best] = False
-        shown |= cells[best]
-        known = known + information[best]
-    return chosen
-
-
-def _narrowed(pool: BoolArray, wish: BoolArray) -> BoolArray:
-    """Those of the pool (N,) that fulfil a wish (N,); all of it where none does."""
-    some: BoolArray = pool & wish
-    return some if some.any() else pool
-
-
-def _variance(information: Array, parameters: int) -> Array:
-    """The sum of the variances (N,) of the first parameters, to so many digits that machines agree."""
-    variance = np.linalg.inv(information).diagonal(axis1=1, axis2=2)[:, :parameters].sum(-1)
-    unit = 10.0 ** (np.floor(np.log10(variance)) + 1 - _DIGITS)
-    rounded: Array = np.round(variance / unit) * unit
-    return rounded
 
 
 def generate_motion(system: System, count: int, seed: int) -> Motion:

@@ -12,12 +12,11 @@ import numpy as np
 
 from calibration.dataset.modalities import NoiseKind
 from calibration.errors import InputError
-from calibration.estimation.batches import table_of
 from calibration.estimation.blocks import Values
 from calibration.estimation.build import Setup, build
-from calibration.estimation.normal_equations import Weighting, linearise
+from calibration.estimation.design import informations
+from calibration.estimation.normal_equations import Weighting
 from calibration.estimation.observability import SINGULAR
-from calibration.estimation.problem import Problem
 from calibration.geometry.transforms import inverse, translation
 from calibration.geometry.types import Array, IntArray
 from calibration.simulation.motion.expected import expected_dataset
@@ -65,26 +64,6 @@ def information(system: System, placement: Placement) -> Information:
     poses = np.array([int(key) for key in setup.dataset.keys])
     each = informations(setup.problem, _truth(system, setup, placement, poses), expected_noise(system))
     return Information(setup, poses, each)
-
-
-def informations(problem: Problem, values: Values, weighting: Weighting) -> Array:
-    """(N, S, S): the information of each collection on the S shared parameters, its local ones being free.
-
-    Their sum is `calibration.estimation.normal_equations.NormalEquations.schur`.
-    """
-    S, P = problem.sizes
-    H = np.zeros((problem.collections, S + P, S + P))
-    table = table_of(problem.blocks, values)
-    for batch in problem.batches:
-        T, A = batch.linearise(table, values)
-        _, M, _ = linearise(batch.terms, T, weighting)
-        J = np.concatenate(batch.spread(A, problem.sizes, problem.intrinsics_at(batch)), -1)
-        np.add.at(H, batch.collections, np.swapaxes(J, 1, 2) @ M @ J)
-    H_local, H_mixed = H[:, S:, S:], H[:, :S, S:]
-    index = np.arange(H_local.shape[-1])
-    H_local[:, index, index] += H_local[:, index, index] == 0  # nothing sees it: it takes no part
-    reduced: Array = H[:, :S, :S] - H_mixed @ np.linalg.solve(H_local, np.swapaxes(H_mixed, 1, 2))
-    return 0.5 * (reduced + np.swapaxes(reduced, 1, 2))
 
 
 def expected_noise(system: System) -> Weighting:

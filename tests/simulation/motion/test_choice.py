@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from calibration.estimation.design import PRIOR, choose
 from calibration.geometry.types import Array, BoolArray
-from calibration.simulation.motion.generation import PRIOR, choose
 from tests.properties import at_most
 
 SEEDS = st.integers(0, 10_000)

@@ -5,8 +5,9 @@ import pytest
 
 from calibration.errors import UndeterminedError
 from calibration.estimation.build import build
+from calibration.estimation.design import informations
 from calibration.estimation.normal_equations import Weighting, assemble
-from calibration.simulation.motion.information import _truth, expected_noise, information, informations
+from calibration.simulation.motion.information import _truth, expected_noise, information
 from calibration.simulation.motion.sequence import Motion
 from calibration.simulation.placement import place
 from calibration.simulation.sensors import SimulatedDepthCamera, SimulatedLidar
