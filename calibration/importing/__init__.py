@@ -9,5 +9,6 @@
 - ``looking``: the pattern found in them; ``near_miss``: why it is not;
 - ``starting_intrinsics``: a lens that nobody knows, from the corners;
 - ``relabelling``: the images of a dataset labelled; ``contact_sheet``: a picture of what was found;
-- ``document``: the dataset; ``importing``: all of it.
+- ``best_moments``: which of many moments are kept;
+- ``recorded``, ``document``: the dataset; ``importing``: all of it.
 """

@@ -162,7 +162,9 @@ class Bags:
         "A moment every so many seconds, still or not, in place of those at which all stands still.", default=None
     )
     at: Path | None = field("File with the times of the moments, s, one a line, likewise.", default=None)
-    most: Annotated[int, between(1, 10_000)] = field("Moments at most; of more, evenly chosen ones.", default=100)
+    most: Annotated[int, between(1, 10_000)] = field(
+        "Moments at most; of more, those that calibrate best, or, with every or at, evenly chosen.", default=100
+    )
 
 
 @record

@@ -1,7 +1,6 @@
 """A recording becomes a dataset: what belongs together is found, labelled, and written."""
 
 import json
-from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -24,15 +23,16 @@ from calibration.geometry.cameras import Camera
 from calibration.geometry.frames import FrameTree
 from calibration.geometry.types import Array
 from calibration.importing.bag import open_bag
+from calibration.importing.best_moments import best_moments
 from calibration.importing.camera_files import KnownLens, read_lens
 from calibration.importing.contact_sheet import FILE as SHEET
 from calibration.importing.contact_sheet import contact_sheet
 from calibration.importing.description import ImportDescription, SensorDescription
 from calibration.importing.document import Imported, data_file, dataset_document
-from calibration.importing.looking import LabelledMoment, View, check_copies, check_sizes, look, read_image
-from calibration.importing.near_miss import check_board, never_seen
+from calibration.importing.looking import LabelledMoment, check_copies, look
 from calibration.importing.pictures import Moment, Pictures, find_pictures, moments_of
-from calibration.importing.range_data import LabelledRange, RangeView, labelled_ranges
+from calibration.importing.range_data import LabelledRange
+from calibration.importing.recorded import Recorded, check_seen, check_views, imported_moments
 from calibration.importing.recordings import (
     SeenImages,
     chosen_moments,
@@ -46,11 +46,11 @@ from calibration.importing.recordings import (
 )
 from calibration.importing.results import ImportResults, RejectedView, SensorResult
 from calibration.importing.samples import Sample, read_samples
-from calibration.importing.starting_intrinsics import starting_intrinsics
+from calibration.importing.stillness import StillMoment
 from calibration.importing.survey import survey
 from calibration.importing.target_files import pattern_configuration
 from calibration.labelling.corner_detector import corner_detector
-from calibration.labelling.detection import Image, NotDetected
+from calibration.labelling.detection import NotDetected
 from calibration.labelling.points import PatternPoints
 from calibration.records import read, text_of
 from calibration.simulation.collection.collecting import single_threaded_opencv
@@ -59,24 +59,6 @@ from calibration.yaml_file import read_yaml
 
 Done = Callable[[int, int, LabelledMoment | SeenImages], None]
 """Called after each part with how many are done, how many there are, and what was found."""
-
-
-@dataclass(frozen=True, eq=False)
-class Recorded:
-    """What was recorded, with what is seen in it."""
-
-    configuration: Configuration
-    lenses: Mapping[str, KnownLens]
-    """Of the cameras whose intrinsics are known."""
-    moments: Sequence[LabelledMoment]
-    transforms: Mapping[Edge, Array]
-    """(N, 4, 4): of the moments."""
-    rough: bool
-    """Whether the calibrated transforms are no statement, only a start."""
-    lag: float = 0.0
-    """Between the images of a moment, at most, s."""
-    ranges: Sequence[Mapping[str, RangeView]] = ()
-    """Of the moments: what LiDARs and depth cameras measured; empty where there is none."""
 
 
 def read_description(path: Path) -> ImportDescription:
@@ -126,7 +108,8 @@ def import_data(
         tasks = [work.keeping(task) for task in source.tasks]
         seen = list(run_tasks(tasks, workers=jobs, find=work.find, done=done).values())
         recorded = source.finish(seen, work.folder)
-        imported = _imported(robot, recorded)
+        check_views(recorded)
+        imported = imported_moments(robot, recorded)
         with replacing_dataset(output, overwrite) as new:
             for key, moment in zip(imported.keys, imported.moments, strict=True):
                 for name, view in moment.views.items():
@@ -181,7 +164,7 @@ def _import_poses(
         read_dataset(new)
     N = len(samples)
     found = SensorResult(images=N, labelled=N, corners=0, intrinsics="none", camera={})
-    return ImportResults(robot, N, N, 0, 0.0, {sensor.name: found})
+    return ImportResults(robot, N, N, N, 0, 0.0, {sensor.name: found})
 
 
 @dataclass(frozen=True, eq=False)
@@ -211,7 +194,7 @@ def _from_images(
         for name in configuration.sensors:
             check_copies(name, [moment.views[name] for moment in seen if name in moment.views])
         lag = max(moment.lag for moment in moments)
-        return Recorded(configuration, lenses, seen, transforms, rough=True, lag=lag)
+        return Recorded(configuration, lenses, seen, transforms, rough=True, of=len(seen), lag=lag)
 
     return _Source(
         _identity(patterns, [path for moment in moments for path in moment.files.values()]),
@@ -242,16 +225,27 @@ def _from_bags(
         for name, own in frames.items():
             at = partial(image_at, bags.files, found.cameras[name].topic)
             views, recorded = [frame.view for frame in own], [frame.recorded for frame in own]
-            _check_seen(name, patterns, views, lambda i, at=at, recorded=recorded: at(recorded[i]))  # type: ignore[misc]
-        moments = chosen_moments(bags, frames, found.log, mounted.edges, where)
-        return Recorded(
-            mounted.configuration,
-            {**told, **lenses},
-            taken_out(bags.files, found, moments, folder),
-            mounted.transforms(found.log, [moment.time for moment in moments]),
-            rough=not mounted.edges,
-            lag=max(moment.lag for moment in moments),
+            check_seen(name, patterns, views, lambda i, at=at, recorded=recorded: at(recorded[i]))  # type: ignore[misc]
+
+        def of_cameras(some: Sequence[StillMoment]) -> Recorded:
+            """What the cameras saw at some moments; their images are no files."""
+            return Recorded(
+                mounted.configuration,
+                {**told, **lenses},
+                [LabelledMoment({name: frame.view for name, frame in moment.frames.items()}) for moment in some],
+                mounted.transforms(found.log, [moment.time for moment in some]),
+                rough=not mounted.edges,
+                lag=max(moment.lag for moment in some),
+            )
+
+        every = chosen_moments(bags, frames, found.log, mounted.edges, where)
+        moments, evenly = best_moments(every, bags.most, of_cameras)
+        return replace(
+            of_cameras(moments),
+            moments=taken_out(bags.files, found, moments, folder),
             ranges=ranges_taken_out(bags.files, found, moments, folder),
+            of=len(every),
+            evenly=evenly,
         )
 
     return _Source(
@@ -357,97 +351,6 @@ def _transforms(configuration: Configuration, arm: Mapping[Edge, Array], count: 
     return transforms
 
 
-def _imported(robot: str, recorded: Recorded) -> Imported:
-    """The collections: moments in which at least one sensor sees a pattern.
-
-    Raises:
-        InputError: the images of a camera do not fit together, or its intrinsics; it sees a pattern nowhere; or what
-            it sees gives no intrinsics.
-    """
-    cameras: dict[str, Camera] = {}
-    configuration, moments = recorded.configuration, recorded.moments
-    for name, sensor in configuration.sensors.items():
-        if sensor.modality == "depth":
-            cameras[name] = recorded.lenses[name].camera
-        if sensor.modality != "rgb":
-            continue
-        views = [moment.views[name] for moment in moments if name in moment.views]
-        if not views:
-            raise InputError(f"'{name}' has no image in any moment")
-        check_sizes(name, views)
-        _check_seen(name, configuration.patterns, views)
-        for pattern in configuration.patterns.values():
-            check_board(name, pattern, views)
-        cameras[name] = _camera(name, recorded.lenses.get(name), configuration, views)
-    kept = [i for i, moment in enumerate(moments) if any(view.labelled for view in moment.views.values())]
-    ranges = _ranges(recorded, cameras)
-    return Imported(
-        robot=robot,
-        configuration=configuration,
-        cameras=cameras,
-        estimated=tuple(name for name in cameras if name not in recorded.lenses),
-        moments=[moments[i] for i in kept],
-        ranges=[ranges[i] for i in kept],
-        transforms={edge: T[kept] for edge, T in recorded.transforms.items()},
-        rough=recorded.rough,
-    )
-
-
-def _ranges(recorded: Recorded, cameras: Mapping[str, Camera]) -> Sequence[Mapping[str, LabelledRange]]:
-    """What LiDARs and depth cameras see of the patterns.
-
-    Raises:
-        InputError: one sees none at any moment.
-    """
-    configuration = recorded.configuration
-    measuring = [name for name, sensor in configuration.sensors.items() if sensor.modality != "rgb"]
-    if not measuring:
-        return [{} for _ in recorded.moments]
-    ranges = labelled_ranges(recorded.ranges, recorded.moments, configuration, cameras, recorded.transforms)
-    for name in measuring:
-        found = [each for own in ranges if name in own for each in own[name].found.values()]
-        if not any(isinstance(each, PatternPoints) for each in found):
-            reasons = Counter(each.reason for each in found if isinstance(each, NotDetected)).most_common(1)
-            why = reasons[0][0] if reasons else "nothing was recorded at any of the moments"
-            raise InputError(
-                f"'{name}' sees no pattern at any of {len(ranges)} moments where a camera sees it (mostly: {why}); its "
-                "place relative to the cameras must be known to 10 cm: is it in /tf or the robot description?"
-            )
-    return ranges
-
-
-def _check_seen(
-    name: str,
-    patterns: Mapping[str, PatternConfiguration],
-    views: Sequence[View],
-    read_view: Callable[[int], Image] | None = None,
-) -> None:
-    """Refuse a camera that sees none of the patterns."""
-    if not any(view.labelled for view in views):
-        raise never_seen(
-            name, next(iter(patterns.values())), views, read_view or (lambda i: read_image(Path(views[i].file)))
-        )
-
-
-def _camera(name: str, lens: KnownLens | None, configuration: Configuration, views: Sequence[View]) -> Camera:
-    """The intrinsics that are given, or a start from the corners."""
-    width, height = views[0].width, views[0].height
-    if lens is None:
-        seen = [
-            (configuration.patterns[pattern], labels)
-            for view in views
-            for pattern, found in view.found.items()
-            if (labels := found.labels) is not None
-        ]
-        return starting_intrinsics(name, (width, height), seen)
-    if lens.has_size and (lens.camera.width, lens.camera.height) != (width, height):
-        raise InputError(
-            f"{views[0].file}: found an image of {width} x {height} pixels, expected {lens.camera.width} x "
-            f"{lens.camera.height} as {lens.path} has for '{name}'"
-        )
-    return replace(lens.camera, width=width, height=height)
-
-
 def _results(imported: Imported, recorded: Recorded) -> ImportResults:
     labelled = recorded.moments
     sensors = {}
@@ -472,7 +375,9 @@ def _results(imported: Imported, recorded: Recorded) -> ImportResults:
         )
     together = sum(1 for seen in imported.seen if len(seen) > 1)
     lag = round(1e3 * recorded.lag, 3)
-    return ImportResults(imported.robot, len(labelled), len(imported.moments), together, lag, sensors)
+    return ImportResults(
+        imported.robot, recorded.of, len(labelled), len(imported.moments), together, lag, sensors, recorded.evenly
+    )
 
 
 def document_of_camera(camera: Camera) -> dict[str, float]:

@@ -25,7 +25,7 @@ from calibration.importing.looking import LabelledMoment, View, look_at
 from calibration.importing.messages import depth_of, image_of
 from calibration.importing.motion_log import MotionLog
 from calibration.importing.range_data import RangeView, cloud_message, cloud_of, scan_message
-from calibration.importing.stillness import Frame, StillMoment, moments_at, still_moments, thinned
+from calibration.importing.stillness import Frame, StillMoment, evenly, moments_at, still_moments
 from calibration.importing.survey import SensorTopic, Survey
 from calibration.labelling.detection import CornerDetector, DepthImage, Image
 from calibration.records import field, read, result
@@ -99,14 +99,14 @@ def frames_of(found: Survey, seen: Sequence[SeenImages]) -> dict[str, list[Frame
 def chosen_moments(
     described: Bags, frames: Mapping[str, Sequence[Frame]], log: MotionLog, edges: Sequence[Edge], where: str
 ) -> list[StillMoment]:
-    """The moments that become collections.
+    """The moments that may become collections: all at which all stands still, or of those that are asked for so many.
 
     Raises:
         InputError: nothing ever stands still, or no image is near the times that are asked for.
     """
     if described.every is None and described.at is None:
         still = still_moments(frames)
-        kept = thinned(still, described.most, lambda moment: log.is_still(list(edges), moment.time))
+        kept = [moment for moment in still if log.is_still(list(edges), moment.time)]
         if not kept:
             why = (
                 f"the corners stay {len(still)} times, but the robot moves then" if still else "the corners always move"
@@ -125,7 +125,7 @@ def chosen_moments(
     moments = moments_at(frames, times)
     if not moments:
         raise InputError(f"{where}: no image with a pattern is near the times that are asked for")
-    return thinned(moments, described.most, lambda _: True)
+    return evenly(moments, described.most)
 
 
 def _read_times(path: Path, start: int) -> list[float]:

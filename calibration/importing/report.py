@@ -17,11 +17,12 @@ def report(results: ImportResults, folder: Path) -> Report:
     return Report(
         title=TITLE,
         verdict="pass",
-        sentence=f"{count_of(results.collections, 'collection')} of {count_of(results.moments, 'moment')} in {folder}",
+        sentence=f"{count_of(results.collections, 'collection')} of {count_of(results.found, 'moment')} in {folder}",
         results=results,
         outputs={"dataset": folder, "collections": results.collections, "labelled": found},
-        notes=tuple(
-            f"'{name}' has intrinsics from its corners only: calibrate them too (intrinsics)" for name in estimated
+        notes=(
+            *(f"'{name}' has intrinsics from its corners only: calibrate them too (intrinsics)" for name in estimated),
+            *(f"moments are evenly chosen: {why}" for why in [results.evenly] if why is not None),
         ),
         blocks=(
             Table(

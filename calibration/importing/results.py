@@ -33,11 +33,13 @@ class ImportResults:
     """What was imported."""
 
     robot: str = field("Its name.")
-    moments: int = field("Images that belong together, as they were found.")
+    found: int = field("Moments that were found, of which those that tell most are kept.")
+    moments: int = field("Those that were looked at: images that belong together.")
     collections: int = field("Moments with a pattern in them: the collections of the dataset.")
     together: int = field("Collections in which two sensors or more see a pattern.")
     lag_ms: float = field("Between the images of a moment, at most.", unit="ms")
     sensors: Mapping[str, SensorResult] = field("By name.")
+    evenly: str | None = field("Why the moments were chosen evenly, not as those that calibrate best.", default=None)
 
 
 @result

@@ -1,6 +1,6 @@
 """Moments at which all stands still: by the corners that each camera saw, image after image."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -111,12 +111,11 @@ def moments_at(frames: Mapping[str, Sequence[Frame]], times: Sequence[float]) ->
     return moments
 
 
-def thinned(moments: Sequence[StillMoment], most: int, still: Callable[[StillMoment], bool]) -> list[StillMoment]:
-    """Those at which the robot stands still too, evenly chosen where there are more than ``most``."""
-    kept = [moment for moment in moments if still(moment)]
-    if len(kept) <= most:
-        return kept
-    return [kept[i] for i in np.linspace(0, len(kept) - 1, most).round().astype(int)]
+def evenly(moments: Sequence[StillMoment], most: int) -> list[StillMoment]:
+    """No more than so many of them, evenly chosen."""
+    if len(moments) <= most:
+        return list(moments)
+    return [moments[i] for i in np.linspace(0, len(moments) - 1, most).round().astype(int)]
 
 
 def still_groups(frames: Sequence[Frame]) -> list[Group]:

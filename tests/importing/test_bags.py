@@ -143,6 +143,33 @@ def test_times_are_chosen(tmp_path: Path) -> None:
     assert results.collections == 5
 
 
+def test_the_moments_that_calibrate_best_are_kept(tmp_path: Path) -> None:
+    """Of eight moments at one pose, and one at each of six others: those six, and one of the eight."""
+    path, numbers = file_of(tmp_path, "mcap"), [0] * 8 + [1, 2, 3, 4, 5, 6]
+    with BagFile(path, "mcap") as bag:
+        for n, number in enumerate(numbers):
+            for camera in CAMERAS:
+                stamp = BEGIN + n * SECOND
+                bag.camera_info(f"/{camera}/camera_info", stamp, FRAMES[camera], (640, 480), FOCAL)
+                bag.image(f"/{camera}/image_raw", stamp, image(camera, number), FRAMES[camera])
+    results = import_data(describe(path, bags={"most": 7}), tmp_path / "out", jobs=1)
+    assert (results.found, results.collections, results.evenly) == (14, 7, None)
+    images = {hash(file.read_bytes()) for file in (tmp_path / "out").glob("left_camera_*.png")}
+    assert len(images) == 7
+
+
+def test_moments_that_calibrate_nothing_are_chosen_evenly(tmp_path: Path) -> None:
+    path = file_of(tmp_path, "mcap")
+    with BagFile(path, "mcap") as bag:
+        for n in range(6):
+            stamp = BEGIN + n * SECOND
+            bag.camera_info("/left_camera/camera_info", stamp, FRAMES["left_camera"], (640, 480), FOCAL)
+            bag.image("/left_camera/image_raw", stamp, image("left_camera", n), FRAMES["left_camera"])
+    results = import_data(describe(path, bags={"most": 3}), tmp_path / "out", jobs=1)
+    assert (results.found, results.collections) == (6, 3)
+    assert "nothing to calibrate" in str(results.evenly)
+
+
 def test_joints_of_a_robot_move_a_camera(tmp_path: Path) -> None:
     """The arm's poses come from joint_states and robot_description; moments at which it moves are left out."""
     path = file_of(tmp_path, "db3")

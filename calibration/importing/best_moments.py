@@ -1,0 +1,102 @@
+"""Of many moments at which all stands still those that determine the calibration best."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+
+from calibration.dataset.model import CornerLabels, Dataset
+from calibration.dataset.reading import FILE_NAME, read_dataset
+from calibration.dataset.writing import write_document
+from calibration.errors import CalibrationError
+from calibration.estimation.calibrate import calibrate
+from calibration.estimation.design import choose, informations
+from calibration.estimation.options import Options
+from calibration.estimation.result import Solution
+from calibration.geometry.types import Array, BoolArray
+from calibration.importing.document import dataset_document
+from calibration.importing.recorded import Recorded, imported_moments
+from calibration.importing.stillness import StillMoment, evenly
+from calibration.simulation.collection.record import image_cells
+
+CANDIDATES = 1000
+"""Of more moments than this, evenly chosen ones are looked at."""
+
+
+def best_moments(
+    moments: Sequence[StillMoment], most: int, recorded: Callable[[Sequence[StillMoment]], Recorded]
+) -> tuple[list[StillMoment], str | None]:
+    """So many moments, in their order, and why they are evenly chosen, where they cannot be calibrated.
+
+    All of them are calibrated once, by what the cameras see; what each tells adds up (`calibration.estimation.design`).
+
+    Args:
+        moments: to choose from.
+        most: how many are kept.
+        recorded: what cameras saw at some moments; images need not be files.
+    """
+    if len(moments) <= most:
+        return list(moments), None
+    candidates = evenly(moments, CANDIDATES)
+    try:
+        chosen = _chosen(recorded(candidates), most)
+    except CalibrationError as error:
+        return evenly(moments, most), str(error)
+    return [candidates[i] for i in sorted(chosen)], None
+
+
+def _chosen(recorded: Recorded, most: int) -> list[int]:
+    """The indices of the best moments, at most so many; of those that repeat each other the first."""
+    imported = imported_moments("", _of_cameras(recorded))
+    with TemporaryDirectory() as folder:
+        write_document(dataset_document(imported), Path(folder) / FILE_NAME)
+        dataset = read_dataset(folder)
+    solution = calibrate(dataset, Options(description="rough", intrinsics=imported.estimated)).solution
+    once = np.unique(solution.clusters)
+    used = [dataset.keys.index(solution.setup.dataset.keys[i]) for i in once]
+    each, calibrated = _informations(solution)
+    cells, partial = _shown(dataset.with_collections(used))
+    return [used[i] for i in choose(each[once], calibrated, partial, float(partial.mean()), cells, most)]
+
+
+def _of_cameras(recorded: Recorded) -> Recorded:
+    """Without LiDARs and depth cameras."""
+    known = recorded.configuration
+    cameras = {name: sensor for name, sensor in known.sensors.items() if sensor.modality == "rgb"}
+    anchored = known.anchored_sensor
+    if anchored is not None and anchored not in cameras:
+        anchored = next(iter(cameras))
+    configuration = replace(known, sensors=cameras, anchored_sensor=anchored)
+    return replace(recorded, configuration=configuration, ranges=())
+
+
+def _informations(solution: Solution) -> tuple[Array, int]:
+    """What each collection tells (N, S, S), in units that compare, of what is calibrated first; how many these are."""
+    problem, patterns = solution.setup.problem, solution.setup.dataset.patterns
+    distances = [np.linalg.norm(problem.poses(group, solution.values)[:, :3, 3], axis=-1) for group in problem.groups]
+    unit = problem.units(float(np.concatenate(distances).mean()))
+    each = unit[:, None] * informations(problem, solution.values, solution.weighting) * unit
+    of_patterns = np.zeros(len(unit), bool)
+    for block, at in problem.shared_parameters.items():
+        of_patterns[at] = problem.blocks[block].name in patterns
+    order = np.argsort(of_patterns, kind="stable")
+    return each[:, order[:, None], order], int((~of_patterns).sum())
+
+
+def _shown(dataset: Dataset) -> tuple[BoolArray, Array]:
+    """The cells of images in which a collection has corners (N, C), and its share of partial views (N,)."""
+    places: list[set[tuple[str, int]]] = []
+    partial = np.zeros(len(dataset.collections))
+    for i, collection in enumerate(dataset.collections):
+        own: set[tuple[str, int]] = set()
+        views = [(p, s, each) for (p, s), each in collection.labels.items() if isinstance(each, CornerLabels)]
+        for _, sensor, label in views:
+            if camera := dataset.sensors[sensor].camera:
+                own.update((sensor, cell) for cell in image_cells(camera, [label]))
+        whole = [len(label.ids) == len(dataset.patterns[pattern].corners) for pattern, _, label in views]
+        partial[i] = 1 - np.mean(whole) if whole else 0.0
+        places.append(own)
+    every = sorted(set().union(*places))
+    return np.array([[cell in own for cell in every] for own in places], bool), partial

@@ -1,0 +1,143 @@
+"""What was recorded and seen, made the collections of a dataset: intrinsics, what LiDARs see, what is left out."""
+
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from calibration.dataset.configuration import Configuration, PatternConfiguration
+from calibration.dataset.model import Edge
+from calibration.errors import InputError
+from calibration.geometry.cameras import Camera
+from calibration.geometry.types import Array
+from calibration.importing.camera_files import KnownLens
+from calibration.importing.document import Imported
+from calibration.importing.looking import LabelledMoment, View, check_sizes, read_image
+from calibration.importing.near_miss import check_board, never_seen
+from calibration.importing.range_data import LabelledRange, RangeView, labelled_ranges
+from calibration.importing.starting_intrinsics import starting_intrinsics
+from calibration.labelling.detection import Image, NotDetected
+from calibration.labelling.points import PatternPoints
+
+
+@dataclass(frozen=True, eq=False)
+class Recorded:
+    """What was recorded, with what is seen in it."""
+
+    configuration: Configuration
+    lenses: Mapping[str, KnownLens]
+    """Of the cameras whose intrinsics are known."""
+    moments: Sequence[LabelledMoment]
+    transforms: Mapping[Edge, Array]
+    """(N, 4, 4): of the moments."""
+    rough: bool
+    """Whether the calibrated transforms are no statement, only a start."""
+    of: int = 0
+    """How many moments there were to choose from."""
+    evenly: str | None = None
+    """Why these were chosen evenly among them, not as those that calibrate best."""
+    lag: float = 0.0
+    """Between the images of a moment, at most, s."""
+    ranges: Sequence[Mapping[str, RangeView]] = ()
+    """Of the moments: what LiDARs and depth cameras measured; empty where there is none."""
+
+
+def check_views(recorded: Recorded) -> None:
+    """Refuse images of one camera that do not fit together, or that show no pattern, or another one.
+
+    Raises:
+        InputError: names the camera, and what it shows instead.
+    """
+    for name in recorded.configuration.sensors:
+        if views := [moment.views[name] for moment in recorded.moments if name in moment.views]:
+            check_sizes(name, views)
+            check_seen(name, recorded.configuration.patterns, views)
+            for pattern in recorded.configuration.patterns.values():
+                check_board(name, pattern, views)
+
+
+def imported_moments(robot: str, recorded: Recorded) -> Imported:
+    """The collections: moments in which at least one sensor sees a pattern.
+
+    Raises:
+        InputError: a camera has no image, or others than its intrinsics say, or what it sees gives no intrinsics; a
+            LiDAR or a depth camera sees no pattern.
+    """
+    cameras: dict[str, Camera] = {}
+    configuration, moments = recorded.configuration, recorded.moments
+    for name, sensor in configuration.sensors.items():
+        if sensor.modality == "depth":
+            cameras[name] = recorded.lenses[name].camera
+        if sensor.modality != "rgb":
+            continue
+        views = [moment.views[name] for moment in moments if name in moment.views]
+        if not views:
+            raise InputError(f"'{name}' has no image in any moment")
+        cameras[name] = _camera(name, recorded.lenses.get(name), configuration, views)
+    kept = [i for i, moment in enumerate(moments) if any(view.labelled for view in moment.views.values())]
+    ranges = _ranges(recorded, cameras)
+    return Imported(
+        robot=robot,
+        configuration=configuration,
+        cameras=cameras,
+        estimated=tuple(name for name in cameras if name not in recorded.lenses),
+        moments=[moments[i] for i in kept],
+        ranges=[ranges[i] for i in kept],
+        transforms={edge: T[kept] for edge, T in recorded.transforms.items()},
+        rough=recorded.rough,
+    )
+
+
+def _ranges(recorded: Recorded, cameras: Mapping[str, Camera]) -> Sequence[Mapping[str, LabelledRange]]:
+    """What LiDARs and depth cameras see of the patterns.
+
+    Raises:
+        InputError: one sees none at any moment.
+    """
+    configuration = recorded.configuration
+    measuring = [name for name, sensor in configuration.sensors.items() if sensor.modality != "rgb"]
+    if not measuring:
+        return [{} for _ in recorded.moments]
+    ranges = labelled_ranges(recorded.ranges, recorded.moments, configuration, cameras, recorded.transforms)
+    for name in measuring:
+        found = [each for own in ranges if name in own for each in own[name].found.values()]
+        if not any(isinstance(each, PatternPoints) for each in found):
+            reasons = Counter(each.reason for each in found if isinstance(each, NotDetected)).most_common(1)
+            why = reasons[0][0] if reasons else "nothing was recorded at any of the moments"
+            raise InputError(
+                f"'{name}' sees no pattern at any of {len(ranges)} moments where a camera sees it (mostly: {why}); its "
+                "place relative to the cameras must be known to 10 cm: is it in /tf or the robot description?"
+            )
+    return ranges
+
+
+def check_seen(
+    name: str,
+    patterns: Mapping[str, PatternConfiguration],
+    views: Sequence[View],
+    read_view: Callable[[int], Image] | None = None,
+) -> None:
+    """Refuse a camera that sees none of the patterns."""
+    if not any(view.labelled for view in views):
+        raise never_seen(
+            name, next(iter(patterns.values())), views, read_view or (lambda i: read_image(Path(views[i].file)))
+        )
+
+
+def _camera(name: str, lens: KnownLens | None, configuration: Configuration, views: Sequence[View]) -> Camera:
+    """The intrinsics that are given, or a start from the corners."""
+    width, height = views[0].width, views[0].height
+    if lens is None:
+        seen = [
+            (configuration.patterns[pattern], labels)
+            for view in views
+            for pattern, found in view.found.items()
+            if (labels := found.labels) is not None
+        ]
+        return starting_intrinsics(name, (width, height), seen)
+    if lens.has_size and (lens.camera.width, lens.camera.height) != (width, height):
+        raise InputError(
+            f"{views[0].file}: found an image of {width} x {height} pixels, expected {lens.camera.width} x "
+            f"{lens.camera.height} as {lens.path} has for '{name}'"
+        )
+    return replace(lens.camera, width=width, height=height)
