@@ -4,6 +4,7 @@ import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -123,6 +124,31 @@ def _read(content: bytes, where: str, known: dict[str, tuple[Any, Snapshot]]) ->
     for name, snapshot in read.items():
         known[name] = (new[name], snapshot)
     return {name: {**stayed, **read}[name] for name in entries}
+
+
+def history_of(file: Path, systems: Sequence[str], since: str | None, most: int) -> History:
+    """The history of a file of accepted calibrations.
+
+    Args:
+        file: in a checkout.
+        systems: only these; all where there are none.
+        since: only commits after it.
+        most: so many of them, the newest.
+
+    Raises:
+        InputError: it is in no repository, or no commit has it.
+        WorldError: git fails.
+    """
+    repository = Repository.around(file.resolve().parent)
+    inside = repository.path(file)
+    if inside is None:
+        raise InputError(f"{file}: expected a file in the repository {repository.root}")
+    commits = repository.changes_of(inside, since, most)
+    accepted, unreadable = read_history(repository, inside, commits)
+    if not accepted:
+        after = f" after {since}" if since else ""
+        raise InputError(f"{inside}: no commit{after} has accepted anything: calibration accept, then commit the file")
+    return history(inside, accepted, unreadable, systems)
 
 
 def history(file: str, accepted: Sequence[Revision], unreadable: Iterable[str], systems: Sequence[str]) -> History:

@@ -6,11 +6,10 @@ from pathlib import Path
 
 import click
 
-from calibration.baseline.history import History, Step, Trend, history, read_history
+from calibration.baseline.history import History, Step, Trend, history_of
 from calibration.baseline.trend_figure import figure
 from calibration.commands.parameters import TEXT_LIST, path, text
 from calibration.errors import ExitCode, InputError
-from calibration.git.repository import Repository
 from calibration.pipeline.configuration import DEFAULT_FILE, read_configuration
 from calibration.report import Lines, Report, Table, count_of, publish
 from calibration.workflow import Runner
@@ -32,7 +31,7 @@ def command(config: Path, systems: tuple[str, ...] | None, since: str | None, ou
     """
     runner = Runner.from_environment(os.environ)
     file = read_configuration(config).baseline.file
-    found = history_of(file, systems or (), since)
+    found = history_of(file, systems or (), since, MOST_COMMITS)
     try:
         drawing = figure(found)
     except InputError as error:
@@ -40,25 +39,6 @@ def command(config: Path, systems: tuple[str, ...] | None, since: str | None, ou
         runner.log(str(error))
     publish(report(found, drawing), runner, output)
     return ExitCode.PASS
-
-
-def history_of(file: Path, systems: tuple[str, ...], since: str | None) -> History:
-    """The history of a file of accepted calibrations.
-
-    Raises:
-        InputError: it is in no repository, or no commit has it.
-        WorldError: git fails.
-    """
-    repository = Repository.around(file.resolve().parent)
-    inside = repository.path(file)
-    if inside is None:
-        raise InputError(f"{file}: expected a file in the repository {repository.root}")
-    commits = repository.changes_of(inside, since, MOST_COMMITS)
-    accepted, unreadable = read_history(repository, inside, commits)
-    if not accepted:
-        after = f" after {since}" if since else ""
-        raise InputError(f"{inside}: no commit{after} has accepted anything: calibration accept, then commit the file")
-    return history(inside, accepted, unreadable, systems)
 
 
 def report(found: History, drawing: bytes | None) -> Report:

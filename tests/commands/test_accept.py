@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from calibration.__main__ import main
+from tests.coverage.projects import git
 from tests.displaced import displace
 
 ROOT = Path(__file__).parents[2]
@@ -102,6 +103,22 @@ def test_wrong_arguments_are_named(
     assert expected in error
     assert error.count("\n") == 1
     assert not Path(FILE).exists()
+
+
+def test_the_page_shows_the_accepted_calibrations_by_commit(repository: Path) -> None:
+    git(repository, "init", "--quiet")
+    for twist in (None, KNOCKED):
+        if twist:
+            displace(repository / "robot", "right_camera", twist)
+        assert main(["run"]) == (1 if twist else 0)
+        assert "Accepted calibrations" not in Path("output/report.html").read_text()
+        assert main(["accept"]) == 0
+        git(repository, "add", FILE)
+        git(repository, "commit", "--quiet", "--message", f"moved by {twist}")
+    assert main(["run"]) == 0
+    page = Path("output/report.html").read_text()
+    assert "Accepted calibrations" in page
+    assert "over 2 accepted calibrations: last 3 mm" in page
 
 
 def test_the_accepted_calibrations_lie_beside_the_configuration(

@@ -11,11 +11,13 @@ from calibration.pages.ellipses import ellipses
 from calibration.pages.heat_map import heat_map
 from calibration.pages.histogram import histogram
 from calibration.pages.html import Html, element
+from calibration.pages.overlay import overlay
 from calibration.pages.page import figure, page, section
 from calibration.pages.residual_plane import residual_plane
 from calibration.pages.scene import Line, scene
 from calibration.pages.svg import Axis, ticks
 from calibration.pages.tables import table
+from calibration.pages.trend import trend
 
 HOSTILE = st.one_of(
     st.text(),
@@ -52,6 +54,8 @@ def whole(name: str) -> str:
         histogram(name, some[:, 0], 0.3, "px"),
         heat_map(name, [name], [name, name], np.array([[1.0, np.nan]]), "px"),
         ellipses(name, np.eye(3), 1.0),
+        overlay(name, b"a picture", (640, 480), some[:, :2], some[:, :2]),
+        trend(name, [name, name], [0.0, 1.0], [0.1, 0.1], "mm"),
         scene([Line(some, "camera", name)], name),
     ]
     return page(name, [section(name, *parts, anchor=name)])
@@ -78,7 +82,7 @@ def test_a_page_needs_nothing_from_elsewhere() -> None:
     assert any(str(each.get("content")).startswith("default-src 'none';") for _, each in elements)
     for _, attributes in elements:
         assert not set(attributes) & {"src", "srcset", "onload", "onclick", "onerror"}
-        assert (attributes.get("href") or "#").startswith("#")
+        assert (attributes.get("href") or "#").startswith(("#", "data:image/jpeg;base64,"))
 
 
 @given(st.floats(-1e6, 1e6), st.floats(1e-3, 1e6))

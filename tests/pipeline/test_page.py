@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 
 from calibration.__main__ import main
+from calibration.pipeline.page.worst_views import SHOWN
 from tests.recorder.browser import CHROMIUM
 
 pytest.importorskip("playwright")
@@ -32,7 +33,8 @@ def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The page of a run of three systems, one of them red."""
     folder = tmp_path_factory.mktemp("run")
     for name in ("t2rgb", "rlbot", "riwbot"):
-        shutil.copytree(ROOT / "datasets" / name, folder / name, ignore=shutil.ignore_patterns("*.jpg", "*.png"))
+        without = ("*.png",) if name == "t2rgb" else ("*.jpg", "*.png")
+        shutil.copytree(ROOT / "datasets" / name, folder / name, ignore=shutil.ignore_patterns(*without))
     (folder / "calibration.yml").write_text(json.dumps(CONFIGURATION))
     output = folder / "output"
     assert main(["run", "--config", str(folder / "calibration.yml"), "--output", str(output), "--jobs", "1"]) == 1
@@ -61,6 +63,7 @@ def test_it_opens_offline_without_an_error_and_axe_finds_nothing(report: Path, c
     assert page.locator("h1").inner_text() == "Calibration"
     assert page.locator("h2").all_inner_texts() == list(CONFIGURATION["systems"])
     assert page.locator("canvas").count() == 3
+    assert page.locator("image").count() == SHOWN  # of the system whose images are there
     drawn = page.evaluate(
         "[...document.querySelectorAll('canvas')].map(c => new Set(c.getContext('2d').getImageData(0, 0, c.width,"
         " c.height).data).size)"

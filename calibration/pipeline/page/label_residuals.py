@@ -13,6 +13,7 @@ from calibration.pages.histogram import histogram
 from calibration.pages.html import Html, element
 from calibration.pages.page import figure
 from calibration.pages.residual_plane import residual_plane
+from calibration.pipeline.page.worst_views import worst_views
 
 _PLANE = (
     "where its corners come out less where they were seen, enlarged. Red ones are longer than three times the RMS. "
@@ -20,12 +21,13 @@ _PLANE = (
 )
 
 
-def label_residuals(dataset: Dataset, levels: NoiseLevels | None) -> Iterator[Html]:
+def label_residuals(dataset: Dataset, levels: NoiseLevels | None, given: Dataset | None = None) -> Iterator[Html]:
     """Yield the figures of each sensor that has labels, then the views' RMS.
 
     Args:
         dataset: calibrated.
         levels: standard deviations of the labels that the calibration states.
+        given: the dataset as it was given, with its images, where it is at hand.
     """
     found = {name: residuals(dataset, sensor) for name, sensor in dataset.sensors.items()}
     found = {name: each for name, each in found.items() if len(each.collections)}
@@ -36,9 +38,11 @@ def label_residuals(dataset: Dataset, levels: NoiseLevels | None) -> Iterator[Ht
     for unit, factor, width in (("px", 1.0, 2), ("mm", 1e3, 1)):
         rows = [name for name, each in found.items() if each.values.shape[-1] == width]
         if rows:
-            values = factor * np.array([_by_collection(found[name], len(dataset.collections)) for name in rows])
-            drawn = heat_map("RMS of each view", rows, dataset.keys, values, unit)
+            by_view = {name: factor * _by_collection(found[name], len(dataset.collections)) for name in rows}
+            drawn = heat_map("RMS of each view", rows, dataset.keys, np.array(list(by_view.values())), unit)
             yield figure(drawn, f"RMS of each view, {unit}: the stronger, the larger; empty where nothing was seen.")
+            if unit == "px":
+                yield from worst_views(dataset, found, by_view, given)
 
 
 def _figures(sensor: Sensor, found: Residuals, levels: NoiseLevels | None) -> Iterator[Html]:

@@ -1,16 +1,22 @@
 """The page of a run: the verdict and the tables of all systems, then each system by itself."""
 
+import math
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
+
+from calibration.baseline.history import History, history_of
 from calibration.dataset.model import Dataset
 from calibration.dataset.reading import read_dataset
 from calibration.diagnosis.limits import Limits
 from calibration.errors import CalibrationError
 from calibration.pages.ellipses import ellipses
+from calibration.pages.heat_map import heat_map
 from calibration.pages.html import Html, element, join
-from calibration.pages.page import figure, page, section
+from calibration.pages.page import figure, folded, page, section
 from calibration.pages.tables import table
+from calibration.pages.trend import trend
 from calibration.pipeline.matrix.cell import CellResult
 from calibration.pipeline.matrix.matrix import Matrix
 from calibration.pipeline.page.in_space import in_space
@@ -29,8 +35,14 @@ from calibration.pipeline.results import Results
 from calibration.pipeline.system import System
 from calibration.report import Report
 
+MOST_COMMITS = 50
+"""Of the accepted calibrations, the newest."""
+SIX = ("x", "y", "z", "roll", "pitch", "yaw")
 
-def report_page(report: Report, results: Results, output: Path, matrix: Matrix | None = None) -> str:
+
+def report_page(
+    report: Report, results: Results, output: Path, matrix: Matrix | None = None, accepted: History | None = None
+) -> str:
     """Return the page, which stands alone.
 
     Args:
@@ -38,6 +50,7 @@ def report_page(report: Report, results: Results, output: Path, matrix: Matrix |
         results: what was found, with the cells' details.
         output: the folder with the cells' datasets.
         matrix: what was calibrated, where its datasets are at hand, for limits and for how it was before.
+        accepted: the accepted calibrations through the commits of the repository.
     """
     shown = {system: cell for system in results.systems if (cell := _shown(results, system)) is not None}
     systems = {system.name: system for system in matrix.systems} if matrix else {}
@@ -50,7 +63,7 @@ def report_page(report: Report, results: Results, output: Path, matrix: Matrix |
         element("nav", element("ul", *links), aria_label="Systems") if len(links) > 1 else Html(""),
         *(table(each.columns, each.rows) for each in (make(results) for make in tables)),
     ]
-    sections = [_system(name, cell, output, systems.get(name)) for name, cell in shown.items()]
+    sections = [_system(name, cell, output, systems.get(name), accepted) for name, cell in shown.items()]
     return page(f"Calibration: {report.verdict}", [join(head), *sections])
 
 
@@ -72,7 +85,7 @@ def _list(lines: tuple[str, ...]) -> Html:
     return element("ul", *(element("li", line) for line in lines), class_="reasons") if lines else Html("")
 
 
-def _system(name: str, cell: CellResult, output: Path, system: System | None) -> Html:
+def _system(name: str, cell: CellResult, output: Path, system: System | None, accepted: History | None) -> Html:
     """Everything about one system, by one of its cells."""
     tables = (transforms_table, parameters_table, changes_table)
     notes = tuple(finding.text for finding in cell.findings if finding.severity != "red")
@@ -89,15 +102,45 @@ def _system(name: str, cell: CellResult, output: Path, system: System | None) ->
     else:
         if dataset is not None:
             levels = cell.details.noise_levels if cell.details else None
-            content += [in_space(dataset, _before(system)), *label_residuals(dataset, levels)]
-    content += _error_bars(cell, system.limits if system else None)
+            given = _given(system)
+            content += [in_space(dataset, given), *label_residuals(dataset, levels, given)]
+    content += [*_error_bars(cell, system.limits if system else None), *_trends(name, accepted)]
     return section(name, *content, anchor=_anchor(name))
 
 
-def _before(system: System | None) -> Dataset | None:
+def _given(system: System | None) -> Dataset | None:
     """The dataset as it was given, where it is at hand."""
     try:
         return read_dataset(system.dataset) if system else None
+    except CalibrationError:
+        return None
+
+
+def _trends(system: str, found: History | None) -> Iterator[Html]:
+    """Where the system's sensors have been in the accepted calibrations of the repository."""
+    figures = [
+        figure(
+            trend(
+                each.name,
+                [f"{point.date} {point.commit[:7]} {point.subject}" for point in each.points],
+                [math.hypot(*point.translation_mm) for point in each.points],
+                [point.sigma_mm for point in each.points],
+                "mm",
+            ),
+            f"{each.name}: how far it is from where it was accepted first, by commit.",
+        )
+        for each in (found.trends if found else ())
+        if each.system == system and len(each.points) > 1 and any(point.translation_mm for point in each.points)
+    ]
+    if figures:
+        yield element("h3", "Accepted calibrations")
+        yield element("div", *figures, class_="figures")
+
+
+def accepted_history(file: Path) -> History | None:
+    """The newest accepted calibrations of the repository; None where there is none, or nothing can be read."""
+    try:
+        return history_of(file, (), None, MOST_COMMITS)
     except CalibrationError:
         return None
 
@@ -112,6 +155,17 @@ def _error_bars(cell: CellResult, limits: Limits | None) -> Iterator[Html]:
         for pose in (snapshot.poses if snapshot else ())
         if (covariance := pose.covariance) is not None
     ]
+    correlations = [
+        figure(
+            heat_map(f"Correlations of {pose.name}", SIX, SIX, np.abs(covariance) / np.outer(sigmas, sigmas), ""),
+            f"{pose.name}: how its six errors hang together (0 to 1, turns in its own frame).",
+        )
+        for pose in (snapshot.poses if snapshot else ())
+        if (covariance := pose.covariance) is not None and (sigmas := np.sqrt(np.diag(covariance))).all()
+    ]
     if figures:
         yield element("h3", "How sure")
+        weak = cell.details.weak_directions if cell.details else ()
+        yield _list(tuple(f"weakly determined: {each}" for each in weak))
         yield element("div", *figures, class_="figures")
+        yield folded("Correlations", element("div", *correlations, class_="figures"))

@@ -14,10 +14,10 @@ from calibration.execution.backends import Place, imported
 from calibration.image.specification import ImageSpecification
 from calibration.pipeline.configuration import Simulation
 from calibration.pipeline.matrix.matrix import Matrix, load
-from calibration.pipeline.page.whole import report_page
+from calibration.pipeline.page.whole import accepted_history, report_page
 from calibration.pipeline.report import report, write_results
 from calibration.pipeline.results import PAGE_FILE, Results, clear_results
-from calibration.report import publish
+from calibration.report import Report, publish
 from calibration.workflow import Runner
 from calibration.workflow.streams import LogDisplay
 from calibration.workflow.text import did_you_mean
@@ -112,10 +112,15 @@ def run_stages(run: Run, stages: Collection[str] = tuple(STAGES)) -> Results:
             if run.results.judged:  # what an earlier run left there is not replaced by an image
                 write_results(run.results, run.output)
     found = report(run.results, run.output, run.title)
-    files = {**found.files, PAGE_FILE: report_page(found, run.results, run.output, run.matrix)}
+    files = {**found.files, PAGE_FILE: _page(found, run)}
     outputs = {**found.outputs, "report": run.output / PAGE_FILE}
     publish(replace(found, places=_places(found.reasons, run), files=files, outputs=outputs), run.runner, run.output)
     return run.results
+
+
+def _page(found: Report, run: Run) -> str:
+    accepted = accepted_history(run.baseline.file) if run.baseline and run.baseline.file.exists() else None
+    return report_page(found, run.results, run.output, run.matrix, accepted)
 
 
 def _places(reasons: Sequence[str], run: Run) -> dict[str, tuple[Path, int]]:

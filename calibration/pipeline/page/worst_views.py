@@ -1,0 +1,70 @@
+"""The part of the page that shows the images whose corners fit worst, with the corners."""
+
+import heapq
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from calibration.dataset.document import Node
+from calibration.dataset.model import Dataset
+from calibration.dataset.payload import locate
+from calibration.errors import CalibrationError
+from calibration.evaluation.residuals import Residuals
+from calibration.geometry.types import Array
+from calibration.pages.html import Html, element
+from calibration.pages.overlay import overlay
+from calibration.pages.page import figure
+
+SHOWN = 4
+PIXELS = 640
+"""Width of an image in the page; larger ones are made smaller."""
+QUALITY = 70
+"""Of its JPEG, percent."""
+
+
+def worst_views(
+    dataset: Dataset, found: Mapping[str, Residuals], rms: Mapping[str, Array], given: Dataset | None
+) -> Iterator[Html]:
+    """Yield figures of the views with the largest RMS.
+
+    Args:
+        dataset: calibrated.
+        found: residuals of the cameras.
+        rms: (N,) of each, by collection; NaN where it saw nothing.
+        given: the dataset as it was given, with its images, where it is at hand.
+    """
+    views = [(float(value), i, name) for name, each in rms.items() for i, value in enumerate(each) if value == value]
+    figures = [_figure(dataset, found[name], name, i, value, given) for value, i, name in heapq.nlargest(SHOWN, views)]
+    if figures:
+        yield element("h3", "The views that fit worst")
+        yield element("div", *figures, class_="figures")
+
+
+def _figure(dataset: Dataset, found: Residuals, name: str, i: int, rms: float, given: Dataset | None) -> Html:
+    key, camera = dataset.keys[i], dataset.sensors[name].camera
+    size = (camera.width, camera.height) if camera else (1, 1)
+    own = found.collections == i
+    seen = found.where[own]
+    title = f"{name} in collection {key}: RMS {rms:.3g} px"
+    drawn = overlay(title, _jpeg(given, name, key), size, seen, seen + found.values[own])
+    return figure(drawn, f"{title}. Crosses: where corners were seen; circles: where they come out.")
+
+
+def _jpeg(given: Dataset | None, name: str, key: str) -> bytes | None:
+    """The image of a view, made smaller; None where it is not at hand, or OpenCV is not installed."""
+    if given is None:
+        return None
+    try:
+        import cv2
+
+        from calibration.importing.looking import read_image  # which needs OpenCV too
+
+        message = Node(given.path, (), given.document)["collections"][key]["data"][name]
+        image: Any = read_image(Path(locate(message["data_file"])))
+    except (ImportError, CalibrationError):
+        return None
+    scale = min(1.0, PIXELS / image.shape[1])
+    size = max(1, round(scale * image.shape[1])), max(1, round(scale * image.shape[0]))
+    smaller = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+    done, data = cv2.imencode(".jpg", smaller, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
+    return bytes(data) if done else None
