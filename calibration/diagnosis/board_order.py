@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from calibration.dataset.configuration import MAX_SPACING, MIN_SIZE
 from calibration.dataset.model import CornerLabels, Dataset
 from calibration.dataset.pattern import Pattern, grid, tag_grid
 from calibration.errors import InputError
@@ -104,8 +105,9 @@ def _row(pattern: Pattern, views: Sequence[View]) -> int:
 def _numbered(pattern: Pattern, row: int) -> Array:
     """(K, 3): the corners by id if a row had so many."""
     if pattern.kind == "aprilgrid":
-        tag, gap = np.diff(pattern.corners[:3, 0])
-        return tag_grid(row // 2, -(-len(pattern.corners) // (2 * row)), 1.0, float(gap / tag) if tag else 1.0)
+        tag, gap = (abs(float(pattern.corners[i + 1, 0] - pattern.corners[i, 0])) for i in (0, 1))
+        spacing = min(gap / max(tag, MIN_SIZE), MAX_SPACING)
+        return tag_grid(row // 2, -(-len(pattern.corners) // (2 * row)), 1.0, spacing)
     return grid(row, -(-len(pattern.corners) // row), 1.0, (0.0, 0.0))
 
 

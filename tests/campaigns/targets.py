@@ -21,6 +21,8 @@ from calibration.execution.globs import Glob
 from calibration.geometry.cameras import Camera
 from calibration.git.repository import Repository
 from calibration.image.specification import read_image_specification
+from calibration.importing.description import PatternDescription
+from calibration.importing.target_files import pattern_configuration
 from calibration.introspection import judge, parse_rules, read_table
 from calibration.introspection.rulesfile import read_rules
 from calibration.pipeline.configuration import read_configuration
@@ -137,12 +139,23 @@ def _depth() -> list[bytes]:
     return [bytes(cv2.imencode(".png", image)[1])]
 
 
+APRILGRID = b"target_type: 'aprilgrid'\ntagCols: 6\ntagRows: 6\ntagSize: 0.088\ntagSpacing: 0.3\n"
+CHECKERBOARD = (
+    b"target_type: 'checkerboard'\ntargetCols: 6\ntargetRows: 7\nrowSpacingMeters: 0.06\ncolSpacingMeters: 0.06\n"
+)
+
+
+def _printed(path: Path) -> None:
+    pattern_configuration(PatternDescription("board", target=path), "world").pattern()
+
+
 TARGETS: Mapping[str, Target] = {
     "calibration": Target("dataset.json", _few_collections, _calibrated, 1),
     "dataset": Target("dataset.json", _few_collections, lambda path: check_data(read_dataset(path)), 4),
     "point-cloud": Target("cloud.pcd", _files("datasets/rlbot/lidar_right_000.pcd"), read_points),
     "depth-image": Target("depth.png", _depth, lambda path: read_depth_image(path, Camera(10, 10, 7.5, 5.5, 16, 12))),
     "atom-configuration": Target("config.yml", _files("datasets/*/config.yml"), read_atom_configuration, 4),
+    "kalibr-target": Target("target.yaml", lambda: [APRILGRID, CHECKERBOARD], _printed, 4),
     "calibration.yml": Target(
         "calibration.yml",
         _files("calibration.yml", "examples/*/calibration.yml"),

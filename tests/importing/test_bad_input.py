@@ -154,6 +154,12 @@ FILES: dict[str, tuple[str, Callable[[Path], object]]] = {
             read_description(_description(path, {"board": {"target": path.name}})).patterns[0], "world"
         ),
     ),
+    "aprilgrid.yaml": (
+        "target_type: 'aprilgrid'\ntagCols: 6\ntagRows: 6\ntagSize: 0.088\ntagSpacing: 0.3\n",
+        lambda path: pattern_configuration(
+            read_description(_description(path, {"board": {"target": path.name}})).patterns[0], "world"
+        ).pattern(),
+    ),
     "import.yml": (
         yaml.safe_dump({"sensors": {"left": {"images": "left"}}, "patterns": {"board": BOARD}}),
         read_description,
