@@ -136,6 +136,10 @@ def with_border_of_one() -> np.ndarray:
     [
         (set_target(tagCols=7), "found its tags with ids up to 35, expected 0 to 41: are columns and rows those of"),
         (set_target(tagCols=4), "found its tags with ids up to 35, expected 0 to 23"),
+        (
+            set_target(tagRows=5),
+            "sees tag 35 of DICT_APRILTAG_36h11, expected 0 to 29, as pattern 'grid' of 6 x 5 tags has",
+        ),
         (set_target(tagSpacing=0.0264), "sides of a tag, expected 0.0264: spacing is the gap by the side of a tag"),
         (
             photograph_instead(Photograph(VGA).of(charuco(), facing(charuco(), 1.2))),
@@ -207,6 +211,10 @@ def test_fast_cameras_too(tmp_path: Path) -> None:
         {"b": 19, "a": 20},
         {"b": 29},
     ]
+
+
+def test_a_camera_that_is_faster_than_the_other(tmp_path: Path) -> None:
+    assert stamped(tmp_path, a=[0, 50], b=[1, 5, 51]) == [{"a": 0, "b": 1}, {"b": 5}, {"a": 50, "b": 51}]
 
 
 def test_three_cameras(tmp_path: Path) -> None:

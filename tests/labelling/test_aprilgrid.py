@@ -84,6 +84,17 @@ def test_small_sheared_and_near_tags(distance: float, tilt: float, least: float)
     assert np.linalg.norm(found.pixels - truth[found.ids], axis=-1).max() < 0.4
 
 
+def test_what_is_seen_so_steeply_that_its_gaps_close_is_not_found() -> None:
+    """Beside one corner the next one is seen, and would pull it a pixel away and more."""
+    photograph = Photograph(HD_DISTORTED, supersampling=2)
+    for distance in (0.7, 0.9):
+        T = facing(BOARD, distance, 1.17, 0.6, 0.3, (-0.2, 0.15))
+        found = detected(photograph.of(BOARD, T))
+        off = np.linalg.norm(found.pixels - true_corners(HD_DISTORTED, BOARD, T)[found.ids], axis=-1)
+        assert len(off) > 36
+        assert off.max() < 0.95
+
+
 def test_what_is_hidden_is_not_found() -> None:
     T = facing(BOARD, 0.9, 0.3, 0.5, 0.1)
     truth = true_corners(VGA, BOARD, T)
