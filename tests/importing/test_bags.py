@@ -298,6 +298,52 @@ def test_a_bag_that_is_cut_off_and_a_folder_that_is_none(tmp_path: Path) -> None
         import_data(describe(tmp_path / "none.bag"), tmp_path / "out", jobs=1)
 
 
+def with_header(path: Path, change: Callable[[dict[bytes, bytes]], None]) -> None:
+    """Change the fields of the header record of a bag of ROS 1; its padding keeps all else where it is."""
+    data, start = path.read_bytes(), len(b"#ROSBAG V2.0\n")
+    length = int.from_bytes(data[start : start + 4], "little")
+    at, fields = start + 4, {}
+    while at < start + 4 + length:
+        size = int.from_bytes(data[at : at + 4], "little")
+        name, _, value = data[at + 4 : at + 4 + size].partition(b"=")
+        fields[name], at = value, at + 4 + size
+    end = at + 4 + int.from_bytes(data[at : at + 4], "little")
+    change(fields)
+    entries = [name + b"=" + value for name, value in fields.items()]
+    header = b"".join(len(entry).to_bytes(4, "little") + entry for entry in entries)
+    padding = end - start - 8 - len(header)
+    record = len(header).to_bytes(4, "little") + header + padding.to_bytes(4, "little") + b" " * padding
+    path.write_bytes(data[:start] + record + data[end:])
+
+
+def test_an_encrypted_bag(tmp_path: Path) -> None:
+    path = record(tmp_path, "bag", poses=2)
+    with_header(path, lambda fields: fields.update({b"encryptor": b"rosbag/AesCbcEncryptor"}))
+    with pytest.raises(InputError, match=r"encryption .rosbag/AesCbcEncryptor. is not supported"):
+        import_data(describe(path), tmp_path / "out", jobs=1)
+
+
+def test_a_bag_whose_recorder_was_killed(tmp_path: Path) -> None:
+    """No index was written: in ROS 1 its place is 0, in ROS 2 metadata.yaml or the end of the file is missing."""
+    path = record(tmp_path, "bag", poses=2)
+    with_header(path, lambda fields: fields.update({b"index_pos": bytes(8)}))
+    with pytest.raises(InputError, match="not indexed, reindex before reading"):
+        import_data(describe(path), tmp_path / "out", jobs=1)
+    path = record(tmp_path, "mcap", poses=2)
+    (file,) = path.glob("*.mcap")
+    file.write_bytes(file.read_bytes()[:-200])
+    with pytest.raises(InputError, match="cannot be read") as error:
+        import_data(describe(path), tmp_path / "out", jobs=1)
+    assert "\n" not in str(error.value)
+
+
+def test_a_topic_of_another_type(tmp_path: Path) -> None:
+    sensors = {"left": {"topic": "/left_camera/camera_info"}}
+    path = record(tmp_path, "db3", poses=2)
+    with pytest.raises(InputError, match=r"found '/left_camera/camera_info' as sensor_msgs/msg/CameraInfo, expected"):
+        import_data(describe(path, sensors=sensors), tmp_path / "out", jobs=1)
+
+
 def test_split_bags_are_one(tmp_path: Path) -> None:
     """Each part has half of the poses."""
     parts = []
