@@ -32,6 +32,7 @@ MODULES = {
     "process": "whole processes, from start to exit",
     "rendering": "simulated images, depth images and scans: how many, and where a detector finds their corners",
     "labelling": "detectors on real and simulated images and clouds",
+    "importing": "imports of bags: images and bytes a second, memory; what init makes of datasets",
     "aprilgrid": "aprilgrids in simulated images: near the truth, and no tag for another",
     "motion": "what a generated motion costs, and how well its poses determine a calibration",
     "collection": "whole collections in simulation, and how near the truth they calibrate",
