@@ -19,6 +19,7 @@ from calibration.commands.place import place
 from calibration.commands.record_options import chosen, record_options
 from calibration.errors import ExitCode, InputError
 from calibration.execution.backends import CONTAINERS, DOCKER, EMBEDDED, KINDS, Place, check_backend
+from calibration.files import write_atomically
 from calibration.pipeline.collection import report, scenario_report
 from calibration.pipeline.collection.collecting import collect_dataset, collect_worlds
 from calibration.pipeline.collection.report import TITLE, pose_line
@@ -30,6 +31,8 @@ from calibration.pipeline.collection.request import (
 )
 from calibration.pipeline.collection.scenario_report import world_line
 from calibration.pipeline.collection.worlds import WorldFolder
+from calibration.pipeline.page.of_collection import collection_page
+from calibration.pipeline.results import PAGE_FILE
 from calibration.report import publish, show
 from calibration.simulation.collection.record import Record
 from calibration.simulation.motion.sequence import Motion
@@ -134,6 +137,10 @@ def _one_world(
     ):
         results = collect_dataset(request, settings.output, settings.overwrite, settings.jobs, place, begin, done)
     found = report.report(results, settings.output)
+    if settings.scenario is None:  # one of many worlds has the same files wherever it is made
+        sheet = settings.output / report.CONTACT_SHEET if results.contact_sheet else None
+        write_atomically(settings.output / PAGE_FILE, collection_page(found, sheet))
+        found = replace(found, outputs={**found.outputs, "report": settings.output / PAGE_FILE})
     show(found, runner, settings.output)
     return found.exit_code
 

@@ -1,5 +1,6 @@
 """The whole page: head, style, sections, and a script for what is more than reading."""
 
+from collections.abc import Sequence
 from importlib.resources import files
 
 from calibration.pages.html import Html, element, join
@@ -37,3 +38,13 @@ def figure(drawing: Html, caption: str) -> Html:
 def folded(title: str, *content: str, opened: bool = False) -> Html:
     """Return a part that a reader opens."""
     return element("details", element("summary", title), *content, open_="open" if opened else None)
+
+
+def verdict_line(verdict: str, sentence: str) -> Html:
+    """Return a verdict, which stands out, with its numbers."""
+    return element("p", element("span", verdict, class_=f"verdict {verdict}"), f" {sentence}")
+
+
+def bullets(lines: Sequence[str]) -> Html:
+    """Return a list; empty where there are no lines."""
+    return element("ul", *(element("li", line) for line in lines), class_="reasons") if lines else Html("")

@@ -109,3 +109,15 @@ def test_the_same_results_make_the_same_bytes(report: Path, tmp_path: Path) -> N
 
 def test_it_is_small(report: Path) -> None:
     assert report.stat().st_size < 1_000_000
+
+
+def test_a_dataset_that_is_collected_shows_all_its_images(tmp_path: Path, chromium: Browser) -> None:
+    system = str(ROOT / "datasets" / "t2rgb")
+    options = ["--motion", "generate:3", "--output", str(tmp_path / "out"), "--jobs", "1"]
+    assert main(["collect-data-sim", "--system", system, *options]) in (0, 1)
+    page = chromium.new_page()
+    page.goto((tmp_path / "out" / "report.html").as_uri())
+    width = page.get_by_alt_text("Contact sheet").evaluate("image => image.naturalWidth")
+    assert width > 500
+    assert Axe().run(page, options={"runOnly": {"type": "tag", "values": list(RULES)}}).violations_count == 0
+    page.close()

@@ -70,6 +70,7 @@ def report(results: CollectionResults, output: Path) -> Report:
             "rotation-deg": proof.rotation_deg if proof else None,
             **dict.fromkeys(("success-rate", "worst-worlds")),  # of several worlds
             "contact-sheet": output / CONTACT_SHEET if sheet else None,
+            "report": None,  # where there is a page
         },
         files={POSES_FILE: poses_table(results).csv()},
     )

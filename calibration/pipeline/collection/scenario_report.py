@@ -82,6 +82,7 @@ def report(results: ScenarioResults, output: Path) -> Report:
             "worst-worlds": worst,
             "translation-mm": statistics.percentiles("translation_mm").get(100),
             "rotation-deg": statistics.percentiles("rotation_deg").get(100),
+            "report": None,  # of one world
             "contact-sheet": output / FIGURE_FILE if pictures else None,
         },
         files={TABLE_FILE: worlds_table(statistics.results).csv(), **pictures},

@@ -14,7 +14,7 @@ from calibration.errors import CalibrationError
 from calibration.pages.ellipses import ellipses
 from calibration.pages.heat_map import heat_map
 from calibration.pages.html import Html, element, join
-from calibration.pages.page import figure, folded, page, section
+from calibration.pages.page import bullets, figure, folded, page, section, verdict_line
 from calibration.pages.tables import table
 from calibration.pages.trend import trend
 from calibration.pipeline.matrix.cell import CellResult
@@ -58,8 +58,8 @@ def report_page(
     tables = (grid, truth_table, precision_table, updates_table, collections_table)
     head = [
         element("h1", "Calibration"),
-        _verdict(report.verdict, report.sentence),
-        _list(report.reasons),
+        verdict_line(report.verdict, report.sentence),
+        bullets(report.reasons),
         element("nav", element("ul", *links), aria_label="Systems") if len(links) > 1 else Html(""),
         *(table(each.columns, each.rows) for each in (make(results) for make in tables)),
     ]
@@ -77,23 +77,15 @@ def _anchor(system: str) -> str:
     return "system-" + "".join(c if c.isascii() and c.isalnum() else f"-{ord(c):x}-" for c in system)
 
 
-def _verdict(verdict: str, sentence: str) -> Html:
-    return element("p", element("span", verdict, class_=f"verdict {verdict}"), f" {sentence}")
-
-
-def _list(lines: tuple[str, ...]) -> Html:
-    return element("ul", *(element("li", line) for line in lines), class_="reasons") if lines else Html("")
-
-
 def _system(name: str, cell: CellResult, output: Path, system: System | None, accepted: History | None) -> Html:
     """Everything about one system, by one of its cells."""
     tables = (transforms_table, parameters_table, changes_table)
     notes = tuple(finding.text for finding in cell.findings if finding.severity != "red")
     content = [
-        _verdict(cell.verdict, cell.name),
-        _list(cell.reasons),
+        verdict_line(cell.verdict, cell.name),
+        bullets(cell.reasons),
         *(table(each.columns, each.rows) for each in (make(Results((cell,))) for make in tables)),
-        join([element("h3", "What speaks for it, and what to look at"), _list(notes)]) if notes else Html(""),
+        join([element("h3", "What speaks for it, and what to look at"), bullets(notes)]) if notes else Html(""),
     ]
     try:
         dataset = read_dataset(output / cell.dataset) if cell.dataset else None
@@ -166,6 +158,6 @@ def _error_bars(cell: CellResult, limits: Limits | None) -> Iterator[Html]:
     if figures:
         yield element("h3", "How sure")
         weak = cell.details.weak_directions if cell.details else ()
-        yield _list(tuple(f"weakly determined: {each}" for each in weak))
+        yield bullets(tuple(f"weakly determined: {each}" for each in weak))
         yield element("div", *figures, class_="figures")
         yield folded("Correlations", element("div", *correlations, class_="figures"))

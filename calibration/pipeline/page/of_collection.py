@@ -1,0 +1,34 @@
+"""The page of a dataset that was collected in simulation: the verdict, the numbers, all its images."""
+
+from base64 import b64encode
+from pathlib import Path
+
+from calibration.pages.html import Html, element, join
+from calibration.pages.page import bullets, figure, page, verdict_line
+from calibration.pages.tables import table
+from calibration.report import Report, Table
+
+_SHEET = "Every pose that was collected: what each sensor saw, with its labels; red where a pose was lost."
+
+
+def collection_page(report: Report, contact_sheet: Path | None) -> str:
+    """Return the page, which stands alone.
+
+    Args:
+        report: of the collection.
+        contact_sheet: PNG, where there is one.
+    """
+    tables = [table(block.columns, block.rows) for block in report.blocks if isinstance(block, Table)]
+    head = join(
+        [
+            element("h1", "Collected in simulation"),
+            verdict_line(report.verdict, report.sentence),
+            bullets((*report.reasons, *report.warnings)),
+            *tables,
+        ]
+    )
+    if contact_sheet is None:
+        return page(f"Collected: {report.verdict}", [head])
+    address = f"data:image/png;base64,{b64encode(contact_sheet.read_bytes()).decode('ascii')}"
+    sheet = figure(Html(element("img", src=address, alt="Contact sheet of all poses")), _SHEET)
+    return page(f"Collected: {report.verdict}", [head, sheet])
