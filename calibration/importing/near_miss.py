@@ -21,6 +21,8 @@ LOOKED_AT = 8
 _SIZES = (50, 100, 250, 1000)
 _OFF_BY = ((-1, -1), (-1, 0), (0, -1), (1, 1), (1, 0), (0, 1), (-2, -2))
 """How far people miscount corners."""
+OF_A_BOARD = 6
+"""So many markers are those of a board, also to who looks for a chessboard."""
 GAP_OFF = 0.2
 """Gaps between tags that differ by more from what is described are others, in sides of a tag: small tags blur."""
 
@@ -67,8 +69,9 @@ def never_seen(
     """
     step = -(-len(views) // LOOKED_AT)
     images = [grey(read(i)) for i in range(0, len(views), step)]
-    hint = _corners(pattern, images) if pattern.kind == "chessboard" else ""
-    hint = hint or _markers(pattern, images)
+    hint = _markers(pattern, images)
+    if pattern.kind == "chessboard":
+        hint = hint or _corners(pattern, images)
     reasons = Counter(view.found[pattern.name].reason for view in views)
     usual = f"; in most images: {reasons.most_common(1)[0][0]}" if not hint else ""
     return InputError(
@@ -90,7 +93,7 @@ def _markers(pattern: PatternConfiguration, images: Sequence[Image]) -> str:
     if max(map(len, plain[GRID])) > 1:
         del plain[Family(TAGS)]  # with a border of one the same tags are read as others
     family = max(plain, key=lambda each: max(map(len, plain[each])))
-    if max(map(len, plain[family])) < 2:
+    if max(map(len, plain[family])) < (OF_A_BOARD if pattern.kind == "chessboard" else 2):
         return "" if pattern.kind == "chessboard" else "; no markers of 4x4 to 7x7 bits and no tags are found either"
     found = [max(one, family.finder().find_small(i), key=len) for one, i in zip(plain[family], images, strict=True)]
     seen = max(found, key=len)

@@ -76,6 +76,10 @@ def set_to(*keys: str, to: object) -> Callable[[Path], None]:
         (nameless, "found no number in its name"),
         (blank, "'left_camera' sees pattern 'board' (charuco, 11 x 8 corners, DICT_5X5_100) in none of its 6 images"),
         (set_to("patterns", "board", "dictionary", to="DICT_6X6_100"), "markers of another dictionary, DICT_5X5_100"),
+        (
+            set_to("patterns", "board", to={"type": "chessboard", "columns": 11, "rows": 8, "square": 0.06}),
+            " markers of DICT_5X5_100: is it a charuco board or an aprilgrid?",
+        ),
         (set_to("patterns", "board", "dictionary", to="DICT_5X5"), "found dictionary 'DICT_5X5'"),
         (set_to("patterns", "board", "columns", to=7), "are columns and rows those of the printed board"),
         (set_to("patterns", "board", "columns", to=12), "columns and rows"),

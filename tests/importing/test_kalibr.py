@@ -19,7 +19,7 @@ from calibration.importing.importing import import_data
 from calibration.importing.pictures import find_pictures, moments_of
 from calibration.labelling.tags import tag_dictionary
 from tests.importing.conftest import change
-from tests.labelling.pictures import VGA, Photograph, charuco, facing
+from tests.labelling.pictures import VGA, Photograph, charuco, chessboard, facing
 from tests.labelling.test_aprilgrid import BOARD, turned_tags
 
 START = 1403715273262142976
@@ -122,6 +122,13 @@ def photograph_instead(image: np.ndarray) -> Callable[[Path], None]:
     return put
 
 
+def a_larger_checkerboard(folder: Path) -> None:
+    target = {"target_type": "checkerboard", "targetCols": 9, "targetRows": 7}
+    spacing = {"rowSpacingMeters": 0.06, "colSpacingMeters": 0.06}
+    (folder / "aprilgrid.yaml").write_text(yaml.safe_dump({**target, **spacing}))
+    photograph_instead(Photograph(VGA).of(chessboard(), facing(chessboard(), 1.1)))(folder)
+
+
 def with_border_of_one() -> np.ndarray:
     tags = [cv2.aruco.generateImageMarker(tag_dictionary(), i, 50, borderBits=1) for i in range(12)]
     image = np.full((480, 640), 255, np.uint8)
@@ -150,6 +157,7 @@ def with_border_of_one() -> np.ndarray:
             "found 36 of its tags, not as a board of this size has them: are columns and rows exchanged, or is it not",
         ),
         (photograph_instead(with_border_of_one()), "with a border of one module, expected two, as Kalibr prints them"),
+        (a_larger_checkerboard, "(chessboard, 9 x 7 corners) in none of its 7 images; found one of 10 x 7 corners"),
         (photograph_instead(np.full((480, 640), 90, np.uint8)), "bits and no tags are found either"),
         (set_target(tagSize=0), "aprilgrid.yaml: tagSize: found 0, expected a number from 1e-06 to 1000"),
         (set_target(tagSpacing="wide"), "tagSpacing: found 'wide', expected a finite number"),

@@ -71,7 +71,7 @@ def texture(pattern: PatternConfiguration, legacy_layout: bool = False) -> Textu
         InputError: a charuco board without a marker size, with an unknown dictionary, or one that
             has fewer markers than the board needs.
     """
-    size, before, draw = _KINDS[pattern.kind](pattern, legacy_layout)
+    size, before, draw = KINDS[pattern.kind](pattern, legacy_layout)
     texels = TEXELS
     while texels > 1 and texels * max(size) > MAX_TEXELS:
         texels //= 2
@@ -118,7 +118,8 @@ def _tags(pattern: PatternConfiguration, _: bool) -> _Sketch:
     return (size[0], size[1]), (pattern.spacing, size[1] - pattern.spacing), draw
 
 
-_KINDS = {"charuco": _squares, "chessboard": _squares, "aprilgrid": _tags}
+KINDS = {"charuco": _squares, "chessboard": _squares, "aprilgrid": _tags}
+"""What draws a pattern, by its kind."""
 
 
 def _cover(texels: int, ends: Array) -> Array:
