@@ -1,6 +1,7 @@
 """``convergence``: how far a starting guess may be off, by a sweep of the matrix over start noise."""
 
 import os
+import shlex
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, cast
@@ -22,6 +23,7 @@ from calibration.commands.parameters import (
 from calibration.commands.record_options import option_keys
 from calibration.errors import ExitCode, InputError
 from calibration.estimation.options import Start
+from calibration.pipeline.configuration import DEFAULT_FILE
 from calibration.pipeline.convergence.convergence_map import maps_of
 from calibration.pipeline.convergence.report import ALL_FILES, TITLE, report
 from calibration.pipeline.convergence.results import ConvergenceResults, Minimums
@@ -167,7 +169,10 @@ def convergence(settings: Settings, runner: Runner) -> ExitCode:
 
         cells = run_sweep(matrices, asked.output, asked.jobs, done, replace(place, show=LogDisplay(runner)))
     minimums = Minimums(settings.minimum_translation_noise, settings.minimum_rotation_noise)
-    found = report(ConvergenceResults(matrix.noise, maps_of(cells, matrix.noise), minimums), asked.output)
+    source = (
+        f"--dataset {shlex.quote(str(asked.dataset))}" if asked.dataset else f"--config {asked.config or DEFAULT_FILE}"
+    )
+    found = report(ConvergenceResults(matrix.noise, maps_of(cells, matrix.noise), minimums), asked.output, source)
     publish(found, runner, asked.output)
     return found.exit_code
 

@@ -138,7 +138,8 @@ def system_folder(system: str) -> Path:
     if (folder := find_system(system)) is not None:
         return folder
     known = sorted(folder.parent.name for folder in SYSTEMS.glob("*/simulation.yml"))
-    names = f"one of {', '.join(known)} or a folder" if known else "a folder"
+    own = f"a folder with robot.urdf, config.yml and simulation.yml; {Path.cwd()} has no {SYSTEMS}/ of systems by name"
+    names = f"one of {', '.join(known)} or a folder" if known else own
     raise InputError(f"system: found '{system}', expected {names}")
 
 

@@ -8,7 +8,15 @@ from pathlib import Path
 from calibration.baseline.comparison import Change
 from calibration.baseline.update import BaselineUpdate
 from calibration.diagnosis.finding import Severity
-from calibration.pipeline.matrix.cell import OUR_METHOD, CellResult, Details, Deviation, Transform, noise_text
+from calibration.pipeline.matrix.cell import (
+    OUR_METHOD,
+    REPROJECTION,
+    CellResult,
+    Details,
+    Deviation,
+    Transform,
+    noise_text,
+)
 from calibration.pipeline.results import CELLS_FILE, Collected, ImageResult, Results, own_file
 from calibration.report import Lines, Outcome, Report, Table, Text, count_of, results_text, shown
 from calibration.report.badge import FILE as BADGE
@@ -56,6 +64,7 @@ def report(results: Results, output: Path, title: str) -> Report:
         blocks=(
             main,
             Text(_UNDER_GRID if main.rows else "", only="summary"),
+            Text(_without_table(results)),
             truth_table(results),
             precision_table(results),
             Lines(tuple(other_methods(results)), only="summary"),
@@ -89,6 +98,15 @@ def report(results: Results, output: Path, title: str) -> Report:
 
 
 _UNDER_GRID = "RMS of the evaluation table, and, where it is known, the worst error of a calibrated sensor."
+
+
+def _without_table(results: Results) -> str:
+    """Which RMS it is where no table was asked for."""
+    names = [cell.system for cell in results.cells if cell.table and Path(cell.table).name == REPROJECTION]
+    if not names:
+        return ""
+    which = f"RMS of {', '.join(dict.fromkeys(names))}: of all corners against where the calibration puts them"
+    return f"{which}; a table between two sensors is another number: evaluate: rgb-to-rgb:SOURCE:TARGET"
 
 
 def _own_files(results: Results) -> dict[str, str]:

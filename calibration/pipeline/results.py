@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -256,3 +257,6 @@ def clear_results(output: Path, inputs: Collection[Path] = ()) -> None:
                 f"{output / name}: this input is an earlier result in the output folder; choose another output"
             )
     remove_results(output, inside)
+    for folder in sorted({(output / name).parent for name in inside} - {output}, reverse=True):
+        with suppress(OSError):  # something else is in it
+            folder.rmdir()

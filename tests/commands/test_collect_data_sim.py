@@ -216,6 +216,16 @@ def test_bad_input_is_one_line_and_leaves_nothing(
     assert list(tmp_path.iterdir()) == []
 
 
+def test_a_name_where_there_are_no_systems(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(["collect-data-sim", "--system", "t2rgb", "--output", "x"]) == 2
+    error = capsys.readouterr().err
+    assert "found 't2rgb', expected a folder with robot.urdf, config.yml and simulation.yml" in error
+    assert f"{tmp_path} has no datasets/" in error
+
+
 def test_a_system_without_a_motion(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     shutil.copytree(T2RGB, tmp_path / "mine", ignore=shutil.ignore_patterns("*.json", "*.jpg"))
     assert run("--system", tmp_path / "mine", "--output", tmp_path / "output") == 2

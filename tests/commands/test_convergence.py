@@ -1,6 +1,7 @@
 """``convergence`` as a user calls it."""
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -57,7 +58,8 @@ def test_both_starts_with_a_map_for_each(
     printed = capsys.readouterr().out
     assert "[16/16]" in printed
     assert "1 m  100    0" in printed
-    assert "calibrate-matrix --translation-noise 0 --rotation-noise 1 --seed-list 1 --start given" in printed
+    command = "--translation-noise 0 --rotation-noise 1 --seed-list 1 --start given"
+    assert re.search(rf"calibration calibrate-matrix --dataset \S+ {command}", printed)
 
 
 def test_a_minimum_makes_the_verdict(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

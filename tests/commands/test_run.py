@@ -62,6 +62,17 @@ def test_stages_run_alone_and_pass_files_on(repository: Path, capsys: pytest.Cap
     assert main(["run", "--only", "introspect"]) == 0
 
 
+def test_without_a_table_it_is_said_which_rms_it_is_and_earlier_cells_are_gone(
+    repository: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = repository / "calibration.yml"
+    for noise in ("[0, 0.5]", "[0.3]"):
+        path.write_text(f"noise: {{translation: {noise}}}\nsystems: {{arm: {{dataset: datasets/riwbot}}}}\n")
+        assert main(["run"]) == 0
+    assert "RMS of arm: of all corners against where the calibration puts them" in capsys.readouterr().out
+    assert [each.name for each in (repository / "output" / "arm").iterdir()] == ["translation-0.3_rotation-0_seed-1"]
+
+
 def test_introspection_without_results_is_bad_input(repository: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["run", "--only", "introspect"]) == 2
     assert "results.json" in capsys.readouterr().err

@@ -1,5 +1,6 @@
 """The report of ``convergence``: a table and a picture of each map, translation noise down, rotation noise across."""
 
+import shlex
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
@@ -22,12 +23,13 @@ LOST_SHOWN = 10
 """Maps of which a start that does not converge is named."""
 
 
-def report(results: ConvergenceResults, output: Path) -> Report:
+def report(results: ConvergenceResults, output: Path, source: str = "--config calibration.yml") -> Report:
     """Return the report, with its pictures if they can be drawn.
 
     Args:
         results: what was found.
         output: the folder for the results.
+        source: option that says what was swept, for commands to paste.
     """
     notes: tuple[str, ...] = ()
     pictures: dict[str, str | bytes] = {}
@@ -35,7 +37,7 @@ def report(results: ConvergenceResults, output: Path) -> Report:
         pictures = dict(zip((PNG_FILE, SVG_FILE), figures(results), strict=True))
     except InputError as error:  # what draws them is not installed, or there is too much to draw
         notes = (str(error),)
-    lost = tuple(line for each in results.maps if (line := first_lost(each)))
+    lost = tuple(line for each in results.maps if (line := first_lost(each, source)))
     largest = results.largest
     translation, rotation = largest.diagonal or (None, None)
     return Report(
@@ -128,13 +130,19 @@ def largest_noise(results: ConvergenceResults) -> Table:
     return Table((*header, "Diagonal translation noise (m)", "Diagonal rotation noise (rad)"), tuple(rows))
 
 
-def first_lost(of: ConvergenceMap) -> str:
-    """Return a start that does not converge, of those with the least noise, and how to run it; empty if all do."""
+def first_lost(of: ConvergenceMap, source: str) -> str:
+    """Return a start that does not converge, of those with the least noise, and how to run it; empty if all do.
+
+    Args:
+        of: the map.
+        source: option that says what was swept.
+    """
     for (t, r), pair in of.pairs.items():
         if pair.lost:
-            options = f"--translation-noise {number_text(t)} --rotation-noise {number_text(r)}"
-            how = f"calibrate-matrix {options} --seed-list {pair.lost[0]} --start {of.start}"
-            return f"{of.name}, {noise_text(t, r)}, seed {pair.lost[0]}: {pair.reason} (to look at it: {how})"
+            which = source if source.startswith("--dataset") else f"{source} --systems {shlex.quote(of.system)}"
+            options = f"{which} --translation-noise {number_text(t)} --rotation-noise {number_text(r)}"
+            how = f"calibration calibrate-matrix {options} --seed-list {pair.lost[0]} --start {of.start}"
+            return f"{of.name}, {noise_text(t, r)}, seed {pair.lost[0]}: {pair.reason}: to look at it, {how}"
     return ""
 
 

@@ -47,6 +47,8 @@ from calibration.records import computed, field, record, result
 from calibration.report import Verdict
 from calibration.report.outcome import ErrorCode
 
+REPROJECTION = "reprojection.csv"
+"""The table of a system for which none is asked."""
 OUR_METHOD = "calibration-ci"
 MOST_CAUSES = 5
 """Of what the result hangs on, so many are told."""
@@ -404,7 +406,7 @@ def _written(
     judged = dataset if part is None else part
     table = table_of(judged, system, calibration)
     if table is not None:
-        name = f"{system.evaluation.kind.replace('-', '_')}_results.csv" if system.evaluation else "reprojection.csv"
+        name = f"{system.evaluation.kind.replace('-', '_')}_results.csv" if system.evaluation else REPROJECTION
         table.write(output / folder / name)
         rms = round(table.average(RMS_PIX), 4) if RMS_PIX in table.columns else None
         result = replace(result, table=f"{folder}/{name}", rms_px=rms)

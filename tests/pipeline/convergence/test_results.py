@@ -145,10 +145,11 @@ def test_the_summary_shows_maps_and_escapes_names() -> None:
     assert text.startswith("## convergence: fail: the start without noise does not converge")
     assert "| 0.5 m | 100 | 0 |" in text
     assert "<b>" not in text
-    assert "calibrate-matrix --translation-noise 0.5 --rotation-noise 1.5 --seed-list 1 --start given" in text.replace(
-        "\\", ""
-    )
-    assert first_lost(GOOD) == ""
+    noise = "--translation-noise 0.5 --rotation-noise 1.5 --seed-list 1 --start given"
+    assert f"to look at it, calibration calibrate-matrix --dataset d {noise}" in first_lost(LOST, "--dataset d")
+    command = f"calibration calibrate-matrix --config calibration.yml --systems leg {noise}"
+    assert command in first_lost(LOST, "--config calibration.yml")
+    assert first_lost(GOOD, "--dataset d") == ""
     assert "Starts that do not converge" not in told(results(GOOD)).markdown()
     assert told(results(LOST)).line.endswith("up to 0.5 m alone, 1.5 rad alone, and 0.5 m, 0 rad together")
 
