@@ -120,7 +120,7 @@ class Node:
 
     def fault(self, message: str) -> InputError:
         """The error with this message about this place, on one line."""
-        where = "/".join(_shortened(key) for key in self.keys)
+        where = "/".join(_shortened(str(key)) for key in self.keys)  # of YAML they may be numbers
         return InputError(f"{self.file}: {where}: {message}" if where else f"{self.file}: {message}")
 
 

@@ -66,6 +66,8 @@ class Bag:
         for part in self._parts:
             with _readable(part.path):
                 found.update({each.topic: each.msgtype for each in part.reader.connections})
+        if wrong := [each for pair in found.items() for each in pair if not isinstance(each, str)]:
+            raise InputError(f"{self.path}: found {wrong[0]!r} as a topic or its type, expected a name: is it damaged?")
         return dict(sorted(found.items()))
 
     def of_type(self, *types: str) -> list[str]:

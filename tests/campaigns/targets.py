@@ -5,7 +5,11 @@ import json
 import tarfile
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
 
 from calibration.coverage.reading import read_reports
 from calibration.coverage.sources import Sources
@@ -21,7 +25,13 @@ from calibration.execution.globs import Glob
 from calibration.geometry.cameras import Camera
 from calibration.git.repository import Repository
 from calibration.image.specification import read_image_specification
-from calibration.importing.description import PatternDescription
+from calibration.importing.bag import open_bag
+from calibration.importing.camera_files import read_lens
+from calibration.importing.description import Bags, ImportDescription, PatternDescription
+from calibration.importing.importing import import_data, read_description
+from calibration.importing.messages import depth_of, image_of
+from calibration.importing.samples import read_samples
+from calibration.importing.survey import survey
 from calibration.importing.target_files import pattern_configuration
 from calibration.introspection import judge, parse_rules, read_table
 from calibration.introspection.rulesfile import read_rules
@@ -29,6 +39,8 @@ from calibration.pipeline.configuration import read_configuration
 from calibration.pipeline.matrix.cell import Cell, LoadedSystem, calibrate_cell
 from calibration.rigel.conversion import convert
 from calibration.rigel.document import read_rigelfile
+from tests.importing import hand_eye
+from tests.importing.bags import BEGIN, SECOND, BagFile, Kind
 
 PROJECT = Path(__file__).resolve().parents[2]
 DATASETS = PROJECT / "datasets"
@@ -133,7 +145,6 @@ def _brought_out(path: Path) -> None:
 
 def _depth() -> list[bytes]:
     import cv2
-    import numpy as np
 
     image = np.arange(16 * 12, dtype=np.uint16).reshape(12, 16)
     return [bytes(cv2.imencode(".png", image)[1])]
@@ -149,7 +160,89 @@ def _printed(path: Path) -> None:
     pattern_configuration(PatternDescription("board", target=path), "world").pattern()
 
 
+def _hand_eye(*names: str) -> Callable[[], list[bytes]]:
+    def originals() -> list[bytes]:
+        with TemporaryDirectory() as folder:
+            for name in names:
+                hand_eye.WRITERS[name](hand_eye.simulated(in_hand=True, count=4), Path(folder) / name)
+            return [(Path(folder) / name).read_bytes() for name in names]
+
+    return originals
+
+
+def _measured_poses() -> list[bytes]:
+    """A dataset of poses."""
+    with TemporaryDirectory() as folder:
+        config = hand_eye.write_import(Path(folder), hand_eye.simulated(in_hand=False, count=12), "pairs.csv")
+        import_data(config, Path(folder) / "out", jobs=1)
+        return [(Path(folder) / "out" / "dataset.json").read_bytes()]
+
+
+def _bag(kind: Kind) -> Callable[[], list[bytes]]:
+    """A file of a small bag."""
+
+    def originals() -> list[bytes]:
+        with TemporaryDirectory() as folder:
+            path = Path(folder) / ("recorded.bag" if kind == "bag" else "recorded")
+            with BagFile(path, kind) as bag:
+                bag.transforms("/tf_static", BEGIN, {("world", "left"): np.eye(4)})
+                for n in range(2):
+                    stamp = BEGIN + n * SECOND
+                    bag.camera_info("/left/camera_info", stamp, "left", (16, 12), 50.0)
+                    bag.image("/left/image_raw", stamp, np.full((12, 16, 3), 40 * n, np.uint8), "left", "mono8")
+                    bag.depth("/left/depth/image_raw", stamp, np.full((12, 16), 1.5), "left", "16UC1")
+            files = [path] if path.is_file() else [each for each in path.iterdir() if each.suffix == f".{kind}"]
+            return [file.read_bytes() for file in files]
+
+    return originals
+
+
+def _recorded(path: Path) -> None:
+    """Both passes over a bag."""
+    description = ImportDescription(patterns=(), bags=Bags((path,)))
+    with open_bag([path]) as bag:
+        found = survey(bag, description)
+        for message in bag.messages({sensor.topic for sensor in found.sensors.values()}):
+            image_of(bag.decode(message), "an image")
+        for message in bag.messages({"/left/depth/image_raw"}):
+            depth_of(bag.decode(message), "a depth image")
+
+
+IMPORT = b"""\
+sensors:
+  camera: {parent: tool0, intrinsics: camera.yaml}
+patterns:
+  board: {type: charuco, columns: 11, rows: 8, square: 0.06, marker: 0.045, dictionary: DICT_5X5_100}
+samples: {file: poses.csv, base: base_link, tool: tool0}
+"""
+CAMERA_INFO = b"""\
+image_width: 640
+image_height: 480
+camera_matrix: {rows: 3, cols: 3, data: [500, 0, 320, 0, 500, 240, 0, 0, 1]}
+distortion_model: plumb_bob
+distortion_coefficients: {rows: 1, cols: 5, data: [0, 0, 0, 0, 0]}
+"""
+CAMCHAIN = b"""\
+cam0:
+  camera_model: pinhole
+  intrinsics: [500, 500, 320, 240]
+  distortion_model: radtan
+  distortion_coeffs: [0, 0, 0, 0]
+  resolution: [640, 480]
+"""
+
+
 TARGETS: Mapping[str, Target] = {
+    "import.yml": Target("import.yml", lambda: [IMPORT], read_description, 4),
+    "intrinsics": Target("camera.yaml", lambda: [CAMERA_INFO, CAMCHAIN], read_lens, 4),
+    "hand-eye-samples": Target(
+        "robot.samples", _hand_eye("robot.samples", "moveit.yaml"), partial(read_samples, in_hand=True), 4
+    ),
+    "pairs-of-poses": Target("pairs.csv", _hand_eye("pairs.csv"), partial(read_samples, in_hand=True), 10),
+    "measured-poses": Target("dataset.json", _measured_poses, _calibrated, 1),
+    "ros1-bag": Target("recorded.bag", _bag("bag"), _recorded, 4),
+    "ros2-mcap": Target("recorded.mcap", _bag("mcap"), _recorded, 4),
+    "ros2-db3": Target("recorded.db3", _bag("db3"), _recorded, 4),
     "calibration": Target("dataset.json", _few_collections, _calibrated, 1),
     "dataset": Target("dataset.json", _few_collections, lambda path: check_data(read_dataset(path)), 4),
     "point-cloud": Target("cloud.pcd", _files("datasets/rlbot/lidar_right_000.pcd"), read_points),
