@@ -71,7 +71,7 @@ _OF_KIND: Mapping[PatternKind, tuple[str, ...]] = {
 
 
 def _a(kind: PatternKind) -> str:
-    return "an aprilgrid" if kind == "aprilgrid" else f"a {kind} board"
+    return {"charuco": "a charuco board", "chessboard": "a chessboard", "aprilgrid": "an aprilgrid"}[kind]
 
 
 @record(rules=(excludes("target", "type"),))
@@ -115,6 +115,9 @@ class PatternDescription:
         needed = ("columns", "rows", *_OF_KIND[self.type])
         if missing := [key for key in needed if getattr(self, key) is None]:
             raise Misfit(f"missing key '{missing[0]}' of {_a(self.type)}")
+        others = dict.fromkeys(key for keys in _OF_KIND.values() for key in keys if key not in needed)
+        if stray := [key for key in others if getattr(self, key) is not None]:
+            raise Misfit(f"found '{stray[0]}', expected the keys of {_a(self.type)}: {', '.join(needed)}")
         if self.type == "aprilgrid" and (self.columns or 0) * (self.rows or 0) > TAG_COUNT:
             raise Misfit(f"found {self.columns} x {self.rows} tags, expected {TAG_COUNT} at most, as {TAGS} has")
         if self.marker is not None and self.square is not None and self.marker >= self.square:

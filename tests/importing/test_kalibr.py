@@ -182,6 +182,11 @@ def test_what_is_wrong_is_named(
         ({"tag": None}, "missing key 'tag' of an aprilgrid"),
         ({"spacing": None}, "missing key 'spacing' of an aprilgrid"),
         ({"spacing": 2}, "found 2"),
+        ({"square": 0.06}, "found 'square', expected the keys of an aprilgrid: columns, rows, tag, spacing"),
+        (
+            {"type": "chessboard", "square": 0.06},
+            "found 'tag', expected the keys of a chessboard: columns, rows, square",
+        ),
         ({"columns": 60, "rows": 60}, "found 60 x 60 tags, expected 587 at most"),
     ],
 )
