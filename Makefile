@@ -103,6 +103,7 @@ lock: ## resolve requirements/*.txt again after a change in pyproject.toml
 	'$(uv)' $(compile) --extra calibrate --extra opencv --extra bags --extra xacro --extra figures --extra containers --extra aws --constraint requirements/dev.txt --output-file requirements/run.txt
 	'$(uv)' $(compile) --extra coverage --constraint requirements/dev.txt --output-file requirements/coverage.txt
 	'$(uv)' $(compile) --extra github --constraint requirements/dev.txt --output-file requirements/github.txt
+	'$(uv)' $(compile) --extra analysis --constraint requirements/dev.txt --output-file requirements/analysis.txt
 	'$(uv)' $(compile) --constraint requirements/dev.txt --output-file requirements/introspect.txt
 	'$(uv)' $(subst pip compile pyproject.toml,pip compile --group installer,$(compile)) --constraint requirements/dev.txt --output-file requirements/uv.txt
 

@@ -44,6 +44,7 @@ ACTIONS = {
     "calibrate-matrix": ("calibrate-matrix/main.py", "calibrate.txt"),
     "collect-data-sim": ("collect-data-sim/main.py", "run.txt"),
     "coverage-upload": ("coverage-upload/main.py", "coverage.txt"),
+    "static-analysis": ("static-analysis/main.py", "analysis.txt"),
     "run": ("run.py", "run.txt"),  # the root action.yml; no folder, because a folder here is a sub-action
 }
 # Likewise for the steps of the reusable workflow that are no actions.
@@ -58,6 +59,7 @@ MODULES = {
     "engine.txt": ["click", "yaml", "numpy", "defusedxml", "rich"],
     "calibrate.txt": ["click", "yaml", "numpy", "defusedxml", "rich"],
     "coverage.txt": ["click", "yaml", "coverage", "defusedxml", "requests"],
+    "analysis.txt": ["click", "yaml", "defusedxml", "lizard", "ruff", "yamllint"],
     "github.txt": ["click", "yaml", "requests"],
     "image.txt": ["click", "yaml", "rich", "docker"],
     "run.txt": ["click", "yaml", "numpy", "defusedxml", "rich"],

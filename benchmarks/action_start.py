@@ -21,6 +21,7 @@ INPUTS = {
     "coverage-upload": {"INPUT_REPORTS": "nowhere.xml"},
     "import-data": {"INPUT_CONFIG": "nowhere.yml", "INPUT_OUTPUT": "nowhere/output"},
     "introspect-csv": {"INPUT_FILE": "nowhere.csv", "INPUT_COLUMN": "RMS", "INPUT_MAX": "1"},
+    "static-analysis": {"INPUT_PATHS": "nowhere"},
     "run": {"INPUT_CONFIG": "nowhere.yml"},  # the root action
 }
 

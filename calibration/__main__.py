@@ -52,6 +52,9 @@ COMMANDS: Mapping[str, LazyCommand] = {
     "coverage-upload": LazyCommand(
         "calibration.commands.coverage_upload:command", "Run tests, judge their coverage, and upload it."
     ),
+    "static-analysis": LazyCommand(
+        "calibration.commands.static_analysis:command", "Look for errors in the code; red for what a change brings in."
+    ),
     "record-motion": LazyCommand(
         "calibration.commands.record_motion:command", "Record a motion sequence on a page in the browser."
     ),

@@ -42,6 +42,7 @@ SCHEMAS = {
     "scenario-set": Shipped(_SCENARIOS, "scenario_set.schema.json", "parameters:ScenarioSetFile"),
     "coverage": Shipped("calibration.coverage", _RESULTS, "results:Results", "coverage-upload"),
     "image-results": Shipped("calibration.image", _RESULTS, "report:BuildResult", "build-image"),
+    "analysis": Shipped("calibration.analysis", _RESULTS, "results:Results", "static-analysis"),
     "introspection": Shipped("calibration.introspection", _RESULTS, "result:Results", "introspect-csv"),
 }
 """What there is a schema of."""

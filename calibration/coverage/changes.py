@@ -1,61 +1,9 @@
-"""The lines that a change adds or alters, from the output of ``git diff``."""
+"""How much of a change is covered."""
 
-import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 
 from calibration.coverage.lines import FileCoverage, Rate
 from calibration.coverage.results import Span
-from calibration.errors import InputError
-from calibration.git.repository import Repository
-
-_HUNK = re.compile(rb"@@ -[0-9]+(?:,([0-9]+))? \+([0-9]+)(?:,([0-9]+))? @@")
-_ESCAPE = re.compile(rb"\\([0-7]{3}|.)")
-_LETTERS = {b"a": b"\a", b"b": b"\b", b"f": b"\f", b"n": b"\n", b"r": b"\r", b"t": b"\t", b"v": b"\v"}
-
-
-def changed_lines(difference: bytes) -> dict[str, set[int]]:
-    """The numbers of the lines that are new in each file, by its path.
-
-    Args:
-        difference: of git, with the prefixes ``a/`` and ``b/``.
-    """
-    found: dict[str, set[int]] = {}
-    file: str | None = None
-    skip = 0  # lines of a hunk: what they say is no part of the difference's own form
-    for line in difference.split(b"\n"):
-        if skip and not line.startswith(b"\\"):  # "\ No newline at end of file" counts for nothing
-            skip -= 1
-        elif line.startswith(b"+++ "):
-            file = _path(line[4:])
-        elif (hunk := _HUNK.match(line)) is not None:
-            before, first, after = int(hunk[1] or 1), int(hunk[2]), int(hunk[3] or 1)
-            skip = before + after
-            if file is not None:
-                found.setdefault(file, set()).update(range(first, first + after))
-    return found
-
-
-def find_base(repository: Repository, named: str | None, candidates: Iterable[str]) -> str:
-    """The commit from which a change set out: the last one that it has in common with what it goes to.
-
-    Args:
-        repository: the checkout.
-        named: what the user compares with; None to take the first of the candidates.
-        candidates: what the event says, the best first.
-
-    Raises:
-        InputError: there is nothing to compare with, or this checkout lacks it.
-    """
-    names = [named] if named is not None else list(candidates)
-    if not names:
-        raise InputError("there is no base to compare with: name one, such as origin/main (base)")
-    # the best may be gone, as is what was there before a forced push
-    commit = next(filter(None, map(repository.commit, names)), None)
-    base = None if commit is None else repository.merge_base(commit, "HEAD")
-    if base is None:
-        found = "no such commit is" if commit is None else "nothing that it has in common with HEAD is"
-        raise InputError(f"base {names[0]}: {found} in this checkout: check out the history too (fetch-depth: 0)")
-    return base
 
 
 def coverage_of_change(
@@ -70,16 +18,3 @@ def coverage_of_change(
         total += coverage.line_rate
         missing += [Span(path, *each) for each in files[path].ranges(coverage.missing)]
     return total, tuple(missing)
-
-
-def _path(text: bytes) -> str | None:
-    """The path in a line ``+++``; None where a file was deleted."""
-    text = text.removesuffix(b"\t")  # git puts one behind a path with a space
-    if text.startswith(b'"') and text.endswith(b'"'):
-        text = _ESCAPE.sub(_unescaped, text[1:-1])
-    return text[2:].decode("utf-8", "surrogateescape") if text.startswith(b"b/") else None
-
-
-def _unescaped(match: re.Match[bytes]) -> bytes:
-    escaped = match[1]
-    return bytes([int(escaped, 8)]) if len(escaped) == 3 else _LETTERS.get(escaped, escaped)

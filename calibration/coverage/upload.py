@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from calibration.coverage.badge import badge
-from calibration.coverage.changes import changed_lines, coverage_of_change, find_base
+from calibration.coverage.changes import coverage_of_change
 from calibration.coverage.codacy import API_URL, Account, Codacy, Request, Upload, parse_account, parse_api_url
 from calibration.coverage.command import parse_command
 from calibration.coverage.commit import find_commit
@@ -22,6 +22,7 @@ from calibration.coverage.tests import Tests, measured_environment, measurement,
 from calibration.errors import ExitCode, InputError, WorldError
 from calibration.execution.sizes import parse_seconds
 from calibration.files import matching, write_atomically
+from calibration.git.changes import changed_lines, find_base
 from calibration.git.event import Event
 from calibration.git.repository import Repository
 from calibration.records import between, field, record

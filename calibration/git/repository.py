@@ -202,6 +202,19 @@ class Repository:
             raise WorldError(f"git diff {commit}: {_said(problem)}")
         return output
 
+    def changed(self, commit: str) -> list[str]:
+        """The files that the disk and a commit do not have alike, in order; both names of one that was renamed.
+
+        Raises:
+            WorldError: git fails.
+        """
+        code, output, problem = _git(
+            self.root, "diff", "--name-only", "--no-renames", "--no-ext-diff", "-z", "--ignore-submodules", commit, "--"
+        )
+        if code:
+            raise WorldError(f"git diff {commit}: {_said(problem)}")
+        return sorted(filter(None, output.decode("utf-8", "surrogateescape").split("\0")))
+
 
 def _git(directory: Path, *arguments: str, given: bytes = b"") -> tuple[int, bytes, bytes]:
     """Run git; its exit code, output and errors. Nothing is started that a configuration may ask it to start."""

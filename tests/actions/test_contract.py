@@ -111,7 +111,7 @@ def test_old_pythons_read_bootstrap_far_enough_to_say_that_they_are_too_old() ->
 
 def test_locks_have_hashes_and_no_addresses() -> None:
     assert {name.removesuffix(".txt") for name in LOCKS} == {
-        *("introspect", "engine", "calibrate", "coverage", "github", "image", "run", "uv", "dev")
+        *("analysis", "introspect", "engine", "calibrate", "coverage", "github", "image", "run", "uv", "dev")
     }
     for text in LOCKS.values():
         assert not re.search(r"://|(?<!\w)/\w|^-", text, re.MULTILINE)
@@ -151,6 +151,7 @@ def test_pip_and_the_actions_compare_with_the_same_opencv() -> None:
         ("calibrate.txt", ["calibrate", "opencv", "containers", "aws"], []),
         ("coverage.txt", ["coverage"], []),
         ("github.txt", ["github"], []),
+        ("analysis.txt", ["analysis"], []),
         ("image.txt", ["containers", "aws"], []),
         ("run.txt", ["calibrate", "opencv", "bags", "figures", "containers", "aws"], []),
         ("dev.txt", ["opencv", "bags", "figures", "record"], ["dev"]),

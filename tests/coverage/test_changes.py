@@ -4,10 +4,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calibration.coverage.changes import changed_lines, coverage_of_change, find_base
+from calibration.coverage.changes import coverage_of_change
 from calibration.coverage.lines import FileCoverage, Rate
 from calibration.coverage.results import Span
 from calibration.errors import InputError
+from calibration.git.changes import changed_lines, find_base
 from calibration.git.repository import Repository
 
 from .projects import commit, git

@@ -1,0 +1,10 @@
+"""The entry point of the action: runs `calibration static-analysis` with its inputs from the environment."""
+
+import sys
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # the package lies beside the actions, not installed
+
+from calibration.__main__ import run_action
+
+sys.exit(run_action("static-analysis"))

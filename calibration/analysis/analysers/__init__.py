@@ -1,0 +1,17 @@
+"""The analysers: which files each looks at, how it is started, and its findings in the one form."""
+
+from calibration.analysis.analysers.analyser import Analyser
+from calibration.analysis.analysers.complexity import Lizard
+from calibration.analysis.analysers.cpp import Cppcheck
+from calibration.analysis.analysers.python import Ruff
+from calibration.analysis.analysers.shell import Shellcheck
+from calibration.analysis.analysers.workflows import Zizmor
+from calibration.analysis.analysers.xml_files import XmlFiles
+from calibration.analysis.analysers.yaml_files import Yamllint
+
+ANALYSERS: dict[str, Analyser] = {
+    each.name: each for each in (Ruff(), Cppcheck(), Shellcheck(), Yamllint(), Zizmor(), Lizard(), XmlFiles())
+}
+"""Every analyser by its name; a new one is a module and an entry here."""
+
+__all__ = ["ANALYSERS", "Analyser"]

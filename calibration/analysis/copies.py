@@ -1,0 +1,128 @@
+"""Files of a repository as a folder of their own: regular files only, so that no link leads out of it."""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from calibration.analysis.finding import plain_content
+from calibration.errors import InputError
+from calibration.files import read_bytes
+from calibration.git.repository import Repository
+
+MAX_BYTES = 1_000_000
+"""Of a file that is analysed; larger ones are generated."""
+MAX_FILES = 50_000
+_DEEPEST = 4000
+"""Characters of a path."""
+
+
+@dataclass(frozen=True)
+class Copy:
+    """A folder with files of one state of the repository."""
+
+    root: Path
+    files: tuple[str, ...]
+    """That are analysed, with ``/``, in order."""
+    left_out: Mapping[str, str] = field(default_factory=dict)
+    """Why a file is not analysed, by its path."""
+
+    def text(self, path: str) -> str:
+        """What a file says; what is no UTF-8 is replaced."""
+        return (self.root / path).read_bytes().decode("utf-8", "replace")
+
+    def first_line(self, path: str) -> str:
+        """The first line of a file, at most 200 characters of it."""
+        with (self.root / path).open("rb") as stream:
+            return stream.readline(200).decode("utf-8", "replace").strip()
+
+    def is_utf8(self, path: str) -> bool:
+        """Whether a file is UTF-8."""
+        try:
+            (self.root / path).read_bytes().decode("utf-8")
+        except UnicodeDecodeError:
+            return False
+        return True
+
+    def lines(self, path: str) -> list[str]:
+        r"""The lines of a file, as all analysers count them: they end in ``\n``."""
+        return self.text(path).split("\n")
+
+    def content(self, path: str) -> str:
+        """What a file says, without what formatters change."""
+        return plain_content(self.text(path))
+
+
+def copied(repository: Repository, folder: Path, paths: Iterable[str]) -> Copy:
+    """Copy the files on the disk.
+
+    Raises:
+        InputError: there are too many.
+        WorldError: one cannot be read or written.
+    """
+    left_out: dict[str, str] = {}
+    kept: list[str] = []
+    for path in paths:
+        if len(kept) >= MAX_FILES:
+            raise InputError(f"{repository.root}: more than {MAX_FILES} files are to be analysed: name folders (paths)")
+        if why := _unfit(path):
+            left_out[path] = why
+            continue
+        try:
+            data = read_bytes(repository.root / path, MAX_BYTES, "a file")
+        except InputError as error:
+            left_out[path] = str(error).removeprefix(f"{repository.root / path}: ")
+            continue
+        if _is_binary(data):
+            left_out[path] = "this is no text"
+            continue
+        _write(folder / path, data)
+        kept.append(path)
+    return Copy(folder, tuple(kept), left_out)
+
+
+def before(now: Copy, repository: Repository, commit: str, folder: Path, changed: Iterable[str]) -> Copy:
+    """Copy the changed files as they were in a commit, among the others as they are now.
+
+    The others are what analysers read beside the files: the team's settings, and headers. So a change of the settings
+    alone makes no finding new.
+
+    Args:
+        now: the copy of the files on the disk.
+        repository: the checkout.
+        commit: the earlier one.
+        folder: for the copy.
+        changed: the files that the disk and the commit do not have alike, without settings.
+
+    Raises:
+        WorldError: git fails, or a file cannot be written.
+    """
+    for path in now.files:
+        target = folder / path
+        target.parent.mkdir(parents=True, exist_ok=True)
+        target.hardlink_to(now.root / path)
+    kept = []
+    for path in changed:
+        (folder / path).unlink(missing_ok=True)
+        try:
+            data = None if _unfit(path) else repository.content(commit, path, MAX_BYTES)
+        except InputError:
+            continue  # a link, a folder, or too large
+        if data is not None and not _is_binary(data):
+            _write(folder / path, data)
+            kept.append(path)
+    return Copy(folder, tuple(kept))
+
+
+def _is_binary(data: bytes) -> bool:
+    return b"\0" in data[:8000]
+
+
+def _unfit(path: str) -> str | None:
+    if "\n" in path or "\t" in path or "\r" in path or len(path) > _DEEPEST or not path.isprintable():
+        return "its name has characters that do not print"
+    return None
+
+
+def _write(path: Path, data: bytes) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(data)

@@ -1,0 +1,61 @@
+"""One thing that an analyser found, in the one form that all analysers share."""
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from calibration.records import field, result
+
+Category = Literal[
+    "error-prone",
+    "security",
+    "performance",
+    "unused code",
+    "complexity",
+    "style",
+    "documentation",
+    "compatibility",
+]
+CATEGORIES: tuple[Category, ...] = Category.__args__  # type: ignore[attr-defined]
+Severity = Literal["error", "warning", "note"]
+SEVERITIES: tuple[Severity, ...] = Severity.__args__  # type: ignore[attr-defined]
+_NO_CONTENT = re.compile(r"[\s,;()'\"\\]+")
+"""What formatters move, add and take away."""
+
+
+@result
+class Finding:
+    """What is wrong at a line."""
+
+    path: str = field("The file, in the repository.")
+    line: int = field("The first line of the file is 1.")
+    rule: str = field("The analyser and its rule: ruff/F401.")
+    category: Category
+    severity: Severity
+    message: str
+
+    @property
+    def place(self) -> str:
+        """The file and line."""
+        return f"{self.path}:{self.line}"
+
+
+@dataclass(frozen=True)
+class Located:
+    """A finding with what its line says, by which it is recognised where the line has moved."""
+
+    finding: Finding
+    content: str
+    """The line, without what formatters change; the message where the line is empty."""
+
+
+def plain_content(text: str) -> str:
+    """A text without spaces, line ends, quotes, commas and parentheses."""
+    return _NO_CONTENT.sub("", text)
+
+
+def located(finding: Finding, lines: Sequence[str]) -> Located:
+    """A finding with the content of its line; ``lines`` are those of its file."""
+    text = lines[finding.line - 1] if 1 <= finding.line <= len(lines) else ""
+    return Located(finding, plain_content(text) or finding.message)

