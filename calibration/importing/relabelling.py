@@ -64,10 +64,13 @@ def label_dataset(
     configuration = parse_configuration(root["calibration_config"])
     patterns = configuration.patterns
     cameras = [name for name, sensor in configuration.sensors.items() if sensor.modality == "rgb"]
+    if not cameras:
+        names = ", ".join(configuration.sensors)
+        raise InputError(f"{path}: found no camera among the sensors ({names}), expected one with images to label")
     single = next(iter(patterns)) if str(root["_metadata"]["version"].value).startswith("2") else None
     files = {key: _files(node, cameras, patterns, single, again) for key, node in root["collections"].items()}
     if not any(files.values()):
-        raise InputError(f"{path}: found labels for all images of {', '.join(cameras) or 'no camera'}; add --again")
+        raise InputError(f"{path}: found labels for all images of {', '.join(cameras)}; add --again")
     detectors = {name: corner_detector(pattern) for name, pattern in patterns.items()}
 
     def label(own: Mapping[str, Path]) -> LabelledMoment:

@@ -102,6 +102,8 @@ def test_from_the_samples_to_a_verdict(
     shown = capsys.readouterr().out
     assert [line.split()[0] for line in shown.splitlines() if "poses off by 1." in line] == ["0", "shah", "tsai"]
     assert main(["accept"]) == 0
+    assert main(["label", "--dataset", "data/robot", "--output", "data/labelled"]) == 2
+    assert "found no camera among the sensors (camera), expected one with images to label" in capsys.readouterr().err
     assert main(["run", "--jobs", "1"]) == 0
 
 
