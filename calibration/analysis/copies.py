@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 from calibration.analysis.finding import plain_content
 from calibration.errors import InputError
@@ -12,6 +12,11 @@ from calibration.git.repository import Repository
 MAX_BYTES = 1_000_000
 """Of a file that is analysed; larger ones are generated."""
 MAX_FILES = 50_000
+_DATA = (
+    *(".dae", ".gif", ".jpeg", ".jpg", ".obj", ".pdf", ".png", ".stl", ".svg"),
+    *(".bag", ".db3", ".gz", ".mcap", ".npy", ".npz", ".pcd", ".ply", ".zip"),
+)
+"""Suffixes of files that nobody expects to be analysed."""
 _DEEPEST = 4000
 """Characters of a path."""
 
@@ -24,7 +29,7 @@ class Copy:
     files: tuple[str, ...]
     """That are analysed, with ``/``, in order."""
     left_out: Mapping[str, str] = field(default_factory=dict)
-    """Why a file is not analysed, by its path."""
+    """Why a file is not analysed that one would expect to be, by its path."""
 
     def text(self, path: str) -> str:
         """What a file says; what is no UTF-8 is replaced."""
@@ -62,6 +67,8 @@ def copied(repository: Repository, folder: Path, paths: Iterable[str]) -> Copy:
     left_out: dict[str, str] = {}
     kept: list[str] = []
     for path in paths:
+        if PurePosixPath(path).suffix.lower() in _DATA:
+            continue
         if len(kept) >= MAX_FILES:
             raise InputError(f"{repository.root}: more than {MAX_FILES} files are to be analysed: name folders (paths)")
         if why := _unfit(path):

