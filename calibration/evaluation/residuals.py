@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calibration.dataset.model import CornerLabels, Dataset, PointLabels, Sensor
+from calibration.dataset.model import CornerLabels, Dataset, PointLabels, PoseLabels, Sensor
 from calibration.errors import InputError
 from calibration.geometry.transforms import apply, inverse
 from calibration.geometry.types import Array, IntArray
@@ -18,9 +18,11 @@ class Residuals:
     collections: IntArray
     """(n,): indices."""
     where: Array
-    """(n, 2): pixels of a camera's labels; (n, 3): points of another sensor, in its frame, m."""
+    """(n, 2): pixels of a camera's labels; (n, 3): points of another sensor, or measured origins of patterns, in its
+    frame, m."""
     values: Array
-    """(n, 2): reprojection less label, px; (n, 1): distance from the pattern's plane, m."""
+    """(n, 2): reprojection less label, px; (n, 1): distance from the pattern's plane, m; (n, 3): calibrated less
+    measured origin of the pattern, m."""
 
     @property
     def sizes(self) -> Array:
@@ -34,7 +36,7 @@ def residuals(dataset: Dataset, sensor: Sensor) -> Residuals:
     indices: list[IntArray] = [np.zeros(0, np.int64)]
     camera = sensor.camera if sensor.modality.has_corners else None
     places: list[Array] = [np.zeros((0, 2 if camera else 3))]
-    values: list[Array] = [np.zeros((0, 2 if camera else 1))]
+    values: list[Array] = [np.zeros((0, 2 if camera else 3 if sensor.modality.has_poses else 1))]
     for pattern in dataset.patterns.values():
         views = dict(dataset.detections(pattern.name, sensor.name))
         for i, T in _poses(dataset, sensor.frame, pattern.link, list(views)):
@@ -45,6 +47,9 @@ def residuals(dataset: Dataset, sensor: Sensor) -> Residuals:
             elif isinstance(labels, PointLabels):
                 places.append(labels.points)
                 values.append(apply(inverse(T), labels.points)[:, 2:])
+            elif isinstance(labels, PoseLabels):
+                places.append(labels.T[None, :3, 3])
+                values.append((T[:3, 3] - labels.T[:3, 3])[None])
             indices.append(np.full(len(places[-1]), i))
     found = Residuals(np.concatenate(indices), np.concatenate(places), np.concatenate(values))
     finite = np.isfinite(found.values).all(axis=-1)

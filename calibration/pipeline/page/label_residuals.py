@@ -35,8 +35,8 @@ def label_residuals(dataset: Dataset, levels: NoiseLevels | None, given: Dataset
         yield element("h3", "Residuals")
     for name, each in found.items():
         yield element("div", *_figures(dataset.sensors[name], each, levels), class_="figures")
-    for unit, factor, width in (("px", 1.0, 2), ("mm", 1e3, 1)):
-        rows = [name for name, each in found.items() if each.values.shape[-1] == width]
+    for unit, factor, widths in (("px", 1.0, (2,)), ("mm", 1e3, (1, 3))):
+        rows = [name for name, each in found.items() if each.values.shape[-1] in widths]
         if rows:
             by_view = {name: factor * _by_collection(found[name], len(dataset.collections)) for name in rows}
             drawn = heat_map("RMS of each view", rows, dataset.keys, np.array(list(by_view.values())), unit)
@@ -53,6 +53,10 @@ def _figures(sensor: Sensor, found: Residuals, levels: NoiseLevels | None) -> It
         sigma = levels.pixel if levels else None
         drawn = histogram(f"{sensor.name}, x and y", found.values.ravel(), sigma or 0.0, "px")
         yield figure(drawn, f"{sensor.name}: residuals in x and y {stated}")
+    elif sensor.modality.has_poses:
+        sigma = levels.pose_translation if levels else None
+        drawn = histogram(f"{sensor.name}, x, y and z", 1e3 * found.values.ravel(), 1e3 * (sigma or 0.0), "mm")
+        yield figure(drawn, f"{sensor.name}: where patterns come out less where they were measured {stated}")
     else:
         sigma = levels.range if levels else None
         drawn = histogram(sensor.name, 1e3 * found.values.ravel(), 1e3 * (sigma or 0.0), "mm")
