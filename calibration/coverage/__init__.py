@@ -1,12 +1,12 @@
-"""Coverage of a team's tests: measured or read, held against the repository, sent to a service.
+"""Coverage of a team's tests: measured or read from reports, compared with limits, uploaded to a service.
 
-Knows nothing of calibration.
+Independent of calibration.
 
-- ``upload``: the process of the command;
-- ``lines``: what is covered;
-- ``command``, ``tests``: what is run, and what came of it; ``injection``: how the team's own Python is measured;
-- ``data_file``, ``formats``, ``junit``: what coverage.py, other tools (Cobertura, LCOV) and pytest write;
-- ``repository``, ``sources``, ``reading``, ``changes``: what is covered of the repository, and of a change;
-- ``commit``, ``codacy``: the commit that it is for, and who is told;
-- ``results``, ``report``, ``badge``: the verdict, and how it is shown.
+- ``upload``: the implementation of the command ``coverage-upload``;
+- ``lines``: covered lines and branches of a file;
+- ``command``, ``tests``: the test command and its outcome; ``injection``: coverage.py in the team's own Python;
+- ``data_file``, ``formats``, ``junit``: the formats of coverage.py, other tools (Cobertura, LCOV) and pytest;
+- ``sources``, ``reading``, ``changes``: coverage of the repository's files, and of the lines of a change;
+- ``commit``, ``codacy``: the commit that the coverage belongs to, and the service that receives it;
+- ``results``, ``report``, ``badge``: the verdict and its presentation.
 """

@@ -1,4 +1,4 @@
-"""The badge that says how much is covered."""
+"""Coverage badge as SVG."""
 
 from calibration.coverage.lines import Rate
 from calibration.report.badge import BAD, FAIR, GOOD, NONE, drawn_badge

@@ -1,4 +1,4 @@
-"""How much of a change is covered."""
+"""Coverage of the lines of a change."""
 
 from collections.abc import Mapping
 
@@ -9,7 +9,7 @@ from calibration.coverage.results import Span
 def coverage_of_change(
     changed: Mapping[str, set[int]], files: Mapping[str, FileCoverage]
 ) -> tuple[Rate, tuple[Span, ...]]:
-    """How many of the changed lines that can be run tests run, and which they do not."""
+    """Return the coverage of the changed executable lines, and the spans that no test runs."""
     total = Rate()
     missing: list[Span] = []
     for path in sorted(changed.keys() & files.keys()):

@@ -93,7 +93,7 @@ class Codacy:
             for language, files in languages.items()
         ]
         if upload.final or (partial and not upload.partial):
-            found.append(self._request("nothing more comes", self._final_path(upload.commit), b"{}"))
+            found.append(self._request("final request", self._final_path(upload.commit), b"{}"))
         return found
 
     def send(self, requests: Sequence[Request]) -> None:
@@ -157,13 +157,11 @@ def check_answer(answer: Answer, host: str, http: Http) -> None:
     if answer.status in (401, 403, 404):
         _refused(answered, answer.status, http.quote(answer.body))
     if answer.content_type == "text/html" or answer.body.lstrip()[:1] == b"<":
-        raise WorldError(
-            f"{answered} with a page of HTML: something else than Codacy's API is there (api-url, a proxy)"
-        )
+        raise WorldError(f"{answered} with an HTML page, not from Codacy's API: check api-url and proxies")
     if document is None:
-        raise WorldError(f"{answered} with something else than JSON{http.quote(answer.body)}: check api-url")
+        raise WorldError(f"{answered} with a body that is not JSON{http.quote(answer.body)}: check api-url")
     raise WorldError(
-        f"{answered} with JSON that says neither success nor error{http.quote(answer.body)}: check api-url"
+        f"{answered} with JSON that contains neither success nor error{http.quote(answer.body)}: check api-url"
     )
 
 
@@ -177,16 +175,16 @@ def parse_api_url(text: str) -> str:
         parts = urlsplit(text.strip())
         port = parts.port
     except ValueError as error:
-        raise InputError(f"api-url: found {shorten(text)!r}, which is no address: {error}") from None
+        raise InputError(f"api-url: found {shorten(text)!r}, which is not a URL: {error}") from None
     if parts.scheme not in ("http", "https") or not parts.hostname:
         raise InputError(f"api-url: found {shorten(text)!r}, expected an address such as {API_URL}")
     if parts.username or parts.password:
-        raise InputError("api-url: it names a user or a password, which belong into no address")
+        raise InputError("api-url: it contains a user name or a password, which are not allowed")
     if parts.path.strip("/") or parts.query or parts.fragment:
         raise InputError(f"api-url: found {shorten(text)!r}, expected only scheme and host, such as {API_URL}")
     host = f"[{parts.hostname}]" if ":" in parts.hostname else parts.hostname
     if parts.scheme == "http" and not is_loopback(host):
-        raise InputError(f"api-url: found {shorten(text)!r}, expected https: anyone on the way could read the token")
+        raise InputError(f"api-url: found {shorten(text)!r}, expected https: the token would be sent unencrypted")
     return f"{parts.scheme}://{host}{'' if port is None else f':{port}'}"
 
 

@@ -1,4 +1,4 @@
-"""What a user calls the tests, as a program with arguments. No shell reads it."""
+"""The user's test command as a program with arguments. It is not run by a shell."""
 
 import shlex
 import shutil
@@ -24,28 +24,28 @@ class Command:
     """As the user wrote it."""
     arguments: tuple[str, ...]
     junit: Path | None = None
-    """Where it writes its results as JUnit XML; None for a program that does not."""
+    """File that the program writes its results to as JUnit XML; None if it writes none."""
 
 
 def parse_command(
     text: str, directory: Path, interpreter: str | None, environment: dict[str, str], junit: Path
 ) -> Command:
-    """Understand what a user wants to be run: a command, ``unittest ...``, or a folder of tests.
+    """Parse a test command: a program, ``unittest ...``, or a folder of tests.
 
     Args:
         text: as the user wrote it.
-        directory: that it runs in.
+        directory: working directory of the command.
         interpreter: the Python to use; None for the one that the command finds on the ``PATH``.
-        environment: of the command.
-        junit: where pytest is to write its results, unless the command says where.
+        environment: environment variables of the command.
+        junit: file for pytest's results, unless the command names one.
 
     Raises:
-        InputError: it is empty, or there is no such program.
+        InputError: it is empty, or the program does not exist.
     """
     try:
         words = shlex.split(text)
     except ValueError as error:
-        raise InputError(f"run: {text!r} is no command: {error}") from None
+        raise InputError(f"run: {text!r} cannot be split into arguments: {error}") from None
     if not words:
         raise InputError(
             "run is empty: a command such as pytest, python -m unittest, or a folder of tests was expected"
@@ -57,21 +57,23 @@ def parse_command(
     words = _with_interpreter(words, directory, python, interpreter, path)
     found = shutil.which(words[0], path=path) if "/" not in words[0] else words[0]
     if found is None or not (directory / found).is_file():
-        raise InputError(f"run: there is no program {words[0]!r} (no shell reads the command: && and | mean nothing)")
+        raise InputError(
+            f"run: there is no program {words[0]!r} (the command is not run by a shell: && and | have no effect)"
+        )
     return Command(text, *_with_junit(words, directory, junit))
 
 
 def _python(interpreter: str | None, path: str | None) -> str | None:
-    """The Python of the job, or the one that is asked for.
+    """Return the path of the requested interpreter, or of the first Python on the PATH; None without one.
 
     Raises:
-        InputError: there is no such interpreter.
+        InputError: the requested interpreter does not exist.
     """
     for name in (interpreter,) if interpreter else _PYTHONS:
         if (found := shutil.which(name, path=path)) is not None:
             return str(Path(found).absolute())
     if interpreter:
-        raise InputError(f"interpreter: {interpreter!r} is no program; the path of a Python was expected")
+        raise InputError(f"interpreter: {interpreter!r} is not a program; the path of a Python was expected")
     return None
 
 
@@ -88,20 +90,18 @@ def _with_interpreter(
     if program in _PYTEST and (interpreter or shutil.which(program, path=path) is None):
         return [_needed(python), "-m", "pytest", *rest]
     if interpreter and program not in (*_PYTHONS, *_PYTEST):
-        raise InputError(
-            f"interpreter is given, but {program!r} chooses its own: a command such as pytest was expected"
-        )
+        raise InputError(f"interpreter is given, but {program!r} uses its own: a command such as pytest was expected")
     return words
 
 
 def _needed(python: str | None) -> str:
     if python is None:
-        raise InputError("run: there is no python3 on the PATH: install one before this step, or name it (interpreter)")
+        raise InputError("run: there is no python3 on the PATH: install one before this step, or set interpreter")
     return python
 
 
 def _runner_of_folder(python: str | None, environment: dict[str, str], directory: Path) -> list[str]:
-    """Choose pytest where the Python has it, else unittest."""
+    """Return pytest if it is installed in the interpreter, else unittest."""
     python = _needed(python)
     try:
         has_pytest = not subprocess.run(
@@ -119,7 +119,7 @@ def _runner_of_folder(python: str | None, environment: dict[str, str], directory
 
 
 def _unittest_arguments(arguments: Sequence[str], directory: Path) -> list[str]:
-    """What unittest wants to hear for a folder: where the tests are, and where their package begins."""
+    """Return the arguments with which unittest discovers the tests of a folder (start and top-level folder)."""
     if len(arguments) != 1 or not (directory / arguments[0]).is_dir():
         return list(arguments)
     top = folder = Path(arguments[0])
@@ -129,7 +129,7 @@ def _unittest_arguments(arguments: Sequence[str], directory: Path) -> list[str]:
 
 
 def _with_junit(words: list[str], directory: Path, junit: Path) -> tuple[tuple[str, ...], Path | None]:
-    """Have pytest write its results, where it is clear that it is pytest that runs."""
+    """Add options for JUnit XML if the command obviously runs pytest."""
     runs_pytest = Path(words[0]).name in _PYTEST or any(
         first in ("-m", "run") and second in _PYTEST for first, second in pairwise(words)
     )

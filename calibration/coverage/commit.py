@@ -1,4 +1,4 @@
-"""Which commit the coverage is of."""
+"""Commit that the coverage belongs to."""
 
 from calibration.errors import InputError
 from calibration.git.event import Event
@@ -7,17 +7,17 @@ from calibration.workflow.text import one_line, shorten
 
 
 def find_commit(given: str | None, event: Event, repository: Repository) -> tuple[str, str]:
-    """The commit that coverage is reported for, and where that is from.
+    """Return the commit to report coverage for, and the source of that information.
 
-    That of a pull request is its own last one, not the merge that GitHub makes to test it. In a
-    ``pull_request_target`` it is what is checked out, which unless asked otherwise is the base.
+    For a pull request it is the head commit, not the merge commit that GitHub creates for testing. For
+    ``pull_request_target`` it is the commit that is checked out, by default the base.
 
     Raises:
-        InputError: the one that is given is no hash of a commit, or there is none at all.
+        InputError: the given commit is not a full hash, or no commit is known.
     """
     if given is not None:
         if not is_commit(given.lower()):
-            raise InputError(f"commit: found {shorten(one_line(given))!r}, expected the 40 hexadecimal digits of one")
+            raise InputError(f"commit: found {shorten(one_line(given))!r}, expected a hash of 40 hexadecimal digits")
         return given.lower(), "as given"
     head = repository.head()
     pull_request = event.at("pull_request", "head", "sha")
@@ -32,4 +32,4 @@ def find_commit(given: str | None, event: Event, repository: Repository) -> tupl
     for sha, source in candidates:
         if isinstance(sha, str) and is_commit(sha):
             return sha, source
-    raise InputError("commit is not given, and nothing is checked out: there is no commit to report for")
+    raise InputError("commit is not given, and there is no checkout: set commit, or check out the repository")

@@ -107,12 +107,12 @@ def report_of(data: Path, name: str, settings: Mapping[str, Any], directory: Pat
 
 def _opened(file: Path) -> CoverageData:
     """The data in a file, which is checked before anything of it is believed."""
-    refused = InputError(f"{file}: a data file of coverage.py was expected, and this is none that it can read")
+    refused = InputError(f"{file}: a data file of coverage.py was expected, and this one cannot be read")
     try:
         with closing(sqlite3.connect(f"{file.absolute().as_uri()}?mode=ro&immutable=1", uri=True)) as database:
             [(longest,)] = database.execute("SELECT coalesce(max(length(numbits)), 0) FROM line_bits")
             if not isinstance(longest, int) or longest * 8 > MAX_LINE + 8:
-                raise InputError(f"{file}: it speaks of lines beyond {MAX_LINE}, which no source file has")
+                raise InputError(f"{file}: it contains line numbers above {MAX_LINE}")
         data = CoverageData(basename=str(file))
         data.read()
         data.measured_files()

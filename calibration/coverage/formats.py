@@ -48,10 +48,10 @@ def elements(data: bytes, name: str) -> Iterator[tuple[str, Element]]:
         for event, element in iterparse(io.BytesIO(data), ("start", "end")):
             depth += 1 if event == "start" else -1
             if depth > DEEPEST:
-                raise InputError(f"{name}: its elements are nested more than {DEEPEST} deep, which no report is")
+                raise InputError(f"{name}: its elements are nested more than {DEEPEST} deep, the limit of a report")
             yield event, element
     except DefusedXmlException:
-        raise InputError(f"{name}: the XML declares entities, which no report needs and which is not safe") from None
+        raise InputError(f"{name}: the XML declares entities, which are not allowed, for safety") from None
     except (ParseError, ValueError, LookupError) as error:  # the last two: an encoding that there is not
         raise InputError(f"{name}: this is not valid XML: {shorten(one_line(str(error)), 200)}") from None
 

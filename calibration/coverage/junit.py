@@ -1,4 +1,4 @@
-"""The JUnit XML that pytest writes: how many tests ran, and which failed."""
+"""Parser of pytest's JUnit XML: number of tests, and failures."""
 
 import re
 from dataclasses import dataclass
@@ -16,23 +16,23 @@ class Failure:
     name: str
     message: str
     file: str | None = None
-    """As the report has it: relative to the folder that the tests ran in."""
+    """Path in the report, relative to the working directory of the tests."""
     line: int | None = None
 
 
 @dataclass(frozen=True)
 class Tally:
-    """How many tests there were."""
+    """Numbers of tests by outcome."""
 
     passed: int = 0
     failed: int = 0
-    """With those that could not run."""
+    """Including tests that could not run."""
     skipped: int = 0
     failures: tuple[Failure, ...] = ()
 
     @property
     def ran(self) -> int:
-        """Those that were not skipped."""
+        """Number of tests that were not skipped."""
         return self.passed + self.failed
 
 
@@ -40,7 +40,7 @@ def parse_junit(data: bytes, name: str) -> Tally:
     """Count the test cases of a report.
 
     Raises:
-        InputError: it is no JUnit XML.
+        InputError: it is not JUnit XML.
     """
     passed = skipped = 0
     failures: list[Failure] = []
@@ -57,19 +57,19 @@ def parse_junit(data: bytes, name: str) -> Tally:
             problem = kinds.get("failure", kinds.get("error"))
             if problem is not None:
                 failures.append(_failure(element, problem))
-            elif "skipped" in kinds and kinds["skipped"].get("type") != "pytest.xfail":  # that one ran
+            elif "skipped" in kinds and kinds["skipped"].get("type") != "pytest.xfail":  # an expected failure did run
                 skipped += 1
             else:
                 passed += 1
             element.clear()
-    # A test that fails and whose clean-up fails too is two cases of one name.
+    # A test that fails and whose teardown fails too is reported as two cases of one name.
     unique = {(failure.name, failure.file): failure for failure in reversed(failures)}
     return Tally(passed, len(unique), skipped, tuple(reversed(unique.values())))
 
 
 def _failure(case: Element, problem: Element) -> Failure:
     line = case.get("line", "")
-    number = int(line) + 1 if re.fullmatch("[0-9]{1,9}", line) else None  # pytest counts from 0
+    number = int(line) + 1 if re.fullmatch("[0-9]{1,9}", line) else None  # pytest's line numbers start at 0
     names = [part for part in (case.get("classname"), case.get("name")) if part]
     return Failure(
         shorten(one_line(".".join(names)), 200) or "(no name)",

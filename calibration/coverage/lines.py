@@ -1,4 +1,4 @@
-"""Which lines of files tests run, how many of how many, and how reports of the same files are combined."""
+"""Line and branch coverage of files, and the combination of reports of the same files."""
 
 import math
 from collections.abc import Iterable, Mapping
@@ -10,10 +10,10 @@ from calibration.records import computed, field, result
 
 @result
 class Rate:
-    """So many of so many."""
+    """A ratio of counts: covered and total."""
 
-    covered: int = field("How many tests run.", default=0)
-    total: int = field("Of how many that can be run.", default=0)
+    covered: int = field("Number of lines or branches that tests run.", default=0)
+    total: int = field("Number of executable lines or branches.", default=0)
 
     def __add__(self, other: "Rate") -> "Rate":
         return Rate(self.covered + other.covered, self.total + other.total)
@@ -21,11 +21,11 @@ class Rate:
     @property
     @computed()
     def percent(self) -> float | None:
-        """With two decimals, rounded down, so that only all is 100; null of nothing."""
+        """Percentage with two decimals, rounded down, so that only full coverage is 100; null if total is 0."""
         return None if self.total == 0 else self.covered * 10_000 // self.total / 100
 
     def reaches(self, minimum: float) -> bool:
-        """Whether it is at least so many percent; nothing reaches no limit."""
+        """Return whether the percentage is at least ``minimum``; always False if total is 0."""
         return self.total > 0 and self.covered * 100 >= minimum * self.total
 
     def __str__(self) -> str:
@@ -36,37 +36,37 @@ class Rate:
 
 @dataclass(frozen=True)
 class FileCoverage:
-    """What tests run of a file."""
+    """Line and branch coverage of a file."""
 
     hits: Mapping[int, int] = dataclass_field(default_factory=dict)
-    """How often each line that can be run was run; the first line is 1."""
+    """Hits of each executable line; the first line is 1."""
     branches: Mapping[int, Rate] = dataclass_field(default_factory=dict)
-    """Of each line that branches, how many of its branches were taken."""
+    """Branches taken, by the line that branches."""
 
     @property
     def line_rate(self) -> Rate:
-        """Of the lines that can be run."""
+        """Rate of executable lines."""
         return Rate(sum(count > 0 for count in self.hits.values()), len(self.hits))
 
     @property
     def branch_rate(self) -> Rate:
-        """Of all branches."""
+        """Rate of all branches."""
         return sum(self.branches.values(), Rate())
 
     @property
     def missing(self) -> list[int]:
-        """The lines that no test runs, in order."""
+        """Lines that no test runs, in order."""
         return sorted(line for line, count in self.hits.items() if count == 0)
 
     def ranges(self, lines: Iterable[int]) -> list[tuple[int, int]]:
-        """Some of the lines that can be run, joined to ranges of first and last between which there is no other."""
+        """Join executable lines to ranges (first, last) without another executable line between."""
         return ranges(lines, self.hits.keys() - set(lines))
 
 
 def combined(parts: Iterable[FileCoverage]) -> FileCoverage:
-    """What several reports say of one file together: all their lines, the hits of each summed.
+    """Combine the coverage of one file from several reports: the union of the lines, with the sum of their hits.
 
-    Of branches a report says only how many were taken, not which, so the most that one report has seen counts.
+    A report gives the number of branches taken, not which ones, so the maximum over the reports is used.
     """
     hits: dict[int, int] = {}
     branches: dict[int, Rate] = {}
@@ -80,9 +80,9 @@ def combined(parts: Iterable[FileCoverage]) -> FileCoverage:
 
 
 def ranges(lines: Iterable[int], others: Iterable[int]) -> list[tuple[int, int]]:
-    """Join lines to ranges of first and last, as long as none of the ``others`` lies between.
+    """Join lines to ranges (first, last) that contain none of the ``others``.
 
-    What is neither (comments, empty lines) does not keep them apart.
+    Lines in neither set (comments, empty lines) do not split a range.
     """
     chosen = set(lines)
     found: list[tuple[int, int]] = []

@@ -1,4 +1,4 @@
-"""Reports and measurements to what is covered of the files of the repository; an unclear name is said, not guessed."""
+"""Coverage of the repository's files from reports and measurements; an ambiguous file name is reported, not guessed."""
 
 import os
 import sys
@@ -18,38 +18,38 @@ from calibration.files import read_bytes
 from calibration.git.repository import Repository
 
 MAX_COPY = 8 * 1024 * 1024
-"""Bytes of a file that is looked at to see whether it is a copy of a tracked one."""
+"""Largest file that is compared with tracked files to find its original, in bytes."""
 
 
 @dataclass(frozen=True)
 class Mapped:
-    """Reports, held against the repository."""
+    """Coverage from reports, mapped to files of the repository."""
 
     files: Mapping[str, FileCoverage]
     """By path in the repository."""
     unmatched: tuple[str, ...] = ()
-    """Names that are no file of the repository."""
+    """Names that match no file of the repository."""
     ambiguous: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
-    """Names that may be several files, with these."""
+    """Names that match several files, with these."""
     ill_fitting: Mapping[str, int] = field(default_factory=dict)
-    """Files that have fewer lines than a report says, with the highest line: the report is of another version."""
+    """Files with fewer lines than a report claims, with its highest line number: the report is of another version."""
 
 
 @dataclass(frozen=True)
 class PathMap:
-    """Finds the tracked file that a name in a report means."""
+    """Mapping of names in reports to tracked files."""
 
     repository: Repository
     directory: Path
-    """Where the tests ran."""
+    """Working directory of the tests."""
     tracked: Sequence[str]
     """Every tracked file."""
 
     def find(self, name: str, folders: Iterable[str] = ()) -> tuple[str, ...]:
-        """The files that a name may mean: one when it is clear.
+        """Return the files that a name may refer to: exactly one if it is unambiguous.
 
-        The first of these ways that finds any decides: the path below one of the report's own folders, or where
-        the tests ran, or the root; where there is such a file that is not tracked, the one that it is a copy of
+        The first successful rule decides: the path below one of the report's own folders, the working directory
+        of the tests, or the root; if such a file exists but is not tracked, the tracked file that it is a copy of
         (installed before it was tested); the end of a tracked file's path; a tracked file's path at the end of the
         name (the tests ran in another checkout).
         """
@@ -69,7 +69,7 @@ class PathMap:
 
     @cached_property
     def _by_name(self) -> Mapping[str, list[str]]:
-        """Tracked files by their last part."""
+        """Tracked files by their file name."""
         found: dict[str, list[str]] = defaultdict(list)
         for path in self.tracked:
             found[path.rpartition("/")[2]].append(path)
@@ -83,7 +83,7 @@ class PathMap:
         same_name = self._by_name.get(name.rpartition("/")[2], [])
         if longer := tuple(path for path in same_name if path.endswith("/" + name)):
             return longer
-        # of a file in the root the name alone is its path, which a file of any other program may have too
+        # the path of a file in the root is its name alone, which may occur in any other program too
         inside = [path for path in same_name if "/" in path and name.endswith("/" + path)]
         return tuple(sorted(inside, key=len)[-1:])
 
@@ -97,12 +97,12 @@ class PathMap:
 
 
 def mapped(reports: Iterable[Report], paths: PathMap, counted: Iterable[str]) -> Mapped:
-    """Combine reports to what is covered of the repository's files.
+    """Combine reports to the coverage of the repository's files.
 
     Args:
-        reports: whatever was read.
-        paths: how their names are understood.
-        counted: the files that count; of others nothing is kept, and nothing is said.
+        reports: the parsed reports.
+        paths: mapping of their file names.
+        counted: the files that count; others are ignored.
     """
     wanted = set(counted)
     parts: dict[str, list[FileCoverage]] = defaultdict(list)
@@ -123,7 +123,7 @@ def mapped(reports: Iterable[Report], paths: PathMap, counted: Iterable[str]) ->
 
 
 class _Names:
-    """Names in reports: the file that each means is found; what means none, or several, is kept to be told."""
+    """Return the file of each name in the reports; unmatched and ambiguous names are kept for the report."""
 
     def __init__(self, paths: PathMap) -> None:
         self.unmatched: dict[str, None] = {}
@@ -131,7 +131,7 @@ class _Names:
         self._paths = paths
 
     def file(self, name: str, folders: Iterable[str] = ()) -> str:
-        """The file; nothing where it is not clear."""
+        """Return the file, or an empty string if the name is unmatched or ambiguous."""
         found = self._paths.find(name, folders)
         if len(found) == 1:
             return found[0]
@@ -151,7 +151,7 @@ def _line_count(path: Path) -> int:
 def _is_file(path: Path) -> bool:
     try:
         return path.is_file()
-    except (OSError, ValueError):  # a name that is too long, or that no file can have
+    except (OSError, ValueError):  # too long for a path, or with characters that a path cannot have
         return False
 
 
@@ -168,22 +168,22 @@ _PYTHON = "python"
 
 @dataclass(frozen=True)
 class Found:
-    """What reports say of the repository."""
+    """Coverage of the repository, with what could not be used."""
 
     mapped: Mapped
     unreadable: tuple[str, ...] = ()
-    """Python files that have no lines in the end: they cannot be parsed."""
+    """Python files without coverage because they cannot be parsed."""
     without_report: Mapping[str, int] = field(default_factory=dict)
-    """How many source files there are of each language that no report speaks of; they count for nothing."""
+    """Numbers of source files by language, for languages that no report contains; they are not counted."""
 
     @classmethod
     def nothing(cls) -> Self:
-        """Where there is no report."""
+        """Return the result for no report."""
         return cls(Mapped({}))
 
     @property
     def files(self) -> Mapping[str, FileCoverage]:
-        """What is covered, by path."""
+        """Coverage by path."""
         return self.mapped.files
 
 
@@ -194,17 +194,17 @@ def read_reports(
     folder: Path,
     executable: str | None = None,
 ) -> Found:
-    """Read reports of any kind, combine them and hold them against the repository.
+    """Read reports of any format, combine them and map them to the repository.
 
     Args:
         files: the reports.
         sources: the files that count.
-        settings: the team's own, of coverage.py.
-        folder: made, for what is needed meanwhile.
-        executable: the Python that measured; None for ours.
+        settings: the team's settings of coverage.py.
+        folder: created, for temporary files.
+        executable: the Python that measured; None for this one.
 
     Raises:
-        InputError: a file is no report, or is broken or too large; names it.
+        InputError: a file is not a report, is malformed, or is too large; names it.
         WorldError: coverage.py cannot report on its data.
     """
     paths = PathMap(sources.repository, sources.directory, sources.tracked)
@@ -235,7 +235,7 @@ def read_reports(
 
 
 def _parsed(files: Sequence[Path]) -> tuple[list[Report], list[Path]]:
-    """Reports, and files that are data of coverage.py.
+    """Separate reports from data files of coverage.py.
 
     Raises:
         InputError: a file is neither.

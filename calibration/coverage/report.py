@@ -1,4 +1,4 @@
-"""The report of ``coverage-upload``."""
+"""Report of ``coverage-upload``: log, summary, annotations and JUnit cases."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
@@ -16,9 +16,9 @@ from calibration.workflow.text import one_line, shorten
 TITLE = "coverage-upload"
 LCOV = "lcov.info"
 MOST_ROWS = 200
-"""Of a table in the log, or of files below the goal; the summary and results.json have all."""
+"""Limit of rows of a table in the log, and of files below the goal; the summary and results.json have all."""
 MOST_NAMES = 20
-"""Of names in a list that is only told."""
+"""Limit of names in a list."""
 _HEADER = ("file", "lines", "branches", "goal", "not run")
 
 
@@ -28,7 +28,7 @@ def report(results: Results, directory: Path = Path(), badge: Path | None = None
     Args:
         results: what was found.
         directory: where the tests ran; their files are named relative to it.
-        badge: the file of the badge, if one was written.
+        badge: file of the badge, if one was written.
     """
     below, total = results.below_goal, (_total(results),)
     rows = _rows(results, sorted(results.files))
@@ -59,7 +59,7 @@ def report(results: Results, directory: Path = Path(), badge: Path | None = None
             "commit": results.commit,
             "badge": badge,
         },
-        # A job of its own, in which no test runs, can upload it.
+        # so that a separate job, in which no test runs, can upload it
         files={LCOV: tracefile(results.files).encode("utf-8", "surrogateescape")} if results.lines.total else {},
     )
 
@@ -77,7 +77,7 @@ def _sentence(results: Results) -> str:
 
 
 def remarks(results: Results) -> list[str]:
-    """What a reader has to know of the numbers, a line for each."""
+    """Return remarks that explain the numbers, a line for each."""
     said = []
     if results.tests is not None and results.lines.total and not results.lines.covered:
         said.append("not a line is run: tests that measure themselves (pytest-cov) name their report (reports)")
@@ -89,7 +89,7 @@ def remarks(results: Results) -> list[str]:
 
 
 def what_is_left_out(found: Found) -> list[str]:
-    """What reports say that counts for nothing, and files that no report speaks of, a line for each."""
+    """Return a line for each part of the reports that is not counted, and for languages without a report."""
     said = []
     if found.mapped.unmatched:
         said.append(f"in reports, but no file that git tracks: {_names(found.mapped.unmatched)}")
@@ -105,7 +105,7 @@ def what_is_left_out(found: Found) -> list[str]:
 
 
 def _annotations(results: Results, directory: Path) -> Iterable[Annotation]:
-    """Return an annotation of each test that failed, of the upload, and of the lines of the change not run."""
+    """Return an annotation of each failed test, of the upload, and of the uncovered lines of the change."""
     for failure in results.tests.tally.failures if results.tests and results.tests.tally else ():
         file = None if failure.file is None else directory / failure.file
         yield Annotation(f"{failure.name}: {failure.message}", file=file, line=failure.line, title="test failed")
@@ -119,7 +119,7 @@ def _annotations(results: Results, directory: Path) -> Iterable[Annotation]:
 
 
 def _outcomes(results: Results) -> Iterable[Outcome]:
-    """Return the cases of JUnit: the tests as a whole, each limit, and the upload."""
+    """Return the JUnit cases: the tests as a whole, each limit, and the upload."""
     if results.tests is not None:
         problem = results.tests.problem
         yield Outcome(name="tests", group=TITLE, reasons=(problem,) if problem else (), seconds=results.tests.seconds)

@@ -1,4 +1,4 @@
-"""Tests, coverage, limits and upload of one run of ``coverage-upload``, and the document of them."""
+"""Results of ``coverage-upload`` and their document: tests, coverage, limits and upload."""
 
 from collections.abc import Mapping
 from typing import Literal
@@ -10,7 +10,7 @@ from calibration.records import computed, field, result
 from calibration.report import Check, Verdict, verdict_of
 
 State = Literal["uploaded", "skipped", "failed", "dry-run", "none"]
-"""What came of the upload; none where no service was asked for."""
+"""Outcome of the upload; none without a service."""
 
 
 @result
@@ -24,23 +24,23 @@ class Uploaded:
 
 @result
 class Limit:
-    """A smallest percentage of lines that tests must run."""
+    """Lower limit of the percentage of covered lines."""
 
     name: str = field("The option: minimum, minimum-change.")
     minimum: float = field("The limit.", unit="percent")
     rate: Rate = field("The lines that it is of.", key="lines")
     of_change: bool = False
-    """Whether it is of the lines of a change, which passes where the change has no line that can be run."""
+    """Whether it applies to the lines of a change; then it passes if the change has no executable line."""
 
     @property
     @computed()
     def verdict(self) -> Verdict:
-        """Whether the limit is reached."""
+        """Verdict of the limit."""
         return verdict_of(self.check.passed)
 
     @property
     def check(self) -> Check:
-        """The comparison of the lines that are run with the limit."""
+        """Comparison of the covered lines with the limit."""
         return Check(
             subject="lines of the change that are run" if self.of_change else "lines that are run",
             found=str(self.rate) if self.rate.total else "no line",
@@ -55,7 +55,7 @@ class Limit:
 
 @result
 class Span:
-    """Lines of a file one after another that no test runs."""
+    """Consecutive lines of a file that no test runs."""
 
     path: str = field("The file, in the repository.")
     first: int = field("The first line; the first of the file is 1.")
@@ -64,7 +64,7 @@ class Span:
 
 @result
 class Change:
-    """What is covered of the lines that a change touched."""
+    """Coverage of the lines that a change touched."""
 
     base: str = field("The commit that it is compared with.")
     rate: Rate = field("The lines of the change.", key="lines")
@@ -83,7 +83,7 @@ class FileResult:
 
 @result
 class LeftOut:
-    """What reports say that counts for nothing, and files that no report speaks of."""
+    """Content of reports that is not counted, and languages without a report."""
 
     unmatched: tuple[str, ...] = field("Names that are no tracked file.")
     ambiguous: Mapping[str, tuple[str, ...]] = field("Names that may be several files, with these.")
@@ -104,13 +104,13 @@ class Results:
         "Of the lines that the change touched; null where there is nothing to compare with.", default=None
     )
     no_change: str = ""
-    """Why there is nothing to compare with."""
+    """Reason why there is no base to compare with."""
     limits: tuple[Limit, ...] = field("The limits that were asked for.", default=())
     upload: Uploaded = field("What came of the upload.", default_factory=Uploaded)
 
     @property
     def files(self) -> Mapping[str, FileCoverage]:
-        """What is covered, by path."""
+        """Coverage by path."""
         return self.found.files
 
     @property
@@ -125,7 +125,7 @@ class Results:
     @property
     @computed()
     def left_out(self) -> LeftOut:
-        """What counts for nothing."""
+        """Files and names that are not counted."""
         mapped = self.found.mapped
         left_out = (mapped.unmatched, mapped.ambiguous, mapped.ill_fitting)
         return LeftOut(*left_out, self.found.unreadable, self.found.without_report)
@@ -133,19 +133,19 @@ class Results:
     @property
     @computed()
     def lines(self) -> Rate:
-        """The lines of all files."""
+        """Rate of the lines of all files."""
         return sum((coverage.line_rate for coverage in self.files.values()), Rate())
 
     @property
     @computed()
     def branches(self) -> Rate:
-        """The branches of all files."""
+        """Rate of the branches of all files."""
         return sum((coverage.branch_rate for coverage in self.files.values()), Rate())
 
     @property
     @computed()
     def files_below_goal(self) -> int:
-        """How many files are below the goal."""
+        """Number of files below the goal."""
         return len(self.below_goal)
 
     @property
@@ -155,12 +155,12 @@ class Results:
         return sorted(below, key=lambda path: (below[path].covered / below[path].total, path))
 
     def line_rates(self) -> dict[str, Rate]:
-        """Of every file."""
+        """Return the line rate of each file."""
         return {path: coverage.line_rate for path, coverage in self.files.items()}
 
     @property
     @computed()
     def problems(self) -> list[str]:
-        """Why the verdict is fail, one line each; none if it is pass."""
+        """Reasons for the verdict fail, one line each; empty if it is pass."""
         tests = [self.tests.problem] if self.tests is not None and self.tests.problem else []
         return tests + [str(limit.check) for limit in self.limits if not limit.check.passed]

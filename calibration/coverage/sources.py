@@ -1,4 +1,4 @@
-"""Which files count: those that the repository tracks, that are source code, and that are no tests."""
+"""Selection of the files that count: tracked source files that are not tests."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -24,36 +24,36 @@ LANGUAGES = {
     "swift": (".swift",),
     "typescript": (".ts", ".tsx"),
 }
-"""By suffix; the names are those of Codacy."""
+"""Suffixes by language, in Codacy's names."""
 _LANGUAGE = {suffix: language for language, suffixes in LANGUAGES.items() for suffix in suffixes}
 NO_SOURCES = (
     *("**/test", "**/tests", "**/test_*.*", "**/*_test.*", "**/*_tests.*", "**/conftest.py"),
     *("**/setup.py", "**/noxfile.py", "**/docs/conf.py", "**/doc/conf.py"),
 )
-"""What does not count unless told otherwise, as patterns of git: tests, and what builds and documents."""
+"""Default of ``exclude``, as git patterns: tests, build scripts and configuration of documentation."""
 
 
 def language_of(path: str) -> str | None:
-    """The language of a file, by its suffix; None of no source code."""
+    """Return the language of a file by its suffix; None if it is not source code."""
     return _LANGUAGE.get(PurePosixPath(path).suffix.lower())
 
 
 @dataclass(frozen=True)
 class Sources:
-    """The files that count."""
+    """Files that count for coverage."""
 
     repository: Repository
     directory: Path
-    """Where the tests run."""
+    """Working directory of the tests."""
     folders: tuple[str, ...]
-    """What the user has named, relative to the root; none for the whole repository."""
+    """Folders and files that the user named, relative to the root; none for the whole repository."""
     tracked: Sequence[str]
     """Every tracked file."""
     counted: Sequence[str]
-    """Those that count."""
+    """Every file that counts."""
 
     def measured(self) -> list[str]:
-        """What coverage.py is to measure: folders, and packages, which may be installed elsewhere when they are run."""
+        """Return the sources for coverage.py: folders, and packages, which may be imported from an installed copy."""
         root = self.repository.root
         return [str(root / folder) for folder in self.folders or (".",)] + self._packages()
 
@@ -70,13 +70,13 @@ def find_sources(
     """Find the files that count.
 
     Args:
-        repository: that the directory lies in.
-        directory: where the tests run.
+        repository: the repository of the directory.
+        directory: working directory of the tests.
         named: folders and files of sources, relative to it.
-        exclude: patterns of git for what does not count; None for :data:`NO_SOURCES`.
+        exclude: git patterns of files that do not count; None for :data:`NO_SOURCES`.
 
     Raises:
-        InputError: a source is outside of the repository, or nothing of it is tracked and source code.
+        InputError: a source is outside of the repository, or contains no tracked source file.
     """
     folders = []
     for path in named:
@@ -84,7 +84,7 @@ def find_sources(
         if inside is None:
             raise InputError(f"source: {path}: found a path outside of the repository {repository.root}")
         folders.append(inside)
-    # The folders are not left to git: version 2.39 goes wrong where they come together with patterns to exclude.
+    # Folders are filtered here: git 2.39 fails if they are combined with patterns to exclude.
     candidates = list(filter(language_of, repository.tracked(NO_SOURCES if exclude is None else exclude)))
     for folder in folders or (".",):
         if not any(_lies_in(path, folder) for path in candidates):

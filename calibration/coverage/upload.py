@@ -1,4 +1,4 @@
-"""The process of ``coverage-upload``: tests are run or reports read, judged, told to a service, and reported."""
+"""Implementation of ``coverage-upload``: run tests or read reports, judge, upload, report."""
 
 import os
 import tempfile
@@ -31,9 +31,9 @@ from calibration.workflow import Runner, set_outputs
 from calibration.workflow.text import one_line
 
 FOR_SERVICE = ("project_token", "api_token", "partial", "final", "dry_run")
-"""Inputs that are for the service, and for nothing else."""
+"""Inputs that have an effect only with a service."""
 CLOCK = 2.0
-"""Seconds by which the times of files may be wrong."""
+"""Tolerance for file times, in seconds."""
 
 
 Percent = Annotated[float, between(0, 100)]
@@ -41,12 +41,16 @@ Percent = Annotated[float, between(0, 100)]
 
 @record
 class Settings:
-    """The inputs of ``coverage-upload``."""
+    """Inputs of ``coverage-upload``."""
 
-    run: str | None = field("The tests: a command such as pytest -q or unittest tests, or a folder.", default=None)
-    reports: tuple[str, ...] = field("Reports that exist, or that run writes: .coverage, Cobertura, LCOV.", default=())
-    directory: Path = field("Folder in the repository that the tests run in (the working directory).", default=Path())
-    interpreter: str | None = field("The Python for the tests (the one that their command finds).", default=None)
+    run: str | None = field("Test command such as pytest -q or unittest tests, or a folder of tests.", default=None)
+    reports: tuple[str, ...] = field(
+        "Report files, existing or written by run: .coverage, Cobertura, LCOV.", default=()
+    )
+    directory: Path = field(
+        "Working directory of the tests, in the repository (the current directory).", default=Path()
+    )
+    interpreter: str | None = field("Python interpreter of the tests (the first on the PATH).", default=None)
     source: tuple[str, ...] = field("Folders and files that count, relative to directory (all in git).", default=())
     exclude: tuple[str, ...] | None = field(
         "Patterns of git for files that do not count (tests, setup.py).", default=None
@@ -58,39 +62,43 @@ class Settings:
     base: str | None = field("Branch or commit that the change goes to (what the event says).", default=None)
     badge: Path | None = field("Write a badge of the coverage to this SVG file.", default=None)
     service: Literal["codacy", "none"] | None = field(
-        "Who is told of the coverage: codacy or none (none).", default=None
+        "Service that receives the coverage: codacy or none (none).", default=None
     )
     project_token: str | None = field(
-        "Codacy's for this repository; locally by CODACY_PROJECT_TOKEN.", default=None, repr=False
+        "Codacy token of this repository; locally in CODACY_PROJECT_TOKEN.", default=None, repr=False
     )
-    api_token: str | None = field("Codacy's for an account; locally by CODACY_API_TOKEN.", default=None, repr=False)
-    provider: str | None = field("With api-token, who hosts the repository: gh, ghe, gl, gle, bb or bbe.", default=None)
+    api_token: str | None = field("Codacy token of an account; locally in CODACY_API_TOKEN.", default=None, repr=False)
+    provider: str | None = field(
+        "With api-token, the host of the repository: gh, ghe, gl, gle, bb or bbe.", default=None
+    )
     organisation: str | None = field("With api-token, the organisation of the repository.", default=None)
     repository: str | None = field("With api-token, the repository's name.", default=None)
     api_url: str | None = field("The address of Codacy's API (https://api.codacy.com).", default=None)
-    language: str | None = field("The language of all files for Codacy (by their suffix).", default=None)
-    partial: bool = field("Other jobs upload coverage of this commit too; the last of them says final.", default=False)
+    language: str | None = field("The language of all files for Codacy (derived from their suffix).", default=None)
+    partial: bool = field("Other jobs upload coverage of this commit too; the last of them sets final.", default=False)
     final: bool = field(
-        "This is the last upload for this commit; without run and reports only that is said.", default=False
+        "This is the last upload for this commit; without run and reports, only that is sent.", default=False
     )
     if_token_missing: Literal["fail", "skip"] = field(
         "fail or skip where there is no token (fail; forks are skipped).",
         default="fail",
     )
-    commit: str | None = field("The commit that the coverage is of (found unless given).", default=None)
-    dry_run: bool = field("Send nothing, and show what would be sent.", default=False)
+    commit: str | None = field(
+        "The commit that the coverage belongs to (from the event or the checkout).", default=None
+    )
+    dry_run: bool = field("Send nothing, and show the requests.", default=False)
     output: Path | None = field(
         "Folder for results.json, junit.xml, summary.md, lcov.info, tests.xml and .log.", default=None
     )
 
 
 def upload(settings: Settings, runner: Runner) -> ExitCode:
-    """Run the tests or read reports, judge, tell the service, and report.
+    """Run the tests or read reports, judge, upload, and report.
 
     Raises:
         InputError: an input or a report is wrong or missing.
-        WorldError: the tests take too long, or a result cannot be written. A result of an earlier run
-            is removed first, so that none is mistaken for this one's.
+        WorldError: the tests exceed the time limit, or a result cannot be written. A result of an earlier run
+            is removed first, so that it is not mistaken for this one's.
     """
     if settings.output is not None:
         uploads = [file.name for file in settings.output.glob("upload-*.json")]
@@ -105,8 +113,8 @@ def upload(settings: Settings, runner: Runner) -> ExitCode:
     if settings.run is None and not settings.reports:
         return _only_final(settings, commit, service, skipped, runner)
     with tempfile.TemporaryDirectory(prefix="calibration-coverage-") as folder:
-        results = _judged(settings, repository, event, commit, Path(folder), runner)
-    results = replace(results, upload=_told(results, settings, service, skipped, runner))
+        results = _measure_and_judge(settings, repository, event, commit, Path(folder), runner)
+    results = replace(results, upload=_upload(results, settings, service, skipped, runner))
     if settings.badge is not None:
         write_atomically(settings.badge, badge(results.lines, results.goal))
     found = report(results, settings.directory, settings.badge)
@@ -116,22 +124,22 @@ def upload(settings: Settings, runner: Runner) -> ExitCode:
 
 def _check(settings: Settings) -> None:
     if settings.partial and settings.final:
-        raise InputError("partial and final are both given: either more uploads follow, or this is the last one")
+        raise InputError("partial and final are both given: partial announces more uploads, final is the last one")
     if settings.run is None and not settings.reports and not settings.final:
-        raise InputError("neither run nor reports is given: say how the tests run, or which reports there are")
+        raise InputError("neither run nor reports is given: set run to the test command, or reports to existing files")
     if settings.interpreter and settings.run is None:
-        raise InputError("interpreter is given without run, which it is for")
+        raise InputError("interpreter is given without run: it applies only to the command in run")
     given = [name for name in FOR_SERVICE if getattr(settings, name)]
     if settings.service is None and given:
         name = given[0].replace("_", "-")
-        raise InputError(f"{name} is given, and nobody whom it is for: add service: codacy (or none, to tell nobody)")
+        raise InputError(f"{name} is given without a service: add service: codacy (or none, to upload nothing)")
 
 
 def _service(settings: Settings, event: Event) -> tuple[Codacy | None, str]:
-    """Who is told, or None and why not.
+    """Return the client of the service, or None and the reason.
 
     Raises:
-        InputError: there is no token, and there should be one; or what belongs to it is wrong.
+        InputError: a required token is missing, or an input of the service is malformed.
     """
     if settings.service == "none":
         return None, ""
@@ -148,14 +156,14 @@ def _service(settings: Settings, event: Event) -> tuple[Codacy | None, str]:
         return None, "there is no token"
     raise InputError(
         "CODACY_PROJECT_TOKEN is not set, nor CODACY_API_TOKEN: put the token there (in the action: project-token), "
-        "or say service: none"
+        "or set service: none"
     )
 
 
-def _judged(
+def _measure_and_judge(
     settings: Settings, repository: Repository, event: Event, commit: str, folder: Path, runner: Runner
 ) -> Results:
-    """Run the tests where there are any to run, and judge what they cover."""
+    """Run the tests if a command is given, and judge their coverage."""
     sources = find_sources(repository, settings.directory, map(Path, settings.source), settings.exclude)
     options = team_settings(settings.directory)
     base, no_change = _base(settings, repository, event)
@@ -173,15 +181,15 @@ def _judged(
     except InputError as error:
         if not failed:
             raise
-        found = Found.nothing()  # tests that fail need not write a report
+        found = Found.nothing()  # failed tests may have written no report
         runner.log(one_line(f"no coverage: {error}"))
     change = None
     if base is not None:
         change = Change(base, *coverage_of_change(changed_lines(repository.difference(base)), found.files))
     results = Results(found, settings.goal, commit, tests, change, no_change)
     if results.lines.total == 0 and not failed:
-        why = "; ".join(["the reports speak of no file that counts (source, exclude)", *what_is_left_out(found)])
-        raise InputError(f"no line was found that can be run: {why}")
+        why = "; ".join(["the reports contain no file that counts (source, exclude)", *what_is_left_out(found)])
+        raise InputError(f"no executable line was found: {why}")
     limits = []
     if settings.minimum is not None:
         limits.append(Limit("minimum", settings.minimum, results.lines))
@@ -191,10 +199,10 @@ def _judged(
 
 
 def _base(settings: Settings, repository: Repository, event: Event) -> tuple[str | None, str]:
-    """The commit that the change set out from; or None, and why there is none.
+    """Return the merge base of the change; or None and the reason.
 
     Raises:
-        InputError: it is asked for, and cannot be found.
+        InputError: it is required, and cannot be found.
     """
     try:
         return find_base(repository, settings.base, event.bases), ""
@@ -205,10 +213,10 @@ def _base(settings: Settings, repository: Repository, event: Event) -> tuple[str
 
 
 def _reports(settings: Settings, begin: float | None) -> list[Path]:
-    """The files of the reports.
+    """Return the report files.
 
     Raises:
-        InputError: a pattern matches none, or one is older than the run of the tests that should have written it.
+        InputError: a pattern matches no file, or a file is older than the test run that should have written it.
     """
     files = [Path(file) for file in matching([str(settings.directory / name) for name in settings.reports])]
     for file in files:
@@ -220,14 +228,14 @@ def _reports(settings: Settings, begin: float | None) -> list[Path]:
 def _run(
     settings: Settings, sources: Sources, options: Mapping[str, Any], folder: Path, runner: Runner
 ) -> tuple[Tests, list[Path], str | None]:
-    """Run the tests; what came of them, the data that was measured, and the Python that measured."""
+    """Run the tests; return their outcome, the measured data files, and the Python that measured."""
     seconds = parse_seconds(settings.timeout, "timeout")
     output = (settings.output or folder).absolute()
     environment = plain(os.environ)
     called = parse_command(
         settings.run or "", settings.directory, settings.interpreter, environment, output / "tests.xml"
     )
-    if not settings.reports:  # else the tests measure themselves
+    if not settings.reports:  # otherwise the tests measure themselves
         environment = measured_environment(os.environ, options, sources.measured(), folder / "measuring")
     log = output / "tests.log"
     secrets = tuple(filter(None, (settings.project_token, settings.api_token)))
@@ -239,25 +247,25 @@ def _run(
         runner.log(one_line(problem))
     if not measured.files and tests.problem is None:
         why = "; ".join(measured.problems) or (
-            "no Python was started that heeds PYTHONPATH; tests that measure themselves name their report (reports)"
+            "no Python was started that uses PYTHONPATH; if the tests measure themselves, set reports"
         )
-        raise InputError(f"run: the tests passed, and nothing was measured: {why}")
+        raise InputError(f"run: the tests passed, but no coverage was measured: {why}")
     return tests, list(measured.files), measured.executable
 
 
 def _only_final(settings: Settings, commit: str, service: Codacy | None, skipped: str, runner: Runner) -> ExitCode:
-    """Say that nothing more is told of the commit."""
+    """Tell the service that the uploads for the commit are complete."""
     state: State = "none" if settings.service == "none" else "skipped"
     if service is not None:
         requests = service.requests(Upload(commit, {}, final=True))
         state = _send(service, requests, settings, runner)
     set_outputs(runner, {"uploaded": state, "commit": commit})
-    runner.log(f"{state}{f': {skipped}' if skipped else ''}: nothing more is told of {commit}")
+    runner.log(f"{state}{f': {skipped}' if skipped else ''}: no more uploads for {commit}")
     return ExitCode.PASS
 
 
-def _told(results: Results, settings: Settings, service: Codacy | None, skipped: str, runner: Runner) -> Uploaded:
-    """Tell the service, and say what came of it."""
+def _upload(results: Results, settings: Settings, service: Codacy | None, skipped: str, runner: Runner) -> Uploaded:
+    """Upload the coverage, and return the outcome."""
     name = settings.service or "none"
     if service is None:
         return Uploaded(name, "none" if name == "none" else "skipped", skipped)
@@ -271,13 +279,13 @@ def _told(results: Results, settings: Settings, service: Codacy | None, skipped:
 
 
 def _send(service: Codacy, requests: Sequence[Request], settings: Settings, runner: Runner) -> State:
-    """Send the requests, or only show them.
+    """Send the requests, or only log them in a dry run.
 
     Raises:
-        WorldError: the service did not take one.
+        WorldError: the service rejected one.
     """
     for request in requests:
-        verb = "would be sent" if settings.dry_run else "goes"
+        verb = "would be sent" if settings.dry_run else "sent"
         runner.log(one_line(f"{request.what}: {len(request.body)} bytes of JSON {verb} to {request.url}"))
     if settings.dry_run:
         for number, request in enumerate(requests, 1):

@@ -12,16 +12,16 @@ _LETTERS = {b"a": b"\a", b"b": b"\b", b"f": b"\f", b"n": b"\n", b"r": b"\r", b"t
 
 
 def changed_lines(difference: bytes) -> dict[str, set[int]]:
-    """The numbers of the lines that are new in each file, by its path.
+    """Return the numbers of the added or altered lines of each file, by its path.
 
     Args:
         difference: of git, with the prefixes ``a/`` and ``b/``.
     """
     found: dict[str, set[int]] = {}
     file: str | None = None
-    skip = 0  # lines of a hunk: what they say is no part of the difference's own form
+    skip = 0  # remaining lines of a hunk, whose content must not be parsed as headers
     for line in difference.split(b"\n"):
-        if skip and not line.startswith(b"\\"):  # "\ No newline at end of file" counts for nothing
+        if skip and not line.startswith(b"\\"):  # "\ No newline at end of file" is not a line
             skip -= 1
         elif line.startswith(b"+++ "):
             file = _path(line[4:])
@@ -34,7 +34,7 @@ def changed_lines(difference: bytes) -> dict[str, set[int]]:
 
 
 def find_base(repository: Repository, named: str | None, candidates: Iterable[str]) -> str:
-    """The commit from which a change set out: the last one that it has in common with what it goes to.
+    """Return the merge base of HEAD and the target of a change.
 
     Args:
         repository: the checkout.
@@ -46,19 +46,19 @@ def find_base(repository: Repository, named: str | None, candidates: Iterable[st
     """
     names = [named] if named is not None else list(candidates)
     if not names:
-        raise InputError("there is no base to compare with: name one, such as origin/main (base)")
-    # the best may be gone, as is what was there before a forced push
+        raise InputError("there is no base to compare with: set base, for example to origin/main")
+    # after a forced push the best candidate may no longer exist
     commit = next(filter(None, map(repository.commit, names)), None)
     base = None if commit is None else repository.merge_base(commit, "HEAD")
     if base is None:
-        found = "no such commit is" if commit is None else "nothing that it has in common with HEAD is"
+        found = "no such commit is" if commit is None else "no common ancestor with HEAD is"
         raise InputError(f"base {names[0]}: {found} in this checkout: check out the history too (fetch-depth: 0)")
     return base
 
 
 def _path(text: bytes) -> str | None:
-    """The path in a line ``+++``; None where a file was deleted."""
-    text = text.removesuffix(b"\t")  # git puts one behind a path with a space
+    """Return the path in a ``+++`` line; None for a deleted file."""
+    text = text.removesuffix(b"\t")  # git appends a tab to a path with a space
     if text.startswith(b'"') and text.endswith(b'"'):
         text = _ESCAPE.sub(_unescaped, text[1:-1])
     return text[2:].decode("utf-8", "surrogateescape") if text.startswith(b"b/") else None

@@ -167,7 +167,7 @@ def test_tests_that_measure_themselves(server: projects.Codacy, capsys: pytest.C
     assert upload("--run", "./idle", reports="c.xml") == 2
     assert "c.xml: it is older than this run of the tests" in capsys.readouterr().err
     assert upload("--run", "./idle", reports=None) == 2
-    assert "the tests passed, and nothing was measured: no Python was started" in capsys.readouterr().err
+    assert "the tests passed, but no coverage was measured: no Python was started" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -291,7 +291,7 @@ def test_only_the_end_is_told(server: projects.Codacy, capsys: pytest.CaptureFix
     assert upload("--final", "--commit", "E" * 40, reports=None) == 0
     [asked] = server.asked
     assert (asked.path, asked.body) == (f"/2.0/commit/{'e' * 40}/coverageFinal", b"{}")
-    assert capsys.readouterr().out.endswith(f"uploaded: nothing more is told of {'e' * 40}\n")
+    assert capsys.readouterr().out.endswith(f"uploaded: no more uploads for {'e' * 40}\n")
     assert upload("--final", "--service", "none", reports=None) == 0
     assert upload("--partial") == 0
     assert server.asked[1].path.endswith("?partial=true")
@@ -394,7 +394,7 @@ def test_a_dry_run_shows_what_would_go(capsys: pytest.CaptureFixture[str]) -> No
     out = capsys.readouterr().out
     url = "https://api.codacy.com/2.0"
     assert f"1 python file: 97 bytes of JSON would be sent to {url}/coverage/{'e' * 40}/python?partial=true" in out
-    assert f"nothing more comes: 2 bytes of JSON would be sent to {url}/commit/{'e' * 40}/coverageFinal" in out
+    assert f"final request: 2 bytes of JSON would be sent to {url}/commit/{'e' * 40}/coverageFinal" in out
     assert len(Path("out/upload-1.json").read_bytes()) == 97
     assert json.loads(Path("out/results.json").read_text())["upload"]["state"] == "dry-run"
     assert upload("--service", "none", "--output", "out") == 0
@@ -431,7 +431,7 @@ def test_as_an_action_the_inputs_go_before_the_environment(
         (["--interpreter", "python3"], "interpreter is given without run"),
         (["--minimum", "101"], "options: minimum: found 101.0, expected a number from 0 to 100"),
         (["--minimum", "nan"], "'nan' is not a finite number"),
-        (["--commit", "main"], "commit: found 'main', expected the 40 hexadecimal digits"),
+        (["--commit", "main"], "commit: found 'main', expected a hash of 40 hexadecimal digits"),
         (["--directory", "none"], "none: there is no such folder"),
         (["--source", "none"], "source: none: no source file was found there"),
         (["--base", "nowhere"], "base nowhere: no such commit is in this checkout"),
@@ -439,7 +439,7 @@ def test_as_an_action_the_inputs_go_before_the_environment(
         (["--run", "pytest", "--timeout", "soon"], "timeout: found 'soon', expected a time such as 90s"),
         (["--run", "no-such-program"], "there is no program 'no-such-program'"),
         (["--api-url", "http://example.org"], "api-url: found 'http://example.org', expected https"),
-        (["--exclude", "**/naming.py"], "no line was found that can be run: the reports speak of no file that counts"),
+        (["--exclude", "**/naming.py"], "no executable line was found: the reports contain no file that counts"),
     ],
 )
 def test_what_is_wrong_is_said(
@@ -558,7 +558,7 @@ def test_what_is_for_a_service_without_one_is_an_error(
         monkeypatch.delenv("CODACY_PROJECT_TOKEN")
     assert main([NAME, "--reports", "../c.xml", *filter(None, [option])]) == 2
     name = option.removeprefix("--") or "project-token"
-    assert f"error: {name} is given, and nobody whom it is for: add service: codacy" in capsys.readouterr().err
+    assert f"error: {name} is given without a service: add service: codacy" in capsys.readouterr().err
     assert server.asked == []
 
 

@@ -100,5 +100,5 @@ def test_the_base_is_where_a_branch_left(tmp_path: Path) -> None:
         find_base(repository, None, [])
     git(tmp_path, "checkout", "-q", "--orphan", "alone")
     commit(tmp_path, {"d.py": "1\n"})
-    with pytest.raises(InputError, match="base main: nothing that it has in common with HEAD is in this checkout"):
+    with pytest.raises(InputError, match="base main: no common ancestor with HEAD is in this checkout"):
         find_base(repository, "main", [])

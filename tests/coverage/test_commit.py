@@ -60,13 +60,13 @@ def test_off_github_it_is_what_is_checked_out(repository: Repository, tmp_path: 
     empty = tmp_path / "empty"
     empty.mkdir()
     git(empty, "init", "-q")
-    with pytest.raises(InputError, match="commit is not given, and nothing is checked out"):
+    with pytest.raises(InputError, match="commit is not given, and there is no checkout"):
         find_commit(None, Event(), Repository.around(empty))
 
 
 @pytest.mark.parametrize("text", ["main", "abc123", "a" * 41, "../" * 20, "g" * 40])
 def test_a_commit_that_is_none(repository: Repository, text: str) -> None:
-    with pytest.raises(InputError, match=r"commit: found .*, expected the 40 hexadecimal digits"):
+    with pytest.raises(InputError, match=r"commit: found .*, expected a hash of 40 hexadecimal digits"):
         find_commit(text, Event(), repository)
 
 

@@ -184,10 +184,10 @@ def too_large(path: Path) -> None:
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (corrupted, "a data file of coverage.py was expected, and this is none that it can read"),
-        (of_another_schema, "this is none that it can read: "),
-        (of_another_program, "this is none that it can read"),
-        (with_lines_without_end, "it speaks of lines beyond 10000000, which no source file has"),
+        (corrupted, "a data file of coverage.py was expected, and this one cannot be read"),
+        (of_another_schema, "this one cannot be read: "),
+        (of_another_program, "this one cannot be read"),
+        (with_lines_without_end, "it contains line numbers above 10000000"),
         (
             too_large,
             "found 104857601 bytes, a data file of coverage.py, Cobertura XML or LCOV of at most 104857600 was",
