@@ -1,6 +1,6 @@
-"""Other calibration methods on the same dataset, for rows beside the built-in engine's.
+"""Other calibration methods on the same dataset, to compare with the built-in engine.
 
-``methods`` names them; each takes a dataset and gives a new one with its own transforms:
+``methods`` lists them; each takes a dataset and returns a new one with its own transforms:
 
 - ``opencv_stereo``: two cameras;
 - ``icp``: two LiDARs or depth cameras;

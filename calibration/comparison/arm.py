@@ -1,11 +1,11 @@
-"""Cameras and patterns on either side of an arm: what hand-eye methods take from a dataset, and give it back.
+"""Hand-eye calibration of cameras on or beside an arm: its data from a dataset, and its results as a dataset.
 
-A camera may be carried by the arm and look at patterns in the world (eye in hand), or stand in the
-world and look at patterns on the arm (eye to hand): with named frames both are the same equation.
-Each view counts with the pose that it gives by itself; nothing is refined in pixels afterwards.
+A camera may be mounted on the arm and observe fixed patterns (eye in hand), or be fixed and observe
+patterns on the arm (eye to hand): with named frames both are the same equation.
+Each view contributes the pose estimated from it alone; there is no refinement of reprojection errors.
 
-These methods know one pattern. Of several, each camera takes the fixed one that it sees most often, of those
-before which the arm turns enough; the other fixed ones are placed afterwards by the mean over their views.
+These methods support one pattern. With several, each camera uses the fixed one that it sees most often, among those
+with enough rotation of the arm; the other fixed ones follow as the mean over their views.
 """
 
 from collections.abc import Callable
@@ -22,35 +22,35 @@ from calibration.geometry.transforms import distance, inverse, transform
 from calibration.geometry.types import Array
 
 Solver = Callable[[Array, Array], tuple[Array, Array]]
-"""From the arm's poses and the camera's (n, 4, 4) to X and Y (4, 4) in ``arm = X @ seen @ Y``."""
+"""Function from the poses of arm and camera (n, 4, 4) to X and Y (4, 4) in ``arm = X @ seen @ Y``."""
 
 MINIMUM_VIEWS = 3
-"""Two relative motions are the least that has rotations about two axes."""
+"""Minimum of relative motions with rotations about two axes."""
 
 
 @dataclass(frozen=True, eq=False)
 class ArmViews:
     """A camera's n views of a pattern: ``arm = X @ seen @ Y``.
 
-    X is the camera's calibrated transform, Y the inverse of the pattern's. The arm's poses, the exact ones, stand on
+    X is the camera's calibrated transform, Y the inverse of the pattern's. The arm's poses, which are exact, are on
     the left, as ATOM passes them to OpenCV.
     """
 
     sensor: Sensor
     pattern: Pattern
     arm: Array
-    """(n, 4, 4): from the pattern's parent to the camera's."""
+    """(n, 4, 4): from the pattern's parent to the camera's parent."""
     seen: Array
     """(n, 4, 4): from the pattern to the camera's calibrated child."""
 
     @property
     def axes(self) -> int:
-        """About how many axes the arm turns; 2 are enough."""
+        """Number of independent rotation axes of the arm; 2 are enough."""
         return solve_robot_world(self.arm, self.seen).spectrum.axes(SINGLE_AXIS)
 
 
 def why_not_arm(dataset: Dataset) -> str | None:
-    """One line that says why hand-eye methods do not apply to a dataset; None if they do."""
+    """Return the reason why hand-eye methods do not apply to a dataset, in one line; None if they do."""
     others = [s for s in dataset.sensors.values() if not (s.modality.has_corners or s.modality.has_poses)]
     if others:
         return f"it needs cameras only, and '{others[0].name}' is {others[0].modality}"
@@ -64,7 +64,7 @@ def why_not_arm(dataset: Dataset) -> str | None:
 
 
 def _why_not_pattern(dataset: Dataset, sensor: Sensor, pattern: Pattern) -> str | None:
-    """Why there is no arm between a camera and a pattern; None if there is."""
+    """Return the reason why there is no arm between a camera and a pattern; None if there is one."""
     if not pattern.fixed:
         return f"it needs a pattern fixed to the world or to an arm, and '{pattern.name}' moves freely"
     path = dataset.tree.path(sensor.calibration_parent, pattern.parent_link)
@@ -80,11 +80,11 @@ def _moves(T: Array) -> bool:
 
 
 def calibrate_arm(dataset: Dataset, solve: Solver) -> Dataset:
-    """The dataset with the transforms of cameras and fixed patterns by a solver; a pattern that moves is left alone.
+    """Calibrate cameras and fixed patterns by a solver and return the new dataset; moving patterns are unchanged.
 
     Raises:
         InputError: the method does not apply (`why_not_arm`).
-        UndeterminedError: too few views, rotations about fewer than two axes, or the solver finds nothing.
+        UndeterminedError: too few views, rotations about fewer than two axes, or the solver fails.
     """
     transforms: dict[Edge, Array] = {}
     for used in used_views(dataset):
@@ -100,13 +100,13 @@ def calibrate_arm(dataset: Dataset, solve: Solver) -> Dataset:
 
 
 def inverse_pattern(X: Array, arm: Array, seen: Array) -> Array:
-    """Y in ``arm = X @ seen @ Y`` with a known X: the mean over the views."""
+    """Solve ``arm = X @ seen @ Y`` for Y with a known X: the mean over the views."""
     Y = inverse(X @ seen) @ arm
     return transform(rotations.nearest(Y[:, :3, :3].mean(0)), Y[:, :3, 3].mean(0))
 
 
 def used_views(dataset: Dataset) -> list[ArmViews]:
-    """What each camera is calibrated by; errors as `calibrate_arm`."""
+    """Return the pattern that each camera is calibrated with; errors as `calibrate_arm`."""
     reason = why_not_arm(dataset)
     if reason:
         raise InputError(f"{dataset.path}: the method does not apply: {reason}")
@@ -114,7 +114,7 @@ def used_views(dataset: Dataset) -> list[ArmViews]:
 
 
 def _most_views(dataset: Dataset, sensor: Sensor) -> ArmViews:
-    """The views of the pattern that a camera sees most often, of those with which its transform is determined."""
+    """Return a camera's views of its most frequent pattern, among those that determine its transform."""
     found = sorted(_all_views(dataset, sensor), key=lambda views: -len(views.arm))
     for views in found:
         if len(views.arm) >= MINIMUM_VIEWS and views.axes >= 2:
@@ -134,7 +134,7 @@ def _too_little(views: ArmViews) -> str:
 
 
 def _all_views(dataset: Dataset, sensor: Sensor) -> list[ArmViews]:
-    """The views of each pattern on the other side of the arm."""
+    """Return the views of each pattern on the other side of the arm."""
     patterns = [p for p in dataset.patterns.values() if _why_not_pattern(dataset, sensor, p) is None]
     return [_views(dataset, sensor, pattern) for pattern in patterns]
 

@@ -1,7 +1,7 @@
-"""Shah, Li, Tsai, Park, Horaud, Andreff and Daniilidis: OpenCV's where it has them, else ours.
+"""Methods of Shah, Li, Tsai, Park, Horaud, Andreff and Daniilidis: OpenCV's if available, else our own.
 
-Shah and Li solve for camera and pattern together. The other five find the camera's transform only, from the
-motions between views; the pattern's follows from it, the mean over the views.
+Shah and Li solve for camera and pattern jointly. The other five solve for the camera's transform only, from the
+motions between views; the pattern's transform follows as the mean over the views.
 """
 
 from collections.abc import Callable, Mapping
@@ -17,7 +17,7 @@ ROBOT_WORLD: Mapping[str, Callable[[Array, Array], robot_world.RobotWorld]] = {
     "shah": robot_world.solve_robot_world,
     "li": robot_world.solve_li,
 }
-"""Ours: from A and B (n, 4, 4) in ``A_i = X @ B_i @ Y``."""
+"""Own implementation: from A and B (n, 4, 4) in ``A_i = X @ B_i @ Y``."""
 HAND_EYE: Mapping[str, Callable[[Array, Array], Array]] = {
     "tsai": hand_eye_solvers.solve_tsai,
     "park": hand_eye_solvers.solve_park,
@@ -25,16 +25,16 @@ HAND_EYE: Mapping[str, Callable[[Array, Array], Array]] = {
     "andreff": hand_eye_solvers.solve_andreff,
     "daniilidis": hand_eye_solvers.solve_daniilidis,
 }
-"""Ours: from relative motions."""
+"""Own implementation: from relative motions."""
 
 
 def by_arm(method: str, dataset: Dataset) -> Dataset:
-    """The dataset with the transforms of cameras and patterns by one of the methods; errors as `calibrate_arm`."""
+    """Calibrate cameras and patterns by one of the methods and return the new dataset; errors as `calibrate_arm`."""
     return calibrate_arm(dataset, _solver(method))
 
 
 def described(method: str, dataset: Dataset) -> str:
-    """Whose implementation it is, and, where there are several patterns, which each camera is calibrated by."""
+    """Return the implementation used, and with several patterns the one that each camera is calibrated with."""
     cv2 = opencv_arm.opencv_with(_function(method))
     whose = f"OpenCV {cv2.__version__}" if cv2 else "built in"
     if len(dataset.patterns) == 1:

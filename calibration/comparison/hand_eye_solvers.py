@@ -1,8 +1,8 @@
-"""Five solutions of the hand-eye problem ``A X = X B``, from relative motions of hand and eye.
+"""Five solvers of the hand-eye problem ``A X = X B``, from relative motions of hand and eye.
 
-They run where OpenCV does not have them: OpenCV 4 has the same five in `calibrateHandEye`, with equal results
-(newer ones leave out some motions for Tsai), OpenCV 5 none. Each is written from its paper and takes
-`relative_motions`; a motion that cannot determine X gives some finite transform.
+They are used where OpenCV lacks them: OpenCV 4 has the same five in `calibrateHandEye`, with equal results
+(newer ones skip some motions for Tsai), OpenCV 5 none. Each is implemented from its paper and takes
+`relative_motions`; a motion that does not determine X yields some finite transform.
 """
 
 import numpy as np
@@ -13,11 +13,11 @@ from calibration.geometry.transforms import inverse, transform
 from calibration.geometry.types import Array
 
 MOST_MOTIONS = 20_000
-"""So many relative motions are used: all of up to 200 views, else those of views that lie close in order."""
+"""Limit of relative motions: all pairs of up to 200 views; with more, pairs of views close in order."""
 
 
 def relative_motions(hand: Array, eye: Array) -> tuple[Array, Array]:
-    """The motions between every two views.
+    """Return the relative motions between pairs of views.
 
     Args:
         hand: (n, 4, 4), ``T_hand_base``.
@@ -35,7 +35,7 @@ def relative_motions(hand: Array, eye: Array) -> tuple[Array, Array]:
 
 
 def solve_tsai(A: Array, B: Array) -> Array:
-    """X (4, 4) with its rotation as a modified Rodrigues vector, a linear system (R. Tsai and R. Lenz, 1989)."""
+    """Solve for X (4, 4), the rotation linearly as a modified Rodrigues vector (R. Tsai and R. Lenz, 1989)."""
     a, b = _rodrigues(A), _rodrigues(B)
     p = np.linalg.lstsq(hat(a + b).reshape(-1, 3), (b - a).ravel(), rcond=None)[0]
     R = rotations.from_quaternion(np.append(p, 1.0))  # p = tan(angle / 2) axis
@@ -43,14 +43,14 @@ def solve_tsai(A: Array, B: Array) -> Array:
 
 
 def solve_park(A: Array, B: Array) -> Array:
-    """X (4, 4) that aligns the rotation vectors of the motions (F. Park and B. Martin, 1994)."""
+    """Solve for X (4, 4) by aligning the rotation vectors of the motions (F. Park and B. Martin, 1994)."""
     a, b = (rotations.log(T[:, :3, :3]) for T in (A, B))
     R = rotations.nearest(a.T @ b)
     return transform(R, _translation(A, B, R))
 
 
 def solve_horaud(A: Array, B: Array) -> Array:
-    """X (4, 4) with the unit quaternion that fits ``a x = x b`` best (R. Horaud and F. Dornaika, 1995)."""
+    """Solve for X (4, 4), the rotation as the quaternion that fits ``a x = x b`` (R. Horaud, F. Dornaika, 1995)."""
     a, b = (rotations.to_quaternion(T[:, :3, :3]) for T in (A, B))
     difference = (_from_left(a) - _from_right(b)).reshape(-1, 4)
     R = rotations.from_quaternion(np.linalg.eigh(difference.T @ difference)[1][:, 0])
@@ -58,7 +58,7 @@ def solve_horaud(A: Array, B: Array) -> Array:
 
 
 def solve_andreff(A: Array, B: Array) -> Array:
-    """X (4, 4) by one linear system for all of it, made a rotation afterwards (N. Andreff et al., 1999)."""
+    """Solve for X (4, 4) by one linear system, projected to a rotation afterwards (N. Andreff et al., 1999)."""
     m, eye = len(A), np.eye(3)
     RA, RB, tA, tB = A[:, :3, :3], B[:, :3, :3], A[:, :3, 3], B[:, :3, 3]
     system = np.zeros((m, 12, 12))
@@ -71,10 +71,10 @@ def solve_andreff(A: Array, B: Array) -> Array:
 
 
 def solve_daniilidis(A: Array, B: Array) -> Array:
-    """X (4, 4) as a unit dual quaternion (K. Daniilidis, 1999).
+    """Solve for X (4, 4) as a unit dual quaternion (K. Daniilidis, 1999).
 
-    Rotation and translation together lie in the space of two singular vectors; where in it, two
-    quadratic conditions say: the quaternion's length is 1, and it is perpendicular to its dual part.
+    The solution is a combination of two singular vectors, fixed by two quadratic conditions:
+    the real part has unit norm and is orthogonal to the dual part.
     """
     (a, a_dual), (b, b_dual) = _dual_quaternion(A), _dual_quaternion(B)
     system = np.zeros((len(A), 6, 8))
@@ -82,7 +82,7 @@ def solve_daniilidis(A: Array, B: Array) -> Array:
         system[:, row : row + 3, column] = (x - y)[:, :3]
         system[:, row : row + 3, column + 1 : column + 4] = hat((x + y)[:, :3])
     u, v = np.linalg.svd(system.reshape(-1, 8), full_matrices=False)[2][-2:].reshape(2, 2, 4)
-    if abs(v[0] @ v[1]) < abs(u[0] @ u[1]):  # x = u + s v or v + s u: whose quadratic is better conditioned
+    if abs(v[0] @ v[1]) < abs(u[0] @ u[1]):  # x = u + s v or v + s u: the quadratic that is better conditioned
         u, v = v, u
     (u1, u2), (v1, v2) = u, v
     square, linear, constant = v1 @ v2, u1 @ v2 + v1 @ u2, u1 @ u2
@@ -96,25 +96,25 @@ def solve_daniilidis(A: Array, B: Array) -> Array:
 
 
 def _translation(A: Array, B: Array, R: Array) -> Array:
-    """Least squares for t in ``(R_A - I) t = R t_B - t_A``."""
+    """Solve ``(R_A - I) t = R t_B - t_A`` for t by least squares."""
     system = (A[:, :3, :3] - np.eye(3)).reshape(-1, 3)
     right = (B[:, :3, 3] @ R.T - A[:, :3, 3]).ravel()
     return np.asarray(np.linalg.lstsq(system, right, rcond=None)[0], float)
 
 
 def _rodrigues(T: Array) -> Array:
-    """``2 sin(angle / 2) axis`` of the rotations (n, 3)."""
+    """Return ``2 sin(angle / 2) axis`` of the rotations (n, 3)."""
     vector: Array = 2 * rotations.to_quaternion(T[:, :3, :3])[:, :3]
     return vector
 
 
 def _from_left(q: Array) -> Array:
-    """The matrices (..., 4, 4) with ``_from_left(q) @ p == q p``, quaternions as [x, y, z, w]."""
+    """Return the matrices (..., 4, 4) with ``_from_left(q) @ p == q p``, quaternions as [x, y, z, w]."""
     return _product(q, 1)
 
 
 def _from_right(q: Array) -> Array:
-    """The matrices (..., 4, 4) with ``_from_right(q) @ p == p q``."""
+    """Return the matrices (..., 4, 4) with ``_from_right(q) @ p == p q``."""
     return _product(q, -1)
 
 
@@ -127,13 +127,13 @@ def _product(q: Array, side: int) -> Array:
 
 
 def _dual_quaternion(T: Array) -> tuple[Array, Array]:
-    """The quaternions [x, y, z, w] of the rotations and their dual parts ``t q / 2``."""
+    """Return the quaternions [x, y, z, w] of the rotations and their dual parts ``t q / 2``."""
     q = rotations.to_quaternion(T[:, :3, :3])
     t = np.concatenate([T[:, :3, 3], np.zeros((len(T), 1))], -1)
     return q, 0.5 * np.einsum("nij,nj->ni", _from_left(t), q)
 
 
 def _xyzw(q: Array) -> Array:
-    """From [w, x, y, z], the order that the system of Daniilidis has."""
+    """Convert from [w, x, y, z], the order in the equations of Daniilidis."""
     rolled: Array = np.roll(q, -1)
     return rolled

@@ -1,8 +1,8 @@
-"""ICP: the relative pose of two LiDARs or depth cameras, from the points that both see on the pattern.
+"""ICP: relative pose of two LiDARs or depth cameras from the points that both see on the pattern.
 
-As ATOM's comparison has it: point to point, from the transforms in the dataset (so a far start goes wrong),
-points farther apart than a threshold left out, one collection after the other; then the average of the
-results, or the one that fits best. A third row takes all collections at once, which leaves no sliding
+As in ATOM's comparison: point to point, started from the transforms in the dataset (so a bad initial guess fails),
+with a threshold on the distance of matches, one collection after the other; the result is the average over
+collections, or the one with the best fit. A third variant uses all collections at once, which prevents sliding
 along a single board.
 """
 
@@ -19,53 +19,53 @@ from calibration.geometry.transforms import apply, transform
 from calibration.geometry.types import Array
 
 THRESHOLD = 0.1
-"""m: two points farther apart are not the same place."""
+"""Largest distance of matched points, m."""
 MINIMUM_POINTS = 10
-"""Of a view."""
+"""Minimum of points of a view."""
 MOST_POINTS = 1000
-"""Of a view; of more, so many are taken, evenly."""
+"""Maximum of points of a view; of more, an evenly spaced subset is used."""
 ITERATIONS = 100
 SETTLED = 1e-3
-"""It stops when the share of matched points and their error change by less; the error relative to itself."""
+"""Convergence limit on the change of the fraction of matched points and on the relative change of their error."""
 
 Clouds = tuple[Array, Array]
-"""What the first sensor (N, 3) and the second (M, 3) see on the pattern, each in its own frame."""
+"""Points on the pattern of the first sensor (N, 3) and of the second (M, 3), each in its own frame."""
 
 
 @dataclass(frozen=True, eq=False)
 class Alignment:
-    """Where ICP stops."""
+    """Result of ICP."""
 
     T_first_second: Array
     rms: float
-    """m: of the points that have a match; infinite where none has."""
+    """Root mean square distance of the matched points, m; infinite without matches."""
 
 
 def icp(dataset: Dataset) -> Dataset:
-    """The dataset with the second sensor's transform by ICP on all collections at once.
+    """Calibrate the second sensor by ICP on all collections at once and return the new dataset.
 
     Raises:
         InputError: the method does not apply (`why_not_icp`).
-        UndeterminedError: no points lie near each other at the start.
+        UndeterminedError: no points match at the initial guess.
     """
     views, start = _views_and_start(dataset)
     return _placed(dataset, [align(views, start)], average=False)
 
 
 def icp_average(dataset: Dataset) -> Dataset:
-    """The dataset with the mean of the poses that ICP finds in each collection; errors as `icp`."""
+    """Calibrate by the mean of the poses that ICP finds in each collection; errors as `icp`."""
     views, start = _views_and_start(dataset)
     return _placed(dataset, [align([view], start) for view in views], average=True)
 
 
 def icp_best(dataset: Dataset) -> Dataset:
-    """The dataset with the pose of the collection in which ICP fits best; errors as `icp`."""
+    """Calibrate by the pose of the collection in which ICP fits best; errors as `icp`."""
     views, start = _views_and_start(dataset)
     return _placed(dataset, [align([view], start) for view in views], average=False)
 
 
 def why_not_icp(dataset: Dataset) -> str | None:
-    """One line that says why the method does not apply to a dataset; None if it does."""
+    """Return the reason why the method does not apply to a dataset, in one line; None if it does."""
     reason = why_not_pair(dataset, RANGE_SENSORS, "LiDARs or depth cameras")
     if reason is None and not _views(dataset):
         return f"it needs a view of {MINIMUM_POINTS} points by both sensors, and there is none"
@@ -73,10 +73,10 @@ def why_not_icp(dataset: Dataset) -> str | None:
 
 
 def align(views: list[Clouds], start: Array) -> Alignment:
-    """The pose that lays the second sensor's points on the first's.
+    """Return the pose that aligns the second sensor's points with the first's.
 
     Args:
-        views: seen from the same relative pose.
+        views: with the same relative pose.
         start: ``T_first_second`` (4, 4).
     """
     T, before = start, (-1.0, np.inf)
@@ -94,7 +94,7 @@ def align(views: list[Clouds], start: Array) -> Alignment:
 
 
 def _matches(views: list[Clouds], T: Array) -> tuple[Array, Array]:
-    """The pairs of points nearest to each other: the first's, and the second's in its own frame, (K, 3) each."""
+    """Return pairs of nearest points: the first's, and the second's in its own frame, (K, 3) each."""
     to, come = [], []
     for first, second in views:
         moved = apply(T, second)
@@ -106,7 +106,7 @@ def _matches(views: list[Clouds], T: Array) -> tuple[Array, Array]:
 
 
 def _rigid(to: Array, come: Array) -> Array:
-    """The transform that moves points nearest to others, least squares (K. Arun et al., 1987)."""
+    """Return the transform that maps points to others, by least squares (K. Arun et al., 1987)."""
     centre, origin = to.mean(0), come.mean(0)
     R = rotations.nearest((to - centre).T @ (come - origin))
     return transform(R, centre - R @ origin)

@@ -1,4 +1,4 @@
-"""The methods of the comparison, by name."""
+"""Registry of the comparison's methods."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -15,28 +15,28 @@ from calibration.errors import InputError, solvable
 
 @dataclass(frozen=True)
 class Method:
-    """A way to calibrate a dataset that is not ours."""
+    """A calibration method other than the built-in engine."""
 
     name: str
-    """For command lines and file names."""
+    """Name in command lines and file names."""
     title: str
-    """For tables."""
+    """Name in tables."""
     why_not: Callable[[Dataset], str | None]
-    """One line that says why it does not apply to a dataset; None if it does."""
+    """Reason why it does not apply to a dataset, in one line; None if it does."""
     run: Callable[[Dataset], Dataset]
-    """The dataset with the method's transforms; `CalibrationError` where it does not apply or fails."""
+    """Return the dataset with the method's transforms; `CalibrationError` if it does not apply or fails."""
     describe: Callable[[Dataset], str]
-    """Whose implementation has run on a dataset, and by what of it where there is a choice."""
+    """Implementation used on a dataset, with the chosen patterns if there is a choice."""
     part: Callable[[Dataset], Dataset] = lambda dataset: dataset
-    """A dataset with nothing but the sensors that it calibrates: by those it is to be judged."""
+    """The dataset reduced to the sensors that the method calibrates, on which it is scored."""
     from_start: bool = False
-    """Whether it starts from the dataset's transforms, so that it answers otherwise to every starting guess."""
+    """Whether it starts from the dataset's transforms, so that its result depends on the initial guess."""
 
     def calibrate(self, dataset: Dataset) -> Dataset:
-        """The dataset with the method's transforms.
+        """Calibrate a dataset and return the new one.
 
         Raises:
-            CalibrationError: it does not apply, or fails.
+            CalibrationError: the method does not apply, or fails.
         """
         if dataset.joints:
             raise InputError(f"{self.title} calibrates no joints, and the dataset asks for {', '.join(dataset.joints)}")
@@ -72,10 +72,10 @@ METHODS: Mapping[str, Method] = {
 
 
 def method_of(name: str) -> Method:
-    """The method of this name.
+    """Return the method with this name.
 
     Raises:
-        InputError: there is none.
+        InputError: there is no such method.
     """
     if name not in METHODS:
         raise InputError(f"no comparison method '{name}' (methods: {', '.join(METHODS)})")
@@ -83,5 +83,5 @@ def method_of(name: str) -> Method:
 
 
 def applicable(dataset: Dataset) -> list[Method]:
-    """The methods that apply to a dataset."""
+    """Return the methods that apply to a dataset."""
     return [] if dataset.joints else [method for method in METHODS.values() if method.why_not(dataset) is None]

@@ -1,4 +1,4 @@
-"""OpenCV 4's hand-eye and robot-world solutions; OpenCV 5 has none, and it need not be installed."""
+"""OpenCV 4's hand-eye and robot-world solvers; OpenCV 5 lacks them, and OpenCV is optional."""
 
 from typing import Any
 
@@ -12,7 +12,7 @@ HAND_EYE, ROBOT_WORLD = "calibrateHandEye", "calibrateRobotWorldHandEye"
 
 
 def opencv_with(function: str) -> Any:
-    """The module cv2, imported when it is needed; None where it is not installed or has no such function."""
+    """Import cv2 on demand; None if it is not installed or lacks the function."""
     try:
         import cv2
     except ImportError:
@@ -21,7 +21,7 @@ def opencv_with(function: str) -> Any:
 
 
 def solve_hand_eye(cv2: Any, method: str, arm: Array, seen: Array) -> Array:
-    """X (4, 4) in ``arm = X @ seen @ Y`` by `calibrateHandEye`.
+    """Solve ``arm = X @ seen @ Y`` for X (4, 4) by `calibrateHandEye`.
 
     Args:
         cv2: the module.
@@ -30,16 +30,16 @@ def solve_hand_eye(cv2: Any, method: str, arm: Array, seen: Array) -> Array:
         seen: (n, 4, 4), the target seen from the camera.
 
     Raises:
-        UndeterminedError: OpenCV finds none.
+        UndeterminedError: OpenCV finds no solution.
     """
     X = transform(*_asked(cv2, HAND_EYE, f"CALIB_HAND_EYE_{method.upper()}", inverse(arm), seen))
-    if np.array_equal(X, np.eye(4)):  # what it leaves when it has found the motions too small
+    if np.array_equal(X, np.eye(4)):  # OpenCV's result if it rejects all motions as too small
         raise UndeterminedError(f"OpenCV's {HAND_EYE}: {method.capitalize()} needs larger rotations")
     return X
 
 
 def solve_robot_world(cv2: Any, method: str, arm: Array, seen: Array) -> tuple[Array, Array]:
-    """X and Y (4, 4) in ``arm = X @ seen @ Y`` by `calibrateRobotWorldHandEye`; arguments, errors as `solve_hand_eye`.
+    """Solve ``arm = X @ seen @ Y`` for X and Y (4, 4) by `calibrateRobotWorldHandEye`; see `solve_hand_eye`.
 
     OpenCV solves ``A X' = Z' B``: A is ``arm``, B is ``seen``, Z' our X, X' the inverse of our Y.
     """
@@ -48,9 +48,9 @@ def solve_robot_world(cv2: Any, method: str, arm: Array, seen: Array) -> tuple[A
 
 
 def _asked(cv2: Any, function: str, method: str, first: Array, second: Array) -> list[Array]:
-    """OpenCV's answer, each translation as (3,)."""
+    """Call OpenCV, and return each translation as (3,)."""
     poses = [list(part) for T in (first, second) for part in (T[:, :3, :3], T[:, :3, 3])]
-    log = cv2.utils.logging  # what it has to say is said by an error of ours
+    log = cv2.utils.logging  # silences OpenCV's log: the failure is reported by our own error
     level = log.setLogLevel(log.LOG_LEVEL_SILENT)
     try:
         answer = getattr(cv2, function)(*poses, method=getattr(cv2, method))

@@ -1,13 +1,13 @@
 """OpenCV's stereo calibration: the relative pose of two cameras.
 
-As ATOM's comparison has it, OpenCV estimates the intrinsics again from the ones given, which is why
-it lies further from the truth than it needs to; the variant with fixed intrinsics shows that. Only the
-relative pose is taken over: evaluations keep the dataset's own intrinsics.
+As in ATOM's comparison, OpenCV re-estimates the intrinsics from the given ones, which increases the
+error of the extrinsics; the variant with fixed intrinsics shows by how much. Only the
+relative pose is used: evaluations keep the dataset's own intrinsics.
 
-With intrinsics estimated again OpenCV 4 and 5 differ in the row, not in the optimum: 4 stops after the 100 steps that
-ATOM allows, near the intrinsics that it was given; 5 comes to the end within them, with a smaller reprojection error
-and intrinsics that are further from those of the table. With enough steps 4 ends there too (t2rgb: 0.097 px after 100
-steps, 0.287 px at the end, 0.290 px with OpenCV 5).
+With re-estimated intrinsics the results of OpenCV 4 and 5 differ, though the optimum is the same: 4 stops after ATOM's
+limit of 100 iterations, near the given intrinsics; 5 converges within them, with a smaller reprojection error
+and intrinsics further from those of the dataset. With enough iterations 4 converges there too (t2rgb: 0.097 px after
+100 iterations, 0.287 px at the end, 0.290 px with OpenCV 5).
 """
 
 from typing import Any
@@ -22,16 +22,16 @@ from calibration.geometry.transforms import inverse, transform
 from calibration.geometry.types import Array
 
 MINIMUM_CORNERS = 6
-"""Of a view. OpenCV starts each from a homography, which four corners determine without a check."""
+"""Minimum of corners of a view. OpenCV starts from a homography, which four corners determine without redundancy."""
 MINIMUM_VIEWS = 3
 """With fewer views of a plane the intrinsics cannot be estimated (Z. Zhang, 2000)."""
 
 
 def opencv_stereo(dataset: Dataset) -> Dataset:
-    """The dataset with the second camera's transform by `cv2.stereoCalibrate`, intrinsics estimated again.
+    """Calibrate the second camera by `cv2.stereoCalibrate` with re-estimated intrinsics and return the new dataset.
 
-    Views in which both cameras see the whole pattern are used, as in ATOM; where there are fewer than
-    `MINIMUM_VIEWS` of them, all views count, with the corners that both cameras see.
+    Views in which both cameras see the whole pattern are used, as in ATOM; if there are fewer than
+    `MINIMUM_VIEWS` of them, all views are used, with the corners that both cameras see.
 
     Raises:
         InputError: the method does not apply (`why_not_stereo`).
@@ -42,17 +42,17 @@ def opencv_stereo(dataset: Dataset) -> Dataset:
 
 
 def opencv_stereo_fixed(dataset: Dataset) -> Dataset:
-    """`opencv_stereo` with the intrinsics held at those of the dataset."""
+    """Calibrate like `opencv_stereo`, with the intrinsics fixed to those of the dataset."""
     return _stereo(dataset, fixed=True)
 
 
 def opencv_version(_: Dataset) -> str:
-    """Whose implementation it is."""
+    """Return the implementation used."""
     return f"OpenCV {_opencv().__version__}"
 
 
 def why_not_stereo(dataset: Dataset) -> str | None:
-    """One line that says why the method does not apply to a dataset; None if it does."""
+    """Return the reason why the method does not apply to a dataset, in one line; None if it does."""
     reason = why_not_pair(dataset, CAMERAS, "cameras")
     if reason:
         return reason
@@ -73,7 +73,7 @@ View = tuple[Array, Array, Array]
 
 
 def _views(dataset: Dataset, first: Sensor, second: Sensor) -> list[View]:
-    """What both cameras see: whole patterns if there are enough, else whatever they have in common."""
+    """Return the common views of both cameras: whole patterns if there are enough, else their common corners."""
     views: list[tuple[bool, View]] = []
     for collection in dataset.collections:
         for pattern in dataset.patterns.values():
@@ -97,7 +97,7 @@ def _stereo(dataset: Dataset, *, fixed: bool) -> Dataset:
 
 
 def _relative_pose(dataset: Dataset, first: Sensor, second: Sensor, *, fixed: bool) -> Array:
-    """``T_second_first`` (4, 4) by OpenCV."""
+    """Estimate ``T_second_first`` (4, 4) by OpenCV."""
     cv2 = _opencv()
     corners, *pixels = (
         [np.float32(array) for array in arrays] for arrays in zip(*_views(dataset, first, second), strict=True)
@@ -122,7 +122,7 @@ def _relative_pose(dataset: Dataset, first: Sensor, second: Sensor, *, fixed: bo
 
 
 def _opencv() -> Any:
-    """The module cv2, imported when it is needed."""
+    """Import cv2 on demand."""
     try:
         import cv2
     except ImportError:

@@ -1,4 +1,4 @@
-"""Two sensors of a kind that keep their places against each other; whatever else there is stays where it is."""
+"""Pair of sensors of one kind with a constant relative pose; other sensors are left unchanged."""
 
 from dataclasses import replace
 
@@ -10,23 +10,23 @@ from calibration.geometry.types import Array
 Modalities = tuple[Modality, ...]
 CAMERAS: Modalities = tuple(each for each in MODALITIES.values() if each.has_corners)
 RANGE_SENSORS: Modalities = tuple(each for each in MODALITIES.values() if not each.has_corners and not each.is_planar)
-"""Those whose views of a pattern are surfaces."""
+"""Modalities whose views of a pattern are surface points."""
 
 
 def pair_of(dataset: Dataset, modalities: Modalities) -> tuple[Sensor, Sensor]:
-    """The two sensors of these modalities, in the dataset's order; `why_not_pair` says whether there are two."""
+    """Return the two sensors of these modalities, in the dataset's order; check `why_not_pair` first."""
     first, second = _of_kind(dataset, modalities)
     return first, second
 
 
 def only_pair(dataset: Dataset, modalities: Modalities) -> Dataset:
-    """The dataset without the other sensors: what is calibrated is the pose between the two."""
+    """Remove all sensors but the two from a dataset."""
     pair = {sensor.name: sensor for sensor in pair_of(dataset, modalities)}
     return replace(dataset, sensors=pair, anchored=dataset.anchored if dataset.anchored in pair else None)
 
 
 def why_not_pair(dataset: Dataset, modalities: Modalities, wanted: str) -> str | None:
-    """One line that says why the dataset has no such pair; None if it has."""
+    """Return the reason why the dataset has no such pair, in one line; None if it has."""
     if len(_of_kind(dataset, modalities)) != 2:
         kinds = ", ".join(f"'{s.name}' ({s.modality})" for s in dataset.sensors.values())
         return f"it needs two {wanted}, and there are {kinds}"
@@ -40,7 +40,7 @@ def why_not_pair(dataset: Dataset, modalities: Modalities, wanted: str) -> str |
 
 
 def with_pair(dataset: Dataset, modalities: Modalities, T_first_second: Array) -> Dataset:
-    """The dataset with the pose (4, 4) between the two sensors; the second one moves, unless it is anchored."""
+    """Set the relative pose (4, 4) of the two sensors in a dataset; the second one moves, unless it is anchored."""
     first, second = pair_of(dataset, modalities)
     if dataset.anchored == second.name:
         first, second, T_first_second = second, first, inverse(T_first_second)
@@ -52,7 +52,7 @@ def _of_kind(dataset: Dataset, modalities: Modalities) -> list[Sensor]:
 
 
 def _edge_transform(dataset: Dataset, reference: Sensor, sensor: Sensor, T_reference_sensor: Array) -> Array:
-    """The sensor's calibrated transform (4, 4) that puts its data frame there against the reference's."""
+    """Return the sensor's calibrated transform (4, 4) that yields this relative pose of its data frame."""
     once = dataset.with_collections([0])
     T_parent_reference = once.transform(sensor.calibration_parent, reference.frame)[0]
     T_frame_child = once.transform(sensor.frame, sensor.calibration_child)[0]

@@ -1,7 +1,7 @@
-"""Where the border of a pattern lies in a camera's images: what a LiDAR's border points are held against.
+"""Annotation of a pattern's border in a camera's images, the reference for border points of range sensors.
 
-ATOM has it drawn by hand. It can as well be made: from the true poses where they are known, or from
-the corners that the camera detected, whose view gives the pose of the whole pattern.
+In ATOM it is drawn by hand. It can also be computed: from the true poses if they are known, or from
+the detected corners, which give the pose of the whole pattern.
 """
 
 from collections.abc import Mapping
@@ -22,13 +22,13 @@ Annotation = Mapping[str, Array]
 """By the key of a collection: line segments (S, 2, 2), each from pixel (x, y) to pixel (x, y)."""
 
 _SIDES = ("top", "right", "bottom", "left")
-_PIECES = 32  # of a side: distortion bends it
+_PIECES = 32  # per side, because distortion bends it
 
 
 def read_annotation(path: Path | str) -> Annotation:
     """Read ATOM's annotation: ``{collection: {side: {"ixs": [...], "iys": [...]}}}``, a polyline for each side.
 
-    ``ixs, iys`` are the interpolated points; without them the ones drawn, ``xs, ys``, are taken.
+    ``ixs, iys`` are the interpolated points; without them the drawn points ``xs, ys`` are used.
 
     Raises:
         InputError: the file cannot be read or does not have this form.
@@ -38,21 +38,21 @@ def read_annotation(path: Path | str) -> Annotation:
 
 
 def _polyline(side: Node) -> Array:
-    """The segments of a polyline; none for fewer than two points."""
+    """Return the segments of a polyline; none for fewer than two points."""
     xs, ys = ("ixs", "iys") if side.get("ixs") is not None else ("xs", "ys")
     count = len(side[xs].sequence())
     try:
         points = np.stack([finite(side[axis].sequence()) for axis in (xs, ys)], 1)
-    except (NotNumbersError, ValueError):  # one by one, until the wrong one says what it is
+    except (NotNumbersError, ValueError):  # one by one, so that the error names the wrong one
         points = np.array([side[axis].numbers(count) for axis in (xs, ys)], float).T
     return np.stack([points[:-1], points[1:]], 1)
 
 
 def annotate(dataset: Dataset, camera: str, pattern: Pattern, T_camera_pattern: Mapping[int, Array]) -> Annotation:
-    """The border of a pattern projected from known poses.
+    """Project the border of a pattern from known poses.
 
     Args:
-        dataset: what to annotate.
+        dataset: the dataset to annotate.
         camera: the camera.
         pattern: the pattern.
         T_camera_pattern: (4, 4) by the index of the collection.
@@ -70,14 +70,14 @@ def annotate(dataset: Dataset, camera: str, pattern: Pattern, T_camera_pattern: 
 
 
 def annotate_detections(dataset: Dataset, camera: str, pattern: Pattern) -> Annotation:
-    """The border of a pattern from the camera's own corners, where it detected them."""
+    """Return the border of a pattern from the camera's own corners, where it detected them."""
     views = corner_views(dataset, camera, pattern)
     poses = zip(views.collections.tolist(), views.T_camera_pattern, strict=True)
     return annotate(dataset, camera, pattern, dict(poses))
 
 
 def annotate_truth(dataset: Dataset, camera: str, pattern: Pattern, truth: Truth) -> Annotation:
-    """The border of a pattern from the true poses of camera and pattern, where the truth has the pattern's.
+    """Return the border of a pattern from the true poses of camera and pattern, if the true pattern pose is known.
 
     Raises:
         InputError: a transform between camera and pattern is missing.
@@ -93,9 +93,9 @@ def annotate_truth(dataset: Dataset, camera: str, pattern: Pattern, truth: Truth
 
 
 def annotation_for(dataset: Dataset, camera: str, pattern: Pattern, truth: Truth | None) -> Annotation:
-    """The annotation of a camera's images, the first of these that there is.
+    """Return the first available annotation of a camera's images.
 
-    ATOM's file ``annotation_<camera>.json`` beside the dataset; the border from the true poses; the border
+    In order: ATOM's file ``annotation_<camera>.json`` beside the dataset; the border from the true poses; the border
     from the camera's own corners.
 
     Raises:

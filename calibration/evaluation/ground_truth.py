@@ -1,9 +1,9 @@
-"""Chains of frames against the true ones, in ATOM's form.
+"""Errors of chains of frames against the true ones, in ATOM's form.
 
-ATOM's evaluations ``ground_truth_transform`` and ``ground_truth_frame``. Where it has the mean of the signed
-coordinates as the error of a translation (0 for 10 mm along x and -10 along y) and the mean of three Euler
-angles as that of a rotation, these columns hold the norm and the angle. A part of the error that no
-calibration can know is not removed: for that see `truth_error`.
+ATOM's evaluations ``ground_truth_transform`` and ``ground_truth_frame``. ATOM reports the mean of the signed
+coordinates as translation error (0 for 10 mm along x and -10 along y) and the mean of three Euler
+angles as rotation error; here these columns are the norm and the angle. Unobservable parts of the error
+(gauge freedom) are not removed: for that see `truth_error`.
 """
 
 import numpy as np
@@ -22,26 +22,26 @@ TRANSFORMATION = "Transformation #"
 
 
 def ground_truth_transform(dataset: Dataset, truth: Truth | None, parent: str, child: str) -> Table:
-    """The error of the pose of one frame in another in each collection, seen from the true child.
+    """Return the error of one frame's pose in another in each collection, expressed in the true child frame.
 
     Columns: the norm (m) and the angle (rad) of the error; its coordinates, and roll, pitch, yaw about fixed axes.
 
     Args:
-        dataset: with the transforms to evaluate.
-        truth: the true ones.
-        parent: a frame.
-        child: another, with a transform on the way that the truth has.
+        dataset: the transforms to evaluate.
+        truth: the true transforms.
+        parent: parent frame.
+        child: child frame; the truth must have a transform on the path.
 
     Raises:
-        InputError: there is no truth, or none on the way between the frames; a frame is unknown or not connected.
+        InputError: there is no truth, or none on the path; a frame is unknown or not connected.
     """
     return Table(COLLECTION, COLUMNS, dataset.keys, _errors(dataset, truth, parent, child))
 
 
 def ground_truth_frame(dataset: Dataset, truth: Truth | None, frame: str, sensor: str | None = None) -> Table:
-    """The errors of what is calibrated, seen from a frame.
+    """Return the errors of the calibrated frames, as seen from a frame.
 
-    With a sensor it is `ground_truth_transform` from the frame to that sensor's calibrated child. Without one
+    With a sensor this is `ground_truth_transform` from the frame to that sensor's calibrated child. Without one
     there is a row for each sensor and additional transform: the means of the absolute values over the collections.
 
     Raises:
@@ -59,7 +59,7 @@ def ground_truth_frame(dataset: Dataset, truth: Truth | None, frame: str, sensor
 
 
 def _errors(dataset: Dataset, truth: Truth | None, parent: str, child: str) -> Array:
-    """The columns (N, 8)."""
+    """Return the columns (N, 8)."""
     if truth is None:
         raise InputError(f"{dataset.path}: there is no truth to compare with (ground_truth.json beside it, or 'truth')")
     true = _true_transforms(dataset, truth)
@@ -73,7 +73,7 @@ def _errors(dataset: Dataset, truth: Truth | None, parent: str, child: str) -> A
 
 
 def _true_transforms(dataset: Dataset, truth: Truth) -> dict[Edge, Array]:
-    """Of the dataset's edges those that the truth has: the same in all collections, or one for each."""
+    """Return those of the dataset's edges that the truth has: constant, or one for each collection."""
     true = {edge: T for edge, T in truth.transforms.items() if edge in dataset.transforms}
     for edge in dataset.transforms:
         poses = [truth.patterns.get(key, {}).get(edge) for key in dataset.keys]

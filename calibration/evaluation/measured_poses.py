@@ -1,4 +1,4 @@
-"""Poses of a pattern as they were measured, against those that follow from a calibration and the pattern's pose."""
+"""Errors of measured pattern poses against the poses predicted by a calibration."""
 
 import numpy as np
 
@@ -13,12 +13,12 @@ COLUMNS = ("Translation (mm)", "Rotation (deg)")
 
 
 def measured_poses(dataset: Dataset, sensor: str, pattern: str | None = None) -> Table:
-    """How far each measured pose is from where the dataset has the pattern, and how far it is turned.
+    """Return the translation and rotation error of each measured pose.
 
     Args:
-        dataset: with the transforms to evaluate, that of the pattern among them.
-        sensor: whose labels are poses.
-        pattern: which; None where the dataset has one.
+        dataset: the transforms to evaluate, including the pattern's.
+        sensor: a sensor with poses as labels.
+        pattern: its name; None if the dataset has only one.
 
     Raises:
         InputError: no such sensor or pattern, its labels are no poses, or the dataset has no pose of the pattern.

@@ -1,4 +1,4 @@
-"""Which view of one sensor is compared with which view of another: of the same moment, or of two."""
+"""Pairs of views of two sensors, of the same collection or of different ones."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ from calibration.geometry.types import Array, IntArray
 
 @dataclass(frozen=True, eq=False)
 class Pairs:
-    """P pairs of views, by their collections' indices."""
+    """P pairs of views, by the indices of their collections."""
 
     source: IntArray
     """(P,)."""
@@ -25,10 +25,10 @@ class Pairs:
 
 
 def same_collection(dataset: Dataset, source: Sensor, target: Sensor, seen: Sequence[int]) -> Pairs:
-    """The views of two sensors in each of these collections.
+    """Return the views of two sensors in each of these collections.
 
     Raises:
-        InputError: the sensors are one and the same (nothing would be tested), or a transform is missing.
+        InputError: the sensors are identical (nothing would be tested), or a transform is missing.
     """
     if source.name == target.name:
         raise InputError(
@@ -41,9 +41,9 @@ def same_collection(dataset: Dataset, source: Sensor, target: Sensor, seen: Sequ
 def between_collections(
     dataset: Dataset, sensors: tuple[Sensor, Sensor], pattern: Pattern, seen: tuple[Sequence[int], Sequence[int]]
 ) -> Pairs:
-    """Every view of the first sensor with every view of the second, through the link that the pattern is fixed to.
+    """Return all pairs of a view of the first sensor and a view of the second, related by the pattern's parent link.
 
-    As ATOM has it, that includes two views of one collection, but not for a sensor against itself: that
+    As in ATOM this includes pairs from one collection, except for a sensor with itself, which
     is compared once for each unordered pair of different collections.
 
     Raises:
@@ -61,10 +61,10 @@ def between_collections(
 
 
 def require_fixed(dataset: Dataset, pattern: Pattern) -> None:
-    """Refuse a pattern that moves.
+    """Raise if a pattern moves.
 
     Raises:
-        InputError: it does.
+        InputError: it moves.
     """
     if not pattern.fixed:
         raise InputError(

@@ -1,10 +1,10 @@
-"""How well LiDARs and depth cameras agree with each other, by the points that they see on a pattern.
+"""Agreement of LiDARs and depth cameras with each other, by their points on a pattern.
 
 ATOM's evaluations ``lidar_to_lidar`` (metres: each of the target's points on the pattern against the nearest
 of the source's), ``lidar_to_depth`` and ``depth_to_depth`` (pixels: the source's border points in the target's
 depth image, each against the nearest of the target's border pixels); each in one collection or between two.
-A point is compared with a sample of the other, so that even exact transforms leave something. Two cuts of 2D
-LiDARs lie apart on the pattern, and most of a 3D LiDAR's points lie off a cut: neither would say anything of the
+A point is compared with a sample of the other sensor, so exact transforms still give an error. Two scan lines of 2D
+LiDARs lie apart on the pattern, and most points of a 3D LiDAR are far from a scan line: neither distance measures the
 transforms. So the points of a 2D LiDAR are compared with those of a 3D one, never the other way round.
 """
 
@@ -23,12 +23,12 @@ from calibration.geometry.transforms import apply
 from calibration.geometry.types import Array
 
 COLUMNS = ("RMS", "X err", "Y err", "X StDev", "Y StDev")
-"""Each with its unit behind."""
+"""Column headers, with the unit."""
 MARGIN = 0.025
-"""Points nearer to the image's edge than this share of its size do not count: the pattern may go on beyond."""
+"""Margin as a fraction of the image size: points in it are ignored, the pattern may exceed the image."""
 
 Errors = Callable[[PointLabels, PointLabels, Array], Array]
-"""From the source's labels, the target's and T_target_source: differences (K, 2 or 3), none where there is nothing."""
+"""From the labels of source and target and T_target_source: differences (K, 2 or 3), possibly empty."""
 
 
 def lidar_to_lidar(
@@ -40,15 +40,15 @@ def lidar_to_lidar(
     x and y, and its standard deviation.
 
     Args:
-        dataset: with the transforms to evaluate.
-        source: the LiDAR whose points are moved; a 3D one.
+        dataset: the transforms to evaluate.
+        source: the LiDAR whose points are transformed; a 3D one.
         target: the LiDAR, 3D or 2D, whose points are compared with them.
-        pattern: which one; None where there is only one.
-        between: every collection of the source with every one of the target, the pattern being fixed.
+        pattern: its name; None if there is only one.
+        between: compare every collection of the source with every one of the target, for a fixed pattern.
 
     Raises:
-        InputError: no such sensor or pattern, a transform is missing, nothing is seen by both, or the
-            pattern moves between collections that are to be compared.
+        InputError: no such sensor or pattern, a transform is missing, the sensors have no common view, or the
+            pattern moves between the compared collections.
     """
     sensors = lidar3d_of(dataset, source), lidar_of(dataset, target)
     return _table(dataset, sensors, pattern, _in_space, "m", between=COLLECTION_PAIR if between else None)
@@ -57,7 +57,7 @@ def lidar_to_lidar(
 def lidar_to_depth(
     dataset: Dataset, source: str, target: str, pattern: str | None = None, *, between: bool = False
 ) -> Table:
-    """Errors of a LiDAR's border points in a depth image; columns (px), arguments and errors as `lidar_to_lidar`."""
+    """Return the errors of a LiDAR's border points in a depth image (px); arguments and errors as `lidar_to_lidar`."""
     depth, camera = depth_of(dataset, target)
     sensors = lidar_of(dataset, source), depth
     return _table(dataset, sensors, pattern, _in_image(camera), "pix", between=COLLECTION if between else None)
@@ -66,7 +66,7 @@ def lidar_to_depth(
 def depth_to_depth(
     dataset: Dataset, source: str, target: str, pattern: str | None = None, *, between: bool = False
 ) -> Table:
-    """Errors of a depth camera's border points in the image of another, as `lidar_to_depth`."""
+    """Return the errors of a depth camera's border points in the image of another, as `lidar_to_depth`."""
     depth, camera = depth_of(dataset, target)
     sensors = depth_of(dataset, source)[0], depth
     return _table(dataset, sensors, pattern, _in_image(camera), "pix", between=COLLECTION if between else None)
@@ -85,7 +85,7 @@ def _in_image(camera: Camera) -> Errors:
     def errors(source: PointLabels, target: PointLabels, T_target_source: Array) -> Array:
         if not len(target.limits):
             return np.empty((0, 2))
-        border = np.rint(camera.project(target.points[target.limits]))  # labels are whole pixels
+        border = np.rint(camera.project(target.points[target.limits]))  # labels are integer pixels
         pixels, visible = camera.project_visible(apply(T_target_source, source.points[source.limits]))
         with np.errstate(invalid="ignore"):
             pixels = pixels[visible & ((pixels >= low) & (pixels <= high)).all(-1)]
@@ -104,7 +104,7 @@ def _table(
     *,
     between: str | None,
 ) -> Table:
-    """The table in one collection, or with `between`, the labels' header, of every two."""
+    """Return the table within each collection, or for all pairs of collections with `between` as the labels' header."""
     source, target = (_views(dataset, sensor, pattern) for sensor in sensors)
     if between:
         pairs = between_collections(dataset, sensors, pattern_of(dataset, pattern), (list(source), list(target)))

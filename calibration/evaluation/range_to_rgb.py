@@ -1,8 +1,8 @@
-"""How well a LiDAR or a depth camera agrees with a camera: points on the pattern's border, seen in the image.
+"""Agreement of a LiDAR or a depth camera with a camera: points on the pattern's border, projected into the image.
 
 ATOM's evaluations ``lidar_to_rgb`` and ``depth_to_rgb``: the limit points are projected into the image, and
-each is compared with the nearest place on the border's annotation (in ATOM the nearest of its points,
-here of its lines); and the same between collections.
+each is compared with the nearest point on the lines of the border's annotation (in ATOM with the nearest
+of its points); also between collections.
 """
 
 import numpy as np
@@ -23,17 +23,17 @@ COLUMNS = ("RMS (pix)", "X err (pix)", "Y err (pix)")
 def lidar_to_rgb(
     dataset: Dataset, lidar: str, camera: str, annotation: Annotation, pattern: str | None = None
 ) -> Table:
-    """Errors of the LiDAR's border points in each annotated collection.
+    """Return the errors of the LiDAR's border points in each annotated collection.
 
-    Columns, over the points that fall on the image: the root of the mean squared distance, the mean
+    Columns, over the points inside the image: the root of the mean squared distance, the mean
     absolute error along x and y (px).
 
     Args:
-        dataset: with the transforms to evaluate.
+        dataset: the transforms to evaluate.
         lidar: the LiDAR.
         camera: the camera.
         annotation: the pattern's border in the images.
-        pattern: which one; None where there is only one.
+        pattern: its name; None if there is only one.
 
     Raises:
         InputError: no such sensor or pattern, a transform is missing, or no collection has both
@@ -45,16 +45,16 @@ def lidar_to_rgb(
 def depth_to_rgb(
     dataset: Dataset, depth: str, camera: str, annotation: Annotation, pattern: str | None = None
 ) -> Table:
-    """`lidar_to_rgb` with the border points of a depth camera."""
+    """Return `lidar_to_rgb` for the border points of a depth camera."""
     return _one(dataset, depth_of(dataset, depth)[0], camera, annotation, pattern)
 
 
 def inter_collection_lidar_to_rgb(
     dataset: Dataset, lidar: str, camera: str, annotation: Annotation, pattern: str | None = None
 ) -> Table:
-    """`lidar_to_rgb` with the border points of one collection in the image of another, the pattern being fixed.
+    """Return `lidar_to_rgb` for the border points of one collection in the image of another, for a fixed pattern.
 
-    There is a row for every pair, labelled with the camera's collection first, as ATOM does it here.
+    There is a row for every pair, labelled with the camera's collection first, as in ATOM.
 
     Raises:
         InputError: also when the pattern is not fixed.
@@ -65,7 +65,7 @@ def inter_collection_lidar_to_rgb(
 def inter_collection_depth_to_rgb(
     dataset: Dataset, depth: str, camera: str, annotation: Annotation, pattern: str | None = None
 ) -> Table:
-    """`inter_collection_lidar_to_rgb` with a depth camera; its collection stands first in the labels."""
+    """Return `inter_collection_lidar_to_rgb` for a depth camera; its collection is first in the labels."""
     sensor, _ = depth_of(dataset, depth)
     return _many(dataset, sensor, camera, annotation, pattern, key=COLLECTION, camera_first=False)
 
@@ -141,7 +141,7 @@ def _table(
 
 
 def _nearest(points: Array, segments: Array) -> Array:
-    """The place on any of the segments (S, 2, 2) nearest to each of the points (N, 2)."""
+    """Return the point on any of the segments (S, 2, 2) nearest to each of the points (N, 2)."""
     start, along = segments[:, 0], segments[:, 1] - segments[:, 0]
     length2 = np.maximum((along * along).sum(-1), 1e-12)
     share = np.clip(((points[:, None] - start) * along).sum(-1) / length2, 0, 1)

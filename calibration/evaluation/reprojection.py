@@ -1,4 +1,4 @@
-"""What a calibration leaves between the labelled corners and the model, collection by collection."""
+"""Reprojection error of a calibration by collection."""
 
 import numpy as np
 
@@ -11,7 +11,7 @@ KEY = "Collection #"
 
 
 def reprojection(calibration: Calibration) -> Table:
-    """The root mean square of the reprojection errors of all cameras in each collection (px).
+    """Return the root mean square of the reprojection errors of all cameras in each collection (px).
 
     Raises:
         InputError: no camera has labels.

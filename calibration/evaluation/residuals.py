@@ -1,4 +1,4 @@
-"""Residuals of a calibrated dataset, label by label: for figures, as the tables have only their averages."""
+"""Residuals of a calibrated dataset for each label, for figures; tables contain only averages."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -13,26 +13,26 @@ from calibration.geometry.types import Array, IntArray
 
 @dataclass(frozen=True, eq=False)
 class Residuals:
-    """Residuals of the labels of one sensor, n of them."""
+    """Residuals of a sensor's n labels."""
 
     collections: IntArray
-    """(n,): indices."""
+    """(n,): indices of the collections."""
     where: Array
     """(n, 2): pixels of a camera's labels; (n, 3): points of another sensor, or measured origins of patterns, in its
     frame, m."""
     values: Array
-    """(n, 2): reprojection less label, px; (n, 1): distance from the pattern's plane, m; (n, 3): calibrated less
+    """(n, 2): reprojection minus label, px; (n, 1): distance from the pattern's plane, m; (n, 3): calibrated minus
     measured origin of the pattern, m."""
 
     @property
     def sizes(self) -> Array:
-        """(n,): lengths of the residuals."""
+        """(n,): norms of the residuals."""
         sizes: Array = np.linalg.norm(self.values, axis=-1)
         return sizes
 
 
 def residuals(dataset: Dataset, sensor: Sensor) -> Residuals:
-    """Residuals of a sensor's labels with the transforms of a dataset; views that have none are left out."""
+    """Return the residuals of a sensor's labels with the transforms of a dataset; views without any are left out."""
     indices: list[IntArray] = [np.zeros(0, np.int64)]
     camera = sensor.camera if sensor.modality.has_corners else None
     places: list[Array] = [np.zeros((0, 2 if camera else 3))]

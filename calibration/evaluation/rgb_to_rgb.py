@@ -1,10 +1,10 @@
-"""How well two cameras agree: the corners that one saw, carried to the image of the other.
+"""Agreement of two cameras: corners of one, transferred to the image of the other.
 
 ATOM's evaluations ``rgb_to_rgb`` and ``inter_collection_rgb_to_rgb``. The source camera's own view
 gives the pose of the pattern; the rays of its labels meet the pattern's plane; these points are
 moved to the target camera by the calibrated transforms, and their pixels compared with the target's
-labels of the same ids (in ATOM's words: the labels mapped by the homography that the plane induces).
-Two more columns compare the two cameras' own poses of the pattern, noise of both included.
+labels of the same ids (in ATOM: the labels mapped by the homography that the plane induces).
+Two more columns compare the pattern poses estimated by each camera alone, including the noise of both.
 """
 
 import numpy as np
@@ -21,21 +21,21 @@ from calibration.geometry.transforms import apply, inverse
 from calibration.geometry.types import Array, IntArray
 
 COLUMNS = ("RMS (pix)", "X err (pix)", "Y err (pix)", "Trans (mm)", "Rot (deg)")
-_CHUNK = 1024  # pairs at a time, to bound the memory
+_CHUNK = 1024  # chunk size (pairs), to bound the memory
 
 
 def rgb_to_rgb(dataset: Dataset, source: str, target: str, pattern: str | None = None) -> Table:
-    """Errors between two cameras in each collection that both saw.
+    """Return the errors between two cameras in each collection that both saw.
 
     Columns, over the corners seen by both: the root of the mean squared distance, the mean absolute
-    error along x and y (px); the distance (mm) and angle (deg) between the pattern's poses by each
-    camera's own view.
+    error along x and y (px); the distance (mm) and angle (deg) between the pattern poses estimated by each
+    camera alone.
 
     Args:
-        dataset: with the transforms to evaluate.
-        source: the camera whose labels are carried over.
+        dataset: the transforms to evaluate.
+        source: the camera whose labels are transferred.
         target: the camera whose labels they are compared with.
-        pattern: which one; None where there is only one.
+        pattern: its name; None if there is only one.
 
     Raises:
         InputError: no such camera or pattern, a transform is missing, no collection seen by both, or
@@ -53,7 +53,7 @@ def rgb_to_rgb(dataset: Dataset, source: str, target: str, pattern: str | None =
 
 
 def inter_collection_rgb_to_rgb(dataset: Dataset, source: str, target: str, pattern: str | None = None) -> Table:
-    """Errors between a view of one camera in one collection and a view of the other in another.
+    """Return the errors between a view of one camera in one collection and a view of the other in another.
 
     The pattern is fixed to its parent link, through which the two views are related. There is a row
     for every pair of `between_collections`, labelled ``000-001``. Columns, arguments and errors as `rgb_to_rgb`.
@@ -80,12 +80,12 @@ def _table(
     T_target_source: Array,
     labels: list[str],
 ) -> Table:
-    """The table of pairs (2, P): views of the source, views of the target."""
+    """Return the table of pairs (2, P): views of the source, views of the target."""
     left_out = list(dict.fromkeys((*views[0].left_out, *views[1].left_out)))
     if not labels:
         counts = ", ".join(f"'{n}' has {len(v.collections)} views" for n, v in zip(names, views, strict=True))
         raise InputError(f"{dataset.path}: nothing seen by both: {counts}" + "".join(f"; {s}" for s in left_out[:3]))
-    common = views[0].seen.astype(float) @ views[1].seen.T  # how many corners, for any two views
+    common = views[0].seen.astype(float) @ views[1].seen.T  # number of common corners, for any two views
     shared = common[pairs[0], pairs[1]] > 0
     left_out += [f"{label}: no corner seen by both" for label, both in zip(labels, shared, strict=True) if not both]
     if not shared.any():
@@ -98,9 +98,9 @@ def _table(
 
 
 def _errors(source: CornerViews, target: CornerViews, T_target_source: Array, camera: Camera) -> Array:
-    """The columns (P, 5) of pairs of views."""
+    """Return the columns (P, 5) of pairs of views."""
     T_sp, T_tp = source.T_camera_pattern, target.T_camera_pattern
-    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):  # rays that never meet the plane
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):  # NaN: rays that do not intersect the plane
         rays = np.concatenate([source.rays.swapaxes(1, 2), np.ones((*source.seen.shape, 1))], -1)
         normal = T_sp[:, :3, 2]
         depth = (normal * T_sp[:, :3, 3]).sum(-1)[:, None] / np.einsum("pki,pi->pk", rays, normal)

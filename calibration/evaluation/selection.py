@@ -1,4 +1,4 @@
-"""Sensors and patterns of a dataset by name, or one line that says what there is."""
+"""Sensors and patterns of a dataset by name; the errors list the known names."""
 
 from collections.abc import Iterable
 
@@ -10,7 +10,7 @@ from calibration.geometry.cameras import Camera
 
 
 def sensor_of(dataset: Dataset, name: str) -> Sensor:
-    """The sensor of this name.
+    """Return the sensor with this name.
 
     Raises:
         InputError: the dataset has none.
@@ -21,46 +21,46 @@ def sensor_of(dataset: Dataset, name: str) -> Sensor:
 
 
 def camera_of(dataset: Dataset, name: str) -> tuple[Sensor, Camera]:
-    """The rgb sensor of this name, and its intrinsics.
+    """Return the camera with this name, and its intrinsics.
 
     Raises:
-        InputError: the dataset has no such sensor, or it is no camera.
+        InputError: the dataset has no such sensor, or it is not a camera.
     """
     return _with_intrinsics(dataset, name, of_family("camera"))
 
 
 def lidar_of(dataset: Dataset, name: str) -> Sensor:
-    """The LiDAR of this name, 2D or 3D.
+    """Return the LiDAR with this name, 2D or 3D.
 
     Raises:
-        InputError: the dataset has no such sensor, or it is no LiDAR.
+        InputError: the dataset has no such sensor, or it is not a LiDAR.
     """
     return _of_modality(dataset, name, of_family("lidar"))
 
 
 def lidar3d_of(dataset: Dataset, name: str) -> Sensor:
-    """The 3D LiDAR of this name.
+    """Return the 3D LiDAR with this name.
 
     Raises:
-        InputError: the dataset has no such sensor, or it is no 3D LiDAR.
+        InputError: the dataset has no such sensor, or it is not a 3D LiDAR.
     """
     return _of_modality(dataset, name, tuple(each for each in of_family("lidar") if not each.is_planar))
 
 
 def depth_of(dataset: Dataset, name: str) -> tuple[Sensor, Camera]:
-    """The depth sensor of this name, and its intrinsics.
+    """Return the depth camera with this name, and its intrinsics.
 
     Raises:
-        InputError: the dataset has no such sensor, or it is no depth camera.
+        InputError: the dataset has no such sensor, or it is not a depth camera.
     """
     return _with_intrinsics(dataset, name, of_family("depth camera"))
 
 
 def tracker_of(dataset: Dataset, name: str) -> Sensor:
-    """The sensor of this name, whose labels are poses.
+    """Return the sensor with this name, whose labels are poses.
 
     Raises:
-        InputError: the dataset has no such sensor, or its labels are no poses.
+        InputError: the dataset has no such sensor, or its labels are not poses.
     """
     return _of_modality(dataset, name, of_family("tracker"))
 
@@ -84,7 +84,7 @@ def _of_modality(dataset: Dataset, name: str, modalities: tuple[Modality, ...]) 
 
 
 def pattern_of(dataset: Dataset, name: str | None) -> Pattern:
-    """The pattern of this name; without a name, the only one.
+    """Return the pattern with this name; without a name, the only one.
 
     Raises:
         InputError: the dataset has no such pattern, or several to choose from.

@@ -1,7 +1,7 @@
-"""How well cameras fit the patterns' poses in the dataset: corners projected directly.
+"""Fit of cameras to the patterns' poses in the dataset: corners projected directly.
 
 ATOM's evaluation ``single_rgb``. It tests the sensors together with the poses of the patterns, which the
-calibration fits to the same labels: for a pattern that moves it says how well all is fitted, not more.
+calibration fits to the same labels: for a moving pattern it measures only the overall fit.
 """
 
 import numpy as np
@@ -18,15 +18,15 @@ ALL = "all [px]"
 
 
 def single_rgb(dataset: Dataset, camera: str | None = None, pattern: str | None = None) -> Table:
-    """The mean distance between projected and labelled corners in each collection (px).
+    """Return the mean distance between projected and labelled corners in each collection (px).
 
-    There is a column for every camera and pattern, and one for the mean of those of the row that have a value;
-    where a camera does not see a pattern, or the dataset has no pose of it, the value is missing.
+    There is a column for every camera and pattern, and one with the mean of the row's values;
+    the value is missing where a camera does not see a pattern, or the dataset has no pose of it.
 
     Args:
-        dataset: with the transforms to evaluate, those of the patterns among them.
-        camera: the only camera to take; None for all.
-        pattern: the only pattern to take; None for all.
+        dataset: the transforms to evaluate, including the patterns'.
+        camera: the only camera to evaluate; None for all.
+        pattern: the only pattern to evaluate; None for all.
 
     Raises:
         InputError: no such camera or pattern, a transform is missing, or no camera sees a pattern that has a pose.
@@ -55,7 +55,7 @@ def single_rgb(dataset: Dataset, camera: str | None = None, pattern: str | None 
 
 
 def _errors(dataset: Dataset, name: str, pattern: Pattern) -> dict[int, float]:
-    """The mean distance by the index of the collection; infinite where a corner lies behind the camera."""
+    """Return the mean distance by the index of the collection; infinite if a corner is behind the camera."""
     sensor, camera = camera_of(dataset, name)
     placed = dataset.transforms.get((pattern.parent_link, pattern.link))
     views = {

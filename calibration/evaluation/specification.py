@@ -1,4 +1,4 @@
-"""An evaluation by a short text, such as ``rgb-to-rgb:right_camera:left_camera``."""
+"""Evaluations specified by a short text, such as ``rgb-to-rgb:right_camera:left_camera``."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -30,11 +30,11 @@ class Kind:
     """A kind of table."""
 
     needs: Names
-    """What the names of a text stand for."""
+    """Names required in the text."""
     may: Names
-    """And the names that may follow."""
+    """Optional names after them."""
     run: Callable[[Dataset, Truth | None, Names], Table]
-    """From the dataset, the truth where there is one, and the names."""
+    """Function of the dataset, the truth if there is one, and the names."""
 
     def sensors(self, names: Names) -> Names:
         """Those of the names that are sensors."""
@@ -94,46 +94,46 @@ KINDS: Mapping[str, Kind] = {
         ("FRAME",), ("SENSOR",), lambda dataset, truth, names: ground_truth_frame(dataset, truth, *names)
     ),
 }
-"""All tables that ATOM has, by the name of its script, and that of measured poses, which it does not know."""
+"""Kinds of tables: ATOM's, by the name of its script, and the one of measured poses, which ATOM lacks."""
 
 
 @dataclass(frozen=True)
 class Evaluation:
-    """Which table to make of a dataset."""
+    """Specification of a table."""
 
     kind: str
     """One of `KINDS`."""
     names: Names
-    """Sensors, frames and patterns, as its kind wants them."""
+    """Names of sensors, frames and patterns, as its kind requires."""
 
     def __str__(self) -> str:
-        """The text that `parse_evaluation` reads."""
+        """Text that `parse_evaluation` reads."""
         return ":".join((self.kind, *self.names))
 
     @property
     def sensors(self) -> Names:
-        """Those of the names that must be sensors of the dataset."""
+        """Names that must be sensors of the dataset."""
         return KINDS[self.kind].sensors(self.names)
 
     def run(self, dataset: Dataset, truth: Truth | None = None) -> Table:
-        """The table of a dataset as its transforms stand.
+        """Return the table of a dataset with its current transforms.
 
         Args:
-            dataset: with the transforms to evaluate.
-            truth: what the tables ``ground-truth-*`` compare with, and where the annotation of images may come
-                from; see `annotation_for`.
+            dataset: the transforms to evaluate.
+            truth: the reference of the tables ``ground-truth-*``, and possibly the source of image annotations;
+                see `annotation_for`.
 
         Raises:
-            InputError: the dataset lacks a sensor, a frame or a pattern, or nothing of it can be compared.
+            InputError: the dataset lacks a sensor, a frame or a pattern, or contains nothing to compare.
         """
         return KINDS[self.kind].run(dataset, truth, self.names)
 
 
 def parse_evaluation(text: str) -> Evaluation:
-    """Read a kind and its names, ``KIND:SOURCE:TARGET`` or ``KIND:SOURCE:TARGET:PATTERN``.
+    """Parse a kind and its names, ``KIND:SOURCE:TARGET`` or ``KIND:SOURCE:TARGET:PATTERN``.
 
     Raises:
-        InputError: there is no such kind, or it wants other names.
+        InputError: there is no such kind, or it requires other names.
     """
     name, *names = (part.strip() for part in text.split(":"))
     if name not in KINDS:

@@ -1,4 +1,4 @@
-"""Tables of numbers with labelled rows, as CSV in the form that ATOM's users read."""
+"""Tables of numbers with labelled rows, as CSV in ATOM's form."""
 
 import csv
 import io
@@ -17,31 +17,31 @@ COLLECTION = "Collection #"
 COLLECTION_PAIR = "Collection Pair"
 """ATOM's header of the labels in its other tables of pairs."""
 RMS_PIX = "RMS (pix)"
-"""The column that stands for a table in one number, where there is one."""
+"""Column that summarises a table in one number, where there is one."""
 MISSING = "---"
-"""What stands where a sensor saw nothing."""
+"""Text of a missing value."""
 
 
 @dataclass(frozen=True, eq=False)
 class Table:
-    """One row of numbers for each collection, or pair of collections.
+    """Table with one row of numbers for each collection, or pair of collections.
 
     Raises:
-        ValueError: there is no row, or the sizes do not fit.
+        ValueError: there is no row, or the shapes are inconsistent.
     """
 
     key: str
-    """The header of the labels' column."""
+    """Header of the column of labels."""
     columns: tuple[str, ...]
-    """The headers of the C columns of numbers."""
+    """Headers of the C columns of numbers."""
     labels: tuple[str, ...]
-    """One for each of the R rows."""
+    """Labels of the R rows."""
     values: Array
     """(R, C)."""
     left_out: tuple[str, ...] = field(default=())
-    """What has no row, and why; one line each."""
+    """Skipped rows with the reason, one line each."""
     missing: BoolArray | None = None
-    """(R, C): where nothing was seen, so that there is no value (it is NaN); None if there is one everywhere."""
+    """(R, C): mask of missing values (NaN); None if there is none."""
 
     def __post_init__(self) -> None:
         if not self.labels or self.values.shape != (len(self.labels), len(self.columns)):
@@ -51,7 +51,7 @@ class Table:
 
     @property
     def averages(self) -> Array:
-        """(C,): the arithmetic mean of each column's *printed* values, as ATOM has it; NaN where all are missing."""
+        """(C,): the arithmetic mean of each column's *printed* values, as in ATOM; NaN if all are missing."""
         printed = np.array([[float(_printed(v)) for v in row] for row in self.values])
         if self.missing is None:
             return np.asarray(printed.mean(0))
@@ -60,7 +60,7 @@ class Table:
         return np.where(count > 0, total / np.maximum(count, 1), np.nan)
 
     def average(self, column: str) -> float:
-        """The average of one column, by its header."""
+        """Return the average of one column, by its header."""
         return float(self.averages[self.columns.index(column)])
 
     def to_csv(self) -> str:
@@ -77,7 +77,7 @@ class Table:
         return text.getvalue()
 
     def write(self, path: Path | str) -> None:
-        """Write the table as a CSV file, as a whole or not at all.
+        """Write the table as a CSV file atomically.
 
         Raises:
             WorldError: the file cannot be written.
@@ -86,6 +86,6 @@ class Table:
 
 
 def _printed(value: float) -> str:
-    """A number with four decimals; never a negative zero."""
+    """Format a number with four decimals; never a negative zero."""
     text = f"{value:.4f}"
     return "0.0000" if text == "-0.0000" else text

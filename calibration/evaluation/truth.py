@@ -1,4 +1,4 @@
-"""Calibrated transforms against the true ones, where those are known."""
+"""Errors of calibrated transforms against the true ones, if these are known."""
 
 import math
 from collections.abc import Iterator
@@ -18,63 +18,63 @@ from calibration.geometry.types import Array
 
 @dataclass(frozen=True)
 class PoseError:
-    """How far one pose lies from the true one."""
+    """Error of one pose against the true one."""
 
     name: str
     """A sensor, or two: ``left_camera/right_camera``."""
     translation_mm: float
-    """The norm of the difference in position."""
+    """Norm of the difference in position."""
     rotation_deg: float
-    """The angle between the orientations."""
+    """Angle between the orientations."""
 
 
 @dataclass(frozen=True)
 class JointError:
-    """How far one parameter of a joint is from the true one."""
+    """Error of one parameter of a joint against the true one."""
 
     joint: str
     parameter: JointParameter
     error: float
-    """The size of the difference, rad or m."""
+    """Absolute difference, rad or m."""
     unit: Literal["m", "rad"]
 
 
 @dataclass(frozen=True)
 class TruthError:
-    """The errors of a calibration: of each calibrated sensor, or of each pair where only pairs are determined."""
+    """Errors of a calibration: of each calibrated sensor, or of each pair if only relative poses are observable."""
 
     poses: tuple[PoseError, ...]
     joints: tuple[JointError, ...] = ()
-    """Of each calibrated parameter of a joint."""
+    """Error of each calibrated parameter of a joint."""
 
     @property
     def translation_mm(self) -> float:
-        """The largest of all."""
+        """Maximum of all."""
         return max(pose.translation_mm for pose in self.poses)
 
     @property
     def rotation_deg(self) -> float:
-        """The largest of all, not necessarily of the same pose."""
+        """Maximum of all, not necessarily of the same pose."""
         return max(pose.rotation_deg for pose in self.poses)
 
     @property
     def joint_mm(self) -> float | None:
-        """The largest of the joints' parameters that are lengths; None where none is."""
+        """Maximum of the joint parameters that are lengths; None without any."""
         return max((1000 * each.error for each in self.joints if each.unit == "m"), default=None)
 
     @property
     def joint_deg(self) -> float | None:
-        """The largest of the joints' parameters that are angles; None where none is."""
+        """Maximum of the joint parameters that are angles; None without any."""
         return max((float(np.degrees(each.error)) for each in self.joints if each.unit == "rad"), default=None)
 
 
 def truth_error(dataset: Dataset, truth: Truth) -> TruthError:
-    """The errors of the calibrated transforms, without what no calibration can know.
+    """Return the errors of the calibrated transforms, up to the gauge of the calibration.
 
-    Two or more sensors of which none is anchored may all have moved together: the pose between the
-    data frames of every two of them is compared, seen from either, the worse of the two. Otherwise it is
-    the calibrated transform of each sensor but the anchored one, unless that is the only one and joints are
-    calibrated. Of collections that have labels, the worst counts, should a chain differ between them.
+    If none of two or more sensors is anchored, a common motion of all is unobservable: the relative pose of the
+    data frames of every pair is compared, from either side, and the larger error counts. Otherwise
+    each sensor's calibrated transform is compared, except the anchored one unless it is the only one and joints are
+    calibrated. Of the collections with labels the largest error counts, should a chain differ between them.
 
     Raises:
         InputError: the truth lacks a sensor or a joint, something is missing or not finite, or nothing is calibrated.
@@ -93,12 +93,12 @@ def truth_error(dataset: Dataset, truth: Truth) -> TruthError:
 
 
 def error_against(found: Dataset, true: Dataset, relative: bool) -> TruthError:
-    """The errors of a dataset's sensors and joints against those of another one with the same collections.
+    """Return the errors of a dataset's sensors and joints against those of another one with the same collections.
 
     Args:
-        found: what is judged.
-        true: what it is held against.
-        relative: whether the pose between the data frames of every two sensors is compared, where there are two.
+        found: the dataset to judge.
+        true: the reference.
+        relative: compare the relative pose of the data frames of every two sensors, if there are two.
 
     Raises:
         InputError: something is missing or not finite, or nothing is calibrated.
@@ -117,7 +117,7 @@ def error_against(found: Dataset, true: Dataset, relative: bool) -> TruthError:
 
 
 def _true_values(joint: Joint, truth: Truth) -> Array:
-    """All parameters (7,) of a joint, the calibrated ones as they are in truth."""
+    """Return all parameters (7,) of a joint, with the true values of the calibrated ones."""
     values, true = joint.values.copy(), truth.joints.get(joint.name, {})
     for parameter in joint.parameters:
         if parameter not in true:
@@ -127,7 +127,7 @@ def _true_values(joint: Joint, truth: Truth) -> Array:
 
 
 def _of_joint(joint: Joint, true: Array) -> Iterator[JointError]:
-    """The errors of the calibrated parameters, all true ones (7,) being given."""
+    """Return the errors of the calibrated parameters, given all true ones (7,)."""
     for parameter in joint.parameters:
         at, unit = JOINT_PARAMETERS.index(parameter), joint.model.unit(parameter)
         difference = float(joint.values[at] - true[at])
@@ -138,7 +138,7 @@ def _of_joint(joint: Joint, true: Array) -> Iterator[JointError]:
 
 
 def _between(a: Sensor, b: Sensor, found: Dataset, true: Dataset) -> PoseError:
-    """The error of the pose between two data frames, worst seen from either."""
+    """Return the larger error of the relative pose of two data frames, seen from either."""
     T_true, T_found = (dataset.transform(a.frame, b.frame) for dataset in (true, found))
     both = np.concatenate([T_true, inverse(T_true)]), np.concatenate([T_found, inverse(T_found)])
     return _worst(f"{a.name}/{b.name}", *both)

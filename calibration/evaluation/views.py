@@ -1,4 +1,4 @@
-"""What a camera saw of a pattern, all collections at once, and the pose that each view gives by itself."""
+"""Views of a pattern by a camera, over all collections, and the pose estimated from each view alone."""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -16,10 +16,10 @@ from calibration.geometry.types import Array, BoolArray, IntArray
 
 @dataclass(frozen=True, eq=False)
 class CornerViews:
-    """A camera's views of a pattern with K corners, V of them. Zeros stand for corners that are not seen."""
+    """V views of a pattern with K corners by a camera. Unseen corners are zero."""
 
     collections: IntArray
-    """(V,): the index of each view's collection, ascending."""
+    """(V,): index of each view's collection, ascending."""
     pixels: Array
     """(V, 2, K): the labels."""
     rays: Array
@@ -27,12 +27,12 @@ class CornerViews:
     seen: BoolArray
     """(V, K)."""
     T_camera_pattern: Array
-    """(V, 4, 4): least squares on the view alone."""
+    """(V, 4, 4): least squares on each view alone."""
     left_out: tuple[str, ...]
-    """Detections that give no pose."""
+    """Views from which no pose can be estimated."""
 
     def __getitem__(self, views: IntArray) -> "CornerViews":
-        """Some of the views, in this order."""
+        """Return a subset of the views, in this order."""
         return CornerViews(
             self.collections[views],
             self.pixels[views],
@@ -45,25 +45,25 @@ class CornerViews:
 
 @dataclass(frozen=True, eq=False)
 class MeasuredViews:
-    """Poses of a pattern as they were measured, V of them."""
+    """V measured poses of a pattern."""
 
     collections: IntArray
-    """(V,): the index of each pose's collection, ascending."""
+    """(V,): index of each pose's collection, ascending."""
     T_camera_pattern: Array
     """(V, 4, 4)."""
 
 
 def measured_views(dataset: Dataset, sensor: str, pattern: Pattern) -> MeasuredViews:
-    """The labels of a sensor that are poses."""
+    """Return the labels of a sensor that are poses."""
     found = [(i, label.T) for i, label in dataset.detections(pattern.name, sensor) if isinstance(label, PoseLabels)]
     poses = np.array([T for _, T in found]).reshape(-1, 4, 4)
     return MeasuredViews(np.array([i for i, _ in found], int), poses)
 
 
 def corner_views(dataset: Dataset, sensor: str, pattern: Pattern) -> CornerViews:
-    """The views of a camera that give a pose of the pattern.
+    """Return the views of a camera from which the pose of the pattern can be estimated.
 
-    They do not depend on the dataset's transforms, so those of the last few datasets are remembered.
+    They do not depend on the dataset's transforms, so the results for the last few datasets are cached.
 
     Raises:
         InputError: there is no such camera.
@@ -74,7 +74,7 @@ def corner_views(dataset: Dataset, sensor: str, pattern: Pattern) -> CornerViews
 
 @lru_cache(maxsize=8)
 def _corner_views(collections: tuple[Collection, ...], sensor: str, camera: Camera, pattern: Pattern) -> CornerViews:
-    """`corner_views` of what never changes: collections and patterns are equal only to themselves."""
+    """Cache of `corner_views`, keyed by immutable collections and patterns, which compare by identity."""
     labels = ((i, collection.labels.get((pattern.name, sensor))) for i, collection in enumerate(collections))
     detections = [(i, label) for i, label in labels if isinstance(label, CornerLabels)]
     term = corner_term(camera, pattern, [label for _, label in detections])

@@ -3,8 +3,8 @@
 Conventions, for the whole project:
 
 - ``T_parent_child`` is a 4x4 homogeneous transform that maps child coordinates to parent
-  coordinates, so ``T_world_camera @ T_camera_board`` reads itself.
-- A twist is ``(translation, rotation)``, 6 numbers in metres and radians. Perturbations stand on
+  coordinates, so that in ``T_world_camera @ T_camera_board`` adjacent frames match.
+- A twist is ``(translation, rotation)``, 6 numbers in metres and radians. Perturbations are applied on
   the right, in the child frame: see `calibration.geometry.transforms.retract`.
 - Quaternions are ``[x, y, z, w]``. Angles are radians, lengths metres, image coordinates pixels;
   (0, 0) is the centre of the top-left pixel.

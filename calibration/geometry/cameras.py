@@ -1,4 +1,4 @@
-"""Camera models: from a point in the camera frame to a pixel, and back to a ray.
+"""Camera models: projection of points in the camera frame to pixels, and back-projection to rays.
 
 The camera frame is the optical one: x right, y down, z forward. Pixel (0, 0) is the centre of the
 top-left pixel.
@@ -31,11 +31,11 @@ class Camera:
 
     @property
     def intrinsics(self) -> Array:
-        """(4 + n,): fx, fy, cx, cy in pixels, and the coefficients of the distortion."""
+        """Intrinsic parameters (4 + n,): fx, fy, cx, cy in pixels, and the distortion coefficients."""
         return np.array([self.fx, self.fy, self.cx, self.cy, *self.distortion.coefficients])
 
     def with_intrinsics(self, values: Array) -> "Camera":
-        """The same camera with other `intrinsics`."""
+        """Return the same camera with other `intrinsics`."""
         fx, fy, cx, cy = values[:4].tolist()
         return replace(self, fx=fx, fy=fy, cx=cx, cy=cy, distortion=self.distortion.with_coefficients(values[4:]))
 
@@ -45,14 +45,14 @@ class Camera:
         return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
 
     def project(self, points: Array) -> Array:
-        """Points (..., 3) in the camera frame to pixels (..., 2); NaN for points not in front of it."""
+        """Project points (..., 3) in the camera frame to pixels (..., 2); NaN for points not in front of the camera."""
         z = np.where(points[..., 2] > 0, points[..., 2], np.nan)
         return self.to_pixels(points[..., 0] / z, points[..., 1] / z)
 
     def project_visible(self, points: Array) -> tuple[Array, BoolArray]:
-        """`project`, and which points (...) can be seen: in front, and not where distortion folds over.
+        """Project points, and return a mask (...) of the visible ones: in front, where the distortion is invertible.
 
-        Far outside the image a strong distortion folds back into it. A pixel may lie beyond the image.
+        Far from the image centre a strong distortion folds points back into the image. Pixels may be outside the image.
         """
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             pixels = self.project(points)
@@ -61,18 +61,18 @@ class Camera:
         return pixels, visible
 
     def to_pixels(self, x: Array, y: Array) -> Array:
-        """Normalised coordinates (...) to pixels (..., 2)."""
+        """Convert normalised coordinates (...) to pixels (..., 2)."""
         xd, yd = self.distortion.distort(x, y)
         return np.stack([self.fx * xd + self.cx, self.fy * yd + self.cy], -1)
 
     def normalise(self, pixels: Array) -> Array:
-        """Pixels (..., 2) to undistorted normalised coordinates (..., 2): the ray is (x, y, 1)."""
+        """Convert pixels (..., 2) to undistorted normalised coordinates (..., 2): the ray is (x, y, 1)."""
         x = (pixels[..., 0] - self.cx) / self.fx
         y = (pixels[..., 1] - self.cy) / self.fy
         return np.stack(self.distortion.undistort(x, y), -1)
 
     def contains(self, pixels: Array) -> BoolArray:
-        """Which pixels (..., 2) lie on the image."""
+        """Return a mask of the pixels (..., 2) inside the image."""
         u, v = pixels[..., 0], pixels[..., 1]
         inside: BoolArray = (u >= -0.5) & (u <= self.width - 0.5) & (v >= -0.5) & (v <= self.height - 0.5)
         return inside

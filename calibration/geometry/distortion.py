@@ -1,7 +1,7 @@
-"""Models of a lens: from normalised image coordinates to distorted ones, and back.
+"""Lens distortion models on normalised image coordinates, their derivatives and inverses.
 
-Normalised coordinates are (x, y) = (X/Z, Y/Z) of a point before the camera; r2 is x^2 + y^2.
-The Jacobian of each model here is symmetric, so three numbers describe it.
+Normalised coordinates are (x, y) = (X/Z, Y/Z) of a point in front of the camera; r2 is x^2 + y^2.
+The Jacobian of each model here is symmetric, so three numbers suffice.
 """
 
 from abc import ABC, abstractmethod
@@ -18,7 +18,7 @@ DistortionJacobian = tuple[Array, Array, Array]
 
 
 class Distortion(ABC):
-    """A model with its coefficients, which are the fields of a dataclass in ROS's order.
+    """A distortion model with its coefficients, which are the fields of a dataclass in ROS's order.
 
     A coefficient may also be an array that broadcasts with the coordinates, as (V, 1) for those of V views (V, K).
     """
@@ -28,46 +28,46 @@ class Distortion(ABC):
 
     @classmethod
     def names(cls) -> tuple[str, ...]:
-        """Of the coefficients, in the order of ``D``."""
+        """Names of the coefficients, in the order of ``D``."""
         return tuple(field.name for field in fields(cls))  # type: ignore[arg-type]  # every model is a dataclass
 
     @property
     def coefficients(self) -> Array:
-        """(n,): in the order of `names`."""
+        """Coefficients (n,), in the order of `names`."""
         return np.array([getattr(self, name) for name in self.names()], float)
 
     def with_coefficients(self, coefficients: Array) -> Self:
-        """The same model with other coefficients (n,)."""
+        """Return the same model with other coefficients (n,)."""
         return type(self)(*coefficients.tolist())
 
     @property
     @abstractmethod
     def is_identity(self) -> bool:
-        """Whether the model leaves every point where it is."""
+        """Whether the distortion is the identity."""
 
     @abstractmethod
     def distort(self, x: Array, y: Array) -> Distorted:
-        """Normalised coordinates to distorted ones, any shape."""
+        """Distort normalised coordinates of any shape."""
 
     @abstractmethod
     def distort_with_jacobian(self, x: Array, y: Array) -> tuple[Distorted, DistortionJacobian]:
-        """`distort`, and its derivatives (dx'/dx, dx'/dy = dy'/dx, dy'/dy)."""
+        """Distort coordinates, and return the derivatives (dx'/dx, dx'/dy = dy'/dx, dy'/dy)."""
 
     @abstractmethod
     def derivatives(self, x: Array, y: Array) -> list[Distorted]:
-        """How the distorted coordinates change with each coefficient: (dx'/dc, dy'/dc)."""
+        """Derivatives of the distorted coordinates with respect to each coefficient: (dx'/dc, dy'/dc)."""
 
     @abstractmethod
     def undistort(self, x: Array, y: Array) -> Distorted:
-        """The inverse of `distort`, to the last digits.
+        """Invert `distort`, to machine precision.
 
-        NaN where there is none: far outside the image a strong distortion folds the image over.
+        NaN where no inverse exists: far from the image centre a strong distortion folds the image over.
         """
 
 
 @dataclass(frozen=True)
 class _RadialTangential(Distortion):
-    """``x' = x radial(r2) + 2 p1 x y + p2 (r2 + 2 x^2)``, and y' likewise with p1 and p2 exchanged."""
+    """Radial-tangential model: ``x' = x radial(r2) + 2 p1 x y + p2 (r2 + 2 x^2)``; y' with p1 and p2 exchanged."""
 
     k1: float = 0.0
     k2: float = 0.0
@@ -77,7 +77,7 @@ class _RadialTangential(Distortion):
 
     @cached_property
     def is_identity(self) -> bool:
-        """Whether the model leaves every point where it is."""
+        """Whether the distortion is the identity."""
         return not any(np.any(getattr(self, name)) for name in self.names())
 
     def distort(self, x: Array, y: Array) -> Distorted:
@@ -110,33 +110,35 @@ class _RadialTangential(Distortion):
         return distorted, jacobian
 
     def undistort(self, x: Array, y: Array) -> Distorted:
-        """See `Distortion`; by Newton's method from the distorted point."""
+        """See `Distortion`; by Newton's method, started at the distorted point."""
         if self.is_identity:
             return x, y
         u, v = self._inverse_start(x, y)
-        with np.errstate(all="ignore"):  # where there is no inverse, Newton's method may go anywhere
+        with np.errstate(all="ignore"):  # Newton's method may diverge where no inverse exists
             for _ in range(20):
                 (du, dv), (a, b, c) = self.distort_with_jacobian(u, v)
                 ex, ey = x - du, y - dv
                 det = a * c - b * b
                 u, v = u + (c * ex - b * ey) / det, v + (a * ey - b * ex) / det
                 left = np.maximum(np.abs(ex), np.abs(ey))
-                if not (left > 1e-8).any():  # the step just made leaves about its square
+                if not (
+                    left > 1e-8
+                ).any():  # quadratic convergence: the remaining error is about the square of the last step
                     break
-            found = (left < 1e-6) & (a > 0) & (det > 0)  # beyond, the image is folded over
+            found = (left < 1e-6) & (a > 0) & (det > 0)  # negative determinant: the image is folded over
         return (u, v) if found.all() else (np.where(found, u, np.nan), np.where(found, v, np.nan))
 
     def _inverse_start(self, x: Array, y: Array) -> Distorted:
-        """Where Newton's method begins, to invert distorted coordinates."""
+        """Starting point of Newton's method for the inverse."""
         return x, y
 
     @abstractmethod
     def _radial(self, r2: Array) -> Array:
-        """The radial factor."""
+        """Radial factor."""
 
     @abstractmethod
     def _radial_and_slope(self, r2: Array) -> tuple[Array, Array]:
-        """The radial factor, and twice its derivative to r2."""
+        """Radial factor, and twice its derivative with respect to r2."""
 
 
 @dataclass(frozen=True)
@@ -166,7 +168,7 @@ class PlumbBob(_RadialTangential):
 
 @dataclass(frozen=True)
 class Rational(_RadialTangential):
-    """Radial distortion as a fraction, and tangential, with 8 coefficients (ROS's ``rational_polynomial``).
+    """Rational radial and tangential distortion with 8 coefficients (ROS's ``rational_polynomial``).
 
     The radial factor is ``(1 + k1 r2 + k2 r2^2 + k3 r2^3) / (1 + k4 r2 + k5 r2^2 + k6 r2^3)`` (D. Claus
     and A. Fitzgibbon, "A rational function lens distortion model for general cameras", 2005, in OpenCV's form).
@@ -193,7 +195,7 @@ class Rational(_RadialTangential):
         ]
 
     def _inverse_start(self, x: Array, y: Array) -> Distorted:
-        """The distorted point, but not beyond the pole where the denominator is zero."""
+        """Distorted coordinates, limited to radii below the pole of the denominator."""
         roots = np.roots([self.k6, self.k5, self.k4, 1.0])
         poles = roots.real[(roots.real > 0) & (np.abs(roots.imag) < 1e-9 * np.abs(roots.real))]
         if not len(poles):
@@ -217,16 +219,16 @@ class Rational(_RadialTangential):
 
 
 NEAR_AXIS = 1e-2
-"""r2 below which a series takes the place of a difference that would lose its digits."""
+"""Limit of r2 below which a series replaces a difference that would lose digits to cancellation."""
 
 
 @dataclass(frozen=True)
 class Equidistant(Distortion):
     """A fisheye lens with 4 coefficients (ROS's ``equidistant``, OpenCV's ``fisheye``).
 
-    A ray at the angle t from the axis, ``r = tan t``, meets the image at the radius
+    A ray at the angle t from the axis, ``r = tan t``, is projected to the radius
     ``t (1 + k1 t^2 + k2 t^4 + k3 t^6 + k4 t^8)`` (J. Kannala and S. Brandt, "A generic camera model and
-    calibration method for conventional, wide-angle, and fish-eye lenses", 2006). Only rays before the
+    calibration method for conventional, wide-angle, and fish-eye lenses", 2006). Only rays in front of the
     camera, t < pi/2, have normalised coordinates.
     """
 
@@ -239,7 +241,7 @@ class Equidistant(Distortion):
 
     @property
     def is_identity(self) -> bool:
-        """Never: without coefficients it is the equidistant projection, not that of a pinhole."""
+        """Always False: with zero coefficients the model is the equidistant projection, not a pinhole."""
         return False
 
     def distort(self, x: Array, y: Array) -> Distorted:
@@ -254,7 +256,7 @@ class Equidistant(Distortion):
         shrink, t2 = _angle_over_radius(r2)
         polynomial = self._polynomial(t2)
         scale = shrink * polynomial
-        # twice the derivative of the scale to r2, of which t2 has the derivative shrink / (1 + r2)
+        # twice the derivative of the scale with respect to r2; that of t2 is shrink / (1 + r2)
         bend = self.k1 + t2 * (2 * self.k2 + t2 * (3 * self.k3 + t2 * (4 * self.k4)))
         slope = 2 * (_shrinking(r2, shrink) * polynomial + shrink * shrink / (1 + r2) * bend)
         return (x * scale, y * scale), (scale + slope * x * x, slope * x * y, scale + slope * y * y)
@@ -272,13 +274,15 @@ class Equidistant(Distortion):
         """See `Distortion`; by Newton's method on the angle."""
         radius = np.hypot(x, y)
         t = np.minimum(radius, 1.5)
-        with np.errstate(all="ignore"):  # where there is no inverse, Newton's method may go anywhere
+        with np.errstate(all="ignore"):  # Newton's method may diverge where no inverse exists
             for _ in range(20):
                 t2 = t * t
                 slope = 1 + t2 * (3 * self.k1 + t2 * (5 * self.k2 + t2 * (7 * self.k3 + t2 * (9 * self.k4))))
                 left = radius - t * self._polynomial(t2)
                 t = t + left / slope
-                if not (np.abs(left) > 1e-8).any():  # the step just made leaves about its square
+                if not (
+                    np.abs(left) > 1e-8
+                ).any():  # quadratic convergence: the remaining error is about the square of the last step
                     break
             found = (np.abs(left) < 1e-6) & (slope > 0) & (t >= 0) & (t < np.pi / 2)
             grow = np.where(found, np.where(radius > 0, np.tan(t) / radius, 1.0), np.nan)
@@ -290,7 +294,7 @@ class Equidistant(Distortion):
 
 
 MODELS: dict[str, type[Distortion]] = {model.ros_name: model for model in (PlumbBob, Rational, Equidistant)}
-"""By ROS's name."""
+"""Models by the name in ROS."""
 
 
 def _angle_over_radius(r2: Array) -> tuple[Array, Array]:
@@ -301,7 +305,7 @@ def _angle_over_radius(r2: Array) -> tuple[Array, Array]:
 
 
 def _shrinking(r2: Array, shrink: Array) -> Array:
-    """The derivative of ``t / r`` to r2: ``(1 / (1 + r2) - t / r) / (2 r2)``, near the axis as its series."""
+    """Derivative of ``t / r`` with respect to r2: ``(1 / (1 + r2) - t / r) / (2 r2)``, as a series near the axis."""
     far = np.maximum(r2, NEAR_AXIS)
     near = np.minimum(r2, NEAR_AXIS)
     series = np.zeros_like(near)

@@ -1,4 +1,4 @@
-"""Trees of frames: the way from any frame to any other."""
+"""Kinematic trees: the path between any two frames."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -8,7 +8,7 @@ from calibration.errors import InputError
 
 @dataclass(frozen=True)
 class Step:
-    """One edge of a path: the transform ``T_parent_child``, walked down or (``inverted``) up."""
+    """One edge of a path: the transform ``T_parent_child``, or its inverse if ``inverted``."""
 
     parent: str
     child: str
@@ -16,7 +16,7 @@ class Step:
 
 
 class FrameTree:
-    """The frames of a robot, connected by edges parent -> child.
+    """Frames of a robot, connected by edges parent -> child.
 
     Raises:
         InputError: a frame has two parents, or the edges form a loop.
@@ -42,7 +42,7 @@ class FrameTree:
         return frame in self._frames
 
     def path(self, start: str, end: str) -> tuple[Step, ...]:
-        """The steps whose product is ``T_start_end``.
+        """Return the steps whose product is ``T_start_end``.
 
         Raises:
             InputError: a frame is not in the tree, or the two are not connected.
@@ -59,7 +59,7 @@ class FrameTree:
         return (*ascent, *reversed(descent))
 
     def _ancestors(self, frame: str) -> dict[str, int]:
-        """The frame itself, its parent, and so on to the root, numbered."""
+        """Return the frame and its ancestors up to the root, each with its depth."""
         chain = {frame: 0}
         while (parent := self._parent.get(frame)) is not None:
             frame = parent
@@ -67,7 +67,7 @@ class FrameTree:
         return chain
 
     def _refuse_loops(self) -> None:
-        """Follow every frame to the root, each edge once.
+        """Raise if following the parents leads to a loop; each edge is visited once.
 
         A parent appears before its children do, so a loop is entered at one of its own frames.
         """

@@ -1,4 +1,4 @@
-"""Joints of a robot: the transform from parent to child, and what each of its parameters does to it."""
+"""Joints of a robot: the transform from parent to child and its derivatives with respect to the parameters."""
 
 from dataclasses import dataclass
 from math import cos, sin
@@ -20,26 +20,26 @@ JOINT_PARAMETERS: tuple[JointParameter, ...] = get_args(JointParameter)
 class JointModel:
     """A revolute or prismatic joint, ``T_parent_child = origin * motion(position + bias)``, as URDF has it.
 
-    Motions along one axis commute, so ``T = (origin * motion(bias)) * motion(position)``: what is
-    unknown stands before what the encoder tells, and is the same for every position.
+    Motions about one axis commute, so ``T = (origin * motion(bias)) * motion(position)``: the unknown
+    part is a constant on the left of the measured position.
     """
 
     prismatic: bool
     axis: tuple[float, float, float]
-    """Of unit length, in the frame of the origin."""
+    """Unit vector (3,), in the frame of the origin."""
 
     def unit(self, parameter: JointParameter) -> Literal["m", "rad"]:
-        """What a parameter is measured in."""
+        """Unit of a parameter."""
         lengths = ("origin_x", "origin_y", "origin_z", *(("position_bias",) if self.prismatic else ()))
         return "m" if parameter in lengths else "rad"
 
     def motion(self, positions: ArrayLike) -> Array:
-        """What positions (...), m or rad, add to the origin: (..., 4, 4)."""
+        """Return the motions (..., 4, 4) of the joint at positions (...), m or rad."""
         steps = np.asarray(positions, float)[..., None] * np.array(self.axis)
         return translation(steps) if self.prismatic else transform(rotations.exp(steps), np.zeros(3))
 
     def pose(self, parameters: Array) -> Array:
-        """The joint at position 0, (4, 4), from all its parameters (7,) in the order of `JOINT_PARAMETERS`."""
+        """Return the transform (4, 4) at position 0 from the parameters (7,) in the order of `JOINT_PARAMETERS`."""
         *xyz, roll, pitch, yaw, bias = parameters.tolist()
         T = np.eye(4)
         T[:3, :3] = _from_rpy(roll, pitch, yaw)
@@ -49,7 +49,7 @@ class JointModel:
         return T
 
     def columns(self, parameters: Array) -> Array:
-        """(6, 7): how each parameter moves `pose`, as a twist in its child frame."""
+        """Return the Jacobian (6, 7) of `pose` with respect to the parameters, as twists in the child frame."""
         _, _, _, roll, pitch, yaw, bias = parameters.tolist()
         cos_roll, sin_roll, cos_pitch, sin_pitch = cos(roll), sin(roll), cos(pitch), sin(pitch)
         columns = np.zeros((6, 7))  # in the frame of the origin
@@ -66,7 +66,7 @@ class JointModel:
 
 
 def _from_rpy(roll: float, pitch: float, yaw: float) -> Array:
-    """`calibration.geometry.rotations.from_rpy` of one rotation, in a tenth of the time."""
+    """Scalar version of `calibration.geometry.rotations.from_rpy`, ten times as fast for one rotation."""
     a, b, c, d, e, f = cos(roll), sin(roll), cos(pitch), sin(pitch), cos(yaw), sin(yaw)
     return np.array(
         [

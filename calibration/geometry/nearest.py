@@ -1,15 +1,15 @@
-"""Nearest neighbours among a few thousand points, by all distances at once."""
+"""Brute-force nearest neighbours for a few thousand points."""
 
 import numpy as np
 
 from calibration.geometry.types import Array, IntArray
 
-_CHUNK = 1 << 20  # distances at a time, to bound the memory
+_CHUNK = 1 << 20  # chunk size (number of distances), to bound the memory
 
 
 def nearest(points: Array, among: Array) -> IntArray:
-    """Which of the points `among` (M, D), M > 0, lies nearest to each of `points` (N, D): (N,)."""
-    centre = among.mean(0)  # near the origin the expanded square loses no digits
+    """Return the index (N,) of the point in `among` (M, D), M > 0, nearest to each of `points` (N, D)."""
+    centre = among.mean(0)  # centred, because the expanded square loses digits far from the origin
     rest = among - centre
     squares = (rest * rest).sum(-1)
     found = np.empty(len(points), int)

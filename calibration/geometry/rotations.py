@@ -9,7 +9,7 @@ from calibration.geometry.types import Array, ArrayLike
 
 
 def hat(w: ArrayLike) -> Array:
-    """The (..., 3, 3) matrix of the cross product: ``hat(w) @ v == cross(w, v)``."""
+    """Return the cross-product matrix (..., 3, 3): ``hat(w) @ v == cross(w, v)``."""
     w = np.asarray(w, float)
     W = np.zeros((*w.shape[:-1], 3, 3))
     W[..., 0, 1], W[..., 0, 2], W[..., 1, 2] = -w[..., 2], w[..., 1], -w[..., 0]
@@ -18,11 +18,11 @@ def hat(w: ArrayLike) -> Array:
 
 
 def exp(w: ArrayLike) -> Array:
-    """Rotation vectors (..., 3) to rotation matrices (Rodrigues' formula)."""
+    """Convert rotation vectors (..., 3) to rotation matrices (Rodrigues' formula)."""
     w = np.asarray(w, float)
     angle2 = (w * w).sum(-1)
     angle = np.sqrt(angle2)
-    small = angle < 1e-4  # below it the series is exact to the last digit
+    small = angle < 1e-4  # below it the truncated series is exact to machine precision
     safe = np.where(small, 1.0, angle)
     a = np.where(small, 1 - angle2 / 6, np.sin(safe) / safe)
     b = np.where(small, 0.5 - angle2 / 24, (1 - np.cos(safe)) / (safe * safe))
@@ -32,9 +32,9 @@ def exp(w: ArrayLike) -> Array:
 
 
 def log(R: ArrayLike) -> Array:
-    """Rotation matrices to rotation vectors, of length at most pi; exact near 0 and near pi.
+    """Convert rotation matrices to rotation vectors, of length at most pi; accurate near 0 and near pi.
 
-    Goes through the quaternion: its vector part is ``sin(angle / 2) * axis``.
+    Uses the quaternion, whose vector part is ``sin(angle / 2) * axis``.
     """
     q = to_quaternion(R)
     v, w = q[..., :3], q[..., 3]
@@ -46,13 +46,13 @@ def log(R: ArrayLike) -> Array:
 
 
 def angle(R: ArrayLike) -> Array:
-    """The angle of each rotation, in [0, pi]."""
+    """Return the angle of each rotation, in [0, pi]."""
     norm: Array = np.linalg.norm(log(R), axis=-1)
     return norm
 
 
 def from_quaternion(q: ArrayLike) -> Array:
-    """Quaternions [x, y, z, w] (..., 4), of any length but 0, to rotation matrices."""
+    """Convert quaternions [x, y, z, w] (..., 4), of any length but 0, to rotation matrices."""
     q = np.asarray(q, float)
     unit = q / np.linalg.norm(q, axis=-1, keepdims=True)
     x, y, z, w = (unit[..., i] for i in range(4))
@@ -67,9 +67,9 @@ def from_quaternion(q: ArrayLike) -> Array:
 
 
 def to_quaternion(R: ArrayLike) -> Array:
-    """Rotation matrices to unit quaternions [x, y, z, w] with w >= 0.
+    """Convert rotation matrices to unit quaternions [x, y, z, w] with w >= 0.
 
-    The largest of the four components is taken from the diagonal, the others follow from it
+    The largest of the four components is computed from the diagonal, the others follow from it
     (S. W. Shepperd, "Quaternion from rotation matrix", 1978), so no digit is lost at any angle.
     """
     R = np.asarray(R, float)
@@ -92,7 +92,7 @@ def to_quaternion(R: ArrayLike) -> Array:
 
 
 def from_rpy(rpy: ArrayLike) -> Array:
-    """Roll, pitch, yaw (..., 3) about the fixed axes x, y, z (URDF's, tf's "sxyz"): ``Rz @ Ry @ Rx``."""
+    """Convert roll, pitch, yaw (..., 3) about the fixed axes x, y, z (URDF's, tf's "sxyz") to ``Rz @ Ry @ Rx``."""
     rpy = np.asarray(rpy, float)
     axes = np.eye(3)
     Rx, Ry, Rz = (exp(rpy[..., i, None] * axes[i]) for i in range(3))
@@ -101,7 +101,7 @@ def from_rpy(rpy: ArrayLike) -> Array:
 
 
 def to_rpy(R: ArrayLike) -> Array:
-    """The inverse of `from_rpy`, with pitch in [-pi/2, pi/2]; at the singularity yaw is 0."""
+    """Invert `from_rpy`, with pitch in [-pi/2, pi/2]; at the singularity yaw is 0."""
     R = np.asarray(R, float)
     cos_pitch = np.hypot(R[..., 0, 0], R[..., 1, 0])
     pitch = np.arctan2(-R[..., 2, 0], cos_pitch)
@@ -112,9 +112,9 @@ def to_rpy(R: ArrayLike) -> Array:
 
 
 def rpy_rates(rpy: ArrayLike) -> Array:
-    """How roll, pitch and yaw change with a small rotation in the body's frame: d rpy / d w (3, 3).
+    """Jacobian (3, 3) of roll, pitch and yaw with respect to a small rotation in the body frame: d rpy / d w.
 
-    For ``R exp(w)`` with ``R = from_rpy(rpy)``. Without bound where the pitch is +-pi/2.
+    For ``R exp(w)`` with ``R = from_rpy(rpy)``. Unbounded at pitch +-pi/2.
 
     Args:
         rpy: (3,), rad.
@@ -127,10 +127,12 @@ def rpy_rates(rpy: ArrayLike) -> Array:
 
 
 def nearest(M: ArrayLike) -> Array:
-    """The rotation nearest to each 3x3 matrix in the Frobenius norm (orthogonal Procrustes)."""
+    """Return the rotation nearest to each 3x3 matrix in the Frobenius norm (orthogonal Procrustes)."""
     U, _, Vt = np.linalg.svd(np.asarray(M, float))
     sign = np.ones(U.shape[:-1])
-    with np.errstate(invalid="ignore"):  # NaN stays NaN; on some processors LAPACK flags it
+    with np.errstate(
+        invalid="ignore"
+    ):  # NaN is propagated; on some processors LAPACK raises floating-point warnings for it
         sign[..., 2] = np.where(np.linalg.det(U) * np.linalg.det(Vt) < 0, -1.0, 1.0)
     R: Array = (U * sign[..., None, :]) @ Vt
     return R

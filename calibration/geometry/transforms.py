@@ -7,7 +7,7 @@ from calibration.geometry.types import Array, ArrayLike
 
 
 def transform(R: ArrayLike, t: ArrayLike) -> Array:
-    """From rotations (..., 3, 3) and translations (..., 3); batch axes broadcast."""
+    """Compose transforms of rotations (..., 3, 3) and translations (..., 3); batch axes broadcast."""
     R, t = np.asarray(R, float), np.asarray(t, float)
     T = np.zeros((*np.broadcast_shapes(R.shape[:-2], t.shape[:-1]), 4, 4))
     T[..., :3, :3], T[..., :3, 3], T[..., 3, 3] = R, t, 1.0
@@ -15,22 +15,22 @@ def transform(R: ArrayLike, t: ArrayLike) -> Array:
 
 
 def translation(t: ArrayLike) -> Array:
-    """A pure translation (..., 3)."""
+    """Return pure translations (..., 3) as transforms."""
     return transform(np.eye(3), t)
 
 
 def from_quaternion(t: ArrayLike, q: ArrayLike) -> Array:
-    """From a translation (..., 3) and a quaternion [x, y, z, w] (..., 4)."""
+    """Convert a translation (..., 3) and a quaternion [x, y, z, w] (..., 4) to a transform."""
     return transform(rotations.from_quaternion(q), t)
 
 
 def from_xyz_rpy(xyz: ArrayLike, rpy: ArrayLike) -> Array:
-    """From a translation and roll, pitch, yaw about fixed axes, as URDF's ``<origin>``."""
+    """Convert a translation and roll, pitch, yaw about fixed axes, as in URDF's ``<origin>``, to a transform."""
     return transform(rotations.from_rpy(rpy), xyz)
 
 
 def inverse(T: Array) -> Array:
-    """``T_child_parent`` from ``T_parent_child``, without a matrix inversion."""
+    """Return ``T_child_parent`` from ``T_parent_child``, without a matrix inversion."""
     out = np.empty_like(T)
     Rt = np.swapaxes(T[..., :3, :3], -1, -2)
     out[..., :3, :3] = Rt
@@ -40,13 +40,13 @@ def inverse(T: Array) -> Array:
 
 
 def apply(T: Array, points: Array) -> Array:
-    """Points (..., N, 3) in the child frame to the parent frame."""
+    """Transform points (..., N, 3) from the child frame to the parent frame."""
     moved: Array = points @ np.swapaxes(T[..., :3, :3], -1, -2) + T[..., None, :3, 3]
     return moved
 
 
 def adjoint(T: Array) -> Array:
-    """The (..., 6, 6) matrix that maps a twist of the child frame to one of the parent frame.
+    """Return the adjoint (..., 6, 6), which maps a twist in the child frame to one in the parent frame.
 
     For a twist (dt, dw) it is ``[[R, hat(t) R], [0, R]]`` (translation first).
     """
@@ -62,7 +62,7 @@ def adjoint(T: Array) -> Array:
 
 
 def moved_twists(T: Array, columns: Array) -> Array:
-    """``adjoint(T) @ columns`` (n, 6, k), of a few twists (6, k) of the child frame, without the adjoints (n, 4, 4)."""
+    """Return ``adjoint(T) @ columns`` (n, 6, k) for a few twists (6, k) without forming the adjoints (n, 4, 4)."""
     k = columns.shape[-1]
     turned = T[:, :3, :3] @ np.concatenate([columns[:3], columns[3:]], -1)
     dt, dw = turned[..., :k], turned[..., k:]
@@ -76,7 +76,7 @@ def moved_twists(T: Array, columns: Array) -> Array:
 
 
 def retract(T: Array, twist: Array) -> Array:
-    """Move each transform by a twist (..., 6) in its own child frame: ``T @ [exp(dw), dt]``.
+    """Perturb each transform by a twist (..., 6) in its child frame: ``T @ [exp(dw), dt]``.
 
     This is the product chart of R^3 x SO(3), equal to SE(3)'s exponential to first order and
     cheaper; `local` is its inverse.
@@ -86,12 +86,12 @@ def retract(T: Array, twist: Array) -> Array:
 
 
 def local(T0: Array, T: Array) -> Array:
-    """The twist (..., 6) for which ``retract(T0, twist) == T``."""
+    """Return the twist (..., 6) for which ``retract(T0, twist) == T``."""
     D = inverse(T0) @ T
     return np.concatenate([D[..., :3, 3], rotations.log(D[..., :3, :3])], -1)
 
 
 def distance(T0: Array, T: Array) -> tuple[Array, Array]:
-    """How far two poses lie apart: norm of the translation (m) and angle (rad) of ``inverse(T0) @ T``."""
+    """Return the distance between two poses: norm of the translation (m) and angle (rad) of ``inverse(T0) @ T``."""
     twist = local(T0, T)
     return np.linalg.norm(twist[..., :3], axis=-1), np.linalg.norm(twist[..., 3:], axis=-1)

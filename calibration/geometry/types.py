@@ -1,4 +1,4 @@
-"""The array types that signatures name."""
+"""Array types for type annotations."""
 
 from typing import Any
 

@@ -1,11 +1,11 @@
-"""Rules over tables, and the verdict.
+"""Rules over tables and the resulting verdict.
 
     table = read_table("rgb_to_rgb_results.csv")
     rules = parse_rules([{"column": "RMS (pix)", "row": "Averages", "max": 3}], where="calibration.yml: rules")
     verdict = judge(table, rules)
 
-Files of rules are read by :mod:`calibration.introspection.rulesfile`, which needs YAML.
-Knows nothing of calibration: any table with a header can be judged.
+Rule files are read by :mod:`calibration.introspection.rulesfile`, which needs YAML.
+Independent of calibration: any table with a header can be judged.
 """
 
 from calibration.introspection.judge import judge

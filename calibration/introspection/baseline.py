@@ -1,4 +1,4 @@
-"""How far a number may move away from the one in a baseline."""
+"""Allowed deviations of a number from a baseline."""
 
 from dataclasses import dataclass
 from decimal import Decimal
@@ -9,21 +9,21 @@ from calibration.introspection.numbers import number_text, parse_number
 
 @dataclass(frozen=True)
 class Allowance:
-    """How much larger or smaller than the baseline a number may be."""
+    """Allowed deviation from the baseline, in one direction."""
 
     amount: float
-    """In the column's unit, or in percent of the baseline's absolute value; not below 0."""
+    """In the column's unit, or in percent of the baseline's absolute value; not negative."""
     relative: bool
 
     def __str__(self) -> str:
         return number_text(self.amount) + ("%" if self.relative else "")
 
     def above(self, baseline: float) -> float:
-        """Return the largest number that is allowed, as exact as its decimals are written."""
+        """Return the largest allowed number, in exact decimal arithmetic."""
         return float(Decimal(repr(baseline)) + self._change(baseline))
 
     def below(self, baseline: float) -> float:
-        """Return the smallest number that is allowed, as exact as its decimals are written."""
+        """Return the smallest allowed number, in exact decimal arithmetic."""
         return float(Decimal(repr(baseline)) - self._change(baseline))
 
     def _change(self, baseline: float) -> Decimal:
@@ -32,9 +32,9 @@ class Allowance:
 
 
 def parse_allowance(text: str) -> Allowance:
-    """Read an allowance: ``0.1`` in the column's unit, ``10%`` of the baseline.
+    """Parse an allowance: ``0.1`` in the column's unit, ``10%`` of the baseline.
 
-    Raises :class:`InputError` for anything else, and for what is negative.
+    Raises :class:`InputError` for anything else, and for negative values.
     """
     number = text.strip()
     amount = parse_number(number.removesuffix("%").rstrip())

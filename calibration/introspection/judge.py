@@ -1,4 +1,4 @@
-"""Rules applied to a table."""
+"""Evaluation of rules on a table."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,19 +15,19 @@ from calibration.introspection.table import Table
 from calibration.workflow.text import shorten
 
 MAX_MATCHED = 1000
-"""Characters; a longer cell is not held against a regular expression, it is a violation."""
+"""Length limit of cells for regular expressions, in characters; a longer cell is a violation."""
 
 
 def judge(table: Table, rules: RuleSet, baseline: Table | None = None) -> TableResult:
-    """Apply rules to a table and list every violation.
+    """Apply rules to a table and return every violation.
 
-    What is no finite decimal number breaks every rule for numbers, and a table without rows breaks
-    every rule. ``baseline`` is the table that ``max-increase`` and ``max-decrease`` compare with;
-    "every row" is matched by label there, and a row that only one of the two tables has is a
+    A cell that is not a finite decimal number violates every numeric rule, and a table without rows
+    violates every rule. ``baseline`` is the reference table of ``max-increase`` and ``max-decrease``;
+    there "every row" is matched by label, and a row that only one of the two tables has is a
     violation.
 
-    Raises :class:`InputError` when there is nothing to judge, a column or a labelled row is missing,
-    a label that is asked for stands twice, or the baseline is missing or not numeric.
+    Raises :class:`InputError` if there is nothing to judge, a column or a labelled row is missing,
+    a requested label occurs twice, or the baseline is missing or not numeric.
     """
     if not rules.judges:
         raise InputError(f"{table.name}: there is no rule, so nothing would be judged")
@@ -42,16 +42,16 @@ def judge(table: Table, rules: RuleSet, baseline: Table | None = None) -> TableR
 
 @dataclass(frozen=True, slots=True)
 class _Cell:
-    """A value to judge and where it stands."""
+    """A value to judge and its position."""
 
     line: int | None
     row: str
-    """The label of the row, or the aggregate."""
+    """Label of the row, or the aggregate."""
     text: str
 
 
 _Finding: TypeAlias = tuple[_Cell, str, str]
-"""A cell that breaks a rule, what was found in it and what was expected."""
+"""A cell that violates a rule, with the found and the expected value."""
 
 
 def _check_row_count(keyed: KeyedTable, minimum: int) -> RuleResult:
@@ -100,9 +100,9 @@ def _check_rule(keyed: KeyedTable, rule: Rule, baseline: KeyedTable | None) -> R
 
 
 def _cells(keyed: KeyedTable, rule: Rule) -> list[_Cell]:
-    """Return what a rule judges: the cells of its rows, or the one number that they make together.
+    """Return the values that a rule judges: the cells of its rows, or their aggregate.
 
-    Where one of them is no number they make none together: then those cells are returned.
+    If a cell is not a number there is no aggregate; then the non-numeric cells are returned.
     """
     column = keyed.table.column(rule.column)
     if isinstance(rule.target, EveryRow | Aggregate):
@@ -149,7 +149,7 @@ def _judge_change(
         _refuse_repeated_labels(keyed, cells)
         gone = before.keys() - {cell.row for cell in cells}
         findings += [(_Cell(None, row, ""), "no such row", "the row that the baseline has") for row in sorted(gone)]
-    else:  # one number in each table, whatever the labels of their rows
+    else:  # an aggregate is one number per table, independent of row labels
         before = {cell.row: number for cell in cells for number in before.values()}
     for cell in cells:
         if cell.row not in before:
@@ -161,7 +161,7 @@ def _judge_change(
 
 
 def _baseline_numbers(baseline: KeyedTable, rule: ChangeRule) -> dict[str, float]:
-    """Return the baseline's numbers by the labels of their rows."""
+    """Return the baseline's numbers by row label."""
     cells = _cells(baseline, rule)
     name = baseline.table.name
     if not cells:

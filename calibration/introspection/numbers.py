@@ -1,4 +1,4 @@
-"""Numbers in cells and rules: finite decimals, and nothing that only looks like one."""
+"""Strict parsing and formatting of finite decimal numbers."""
 
 import math
 import re
@@ -7,9 +7,9 @@ _DECIMAL = re.compile(r"[+-]?([0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][+-]?[0-9]+)?")
 
 
 def parse_number(text: str) -> float | None:
-    """Return the finite decimal number that a text is (``-1.5e3``), or None for anything else.
+    """Parse a finite decimal number (``-1.5e3``); None for anything else.
 
-    NaN, infinity, what overflows, an empty text, ``1,5``, ``0x1f`` and ``1_000`` are no numbers.
+    NaN, infinity, overflow, an empty text, ``1,5``, ``0x1f`` and ``1_000`` are rejected.
     """
     if not _DECIMAL.fullmatch(text):
         return None
@@ -18,6 +18,6 @@ def parse_number(text: str) -> float | None:
 
 
 def number_text(number: float) -> str:
-    """Write a number with all its digits, whole numbers without a point."""
+    """Format a number with all its digits, whole numbers without a point."""
     text = repr(float(number))
     return text.removesuffix(".0")

@@ -1,4 +1,4 @@
-"""Verdicts over tables as a report."""
+"""Report of ``introspect-csv``."""
 
 from collections.abc import Sequence
 

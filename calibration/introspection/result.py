@@ -1,4 +1,4 @@
-"""Results of rules applied to tables, and the document of them."""
+"""Results of rules applied to tables, and their document."""
 
 from calibration.records import computed, field, result
 from calibration.report import Verdict, count_of, verdict_of
@@ -7,7 +7,7 @@ from calibration.report.check import expectation
 
 @result
 class Violation:
-    """One value that is not as a rule asks."""
+    """One value that violates a rule."""
 
     file: str
     line: int | None = field("Line of the file; null where the violation is in no one line.")
@@ -39,13 +39,13 @@ class RuleResult:
     @property
     @computed("violations")
     def count(self) -> int:
-        """How many values are not as asked."""
+        """Number of values that violate the rule."""
         return len(self.violations)
 
     @property
     @computed()
     def verdict(self) -> Verdict:
-        """Pass if every value is as asked."""
+        """Pass if no value violates the rule."""
         return verdict_of(not self.violations)
 
 
@@ -91,12 +91,12 @@ class Results:
     @property
     @computed()
     def reasons(self) -> tuple[str, ...]:
-        """Why the verdict is fail."""
+        """Reasons for the verdict fail."""
         return (self.sentence,) if self.count else ()
 
     @property
     def sentence(self) -> str:
-        """What was found, in one line."""
+        """Summary in one line."""
         checks = sum(len(table.checks) for table in self.tables)
         found = f"{count_of(checks, 'check')} of {count_of(len(self.tables), 'table')}"
         return f"{count_of(self.count, 'violation')} in {found}" if self.count else found

@@ -1,8 +1,8 @@
-"""Rules as Rigel's file introspection plugin takes them, so that existing Rigelfiles keep working.
+"""Rules in the form of Rigel's file introspection plugin, so that existing Rigelfiles keep working.
 
-The keys are the plugin's; their meaning is ours: limits are inclusive, every column is judged, and
-a limit that is broken turns the verdict red. ``validation_min`` and ``validation_max`` are for
-every row, ``acceptable_min`` and ``acceptable_max`` for the chosen one.
+The keys are the plugin's, with these differences: limits are inclusive, every column is judged, and
+a violated limit fails the verdict. ``validation_min`` and ``validation_max`` apply to
+every row, ``acceptable_min`` and ``acceptable_max`` to the selected one.
 """
 
 from collections.abc import Iterator, Mapping
@@ -12,7 +12,7 @@ from calibration.errors import InputError
 from calibration.workflow.text import did_you_mean
 
 COLUMNS_KEY = "introspection_target_columns"
-"""The key that tells a Rigelfile from rules in our form."""
+"""Key that distinguishes a Rigelfile from a rule set."""
 
 _NAMES = {
     "validation_min": "every-min",
@@ -26,10 +26,10 @@ _ROW_KEYS = ("use_latest_row", "value_row")
 
 
 def find_columns(document: object, where: str) -> Mapping[str, Any] | None:
-    """Find the plugin's settings, wherever in a Rigelfile they stand: its form has changed over the years.
+    """Find the plugin's settings anywhere in a Rigelfile, whose format has changed over the years.
 
-    Returns None when the document has none, so that it is no Rigelfile. Raises :class:`InputError`
-    when it has more than one.
+    Returns None if there are none, so that the document is not a Rigelfile. Raises :class:`InputError`
+    if there is more than one.
     """
     found = dict(_settings(document, (), set()))
     if len(found) > 1:
@@ -39,9 +39,9 @@ def find_columns(document: object, where: str) -> Mapping[str, Any] | None:
 
 
 def _settings(node: object, path: tuple[str, ...], seen: set[int]) -> Iterator[tuple[str, Mapping[str, Any]]]:
-    """Every mapping below a node that has the plugin's key, by its path.
+    """Return every mapping below a node that has the plugin's key, by its path.
 
-    What YAML's aliases make appear again, or in itself, is visited once.
+    Nodes that YAML aliases repeat, or nest in themselves, are visited once.
     """
     if not isinstance(node, Mapping | list) or id(node) in seen:
         return
@@ -53,9 +53,9 @@ def _settings(node: object, path: tuple[str, ...], seen: set[int]) -> Iterator[t
 
 
 def translate(settings: Mapping[str, Any], where: str) -> dict[str, Any]:
-    """Write the plugin's settings as rules in our form, for :func:`calibration.introspection.parse_rules`.
+    """Convert the plugin's settings to a rule set, for :func:`calibration.introspection.parse_rules`.
 
-    Raises :class:`InputError` for what the plugin refuses too: an unknown key, two ways of choosing
+    Raises :class:`InputError` for what the plugin rejects too: an unknown key, two selections of
     a row, or none for limits that need one.
     """
     for key in settings:

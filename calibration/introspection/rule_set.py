@@ -1,4 +1,4 @@
-"""Sets of rules, and how they are written.
+"""Rule sets and their syntax.
 
 A set is a mapping, or just the list under ``rules``::
 
@@ -8,12 +8,12 @@ A set is a mapping, or just the list under ``rules``::
       - {column: Trans (mm), aggregate: p95, max: 5, exclusive: true}   # max, min, mean, median, p95
       - {column: Status, matches: "ok|done"}                    # contains, does-not-contain, matches
       - {column: RMS (pix), row: Averages, max-increase: 10%}   # against the baseline; also max-decrease
-    key-column: "Collection #"      # where the labels stand; else found
-    required-rows: ["000", "001"]   # labels that must be there
-    min-rows: 20                    # of "every row"; at least 1 without it
-    summary-rows: [Averages]        # the rows that sum up others ...
-    exclude-summary-rows: true      # ... and are no part of "every row", aggregates and min-rows
-    file: results/*.csv             # what the command judges when it is not told
+    key-column: "Collection #"      # column of the labels; else found automatically
+    required-rows: ["000", "001"]   # labels that must exist
+    min-rows: 20                    # of "every row"; default 1
+    summary-rows: [Averages]        # rows that summarise others ...
+    exclude-summary-rows: true      # ... are excluded from "every row", aggregates and min-rows
+    file: results/*.csv             # default input of the command
 
 Limits are inclusive unless ``exclusive`` is true. ``matches`` is a regular expression for the whole
 cell. A rule may have limits for one row and, as ``every-min`` and ``every-max``, for every row.
@@ -40,7 +40,7 @@ from calibration.introspection.selection import (
 from calibration.records import Constraint, Converted, Misfit, Place, at_least, field, length, read, record
 
 SUMMARY_ROWS = ("Averages",)
-"""The rows that sum up others unless the rules name them."""
+"""Default labels of rows that summarise others."""
 
 _LIMITS = ("min", "max")
 _EVERY = ("every-min", "every-max")
@@ -49,7 +49,7 @@ _CHANGES = ("max-increase", "max-decrease")
 
 
 def _parsed(parse: Callable[[Any], Any]) -> Callable[[Any, Place], Any]:
-    """A function that raises messages without a place, for `Converted`."""
+    """Turn a function that raises messages without a position into one for `Converted`."""
 
     def make(value: Any, place: Place) -> Any:
         try:
@@ -79,7 +79,7 @@ def _finite(value: object) -> float | None:
 
 Text = Annotated[str, length(1)]
 Name = Annotated[str, Converted(str, _parsed(_stripped))]
-"""Text without the blanks around it."""
+"""Return text without surrounding white space."""
 Number = Annotated[
     float,
     Converted(
@@ -87,13 +87,13 @@ Number = Annotated[
         lambda value, _: _finite(value),
     ),
 ]
-"""A number; as text too, because YAML takes ``1e-3`` for one."""
+"""Return a number; text is accepted too, because YAML 1.1 reads ``1e-3`` as text."""
 Change = Annotated[Allowance, Converted(str | float, _parsed(lambda value: parse_allowance(str(value))))]
 
 
 @record
 class RuleEntry:
-    """A rule as it is written: for one row or aggregate, for every row, or for both."""
+    """A rule in a document: for one row or aggregate, for every row, or for both."""
 
     column: Name = field("Column of the rule.")
     row: Annotated[LabelledRow | IndexedRow, Converted(Name, _parsed(parse_row))] | None = field(
@@ -121,7 +121,7 @@ class RuleEntry:
     max_decrease: Change | None = field("Largest decrease against the baseline: 0.1, or 10%.", default=None)
 
     def __post_init__(self) -> None:
-        """Refuse keys that are each well but make no sense together, and a rule that asks nothing."""
+        """Reject keys that contradict each other, and a rule without a limit."""
         numeric, texts = self._given(*_LIMITS, *_EVERY, *_CHANGES), self._given(*_TEXTS)
         targets = [target for target in (self.row, self.aggregate, EveryRow() if self.every else None) if target]
         chosen = self._given("row", "aggregate")
@@ -148,7 +148,7 @@ class RuleEntry:
 
     @property
     def rules(self) -> tuple[Rule, ...]:
-        """The rules that the entry stands for."""
+        """Return the rules that the entry defines."""
         target: Target = self.row or self.aggregate or EveryRow()
         rules: list[Rule] = []
         if self._given(*_LIMITS):
@@ -163,13 +163,13 @@ class RuleEntry:
 
 
 def unfolded(entries: Sequence[RuleEntry]) -> tuple[Rule, ...]:
-    """The rules that entries stand for."""
+    """Return the rules that entries define."""
     return tuple(rule for entry in entries for rule in entry.rules)
 
 
 @record
 class RuleSet:
-    """Rules for a table; what is None is not said."""
+    """Rules for a table; None means unset."""
 
     rules: Annotated[tuple[Rule, ...], Converted(tuple[RuleEntry, ...], lambda entries, _: unfolded(entries))] = field(
         "What the cells of columns must be.", default=()
@@ -188,26 +188,26 @@ class RuleSet:
 
     @property
     def compares(self) -> bool:
-        """Whether a baseline is needed."""
+        """Whether a baseline is required."""
         return any(isinstance(rule, ChangeRule) for rule in self.rules)
 
     @property
     def excluded_rows(self) -> tuple[str, ...]:
-        """The labels that are no part of "every row"."""
+        """The labels that are excluded from "every row"."""
         return (SUMMARY_ROWS if self.summary_rows is None else self.summary_rows) if self.exclude_summary_rows else ()
 
     def overridden_by(self, other: "RuleSet") -> "RuleSet":
-        """Return these rules and then the other's, with all else that the other says in place of what is said here."""
+        """Return these rules followed by the other's; the other's set values take precedence."""
         names = [field.name for field in fields(other) if field.name != "rules"]
         said = {name: value for name in names if (value := getattr(other, name)) is not None}
         return replace(self, rules=self.rules + other.rules, **said)
 
 
 def parse_rules(document: object, where: str) -> RuleSet:
-    """Read a set of rules from what a YAML or JSON file holds.
+    """Parse a rule set from the content of a YAML or JSON file.
 
-    ``where`` begins every message (``calibration.yml: systems.t2rgb.rules``). Raises
-    :class:`InputError`: for a key that is not known, a value of the wrong kind, a rule without a
+    ``where`` is the prefix of messages (``calibration.yml: systems.t2rgb.rules``). Raises
+    :class:`InputError`: for an unknown key, a value of the wrong type, a rule without a
     limit, with limits that contradict each other, or for numbers and text at once, and when
     nothing at all would be judged.
     """
@@ -215,7 +215,7 @@ def parse_rules(document: object, where: str) -> RuleSet:
 
 
 def checked(rule_set: RuleSet, where: str) -> RuleSet:
-    """The rules, if they judge anything and do not contradict each other; else raise :class:`InputError`."""
+    """Return the rules after checking that they judge something and are consistent; else raise :class:`InputError`."""
     _refuse_contradictions(rule_set.rules, where)
     if not rule_set.judges:
         raise InputError(f"{where}: there is no rule, so nothing would be judged")
@@ -223,7 +223,7 @@ def checked(rule_set: RuleSet, where: str) -> RuleSet:
 
 
 def _refuse_contradictions(rules: Sequence[Rule], where: str) -> None:
-    """Raise :class:`InputError` for limits for the same cells that no value can keep."""
+    """Raise :class:`InputError` if limits for the same cells exclude every value."""
     limits: dict[tuple[str, Target], list[Limits]] = {}
     for rule in rules:
         if isinstance(rule, TextRule) and rule.contradicts_itself():

@@ -1,4 +1,4 @@
-"""Rules: what the cells of a column must be."""
+"""Rules for the cells of a column."""
 
 import re
 from dataclasses import dataclass
@@ -11,21 +11,21 @@ from calibration.introspection.selection import Target
 
 @dataclass(frozen=True)
 class Limits:
-    """An interval of numbers; a side that is None is open."""
+    """Interval of numbers; None means unbounded."""
 
     minimum: float | None = None
     maximum: float | None = None
     exclusive: bool = False
-    """Whether the limits themselves are outside."""
+    """Whether the limits themselves are excluded."""
 
     def admit(self, value: float) -> bool:
-        """Tell whether a value is within the limits; NaN never is."""
+        """Return whether a value is within the limits; False for NaN."""
         if self.exclusive:
             return (self.minimum is None or value > self.minimum) and (self.maximum is None or value < self.maximum)
         return (self.minimum is None or value >= self.minimum) and (self.maximum is None or value <= self.maximum)
 
     def contradict(self, other: "Limits") -> bool:
-        """Tell whether no number is within both."""
+        """Return whether the intersection with another interval is empty."""
         lows = [limits.minimum for limits in (self, other) if limits.minimum is not None]
         highs = [limits.maximum for limits in (self, other) if limits.maximum is not None]
         if not lows or not highs or max(lows) < min(highs):
@@ -41,7 +41,7 @@ class Limits:
 
 @dataclass(frozen=True)
 class LimitRule:
-    """Numbers of a column lie within limits."""
+    """Numbers of a column must be within limits."""
 
     column: str
     target: Target
@@ -53,7 +53,7 @@ class LimitRule:
 
 @dataclass(frozen=True)
 class TextRule:
-    """Texts of a column contain, do not contain, or match as a whole; what is None is not asked."""
+    """Texts of a column must contain, not contain, or fully match a text; None means no condition."""
 
     column: str
     target: Target
@@ -62,7 +62,7 @@ class TextRule:
     matches: re.Pattern[str] | None = None
 
     def admit(self, text: str) -> bool:
-        """Tell whether a text is as asked."""
+        """Return whether a text meets the conditions."""
         return (
             (self.contains is None or self.contains in text)
             and (self.does_not_contain is None or self.does_not_contain not in text)
@@ -70,7 +70,7 @@ class TextRule:
         )
 
     def contradicts_itself(self) -> bool:
-        """Tell whether what must be there must not be there."""
+        """Return whether a required text is also forbidden."""
         return (
             self.contains is not None and self.does_not_contain is not None and self.does_not_contain in self.contains
         )
@@ -84,7 +84,7 @@ class TextRule:
 
 @dataclass(frozen=True)
 class ChangeRule:
-    """Numbers of a column have not moved further from the baseline than allowed; None is any way."""
+    """Numbers of a column must not deviate from the baseline by more than allowed; None means any deviation."""
 
     column: str
     target: Target
@@ -92,7 +92,7 @@ class ChangeRule:
     decrease: Allowance | None = None
 
     def limits(self, baseline: float) -> Limits:
-        """Return the limits for a number whose baseline is given."""
+        """Return the limits for a number, given its baseline."""
         return Limits(
             None if self.decrease is None else self.decrease.below(baseline),
             None if self.increase is None else self.increase.above(baseline),

@@ -1,4 +1,4 @@
-"""Files of rules: YAML in our form, or a Rigelfile."""
+"""Rule files: YAML, or a Rigelfile."""
 
 from pathlib import Path
 
@@ -10,7 +10,7 @@ from calibration.yaml_file import read_yaml
 def read_rules(path: str | Path) -> RuleSet:
     """Read rules from a YAML file (see :mod:`calibration.introspection.rule_set`) or from a Rigelfile.
 
-    Raises :class:`InputError` that names the file and what is wrong in it.
+    Raises :class:`InputError` that names the file and the error.
     """
     document = read_yaml(path, "a file of rules")
     settings = find_columns(document, str(path))

@@ -1,4 +1,4 @@
-"""Which of a column's cells a rule judges: every row, one row, or one number made from all of them."""
+"""Selection of the cells that a rule judges: every row, one row, or an aggregate of all rows."""
 
 import re
 from collections.abc import Callable, Sequence
@@ -12,12 +12,12 @@ from calibration.introspection.table import Row, Table
 from calibration.workflow.text import did_you_mean
 
 KEY_COLUMNS = ("Collection #", "Collection")
-"""Columns that hold the rows' labels in ATOM's tables; else it is the first column."""
+"""Columns of row labels in ATOM's tables; the default is the first column."""
 
 
 @dataclass(frozen=True)
 class EveryRow:
-    """Every row, each for itself."""
+    """Every row, individually."""
 
     def __str__(self) -> str:
         return "every row"
@@ -35,7 +35,7 @@ class LabelledRow:
 
 @dataclass(frozen=True)
 class IndexedRow:
-    """A row by its place: 0 is the first, -1 the last."""
+    """A row by its index: 0 is the first, -1 the last."""
 
     index: int
 
@@ -45,7 +45,7 @@ class IndexedRow:
 
 @dataclass(frozen=True)
 class Aggregate:
-    """One number made from every row: max, min, mean, median or a percentile."""
+    """Aggregate of every row: max, min, mean, median or a percentile."""
 
     name: str
     """``max``, ``min``, ``mean``, ``median`` or ``pN``."""
@@ -54,7 +54,7 @@ class Aggregate:
         return f"{self.name} of every row"
 
     def __call__(self, values: Sequence[Decimal]) -> Decimal:
-        """Return the aggregate of at least one value, as exact as the decimals are written."""
+        """Return the aggregate of at least one value, in exact decimal arithmetic."""
         if self.name in _AGGREGATES:
             return _AGGREGATES[self.name](values)
         return percentile(values, Decimal(self.name[1:]))
@@ -64,7 +64,7 @@ Target: TypeAlias = EveryRow | LabelledRow | IndexedRow | Aggregate
 
 
 def parse_row(text: str) -> LabelledRow | IndexedRow:
-    """Read how a user names a row: a label, ``first``, ``last``, ``index:3`` or ``index:-2``.
+    """Parse the selection of a row: a label, ``first``, ``last``, ``index:3`` or ``index:-2``.
 
     ``label:first`` is the row whose label is "first". Raises :class:`InputError`.
     """
@@ -82,7 +82,7 @@ def parse_row(text: str) -> LabelledRow | IndexedRow:
 
 
 def parse_aggregate(text: str) -> Aggregate:
-    """Read how a user names an aggregate: max, min, mean, median or a percentile such as ``p95``.
+    """Parse the name of an aggregate: max, min, mean, median or a percentile such as ``p95``.
 
     Raises :class:`InputError`.
     """
@@ -94,7 +94,7 @@ def parse_aggregate(text: str) -> Aggregate:
 
 
 def percentile(values: Sequence[Decimal], percent: Decimal) -> Decimal:
-    """Return the percentile, interpolated linearly between the two nearest values (numpy's default)."""
+    """Return the percentile, with linear interpolation between the two nearest values (numpy's default)."""
     ordered = sorted(values)
     place = (len(ordered) - 1) * percent / 100
     lower = int(place)
@@ -117,13 +117,13 @@ class KeyedTable:
     table: Table
     key_column: str
     summary_rows: frozenset[str]
-    """Labels of rows that sum up others and are no part of "every row"."""
+    """Labels of summary rows, which are excluded from "every row"."""
 
     @classmethod
     def of(cls, table: Table, key_column: str | None, summary_rows: Sequence[str]) -> "KeyedTable":
-        """Choose the key column: the given one, else one of :data:`KEY_COLUMNS`, else the first.
+        """Select the key column: the given one, else one of :data:`KEY_COLUMNS`, else the first.
 
-        Raises :class:`InputError` when the given one is missing.
+        Raises :class:`InputError` if the given one is missing.
         """
         if key_column is not None:
             table.column(key_column)
@@ -136,7 +136,7 @@ class KeyedTable:
 
     @cached_property
     def every_row(self) -> tuple[Row, ...]:
-        """The rows that "every row" and the aggregates mean."""
+        """Rows that count as "every row" and for the aggregates."""
         return tuple(row for row in self.table.rows if self.label(row) not in self.summary_rows)
 
     @cached_property
@@ -149,9 +149,9 @@ class KeyedTable:
         return row.cells[self._key]
 
     def row(self, target: LabelledRow | IndexedRow) -> Row | None:
-        """Return the chosen row of the whole table; None where the table has too few rows for the index.
+        """Return the selected row of the whole table; None if the table has too few rows for the index.
 
-        Raises :class:`InputError` when no row has the label, or more than one.
+        Raises :class:`InputError` if no row has the label, or more than one.
         """
         if isinstance(target, IndexedRow):
             rows = self.table.rows

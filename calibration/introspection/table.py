@@ -1,4 +1,4 @@
-"""Tables: a CSV file as its header and its rows, with the lines where they stand."""
+"""Tables from CSV files: header, rows, and their line numbers."""
 
 import codecs
 import csv
@@ -14,15 +14,15 @@ from calibration.files import read_bytes
 from calibration.workflow.text import did_you_mean
 
 MAX_BYTES = 64 * 1024 * 1024
-"""The largest file that is read."""
+"""Limit of the size of a file."""
 DELIMITERS = (",", ";", "\t", "|")
-"""The delimiters that are recognised, in the order of preference."""
+"""Delimiters that are detected, in the order of preference."""
 
-_SAMPLE = 64 * 1024  # characters that the delimiter is recognised from
+_SAMPLE = 64 * 1024  # length of the sample, in characters, for the detection of the delimiter
 _DELIMITER_NAMES = {"comma": ",", "semicolon": ";", "tab": "\t", r"\t": "\t", "pipe": "|"}
 _BYTE_ORDER_MARKS = (
     (codecs.BOM_UTF8, "utf-8"),
-    (codecs.BOM_UTF32_LE, "utf-32"),  # before UTF-16, whose mark begins it
+    (codecs.BOM_UTF32_LE, "utf-32"),  # before UTF-16, because UTF-32's byte order mark starts with it
     (codecs.BOM_UTF32_BE, "utf-32"),
     (codecs.BOM_UTF16_LE, "utf-16"),
     (codecs.BOM_UTF16_BE, "utf-16"),
@@ -32,10 +32,10 @@ _BINARY = re.compile(r"[\x00-\x08\x0e-\x1f\x7f]")
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One row: as many cells as the header has, without the white space around them."""
+    """One row: as many cells as the header, without surrounding white space."""
 
     line: int
-    """Line of the file where the row begins; the first line is 1."""
+    """Line of the file where the row starts; the first line is 1."""
     cells: tuple[str, ...]
 
 
@@ -44,14 +44,14 @@ class Table:
     """A header and rows of the same length."""
 
     name: str
-    """How messages call the table: the path as the user gave it."""
+    """Name of the table in messages: the path given by the user."""
     header: tuple[str, ...]
     rows: tuple[Row, ...]
 
     def column(self, name: str) -> int:
-        """Return the index of the column of that name.
+        """Return the index of the column with that name.
 
-        Raises :class:`InputError` when the header has it not, or more than once.
+        Raises :class:`InputError` if the header lacks it, or has it more than once.
         """
         places = [index for index, column in enumerate(self.header) if column == name]
         if not places:
@@ -66,20 +66,20 @@ class Table:
 def read_table(path: str | Path, delimiter: str | None = None, encoding: str | None = None) -> Table:
     """Read a CSV file.
 
-    The delimiter is recognised among :data:`DELIMITERS` unless given (see :func:`parse_delimiter`);
-    the encoding is what the byte order mark says, else UTF-8, else Latin-1, unless given. Quoting,
-    any kind of line end and blank lines are understood.
+    The delimiter is detected among :data:`DELIMITERS` unless given (see :func:`parse_delimiter`);
+    the encoding is given, or follows from the byte order mark, else UTF-8, else Latin-1. Quoting,
+    any kind of line end and blank lines are supported.
 
     Raises :class:`InputError` that names the file and the line: for a file that is missing, empty,
-    larger than :data:`MAX_BYTES`, binary or in another encoding, whose rows are not as long as the
-    header, or that ends in the middle of a row.
+    larger than :data:`MAX_BYTES`, binary or in another encoding, with rows of another length than
+    the header, or truncated within a row.
     """
     data = read_bytes(Path(path), MAX_BYTES, "a CSV file")
     return parse_table(_decode(data, str(path), encoding), str(path), delimiter)
 
 
 def parse_table(text: str, name: str, delimiter: str | None = None) -> Table:
-    """Read the text of a CSV file as :func:`read_table` does; ``name`` is for messages."""
+    """Parse the text of a CSV file as :func:`read_table` does; ``name`` is for messages."""
     text = text.removeprefix("\ufeff")
     binary = _BINARY.search(text)
     if binary:
@@ -102,7 +102,7 @@ def parse_table(text: str, name: str, delimiter: str | None = None) -> Table:
 
 
 def recognise_delimiter(text: str) -> str:
-    """Return the delimiter that splits most rows into as many cells as the header, then into most cells."""
+    """Return the delimiter for which most rows have as many cells as the header; ties go to most cells."""
 
     def score(delimiter: str) -> tuple[int, int]:
         lengths = []
@@ -110,7 +110,7 @@ def recognise_delimiter(text: str) -> str:
             for _, cells in islice(_records(text[:_SAMPLE], "", delimiter), 100):
                 lengths.append(len(cells))
         except InputError:
-            pass  # what came before a broken row, or before the end of the sample, counts
+            pass  # rows before a malformed row, or before the end of the sample, are used
         return (lengths.count(lengths[0]), lengths[0]) if lengths and lengths[0] > 1 else (0, 0)
 
     return max(DELIMITERS, key=score)
@@ -145,7 +145,7 @@ def _decode(data: bytes, name: str, encoding: str | None) -> str:
 
 
 def _records(text: str, name: str, delimiter: str) -> Iterator[tuple[int, tuple[str, ...]]]:
-    """Yield the line where each record begins and its cells; blank lines are passed over."""
+    """Yield the first line and the cells of each record; blank lines are skipped."""
     reader = csv.reader(io.StringIO(text, newline=""), delimiter=delimiter, skipinitialspace=True, strict=True)
     line = 1
     try:
@@ -161,5 +161,5 @@ def _records(text: str, name: str, delimiter: str) -> Iterator[tuple[int, tuple[
 
 
 def _fit(cells: tuple[str, ...], length: int) -> tuple[str, ...]:
-    """Drop empty cells beyond the header, which some programs write."""
+    """Remove empty cells beyond the header, which some programs write."""
     return cells[:length] if not any(cells[length:]) else cells

@@ -1,1 +1,1 @@
-"""The motion recorder: a page in the browser where poses are set by hand, seen by every sensor, and saved."""
+"""Motion recorder: a web page on which poses are set by hand, previewed for every sensor, and saved."""

@@ -1,7 +1,7 @@
-"""What a user takes hold of to make a pose: the moved pattern, or what the robot's joints move.
+"""Handle that a user drags to set a pose: the moved pattern, or a frame that the robot's joints move.
 
-The handle of a pattern sits on the middle of its front, not on the origin of its frame, so that
-turning it leaves it where the sensors look.
+The handle of a pattern is at the centre of its front, not at the origin of its frame, so that
+rotations keep it in the field of view.
 """
 
 from dataclasses import dataclass, replace
@@ -18,23 +18,23 @@ from calibration.simulation.robot import Joint, compose
 from calibration.simulation.system import System
 
 _STARTS = 64
-"""Searches for joint positions: enough that the nearest of an arm's solutions is nearly always among those found."""
+"""Number of searches for joint positions: the nearest solution of an arm is nearly always found."""
 
 
 @dataclass(frozen=True, eq=False)
 class Handle:
-    """A frame that a user drags and turns."""
+    """Frame that a user drags and rotates."""
 
     frame: str
-    """The link that it is fixed to; a moved pattern's is in no robot."""
+    """Link of the handle; for a moved pattern it is not a link of the robot."""
     T_frame_handle: Array
     """(4, 4)."""
     moves_pattern: bool
-    """Whether it moves a pattern that stands free; else joints follow it."""
+    """Whether it moves a free pattern; otherwise joints follow by inverse kinematics."""
 
 
 def find_handle(system: System) -> Handle | None:
-    """The moved pattern; else the first pattern, else the first sensor, that joints move; None where nothing moves."""
+    """Return the moved pattern; else the first pattern or sensor that joints move; None if nothing moves."""
     moved = system.moved_pattern
     if moved is not None:
         return Handle(moved.link, _middle(system, moved.name), moves_pattern=True)
@@ -47,7 +47,7 @@ def find_handle(system: System) -> Handle | None:
 
 
 def handle_pose(system: System, handle: Handle, pose: Motion) -> Array:
-    """``T_world_handle`` (4, 4) at a pose, which is a motion of one."""
+    """Return ``T_world_handle`` (4, 4) at a pose, which is a motion of length one."""
     placement = place(system, pose)
     if handle.moves_pattern:
         moved = next(name for name, pattern in system.patterns.items() if pattern.link == handle.frame)
@@ -59,7 +59,7 @@ def handle_pose(system: System, handle: Handle, pose: Motion) -> Array:
 
 
 def drag(system: System, handle: Handle, pose: Motion, T_world_handle: Array) -> Motion | None:
-    """The pose that puts the handle there, the nearest to what it was; None where no joint positions do."""
+    """Return the pose with the handle there, nearest to the previous one; None if no joint positions reach it."""
     T_world_frame = T_world_handle @ inverse(handle.T_frame_handle)
     if handle.moves_pattern:
         moved = moving_model(_model_pose(system, pose, T_world_frame)[None])
@@ -84,7 +84,7 @@ def _middle(system: System, pattern: str) -> Array:
 
 
 def _model_pose(system: System, pose: Motion, T_world_pattern: Array) -> Array:
-    """``T_parent_model`` (4, 4) of the moved pattern that stands there."""
+    """Return ``T_parent_model`` (4, 4) of the moved pattern for a pose of its handle."""
     moved = system.moved_pattern
     assert moved is not None  # noqa: S101 (a handle that moves a pattern is made where one is moved)
     transforms = system.robot.transforms(pose.joints)
@@ -94,7 +94,7 @@ def _model_pose(system: System, pose: Motion, T_world_pattern: Array) -> Array:
 
 
 def _nearest_turn(joint: Joint, positions: Array, before: float) -> Array:
-    """The positions (N,), each by whole turns as near to the one before as the limits allow."""
+    """Shift positions (N,) by full turns to the nearest equivalents of the previous ones within the limits."""
     if joint.kind == "prismatic":
         return positions
     turns = np.round((before - positions) / (2 * np.pi))

@@ -1,6 +1,6 @@
-"""The pieces of HTML that the page shows: the verdict, what a sensor finds, the saved poses, the rating.
+"""HTML fragments of the page: verdict, detections of a sensor, saved poses, rating.
 
-What comes from elsewhere (names, reasons) is escaped.
+Untrusted text (names, reasons) is escaped.
 """
 
 import base64
@@ -16,16 +16,16 @@ from calibration.recorder.preview import Preview, View
 
 GREEN, RED, GREY = "#2f9e44", "#e03131", "#868e96"
 _THUMBNAIL_WIDTH = 76  # px
-_MOST_THUMBNAILS = 16  # around the selected one: four rows
+_MOST_THUMBNAILS = 16  # around the selected pose: four rows
 
 
 def poses(count: int) -> str:
-    """So many poses, in words."""
+    """Format a number of poses."""
     return f"{count} pose{'' if count == 1 else 's'}"
 
 
 def verdict(seen: Preview | None, is_old: bool = False) -> str:
-    """Whether the pose would be kept, large; why it would be lost, below."""
+    """Format the verdict on a pose in large type, with the reasons for a rejection below."""
     if seen is None:
         return _verdict_box(GREY, "Looking …", (), busy=True)
     if seen.kept:
@@ -44,7 +44,7 @@ def _verdict_box(colour: str, word: str, lines: Sequence[str], busy: bool) -> st
 
 
 def finding(sensor: str, view: View | None) -> str:
-    """A sensor's name and what it finds."""
+    """Format a sensor's name and its detections."""
     if view is None:
         mark, text, colour = "·", "", GREY
     else:
@@ -57,7 +57,7 @@ def finding(sensor: str, view: View | None) -> str:
 
 
 def message(text: str, bad: bool = False) -> str:
-    """What the last action came to."""
+    """Format the result of the last action."""
     colour = RED if bad else GREY
     return (
         f'<div id="message" role="{"alert" if bad else "status"}" style="color:{colour};margin:0 1em;min-height:1.4em;'
@@ -66,7 +66,7 @@ def message(text: str, bad: bool = False) -> str:
 
 
 def sequence(verdicts: Sequence[bool | None], pictures: Sequence[Image | None], selected: int | None) -> str:
-    """The saved poses as numbered pictures, framed by their verdicts."""
+    """Format the saved poses as numbered pictures, framed in the colour of their verdicts."""
     if not verdicts:
         return '<div style="margin:0 1em;opacity:0.7">No pose is saved yet.</div>'
     lost, unknown = sum(kept is False for kept in verdicts), sum(kept is None for kept in verdicts)
@@ -103,7 +103,7 @@ def _data_url(picture: Image) -> str:
 
 
 def rating(sigmas: Mapping[str, tuple[float, float]], problem: str) -> str:
-    """How well the saved poses determine the calibration: one standard deviation of each sensor (m, rad)."""
+    """Format the rating of the saved poses: the standard deviation of each sensor (m, rad)."""
     if problem:
         return f'<div id="rating" style="margin:0 1em;color:{RED};overflow-wrap:anywhere">{escape(problem)}</div>'
     if not sigmas:

@@ -1,4 +1,4 @@
-"""Work in the background that is always on the newest request: what was overtaken is never begun."""
+"""Background work on the newest request only; superseded requests are dropped."""
 
 import threading
 from collections.abc import Callable
@@ -8,15 +8,15 @@ Item = TypeVar("Item")
 
 
 class Newest(Generic[Item]):
-    """A thread that works on one request at a time, and on the last one that came meanwhile next."""
+    """Worker thread with a queue of length one: a newer request replaces a waiting one."""
 
     def __init__(self, work: Callable[[Item], None], spare: Callable[[], bool] = lambda: False) -> None:
         """Start the thread.
 
         Args:
-            work: what is done with a request. It must not raise: an error ends the thread.
-            spare: called again and again while no request waits, until it answers that there is
-                nothing left to do; then it is called after the next request or `wake`.
+            work: called with a request. It must not raise: an error ends the thread.
+            spare: called repeatedly while no request waits, until it returns False; then it is
+                called again after the next request or `wake`.
         """
         self._work, self._spare = work, spare
         self._condition = threading.Condition()
@@ -27,19 +27,19 @@ class Newest(Generic[Item]):
         self._thread.start()
 
     def ask(self, item: Item) -> None:
-        """Ask for work on an item, in place of one that still waits."""
+        """Request work on an item, in place of one that still waits."""
         with self._condition:
             self._waiting = [item]
             self._condition.notify()
 
     def wake(self) -> None:
-        """Say that there is spare work again."""
+        """Notify the thread of new spare work."""
         with self._condition:
             self._awake = True
             self._condition.notify()
 
     def close(self) -> None:
-        """End the thread after what it is doing now, and wait for it."""
+        """Stop the thread after its current work, and wait for it."""
         with self._condition:
             self._closed = True
             self._condition.notify()

@@ -1,7 +1,7 @@
-"""The page: a 3D scene in the middle, what the sensors see on the left, the pose and the sequence on the right.
+"""The page: a 3D scene in the centre, the sensors' views on the left, pose and sequence on the right.
 
-Callbacks come from the server's threads, pictures from a thread of our own. Whoever reads or changes
-the session or a panel holds the lock; sensors are looked through without it, for the newest pose only.
+Callbacks run in the server's threads, previews are made in a thread of our own. The lock protects
+the session and the panels; previews are computed without it, for the newest pose only.
 """
 
 import math
@@ -32,33 +32,33 @@ from calibration.simulation.motion.sequence import Motion, read_motion
 from calibration.simulation.placement import place
 
 PAUSE = 1.0
-"""Between two poses of a sequence that is played, s."""
+"""Pause between two poses of a sequence that is played, s."""
 
 FIELD_OF_VIEW = math.radians(60)
-"""Of who looks at the scene at first, from its top to its bottom, rad."""
+"""Initial vertical field of view of the scene, rad."""
 
 MAX_NAME = 60
-"""Of a file, characters; a file system takes 255 bytes, among them up to four a character."""
+"""Limit of a file name in characters; a file system's limit is 255 bytes, and a character takes up to four."""
 
 Look = Callable[[Motion], Preview]
-"""What is seen at a pose. Takes time."""
+"""Function that returns the preview of a pose. Slow."""
 Rate = Callable[[Motion], Mapping[str, tuple[float, float]]]
-"""How well a motion determines each sensor (m, rad). Takes time; raises `InputError` where it does not."""
+"""Function that returns each sensor's standard deviation for a motion (m, rad). Slow; may raise `InputError`."""
 
 
 class Page:
-    """The recorder's page on a server, for as many browsers as open it: all see and change the same session."""
+    """The recorder's page on a server; all browsers share one session."""
 
     def __init__(self, server: viser.ViserServer, session: Session, output: Path, look: Look, rate: Rate) -> None:
-        """Build the page; ``output`` is the file to export to unless the user gives another name."""
+        """Build the page; ``output`` is the default of the file to export to."""
         self._server, self._session, self._output = server, session, output
         self._look, self._rate = look, rate
         self._lock = threading.RLock()
-        self._seen: WeakKeyDictionary[Motion, Preview] = WeakKeyDictionary()  # of saved poses
+        self._seen: WeakKeyDictionary[Motion, Preview] = WeakKeyDictionary()  # previews of saved poses
         self._rated: tuple[Motion, ...] | None = None  # the sequence whose rating is shown
-        self._shown: object = None  # what of the sequence is shown
+        self._shown: object = None  # the state of the sequence that is shown
         self._dragging = False
-        self._replacing: Path | None = None  # what a second click on the export replaces
+        self._replacing: Path | None = None  # the file that a second click on the export replaces
         self._stop_playing: threading.Event | None = None  # while the sequence is played
         with self._lock:
             server.gui.configure_theme(show_logo=False, show_share_button=False)
@@ -75,14 +75,14 @@ class Page:
             self._refresh()
 
     def close(self) -> None:
-        """Stop what runs in the background, and wait for it."""
+        """Stop the background threads, and wait for them."""
         with self._lock:
             if self._stop_playing is not None:
                 self._stop_playing.set()
         self._following.close()
         self._looking.close()
 
-    # What the user does
+    # User actions
 
     def _connect(self) -> None:
         panel, session = self._sequence, self._session
@@ -106,7 +106,7 @@ class Page:
             self._scene.gizmo.on_update(self._grip)
 
     def _doing(self, action: Callable[[], None]) -> Callable[[object], None]:
-        """A callback that does something with the session and shows what has become of it."""
+        """Return a callback that changes the session and refreshes the page."""
 
         def do(_event: object) -> None:
             with self._changing():
@@ -116,7 +116,7 @@ class Page:
 
     @contextmanager
     def _changing(self) -> Iterator[None]:
-        """Hold the lock for a change, and show what came of it: the new state, or what went wrong."""
+        """Hold the lock for a change, then show the new state or the error."""
         with self._lock:
             self._sequence.say("")
             self._replacing = None
@@ -135,7 +135,7 @@ class Page:
             self._session.move_joints({name: position})
 
     async def _grip(self, event: viser.TransformControlsEvent) -> None:
-        """The handle is dragged. Called in order and often, so it does no more than to ask."""
+        """Handle a drag event. Called in order and often, so it only queues a request."""
         self._dragging = event.phase != "end"
         handle = event.target
         self._following.ask(from_quaternion(handle.position, np.roll(handle.wxyz, -1)))
@@ -146,17 +146,17 @@ class Page:
                 self._sequence.say("No joint positions bring the handle there.", bad=True)
 
     def _choose(self, event: viser.GuiEvent[Any]) -> None:
-        if event.client_id is None:  # the page itself has changed the list
+        if event.client_id is None:  # event caused by the page itself
             return
         with self._lock:
             poses, chosen = self._session.poses, self._sequence.chosen()
             if not poses or (chosen == self._session.selected and self._session.pose is poses[chosen]):
-                return  # the browser answers to what the page has set
+                return  # echo of a value that the page has set
             with self._changing():
                 self._session.select(chosen)
 
     def _play(self) -> None:
-        """Step through the poses; a second call stops it."""
+        """Step through the poses; a second call stops."""
         with self._lock:
             if self._stop_playing is not None:
                 self._stop_playing.set()
@@ -198,10 +198,10 @@ class Page:
             self._session.load(parsed(uploaded.name, uploaded.content))
             self._sequence.say(f"{markup.poses(len(self._session.poses))} loaded from {uploaded.name}")
 
-    # What the page shows; the lock is held
+    # Display; the lock is held
 
     def _refresh(self) -> None:
-        """Show the session as it is now, and ask what the sensors see of it."""
+        """Show the current state of the session, and request a preview."""
         session = self._session
         with self._server.atomic():
             self._scene.show(session.placement, None if self._dragging else session.handle_pose())
@@ -213,7 +213,7 @@ class Page:
         self._looking.ask(session.pose)
 
     def _show_sequence(self) -> None:
-        """Show the saved poses and what is known of them, if that has changed."""
+        """Update the saved poses and their verdicts, if they have changed."""
         session = self._session
         verdicts = [seen.kept if (seen := self._seen.get(pose)) else None for pose in session.poses]
         content = (session.poses, session.selected, verdicts)
@@ -235,19 +235,19 @@ class Page:
         self._scene.show_extras(frames=self._sequence.show_frames.value, saved=self._sequence.show_saved.value)
 
     def _picture(self, pose: Motion) -> Image | None:
-        """What the first camera sees at a saved pose, if it is known."""
+        """Return the first camera's picture at a saved pose, if it is known."""
         seen = self._seen.get(pose)
         views = seen.views.values() if seen else ()
         return next((view.picture for view in views if view.picture is not None), None)
 
-    # In the background
+    # Background threads
 
     def _look_at(self, pose: Motion) -> None:
-        """Look at the pose at hand."""
+        """Compute and show the preview of the current pose."""
         seen = self._seen.get(pose) or self._looked(pose)
         with self._lock:
             if pose is not self._session.pose:
-                return  # the newer one is asked for already
+                return  # a newer request is already waiting
             with self._server.atomic():
                 self._views.show(seen)
                 self._scene.show_views(seen.views)
@@ -256,7 +256,7 @@ class Page:
                     self._show_sequence()
 
     def _looked(self, pose: Motion) -> Preview:
-        """What is seen at a pose. A bug in there is told, and takes neither the thread nor anybody's work along."""
+        """Return the preview of a pose. A bug is reported, so that the thread and unsaved work survive."""
         try:
             return self._look(pose)
         except Exception:
@@ -264,7 +264,7 @@ class Page:
             return Preview({}, ("a bug: the terminal says more, please report it",))
 
     def _look_at_others(self) -> bool:
-        """Look at a saved pose that was not looked at yet, or else rate the sequence; whether one of these was left."""
+        """Preview one saved pose, or else rate the sequence; return whether there was anything to do."""
         with self._lock:
             poses = self._session.poses
             pose = next((pose for pose in poses if pose not in self._seen), None)
@@ -283,7 +283,7 @@ class Page:
         return True
 
     def _rating(self, poses: tuple[Motion, ...]) -> tuple[Mapping[str, tuple[float, float]], str]:
-        """How well the poses determine the calibration, or why they do not."""
+        """Return the standard deviations from the poses, or the reason why they are undetermined."""
         try:
             return (self._rate(joined(poses)) if poses else {}), ""
         except InputError as error:
@@ -291,10 +291,10 @@ class Page:
 
 
 def beside(output: Path, name: str) -> Path:
-    """The file of that name in the output's folder, so that no page from elsewhere makes us write anywhere.
+    """Return the file with that name in the output's folder, so that a page cannot write elsewhere.
 
     Raises:
-        InputError: it is not the name of a file.
+        InputError: the name is not a plain file name.
     """
     name = name.strip() or output.name
     if Path(name).name != name or name == ".." or not name.isprintable() or len(name) > MAX_NAME:
@@ -304,7 +304,7 @@ def beside(output: Path, name: str) -> Path:
 
 
 def parsed(name: str, content: bytes) -> Motion:
-    """A motion from the content of a file.
+    """Parse a motion from the content of a file.
 
     Raises:
         InputError: see `read_motion`.

@@ -1,4 +1,4 @@
-"""The panels of the page: what is in them, and how a session looks in them. What a click does is the page's."""
+"""Panels of the page: their widgets and the display of a session. The page handles the clicks."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -19,12 +19,12 @@ from calibration.simulation.robot import Joint
 from calibration.simulation.system import System
 
 _PANEL_WIDTH = 340  # px
-_SAME = 1e-6  # m, rad: what an input shows already is not written again, so that nobody's typing is disturbed
-_SHOWN_M, _SHOWN_RAD = 1e-4, 3e-4  # the last digit of what the inputs of a pose show, and of three angles together
+_SAME = 1e-6  # m, rad: smaller changes do not rewrite an input, so that typing is not disturbed
+_SHOWN_M, _SHOWN_RAD = 1e-4, 3e-4  # resolution of the inputs of a pose, and of three angles together
 
 
 class ViewsPanel:
-    """The verdict, and below it what each sensor sees."""
+    """Verdict, and below it the view of each sensor."""
 
     def __init__(self, gui: viser.GuiApi, system: System) -> None:
         self._seen: Preview | None = None
@@ -42,11 +42,11 @@ class ViewsPanel:
         panel.set_width(_PANEL_WIDTH)
 
     def wait(self) -> None:
-        """Say that what is shown is of another pose."""
+        """Mark the views as outdated."""
         self._verdict.content = markup.verdict(self._seen, is_old=True)
 
     def show(self, seen: Preview) -> None:
-        """Show what is seen now."""
+        """Show a preview."""
         self._seen = seen
         self._verdict.content = markup.verdict(seen)
         for name, finding in self._findings.items():
@@ -62,7 +62,7 @@ def _blank(camera: Camera) -> Image:
 
 
 class PosePanel:
-    """The pose at hand in numbers: of the moved pattern's model, and of the joints."""
+    """Current pose in numbers: of the moved pattern's model, and of the joints."""
 
     def __init__(
         self,
@@ -71,17 +71,17 @@ class PosePanel:
         edit_model: Callable[[Array], None],
         edit_joint: Callable[[str, float], None],
     ) -> None:
-        """Add the inputs; an edit is answered by calling back with ``T_parent_model``, or a joint (rad or m)."""
+        """Add the inputs; an edit calls back with ``T_parent_model``, or a joint's name and position (rad or m)."""
         self._joints: dict[str, tuple[Joint, viser.GuiSliderHandle[float]]] = {}
         self._model: tuple[viser.GuiVector3Handle, viser.GuiVector3Handle] | None = None
-        self._T_parent_model = np.eye(4)  # as it was shown last
+        self._T_parent_model = np.eye(4)  # the pose that is shown
         moved = system.moved_pattern
         if moved is not None:
             hint = f"The model of {moved.name} in {moved.parent_link}"
             zero = (0.0, 0.0, 0.0)
             position = gui.add_vector3("Position (m)", zero, step=0.01, hint=f"{hint}: x, y, z")
             turn = gui.add_vector3("Turn (deg)", zero, step=1.0, hint=f"{hint}: roll, pitch, yaw")
-            position.precision, turn.precision = 4, 2  # digits that are shown; all are kept
+            position.precision, turn.precision = 4, 2  # displayed digits; the session keeps full precision
             self._model = (position, turn)
 
             def edited(event: viser.GuiEvent[viser.GuiVector3Handle]) -> None:
@@ -109,13 +109,13 @@ class PosePanel:
                 _set(slider, round(min(max(value, slider.min), slider.max), 4))
 
     def _is_shown(self, T_parent_model: Array) -> bool:
-        """Whether the inputs show this pose, as finely as they do: a browser answers with what it shows."""
+        """Return whether the inputs show this pose within their resolution: a browser returns rounded values."""
         shown = self._shown_model()
         apart = np.abs(T_parent_model[:3, 3] - shown[:3, 3]).max()
         return bool(apart < _SHOWN_M and rotations.angle(T_parent_model[:3, :3].T @ shown[:3, :3]) < _SHOWN_RAD)
 
     def _shown_model(self) -> Array:
-        """``T_parent_model`` as the inputs say."""
+        """Return ``T_parent_model`` of the inputs."""
         assert self._model is not None  # noqa: S101 (asked only where there are inputs)
         position, turn = self._model
         return from_xyz_rpy(position.value, np.radians(turn.value))
@@ -126,7 +126,7 @@ class PosePanel:
         unit, scale = _unit(joint)
         low, high = max(joint.lower, -2 * math.pi) * scale, min(joint.upper, 2 * math.pi) * scale
         step = 0.001 if joint.kind == "prismatic" else 0.1
-        # A joint that has no room gets some on the page; the session keeps it where it is.
+        # A joint with equal limits gets a non-empty range on the page; the session keeps its position.
         slider = gui.add_slider(f"{joint.name} ({unit})", low, max(high, low + step), step, joint.rest * scale)
 
         def edited(event: viser.GuiEvent[viser.GuiSliderHandle[float]]) -> None:
@@ -142,12 +142,12 @@ def _set(handle: viser.GuiInputHandle[Any], value: Any) -> None:
 
 
 def _unit(joint: Joint) -> tuple[str, float]:
-    """What positions are shown in, and how many of it there are in a metre or a radian."""
+    """Return the display unit of positions, and its number per metre or radian."""
     return ("m", 1.0) if joint.kind == "prismatic" else ("deg", 180 / math.pi)
 
 
 class SequencePanel:
-    """The saved poses, what can be done with them, and the file."""
+    """Saved poses, their actions, and the file."""
 
     def __init__(self, gui: viser.GuiApi, file: str) -> None:
         self._message = gui.add_html(markup.message(""))
@@ -183,11 +183,11 @@ class SequencePanel:
         gui.main_panel.set_width(_PANEL_WIDTH)
 
     def say(self, text: str, bad: bool = False) -> None:
-        """Say what came of the last action."""
+        """Show the result of the last action."""
         self._message.content = markup.message(text, bad)
 
     def rate(self, sigmas: Mapping[str, tuple[float, float]], problem: str = "") -> None:
-        """Show how well the sequence determines the calibration (m, rad), or why it does not."""
+        """Show the standard deviations from the sequence (m, rad), or why they are undetermined."""
         self._rating.content = markup.rating(sigmas, problem)
 
     def show_poses(self, session: Session, verdicts: Sequence[bool | None], pictures: Sequence[Image | None]) -> None:
@@ -199,10 +199,10 @@ class SequencePanel:
         _set(self.choice, self.choice.options[session.selected or 0])
 
     def show_state(self, session: Session, playing: bool, replacing: str | None) -> None:
-        """Enable what can be done now.
+        """Enable the actions that are possible in the current state.
 
         Args:
-            session: as it is now.
+            session: the session.
             playing: whether the sequence is being played.
             replacing: the file that a second click on the export replaces.
         """
@@ -220,5 +220,5 @@ class SequencePanel:
         self.export.color = "orange" if replacing else None
 
     def chosen(self) -> int:
-        """The index of the pose that is chosen in the list."""
+        """Return the index of the pose that is selected in the list."""
         return self.choice.options.index(self.choice.value)

@@ -1,4 +1,4 @@
-"""What each sensor sees at a pose, drawn for the eye, and whether a collection there would be kept."""
+"""Preview of a pose: a picture for each sensor, and whether a collection there would be kept."""
 
 import math
 from collections.abc import Mapping
@@ -21,44 +21,44 @@ from calibration.simulation.sensors.sensor import Found
 from calibration.simulation.system import System
 
 SEED = 1
-"""Of the noise in previews: the one that ``collect-data-sim`` takes unless told otherwise."""
+"""Seed of the noise in previews, the default of ``collect-data-sim``."""
 WIDTH = 640
-"""Pictures are made no wider, px."""
-_FOUND, _FIRST = (0, 230, 60), (255, 40, 40)  # red first: the corners, and the one with id 0
+"""Maximum width of pictures, px."""
+_FOUND, _FIRST = (0, 230, 60), (255, 40, 40)  # RGB: the corners, and the one with id 0
 
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """What one sensor sees."""
+    """Preview of one sensor."""
 
     finding: str
-    """In a few words, such as "88 of 88 corners", or why nothing is detected."""
+    """Short description of the detections, such as "88 of 88 corners", or why there are none."""
     detected: bool
     picture: Image | None = None
-    """(H, W, 3) red first, with what is detected drawn in it; None of a LiDAR."""
+    """RGB picture (H, W, 3) with the detections drawn in it; None for a LiDAR."""
     points: Array | None = None
-    """(N, 3) of a LiDAR, in its frame, m."""
+    """Points (N, 3) of a LiDAR, in its frame, m."""
     on_pattern: BoolArray | None = None
-    """(N,): which of the points are labelled."""
+    """Mask (N,) of the labelled points."""
 
 
 @dataclass(frozen=True, eq=False)
 class Preview:
-    """What all sensors see, and the verdict."""
+    """Previews of all sensors, and the verdict."""
 
     views: Mapping[str, View]
-    """By sensor, in the order of the configuration; none where the pose cannot be played."""
+    """By sensor, in the order of the configuration; empty if the pose is invalid."""
     reasons: tuple[str, ...]
-    """Why a collection would be lost; none where it would be kept."""
+    """Reasons why a collection would be rejected; empty if it would be kept."""
 
     @property
     def kept(self) -> bool:
-        """Whether a collection here would be kept."""
+        """Whether a collection at this pose would be kept."""
         return not self.reasons
 
 
 def preview(system: System, pose: Motion) -> Preview:
-    """What is seen and detected at a pose (a motion of one), by the code that collects datasets."""
+    """Return the preview of a pose (a motion of length one), by the code that collects datasets."""
     try:
         captured = capture(play(system, pose, SEED), 0)
     except InputError as error:
@@ -98,28 +98,28 @@ def _words(found: Found, corners: int) -> str:
 
 
 def draw_corners(image: Image, labels: list[CornerLabels]) -> Image:
-    """A picture (h, w, 3), red first, of an image (H, W, 3), blue first, with a ring about every corner.
+    """Return an RGB picture (h, w, 3) of a BGR image (H, W, 3), with a ring around every corner.
 
-    The ring of the corner with id 0 is red, so that one sees which way up the pattern is taken.
+    The ring of the corner with id 0 is red, to show the detected orientation of the pattern.
     """
     scale = min(1.0, WIDTH / image.shape[1])
     picture = _at_most_wide(np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), np.uint8))
     for label in labels:
         pixels = (label.pixels + 0.5) * scale - 0.5
         width, height = np.ptp(pixels, axis=0)
-        radius = min(max(0.2 * math.sqrt(width * height / len(pixels)), 1.5), 5.0)  # so that rings do not touch
+        radius = min(max(0.2 * math.sqrt(width * height / len(pixels)), 1.5), 5.0)  # so that rings do not overlap
         for identifier, (x, y) in zip(label.ids.tolist(), pixels.tolist(), strict=True):
-            centre = (round(16 * x), round(16 * y))  # in sixteenths of a pixel
+            centre = (round(16 * x), round(16 * y))  # fixed-point coordinates, in sixteenths of a pixel
             colour = _FOUND if identifier else _FIRST
             cv2.circle(picture, centre, round(16 * radius), colour, 2 if radius > 3 else 1, cv2.LINE_AA, shift=4)
     return picture
 
 
 def draw_depth(depth: NDArray[np.uint16], labelled: list[IntArray]) -> Image:
-    """A picture (h, w, 3), red first, of a depth image (H, W): near is yellow, far is blue, the pattern green.
+    """Return an RGB picture (h, w, 3) of a depth image (H, W): near is yellow, far is blue, the pattern green.
 
     Args:
-        depth: in tenths of a millimetre; `NO_RETURN`, which is black, where nothing returns.
+        depth: in tenths of a millimetre; `NO_RETURN`, without a return, is shown black.
         labelled: linear indices of the pixels on each pattern.
     """
     returns = depth < NO_RETURN

@@ -1,4 +1,4 @@
-"""Serves the page on which a motion is recorded, until the process is interrupted."""
+"""Server of the motion recorder, which runs until it is interrupted."""
 
 import threading
 from collections.abc import Callable
@@ -18,16 +18,16 @@ from calibration.workflow import Runner, stop_commands
 
 @dataclass(frozen=True)
 class Inputs:
-    """Files that are read before the page is served."""
+    """Input files of the recorder."""
 
     system: Path
     """Folder of the system."""
     robot: Path | None = None
-    """URDF file in place of the system's."""
+    """URDF file that replaces the system's."""
     configuration: Path | None = None
-    """ATOM's calibration configuration in place of the system's."""
+    """ATOM calibration configuration that replaces the system's."""
     motion: Path | None = None
-    """Sequence to begin with."""
+    """Initial sequence."""
 
 
 def record(
@@ -38,18 +38,18 @@ def record(
     runner: Runner,
     open_page: Callable[[str], object] | None = None,
 ) -> None:
-    """Serve the page; when interrupted, poses that are in no file are written to one beside the output.
+    """Serve the page; on interruption, unsaved poses are written to a file beside the output.
 
     Args:
-        inputs: the robot that is shown, and the sequence to begin with.
-        output: the file that the page exports to.
+        inputs: the system that is shown, and the initial sequence.
+        output: default file of the page's export.
         host: address to serve on.
         port: its port; 0 for a free one.
-        runner: where the address is reported.
+        runner: runner that logs the address.
         open_page: called with the address, to open it in a browser.
 
     Raises:
-        InputError: an input is missing or wrong.
+        InputError: an input is missing or malformed.
         WorldError: the port is taken, or a file cannot be written.
     """
     system = read_system(inputs.system, inputs.robot, inputs.configuration)
@@ -63,7 +63,7 @@ def record(
             rate=lambda sequence: predicted_sigmas(system, sequence),
         )
         try:
-            with stop_commands(runner):  # names in files that others wrote
+            with stop_commands(runner):  # untrusted names from files
                 runner.log(f"{system.name}: the motion recorder is at {address(server)} (Ctrl-C ends it)")
                 if not is_loopback(host):
                     runner.log(f"whoever reaches {host} can use it and write files beside {output}")

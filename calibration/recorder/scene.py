@@ -1,6 +1,6 @@
-"""The robot, its sensors, the patterns and what stands around, as things in the 3D scene of a page.
+"""Robot, sensors, patterns and surroundings as objects in the 3D scene of a page.
 
-Every thing is placed in the world frame of the configuration, z up.
+Every object is placed in the world frame of the configuration, z up.
 """
 
 import math
@@ -22,28 +22,28 @@ from calibration.simulation.robot import compose
 from calibration.simulation.system import System
 
 KEPT, LOST, UNKNOWN = (47, 158, 68), (224, 49, 49), (134, 142, 150)
-"""The colours of a verdict: green, red, and grey while it is not known."""
+"""Colours of a verdict: green, red, and grey while unknown."""
 _ROBOT, _SENSOR, _LIDAR = (92, 102, 116), (28, 100, 210), (120, 70, 200)
 _POINTS, _LABELLED = (150, 158, 170), (255, 120, 0)
-_TEXELS = 32  # along the side of a square on the screen
-_THICKNESS = 0.004  # m: the board behind the print
+_TEXELS = 32  # side length of the square on the screen
+_THICKNESS = 0.004  # m: thickness of the board behind the print
 
 
 class RobotScene:
-    """What is shown of a system, at one placement at a time."""
+    """Objects of a system in the scene, at one placement at a time."""
 
     def __init__(
         self, scene: viser.SceneApi, system: System, placement: Placement, T_world_handle: Array | None
     ) -> None:
-        """Add everything to a scene, where it stands at a placement (of one pose)."""
+        """Add all objects to a scene, at a placement (of one pose)."""
         self._system, self._scene = system, scene
         self._bones = [joint for joint in system.robot.joints if np.linalg.norm(joint.T_parent_joint[:3, 3]) > 1e-3]
         scene.set_up_direction("+z")
-        scene.configure_environment_map(None)  # a picture around everything, which costs time to draw
+        scene.configure_environment_map(None)  # disabled because it is slow to draw
         scene.configure_default_lights(cast_shadow=False)
         scene.add_light_ambient("/light", intensity=1.6)
         self.size = extent(system, placement)
-        """The radius of what there is, m."""
+        """Radius of the objects, m."""
         self._add_surroundings()
         self._robot = scene.add_line_segments(
             "/robot/links", np.zeros((max(len(self._bones), 1), 2, 3)), _ROBOT, thickness=0.012 * self.size
@@ -61,7 +61,7 @@ class RobotScene:
         self._boards = {name: self._add_board(name) for name in system.patterns}
         self._saved: dict[int, viser.LineSegmentsHandle] = {}
         self.gizmo: viser.TransformControlsHandle | None = None
-        """The handle that the user drags; None where the system has none."""
+        """Handle that the user drags; None if nothing in the system moves."""
         if T_world_handle is not None:
             self.gizmo = scene.add_transform_controls(
                 "/handle", scale=0.4 * self.size, line_width=4.0, depth_test=False, opacity=0.9
@@ -69,7 +69,7 @@ class RobotScene:
         self.show(placement, T_world_handle)
 
     def show(self, placement: Placement, T_world_handle: Array | None) -> None:
-        """Move everything to where it stands at a placement (of one pose)."""
+        """Move all objects to a placement (of one pose)."""
         tree, world = self._system.robot.tree, self._system.configuration.world_link
         T_world_link = {frame: compose(tree, placement.transforms, world, frame)[0] for frame in tree.frames}
         ends = [(T_world_link[joint.parent][:3, 3], T_world_link[joint.child][:3, 3]) for joint in self._bones]
@@ -86,7 +86,7 @@ class RobotScene:
             _place(self.gizmo, T_world_handle)
 
     def show_views(self, views: Mapping[str, View]) -> None:
-        """Show what the sensors see: the pictures in the cameras' frustums, the points around the LiDARs."""
+        """Show the sensors' previews: pictures in the cameras' frustums, points around the LiDARs."""
         for sensor, frustum in self._frusta.items():
             view = views.get(sensor)
             frustum.image = None if view is None else view.picture
@@ -106,7 +106,7 @@ class RobotScene:
             )
 
     def show_saved(self, saved: Sequence[tuple[Array, tuple[int, int, int]]]) -> None:
-        """Show where the patterns stand at the saved poses: as outlines (4, 3) in the world frame, in a colour."""
+        """Show the patterns at the saved poses: as outlines (4, 3) in the world frame, in a colour."""
         for index in [index for index in self._saved if index >= len(saved)]:
             self._saved.pop(index).remove()
         for index, (outline, colour) in enumerate(saved):
@@ -122,7 +122,7 @@ class RobotScene:
             outline.visible = saved
 
     def outlines(self, placement: Placement) -> Array:
-        """(P, 4, 3): the borders of the patterns in the world frame at a placement (of one pose)."""
+        """Return the borders (P, 4, 3) of the patterns in the world frame at a placement (of one pose)."""
         borders = [
             apply(placement.patterns[name][0], np.column_stack([pattern.outline, np.zeros(4)]))
             for name, pattern in self._system.patterns.items()
@@ -146,7 +146,7 @@ class RobotScene:
                 f"/boxes/{index}",
                 color=np.array(box.colour) / 255,
                 dimensions=box.size,
-                opacity=0.4,  # a wall must not hide what is behind it from who looks
+                opacity=0.4,  # a wall must not hide the objects behind it
                 side="double",
                 cast_shadow=False,
             )
@@ -168,7 +168,7 @@ class RobotScene:
         return self._scene.add_cylinder(_name(sensor), radius=0.035 * self.size, height=0.05 * self.size, color=_LIDAR)
 
     def _add_board(self, name: str) -> viser.FrameHandle:
-        """A frame with the print and the board behind it."""
+        """Add a frame with the print and the board behind it."""
         configuration, pattern = self._system.configuration.patterns[name], self._system.patterns[name]
         board = self._scene.add_frame(f"/patterns/{name}", show_axes=False)
         width, height = (float(length) for length in np.ptp(pattern.outline, axis=0))
@@ -193,7 +193,7 @@ class RobotScene:
 
 
 def print_of(configuration: PatternConfiguration, legacy_layout: bool) -> Image:
-    """A pattern as it is printed, with its border: (H, W, 3)."""
+    """Return the printed pattern with its border as a picture (H, W, 3)."""
     whole = texture(configuration, legacy_layout)
     level = min(max(int(math.log2(max(whole.texels / _TEXELS, 1))), 0), len(whole.levels) - 1)
     x, y = whole.margin
@@ -206,12 +206,12 @@ def print_of(configuration: PatternConfiguration, legacy_layout: bool) -> Image:
 
 
 def wxyz(T: Array) -> Array:
-    """The quaternions (..., 4) of poses (..., 4, 4), w first, as viser has them."""
+    """Return the quaternions (..., 4) of poses (..., 4, 4) in viser's order, w first."""
     return np.roll(rotations.to_quaternion(T[..., :3, :3]), 1, axis=-1)
 
 
 def view_point(system: System, placement: Placement) -> tuple[Array, Array]:
-    """Where to look from, and at what, (3,) each: over the sensors' shoulders at the patterns."""
+    """Return the initial camera position and its target, (3,) each: from behind the sensors towards the patterns."""
     sensors = np.mean([T[0, :3, 3] for T in placement.sensors.values()], axis=0)
     patterns = np.mean([T[0, :3, 3] for T in placement.patterns.values()], axis=0)
     middle = 0.4 * sensors + 0.6 * patterns
@@ -222,7 +222,7 @@ def view_point(system: System, placement: Placement) -> tuple[Array, Array]:
 
 
 def extent(system: System, placement: Placement) -> float:
-    """The radius about their middle of where sensors, patterns and moving links are, m."""
+    """Return the radius of sensors, patterns and moving links about their centre, m."""
     tree, world = system.robot.tree, system.configuration.world_link
     moving = [compose(tree, placement.transforms, world, joint.child) for joint in system.robot.movable.values()]
     points = np.array([T[0, :3, 3] for T in (*placement.sensors.values(), *placement.patterns.values(), *moving)])

@@ -1,4 +1,4 @@
-"""The web server of the page: on one address and port, or not at all; nothing leaves the machine by itself."""
+"""Web server of the page, on exactly one address and port, without connections to the outside."""
 
 import errno
 import socket
@@ -15,27 +15,27 @@ LOOPBACK = "127.0.0.1"
 
 
 class LocalServer(viser.ViserServer):
-    """A server that nobody can ask for a way in from outside: viser's own has a tunnel for sharing a page."""
+    """Server without viser's tunnel for sharing a page, so that it cannot be reached from outside."""
 
     def request_share_url(self, verbose: bool = True) -> str | None:
-        """Answer that there is none."""
+        """Return None: there is no tunnel."""
         return None
 
 
 @contextmanager
 def serving(host: str, port: int) -> Iterator[viser.ViserServer]:
-    """A server on an address and a port (0: any that is free), until the end of the block.
+    """Run a server on an address and a port (0: any free one) until the end of the block.
 
     Raises:
-        InputError: the host is no address of this machine.
-        WorldError: the port is in use, or not for this user.
+        InputError: the host is not an address of this machine.
+        WorldError: the port is in use, or needs other privileges.
     """
     _check_free(host, port)
     console = rich.get_console()
-    before, console.quiet = console.quiet, True  # it prints a panel of its own, whatever it is told
+    before, console.quiet = console.quiet, True  # suppresses viser's own panel, which ignores its option
     server = LocalServer(host=host, port=port, label="Motion recorder", verbose=False)
     try:
-        if port and server.get_port() != port:  # it takes the next one where somebody was faster
+        if port and server.get_port() != port:  # viser takes the next port if another process was faster
             raise _in_use(host, port)
         yield server
     finally:
@@ -44,7 +44,7 @@ def serving(host: str, port: int) -> Iterator[viser.ViserServer]:
 
 
 def address(server: viser.ViserServer) -> str:
-    """What to open in a browser."""
+    """URL of the page."""
     host = server.get_host()
     if host in ("0.0.0.0", "::", ""):  # noqa: S104 (compared with, not bound to)
         host = LOOPBACK
@@ -52,7 +52,7 @@ def address(server: viser.ViserServer) -> str:
 
 
 def is_loopback(host: str) -> bool:
-    """Whether only this machine reaches the address."""
+    """Return whether the address is reachable only from this machine."""
     try:
         return all(ip_address(str(info[4][0])).is_loopback for info in socket.getaddrinfo(host, 0))
     except OSError:
@@ -60,7 +60,7 @@ def is_loopback(host: str) -> bool:
 
 
 def _check_free(host: str, port: int) -> None:
-    """Bind the port for a moment, since viser tries the next ones, or waits for ever, where it cannot."""
+    """Bind the port briefly, since viser tries the next ones, or waits forever, if it cannot."""
     try:
         family, kind, protocol, _, where = socket.getaddrinfo(
             host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE

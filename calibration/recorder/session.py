@@ -1,7 +1,7 @@
-"""A motion sequence in the making: the pose at hand, the poses saved so far, and what can be done with them.
+"""Editing session of a motion sequence: the current pose, the saved poses, and the actions on them.
 
-A pose is a motion of one pose, as finely as a file holds it, so that what is looked at is what will
-be played. Saved poses are never changed, only replaced: each is one object as long as it is there.
+A pose is a motion of length one, with the precision of a file, so that the preview matches what will
+be played. Saved poses are immutable and compared by identity.
 """
 
 import tempfile
@@ -25,17 +25,17 @@ from calibration.simulation.placement import Placement, place
 from calibration.simulation.robot import compose
 from calibration.simulation.system import System
 
-_UNDONE = 100  # steps back
+_UNDONE = 100  # maximum number of undo steps
 
 
 class Session:
-    """What a user of the recorder works on. It knows no page, and no threads."""
+    """State of the recorder, independent of the page and of threads."""
 
     def __init__(self, system: System, motion: Motion | None = None) -> None:
-        """Begin with a sequence, or with none and a pose that the sensors see.
+        """Start with a sequence, or with no sequence and a pose that the sensors see.
 
         Raises:
-            InputError: nothing in the system moves, or the motion does not fit it.
+            InputError: nothing in the system moves, or the motion does not match it.
         """
         self.system = system
         self.handle = find_handle(system)
@@ -44,11 +44,11 @@ class Session:
                 f"{system.name}: found no pattern that is moved and no joint that moves; nothing to record"
             )
         self.poses: tuple[Motion, ...] = ()
-        """The saved ones, in the order in which they are played."""
+        """Saved poses, in the order in which they are played."""
         self.selected: int | None = None
-        """The index of the saved pose that was last saved or chosen."""
+        """Index of the saved pose that was last saved or selected."""
         self._written: tuple[Motion, ...] = ()
-        self._files: dict[Path, bytes] = {}  # what this session wrote
+        self._files: dict[Path, bytes] = {}  # files that this session wrote
         self._history: list[tuple[tuple[Motion, ...], int | None]] = []
         if motion is None:
             self.pose = _first_pose(system)
@@ -57,24 +57,24 @@ class Session:
             self._written = self.poses
             self._history.clear()
 
-    # The pose at hand
+    # The current pose
 
     @property
     def placement(self) -> Placement:
-        """Where everything stands at the pose at hand; its arrays are (1, 4, 4)."""
+        """Placement of the system at the current pose; its arrays are (1, 4, 4)."""
         return place(self.system, self.pose)
 
     @property
     def is_changed(self) -> bool:
-        """Whether the pose at hand is another than the selected one."""
+        """Whether the current pose differs from the selected one."""
         return self.selected is not None and self.pose is not self.poses[self.selected]
 
     def handle_pose(self) -> Array | None:
-        """``T_world_handle`` (4, 4); None where there is nothing to take hold of."""
+        """Return ``T_world_handle`` (4, 4); None if the system has no handle."""
         return None if self.handle is None else handle_pose(self.system, self.handle, self.pose)
 
     def drag(self, T_world_handle: Array) -> bool:
-        """Move the handle; whether it could go there. If not, the pose stays as it is."""
+        """Move the handle; return False, with the pose unchanged, if it cannot be reached."""
         pose = None if self.handle is None else drag(self.system, self.handle, self.pose, T_world_handle)
         if pose is not None:
             self.pose = settled(self.system, pose)
@@ -86,30 +86,30 @@ class Session:
         self.pose = replace(self.pose, positions=moved.positions, orientations=moved.orientations)
 
     def move_joints(self, positions: Mapping[str, float]) -> None:
-        """Move joints, rad or m; no further than their limits."""
+        """Move joints, rad or m, within their limits."""
         joints = {name: np.array([position]) for name, position in positions.items()}
         self.pose = settled(self.system, replace(self.pose, joints={**self.pose.joints, **joints}))
 
     # The sequence
 
     def save(self) -> None:
-        """Add the pose at hand to the end.
+        """Append the current pose to the sequence.
 
         Raises:
-            InputError: there are `MAX_POSES` already.
+            InputError: there are already `MAX_POSES`.
         """
         if len(self.poses) >= MAX_POSES:
             raise InputError(f"found {len(self.poses)} poses; a sequence has {MAX_POSES} at most")
-        self.pose = replace(self.pose)  # an object of its own, even where it is saved twice
+        self.pose = replace(self.pose)  # a copy, because saved poses are compared by identity
         self._change((*self.poses, self.pose), len(self.poses))
 
     def replace_selected(self) -> None:
-        """Put the pose at hand in the place of the selected one."""
+        """Replace the selected pose by the current one."""
         if self.selected is not None and self.is_changed:
             self._change((*self.poses[: self.selected], self.pose, *self.poses[self.selected + 1 :]), self.selected)
 
     def delete_selected(self) -> None:
-        """Take the selected pose out; the next one is selected, and is the pose at hand."""
+        """Delete the selected pose; the next one is selected, and becomes the current pose."""
         if self.selected is None:
             return
         left = self.poses[: self.selected] + self.poses[self.selected + 1 :]
@@ -118,7 +118,7 @@ class Session:
             self.pose = self.poses[self.selected]
 
     def shift_selected(self, steps: int) -> None:
-        """Move the selected pose so many places later (negative: earlier), as far as there are places."""
+        """Move the selected pose by a number of positions (negative: earlier), limited to the ends."""
         if self.selected is None:
             return
         target = min(max(self.selected + steps, 0), len(self.poses) - 1)
@@ -128,10 +128,10 @@ class Session:
             self._change(tuple(others), target)
 
     def select(self, index: int) -> None:
-        """Make a saved pose the pose at hand.
+        """Make a saved pose the current pose.
 
         Raises:
-            IndexError: there is none of this index.
+            IndexError: there is no pose with this index.
         """
         if not 0 <= index < len(self.poses):
             raise IndexError(index)
@@ -139,21 +139,21 @@ class Session:
 
     @property
     def can_undo(self) -> bool:
-        """Whether a change of the sequence can be taken back."""
+        """Whether a change of the sequence can be undone."""
         return bool(self._history)
 
     def undo(self) -> None:
-        """Take the last change of the sequence back."""
+        """Undo the last change of the sequence."""
         if self._history:
             self.poses, self.selected = self._history.pop()
             if self.selected is not None:
                 self.pose = self.poses[self.selected]
 
     def load(self, motion: Motion) -> None:
-        """Take a whole sequence in place of the one there is; the first pose is the pose at hand.
+        """Replace the whole sequence; its first pose becomes the current one.
 
         Raises:
-            InputError: it does not fit the system; nothing is changed.
+            InputError: it does not match the system; nothing is changed.
         """
         place(self.system, motion)
         rest = {name: np.full(len(motion), joint.rest) for name, joint in self.system.robot.movable.items()}
@@ -170,21 +170,21 @@ class Session:
 
     @property
     def is_unsaved(self) -> bool:
-        """Whether there are poses that no file has."""
+        """Whether there are poses that are not in a file."""
         return bool(self.poses) and self.poses != self._written
 
     def motion(self) -> Motion:
-        """The saved poses as one motion.
+        """Return the saved poses as one motion.
 
         Raises:
-            InputError: there is none.
+            InputError: no pose is saved.
         """
         if not self.poses:
             raise InputError("no pose is saved yet; a sequence needs one at least")
         return joined(self.poses)
 
     def text(self) -> str:
-        """The sequence as a file has it.
+        """Return the sequence in the format of a file.
 
         Raises:
             InputError: no pose is saved.
@@ -207,13 +207,13 @@ class Session:
         self._written = self.poses
 
     def autosave(self, output: Path) -> Path | None:
-        """Write what no file has yet beside the file that it would be exported to, or among temporary files.
+        """Write unsaved poses to a new file beside the export file, or in the temporary folder.
 
         Returns:
-            The new file; None where a file has everything.
+            The new file; None if everything is saved.
 
         Raises:
-            WorldError: it can be written nowhere.
+            WorldError: no location is writable.
         """
         if not self.is_unsaved:
             return None
@@ -226,13 +226,13 @@ class Session:
         return path
 
     def may_write(self, path: Path) -> bool:
-        """Whether writing a file loses nobody's work: there is none, or it is as this session wrote it."""
+        """Return whether a file can be overwritten without loss: it is missing, or as this session wrote it."""
         own = self._files.get(path)
         return not path.exists() or (own is not None and read_bytes(path, MAX_BYTES, "a motion sequence") == own)
 
 
 def _free_name(output: Path) -> Path:
-    """A name beside a file, for what was not exported, that no file has."""
+    """Return an unused file name for unsaved poses, beside a file."""
     numbers = chain([""], (f"-{number}" for number in count(2)))
     return next(
         path for number in numbers if not (path := output.with_name(f"{output.stem}.autosave{number}.json")).exists()
@@ -240,7 +240,7 @@ def _free_name(output: Path) -> Path:
 
 
 def settled(system: System, pose: Motion) -> Motion:
-    """A pose as finely as a file holds it, with its joints inside their limits."""
+    """Round a pose to the precision of a file, with its joints within their limits."""
     joints = {}
     for name, joint in system.robot.movable.items():
         rounded = np.round(pose.joints.get(name, np.array([joint.rest])), DECIMALS) + 0.0
@@ -249,7 +249,7 @@ def settled(system: System, pose: Motion) -> Motion:
 
 
 def joined(poses: Sequence[Motion]) -> Motion:
-    """One motion through poses that are alike in what they have."""
+    """Join poses with the same joints and models to one motion."""
     positions = [pose.positions for pose in poses if pose.positions is not None]
     orientations = [pose.orientations for pose in poses if pose.orientations is not None]
     return Motion(
@@ -261,7 +261,7 @@ def joined(poses: Sequence[Motion]) -> Motion:
 
 
 def _first_pose(system: System) -> Motion:
-    """One that every sensor sees, if it can be found; else the joints at rest and the pattern in front of a sensor."""
+    """Return a pose that every sensor sees, if one is found; else a default in front of a sensor."""
     moved = system.moved_pattern
     rest = {name: np.array([joint.rest]) for name, joint in system.robot.movable.items()}
     try:
@@ -272,7 +272,7 @@ def _first_pose(system: System) -> Motion:
 
 
 def _in_front(system: System) -> Array:
-    """``T_parent_model`` (1, 4, 4) of the moved pattern, facing the first sensor from two metres away."""
+    """Return ``T_parent_model`` (1, 4, 4) of the moved pattern, facing the first sensor at two metres."""
     moved = system.moved_pattern
     assert moved is not None  # noqa: S101 (the caller has asked)
     sensor = next(iter(system.configuration.sensors.values()))

@@ -1,4 +1,4 @@
-"""Documents declared once: a record is a frozen dataclass from which reading, writing and the JSON Schema come.
+"""Declarative documents: a record is a frozen dataclass that defines reading, writing and the JSON Schema.
 
 A record's fields carry their type, default, limits, unit and one sentence of help::
 
@@ -16,19 +16,19 @@ A record's fields carry their type, default, limits, unit and one sentence of he
 
 Types of fields: ``str``, ``int``, ``float``, ``bool``, ``Path`` (relative to the folder of the file), ``Literal``,
 ``tuple[T, ...]``, ``Mapping[str, T]``, records, unions, and ``T | None`` for what may be absent; each with limits in
-``Annotated``: `at_least`, `between`, `above`, `matching`, `length`, `UNIQUE`. A field that is not declared by `field`
-is no part of the document.
+``Annotated``: `at_least`, `between`, `above`, `matching`, `length`, `UNIQUE`. A field declared without `field`
+is not part of the document.
 
-- ``key="from"`` gives another key than the field's name in kebab-case (in snake_case with ``@record(case="snake")``).
-- ``flat=True``: the keys of the record in this field stand among those of the record that has it.
-- `Converted`: a value that stands otherwise in the document (``10m``) than in the record (600.0).
-- `ByName`: a mapping whose keys are the names of the records in it.
-- ``@record(rules=...)``: which keys go together: `excludes`, `needs`, `one_of`, `exactly_one`; what else must hold of
-  the values, a record says in ``__post_init__`` by raising `Misfit`.
-- ``@result`` declares a record of results: keys in snake_case, null for None, and what a newer version has added is
-  left alone. ``@property`` above ``@computed()`` is a key that is written and never read.
+- ``key="from"`` sets another key than the field's name in kebab-case (in snake_case with ``@record(case="snake")``).
+- ``flat=True``: the keys of the nested record are keys of the outer record.
+- `Converted`: a value whose form in the document (``10m``) differs from that in the record (600.0).
+- `ByName`: a mapping whose keys are the names of the nested records.
+- ``@record(rules=...)``: conditions on keys: `excludes`, `needs`, `one_of`, `exactly_one`; other conditions on
+  values are checked in ``__post_init__``, which raises `Misfit`.
+- ``@result`` declares a record of results: keys in snake_case, null for None, and unknown keys of newer versions
+  are ignored. ``@property`` above ``@computed()`` is a key that is written and never read.
 
-Nothing here is slow to import, so that a command may declare its options by a record. No library reads the documents:
+All imports are fast, so that a command may declare its options by a record. No validation library is used:
 pydantic takes longer to import than all of this command line, and needs as many lines as `reading` to tell an absent
 key from null, a list from a text, and to name the key.
 """

@@ -1,4 +1,4 @@
-"""Limits of a value, and values that stand otherwise in a document; both are written into ``Annotated``."""
+"""Constraints of values, and conversions between document and record; both are written into ``Annotated``."""
 
 import re
 from collections.abc import Callable, Mapping
@@ -11,59 +11,59 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Constraint:
-    """A condition that a value of the right type must meet."""
+    """Condition on a value of the right type."""
 
     holds: Callable[[Any], bool]
     expected: str
     """For messages, after "expected": ``a number of at least 0``; for numbers and lists what follows their type."""
     schema: Mapping[str, Any] = field(default_factory=dict)
-    """The same as keywords of JSON Schema."""
+    """The condition as keywords of JSON Schema."""
     whole: bool = False
     """Whether ``expected`` names the type itself."""
     secret: bool = False
-    """Whether a wrong value may be a secret, which a message must not repeat."""
+    """Whether a wrong value may be a secret and must not be repeated in a message."""
 
 
 @dataclass(frozen=True, eq=False)
 class Converted:
-    """A value that stands otherwise in the document than in the record.
+    """Value whose form in the document differs from that in the record.
 
-    ``make`` gets what was read as ``accepts``, and the place for messages; it raises an error for users.
+    ``make`` takes the value read as ``accepts``, and the position for messages; it raises an error for users.
     """
 
     accepts: Any
     make: Callable[[Any, "Place"], Any]
     described_as: Any = field(default=None, kw_only=True)
-    """What the schema says, where that is more than ``accepts``."""
+    """Additional keywords of the schema, beyond ``accepts``."""
 
 
 @dataclass(frozen=True, eq=False)
 class ByName:
-    """A tuple of records that stands in the document as a mapping: its keys are their field ``name``."""
+    """Tuple of records that is a mapping in the document, whose keys are their field ``name``."""
 
     names: Constraint | None = None
 
 
 def between(least: float, most: float) -> Constraint:
-    """Numbers from ``least`` to ``most``, both included."""
+    """Constrain numbers to ``least`` to ``most``, both included."""
     schema = {"minimum": least, "maximum": most}
     return Constraint(lambda value: least <= value <= most, f"from {least:g} to {most:g}", schema)
 
 
 def at_least(least: float) -> Constraint:
-    """Numbers that are not below ``least``."""
+    """Constrain numbers to at least ``least``."""
     return Constraint(lambda value: value >= least, f"of at least {least:g}", {"minimum": least})
 
 
 def above(limit: float, most: float | None = None) -> Constraint:
-    """Numbers above ``limit``, and of at most ``most``."""
+    """Constrain numbers to more than ``limit``, and at most ``most``."""
     schema = {"exclusiveMinimum": limit} | ({} if most is None else {"maximum": most})
     text = f"above {limit:g}" if most is None else f"above {limit:g} and of at most {most:g}"
     return Constraint(lambda value: limit < value and (most is None or value <= most), text, schema)
 
 
 def matching(pattern: str, expected: str, *, secret: bool = False) -> Constraint:
-    """Text that a regular expression matches as a whole."""
+    """Constrain text to full matches of a regular expression."""
     compiled = re.compile(pattern)
     schema = {"pattern": f"^(?:{pattern})$" if "|" in pattern else f"^{pattern}$"}
     fits = lambda value: compiled.fullmatch(value) is not None  # noqa: E731
@@ -71,7 +71,7 @@ def matching(pattern: str, expected: str, *, secret: bool = False) -> Constraint
 
 
 def length(least: int = 0, most: int | None = None) -> Constraint:
-    """Text, lists and mappings of ``least`` to ``most`` characters, items or keys."""
+    """Constrain the length of text, lists and mappings to ``least`` to ``most``."""
 
     def holds(value: Any) -> bool:
         return least <= len(value) and (most is None or len(value) <= most)
@@ -84,4 +84,4 @@ def length(least: int = 0, most: int | None = None) -> Constraint:
 
 
 UNIQUE = Constraint(lambda value: len(set(value)) == len(value), "in which nothing stands twice", {"uniqueItems": True})
-"""Lists in which no value stands twice."""
+"""Lists without duplicates."""

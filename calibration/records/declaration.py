@@ -1,4 +1,4 @@
-"""Declaration of records: frozen dataclasses whose fields say what a document may hold."""
+"""Declaration of records: frozen dataclasses whose fields define the content of a document."""
 
 import dataclasses
 import typing
@@ -17,7 +17,7 @@ _DECLARED = "record"
 
 
 class Misfit(ValueError):  # noqa: N818 (it becomes an error for users where the place is known)
-    """Values that are right alone and wrong together; ``key`` is the one to change."""
+    """Error for values that are valid alone and contradict each other; ``key`` is the one to change."""
 
     def __init__(self, message: str, key: str = "") -> None:
         super().__init__(message)
@@ -26,12 +26,12 @@ class Misfit(ValueError):  # noqa: N818 (it becomes an error for users where the
 
 @dataclass(frozen=True)
 class Rule:
-    """A condition on which keys a document has."""
+    """Condition on the keys of a document."""
 
     fault: Callable[[Collection[str]], str | None]
-    """What is wrong with these keys; None if nothing."""
+    """Function that returns the error in these keys; None if there is none."""
     schema: Mapping[str, Any]
-    """The same as keywords of JSON Schema."""
+    """The condition as keywords of JSON Schema."""
 
 
 @dataclass(frozen=True)
@@ -40,35 +40,35 @@ class Settings:
 
     case: Literal["kebab", "snake"] = "kebab"
     nulls: bool = False
-    """Whether None is written as null, and a null that is read stands for an absent key; else null is refused."""
+    """Whether None is written as null, and null is read as an absent key; else null is rejected."""
     unknown: Literal["refuse", "ignore"] = "refuse"
     rules: tuple[Rule, ...] = ()
 
 
 @dataclass(frozen=True)
 class Declared:
-    """A field of a record that is part of its document."""
+    """Field of a record that is part of its document."""
 
     name: str
     key: str
     type: Any
-    """With what is in ``Annotated``."""
+    """Type, including the content of ``Annotated``."""
     help: str
     default: Any
-    """`dataclasses.MISSING` where the key is required."""
+    """Default value; `dataclasses.MISSING` if the key is required."""
     implied: Any
-    """What the document would say where the key is absent; `dataclasses.MISSING` where ``default`` is the value."""
+    """Document value equivalent to an absent key; `dataclasses.MISSING` if ``default`` is the value itself."""
     flat: bool
     option: bool | str
-    """Whether the field is an option of a command; the sentence of help for it, where the option needs its own."""
+    """Whether the field is an option of a command; or the help of the option, if it differs."""
     omitted: bool
-    """Whether the key is left out for None, also in a record with ``nulls``."""
+    """Whether the key is omitted for None, also in a record with ``nulls``."""
     computed: bool = False
     """Whether it is a property, which is written and not read."""
 
     @property
     def required(self) -> bool:
-        """Whether the key must be there."""
+        """Whether the key is required."""
         return self.default is MISSING and self.implied is MISSING and not self.flat
 
 
@@ -88,18 +88,18 @@ def field(
     """Declare a field of a record.
 
     Args:
-        help: one sentence, for schemas, options and tables.
-        default: the value where the key is absent.
-        default_factory: makes it; the record itself in a flat field.
-        implied: what the document would say where the key is absent, such as a path relative to the file.
-        key: in the document, where it is not the field's name.
-        unit: of the value; added to the help.
-        flat: whether the keys of the record in this field stand among those of the record that has it; with
-            `Converted`, the keys of the record that it accepts. A record that may be None is there if one of its keys
+        help: description in one sentence, for schemas, options and tables.
+        default: value if the key is absent.
+        default_factory: function that makes the default; the record itself in a flat field.
+        implied: document value equivalent to an absent key, such as a path relative to the file.
+        key: key in the document, if it differs from the field's name.
+        unit: unit of the value; added to the help.
+        flat: whether the keys of the nested record are keys of the outer record; with
+            `Converted`, the keys of the record that it accepts. An optional flat record is present if one of its keys
             is.
-        option: whether a command has an option for it; or another sentence of help for the option.
-        omitted: whether the key is left out for None, also in a record with ``nulls``.
-        repr: whether it is shown in the record's ``repr``; not where it may hold secrets.
+        option: whether a command has an option for it; or the help of the option, if it differs.
+        omitted: whether the key is omitted for None, also in a record with ``nulls``.
+        repr: whether it is part of the record's ``repr``; False for possible secrets.
     """
     text = f"{help.removesuffix('.')}, {unit}." if unit else help
     declared = {"key": key, "help": text, "implied": implied, "flat": flat, "option": option, "omitted": omitted}
@@ -113,7 +113,7 @@ def computed(key: str | None = None) -> Callable[[_Getter], _Getter]:
     """Declare a property, written below ``@property``, as part of the document: its docstring's first line is the help.
 
     Args:
-        key: in the document, where it is not the property's name.
+        key: key in the document, if it differs from the property's name.
     """
 
     def declare(getter: _Getter) -> _Getter:
@@ -159,7 +159,7 @@ def result(cls: _Class, /) -> _Class: ...
 def result(**options: bool) -> Callable[[_Class], _Class]: ...
 @dataclass_transform(frozen_default=True, field_specifiers=(field, dataclasses.field))
 def result(cls: Any = None, /, **options: Any) -> Any:
-    """Make a class a record of results: keys in snake_case, null for None; what a newer version has added is ignored.
+    """Make a class a record of results: keys in snake_case, null for None; unknown keys of newer versions are ignored.
 
     Args:
         cls: the class; its docstring describes the document.
@@ -170,19 +170,19 @@ def result(cls: Any = None, /, **options: Any) -> Any:
 
 
 def is_record(kind: Any) -> bool:
-    """Whether a type is a record."""
+    """Return whether a type is a record."""
     return isinstance(kind, type) and hasattr(kind, _SETTINGS)
 
 
 def settings_of(kind: Any) -> Settings:
-    """The properties of a record as a whole."""
+    """Return the properties of a record as a whole."""
     found: Settings = getattr(kind, _SETTINGS)
     return found
 
 
 @cache
 def fields_of(kind: Any) -> tuple[Declared, ...]:
-    """The fields of a record that are part of its document, in order, then its computed properties."""
+    """Return the fields of a record that are part of its document, in order, then its computed properties."""
     types = typing.get_type_hints(kind, include_extras=True)
     kebab = settings_of(kind).case == "kebab"
     found = []
@@ -208,7 +208,7 @@ def _computed(kind: Any) -> list[Declared]:
 
 
 def flat_fields(kind: Any) -> dict[str, Declared]:
-    """The fields by key, with those of flat records in the place of these."""
+    """Return the fields by key; flat records are replaced by their fields."""
     found: dict[str, Declared] = {}
     for each in fields_of(kind):
         found |= flat_fields(flat_record(each)[0]) if each.flat else {each.key: each}
@@ -216,21 +216,21 @@ def flat_fields(kind: Any) -> dict[str, Declared]:
 
 
 def flat_record(each: Declared) -> tuple[Any, Converted | None]:
-    """The record whose keys a flat field has, and what is made of it, where that is something else."""
+    """Return the record whose keys a flat field has, and its conversion, if there is one."""
     extras = typing.get_args(each.type)[1:] if typing.get_origin(each.type) is typing.Annotated else ()
     converted = next((extra for extra in extras if isinstance(extra, Converted)), None)
     return (converted.accepts if converted else bare(each.type)), converted
 
 
 def bare(kind: Any) -> Any:
-    """A type without what is in ``Annotated``, and without None beside a record."""
+    """Return a type without the content of ``Annotated``, and without None beside a record."""
     if typing.get_origin(kind) is typing.Annotated:
         return bare(typing.get_args(kind)[0])
     return next(filter(is_record, typing.get_args(kind)), kind)
 
 
 def excludes(first: str, second: str) -> Rule:
-    """A rule that two keys do not stand together."""
+    """Rule that two keys exclude each other."""
     return Rule(
         lambda keys: f"{first} and {second} exclude each other" if {first, second} <= set(keys) else None,
         {"not": {"required": [first, second]}},
@@ -238,7 +238,7 @@ def excludes(first: str, second: str) -> Rule:
 
 
 def needs(key: str, other: str, why: str = "") -> Rule:
-    """A rule that a key stands only together with another."""
+    """Rule that a key requires another one."""
     fault = why or f"{key} needs {other}: say {other} too"
     return Rule(
         lambda keys: fault if key in keys and other not in keys else None, {"dependentRequired": {key: [other]}}
@@ -246,7 +246,7 @@ def needs(key: str, other: str, why: str = "") -> Rule:
 
 
 def one_of(*names: str, why: str) -> Rule:
-    """A rule that at least one of some keys is there; ``why`` is the message."""
+    """Rule that at least one of some keys is present; ``why`` is the message."""
     return Rule(
         lambda keys: None if any(name in keys for name in names) else why,
         {"anyOf": [{"required": [name]} for name in names]},
@@ -254,7 +254,7 @@ def one_of(*names: str, why: str) -> Rule:
 
 
 def exactly_one(*names: str) -> Rule:
-    """A rule that one of some keys is there, and no other of them."""
+    """Rule that exactly one of some keys is present."""
 
     def fault(keys: Collection[str]) -> str | None:
         found = [name for name in names if name in keys]
@@ -266,5 +266,5 @@ def exactly_one(*names: str) -> Rule:
 
 
 def unknown_key(key: object, known: Collection[str]) -> str:
-    """The message about a key that is none of those known."""
+    """Return the message about an unknown key."""
     return f"unknown key {shorten(repr(key))}{did_you_mean(str(key), known)} (known: {', '.join(known)})"

@@ -1,4 +1,4 @@
-"""Reading of documents as records, with one line for whatever is wrong: file, place, what was found and expected."""
+"""Reading of documents as records; an error is one line with file, key, found and expected value."""
 
 import math
 import typing
@@ -25,37 +25,37 @@ from calibration.workflow.text import did_you_mean, shorten
 _Record = TypeVar("_Record")
 _NOUNS = {str: "a text", int: "a whole number", float: "a number", bool: "true or false", Path: "a path", dict: "keys"}
 _FEW = 3
-"""So many numbers of a list are shown."""
+"""Limit of the numbers of a list in a message."""
 
 
 @dataclass(frozen=True)
 class Place:
-    """A place in a document, for messages; and what reading needs to know beside the value."""
+    """Position in a document, for messages, with the context of reading."""
 
     where: str
-    """The file, and the key in it where the document is a part of one."""
+    """The file, and the key in it if the document is a part of one."""
     keys: tuple[str, ...] = ()
     folder: Path = Path()
-    """Where relative paths begin."""
+    """Base folder of relative paths."""
     error: type[CalibrationError] = InputError
 
     def __str__(self) -> str:
         return ": ".join(filter(None, (self.where, ".".join(self.keys))))
 
     def below(self, key: object) -> "Place":
-        """The place of a key or an item here."""
+        """Return the position of a key or an item in this one."""
         return replace(self, keys=(*self.keys, str(key)))
 
     def fault(self, message: str) -> CalibrationError:
-        """The error with this message."""
+        """Return the error with this message."""
         return self.error(f"{self}: {message}")
 
     def unexpected(self, value: object, expected: str) -> CalibrationError:
-        """The error that says what was found here and what was expected."""
+        """Return the error with the found and the expected value."""
         return self.fault(f"found {shown(value)}, expected {expected}")
 
     def misfit(self, misfit: Misfit) -> CalibrationError:
-        """The error about values here that are wrong together."""
+        """Return the error about contradicting values."""
         return (self.below(misfit.key) if misfit.key else self).fault(str(misfit))
 
 
@@ -71,11 +71,11 @@ def read(
 
     Args:
         kind: the record.
-        document: as it was parsed: mappings, lists, texts, numbers, truth values.
-        where: the file, and the key in it where the document is a part of one; messages begin with it.
-        folder: where relative paths begin; they stay as they are where None.
-        error: to raise; `WorldError` for documents that no user has written.
-        more: fields that are no part of the document, such as ``name``.
+        document: parsed document: mappings, lists, texts, numbers, booleans.
+        where: prefix of messages: the file, and the key in it if the document is a part of one.
+        folder: base folder of relative paths; None leaves them unchanged.
+        error: class of the error; `WorldError` for documents that are not written by users.
+        more: values of fields that are not part of the document, such as ``name``.
 
     Raises:
         InputError: one line that names the file, the key, what was found and what was expected.
@@ -85,13 +85,13 @@ def read(
 
 
 def changed(record: _Record, document: Mapping[str, Any], where: str, folder: Path | None = None) -> _Record:
-    """A record with what a document says in the place of what the record says.
+    """Return a record with the values of a document in place of its own.
 
     Args:
-        record: as it is.
-        document: some of its keys; those of flat records in it too.
-        where: what messages begin with.
-        folder: where relative paths begin; they stay as they are where None.
+        record: the record.
+        document: some of its keys, including those of flat records.
+        where: prefix of messages.
+        folder: base folder of relative paths; None leaves them unchanged.
 
     Raises:
         InputError: as `read`.
@@ -125,7 +125,7 @@ def read_as(kind: Any, value: object, place: Place) -> Any:
 
 
 def shown(value: object) -> str:
-    """A value in the words of a message, cut to a short line."""
+    """Format a value for a message, shortened."""
     if value is None or isinstance(value, bool):
         return {None: "null", True: "true", False: "false"}[value]
     if isinstance(value, dict):
@@ -136,7 +136,7 @@ def shown(value: object) -> str:
 
 
 def _parts(kind: Any) -> tuple[Any, tuple[Any, ...]]:
-    """A type, and what is in ``Annotated``, innermost first."""
+    """Return a type without ``Annotated``, and the content of that, innermost first."""
     if typing.get_origin(kind) is typing.Annotated:
         base, *extras = typing.get_args(kind)
         inner, more = _parts(base)
@@ -175,7 +175,7 @@ def _key(kind: Any, key: object, place: Place) -> Any:
 
 
 def _checked(result: Any, value: object, kind: Any, extras: tuple[Any, ...], place: Place) -> Any:
-    """The result, if all constraints hold."""
+    """Return the result after checking all constraints."""
     for extra in extras:
         if isinstance(extra, Constraint) and not extra.holds(result):
             if extra.secret:
@@ -213,7 +213,7 @@ def _is_literal_of(kind: Any, value: object) -> bool:
 
 
 def fits(kind: Any, value: object) -> bool:
-    """Whether a value is of the kind that a type is read from; its content may still be wrong."""
+    """Return whether a value has the form that a type is read from; its content may still be invalid."""
     base, extras = _parts(kind)
     if (other := next((each for each in extras if isinstance(each, Converted)), None)) is not None:
         return fits(other.accepts, value)
@@ -236,12 +236,12 @@ def fits(kind: Any, value: object) -> bool:
 def _is_number(value: object) -> bool:
     try:
         return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
-    except OverflowError:  # an integer beyond the range of floats
+    except OverflowError:  # integers beyond the range of floats
         return False
 
 
 def expectation(kind: Any) -> str:
-    """What a type expects, in the words of a message: ``a number``."""
+    """Describe the expected value of a type for a message: ``a number``."""
     base, extras = _parts(kind)
     for extra in extras:
         if isinstance(extra, Converted):
@@ -298,7 +298,7 @@ def _may_be_null(each: Declared) -> bool:
 
 
 def _made(kind: Any, document: Mapping[str, Any], place: Place, more: Mapping[str, Any]) -> Any:
-    """The record, of those keys of the document that are its own."""
+    """Build the record from those keys of the document that are its own."""
     values = dict(more)
     nulls = settings_of(kind).nulls
     for each in fields_of(kind):

@@ -1,4 +1,4 @@
-"""JSON Schemas of records, for editors and for programs that read what we write."""
+"""JSON Schemas of records, for editors and for readers of our output."""
 
 import json
 import typing
@@ -24,18 +24,18 @@ _TYPES = {
     list: "array",
 }
 _RECORD = "$record"
-"""The key with the name of the record, until the schema is written."""
+"""Temporary key with the name of the record, removed from the final schema."""
 _OF_A_FIELD = ("description", "default")
 _LENGTHS = {"string": "Length", "array": "Items", "object": "Properties"}
 
 
 def schema_text(kind: type, title: str, head: type | None = None) -> str:
-    """The schema of a record as it ships; a record that stands in several places is among its ``$defs``.
+    """Return the published schema of a record; records that occur several times are in ``$defs``.
 
     Args:
         kind: the record.
-        title: of the schema.
-        head: a record whose keys stand before those of the first in the same document.
+        title: title of the schema.
+        head: record whose keys precede those of the first in the same document.
     """
     schema = _of_record(kind, head) if head else _schema(kind)
     counts = Counter(_bodies(schema))
@@ -49,18 +49,18 @@ def schema_text(kind: type, title: str, head: type | None = None) -> str:
 
 
 def schema_of(kind: Any) -> dict[str, Any]:
-    """The schema of a record, or of any type that a field of a record may have."""
+    """Return the schema of a record, or of any other type of a field."""
     found: dict[str, Any] = _referring(_schema(kind), {})
     return found
 
 
 def _body(node: Mapping[str, Any]) -> str:
-    """The schema of a record without what the field that it stands in says of it."""
+    """Return the schema of a record without the description of the field that contains it."""
     return json.dumps({key: value for key, value in node.items() if key not in _OF_A_FIELD})
 
 
 def _bodies(node: Any) -> Iterator[str]:
-    """The schema of the record at every place where there is one."""
+    """Return all occurrences of a record's schema."""
     if isinstance(node, Mapping):
         if _RECORD in node:
             yield _body(node)
@@ -72,7 +72,7 @@ def _bodies(node: Any) -> Iterator[str]:
 
 
 def _referring(node: Any, shared: Mapping[str, str], *, inside: bool = False) -> Any:
-    """A schema that refers to the shared records by their names; ``inside`` for the top of one of them."""
+    """Replace shared records by references to their names; ``inside`` for the top level of one of them."""
     if isinstance(node, list):
         return [_referring(each, shared) for each in node]
     if not isinstance(node, Mapping):
@@ -83,7 +83,7 @@ def _referring(node: Any, shared: Mapping[str, str], *, inside: bool = False) ->
 
 
 def _schema(kind: Any) -> dict[str, Any]:
-    """The schema, in which that of a record still has its name."""
+    """Return the schema, in which records are still marked with their names."""
     if is_record(kind):
         return _of_record(kind)
     origin, arguments = typing.get_origin(kind), typing.get_args(kind)
@@ -155,7 +155,7 @@ def _of_record(kind: Any, head: Any = None) -> dict[str, Any]:
 
 
 def _collect(kind: Any, properties: dict[str, Any], required: list[str], rules: list[Mapping[str, Any]]) -> None:
-    """The properties of a record, and of the records that are flat in it."""
+    """Return the properties of a record, including those of flat records."""
     rules += [rule.schema for rule in settings_of(kind).rules]
     nulls = settings_of(kind).nulls
     for each in fields_of(kind):
@@ -180,7 +180,7 @@ def _property(each: Declared, nulls: bool) -> dict[str, Any]:
 
 
 def _together(rules: list[Mapping[str, Any]]) -> dict[str, Any]:
-    """Rules as keywords; those that would hide each other stand in ``allOf``."""
+    """Return rules as keywords; conflicting keywords are combined by ``allOf``."""
     merged: dict[str, Any] = {}
     rest = []
     for rule in rules:

@@ -1,4 +1,4 @@
-"""Records as documents and as text."""
+"""Conversion of records to documents and to text."""
 
 import json
 from collections.abc import Mapping
@@ -9,9 +9,9 @@ from calibration.records.declaration import fields_of, is_record, settings_of
 
 
 def document_of(record: Any) -> dict[str, Any]:
-    """The document that a record is read from: mappings, lists, texts, numbers.
+    """Return the document of a record: mappings, lists, texts, numbers.
 
-    What is None is left out, or null in a record with ``nulls``.
+    None is omitted, or null in a record with ``nulls``.
     """
     kind: Any = type(record)
     nulls = settings_of(kind).nulls
@@ -26,12 +26,12 @@ def document_of(record: Any) -> dict[str, Any]:
 
 
 def text_of(record: Any) -> str:
-    """The text of a record's document: JSON with an indent of two."""
+    """Return a record's document as JSON text, indented by two."""
     return json.dumps(document_of(record), indent=2, allow_nan=False) + "\n"
 
 
 def value_of(value: Any) -> Any:
-    """A value of a record as it stands in a document."""
+    """Return the document value of a record's value."""
     if is_record(type(value)):
         return document_of(value)
     if isinstance(value, Mapping):

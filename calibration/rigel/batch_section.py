@@ -1,4 +1,4 @@
-"""The section ``aws-batch`` of calibration.yml, as far as a simulation job of RoboMaker's says it."""
+"""Section ``aws-batch`` of calibration.yml, from a RoboMaker simulation job."""
 
 import re
 from collections.abc import Sequence
@@ -12,24 +12,24 @@ from calibration.rigel.notes import Notes
 from calibration.rigel.substitution import plain
 
 NO_REGION, NO_BUCKET, TO_DO = "xx-todo-1", "todo", "TODO"
-"""What stands where nobody knows: it has the form that is asked for, and there is none of that name."""
+"""Placeholders for unknown values: syntactically valid names that do not exist."""
 _NO_ACCOUNT = "0" * 12
 _ACCOUNT = re.compile(r"(?:^arn:[^:]*:iam::|^)([0-9]{12})(?=:role/|\.dkr\.ecr\.)")
 _MOST_TAGS = 30
 
 
 def batch_section(fields: Fields, region: str, *, gpu: bool, images: Sequence[str], notes: Notes) -> dict[str, Any]:
-    """The section; takes the fields that it is made of.
+    """Return the section, and take the fields that it is made of.
 
     Args:
         fields: of the simulation job.
-        region: where it ran; empty where nobody knows.
+        region: region of the job; empty if unknown.
         gpu: whether it needs a GPU.
-        images: of its containers: one in ECR tells the account.
-        notes: what has to be known besides.
+        images: images of its containers; one in ECR contains the account.
+        notes: notes of the conversion.
 
     Raises:
-        InputError: a field is of the wrong kind.
+        InputError: a field has the wrong type.
     """
     role, where = fields.plain("iam_role"), fields.at("iam_role")
     account = next((match[1] for text in (role, *images) if (match := _ACCOUNT.search(text))), _NO_ACCOUNT)
@@ -71,7 +71,7 @@ def batch_section(fields: Fields, region: str, *, gpu: bool, images: Sequence[st
 
 
 def merged(first: dict[str, Any], second: dict[str, Any], where: str, notes: Notes) -> dict[str, Any]:
-    """One section for two jobs: what the first does not know, the second may; else the first's."""
+    """Merge the sections of two jobs: the second's values replace only unknown values of the first."""
     result = dict(first)
     for key, value in second.items():
         if key not in result or _unknown(result[key]):
@@ -79,8 +79,8 @@ def merged(first: dict[str, Any], second: dict[str, Any], where: str, notes: Not
         elif value != result[key] and not _unknown(value):
             notes.lost(where, f"there is one section aws-batch, and its {key} is {result[key]}, not {value}")
     if _unknown(result.get("execution-role")) and (found := _ACCOUNT.search(result["job-role"])):
-        result["execution-role"] = f"arn:aws:iam::{found[1]}:role/{TO_DO}"  # of one account, as they have to be
-    if result.get("platform") == "ec2" and result.pop("public-ip", None):  # one of them needs a GPU
+        result["execution-role"] = f"arn:aws:iam::{found[1]}:role/{TO_DO}"  # both roles must belong to one account
+    if result.get("platform") == "ec2" and result.pop("public-ip", None):  # one of the jobs needs a GPU
         notes.lost(where, "there is one queue, of EC2: the subnets say whether instances have a public address")
     return result
 
@@ -94,7 +94,7 @@ def _hosts(gpu: bool) -> str:
 
 
 def _output(fields: Fields, notes: Notes) -> tuple[str, str]:
-    """Bucket and prefix of the results: Rigel has them as a text, the service as a mapping."""
+    """Return bucket and prefix of the results, from Rigel's text or the service's mapping."""
     where, given = fields.at("output_location"), fields.take("output_location")
     if isinstance(given, dict):
         location = Fields(given, where, notes, fields.spelling)
@@ -142,7 +142,7 @@ def _tags(fields: Fields, section: dict[str, Any], notes: Notes) -> None:
 
 
 def _policy(policy: Fields, section: dict[str, Any], notes: Notes) -> None:
-    """Of a batch of jobs."""
+    """Convert the policy of a batch of jobs."""
     seconds = policy.take("timeout_in_seconds")
     if isinstance(seconds, int | float) and not isinstance(seconds, bool) and seconds > 0:
         section["deadline"] = f"{seconds}s"
@@ -153,7 +153,7 @@ def _policy(policy: Fields, section: dict[str, Any], notes: Notes) -> None:
 
 
 def _fits(key: str, value: str) -> bool:
-    """Whether a key may have a value; one that is read from the environment is seen then."""
+    """Return whether a key accepts a value; a reference to the environment is checked only at run time."""
     return "${" in value or _is(key, value)
 
 

@@ -1,4 +1,4 @@
-"""A container as ``calibration.yml`` has it, of a component of ComposePlugin or an application of RoboMakerPlugin."""
+"""Containers of ``calibration.yml``, from components of ComposePlugin or applications of RoboMakerPlugin."""
 
 import re
 import shlex
@@ -18,22 +18,22 @@ _SHELLS = ("sh", "bash", "dash")
 
 @dataclass(frozen=True)
 class Surroundings:
-    """What a container's description needs to know of the rest."""
+    """Context of the conversion of a container."""
 
     notes: Notes
     image: str | None
-    """The image that the section ``image`` builds: a container that runs it need not name it."""
+    """Image built by the section ``image``; a container that runs it need not name it."""
     placeholders: Mapping[str, str]
-    """Our names of the data of the matrix."""
+    """Our placeholders, by the names of the matrix in Rigel."""
     replaced: Callable[[str], str] = str
-    """Done to every text first."""
+    """Applied to every text first."""
 
 
 def component_entry(component: dict[str, Any], around: Surroundings, where: str) -> dict[str, Any]:
-    """The entry of a component, without its name.
+    """Return the entry of a component, without its name.
 
     Raises:
-        InputError: a field is of the wrong kind.
+        InputError: a field has the wrong type.
     """
     fields, notes, entry = Fields(component, where, around.notes), around.notes, dict[str, Any]()
     secrets: dict[str, None] = {}
@@ -72,10 +72,10 @@ def component_entry(component: dict[str, Any], around: Surroundings, where: str)
 
 
 def pair_environment(items: list[Any], where: str) -> dict[str, str]:
-    """The mapping of a list of ``NAME=value``.
+    """Convert a list of ``NAME=value`` to a mapping.
 
     Raises:
-        InputError: an item is no text.
+        InputError: an item is not text.
     """
     pairs = (text_at(item, where).partition("=") for item in items)
     return {name.strip(): value for name, _, value in pairs}
@@ -91,7 +91,7 @@ def _image(value: object, entry: dict[str, Any], around: Surroundings, where: st
 
 
 def _command(value: object, secrets: dict[str, None], around: Surroundings, where: str) -> list[str]:
-    """The arguments; a text is split as a shell would."""
+    """Return the command's arguments; text is split as by a shell."""
     if isinstance(value, list):
         words = [around.replaced(text_at(item, where)) for item in value]
     else:
@@ -140,7 +140,7 @@ def _mounts(volumes: list[Any], entry: dict[str, Any], around: Surroundings, whe
     for number, volume in enumerate(volumes):
         place = f"{where}.{number}"
         parts = volume if isinstance(volume, list) else text_at(volume, place).split(":")
-        # a tuple may hold the mode in its last text: ("/a", "/b:rw")
+        # the last element of a tuple may contain the mode: ("/a", "/b:rw")
         texts = ":".join(_plain(part, around, place) for part in parts).split(":")
         if len(texts) < 2 or not texts[0] or not texts[1].startswith("/"):
             around.notes.lost(place, f"{':'.join(texts)} is not HERE:THERE")
@@ -163,7 +163,7 @@ def _plain(value: object, around: Surroundings, where: str) -> str:
 
 
 def named(text: str) -> str:
-    """A name for a container, a system or a simulation: ``Robot App`` gives ``robot-app``."""
+    """Convert a text to a valid name of a container, a system or a simulation: ``Robot App`` gives ``robot-app``."""
     return re.sub(r"[^a-z0-9-]+", "-", text.lower()).strip("-")[:63] or "robot"
 
 

@@ -1,4 +1,4 @@
-"""From a Rigelfile to what ``calibration.yml`` says."""
+"""Conversion of a Rigelfile to the content of ``calibration.yml``."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -29,7 +29,7 @@ MAX_NOISE = 1000.0
 
 
 def placeholder(name: str) -> str | None:
-    """Our placeholder for a name of the matrix: ``trans_noise`` gives ``translation_noise``; None for another's."""
+    """Return our placeholder for a matrix name: ``trans_noise`` gives ``translation_noise``; None if unknown."""
     lower = name.lower()
     for part, ours in (("trans", "translation_noise"), ("rot", "rotation_noise"), ("seed", "seed")):
         if part in lower:
@@ -38,9 +38,9 @@ def placeholder(name: str) -> str | None:
 
 
 def noise_section(stages: Sequence[Stage], notes: Notes) -> tuple[dict[str, list[float]], list[str]]:
-    """What ``noise`` says, and where it comes from.
+    """Return the section ``noise``, and its source.
 
-    There is one noise for all systems: where stages differ, all of their values together.
+    All systems share one noise: if stages differ, the union of their values is used.
     """
     found: dict[str, dict[str, dict[float, None]]] = {}
     for stage in stages:
@@ -87,11 +87,11 @@ _ELSEWHERE = {
 
 @dataclass
 class Conversion:
-    """The sections of a ``calibration.yml``, each with where it comes from; an empty one is not there."""
+    """Sections of ``calibration.yml`` with the source of each; empty ones are omitted."""
 
     notes: Notes
     secrets: Mapping[str, str] = field(default_factory=dict, repr=False)
-    """What must not be in the file, and the variables that take its place."""
+    """Secrets that must not be written, and the variables that replace them."""
     image: dict[str, Any] = field(default_factory=dict)
     image_origin: str = ""
     noise: dict[str, list[float]] = field(default_factory=dict)
@@ -99,20 +99,20 @@ class Conversion:
     systems: list[Converted] = field(default_factory=list)
     simulations: list[Converted] = field(default_factory=list)
     batch: dict[str, Any] = field(default_factory=dict)
-    """Where in AWS the simulations run."""
+    """AWS region of the simulations."""
     batch_origin: str = ""
 
     @property
     def is_empty(self) -> bool:
-        """Whether nothing at all could be carried over."""
+        """Whether nothing could be converted."""
         return not (self.image or self.noise or self.systems or self.simulations)
 
 
 def convert(rigelfile: Rigelfile) -> Conversion:
-    """Convert a Rigelfile; what cannot be carried over is in the notes.
+    """Convert a Rigelfile; everything that cannot be converted is in the notes.
 
     Raises:
-        InputError: a value is of the wrong kind; names file and key.
+        InputError: a value has the wrong type; names file and key.
     """
     with naming(rigelfile.path):
         return _convert(rigelfile)
@@ -141,7 +141,7 @@ def _convert(rigelfile: Rigelfile) -> Conversion:
 def _add(
     conversion: Conversion, job: RigelJob, judges: list[RigelJob], rigelfile: Rigelfile, around: Surroundings
 ) -> None:
-    """Put a job where it belongs."""
+    """Add a job to the section for its plugin."""
     if job.kind in (DOCKERFILE, BUILD) or is_introspection(job):
         return
     if job.kind == ROBOMAKER:
@@ -167,13 +167,13 @@ def _add(
 
 
 def _region(rigelfile: Rigelfile) -> str:
-    """Where AWS is, as the provider says it; nothing where none does."""
+    """Return the AWS region of the provider; empty without one."""
     given = [p.fields["region_name"] for p in rigelfile.providers.values() if p.fields.get("region_name")]
     return plain(text_at(given[0], "providers"), rigelfile.notes, "providers") if given else ""
 
 
 def _placeholders(rigelfile: Rigelfile) -> dict[str, str]:
-    """Our names of the data of all matrices."""
+    """Return our names of the data of all matrices."""
     names = {name for stage in rigelfile.stages for name in stage.matrix}
     return {name: ours for name in names if (ours := placeholder(name)) is not None}
 

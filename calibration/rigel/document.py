@@ -1,4 +1,4 @@
-"""A Rigelfile as it is read: its jobs and what says in which order they run, whatever its generation."""
+"""A parsed Rigelfile of any version: its jobs and the order in which they run."""
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -23,20 +23,20 @@ class RigelJob:
 
     name: str
     plugin: str
-    """The dotted path of its class."""
+    """Dotted path of the plugin's class."""
     fields: Mapping[str, Any]
     where: str
-    """In the file: ``jobs.build.with``."""
+    """Position in the file: ``jobs.build.with``."""
 
     @property
     def kind(self) -> str:
-        """The plugin's class, whatever the package: ``ComposePlugin``."""
+        """Name of the plugin's class, without its package: ``ComposePlugin``."""
         return self.plugin.rpartition(".")[2]
 
 
 @dataclass(frozen=True)
 class Stage:
-    """Jobs that run one after the other, and what they are repeated over."""
+    """Jobs that run in sequence, and the matrix over which they are repeated."""
 
     jobs: tuple[RigelJob, ...]
     matrix: Mapping[str, Any]
@@ -45,27 +45,27 @@ class Stage:
 
 @dataclass(frozen=True)
 class Rigelfile:
-    """What a Rigelfile says, with its variables put in."""
+    """Content of a Rigelfile, with its variables resolved."""
 
     path: Path
     distro: str | None
     folder: str
-    """Of the sources, relative to the file."""
+    """Folder of the sources, relative to the file."""
     jobs: tuple[RigelJob, ...]
-    """Each once, with what a stage overrides as a job of its own."""
+    """Unique jobs; a stage that overrides fields of a job adds a job."""
     stages: tuple[Stage, ...]
     providers: Mapping[str, RigelJob]
     notes: Notes = field(default_factory=Notes)
     secrets: Mapping[str, str] = field(default_factory=dict, repr=False)
-    """What is not to be copied, and the variables that take its place."""
+    """Secrets that must not be copied, and the variables that replace them."""
 
 
 def read_rigelfile(path: Path) -> Rigelfile:
-    """Read a Rigelfile; nothing in it is executed, and no environment variable is read.
+    """Read a Rigelfile without executing anything or reading environment variables.
 
     Raises:
-        InputError: there is no such file, it is no YAML or no Rigelfile, too large or too deep, or a value in it is
-            of the wrong kind; names file and key.
+        InputError: the file is missing, is not YAML or not a Rigelfile, is too large or too deep, or has a value
+            of the wrong type; names file and key.
     """
     document = read_yaml(path, "a Rigelfile")
     with naming(path):
@@ -74,7 +74,7 @@ def read_rigelfile(path: Path) -> Rigelfile:
 
 @contextmanager
 def naming(path: Path) -> Iterator[None]:
-    """Put the file in front of an error's message that does not name it yet."""
+    """Prefix the message of an error with the file, unless it names it already."""
     try:
         yield
     except InputError as error:
@@ -92,12 +92,12 @@ def _read(path: Path, document: object) -> Rigelfile:
 
 
 def is_simulation(document: Mapping[str, Any]) -> bool:
-    """Whether this is a request of RoboMaker's: ``CreateSimulationJob``, or ``StartSimulationJobBatch``."""
+    """Return whether this is a RoboMaker request: ``CreateSimulationJob``, or ``StartSimulationJobBatch``."""
     return any(key in document for key in (_REQUESTS, "robotApplications", "simulationApplications"))
 
 
 def _simulations(path: Path, document: dict[str, Any]) -> Rigelfile:
-    """Simulation jobs as Boto3 and the AWS CLI took them, as jobs of the plugin."""
+    """Convert simulation jobs in the form of Boto3 and the AWS CLI to jobs of the plugin."""
     notes = Notes()
     substitution = Substitution({}, notes)
     if document.pop("clientRequestToken", None):
@@ -105,7 +105,7 @@ def _simulations(path: Path, document: dict[str, Any]) -> Rigelfile:
     requests = [mapping_at(each, f"{_REQUESTS}.{i}") for i, each in enumerate(list_at(document.get(_REQUESTS), ""))]
     tags = mapping_at(document.get("tags"), "tags")
     common = {key: value for key, value in document.items() if key not in (_REQUESTS, "tags")}
-    if _REQUESTS in document and requests:  # what is said of all of them, the first says
+    if _REQUESTS in document and requests:  # settings of the batch are assigned to the first job
         requests[0] = {**common, **requests[0]}
         requests = [{**each, "tags": {**tags, **mapping_at(each.get("tags"), "tags")}} for each in requests]
     else:
@@ -156,11 +156,11 @@ class _Reader:
 
     def _variables(self) -> dict[str, Any]:
         variables = mapping_at(self._document.get("vars"), "vars")
-        # {type, with} declares a value of a class of Rigel's; what it holds is in `with`
+        # {type, with} declares an instance of a class of Rigel; its content is in `with`
         return {n: v["with"] if isinstance(v, dict) and set(v) == {"type", "with"} else v for n, v in variables.items()}
 
     def _application(self) -> dict[str, Any]:
-        """The application; of several the first, as our calibration.yml has one image."""
+        """Return the application; the first of several, because calibration.yml has one image."""
         if "application" in self._document or "applications" not in self._document:
             return dict(mapping_at(self._document.get("application"), "application"))
         several = mapping_at(self._document["applications"], "applications")
@@ -188,7 +188,7 @@ class _Reader:
         stages: list[Stage] = []
         for name, entry in mapping_at(self._document.get("sequences"), "sequences").items():
             where = f"sequences.{name}"
-            if isinstance(entry, list):  # the older form: the jobs themselves
+            if isinstance(entry, list):  # in the older form the sequence is a list of jobs
                 stages.append(Stage(self._named(entry, where), {}, where))
                 continue
             sequence = mapping_at(entry, where)
@@ -216,7 +216,7 @@ class _Reader:
         return found
 
     def _named(self, entries: list[Any], where: str) -> tuple[RigelJob, ...]:
-        """The jobs that a stage names; one whose fields it overrides becomes a job of its own."""
+        """Return the jobs that a stage names; overridden fields make a new job."""
         jobs = []
         for entry in entries:
             override: dict[str, Any] = {}
@@ -233,7 +233,7 @@ class _Reader:
         return tuple(jobs)
 
     def _without_unused(self, stages: list[Stage]) -> list[Stage]:
-        """Leave out jobs that no stage uses as they are; the first of their uses then has their name."""
+        """Remove jobs that no stage uses unmodified; the first modified one takes over the name."""
         used = {job.name for stage in stages for job in stage.jobs}
         renamed = {}
         for job in [job for job in self._jobs if job.name not in used]:

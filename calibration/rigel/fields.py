@@ -1,4 +1,4 @@
-"""Parts of a Rigelfile, read with errors that say where; what nobody has read is noted as not carried over."""
+"""Access to parts of a Rigelfile, with the position in errors; fields that were not read are noted as not converted."""
 
 import re
 from collections.abc import Callable, Mapping
@@ -11,10 +11,10 @@ from calibration.workflow.text import shorten
 
 
 def mapping_at(value: object, where: str) -> dict[str, Any]:
-    """A mapping; an empty one for nothing.
+    """Return a mapping; an empty one for None.
 
     Raises:
-        InputError: it is something else.
+        InputError: it is of another type.
     """
     if value is None:
         return {}
@@ -24,10 +24,10 @@ def mapping_at(value: object, where: str) -> dict[str, Any]:
 
 
 def list_at(value: object, where: str) -> list[Any]:
-    """A list; an empty one for nothing, and one of one for a single mapping, as old Rigelfiles have it.
+    """Return a list; empty for None, and of one item for a single mapping, as in old Rigelfiles.
 
     Raises:
-        InputError: it is something else.
+        InputError: it is of another type.
     """
     if value is None:
         return []
@@ -39,10 +39,10 @@ def list_at(value: object, where: str) -> list[Any]:
 
 
 def text_at(value: object, where: str) -> str:
-    """A text; a number or a truth value as it is written.
+    """Return a text; a number or a boolean is converted.
 
     Raises:
-        InputError: it is a list, a mapping or nothing.
+        InputError: it is a list, a mapping or None.
     """
     if isinstance(value, bool):
         return str(value).lower()
@@ -52,10 +52,10 @@ def text_at(value: object, where: str) -> str:
 
 
 def truth_at(value: object, where: str) -> bool:
-    """A truth value.
+    """Return a boolean.
 
     Raises:
-        InputError: it is none.
+        InputError: it is of another type.
     """
     if isinstance(value, bool):
         return value
@@ -65,24 +65,24 @@ def truth_at(value: object, where: str) -> bool:
 
 
 def shown(value: object) -> str:
-    """A value for a message."""
+    """Format a value for a message."""
     return shorten(re.sub(r"\\ue000[VSD](.*?)\\ue001", r"${\1}", repr(value)))
 
 
 class Fields:
-    """The fields of a mapping; each is taken once, and :meth:`rest` notes those that nobody has taken."""
+    """Fields of a mapping, each taken at most once; :meth:`rest` notes those that were not taken."""
 
     def __init__(self, value: object, where: str, notes: Notes, spelling: Callable[[str], str] = str) -> None:
-        """Take a mapping, or nothing.
+        """Wrap a mapping or None.
 
         Args:
-            value: as it was read.
-            where: it stands, for messages.
-            notes: what cannot be carried over is added to these.
-            spelling: gives the one spelling of a key by which fields are taken here.
+            value: the parsed value.
+            where: its position, for messages.
+            notes: receives the fields that cannot be converted.
+            spelling: normalises a key to the spelling used here.
 
         Raises:
-            InputError: it is something else. The other methods raise it too, for a field of the wrong kind.
+            InputError: it is of another type. The other methods raise it too, for a field of the wrong type.
         """
         self.where, self.notes, self.spelling = where, notes, spelling
         self._left = {spelling(key): (key, entry) for key, entry in mapping_at(value, where).items()}
@@ -95,67 +95,67 @@ class Fields:
         return key in self._left
 
     def at(self, key: str) -> str:
-        """Where a field is, as it is spelled there."""
+        """Return the position of a field, in its original spelling."""
         return f"{self.where}.{self._written.get(key, key)}".removeprefix(".")
 
     def names(self) -> list[str]:
-        """The keys of the fields that nobody has taken."""
+        """Return the keys of the fields that were not taken."""
         return list(self._left)
 
     def take(self, key: str, default: Any = None) -> Any:
-        """A field as it is."""
+        """Take a field, unconverted."""
         return self._left.pop(key, (key, default))[1]
 
     def fields(self, key: str) -> "Fields":
-        """A mapping in it; the only one of a list."""
+        """Take a mapping, or the single mapping of a list."""
         value, where = self.take(key), self.at(key)
         if isinstance(value, list) and len(value) == 1:
             value, where = value[0], f"{where}.0"
         return Fields(value, where, self.notes, self.spelling)
 
     def items(self, key: str, default: Any = None) -> list[Any]:
-        """A list; an empty one for nothing."""
+        """Take a list; empty for None."""
         return list_at(self.take(key, default), self.at(key))
 
     def several(self, key: str) -> list["Fields"]:
-        """The mappings of a list."""
+        """Take a list of mappings."""
         where = self.at(key)
         return [Fields(entry, f"{where}.{i}", self.notes, self.spelling) for i, entry in enumerate(self.items(key))]
 
     def mapping(self, key: str) -> Mapping[str, Any]:
-        """A mapping whose keys are the user's own."""
+        """Take a mapping with arbitrary keys."""
         return mapping_at(self.take(key), self.at(key))
 
     def text(self, key: str, default: str = "") -> str:
-        """A text."""
+        """Take a text."""
         value = self.take(key)
         return default if value is None else text_at(value, self.at(key))
 
     def texts(self, key: str, default: Any = None) -> list[str]:
-        """The texts of a list."""
+        """Take a list of texts."""
         return [text_at(item, self.at(key)) for item in self.items(key, default)]
 
     def plain(self, key: str, default: str = "") -> str:
-        """A text for a place without placeholders."""
+        """Take a text for a field that supports no placeholders."""
         return plain(self.text(key, default), self.notes, self.at(key))
 
     def plains(self, key: str, default: Any = None) -> list[str]:
-        """The texts of a list, for a place without placeholders."""
+        """Take a list of texts for a field that supports no placeholders."""
         return [plain(text, self.notes, self.at(key)) for text in self.texts(key, default)]
 
     def truth(self, key: str, default: bool | None = None) -> bool | None:
-        """Whether something is so."""
+        """Take a boolean."""
         value = self.take(key)
         return default if value is None else truth_at(value, self.at(key))
 
     def refuse(self, reasons: Mapping[str, str]) -> None:
-        """Note fields that are not carried over, each with the reason."""
+        """Note fields as not converted, each with the reason."""
         for key, why in reasons.items():
             if self.take(key):
                 self.notes.lost(self.at(key), why)
 
     def rest(self, why: str = "there is no such setting here") -> None:
-        """Note the fields that nobody has taken."""
+        """Note the fields that were not taken."""
         for key in list(self._left):
             self.notes.lost(self.at(key), why)
         self._left.clear()

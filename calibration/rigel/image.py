@@ -1,4 +1,4 @@
-"""The section ``image`` of the jobs that write a Dockerfile and build it."""
+"""Section ``image``, from the jobs that write a Dockerfile and build it."""
 
 import re
 from typing import Any
@@ -10,21 +10,23 @@ from calibration.rigel.substitution import names_a_secret, plain, secret_names, 
 DOCKERFILE, BUILD = "DockerfilePlugin", "BuildXPlugin"
 DOCKER_HUB = "docker.io"
 USER = "rigeluser"
-"""Rigel's own, whose home is in many commands."""
+"""Rigel's default user, whose home directory occurs in many commands."""
 _PACKAGE = re.compile(r"[a-z0-9][a-z0-9+.-]*(:[a-z0-9]+)?(=[A-Za-z0-9.+~:-]+)?(/[a-z0-9-]+)?|\$\{\w+\}")
 
 
 def image_section(rigelfile: Rigelfile) -> tuple[dict[str, Any], list[str]]:
-    """What ``image`` says, and the names of the jobs that it comes from; empty where none builds an image.
+    """Return the section ``image`` and the names of its source jobs; empty if no job builds an image.
 
     Raises:
-        InputError: a field is of the wrong kind.
+        InputError: a field has the wrong type.
     """
     dockerfiles = [job for job in rigelfile.jobs if job.kind == DOCKERFILE]
     builds = [job for job in rigelfile.jobs if job.kind == BUILD]
     if not dockerfiles and not builds:
         return {}, []
-    builds.sort(key=lambda job: job.fields.get("push") is not True)  # what is pushed is what is tested
+    builds.sort(
+        key=lambda job: job.fields.get("push") is not True
+    )  # prefer the image that is pushed, which is the tested one
     for job in (*dockerfiles[1:], *builds[1:]):
         rigelfile.notes.lost(
             job.where, f"there is one image, that of {builds[0].name if builds else dockerfiles[0].name}"
@@ -41,7 +43,7 @@ def image_section(rigelfile: Rigelfile) -> tuple[dict[str, Any], list[str]]:
 
 
 def split_name(image: str) -> tuple[str, str | None]:
-    """Name and tag; a port is no tag."""
+    """Split an image into name and tag; a port is not a tag."""
     start, slash, last = image.rpartition("/")
     name, _, tag = last.partition(":")
     return f"{start}{slash}{name}", tag or None
@@ -64,7 +66,7 @@ class _Section:
         return self._entry
 
     def build(self, job: RigelJob) -> None:
-        """BuildXPlugin."""
+        """Convert a job of BuildXPlugin."""
         fields = Fields(job.fields, job.where, self._notes)
         name, tag = split_name(fields.plain("image"))
         tags = [*([tag] if tag else []), *fields.plains("tags", ["latest"])]
@@ -75,7 +77,7 @@ class _Section:
         self._entry |= {"name": name, "tags": list(dict.fromkeys(tags))}
         if platforms := fields.plains("platforms"):
             self._entry["platforms"] = platforms
-        fields.take("load")  # what is built is on the engine
+        fields.take("load")  # a built image is always loaded into the engine
         if fields.truth("push"):
             self._entry["push"] = True
         for argument in fields.mapping("buildargs"):
@@ -87,12 +89,12 @@ class _Section:
         fields.rest()
 
     def own_dockerfile(self) -> None:
-        """No job writes a Dockerfile: there is one in the folder."""
+        """Use the Dockerfile in the folder, since no job writes one."""
         self._entry |= {"dockerfile": self._in_folder("Dockerfile"), "context": self._file.folder}
         self._notes.to_do("jobs", f"no job writes a Dockerfile: {self._entry['dockerfile']} has to be there")
 
     def dockerfile(self, job: RigelJob) -> None:
-        """DockerfilePlugin."""
+        """Convert a job of DockerfilePlugin."""
         fields, entry = Fields(job.fields, job.where, self._notes), self._entry
         if "ros_image" in fields:
             entry["base"] = fields.plain("ros_image")
@@ -177,7 +179,7 @@ class _Section:
             self._entry["command"] = self._shell(text_at(command, fields.at("command")))
 
     def providers(self) -> None:
-        """How to log in."""
+        """Convert the providers, which contain the logins."""
         registry = _registry_of(self._entry.get("name", ""))
         for name, provider in self._file.providers.items():
             where = f"providers.{name}"

@@ -1,4 +1,4 @@
-"""What whoever converts a Rigelfile has to know: nothing is dropped in silence."""
+"""Notes of a conversion: every setting that is dropped or changed is reported."""
 
 import enum
 import re
@@ -8,11 +8,11 @@ from dataclasses import dataclass, field
 from calibration.workflow.text import one_line, shorten
 
 MARK = re.compile("\ue000[VSD]([^\ue001]*)\ue001")
-"""What stands for a variable or for data in a text that is not written yet: see `substitution`."""
+"""Mark of a variable or of data in a text that is not written yet: see `substitution`."""
 
 
 class Kind(enum.StrEnum):
-    """What came of a part of the Rigelfile."""
+    """Outcome for a part of the Rigelfile."""
 
     LOST = "not carried over"
     CHANGED = "works otherwise here"
@@ -21,11 +21,11 @@ class Kind(enum.StrEnum):
 
 @dataclass(frozen=True)
 class Note:
-    """One thing to know."""
+    """One note."""
 
     kind: Kind
     where: str
-    """In the Rigelfile: ``jobs.build.with.load``."""
+    """Position in the Rigelfile: ``jobs.build.with.load``."""
     text: str
 
     def __str__(self) -> str:
@@ -34,7 +34,7 @@ class Note:
 
 @dataclass
 class Notes:
-    """The notes of a conversion, each once."""
+    """Notes of a conversion, without duplicates."""
 
     found: list[Note] = field(default_factory=list)
 
@@ -42,15 +42,15 @@ class Notes:
         return iter(self.found)
 
     def lost(self, where: str, why: str) -> None:
-        """Something has no place here."""
+        """Note a setting that cannot be converted."""
         self._add(Kind.LOST, where, why)
 
     def changed(self, where: str, how: str) -> None:
-        """Something is carried over, and does not mean quite the same."""
+        """Note a setting that is converted with a different meaning."""
         self._add(Kind.CHANGED, where, how)
 
     def to_do(self, where: str, what: str) -> None:
-        """Something that nobody can know from the Rigelfile."""
+        """Note a setting that the user has to add, because the Rigelfile does not contain it."""
         self._add(Kind.TO_DO, where, what)
 
     def _add(self, kind: Kind, where: str, text: str) -> None:

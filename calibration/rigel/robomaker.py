@@ -1,4 +1,4 @@
-"""RoboMaker's simulation jobs, whose service has ended, as containers of a simulation on AWS Batch."""
+"""Conversion of simulation jobs of RoboMaker, a discontinued service, to containers on AWS Batch."""
 
 import re
 import shlex
@@ -21,14 +21,14 @@ _SAME = {
     "simulation_applications": "simulation_application",
     "exit_behaviour": "exit_behavior",
 }
-"""What Rigel calls otherwise."""
+"""Keys that differ in Rigel."""
 _APPLICATIONS = {"simulation": "simulation_application", "robot": "robot_application"}
 _ADDRESS = re.compile(r"ROBOMAKER_(ROBOT|SIM)_APP_IP")
 _MASTER = re.compile(r"http://(robot|simulation):(\d+)/?")
 _SUPER = re.compile(r"\*\*(?=[^/])")
-"""RoboMaker's ``**.log``, which finds files in all folders below."""
+"""RoboMaker's ``**.log``, which matches files in all subfolders."""
 _DATA = "/opt/robomaker/datasources"
-"""Where RoboMaker put data sources that name no place."""
+"""RoboMaker's default folder of data sources."""
 _SCENARIOS = "worlds come from a scenario set here: calibration schema scenario-set"
 _GONE = {
     "worldforge_exported_job": _SCENARIOS,
@@ -47,31 +47,31 @@ _PORTS = "the containers reach each other; nothing is reachable from outside"
 
 
 def plain_key(key: str) -> str:
-    """One spelling for both: ``s3Bucket`` and ``s3_bucket`` give ``s3_bucket``."""
+    """Normalise both spellings: ``s3Bucket`` and ``s3_bucket`` give ``s3_bucket``."""
     found = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", key).lower()
     return _SAME.get(found, found)
 
 
 @dataclass(frozen=True)
 class Simulated:
-    """What a simulation job becomes."""
+    """Result of the conversion of a simulation job."""
 
     entry: dict[str, Any]
-    """Of ``simulation``."""
+    """Entry of ``simulation``."""
     section: dict[str, Any]
-    """``aws-batch``."""
+    """Section ``aws-batch``."""
 
 
 def robomaker_job(job: RigelJob, around: Surroundings, region: str = "") -> Simulated | None:
-    """Convert a simulation job; None where it has no application.
+    """Convert a simulation job; None if it has no application.
 
     Args:
         job: of the plugin, or a request of ``CreateSimulationJob``.
-        around: the rest.
-        region: where it ran, if that is known from elsewhere.
+        around: context of the conversion.
+        region: region of the job, if known from elsewhere.
 
     Raises:
-        InputError: a field is of the wrong kind.
+        InputError: a field has the wrong type.
     """
     notes = around.notes
     around = replace(around, replaced=_with_names)
@@ -126,7 +126,7 @@ def robomaker_job(job: RigelJob, around: Surroundings, region: str = "") -> Simu
 
 
 def region_of(arn: str) -> str:
-    """The region that an ARN names; nothing where it names none."""
+    """Return the region in an ARN; empty if there is none."""
     parts = arn.split(":")
     return parts[3] if len(parts) > 5 and parts[0] == "arn" else ""
 
@@ -149,7 +149,7 @@ class _Application:
         fields.rest("there is no such setting of a container here")
 
     def _component(self) -> dict[str, Any]:
-        """As ComposePlugin has it."""
+        """Convert the application to a component of ComposePlugin."""
         fields = self._fields
         launch = fields.fields("launch_config")
         environment = pair_environment(fields.items("environment"), fields.where)
@@ -157,7 +157,7 @@ class _Application:
             environment[key] = text_at(value, launch.where)
         own_address = {"ROBOMAKER_ROBOT_APP_IP": "robot", "ROBOMAKER_SIM_APP_IP": "simulation"}
         if own_address.get(environment.get("ROS_IP", "")) == self._name:
-            del environment["ROS_IP"]  # of a network where the address is not known before: the name in its place
+            del environment["ROS_IP"]  # the address is unknown before the containers start: the host name replaces it
             environment["ROS_HOSTNAME"] = self._name
         command = fields.take("command") or launch.take("command") or self._launched(launch)
         fields.refuse({"ports": _PORTS})
@@ -167,7 +167,7 @@ class _Application:
         return {"image": fields.take("ecr") or "", "command": command, "envs": envs}
 
     def _launched(self, launch: Fields) -> list[str]:
-        """The command that RoboMaker made of a package and a launch file."""
+        """Return the command that RoboMaker derived from a package and a launch file."""
         package, file = launch.text("package_name"), launch.text("launch_file")
         if not (package and file):
             return []
@@ -177,7 +177,7 @@ class _Application:
     def _artifact(self, upload: Fields) -> dict[str, Any] | None:
         where = upload.at("path")
         path = _SUPER.sub("**/*", upload.plain("path"))
-        upload.take("name")  # the folder below the output location: here everything keeps its own path
+        upload.take("name")  # the subfolder of the output location, which is not used: every file keeps its own path
         if "ROLLING" in upload.text("upload_behavior"):
             self._notes.changed(upload.at("upload_behavior"), "everything is brought out when the job has ended")
         upload.rest()
@@ -189,7 +189,7 @@ class _Application:
         return {"path": path, "required": False}
 
     def tools(self) -> dict[str, dict[str, Any]]:
-        """The containers of the tools beside it: in its image, with its variables and its data."""
+        """Return containers for the tools of the application, with its image, variables and data."""
         shared = {key: self.entry[key] for key in ("image", "environment", "secrets", "mounts") if key in self.entry}
         return {
             named(f"{self._name}-{tool.text('name', str(number))}"): shared | self._tool(tool)
@@ -197,10 +197,10 @@ class _Application:
         }
 
     def _tool(self, tool: Fields) -> dict[str, Any]:
-        command = ["/bin/bash", "-c", tool.text("command")]  # as RoboMaker ran it
+        command = ["/bin/bash", "-c", tool.text("command")]  # as in RoboMaker
         entry = component_entry({"command": command}, self._around, tool.where)
         if tool.text("exit_behavior").upper() == "FAIL":
-            entry["success"] = []  # whatever it answers, it is too early
+            entry["success"] = []  # any exit code of the tool fails the job
         else:
             entry["essential"] = False
             self._notes.changed(tool.where, "it is not started anew when it has ended: let its command do that")
@@ -216,7 +216,7 @@ class _Application:
 
 
 def _compute(containers: dict[str, dict[str, Any]], compute: Fields, notes: Notes) -> bool:
-    """Share out processors and memory; whether a GPU is needed."""
+    """Distribute processors and memory; return whether a GPU is needed."""
     units = compute.take("simulation_unit_limit")
     if isinstance(units, int | float) and not isinstance(units, bool) and units > 0:
         for entry in containers.values():
@@ -242,7 +242,7 @@ def _compute(containers: dict[str, dict[str, Any]], compute: Fields, notes: Note
 
 
 def _data_sources(containers: dict[str, dict[str, Any]], sources: list[Fields], around: Surroundings) -> None:
-    """Folders that are mounted: they have to be filled before, and go to S3 by their content."""
+    """Mount folders for the data sources: the user fills them, and their content is uploaded to S3."""
     for number, source in enumerate(sources):
         called, where = source.text("name", f"data-{number}"), source.where
         name, given = named(called), source.text("destination")
@@ -259,7 +259,7 @@ def _data_sources(containers: dict[str, dict[str, Any]], sources: list[Fields], 
 
 
 def _fetching(bucket: str, keys: list[str], kind: str, folder: str) -> str:
-    """How a data source comes into its folder."""
+    """Return the command that downloads a data source to its folder."""
     first = shlex.quote(f"s3://{bucket}/{keys[0] if keys else ''}")
     verb = f"sync {first} {folder}" if kind.lower() == "prefix" else f"cp {first} {folder}/"
     more = f" (and {len(keys) - 1} more)" if len(keys) > 1 else ""
@@ -274,7 +274,7 @@ def _failure(fields: Fields, notes: Notes) -> None:
 
 
 def _order(containers: dict[str, dict[str, Any]]) -> None:
-    """Who starts first: whoever runs the ROS master; its end, or that of the robot, ends the job."""
+    """Set the start order (the ROS master first) and the container whose end ends the job (robot, or simulation)."""
     if len(containers) < 2:
         return
     containers["simulation"]["essential"] = False
@@ -287,5 +287,5 @@ def _order(containers: dict[str, dict[str, Any]]) -> None:
 
 
 def _with_names(text: str) -> str:
-    """The names of the containers in the place of the addresses that RoboMaker filled in."""
+    """Replace RoboMaker's address variables by the names of the containers."""
     return _ADDRESS.sub(lambda match: "robot" if match[1] == "ROBOT" else "simulation", text)

@@ -1,10 +1,10 @@
 """References in a Rigelfile: ``{{ vars.x }}``, ``{{ data.x }}``, and the older ``{{ x }}``.
 
-Rigel takes a variable that is not declared from the environment, and data from the matrix at run time. Here
-a declared variable's value is put in; for the others a mark stays in the text, which :func:`plain`,
-:func:`shell` and :func:`argument` write as each place needs it.
+Rigel reads undeclared variables from the environment, and data from the matrix at run time. Here
+a declared variable is replaced by its value; for the others a mark remains in the text, which :func:`plain`,
+:func:`shell` and :func:`argument` write as each context requires.
 
-Texts that are secrets are not copied: the name of a variable stands for them.
+Secrets are not copied: they are replaced by the name of an environment variable.
 """
 
 import re
@@ -30,17 +30,17 @@ _VALUES = (
 
 
 def names_a_secret(name: str) -> bool:
-    """Whether what is called so is a secret: ``DOCKER_PASSWORD``, ``aws_secret_access_key``."""
+    """Return whether a name indicates a secret: ``DOCKER_PASSWORD``, ``aws_secret_access_key``."""
     return _NAME.search(name) is not None
 
 
 def spans_of_secrets(text: str) -> list[tuple[int, int]]:
-    """Where a text holds something that has the form of a secret: a private key, a token, a password in a URL."""
+    """Find a text with the form of a secret: a private key, a token, a password in a URL."""
     return [match.span() for pattern in _VALUES for match in pattern.finditer(text)]
 
 
 def variable_name(text: str) -> str:
-    """A name for an environment variable: ``docker-password`` gives ``DOCKER_PASSWORD``."""
+    """Return a name for an environment variable: ``docker-password`` gives ``DOCKER_PASSWORD``."""
     name = re.sub(r"[^A-Za-z0-9_]+", "_", text).strip("_")
     if re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", name):
         return name if name == text else name.upper()
@@ -48,9 +48,9 @@ def variable_name(text: str) -> str:
 
 
 MAX_LENGTH = 65536
-"""Characters of a text with its references put in."""
+"""Limit of characters of a text after substitution."""
 MAX_NODES, MAX_DEPTH = 100_000, 40
-"""Of a document: YAML's aliases and variables in variables make large ones of small files."""
+"""Limit for a document: YAML aliases and nested variables can expand a small file."""
 
 _REFERENCE = re.compile(r"\{\{\s*([A-Za-z0-9_!?.\- ]+?)\s*\}\}")
 _MARKS = re.compile("\ue000([VSD])([^\ue001]*)\ue001")
@@ -65,10 +65,10 @@ def _mark(kind: str, name: str) -> str:
 
 
 def bounded(document: object, where: str) -> Any:
-    """The document with texts as keys, if it is neither too large nor too deep.
+    """Return the document with texts as keys, after checking its size and depth.
 
     Raises:
-        InputError: it is, or two keys are the same as texts.
+        InputError: it is too large or too deep, or two keys are equal as texts.
     """
     left = [MAX_NODES]
 
@@ -92,33 +92,33 @@ def bounded(document: object, where: str) -> Any:
 
 
 class Substitution:
-    """Puts references in."""
+    """Substitution of references."""
 
     def __init__(self, variables: Mapping[str, Any], notes: Notes) -> None:
-        """Take the variables that are declared, as they stand in the file."""
+        """Start with the declared variables, as they are in the file."""
         self._variables = variables
         self._notes = notes
         self._left = MAX_NODES
         self.secrets: dict[str, str] = {}
-        """The secrets that were found, and the variables that take their place."""
+        """Secrets that were found, and the variables that replace them."""
 
     def resolved(self, node: Any, where: str, key: str = "", opened: tuple[str, ...] = ()) -> Any:
-        """A part of the document with its references put in, and with marks in the place of secrets.
+        """Substitute the references in a part of the document, and mark secrets.
 
         Args:
             node: the part.
-            where: of the file, for messages.
-            key: what it is called: a literal value of a key ``password`` is a secret.
-            opened: the variables that it is in the value of.
+            where: position in the file, for messages.
+            key: key of the part: a literal value of a key ``password`` is a secret.
+            opened: variables that are being expanded.
 
         Raises:
-            InputError: a variable stands for itself, or what comes out is too large.
+            InputError: a variable refers to itself, or the result is too large.
         """
         self._left -= 1
         if self._left < 0:
             raise InputError(f"{where}: its variables make more than {MAX_NODES} values")
         if isinstance(node, dict):
-            name = node.get("name")  # {name: TOKEN, value: ...} names what value is
+            name = node.get("name")  # {name: TOKEN, value: ...}: the name shows whether the value is a secret
             called = str(name) if set(node) == {"name", "value"} else ""
             inherited = key if names_a_secret(key) else ""
             return {
@@ -141,7 +141,7 @@ class Substitution:
         return node
 
     def text(self, text: str, where: str, opened: tuple[str, ...] = ()) -> str:
-        """A text with its references put in.
+        """Substitute the references in a text.
 
         Raises:
             InputError: as :meth:`resolved`.
@@ -186,10 +186,10 @@ class Substitution:
         return text
 
     def _hidden(self, secret: str, key: str, where: str) -> str:
-        """The mark in the place of a secret; the same for the same."""
+        """Return the mark of a secret; equal secrets get equal marks."""
         if secret not in self.secrets:
             name = variable_name(key).upper() if key else f"SECRET_{len(self.secrets) + 1}"
-            if name in _GENERAL:  # whose: providers.hub.with.password gives HUB_PASSWORD
+            if name in _GENERAL:  # the owner: providers.hub.with.password gives HUB_PASSWORD
                 name = f"{variable_name(where.split('.')[1]).upper()}_{name}" if "." in where else name
             while name in self.secrets.values():
                 name += "_2"
@@ -200,26 +200,28 @@ class Substitution:
 
 
 def plain(text: str, notes: Notes, where: str) -> str:
-    """A text for a place without placeholders: ``${NAME}`` for the environment."""
+    """Write a text for a field without placeholders: ``${NAME}`` for the environment."""
     _warn_of_variables(text, notes, where)
     return _MARKS.sub(lambda m: f"{{{{ data.{m[2]} }}}}" if m[1] == "D" else f"${{{m[2]}}}", text)
 
 
 def shell(text: str, secret: Callable[[str], str]) -> str:
-    """Shell code: its own ``${NAME}`` stays the shell's; ``secret`` writes the variable of a secret."""
-    text = _SHELL_VARIABLE.sub(r"${\1-}", text)  # the same to a shell, and nothing to the reader of calibration.yml
+    """Write shell code: its own ``${NAME}`` remains; ``secret`` writes the variable of a secret."""
+    text = _SHELL_VARIABLE.sub(
+        r"${\1-}", text
+    )  # equivalent for the shell, and not expanded by the reader of calibration.yml
     return _MARKS.sub(lambda m: {"V": f"${{{m[2]}}}", "D": f"{{{{ data.{m[2]} }}}}"}.get(m[1]) or secret(m[2]), text)
 
 
 def argument(text: str, names: Mapping[str, str], secret: Callable[[str], str], notes: Notes, where: str) -> str:
-    """An argument of a container's command, where ``{name}`` is filled in.
+    """Write an argument of a container's command, where ``{name}`` is substituted.
 
     Args:
         text: with marks.
-        names: what our placeholders are called, by the names of the matrix.
+        names: our placeholders, by the names of the matrix.
         secret: writes the variable of a secret.
-        notes: for data that is none of the matrix.
-        where: of the file.
+        notes: receives data that is not in the matrix.
+        where: position in the file.
     """
 
     def written(match: re.Match[str]) -> str:
@@ -242,17 +244,17 @@ def argument(text: str, names: Mapping[str, str], secret: Callable[[str], str], 
 
 
 def data_names(text: str) -> list[str]:
-    """The names of the data that a text refers to."""
+    """Return the names of the data that a text refers to."""
     return [match[2] for match in _MARKS.finditer(text) if match[1] == "D"]
 
 
 def secret_names(text: str) -> list[str]:
-    """The names of the variables of the secrets in a text."""
+    """Return the names of the variables of the secrets in a text."""
     return [match[2] for match in _MARKS.finditer(text) if match[1] == "S"]
 
 
 def sole_variable(text: str) -> str | None:
-    """The variable that is the whole text; None where there is more, or another thing."""
+    """Return the variable that makes up the whole text; None if there is anything else."""
     match = _MARKS.fullmatch(text)
     return match[2] if match and match[1] in "VS" else None
 

@@ -1,6 +1,6 @@
-"""The systems of the jobs that calibrate in containers, each with the rules of the job that judges its table.
+"""Systems, from jobs that calibrate in containers, each with the rules of the job that judges its table.
 
-ATOM's evaluation in the command of a container is recognised, so that our engine makes the same table beside it.
+ATOM's evaluation scripts in a container's command are recognised, so that our engine can make the same table.
 """
 
 import re
@@ -31,11 +31,11 @@ _PAIRS: Mapping[str, tuple[_Flag, _Flag]] = {
     "depth_to_depth": (_SOURCE, _TARGET),
 }
 _BETWEEN = ("inter_collection_", "cross_collection_")
-"""What stands before a pair's script whose table is between collections, and in earlier versions."""
+"""Prefixes of a pair's script that makes a table between collections; earlier versions used the second."""
 _NEEDED: Mapping[str, tuple[_Flag, ...]] = {
     **_PAIRS,
     **{f"{before}{script}": flags for before in _BETWEEN for script, flags in _PAIRS.items()},
-    "single_rgb": (),  # its filters are functions in Python: all cameras and patterns
+    "single_rgb": (),  # its filters are Python functions: all cameras and patterns are used
     "ground_truth_transform": (("-p", "--parent"), ("-c", "--child")),
     "ground_truth_frame": (("-tf", "--target_frame"),),
 }
@@ -45,13 +45,13 @@ _OPTIONAL: Mapping[str, tuple[_Flag, ...]] = {
     "ground_truth_frame": (("-sf", "--source_frame"),),
 }
 _SCRIPT = re.compile(rf"\b(?P<script>{'|'.join(_NEEDED)})_evaluation(?:\.py)?(?![\w.-])(?P<flags>[^\n;&|]*)")
-"""One of the scripts, and what follows it up to the end of its command."""
+"""Match one of the scripts, and its arguments up to the end of the command."""
 
 
 def evaluation_in(command: str, notes: Notes, where: str) -> str | None:
-    """The first of ATOM's evaluations in a command, as ``evaluate`` has it; None where there is none.
+    """Return the first of ATOM's evaluations in a command, as a value of ``evaluate``; None if there is none.
 
-    One whose flags do not say which sensors is noted.
+    An evaluation whose flags do not name the sensors is noted.
     """
     found = _SCRIPT.search(command.replace("\\\n", " "))
     if found is None:
@@ -77,12 +77,12 @@ _ROS_2 = (
     *("humble", "iron", "jazzy", "kilted", "lyrical", "rolling"),
 )
 _EARLIER = "columns_to_verify"
-"""A key of an earlier form of the file introspection."""
+"""Return a key of an earlier form of the file introspection."""
 
 
 @dataclass(frozen=True)
 class Converted:
-    """An entry of ``systems`` or ``simulation``, and where it comes from."""
+    """An entry of ``systems`` or ``simulation``, and its source."""
 
     name: str
     entry: dict[str, Any]
@@ -90,19 +90,19 @@ class Converted:
 
 
 def is_compose(job: RigelJob) -> bool:
-    """Whether a job runs containers."""
+    """Return whether a job runs containers."""
     return job.kind == "ComposePlugin" or "components" in job.fields
 
 
 def is_introspection(job: RigelJob) -> bool:
-    """Whether a job judges a table."""
+    """Return whether a job judges a table."""
     return COLUMNS_KEY in job.fields or _EARLIER in job.fields or "introspection" in job.kind.lower()
 
 
 def judged_by(rigelfile: Rigelfile) -> dict[str, list[RigelJob]]:
-    """The jobs that judge, by the name of the job whose table they judge: the one before them in their stage.
+    """Return the judging jobs, by the name of the job whose table they judge: the preceding one in their stage.
 
-    A judge that stands in no stage belongs to the only job that runs containers, where there is only one.
+    A judging job outside of all stages belongs to the only job that runs containers, if there is only one.
     """
     judges: dict[str, list[RigelJob]] = {}
     placed = set()
@@ -126,17 +126,17 @@ def judged_by(rigelfile: Rigelfile) -> dict[str, list[RigelJob]]:
 
 
 def ros_version(distro: str | None) -> int:
-    """1 or 2, by the name of the distribution; Rigel always starts a ROS 1 master otherwise."""
+    """Return the ROS version, 1 or 2, of the distribution; without one Rigel starts a ROS 1 master."""
     return 2 if distro in _ROS_2 else 1
 
 
 def system_of(
     job: RigelJob, judges: list[RigelJob], distro: str | None, around: Surroundings, folder: str
 ) -> Converted | None:
-    """The system of a job that calibrates; None where it is none.
+    """Return the system of a job that calibrates; None if it does not.
 
     Raises:
-        InputError: a field is of the wrong kind.
+        InputError: a field has the wrong type.
     """
     components = _components(job)
     chosen = _calibrating(components, bool(judges))
@@ -182,10 +182,10 @@ def system_of(
 
 
 def collection_of(job: RigelJob, distro: str | None, around: Surroundings) -> Converted | None:
-    """The simulation of a job that brings a dataset out, or runs several containers; None where it is none.
+    """Return the simulation of a job that writes a dataset, or runs several containers; None if it does not.
 
     Raises:
-        InputError: a field is of the wrong kind.
+        InputError: a field has the wrong type.
     """
     components = _components(job)
     where = f"{job.where}.components"
@@ -217,7 +217,7 @@ def collection_of(job: RigelJob, distro: str | None, around: Surroundings) -> Co
 
 
 def named_system(name: str) -> str:
-    """A name that calibration.yml takes."""
+    """Return a name that is valid in calibration.yml."""
     return re.sub(r"[^A-Za-z0-9_.-]+", "-", name).strip("-_.")[:64] or "robot"
 
 
@@ -227,7 +227,7 @@ def _components(job: RigelJob) -> list[dict[str, Any]]:
 
 
 def _calibrating(components: list[dict[str, Any]], judged: bool) -> dict[str, Any] | None:
-    """The component whose table is judged: one that brings out a CSV file, or the last of a judged job."""
+    """Return the component whose table is judged: one with a CSV file as artifact, or the last one of a judged job."""
 
     def has_table(component: Mapping[str, Any]) -> bool:
         artifacts = component.get("artifacts")
@@ -254,7 +254,7 @@ def _rules(judge: RigelJob, software: dict[str, Any], notes: Notes, path: str) -
 
 
 def _table(file: str, software: dict[str, Any], where: str, notes: Notes) -> None:
-    """Which of the files that are brought out is judged."""
+    """Return the artifact that is judged."""
     name = PurePosixPath(file).name
     tables = [path for path in software.get("artifacts", []) if path.endswith(".csv")]
     if file and any(PurePosixPath(path).name == name for path in tables):

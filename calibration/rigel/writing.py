@@ -1,4 +1,4 @@
-"""A conversion as the text of a ``calibration.yml``, with comments that say where each part comes from."""
+"""Writer of a conversion as a ``calibration.yml``, with comments that name the source of each part."""
 
 import textwrap
 from collections.abc import Mapping
@@ -12,11 +12,11 @@ from calibration.rigel.systems import Converted
 from calibration.workflow.text import one_line
 
 WIDTH = 110
-"""Of comments."""
+"""Line width of comments."""
 LEAST_SECRET = 6
-"""Characters; a shorter one may be a word of any text."""
+"""Minimum length of a secret in characters; a shorter one may be a word of any text."""
 SHORT = 90
-"""Characters of a list that stands on one line."""
+"""Maximum length of a list on one line, in characters."""
 _HEADINGS = {
     Kind.TO_DO: "To do:",
     Kind.CHANGED: "What works otherwise here:",
@@ -25,7 +25,7 @@ _HEADINGS = {
 
 
 class _Dumper(yaml.SafeDumper):
-    """Texts of several lines as they are, nothing by alias."""
+    """YAML dumper with block style for multi-line texts and without aliases."""
 
     def ignore_aliases(self, data: object) -> bool:
         return True
@@ -35,7 +35,7 @@ class _Dumper(yaml.SafeDumper):
 
 
 def _text(dumper: yaml.SafeDumper, text: str) -> yaml.ScalarNode:
-    # A block keeps no blanks at the end of a line, and can hold only what prints.
+    # A block style text cannot contain trailing blanks or non-printable characters.
     block = "\n" in text and not any(line != line.rstrip() for line in text.split("\n")) and text.strip("\n") == text
     printable = text.replace("\n", "").isprintable()
     style = ("|" if block else None) if printable else '"'
@@ -54,7 +54,7 @@ _Dumper.add_representer(list, _list)
 
 
 def written(conversion: Conversion, source: str) -> str:
-    """The text of ``calibration.yml``; ``source`` is what it was made from."""
+    """Return the text of ``calibration.yml``; ``source`` is the name of the converted file."""
     parts = [
         _comment(f"Made from {source} by `calibration import-rigelfile`; from now on it is yours to edit."),
         _notes(conversion, Kind.TO_DO),
@@ -73,7 +73,7 @@ def written(conversion: Conversion, source: str) -> str:
 
 
 def _without(secrets: Mapping[str, str], text: str) -> str:
-    """The text without a secret that stood in a second place, where nothing told that it is one."""
+    """Remove secrets from the text that also occur where no key marks them."""
     for secret in sorted(secrets, key=len, reverse=True):
         if len(secret) >= LEAST_SECRET:
             text = text.replace(secret, f"${{{secrets[secret]}}}")

@@ -1,7 +1,7 @@
-"""The GitHub runner, and nothing about calibration.
+"""Interface to the GitHub runner, independent of calibration.
 
-Everything here works off GitHub too: annotations become plain lines, outputs and summaries are
-not written when the runner gave no file for them.
+Everything here works outside of GitHub too: annotations become plain lines, outputs and summaries are
+not written if the runner provides no file for them.
 """
 
 from calibration.workflow.annotations import Annotation, Level, annotate, report_error

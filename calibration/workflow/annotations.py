@@ -11,13 +11,13 @@ from calibration.workflow.runner import Runner
 from calibration.workflow.text import one_line, visible
 
 ANNOTATION_LIMIT = 9
-"""GitHub keeps ten annotations of a level per step; the tenth says how many more there are."""
+"""GitHub's limit of annotations of a level per step; the tenth counts the remaining ones."""
 LINE_LIMIT = 1000
-"""Lines that are printed where no runner makes annotations of them."""
+"""Limit of lines that are printed outside of GitHub."""
 
 
 class Level(enum.StrEnum):
-    """How grave an annotation is."""
+    """Severity of an annotation."""
 
     ERROR = "error"
     WARNING = "warning"
@@ -26,7 +26,7 @@ class Level(enum.StrEnum):
 
 @dataclass(frozen=True)
 class Annotation:
-    """One message, at a file and line where it has them."""
+    """One message, with its file and line if it has them."""
 
     message: str
     level: Level = Level.ERROR
@@ -39,8 +39,8 @@ class Annotation:
 def annotate(runner: Runner, annotations: Iterable[Annotation]) -> None:
     """Print annotations: workflow commands on GitHub, else lines ``error: file:line: message`` on stderr.
 
-    GitHub drops what a step prints beyond ten of a level, so there the first nine are printed and
-    then how many more there are. Print everything in the log or the summary as well, and call this
+    GitHub drops annotations of a step beyond ten of a level, so there the first nine are printed, and
+    the number of the remaining ones. Print everything in the log or the summary as well, and call this
     once per step.
     """
     if not runner.github:
@@ -59,7 +59,7 @@ def annotate(runner: Runner, annotations: Iterable[Annotation]) -> None:
 
 
 def report_error(runner: Runner, message: str) -> None:
-    """Say in one line on stderr why the command stops; on GitHub as an annotation too."""
+    """Print the error that ends the command in one line on stderr; on GitHub as an annotation too."""
     message = brief(one_line(message))
     print(f"error: {message}", file=runner.stderr, flush=True)
     if runner.github:

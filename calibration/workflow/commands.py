@@ -1,8 +1,8 @@
-"""Workflow commands: lines of the log that the runner obeys (``::error file=a.csv,line=3::...``)."""
+"""Workflow commands: lines of the log that the runner executes (``::error file=a.csv,line=3::...``)."""
 
 
 def workflow_command(name: str, message: str = "", **properties: str | int | None) -> str:
-    """Write the line of one workflow command; properties that are None are left out."""
+    """Format a workflow command; properties that are None are omitted."""
     given = [f"{key}={escape_property(str(value))}" for key, value in properties.items() if value is not None]
     return f"::{name}{' ' if given else ''}{','.join(given)}::{escape_data(message)}"
 

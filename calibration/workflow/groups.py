@@ -1,4 +1,4 @@
-"""Parts of the log: folded groups, and output of others in which the runner obeys no command."""
+"""Parts of the log: folded groups, and output of other programs in which workflow commands are disabled."""
 
 import os
 from collections.abc import Iterator
@@ -12,9 +12,9 @@ from calibration.workflow.text import one_line
 
 @contextmanager
 def group(runner: Runner, title: str) -> Iterator[None]:
-    """Fold what is printed inside under a title; off GitHub only the title is printed.
+    """Fold the output of the block under a title; outside of GitHub only the title is printed.
 
-    The runner knows no groups inside groups. Print the verdict outside.
+    The runner does not support nested groups. Print the verdict outside.
     """
     if not runner.github:
         runner.log(one_line(title))
@@ -29,10 +29,10 @@ def group(runner: Runner, title: str) -> Iterator[None]:
 
 @contextmanager
 def stop_commands(runner: Runner, stream: TextIO | None = None) -> Iterator[None]:
-    """Print the output of others inside: the runner obeys no workflow command in it.
+    """Disable workflow commands in the output of the block, for output of other programs.
 
-    The token that ends the pause is random, so the output cannot end it. ``stream`` is where the
-    output goes, stdout unless told.
+    The token that enables them again is random, so the output cannot contain it. ``stream`` is the
+    stream of the output, by default stdout.
     """
     if not runner.github:
         yield

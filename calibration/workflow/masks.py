@@ -1,4 +1,4 @@
-"""Secrets kept out of the log."""
+"""Masking of secrets in the log."""
 
 import base64
 import json
@@ -9,13 +9,13 @@ from calibration.workflow.commands import workflow_command
 from calibration.workflow.runner import Runner
 
 SHORTEST_PART = 4
-"""Characters; a shorter line of a secret (a brace, a bracket) is no secret and would hide half the log."""
+"""Minimum length in characters; shorter lines of a secret (a brace, a bracket) would mask half the log."""
 
 
 def add_mask(runner: Runner, secret: str) -> None:
-    """Tell the runner to hide a secret, in every form in which it may reach the log.
+    """Mask a secret in the runner's log, in every form in which it may be printed.
 
-    Call it before anything else is printed. Off GitHub it prints nothing: use :func:`redact`.
+    Call it before any other output. Outside of GitHub it prints nothing: use :func:`redact`.
     """
     if runner.github:
         for form in derived_forms(secret):
@@ -31,10 +31,10 @@ def redact(text: str, secrets: Iterable[str]) -> str:
 
 
 def derived_forms(secret: str) -> list[str]:
-    """List the forms in which a secret may be printed.
+    """Return the forms in which a secret may be printed.
 
-    As it is, without the white space around it, each of its lines, as a JSON string, in a URL, and
-    in base64; parts shorter than :data:`SHORTEST_PART` are left out unless they are the secret.
+    Unchanged, stripped of white space, each of its lines, as a JSON string, in a URL, and
+    in base64; parts shorter than :data:`SHORTEST_PART` are omitted unless they are the whole secret.
     """
     whole = secret.strip()
     if not whole:

@@ -1,4 +1,4 @@
-"""The step's outputs, which later steps of the job read."""
+"""Outputs of the step, for later steps of the job."""
 
 import json
 import os
@@ -11,16 +11,16 @@ from calibration.errors import WorldError
 from calibration.workflow.runner import Runner
 
 OutputValue: TypeAlias = str | Path | bool | int | float | Sequence[object] | Mapping[str, object]
-"""Truth values are written as true and false, lists and mappings as JSON on one line."""
+"""Booleans are written as true and false, lists and mappings as JSON on one line."""
 
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_-]*")
 
 
 def set_outputs(runner: Runner, values: Mapping[str, OutputValue]) -> None:
-    """Set outputs of the step; does nothing where no runner gave a file for them.
+    """Set outputs of the step; does nothing if the runner provides no file for them.
 
-    Raises ``ValueError`` for a name that GitHub refuses or a number that is not finite, and
-    :class:`WorldError` when the runner's file cannot be written.
+    Raises ``ValueError`` for a name that GitHub rejects or a number that is not finite, and
+    :class:`WorldError` if the runner's file cannot be written.
     """
     lines = "".join(_assignment(name, _text(value)) for name, value in values.items())
     if runner.output_file is None:

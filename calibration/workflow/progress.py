@@ -8,25 +8,25 @@ from calibration.workflow.runner import Runner
 from calibration.workflow.text import one_line
 
 LINES = 40
-"""With more steps than this a log gets a line only for every part of so many, and for what is worth one."""
+"""Limit of lines in a log: with more steps, only every n-th step and those worth a message get a line."""
 
 
 class Advance(Protocol):
     """Called after each step."""
 
     def __call__(self, done: int, total: int, line: str, *, important: bool = False) -> None:
-        """Say how many of how many steps are done, and in a line, which may quote others, what the last one brought."""
+        """Report the number of finished steps, and a message about the last one, which may contain untrusted text."""
 
 
 @contextmanager
 def progress(runner: Runner, title: str, bar: bool = True, kept: str = "") -> Iterator[Advance]:
-    """Show the progress of steps while the block runs.
+    """Show the progress of steps during the block.
 
     Args:
-        runner: where.
-        title: of the bar.
-        bar: whether there may be one, on a terminal; not where other lines come in between.
-        kept: what steps are called ("poses") that an interruption does not lose: it is said how many are done.
+        runner: runner whose log shows it.
+        title: title of the bar.
+        bar: whether a bar may be shown on a terminal; False if other lines are printed in between.
+        kept: plural of the steps ("poses") if an interruption preserves them: then their number is printed.
     """
     finished = 0
     with _bar(runner, title) if bar and not runner.github and runner.stdout.isatty() else _lines(runner) as show:
@@ -61,7 +61,7 @@ def _bar(runner: Runner, title: str) -> Iterator[Advance]:
 
     console = Console(file=runner.stdout)
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    # without a thread of its own, so that the steps may fork
+    # no monitor thread, so that the steps may fork
     with Progress(*columns, console=console, transient=True, auto_refresh=False) as bar:
         task = bar.add_task(title, total=None)
 

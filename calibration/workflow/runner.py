@@ -1,4 +1,4 @@
-"""What a step is told about the machine that runs it."""
+"""Environment that the runner provides to a step."""
 
 import os
 import sys
@@ -10,28 +10,28 @@ from typing import Self, TextIO
 
 @dataclass(frozen=True)
 class Runner:
-    """The runner as one step sees it: where it runs, and where its output goes."""
+    """Runner of a step: its environment variables, and its output streams."""
 
     github: bool = False
-    """Whether a GitHub runner (or act) reads the log, so that workflow commands mean something."""
+    """Whether a GitHub runner (or act) reads the log, so that workflow commands have an effect."""
     workspace: Path | None = None
     """The checkout; annotations name files relative to it."""
     output_file: Path | None = None
-    """The file that takes the step's outputs; none when there is no runner."""
+    """File for the step's outputs; None without a runner."""
     summary_file: Path | None = None
-    """The file that takes the step's Markdown summary; none when there is no runner."""
+    """File for the step's Markdown summary; None without a runner."""
     debug: bool = False
-    """Whether the user asked the runner for debug logging."""
+    """Whether debug logging is enabled on the runner."""
     pull_request: bool = False
-    """Whether it runs for a pull request, of which nothing is merged yet."""
+    """Whether the run is for an unmerged pull request."""
     stdout: TextIO = field(default_factory=lambda: sys.stdout, repr=False, compare=False)
-    """The log, and the workflow commands."""
+    """Stream of the log and the workflow commands."""
     stderr: TextIO = field(default_factory=lambda: sys.stderr, repr=False, compare=False)
-    """Errors, one line each."""
+    """Stream of errors, one line each."""
 
     @classmethod
     def from_environment(cls, environment: Mapping[str, str]) -> Self:
-        """Read the runner's own variables; an empty variable counts as none."""
+        """Read the runner's environment variables; an empty variable counts as unset."""
 
         def path(name: str) -> Path | None:
             return Path(environment[name]) if environment.get(name) else None
@@ -46,15 +46,15 @@ class Runner:
         )
 
     def log(self, text: str = "") -> None:
-        """Print a line to the log at once.
+        """Print a line to the log immediately.
 
-        Text that others wrote may hold workflow commands: print it inside
+        Untrusted text may contain workflow commands: print it inside
         :func:`calibration.workflow.stop_commands`.
         """
         print(text, file=self.stdout, flush=True)
 
     def relative(self, path: str | Path) -> str:
-        """Name a file as an annotation must: relative to the workspace where it lies in it, with ``/``."""
+        """Return the path of a file for an annotation: relative to the workspace if it is inside, with ``/``."""
         if self.workspace is not None:
             resolved = Path(os.path.realpath(path))
             workspace = Path(os.path.realpath(self.workspace))

@@ -1,4 +1,4 @@
-"""The runner's cancel: SIGINT, then SIGTERM, then the end."""
+"""Handling of the runner's cancellation: SIGINT, then SIGTERM, then SIGKILL."""
 
 import signal
 import sys
@@ -10,21 +10,21 @@ from typing import Any
 
 ENDING = (signal.SIGINT, signal.SIGTERM)
 _SOON = 0.001
-"""Seconds until a signal whose exception Python has dropped strikes again."""
+"""Delay in seconds after which a signal whose exception Python has dropped is raised again."""
 
 
 class Terminated(KeyboardInterrupt):
-    """SIGTERM arrived. A kind of KeyboardInterrupt, so that whoever cleans up after that cleans up after both."""
+    """Raised on SIGTERM. Subclass of KeyboardInterrupt, so that the same clean-up handles both."""
 
 
 @contextmanager
 def terminate_cleanly() -> Iterator[None]:
-    """Turn SIGTERM into :class:`Terminated`, so that context managers and ``finally`` stop what they started.
+    """Turn SIGTERM into :class:`Terminated`, so that context managers and ``finally`` clauses run.
 
-    Once one of SIGINT and SIGTERM has come, SIGTERM is ignored: GitHub sends it while the cleaning
-    after SIGINT is still at work. A second SIGINT (an impatient user) interrupts again. Python drops an
+    After the first SIGINT or SIGTERM, SIGTERM is ignored: GitHub sends it while the clean-up
+    after SIGINT is still running. A second SIGINT (by the user) interrupts again. Python drops an
     exception that is raised in a callback (of ``os.fork``, of the garbage collector): then the signal
-    strikes again after the callback. Does nothing outside the main thread, where Python takes no signals.
+    is raised again after the callback. Does nothing outside the main thread, where Python handles no signals.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -45,7 +45,7 @@ def terminate_cleanly() -> Iterator[None]:
     report_dropped, sys.unraisablehook = sys.unraisablehook, strike_again
     before = {number: signal.getsignal(number) for number in (*ENDING, signal.SIGALRM)}
     signal.signal(signal.SIGTERM, stop)
-    if before[signal.SIGINT] is not signal.SIG_IGN:  # ignored in a shell's background job: leave it so
+    if before[signal.SIGINT] is not signal.SIG_IGN:  # ignored in a background job of a shell: keep that
         signal.signal(signal.SIGINT, stop)
     try:
         yield
@@ -57,11 +57,11 @@ def terminate_cleanly() -> Iterator[None]:
 
 @contextmanager
 def held_back() -> Iterator[None]:
-    """Hold SIGINT and SIGTERM back while a process is forked; they strike when the block is left.
+    """Delay SIGINT and SIGTERM during a fork; they are raised at the end of the block.
 
-    One that struck in the middle would leave a process behind that nobody knows, or be dropped by the
-    callbacks of ``os.fork``. By handlers, not by the mask of this thread: a signal that another thread
-    receives is handled in the main thread too, and a new process would inherit the mask.
+    An exception during the fork would leave an untracked process, or be dropped by the
+    callbacks of ``os.fork``. It uses handlers, not this thread's signal mask: Python handles a signal that another
+    thread receives in the main thread too, and a new process would inherit the mask.
     """
     if threading.current_thread() is not threading.main_thread():
         yield

@@ -1,4 +1,4 @@
-"""Output of several programs at once, shown live so that each can be read, and none can command anything."""
+"""Live output of several concurrent programs, kept apart, with workflow commands disabled."""
 
 import re
 import threading
@@ -10,27 +10,27 @@ from calibration.workflow.runner import Runner
 from calibration.workflow.text import one_line, shorten
 
 MOST_SHOWN = 4 * 1024**2
-"""Characters of one stream; what comes after is not shown."""
+"""Limit of characters of one stream; the rest is not shown."""
 LONGEST_LINE = 2000
-"""Characters of a line that are shown."""
+"""Limit of characters of a line."""
 _COLOURS = re.compile(r"\x1b\[[0-9;:?]*[A-Za-z]")
 
 
 class LogStream:
-    """The lines of one program. May be used from any thread."""
+    """Output lines of one program. Thread-safe."""
 
     def __init__(self, display: "LogDisplay", title: str, live: bool) -> None:
         self.title = one_line(title)
         self.live = live
         self.waiting: list[str] = []
-        """Lines that have not been printed yet."""
+        """Number of lines that have not been printed yet."""
         self.closed = False
         self.printed = False
         self._display = display
         self._room = MOST_SHOWN
 
     def line(self, text: str) -> None:
-        """Show a line as soon as it may be shown."""
+        """Print a line as soon as its stream may be shown."""
         if self._room <= 0:
             return
         text = tame(text)
@@ -39,16 +39,16 @@ class LogStream:
         self._display.show(self, [text, *more])
 
     def close(self) -> None:
-        """Say that no line comes any more."""
+        """Mark the end of the stream."""
         self._display.finish(self)
 
 
 class LogDisplay:
-    """Shows the lines of several programs that run at once.
+    """Shows the output lines of several concurrent programs.
 
-    In the log of a terminal each line begins with the program's title. On GitHub each program has a
-    group; only one group can be open, so one program is followed live, and the lines of the others
-    come in one piece when they have ended. The runner obeys no command in any of it.
+    On a terminal each line starts with the program's title. On GitHub each program has a
+    group; only one group can be open, so one program is shown live, and the lines of the others
+    follow in one piece when they have ended. Workflow commands are disabled in all of it.
     """
 
     def __init__(self, runner: Runner) -> None:
@@ -62,7 +62,7 @@ class LogDisplay:
         self._broken = False
 
     def open(self, title: str, *, live: bool = True) -> LogStream:
-        """Begin a stream; one that is not ``live`` is never followed live on GitHub, and comes when it has ended."""
+        """Begin a stream; on GitHub one that is not ``live`` is shown only when it has ended."""
         stream = LogStream(self, title, live)
         with self._lock:
             self._streams.append(stream)
@@ -70,7 +70,7 @@ class LogDisplay:
 
     @contextmanager
     def paused(self) -> Iterator[None]:
-        """Print other things inside, workflow commands too: meanwhile no line is shown, and no group is open."""
+        """Allow other output in the block, including workflow commands: no lines are shown and no group is open."""
         with self._lock:
             self._paused += 1
             self._close_group()
@@ -91,13 +91,13 @@ class LogDisplay:
                     self._broken = True
 
     def show(self, stream: LogStream, lines: list[str]) -> None:
-        """Take lines of a stream."""
+        """Receive lines of a stream."""
         with self._lock:
             stream.waiting += lines
             self._print_what_may()
 
     def finish(self, stream: LogStream) -> None:
-        """Take the end of a stream."""
+        """Receive the end of a stream."""
         with self._lock:
             stream.closed = True
             self._print_what_may()
@@ -111,7 +111,7 @@ class LogDisplay:
             else:
                 for stream in self._streams:
                     self._print_waiting(stream, f"{stream.title} | ")
-        except (OSError, ValueError):  # nobody reads, or the stream is closed: no reason for a program to fail
+        except (OSError, ValueError):  # closed pipe or stream: must not fail the program
             self._broken = True
         self._streams = [stream for stream in self._streams if stream.waiting or not stream.closed]
 
@@ -151,9 +151,9 @@ class LogDisplay:
 
 
 def tame(text: str) -> str:
-    """Make a line of others fit for a log: what a terminal would show of it, without colours, not too long.
+    """Make a line of untrusted output safe for the log: as a terminal would show it, without colours, truncated.
 
-    Of a progress bar, which returns to the line's beginning, the last state is kept.
+    Of a progress bar, which uses carriage returns, the last state is kept.
     """
     text = text.rstrip().rpartition("\r")[2].expandtabs(4)
     text = _COLOURS.sub("", text)

@@ -1,4 +1,4 @@
-"""The step's summary: Markdown that GitHub shows on the page of the run."""
+"""Summary of the step: Markdown that GitHub shows on the page of the run."""
 
 import re
 from collections.abc import Iterable, Sequence
@@ -8,7 +8,7 @@ from calibration.workflow.runner import Runner
 from calibration.workflow.text import LONGEST_CELL, shorten, visible
 
 SUMMARY_LIMIT = 1024 * 1024
-"""Bytes of summary that GitHub takes from a step; a longer one is dropped as a whole."""
+"""GitHub's limit of the summary of a step, in bytes; a longer one is dropped completely."""
 
 _CUT = "\n\n*The summary was cut here: GitHub takes 1 MiB. Everything is in the log.*\n"
 _ENTITIES = {"&": "&amp;", "<": "&lt;", ">": "&gt;", "|": "&#124;"}
@@ -16,10 +16,10 @@ _SPECIAL = re.compile(r"\r\n|\r|\n|[&<>|]|[\\`*_\[\]#~$]")
 
 
 def add_summary(runner: Runner, markdown: str) -> None:
-    """Append Markdown to the step's summary; does nothing where no runner gave a file for it.
+    """Append Markdown to the step's summary; does nothing if the runner provides no file for it.
 
-    What would exceed :data:`SUMMARY_LIMIT` is cut at the end of a line, and the summary says so.
-    Raises :class:`WorldError` when the runner's file cannot be written.
+    Text beyond :data:`SUMMARY_LIMIT` is cut at the end of a line, with a remark in the summary.
+    Raises :class:`WorldError` if the runner's file cannot be written.
     """
     if runner.summary_file is None:
         return
@@ -31,18 +31,18 @@ def add_summary(runner: Runner, markdown: str) -> None:
 
 
 def markdown_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """Write a Markdown table; every cell is escaped."""
+    """Format a Markdown table; every cell is escaped."""
     cells = [[escape_markdown(shorten(cell, LONGEST_CELL)) for cell in row] for row in (header, *rows)]
     return "".join(f"| {' | '.join(line)} |\n" for line in (cells[0], ["---"] * len(header), *cells[1:]))
 
 
 def escape_markdown(text: str) -> str:
-    """Escape a text so that Markdown shows it as it is, in a table's cell too: no markup, no HTML."""
+    """Escape a text so that Markdown shows it literally, also in table cells: no markup, no HTML."""
     return _SPECIAL.sub(_escape, visible(text))
 
 
 def code_block(text: str) -> str:
-    """Fence a text as code; the fence is longer than any run of backticks in it."""
+    """Format a text as a code block, whose fence is longer than any run of backticks in it."""
     longest = max((len(run) for run in re.findall(r"`+", text)), default=0)
     fence = "`" * max(3, longest + 1)
     return f"{fence}\n{text.rstrip()}\n{fence}\n"

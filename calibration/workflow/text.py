@@ -1,10 +1,10 @@
-"""Text for messages: what others wrote made safe to print, and what they may have meant."""
+"""Text for messages: escaping of untrusted text, and suggestions for misspelt words."""
 
 import re
 from collections.abc import Iterable, Sequence
 
 LONGEST_CELL = 200
-"""Characters of a cell of a table."""
+"""Limit of characters of a table cell."""
 _LINE_BREAKS = re.compile(r"[ \t]*[\n\v\f\r\x1c-\x1e\x85\u2028\u2029]+[ \t]*")
 _UNPRINTABLE = re.compile(
     r"[\x00-\x08\x0e-\x1b\x1f\x7f-\x9f\u061c\u200b\u200e\u200f\u202a-\u202e\u2060-\u206f\ufeff\ud800-\udfff"
@@ -14,9 +14,9 @@ _UNPRINTABLE = re.compile(
 
 
 def one_line(text: str) -> str:
-    """Put a text on one line that cannot command a terminal or the runner.
+    """Put a text on one line, without control of the terminal or the runner.
 
-    Line breaks become spaces; what does not print becomes a visible escape; ``##[``, which the runner reads as a
+    Line breaks become spaces; non-printable characters become visible escapes; ``##[``, which the runner takes for a
     command anywhere in a line, is broken up.
     """
     return visible(_LINE_BREAKS.sub(" ", text.strip())).replace("##[", "## [")
@@ -28,20 +28,20 @@ def visible(text: str) -> str:
 
 
 def shorten(text: str, length: int = 80) -> str:
-    """Cut a text to ``length`` characters, the last of them an ellipsis when something was cut."""
+    """Truncate a text to ``length`` characters, with an ellipsis as the last one."""
     return text if len(text) <= length else text[: length - 1] + "…"
 
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:
-    """Return ``": did you mean 'x'?"`` for the known word nearest to a misspelt one, or nothing."""
-    from difflib import get_close_matches  # only a mistake pays for it
+    """Return ``": did you mean 'x'?"`` for the known word nearest to a misspelt one, or an empty string."""
+    from difflib import get_close_matches  # imported only in case of an error, to keep start-up fast
 
     nearest = get_close_matches(word, known, n=1)
     return f": did you mean {nearest[0]!r}?" if nearest else ""
 
 
 def aligned(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """Lay out a table of texts for a log, each column as wide as it needs to be."""
+    """Format a table of texts for a log, with minimal column widths."""
     table = [[shorten(one_line(cell), LONGEST_CELL) for cell in row] for row in (header, *rows)]
     widths = [max(map(len, column)) for column in zip(*table, strict=True)]
     lines = ("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)) for row in table)
