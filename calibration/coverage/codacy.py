@@ -1,4 +1,4 @@
-"""Codacy: coverage in its own JSON, one request for each language."""
+"""Codacy client: coverage as Codacy's own JSON, one request for each language."""
 
 import json
 import re
@@ -16,67 +16,67 @@ from calibration.workflow.text import shorten
 
 @dataclass(frozen=True)
 class Upload:
-    """What a service is to be told."""
+    """Coverage of one commit to be sent to a service."""
 
     commit: str
     files: Mapping[str, FileCoverage]
     """By path in the repository."""
     partial: bool = False
-    """Other jobs tell more of this commit."""
+    """Other jobs send coverage of this commit too."""
     final: bool = False
-    """Nothing more is told of this commit."""
+    """This is the last upload for this commit."""
 
 
 @dataclass(frozen=True)
 class Request:
-    """One request of HTTP, a POST of JSON."""
+    """An HTTP POST request with a JSON body."""
 
     what: str
-    """In a few words, for the log."""
+    """Short description for the log."""
     url: str
     body: bytes
     headers: Mapping[str, str] = field(repr=False)
-    """With the token."""
+    """Including the token."""
 
 
 API_URL = "https://api.codacy.com"
 PROVIDERS = ("gh", "ghe", "gl", "gle", "bb", "bbe", "manual")
 MOST_HITS = 2**31 - 1
-"""What Codacy takes for a line."""
+"""Whether a line number is in the range that Codacy accepts."""
 _NAME = re.compile(r"[A-Za-z0-9._~-]+")
 
 
 @dataclass(frozen=True)
 class Account:
-    """Whoever tells Codacy: a project by its own token, or an account by a token for all its repositories."""
+    """Credentials for Codacy: a project token, or an account token with the repository's name."""
 
     token: str = field(repr=False)
     provider: str | None = None
-    """With organisation and repository for an account's token; none of the three for a project's."""
+    """Required with organisation and repository for an account token; unused with a project token."""
     organisation: str | None = None
     repository: str | None = None
 
     @property
     def header(self) -> dict[str, str]:
-        """That says who is telling."""
+        """HTTP headers that authenticate the request."""
         return {"project-token" if self.provider is None else "api-token": self.token}
 
 
 @dataclass(frozen=True)
 class Codacy:
-    """The service."""
+    """Client of Codacy's API."""
 
     account: Account
     api_url: str = API_URL
     language: str | None = None
-    """Of all files, in the place of that of their suffixes."""
+    """Language of all files; None to derive it from each file's suffix."""
     http: Http | None = field(default=None, repr=False, compare=False)
 
     def requests(self, upload: Upload) -> list[Request]:
-        """A report for each language, and an end where there are several or it is asked for.
+        """Return one report for each language, and a final request if there are several or one is asked for.
 
         Raises:
-            InputError: none of the files is in a language that is known.
+            InputError: none of the files is in a known language.
         """
         languages: dict[str, dict[str, FileCoverage]] = {}
         for path, coverage in sorted(upload.files.items()):
@@ -97,10 +97,10 @@ class Codacy:
         return found
 
     def send(self, requests: Sequence[Request]) -> None:
-        """Send the requests, all of them, whatever comes of those before.
+        """Send all requests, even if one fails.
 
         Raises:
-            WorldError: Codacy did not take one; the first of these errors.
+            WorldError: Codacy rejected one; the first of these errors.
         """
         http = self.http or Http([self.account.token], address="the address (api-url)")
         first: WorldError | None = None
@@ -130,7 +130,7 @@ class Codacy:
 
 
 def report_body(files: Mapping[str, FileCoverage]) -> bytes:
-    """The JSON of a report: of each file, how often each line was run that can be run."""
+    """Return the JSON of a report: for each file, the hits of each executable line."""
     reports = [
         {
             "filename": path,
@@ -143,10 +143,10 @@ def report_body(files: Mapping[str, FileCoverage]) -> bytes:
 
 
 def check_answer(answer: Answer, host: str, http: Http) -> None:
-    """Hold an answer to what Codacy says of itself: its JSON decides, whatever the status.
+    """Check an answer: Codacy's JSON decides on success, whatever the HTTP status.
 
     Raises:
-        WorldError: it is no success; says what to do.
+        WorldError: the request failed; the message names the remedy.
     """
     document = _document(answer.body)
     if isinstance(document, dict) and "error" not in document and isinstance(document.get("success"), str):
@@ -166,10 +166,10 @@ def check_answer(answer: Answer, host: str, http: Http) -> None:
 
 
 def parse_api_url(text: str) -> str:
-    """Read the address of Codacy's API, such as ``https://api.codacy.com``.
+    """Parse the address of Codacy's API, such as ``https://api.codacy.com``.
 
     Raises:
-        InputError: it is none, or a token sent there could be read on the way.
+        InputError: it is not a URL, or would send the token unencrypted.
     """
     try:
         parts = urlsplit(text.strip())
@@ -195,10 +195,10 @@ def parse_account(
     organisation: str | None,
     repository: str | None,
 ) -> Account | None:
-    """Who tells Codacy; a project's token goes before an account's. None where there is no token.
+    """Return the credentials, preferring a project token; None without a token.
 
     Raises:
-        InputError: an account's token comes without the repository, or a name or a token cannot be one.
+        InputError: an account token comes without the repository, or a name or a token is malformed.
     """
     token = project_token or api_token
     if token is None:

@@ -1,7 +1,7 @@
-"""Data files of coverage.py (``.coverage``): what was run, by line or by jump from line to line.
+"""Data files of coverage.py (``.coverage``): the lines or arcs (jumps between lines) that were executed.
 
-They do not say which lines could have been run. That takes the sources, and the Python that measured: it writes
-Cobertura XML.
+They do not contain the executable lines. Those are found by the Python that measured, from the sources: it
+writes Cobertura XML.
 """
 
 import os
@@ -23,14 +23,14 @@ from calibration.workflow.text import one_line, shorten
 
 MAGIC = b"SQLite format 3\0"
 SECONDS = 300
-"""That writing the XML may take."""
+"""Timeout for writing the XML."""
 
 
 def measured_names(files: Sequence[Path]) -> list[str]:
-    """The names of the files that were measured.
+    """Return the names of the measured files.
 
     Raises:
-        InputError: one of the files is no data file of coverage.py.
+        InputError: one of the files is not a data file of coverage.py.
     """
     names: dict[str, None] = {}
     for file in files:
@@ -40,16 +40,16 @@ def measured_names(files: Sequence[Path]) -> list[str]:
 
 
 def merge(files: Sequence[Path], names: Mapping[str, str], untouched: Sequence[str], folder: Path) -> list[Path]:
-    """Write what data files say of some files as new ones: one of jumps, one of lines, each where there is any.
+    """Merge the data of selected files into new data files: one of arcs, one of lines, each if there is any.
 
     Args:
         files: data files.
-        names: the files that are kept, by the name that they have in the data, and the absolute path they get.
-        untouched: absolute paths of files of which nothing was run.
-        folder: for the new files.
+        names: absolute paths of the files to keep, by their names in the data.
+        untouched: absolute paths of files of which no line was executed.
+        folder: output folder.
 
     Raises:
-        InputError: one of the files is no data file of coverage.py.
+        InputError: one of the files is not a data file of coverage.py.
     """
     with (
         closing(CoverageData(basename=str(folder / "jumps"))) as jumps,
@@ -71,17 +71,17 @@ def merge(files: Sequence[Path], names: Mapping[str, str], untouched: Sequence[s
 
 
 def report_of(data: Path, name: str, settings: Mapping[str, Any], directory: Path, executable: str) -> Report:
-    """What a data file says, with the lines that could have been run.
+    """Convert a data file to a report that includes the executable lines.
 
     Args:
-        data: with absolute names of files.
+        data: data file with absolute file names.
         name: for messages.
-        settings: of coverage.py.
-        directory: that the names in the report are relative to.
-        executable: the Python that measured; other files come to lie beside the data.
+        settings: settings of coverage.py.
+        directory: folder that the names in the report are relative to.
+        executable: the Python that measured; its temporary files are written beside the data.
 
     Raises:
-        WorldError: it cannot be written.
+        WorldError: the report cannot be written.
     """
     configuration, output = data.with_suffix(".rc"), data.with_suffix(".xml")
     kept = {key: value for key, value in settings.items() if not key.startswith("run:") or key == "run:plugins"}
@@ -106,7 +106,7 @@ def report_of(data: Path, name: str, settings: Mapping[str, Any], directory: Pat
 
 
 def _opened(file: Path) -> CoverageData:
-    """The data in a file, which is checked before anything of it is believed."""
+    """Open a data file after checking that it is valid SQLite."""
     refused = InputError(f"{file}: a data file of coverage.py was expected, and this one cannot be read")
     try:
         with closing(sqlite3.connect(f"{file.absolute().as_uri()}?mode=ro&immutable=1", uri=True)) as database:
@@ -124,10 +124,10 @@ def _opened(file: Path) -> CoverageData:
 
 
 def copied(files: Sequence[Path], folder: Path) -> list[Path]:
-    """Copies of data files, because coverage.py opens them for writing.
+    """Copy data files, because coverage.py opens them for writing.
 
     Raises:
-        InputError: one of them is no data file, or is too large.
+        InputError: one of them is not a data file, or is too large.
     """
     copies = []
     for number, file in enumerate(files):

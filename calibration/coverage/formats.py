@@ -1,4 +1,4 @@
-"""Reports of coverage in the forms that are in use, Cobertura XML and LCOV, as one form."""
+"""Parsers of coverage reports (Cobertura XML and LCOV), both to one structure."""
 
 import io
 import re
@@ -15,33 +15,33 @@ from calibration.errors import InputError
 from calibration.workflow.text import one_line, shorten
 
 MAX_BYTES = 100 * 1024 * 1024
-"""The largest report that is read."""
+"""Limit of the size of a report."""
 MAX_LINE = 10_000_000
-"""The highest number of a line."""
+"""Limit of a line number."""
 MAX_HITS = 2**63 - 1
 
 
 @dataclass(frozen=True)
 class Report:
-    """What one report says."""
+    """Content of one coverage report."""
 
     name: str
-    """For messages: its path."""
+    """Path of the report, for messages."""
     files: Mapping[str, FileCoverage]
-    """By the name that the report gives each."""
+    """Coverage by the file name in the report."""
     folders: tuple[str, ...] = ()
-    """That the names are relative to, as the report says; absolute, or relative to where the tests ran."""
+    """Folders that the names are relative to; absolute, or relative to the working directory of the tests."""
 
 
 DEEPEST = 100
-"""Elements inside each other; the formats in use need ten."""
+"""Limit of nested elements; the supported formats need ten."""
 
 
 def elements(data: bytes, name: str) -> Iterator[tuple[str, Element]]:
     """Yield ``("start" | "end", element)`` in the order of the document; an element that ended may be cleared.
 
     Raises:
-        InputError: it is no XML, declares entities, or is nested too deeply.
+        InputError: it is not XML, declares entities, or is nested too deeply.
     """
     depth = 0
     try:
@@ -52,7 +52,7 @@ def elements(data: bytes, name: str) -> Iterator[tuple[str, Element]]:
             yield event, element
     except DefusedXmlException:
         raise InputError(f"{name}: the XML declares entities, which are not allowed, for safety") from None
-    except (ParseError, ValueError, LookupError) as error:  # the last two: an encoding that there is not
+    except (ParseError, ValueError, LookupError) as error:  # the last two: unknown encoding
         raise InputError(f"{name}: this is not valid XML: {shorten(one_line(str(error)), 200)}") from None
 
 
@@ -61,10 +61,10 @@ _BRANCHES = re.compile(r"\s*[0-9.]+\s*%\s*\(([0-9]{1,9})/([0-9]{1,9})\)\s*")
 
 
 def parse_cobertura(data: bytes, name: str) -> Report:
-    """Read a report; several classes in one file, and several entries of one line, are added up.
+    """Parse Cobertura XML; classes in one file, and entries of one line, are added up.
 
     Raises:
-        InputError: it is no Cobertura XML, or a number in it is none; names the file and line that it speaks of.
+        InputError: it is not Cobertura XML, or a number is malformed; names the file and line concerned.
     """
     hits: dict[str, dict[int, int]] = {}
     branches: dict[str, dict[int, Rate]] = {}
@@ -83,7 +83,7 @@ def parse_cobertura(data: bytes, name: str) -> Report:
                 raise InputError(f"{name}: a class has no filename")
             hits.setdefault(file, {})
             branches.setdefault(file, {})
-        elif tag == "methods":  # their lines stand in the class once more
+        elif tag == "methods":  # the class repeats their lines
             in_methods += 1 if event == "start" else -1
         elif tag == "line" and event == "end" and file is not None and not in_methods:
             _add_line(element, f"{name}: {file}", hits[file], branches[file])
@@ -134,7 +134,7 @@ _BRANCH = re.compile(r"([0-9]{1,8}),([^,]+),([^,]+),(-|[0-9]{1,19})")
 class _Record:
     hits: dict[int, int] = field(default_factory=dict)
     branches: dict[int, dict[tuple[str, str], bool]] = field(default_factory=dict)
-    """Whether each branch of a line was taken."""
+    """Return which branches of a line were taken."""
 
     def coverage(self) -> FileCoverage:
         rates = {line: Rate(sum(taken.values()), len(taken)) for line, taken in self.branches.items()}
@@ -142,10 +142,10 @@ class _Record:
 
 
 def parse_lcov(data: bytes, name: str) -> Report:
-    """Read a tracefile; several records of one file (one for each test) are added up.
+    """Parse a tracefile (LCOV); records of one file (one for each test) are added up.
 
     Raises:
-        InputError: it is no tracefile, it ends in the middle of a record, or a number in it is none; names the line.
+        InputError: it is not a tracefile, is truncated, or a number is malformed; names the line.
     """
     records: dict[str, _Record] = {}
     record: _Record | None = None
@@ -171,11 +171,11 @@ def parse_lcov(data: bytes, name: str) -> Report:
 
 
 def tracefile(files: Mapping[str, FileCoverage]) -> str:
-    """A tracefile of files, by their paths; :func:`parse_lcov` reads the same from it."""
+    """Return the coverage of files as an LCOV tracefile, the inverse of :func:`parse_lcov`."""
     lines: list[str] = []
     for path, coverage in files.items():
         if len(path.splitlines()) != 1 or path != path.strip():
-            continue  # the format has no name for such a file
+            continue  # LCOV cannot represent a file name with a line break
         lines += ["TN:", f"SF:{path}"]
         lines += [f"DA:{line},{hits}" for line, hits in coverage.hits.items()]
         for line, rate in coverage.branches.items():

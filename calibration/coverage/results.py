@@ -87,7 +87,7 @@ class LeftOut:
 
     unmatched: tuple[str, ...] = field("Names that are no tracked file.")
     ambiguous: Mapping[str, tuple[str, ...]] = field("Names that may be several files, with these.")
-    ill_fitting: Mapping[str, int] = field("Files with fewer lines than a report says, with the highest line in it.")
+    ill_fitting: Mapping[str, int] = field("Files with fewer lines than a report claims, with its highest line number.")
     unreadable: tuple[str, ...] = field("Python files that cannot be parsed.")
     without_report: Mapping[str, int] = field("How many source files of a language no report speaks of.")
 

@@ -1,4 +1,4 @@
-"""The team's tests: run, measured, and judged by their exit code and by how many ran."""
+"""Run of the team's tests with measurement; the verdict follows from the exit code and the number of tests."""
 
 import json
 import os
@@ -36,20 +36,20 @@ def run(
     seconds: float,
     feed: Callable[[bytes], None],
 ) -> int:
-    """Run a program, and return its exit code (below 0: of the signal that killed it).
+    """Run a program and return its exit code (negative: number of the signal that ended it).
 
-    Whatever it leaves running in its process group is ended too, then and when this is interrupted.
+    Remaining processes of its process group are ended too, also after an interruption.
 
     Args:
-        arguments: the program first.
-        directory: that it runs in.
-        environment: all its variables.
-        seconds: that it may take.
-        feed: is given its output and its errors as they come.
+        arguments: program and arguments.
+        directory: working directory.
+        environment: all environment variables.
+        seconds: time limit.
+        feed: called with its output and errors as they arrive.
 
     Raises:
         InputError: it cannot be started.
-        WorldError: it takes longer.
+        WorldError: it exceeds the time limit.
     """
     deadline = time.monotonic() + seconds
     with ExitStack() as stack, selectors.DefaultSelector() as selector:
@@ -68,7 +68,7 @@ def run(
                 data = os.read(process.stdout.fileno(), 64 * 1024)
                 feed(data)
                 more = bool(data)
-            elif has_ended(process):  # what it has started may go on, and hold the output open
+            elif has_ended(process):  # its child processes may continue, and keep the pipe open
                 break
             elif not more:
                 time.sleep(_PAUSE)
@@ -83,40 +83,40 @@ _COUNT = re.compile(r"(?:failures|errors)=([0-9]{1,9})")
 
 @result
 class Tests:
-    """What came of the tests."""
+    """Outcome of the tests."""
 
-    __test__ = False  # pytest takes it for a test
+    __test__ = False  # keeps pytest from collecting it
 
     command: str = field("The command that ran them.")
     exit_code: int = field("Below 0: of the signal that killed them.")
     seconds: float = field("How long they took.")
     tally: Tally | None = None
-    """How many there were; None where nothing says so."""
+    """Numbers of tests; None if unknown."""
 
     @property
     @computed()
     def passed(self) -> int | None:
-        """How many passed; null where nothing says so."""
+        """Number of tests that passed; null if unknown."""
         return self.tally.passed if self.tally else None
 
     @property
     @computed()
     def failed(self) -> int | None:
-        """How many failed or could not run; null where nothing says so."""
+        """Number of tests that failed or could not run; null if unknown."""
         return self.tally.failed if self.tally else None
 
     @property
     @computed()
     def skipped(self) -> int | None:
-        """How many were skipped; null where nothing says so."""
+        """Number of skipped tests; null if unknown."""
         return self.tally.skipped if self.tally else None
 
     @property
     def problem(self) -> str | None:
-        """Why they are no pass; None when they are one."""
+        """Reason why the tests did not pass; None if they did."""
         if self.exit_code < 0:
             return f"the tests were killed by {_signal_name(-self.exit_code)}"
-        if self.tally is not None and self.tally.ran == 0:  # pytest ends with 5 then, unittest with 0 or 5
+        if self.tally is not None and self.tally.ran == 0:  # the exit code is 5 for pytest, and 0 or 5 for unittest
             return f"no test ran{f' ({self.tally.skipped} were skipped)' if self.tally.skipped else ''}"
         if self.exit_code:
             counted = f", {self.tally.failed} of {self.tally.ran} failed" if self.tally and self.tally.failed else ""
@@ -128,14 +128,14 @@ class Tests:
 
 @dataclass(frozen=True)
 class Measurement:
-    """What coverage.py has left of a run."""
+    """Files that coverage.py left after a run."""
 
     files: tuple[Path, ...]
-    """Its data files."""
+    """Data files."""
     executable: str | None = None
     """The newest Python that measured."""
     problems: tuple[str, ...] = ()
-    """What could not be measured, a line for each."""
+    """Problems of the measurement, a line for each."""
 
 
 def run_tests(
@@ -147,23 +147,23 @@ def run_tests(
     log: Path,
     secrets: Iterable[str] = (),
 ) -> Tests:
-    """Run the tests; their output is shown live, and kept in a file.
+    """Run the tests; their output is shown live and written to a file.
 
     Args:
-        command: what to run.
-        directory: where.
-        environment: all its variables.
-        seconds: that they may take.
+        command: command to run.
+        directory: working directory.
+        environment: all environment variables.
+        seconds: time limit.
         runner: for the log.
-        log: the file.
-        secrets: what must not get into either.
+        log: log file.
+        secrets: values to mask in log and output.
 
     Raises:
-        InputError: the command cannot be started, or writes as JUnit what is none.
-        WorldError: they take longer.
+        InputError: the command cannot be started, or its JUnit file is malformed.
+        WorldError: the time limit is exceeded.
     """
     if command.junit is not None:
-        command.junit.unlink(missing_ok=True)  # or an earlier result might be taken for this one's
+        command.junit.unlink(missing_ok=True)  # else the result of an earlier run might be read
     display = LogDisplay(runner)
     stream = display.open(shorten(command.text, 60))
     count = _Unittest()
@@ -188,13 +188,13 @@ def run_tests(
 def measured_environment(
     environment: Mapping[str, str], settings: Mapping[str, Any], sources: Iterable[str], folder: Path
 ) -> dict[str, str]:
-    """Prepare a folder for the measurement, and return the variables that turn it on.
+    """Prepare a folder for the measurement, and return the environment that enables it.
 
     Args:
-        environment: ours.
-        settings: the team's own, of coverage.py.
-        sources: folders and packages that are measured.
-        folder: made, for all that belongs to the measurement.
+        environment: environment of this process.
+        settings: the team's settings of coverage.py.
+        sources: folders and packages to measure.
+        folder: created, for all files of the measurement.
     """
     for name in ("data", "notes"):
         (folder / name).mkdir(parents=True)
@@ -216,12 +216,12 @@ def measured_environment(
 
 
 def measurement(folder: Path) -> Measurement:
-    """What the measurement has left in its folder."""
+    """Return the files that a measurement left in its folder."""
     notes = []
     for path in sorted((folder / "notes").glob("*.json")):
         try:
             note = json.loads(read_bytes(path, 64 * 1024, "a note"))
-        except (ValueError, InputError):  # cut off when its process was killed
+        except (ValueError, InputError):  # truncated because the process was killed
             continue
         if isinstance(note, dict):
             notes.append({key: str(value) for key, value in note.items()})
@@ -244,7 +244,7 @@ def measurement(folder: Path) -> Measurement:
 
 
 class _Unittest:
-    """Counts tests in the output of unittest, of each time that it runs."""
+    """Counter of tests in the output of unittest, over all of its runs."""
 
     def __init__(self) -> None:
         self._ran: int | None = None

@@ -59,7 +59,7 @@ class Settings:
     goal: Percent = field("Percent of its lines that every file is to have run; only shown (60).", default=60.0)
     minimum: Percent | None = field("Percent of all lines that must be run, or the verdict is fail.", default=None)
     minimum_change: Percent | None = field("Percent of the change's lines that must be run.", default=None)
-    base: str | None = field("Branch or commit that the change goes to (what the event says).", default=None)
+    base: str | None = field("Branch or commit that the change goes to (from the event).", default=None)
     badge: Path | None = field("Write a badge of the coverage to this SVG file.", default=None)
     service: Literal["codacy", "none"] | None = field(
         "Service that receives the coverage: codacy or none (none).", default=None

@@ -32,7 +32,7 @@ def same_collection(dataset: Dataset, source: Sensor, target: Sensor, seen: Sequ
     """
     if source.name == target.name:
         raise InputError(
-            f"'{source.name}' against itself says nothing in one collection: use an inter-collection table"
+            f"'{source.name}' against itself tests nothing in one collection: use an inter-collection table"
         )
     index = np.array(seen, int)
     return Pairs(index, index, dataset.with_collections(list(seen)).transform(target.frame, source.frame))

@@ -42,7 +42,7 @@ def rgb_to_rgb(dataset: Dataset, source: str, target: str, pattern: str | None =
             source and target are the same (nothing would be tested).
     """
     if source == target:
-        raise InputError(f"'{source}' against itself says nothing in one collection: use inter-collection-rgb-to-rgb")
+        raise InputError(f"'{source}' against itself tests nothing in one collection: use inter-collection-rgb-to-rgb")
     seen_pattern = pattern_of(dataset, pattern)
     a, b = (corner_views(dataset, name, seen_pattern) for name in (source, target))
     common, in_a, in_b = np.intersect1d(a.collections, b.collections, assume_unique=True, return_indices=True)

@@ -133,7 +133,7 @@ def _of_joint(joint: Joint, true: Array) -> Iterator[JointError]:
         difference = float(joint.values[at] - true[at])
         error = abs(difference if unit == "m" else math.remainder(difference, math.tau))
         if not math.isfinite(error):
-            raise InputError(f"'{parameter}' of joint '{joint.name}' is not finite: its error cannot be told")
+            raise InputError(f"'{parameter}' of joint '{joint.name}' is not finite: its error is undefined")
         yield JointError(joint.name, parameter, error, unit)
 
 
@@ -146,6 +146,6 @@ def _between(a: Sensor, b: Sensor, found: Dataset, true: Dataset) -> PoseError:
 
 def _worst(name: str, T_true: Array, T_found: Array) -> PoseError:
     if not (np.isfinite(T_true).all() and np.isfinite(T_found).all()):
-        raise InputError(f"a transform of {name} is not finite: its error cannot be told")
+        raise InputError(f"a transform of {name} is not finite: its error is undefined")
     translation, angle = distance(T_true, T_found)
     return PoseError(name, float(1000 * translation.max()), float(np.degrees(angle.max())))

@@ -261,7 +261,7 @@ class Page:
             return self._look(pose)
         except Exception:
             traceback.print_exc()
-            return Preview({}, ("a bug: the terminal says more, please report it",))
+            return Preview({}, ("a bug, please report it with the output in the terminal",))
 
     def _look_at_others(self) -> bool:
         """Preview one saved pose, or else rate the sequence; return whether there was anything to do."""

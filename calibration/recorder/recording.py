@@ -66,7 +66,7 @@ def record(
             with stop_commands(runner):  # untrusted names from files
                 runner.log(f"{system.name}: the motion recorder is at {address(server)} (Ctrl-C ends it)")
                 if not is_loopback(host):
-                    runner.log(f"whoever reaches {host} can use it and write files beside {output}")
+                    runner.log(f"everyone who can reach {host} can use it and write files beside {output}")
             if open_page is not None:
                 open_page(address(server))
             threading.Event().wait()

@@ -44,7 +44,7 @@ def batch_section(fields: Fields, region: str, *, gpu: bool, images: Sequence[st
     section["tools-image"] = TO_DO
     section["job-role"] = role if _fits("job-role", role) else f"arn:aws:iam::{account}:role/{TO_DO}"
     if section["region"] == NO_REGION:
-        notes.to_do("aws-batch.region", f"{'nothing says where' if not region else f'{region} is none'}: write it")
+        notes.to_do("aws-batch.region", f"{'unknown' if not region else f'{region} is not a region'}: set it")
     notes.to_do("aws-batch.queue", f"write the name of a job queue whose compute environment is {_hosts(gpu)}")
     notes.to_do("aws-batch.tools-image", "build the image of examples/aws-batch, push it to ECR, and write its name")
     if section["job-role"] != role:
@@ -147,7 +147,7 @@ def _policy(policy: Fields, section: dict[str, Any], notes: Notes) -> None:
     if isinstance(seconds, int | float) and not isinstance(seconds, bool) and seconds > 0:
         section["deadline"] = f"{seconds}s"
     if policy.take("max_concurrency") is not None:
-        why = "how many run at once, the compute environment says by its maximum of vCPUs"
+        why = "the number of concurrent jobs is limited by the maximum of vCPUs of the compute environment"
         notes.to_do(policy.at("max_concurrency"), why)
     policy.rest()
 

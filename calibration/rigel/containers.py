@@ -148,7 +148,9 @@ def _mounts(volumes: list[Any], entry: dict[str, Any], around: Surroundings, whe
             around.notes.lost(place, "a server of CI has no X server: xvfb-run in the command needs none")
         elif texts[0].endswith(_DOCKER_SOCKET):
             entry["docker-socket"] = True
-            around.notes.changed(place, "whoever has docker's socket is root on the machine: leave it out if you can")
+            around.notes.changed(
+                place, "access to the Docker socket equals root on the machine: leave it out if you can"
+            )
         elif "ro" in texts[2:]:
             mounts.append(f"{texts[0]}:{texts[1]}")
         else:

@@ -140,7 +140,8 @@ class _Section:
             name, value = (text_at(pair.take(key), pair.at(key)) for key in ("name", "value"))
             if secret_names(value) or names_a_secret(name):
                 self._notes.lost(
-                    place, f"{name}: a secret in the image's environment can be read by whoever has the image"
+                    place,
+                    f"{name}: a secret in the image's environment can be read by everyone with access to the image",
                 )
                 continue
             if "$" in value:

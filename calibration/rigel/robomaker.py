@@ -100,7 +100,7 @@ def robomaker_job(job: RigelJob, around: Surroundings, region: str = "") -> Simu
     essential = "robot" if "robot" in applications else "simulation"
     notes.changed(
         fields.at("simulation_duration"),
-        f"a limit: whoever reaches it has failed. The job ends when the container {essential} ends, with exit code 0",
+        f"a time limit: reaching it is a failure. The job ends when the container {essential} ends, with exit code 0",
     )
     notes.changed(
         job.where or job.name, "it runs on AWS Batch (docs/aws-batch.md); with backend: docker on this machine"

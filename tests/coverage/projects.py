@@ -1,4 +1,4 @@
-"""A team's repositories, and a Codacy of our own."""
+"""Git repositories of a team, and a fake Codacy server."""
 
 import os
 import ssl
@@ -85,7 +85,7 @@ def robot(folder: Path) -> Path:
 
 @dataclass(frozen=True)
 class Asked:
-    """A request as it came."""
+    """A received request."""
 
     method: str
     path: str
@@ -95,12 +95,12 @@ class Asked:
 
 @dataclass
 class Codacy:
-    """A server that answers as it is told."""
+    """A server with scripted answers."""
 
     url: str
     asked: list[Asked] = field(default_factory=list)
     answers: list[tuple[int, str | bytes, Mapping[str, str]]] = field(default_factory=list)
-    """The next answers; when there is none left, success."""
+    """Next answers; success when none is left."""
     fault: Callable[[BaseHTTPRequestHandler], None] | None = None
     """In the place of an answer."""
 
@@ -111,7 +111,7 @@ class Codacy:
 
 @contextmanager
 def codacy(tls: ssl.SSLContext | None = None, host: str = "127.0.0.1") -> Iterator[Codacy]:
-    """A Codacy on this machine."""
+    """Fake Codacy server on this machine."""
 
     class Handler(BaseHTTPRequestHandler):
         protocol_version = "HTTP/1.1"
@@ -158,7 +158,7 @@ def codacy(tls: ssl.SSLContext | None = None, host: str = "127.0.0.1") -> Iterat
 
 
 def reset(handler: BaseHTTPRequestHandler) -> None:
-    """Break the connection off."""
+    """Close the connection."""
     import socket
     import struct
 
@@ -167,12 +167,12 @@ def reset(handler: BaseHTTPRequestHandler) -> None:
 
 
 def hang(handler: BaseHTTPRequestHandler) -> None:
-    """Say nothing for longer than anyone in the tests waits."""
+    """Send nothing until after every timeout of the tests."""
     time.sleep(1.5)
 
 
 def drip(handler: BaseHTTPRequestHandler) -> None:
-    """Say one more byte, again and again."""
+    """Send single bytes repeatedly."""
     try:
         handler.wfile.write(b"HTTP/1.1 200 OK\r\nContent-Length: 100000\r\n\r\n")
         for _ in range(60):
@@ -184,5 +184,5 @@ def drip(handler: BaseHTTPRequestHandler) -> None:
 
 
 def cut(handler: BaseHTTPRequestHandler) -> None:
-    """Promise more than is sent."""
+    """Announce a longer body than is sent."""
     handler.wfile.write(b"HTTP/1.1 200 OK\r\nContent-Length: 1000\r\n\r\n{")

@@ -58,7 +58,7 @@ def repository(tmp_path_factory: pytest.TempPathFactory) -> Repository:
 def test_it_is_what_the_new_text_has_more(
     repository: Repository, before: list[str], after: list[str], ends: bool
 ) -> None:
-    """Whatever the lines say, even if they look like a difference themselves."""
+    """File content is not interpreted, even if it looks like a difference."""
     (repository.root / "a.py").write_text("".join(f"{line}\n" for line in before))
     (repository.root / "z.py").write_text("1\n")
     git(repository.root, "add", "-A")

@@ -1,4 +1,4 @@
-"""Codacy's protocol, to the byte, and what is said when it goes wrong."""
+"""Codacy's protocol, byte by byte, and the messages of failures."""
 
 import json
 import socket
@@ -38,7 +38,7 @@ def server() -> Iterator[projects.Codacy]:
 
 
 def client(url: str, account: Account | None = None, **limits: float) -> tuple[Codacy, list[float]]:
-    """A client that notes its pauses in the place of making them, and has a minute for all else."""
+    """A client that records its pauses instead of sleeping, with a time limit of a minute."""
     pauses: list[float] = []
     waits = Limits(**{"connect": 60, "silence": 60, "whole": 60} | limits)
     http = Http([TOKEN], address="the address (api-url)", limits=waits, pause=pauses.append)

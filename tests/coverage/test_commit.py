@@ -71,7 +71,7 @@ def test_a_commit_that_is_none(repository: Repository, text: str) -> None:
 
 
 ACT = {"pull_request": {"head": {"ref": "better", "repo": {"full_name": "stranger/robot"}}}}
-"""What the README tells users of act to write."""
+"""Documentation in the README for users of act."""
 
 
 def test_a_teams_own_repository_may_be_a_fork() -> None:

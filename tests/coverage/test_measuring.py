@@ -1,4 +1,4 @@
-"""The settings and the tests' own judgement, without running any."""
+"""Settings and verdict of the tests, without running any."""
 
 import json
 from contextlib import closing

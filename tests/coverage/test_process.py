@@ -28,7 +28,7 @@ def execute(code: str, folder: Path, seconds: float = 30.0) -> tuple[int, bytes]
 
 
 def gone(pids: list[int]) -> bool:
-    """Whether processes are gone, soon."""
+    """Return whether processes end soon."""
     wait_until(lambda: not any(map(runs, pids)), "they are gone")
     return True
 

@@ -1,4 +1,4 @@
-"""Files of every kind to what is covered of a repository, with coverage.py's real data files."""
+"""Coverage of a repository from reports of every kind, with real data files of coverage.py."""
 
 import shutil
 import sqlite3
@@ -22,7 +22,7 @@ from calibration.git.repository import Repository
 from .projects import NAMING, commit, robot, write
 
 JUMPS = [(-1, 1), (1, 7), (7, -1), (-1, 2), (2, 4), (4, -1)]
-"""What the test of the project runs of naming.py: lines 1, 2, 4 and 7."""
+"""Lines of naming.py that the project's test runs: 1, 2, 4 and 7."""
 NAMING_COVERAGE = FileCoverage({1: 1, 2: 1, 3: 0, 4: 1, 7: 1, 8: 0}, {2: Rate(1, 2)})
 NOT_RUN = FileCoverage({1: 0, 2: 0, 3: 0, 4: 0, 7: 0, 8: 0}, {2: Rate(0, 2)})
 

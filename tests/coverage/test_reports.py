@@ -1,4 +1,4 @@
-"""Reports of others: read as they are written, refused in one line when they are not what they say."""
+"""Reports of other tools: parsed, or refused in one line if they are malformed."""
 
 from collections.abc import Callable
 from contextlib import suppress

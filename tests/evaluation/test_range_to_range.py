@@ -102,7 +102,7 @@ def test_a_lidar_is_compared_with_itself_once_for_each_pair():
     moved = lidar_to_lidar(dataset.with_transforms({("world", "flange"): flange}), "one", "one", between=True)
     assert moved.values[0, 0] > 0.05
     np.testing.assert_allclose(moved.values[1], own.values[1])
-    with pytest.raises(InputError, match="'one' against itself says nothing in one collection: use an inter-coll"):
+    with pytest.raises(InputError, match="'one' against itself tests nothing in one collection: use an inter-coll"):
         lidar_to_lidar(dataset, "one", "one")
 
 

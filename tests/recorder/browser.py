@@ -1,4 +1,4 @@
-"""The command in a process of its own, and a real browser that looks at its page."""
+"""The command in a separate process, and a real browser that opens its page."""
 
 import math
 import os
@@ -86,7 +86,7 @@ def recorder(folder: Path, *arguments: str) -> Iterator[Recorder]:
 
 
 class View:
-    """What a user does on the page, by what is written on it."""
+    """A user's actions on the page, by the labels of the page."""
 
     def __init__(self, page: Page) -> None:
         self.page = page
@@ -99,7 +99,7 @@ class View:
         self.settled()
 
     def settled(self) -> str:
-        """Wait until the verdict is that of the pose at hand; what it says."""
+        """Wait until the verdict is that of the current pose, and return its text."""
         verdict = self.page.locator("#verdict")
         expect(verdict).to_have_attribute("aria-busy", "false", timeout=PATIENCE)
         return verdict.inner_text()
@@ -137,7 +137,7 @@ class View:
         raise AssertionError("the handle does not follow the mouse")
 
     def _numbers(self) -> list[str]:
-        """The pose at hand, as its inputs show it."""
+        """Return the current pose, as its inputs show it."""
         return [box.input_value() for box in self.page.get_by_role("textbox").all()]
 
     def _drag(self, start: Array, end: Array, position: Array, look_at: Array, patience: float) -> None:
@@ -156,7 +156,7 @@ class View:
 
     @property
     def foreign_requests(self) -> list[str]:
-        """What was asked of anybody but the recorder."""
+        """Return the requests to other hosts than the recorder."""
         local = ("blob", "data", "about")
         return [
             url
@@ -167,7 +167,7 @@ class View:
 
 @contextmanager
 def browser() -> Iterator[View]:
-    """A page in a Chromium without a window."""
+    """A page in a headless Chromium."""
     with sync_playwright() as playwright:
         chromium = playwright.chromium.launch(executable_path=CHROMIUM, args=list(SOFTWARE_GRAPHICS))
         try:

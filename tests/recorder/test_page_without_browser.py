@@ -1,4 +1,4 @@
-"""What the page does where no browser is needed to see it."""
+"""Behaviour of the page that needs no browser."""
 
 import threading
 from pathlib import Path

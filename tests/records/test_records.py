@@ -52,7 +52,7 @@ class Limits:
 
 @record
 class Options:
-    """What a calibration is told."""
+    """Settings of a calibration."""
 
     hold: Annotated[tuple[str, ...], UNIQUE] = field("What stays.", default=())
     loss: Literal["huber", "linear"] = field("Robust or not.", default="huber")
@@ -239,7 +239,7 @@ def test_results_have_nulls_and_may_have_more() -> None:
 
 @result
 class Extra:
-    """What only some results have."""
+    """Keys that only some results have."""
 
     cost: float | None = field("Of it.", default=None)
 

@@ -1,4 +1,4 @@
-"""Whole Rigelfiles, our own in the forms of Rigel's generations, against what they become.
+"""Conversion of whole Rigelfiles of every generation, compared with expected files.
 
 After a change that is meant to be: WRITE_GOLDEN=1 pytest tests/rigel/test_golden.py, and read the difference.
 """

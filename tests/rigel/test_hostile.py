@@ -1,4 +1,4 @@
-"""Rigelfiles that are meant to do harm, and any others that are not as they should be."""
+"""Malicious and malformed Rigelfiles."""
 
 import copy
 from collections.abc import Callable

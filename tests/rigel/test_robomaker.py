@@ -1,4 +1,4 @@
-"""Simulation jobs of RoboMaker's, of Rigel's plugin or of the service itself, as jobs for AWS Batch."""
+"""RoboMaker simulation jobs, of Rigel's plugin or of the service itself, as jobs for AWS Batch."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -164,14 +164,14 @@ def test_the_section_of_aws_batch(of_rigel: Callable[[str], Conversion], fields:
         ("iam_role: x", "jobs.run.with.iam_role", "x is not the ARN of a role"),
         (f"iam_role: '{ROLE}'", "jobs.run.with.iam_role", "calibration aws-policy --for trust"),
         ("speed: 1", "aws-batch.job-role", "there is none"),
-        ("speed: 1", "aws-batch.region", "nothing says where"),
+        ("speed: 1", "aws-batch.region", "unknown: set it"),
         ("speed: 1", "aws-batch.bucket", "it names none"),
         ("speed: 1", "aws-batch.queue", "whose compute environment is Fargate"),
         ("compute: {compute_type: GPU_AND_CPU}", "aws-batch.queue", "EC2 instances with a GPU"),
         ("output_location: 'A B'", "jobs.run.with.output_location", "A B is no name of a bucket"),
         ("output_location: 'lab/..'", "jobs.run.with.output_location", ".. is no prefix"),
         ("worldforge_exported_job: x", "jobs.run.with.worldforge_exported_job", "scenario set"),
-        ("simulation_duration: 60", "jobs.run.with.simulation_duration", "whoever reaches it has failed"),
+        ("simulation_duration: 60", "jobs.run.with.simulation_duration", "reaching it is a failure"),
         (
             "data_sources: [{name: d, s3_bucket: b, s3_keys: ['a b'], colour: red}]",
             "jobs.run.with.data_sources.0", "aws s3 cp 's3://b/a b' data/d/",
