@@ -161,7 +161,7 @@ def parse_lcov(data: bytes, name: str) -> Report:
             record = None
         elif kind in ("DA", "BRDA"):
             if record is None:
-                raise InputError(f"{name}:{number}: {kind} stands before the file that it is of (SF)")
+                raise InputError(f"{name}:{number}: {kind} precedes the file that it belongs to (SF)")
             _add(record, kind, value.strip(), f"{name}:{number}")
     if record is not None:
         raise InputError(f"{name}: it ends in the middle of a record: end_of_record was expected")

@@ -96,11 +96,11 @@ def what_is_left_out(found: Found) -> list[str]:
     for name, paths in list(found.mapped.ambiguous.items())[:MOST_NAMES]:
         said.append(f"left out, because it may be several files: {shorten(one_line(name), 200)} ({_names(paths)})")
     for path, line in list(found.mapped.ill_fitting.items())[:MOST_NAMES]:
-        said.append(f"left out, because a report speaks of line {line}, which it does not have: {one_line(path)}")
+        said.append(f"left out, because a report contains line {line}, which the file lacks: {one_line(path)}")
     if found.unreadable:
         said.append(f"left out, because coverage.py cannot read or parse them: {_names(found.unreadable)}")
     for language, count in sorted(found.without_report.items()):
-        said.append(f"{count} {language} file{'' if count == 1 else 's'} count for nothing: no report speaks of any")
+        said.append(f"{count} {language} file{'' if count == 1 else 's'} not counted: no report contains any")
     return said
 
 

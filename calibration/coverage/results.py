@@ -89,7 +89,9 @@ class LeftOut:
     ambiguous: Mapping[str, tuple[str, ...]] = field("Names that may be several files, with these.")
     ill_fitting: Mapping[str, int] = field("Files with fewer lines than a report claims, with its highest line number.")
     unreadable: tuple[str, ...] = field("Python files that cannot be parsed.")
-    without_report: Mapping[str, int] = field("How many source files of a language no report speaks of.")
+    without_report: Mapping[str, int] = field(
+        "Number of source files by language, for languages that no report contains."
+    )
 
 
 @result

@@ -12,7 +12,7 @@ class Violation:
     file: str
     line: int | None = field("Line of the file; null where the violation is in no one line.")
     column: str | None = field("Null where the violation is the table's.")
-    row: str = field("Label of the row, or what stands for it (``p95 of every row``).")
+    row: str = field("Label of the row, or of the aggregate (``p95 of every row``).")
     found: str = field("The value.")
     expected: str = field("What the rule asks for.")
 

@@ -59,7 +59,7 @@ class Table:
             raise InputError(f"{self.name}: there is no column {name!r}{hint}")
         if len(places) > 1:
             numbers = " and ".join(str(index + 1) for index in places)
-            raise InputError(f"{self.name}: the column {name!r} stands more than once in the header, as {numbers}")
+            raise InputError(f"{self.name}: the column {name!r} occurs more than once in the header, as {numbers}")
         return places[0]
 
 

@@ -83,5 +83,5 @@ def length(least: int = 0, most: int | None = None) -> Constraint:
     return Constraint(holds, expected, {"length": (least, most)})
 
 
-UNIQUE = Constraint(lambda value: len(set(value)) == len(value), "in which nothing stands twice", {"uniqueItems": True})
+UNIQUE = Constraint(lambda value: len(set(value)) == len(value), "without duplicates", {"uniqueItems": True})
 """Lists without duplicates."""

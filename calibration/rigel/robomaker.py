@@ -41,7 +41,7 @@ _OF_AN_APPLICATION = {
     "requirements": "requirements on ROS messages are not checked here",
     "application_version": "an image has a tag",
     "use_default_tools": "there are none",
-    "use_default_upload_configurations": "name what is to be brought out under artifacts",
+    "use_default_upload_configurations": "name the files to be copied under artifacts",
 }
 _PORTS = "the containers reach each other; nothing is reachable from outside"
 
@@ -111,7 +111,10 @@ def robomaker_job(job: RigelJob, around: Surroundings, region: str = "") -> Simu
             "on AWS Batch all its containers have one address, so no two may listen on the same port. Their names lead "
             "there in containers that run as root, and always in ROS_MASTER_URI and ROS_HOSTNAME: else write 127.0.0.1",
         )
-    notes.to_do(job.where or job.name, "let the collection write its dataset to {output}/dataset, which is brought out")
+    notes.to_do(
+        job.where or job.name,
+        "let the collection write its dataset to {output}/dataset, which is copied from the container",
+    )
     arns = [region_of(application.arn) for application in applications.values()]
     found_region = region or next(filter(None, arns), "")
     for secret in sorted({name for entry in containers.values() for name in entry.get("secrets", ())}):
@@ -179,7 +182,7 @@ class _Application:
         path = _SUPER.sub("**/*", upload.plain("path"))
         upload.take("name")  # the subfolder of the output location, which is not used: every file keeps its own path
         if "ROLLING" in upload.text("upload_behavior"):
-            self._notes.changed(upload.at("upload_behavior"), "everything is brought out when the job has ended")
+            self._notes.changed(upload.at("upload_behavior"), "everything is copied when the job has ended")
         upload.rest()
         if not path.startswith("/") or ".." in path.split("/") or Glob(path).source == "/":
             self._notes.lost(where, f"{path}: name an absolute path with a folder, under artifacts")
@@ -269,7 +272,7 @@ def _fetching(bucket: str, keys: list[str], kind: str, folder: str) -> str:
 
 def _failure(fields: Fields, notes: Notes) -> None:
     if fields.text("failure_behavior", "Fail").lower() == "continue":
-        why = "a task ends with its job; what a job that failed has left is brought out, and its logs stay"
+        why = "a task ends with its job; artifacts and logs of a failed job are kept"
         notes.lost(fields.at("failure_behavior"), why)
 
 

@@ -177,7 +177,7 @@ class Substitution:
 
     def _refuse_circle(self, name: str, where: str, opened: tuple[str, ...]) -> None:
         if name in opened:
-            raise InputError(f"{where}: the variable {name} stands for itself ({' -> '.join((*opened, name))})")
+            raise InputError(f"{where}: the variable {name} refers to itself ({' -> '.join((*opened, name))})")
 
     def _without_secrets(self, text: str, where: str) -> str:
         for start, end in sorted(spans_of_secrets(text), reverse=True):
@@ -195,7 +195,7 @@ class Substitution:
                 name += "_2"
             self.secrets[secret] = name
         name = self.secrets[secret]
-        self._notes.to_do(where, f"a secret stands there, which is not copied: put it into the variable {name}")
+        self._notes.to_do(where, f"a secret, which is not copied: put it into the variable {name}")
         return _mark("S", name)
 
 

@@ -121,7 +121,7 @@ def judged_by(rigelfile: Rigelfile) -> dict[str, list[RigelJob]]:
             if len(running) == 1:
                 judges.setdefault(running[0].name, []).append(job)
             else:
-                rigelfile.notes.lost(job.where, "it stands after no job that makes its table: write its rules by hand")
+                rigelfile.notes.lost(job.where, "no job before it makes its table: write its rules by hand")
     return judges
 
 
@@ -165,7 +165,7 @@ def system_of(
     entry: dict[str, Any] = {"dataset": "TODO"}
     around.notes.to_do(
         f"{where}.{chosen.get('name', 0)}",
-        "dataset: name the folder of the dataset in the repository; {start} in the command stands for it with noise",
+        "dataset: name the folder of the dataset in the repository; the command gets the noisy one as {start}",
     )
     evaluate = evaluation_in(" ".join(map(str, software["command"])), around.notes, where)
     if evaluate:

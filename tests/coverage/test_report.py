@@ -100,10 +100,10 @@ def test_the_log() -> None:
         "change since bbbbbbbbbbbb: 25.0 % (1 of 4) of its lines are run",
         "in reports, but no file that git tracks: " + ", ".join(f"/usr/include/{i}" for i in range(20)) + " and 5 more",
         "left out, because it may be several files: x.py (a/x.py, b/x.py)",
-        "left out, because a report speaks of line 99, which it does not have: robot/new.py",
+        "left out, because a report contains line 99, which the file lacks: robot/new.py",
         "left out, because coverage.py cannot read or parse them: robot/broken.py",
-        "3 cpp files count for nothing: no report speaks of any",
-        "1 shell file count for nothing: no report speaks of any",
+        "3 cpp files not counted: no report contains any",
+        "1 shell file not counted: no report contains any",
     ]
 
 

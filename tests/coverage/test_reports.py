@@ -168,7 +168,7 @@ def test_lcov_whose_branches_are_seen_by_different_tests() -> None:
         ("TN:x\n", "l.info: no file is named in it (SF:...)"),
         ("SF:a.c\nDA:1,1\n", "l.info: it ends in the middle of a record"),
         ("SF:a.c\nSF:b.c\n", "l.info:2: a record begins before the last one ended"),
-        ("DA:1,1\n", "l.info:1: DA stands before the file"),
+        ("DA:1,1\n", "l.info:1: DA precedes the file"),
         ("SF: \n", "l.info:1: SF names no file"),
         ("SF:a.c\nDA:1,-3\nend_of_record", "l.info:2: found DA:1,-3, expected DA:line,hits"),
         ("SF:a.c\nDA:1,nan\nend_of_record", "found DA:1,nan"),

@@ -142,7 +142,7 @@ def test_views_without_a_common_corner_are_an_error():
 
 def test_a_camera_against_itself_in_one_collection_is_refused():
     dataset, _ = two_cameras(seed=9, n=2)
-    with pytest.raises(InputError, match="'left' against itself says nothing"):
+    with pytest.raises(InputError, match="'left' against itself tests nothing"):
         rgb_to_rgb(dataset, "left", "left")
 
 

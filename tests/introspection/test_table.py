@@ -148,7 +148,7 @@ def test_columns(atom: Table) -> None:
         atom.column("RMS")
     with pytest.raises(InputError, match=r"no column 'RMS \(px\)': did you mean 'RMS \(pix\)'\?"):
         atom.column("RMS (px)")
-    with pytest.raises(InputError, match="'a' stands more than once in the header, as 1 and 3"):
+    with pytest.raises(InputError, match="'a' occurs more than once in the header, as 1 and 3"):
         parse_table("a,b,a\n1,2,3\n", "t").column("a")
 
 

@@ -152,7 +152,7 @@ def test_what_is_absent_has_its_default() -> None:
         ({"systems": {"a": None}}, "systems.a: found null, expected keys: dataset"),
         (
             {"systems": {"a": {"dataset": "d", "hold": ["a", "a"]}}},
-            "systems.a.hold: found a list of 2, expected a list in which nothing stands twice",
+            "systems.a.hold: found a list of 2, expected a list without duplicates",
         ),
         ({"systems": {"a": {"dataset": "d", "hold": ["a", 3]}}}, "systems.a.hold.1: found 3, expected a text"),
         ({"systems": {"a": {"dataset": "d", "hold": "left"}}}, "systems.a.hold: found 'left', expected a list"),

@@ -149,7 +149,7 @@ def test_a_judge_belongs_to_the_job_before_it(converted: Converted, stages: str,
     assert [system.entry.get("rules") for system in conversion.systems] == [
         rules if i in judged else None for i in (0, 1)
     ]
-    assert ("stands after no job" in str(conversion.notes.found)) is (judged == [])
+    assert ("no job before it makes its table" in str(conversion.notes.found)) is (judged == [])
 
 
 @pytest.mark.parametrize(
@@ -327,8 +327,8 @@ sequences:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("vars: {a: '{{ vars.b }}', b: '{{ vars.a }}'}\njobs: {x: {plugin: '{{ vars.a }}'}}", "a stands for itself (a -> b -> a)"),
-        ("vars: {a: 'x {{ vars.a }}'}\njobs: {x: {plugin: '{{ vars.a }}'}}", "a stands for itself (a -> a)"),
+        ("vars: {a: '{{ vars.b }}', b: '{{ vars.a }}'}\njobs: {x: {plugin: '{{ vars.a }}'}}", "a refers to itself (a -> b -> a)"),
+        ("vars: {a: 'x {{ vars.a }}'}\njobs: {x: {plugin: '{{ vars.a }}'}}", "a refers to itself (a -> a)"),
         ("jobs: []", "jobs: found [], a mapping was expected"),
         ("jobs: {a: 3}", "jobs.a: found 3, a mapping was expected"),
         ("jobs: {a: {}}", "jobs.a.plugin: found None, a text was expected"),

@@ -40,7 +40,7 @@ def test_each_evaluation_of_atom_is_recognised(command: str, expected: str, arou
 
 
 def test_there_is_one_of_each_kind() -> None:
-    assert {parse_evaluation(text).kind for text in COMMANDS.values()} == set(KINDS)
+    assert {parse_evaluation(text).kind for text in COMMANDS.values()} == set(KINDS) - {"measured-poses"}  # not ATOM's
 
 
 @pytest.mark.parametrize(

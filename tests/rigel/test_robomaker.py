@@ -215,7 +215,7 @@ def test_the_region_is_the_providers(converted: Converted) -> None:
     assert converted(provider + text).batch["region"] == "us-east-2"
     conversion = converted(provider.replace("us-east-2", "here") + text)
     assert conversion.batch["region"] == "xx-todo-1"
-    assert noted(conversion)["aws-batch.region"] == "here is none: write it"
+    assert noted(conversion)["aws-batch.region"] == "here is not a region: set it"
 
 
 def test_the_account_is_that_of_an_image(converted: Converted) -> None:
