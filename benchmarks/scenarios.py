@@ -1,4 +1,4 @@
-"""Many worlds of t2rgb: collected, calibrated, held against their truth."""
+"""Many scenarios of t2rgb: collected, calibrated, held against their truth."""
 
 from collections.abc import Iterator
 
@@ -15,21 +15,21 @@ from calibration.simulation.system import read_system
 
 
 def measure(quick: bool) -> Iterator[Row]:
-    """Worlds a second on all cores, and how far their calibrations are from the truth."""
+    """Scenarios a second on all cores, and how far their calibrations are from the truth."""
     count = 10 if quick else 40
-    worlds = read_scenario_set(ROOT / "datasets" / "scenarios.yml", read_system(ROOT / "datasets" / "t2rgb"))
+    scenarios = read_scenario_set(ROOT / "datasets" / "scenarios.yml", read_system(ROOT / "datasets" / "t2rgb"))
     results: list[ScenarioResult] = []
 
     def run() -> None:
-        tasks = [scenario_task(worlds, worlds.scenario(1, index)) for index in range(count)]
+        tasks = [scenario_task(scenarios, scenarios.scenario(1, index)) for index in range(count)]
         with single_threaded_opencv():
             results.extend(run_tasks(tasks).values())
 
     took = seconds(run)
     report = Statistics(results)
     errors = report.percentiles("translation_mm")
-    note = f"{count} worlds of t2rgb with 12 poses each"
-    yield Row("scenarios/worlds per second", count / took, "1/s", Bar(low=100 / 120), note)
+    note = f"{count} scenarios of t2rgb with 12 poses each"
+    yield Row("scenarios/scenarios per second", count / took, "1/s", Bar(low=100 / 120), note)
     yield Row("scenarios/calibrate", 100 * len(report.calibrated) / count, "%", Bar(low=100))
     if errors:
         yield Row(

@@ -131,7 +131,7 @@ def load_command(name: str) -> click.Command:
 def group() -> None:
     """Tell whether the robot still calibrates.
 
-    Exit codes: 0 pass, 1 the verdict is fail, 2 bad input, 3 the world failed (disk, network, engine).
+    Exit codes: 0 pass, 1 the verdict is fail, 2 bad input, 3 infrastructure failed (disk, network, engine).
     """
 
 
@@ -171,9 +171,9 @@ def _execute(command: click.Command | str, name: str, arguments: Sequence[str], 
         return _answer(runner, command, name, arguments, **settings)
     except MemoryError:
         report_error(runner, "there is not enough memory: give it more, or take fewer collections or processes")
-        return ExitCode.WORLD
+        return ExitCode.INFRASTRUCTURE
     except OSError:  # of what was to be said: nobody can be told
-        return ExitCode.WORLD
+        return ExitCode.INFRASTRUCTURE
     finally:
         _flush()
 
@@ -203,16 +203,16 @@ def _answer(runner: Runner, command: click.Command | str, name: str, arguments: 
         report_error(runner, "stopped by SIGINT")
         return 130
     except BrokenPipeError:
-        return ExitCode.WORLD  # nobody reads what would be said
+        return ExitCode.INFRASTRUCTURE  # nobody reads what would be said
     except OSError as error:
         report_error(runner, _failure(error))
-        return ExitCode.WORLD
+        return ExitCode.INFRASTRUCTURE
     except ModuleNotFoundError as error:
         if error.name is None or error.name.partition(".")[0] == "calibration":
             return _report_bug(runner)
         module = error.name.partition(".")[0]
         report_error(runner, f"the package {module} is not installed: pip install {_PACKAGES.get(module, module)}")
-        return ExitCode.WORLD
+        return ExitCode.INFRASTRUCTURE
     except ImportError as error:
         if "failed to map segment" in str(error):  # of a library for which there is no room
             raise MemoryError from None
@@ -284,7 +284,7 @@ def _report_bug(runner: Runner) -> int:
     with stop_commands(runner, sys.stderr):
         traceback.print_exc()
     report_error(runner, "this is a bug in Calibration CI, please report it with the lines above")
-    return ExitCode.WORLD
+    return ExitCode.INFRASTRUCTURE
 
 
 if __name__ == "__main__":

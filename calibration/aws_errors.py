@@ -6,7 +6,7 @@ from contextlib import contextmanager
 import botocore.exceptions as aws
 from boto3.exceptions import Boto3Error
 
-from calibration.errors import CalibrationError, InputError, WorldError
+from calibration.errors import CalibrationError, InfrastructureError, InputError
 from calibration.workflow.text import one_line, shorten
 
 _EXPIRED = ("ExpiredToken", "ExpiredTokenException", "RequestExpired", "TokenRefreshRequired")
@@ -56,7 +56,7 @@ _ACTIONS = {
 """What a policy calls the operations whose action is not their own name in the service that is asked."""
 
 
-class AwsLostError(WorldError):
+class AwsLostError(InfrastructureError):
     """AWS does not answer, or not now: the same call may well succeed later."""
 
 
@@ -98,7 +98,7 @@ def aws_errors(where: str, service: str = "batch") -> Iterator[None]:
     except (aws.ConnectionError, aws.HTTPClientError, aws.IncompleteReadError) as error:
         raise AwsLostError(f"{where}: AWS: {_short(error)}") from None
     except (aws.BotoCoreError, Boto3Error, ValueError) as error:  # ValueError: no URL, no timestamp
-        raise WorldError(f"{where}: AWS: {_short(error)}") from None
+        raise InfrastructureError(f"{where}: AWS: {_short(error)}") from None
 
 
 def error_code(error: aws.ClientError) -> str:
@@ -117,7 +117,7 @@ def _answered(where: str, service: str, error: aws.ClientError) -> CalibrationEr
     if code in _UNKNOWN:
         return InputError(f"{said}: AWS does not know these credentials: check key, secret and token")
     if code in _CLOCK:
-        return WorldError(f"{said}: the clock of this machine is wrong")
+        return InfrastructureError(f"{said}: the clock of this machine is wrong")
     if code in _DENIED:
         policy = " (calibration aws-policy prints a policy)" if service == "batch" else ""
         return InputError(f"{said}: the role or user needs this permission{policy}")

@@ -26,8 +26,8 @@ class ExitCode(enum.IntEnum):
     """The verdict is fail."""
     BAD_INPUT = 2
     """An input, a configuration or a data file is wrong."""
-    WORLD = 3
-    """The world failed: engine, network, disk, timeout."""
+    INFRASTRUCTURE = 3
+    """Infrastructure failed: engine, network, disk, timeout."""
 
 
 def exit_code_of(passed: bool, errors: Iterable[ExitCode | None]) -> ExitCode:
@@ -41,7 +41,7 @@ class CalibrationError(Exception):
     Messages quote what others wrote; what does not print, line ends among it, is escaped, and what is long is cut.
     """
 
-    exit_code: ExitCode = ExitCode.WORLD
+    exit_code: ExitCode = ExitCode.INFRASTRUCTURE
 
     def __init__(self, message: str) -> None:
         message = brief(message)
@@ -60,8 +60,8 @@ class UndeterminedError(InputError):
     """The data cannot determine what was asked; the message names what is missing (exit code 2)."""
 
 
-class WorldError(CalibrationError):
-    """The world failed in a way that no change of input repairs (exit code 3)."""
+class InfrastructureError(CalibrationError):
+    """Infrastructure (engine, network, disk, timeout) failed; no change of input repairs it (exit code 3)."""
 
 
 @contextmanager

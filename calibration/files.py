@@ -9,7 +9,7 @@ from glob import glob, has_magic
 from itertools import takewhile
 from pathlib import Path
 
-from calibration.errors import InputError, WorldError
+from calibration.errors import InfrastructureError, InputError
 
 
 def read_bytes(path: Path | str, limit: int, what: str) -> bytes:
@@ -18,7 +18,7 @@ def read_bytes(path: Path | str, limit: int, what: str) -> bytes:
     Raises:
         InputError: there is no such file, it may not be read, is no regular file, or has more than
             ``limit`` bytes.
-        WorldError: reading fails.
+        InfrastructureError: reading fails.
     """
     try:
         descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK)  # a named pipe must not make it wait
@@ -34,7 +34,7 @@ def read_bytes(path: Path | str, limit: int, what: str) -> bytes:
         return os.read(descriptor, status.st_size)
     except (OSError, MemoryError) as error:
         reason = error.strerror if isinstance(error, OSError) and error.strerror else "not enough memory"
-        raise WorldError(f"{path}: {what} cannot be read: {reason}") from error
+        raise InfrastructureError(f"{path}: {what} cannot be read: {reason}") from error
     finally:
         os.close(descriptor)
 
@@ -69,7 +69,7 @@ def write_atomically(path: Path | str, content: bytes | str) -> None:
     Text is written as UTF-8; half a surrogate pair, which UTF-8 cannot hold, as an escape.
 
     Raises:
-        WorldError: the file cannot be written.
+        InfrastructureError: the file cannot be written.
     """
     data = content.encode("utf-8", "backslashreplace") if isinstance(content, str) else content
     with _replacing(Path(path)) as temporary:
@@ -83,7 +83,7 @@ def place(source: Path | str, target: Path | str) -> None:
     leaves the other as it is.
 
     Raises:
-        WorldError: the file cannot be written, or the source not read.
+        InfrastructureError: the file cannot be written, or the source not read.
     """
     with _replacing(Path(target)) as temporary:
         try:
@@ -105,4 +105,4 @@ def _replacing(path: Path) -> Iterator[Path]:
             temporary.unlink(missing_ok=True)
     except (OSError, ValueError) as error:  # ValueError: a NUL or a lone surrogate in the name
         reason = error.strerror if isinstance(error, OSError) and error.strerror else error
-        raise WorldError(f"{path}: cannot be written: {reason}") from error
+        raise InfrastructureError(f"{path}: cannot be written: {reason}") from error

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 from urllib.parse import urljoin, urlsplit
 
-from calibration.errors import WorldError
+from calibration.errors import InfrastructureError
 from calibration.workflow import redact
 from calibration.workflow.text import one_line, shorten
 
@@ -110,8 +110,8 @@ class Http:
         """Send a request; again, up to `ATTEMPTS`, where there is no answer, or 429 or 5xx.
 
         Raises:
-            WorldError: no attempt was answered, TLS is not trusted, the answer is too large, or it sends on to where
-                it is not safe to follow.
+            InfrastructureError: no attempt was answered, TLS is not trusted, the answer is too large, or it redirects
+                to where it is not safe to follow.
         """
         host = urlsplit(url).netloc
         if "Authorization" in headers:
@@ -133,10 +133,12 @@ class Http:
                 asked = retry_after(answer.headers.get("Retry-After", ""))
                 wait = wait if asked is None else asked
                 if wait > LONGEST_PAUSE:
-                    raise WorldError(f"{host}: {problem} and asks to come back in {wait:g} s ({attempts}): {advice}")
+                    raise InfrastructureError(
+                        f"{host}: {problem} and asks to come back in {wait:g} s ({attempts}): {advice}"
+                    )
             if attempt < ATTEMPTS:
                 self._pause(wait)
-        raise WorldError(f"{host}: {problem} ({attempts}): {advice}")
+        raise InfrastructureError(f"{host}: {problem} ({attempts}): {advice}")
 
     def quote(self, body: bytes) -> str:
         """What an answer says, in brackets, to stand after its status in a message; empty if it says nothing."""
@@ -172,13 +174,13 @@ class Http:
             same = urlsplit(target)[:2] == urlsplit(url)[:2]
             sends = f"{urlsplit(url).netloc}: answered {answer.status}: sends a {method} on to {_shown(target)}"
             if method not in ("GET", "HEAD"):
-                raise WorldError(f"{sends}, which is not followed: check {self._address}")
+                raise InfrastructureError(f"{sends}, which is not followed: check {self._address}")
             if urlsplit(target).scheme != "https" and not same:
-                raise WorldError(f"{sends}, which is not safe: https was expected")
+                raise InfrastructureError(f"{sends}, which is not safe: https was expected")
             if not same:
                 headers = {name: value for name, value in headers.items() if name != "Authorization"}
             url = target
-        raise WorldError(f"{urlsplit(url).netloc}: sends on and on (more than {_REDIRECTS} times)")
+        raise InfrastructureError(f"{urlsplit(url).netloc}: sends on and on (more than {_REDIRECTS} times)")
 
     def _once(self, method: str, url: str, headers: Mapping[str, str], body: bytes | None) -> Answer:
         proxies: dict[str, str | None] = {}
@@ -199,17 +201,19 @@ class Http:
             for chunk in response.iter_content(64 * 1024):
                 content += chunk
                 if len(content) > self._most_bytes:
-                    raise WorldError(f"{urlsplit(url).netloc}: answers with more than {self._most_bytes} bytes")
+                    raise InfrastructureError(
+                        f"{urlsplit(url).netloc}: answers with more than {self._most_bytes} bytes"
+                    )
             return Answer(response.status_code, response.headers, bytes(content))
 
     def _explained(self, error: Exception, host: str) -> Exception:
         """What to raise for what went wrong in an attempt."""
-        if isinstance(error, WorldError):
+        if isinstance(error, InfrastructureError):
             return error
         reason = shorten(one_line(redact(innermost_cause(error), self._secrets)), 200)
         if isinstance(error, self._errors.SSLError):
             ca = "a proxy's own certificate: REQUESTS_CA_BUNDLE"
-            return WorldError(f"{host}: its TLS is not trusted: {reason} ({ca})")
+            return InfrastructureError(f"{host}: its TLS is not trusted: {reason} ({ca})")
         if isinstance(error, self._errors.ConnectTimeout):
             return _NoAnswerError(f"no connection within {self._limits.connect:g} s")
         if isinstance(error, self._errors.Timeout) or "timed out" in reason:
@@ -218,7 +222,7 @@ class Http:
             return _NoAnswerError(f"broke off in the middle of its answer: {reason}")
         if isinstance(error, self._errors.ConnectionError):
             return _NoAnswerError(f"no answer: {reason}")
-        return WorldError(f"{host}: the request failed: {reason}")
+        return InfrastructureError(f"{host}: the request failed: {reason}")
 
 
 def is_loopback(netloc: str) -> bool:

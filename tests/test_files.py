@@ -3,7 +3,7 @@ from pathlib import Path
 
 import pytest
 
-from calibration.errors import WorldError
+from calibration.errors import InfrastructureError
 from calibration.files import write_atomically
 
 
@@ -47,17 +47,17 @@ def test_what_utf8_cannot_hold_is_escaped(tmp_path: Path) -> None:
 
 def test_a_failure_is_the_worlds_and_says_which_file_and_why(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("x")
-    with pytest.raises(WorldError, match=r"file/out\.json: cannot be written: File exists"):
+    with pytest.raises(InfrastructureError, match=r"file/out\.json: cannot be written: File exists"):
         write_atomically(tmp_path / "file" / "out.json", "x")
     (tmp_path / "folder" / "inner").mkdir(parents=True)
-    with pytest.raises(WorldError, match="folder: cannot be written: Is a directory"):
+    with pytest.raises(InfrastructureError, match="folder: cannot be written: Is a directory"):
         write_atomically(tmp_path / "folder", "x")
     assert names(tmp_path) == ["file", "folder"]
 
 
 def test_a_long_name_is_no_problem_of_the_temporary_file(tmp_path: Path) -> None:
     write_atomically(tmp_path / ("ö" * 125), "x")
-    with pytest.raises(WorldError, match="File name too long"):
+    with pytest.raises(InfrastructureError, match="File name too long"):
         write_atomically(tmp_path / ("ö" * 150), "x")
 
 
@@ -71,7 +71,7 @@ def test_the_old_file_survives_a_failure(tmp_path: Path, monkeypatch: pytest.Mon
 
     monkeypatch.setattr(os, "rename", fail)
     monkeypatch.setattr(os, "replace", fail)
-    with pytest.raises((WorldError, KeyboardInterrupt)) as caught:
+    with pytest.raises((InfrastructureError, KeyboardInterrupt)) as caught:
         write_atomically(path, "new")
     if isinstance(error, OSError):
         assert str(caught.value) == f"{path}: cannot be written: No space left on device"

@@ -62,7 +62,7 @@ def copied(repository: Repository, folder: Path, paths: Iterable[str]) -> Copy:
 
     Raises:
         InputError: there are too many.
-        WorldError: one cannot be read or written.
+        InfrastructureError: one cannot be read or written.
     """
     left_out: dict[str, str] = {}
     kept: list[str] = []
@@ -101,7 +101,7 @@ def before(now: Copy, repository: Repository, commit: str, folder: Path, changed
         changed: the files that the disk and the commit do not have alike, without settings.
 
     Raises:
-        WorldError: git fails, or a file cannot be written.
+        InfrastructureError: git fails, or a file cannot be written.
     """
     for path in now.files:
         target = folder / path

@@ -58,7 +58,7 @@ def analyse(settings: Settings, runner: Runner) -> ExitCode:
 
     Raises:
         InputError: an input is wrong, or there is nothing to analyse.
-        WorldError: an analyser is missing, fails or takes too long, or a result cannot be written.
+        InfrastructureError: an analyser is missing, fails or takes too long, or a result cannot be written.
     """
     if settings.output is not None:
         remove_results(settings.output, (*FILES, SARIF_FILE))
@@ -195,7 +195,7 @@ def _findings(
     """Run every analyser on its files, as many processes at once as there are processors.
 
     Raises:
-        WorldError: one is missing, fails or takes too long; the first of these errors.
+        InfrastructureError: one is missing, fails or takes too long; the first of these errors.
     """
     pool = ThreadPoolExecutor(os.cpu_count())
     try:

@@ -10,7 +10,7 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from calibration.errors import WorldError
+from calibration.errors import InfrastructureError
 from calibration.workflow.text import one_line, shorten
 
 MAX_OUTPUT = 200_000_000
@@ -30,12 +30,12 @@ def program(name: str) -> str:
     """The path of a program that came with the packages of this Python, else of one on PATH.
 
     Raises:
-        WorldError: there is none.
+        InfrastructureError: there is none.
     """
     beside = Path(sys.executable).with_name(name)
     found = str(beside) if os.access(beside, os.X_OK) else shutil.which(name)
     if found is None:
-        raise WorldError(f"{name} is not installed: pip install 'calibration-ci[analysis]'")
+        raise InfrastructureError(f"{name} is not installed: pip install 'calibration-ci[analysis]'")
     return found
 
 
@@ -55,7 +55,7 @@ def say(name: str, command: Sequence[str], folder: Path, seconds: float, codes: 
         codes: exit codes that mean that it did its work.
 
     Raises:
-        WorldError: it cannot be started, takes too long, or fails.
+        InfrastructureError: it cannot be started, takes too long, or fails.
     """
     with tempfile.TemporaryDirectory(prefix="calibration-analysis-") as home, tempfile.TemporaryFile() as output:
         environment = {"PATH": os.environ.get("PATH", os.defpath), "HOME": home, "LC_ALL": "C.UTF-8", "TMPDIR": home}
@@ -70,20 +70,22 @@ def say(name: str, command: Sequence[str], folder: Path, seconds: float, codes: 
                 start_new_session=True,
             )
         except OSError as error:
-            raise WorldError(f"{name} cannot be started: {error.strerror}") from None
+            raise InfrastructureError(f"{name} cannot be started: {error.strerror}") from None
         try:
             errors = process.communicate(timeout=seconds)[1].decode("utf-8", "replace")
         except subprocess.TimeoutExpired:
-            raise WorldError(f"{name} took longer than {seconds:g} s: name folders (paths) or more time") from None
+            raise InfrastructureError(
+                f"{name} took longer than {seconds:g} s: name folders (paths) or more time"
+            ) from None
         finally:
             if process.poll() is None:
                 os.killpg(process.pid, signal.SIGKILL)
                 process.communicate()
         size = output.seek(0, os.SEEK_END)
         if process.returncode not in codes:
-            raise WorldError(f"{name} failed with exit code {process.returncode}: {_last(errors)}")
+            raise InfrastructureError(f"{name} failed with exit code {process.returncode}: {_last(errors)}")
         if size > MAX_OUTPUT:
-            raise WorldError(f"{name}: found {size} bytes of findings, expected at most {MAX_OUTPUT}")
+            raise InfrastructureError(f"{name}: found {size} bytes of findings, expected at most {MAX_OUTPUT}")
         output.seek(0)
         return Said(process.returncode, output.read().decode("utf-8", "replace"), errors)
 

@@ -70,7 +70,7 @@ def write_baseline(path: Path, baseline: Baseline) -> None:
 
     Raises:
         InputError: something else than a file stands there.
-        WorldError: it cannot be written.
+        InfrastructureError: it cannot be written.
     """
     if path.is_symlink() or (path.exists() and not path.is_file()):
         raise InputError(f"{path}: found no regular file, expected the baseline or nothing")

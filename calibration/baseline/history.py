@@ -137,7 +137,7 @@ def history_of(file: Path, systems: Sequence[str], since: str | None, most: int)
 
     Raises:
         InputError: it is in no repository, or no commit has it.
-        WorldError: git fails.
+        InfrastructureError: git fails.
     """
     repository = Repository.around(file.resolve().parent)
     inside = repository.path(file)

@@ -10,7 +10,7 @@ import click
 
 from calibration.commands.parameters import password_variable, registry_password_option
 from calibration.commands.record_options import chosen, option_keys, record_options
-from calibration.errors import ExitCode, InputError, WorldError
+from calibration.errors import ExitCode, InfrastructureError, InputError
 from calibration.image.builders.failure import BuildFailedError
 from calibration.image.building import BuilderName, build_image
 from calibration.image.context import Context
@@ -83,7 +83,7 @@ def build(settings: Settings, runner: Runner) -> ExitCode:
 
     Raises:
         InputError: an input, a file or a base is wrong or missing, or access denied.
-        WorldError: the engine, a registry or the network failed. A result of an earlier run is removed
+        InfrastructureError: the engine, a registry or the network failed. A result of an earlier run is removed
             first, so that none is mistaken for this one's.
     """
     if settings.output is not None:
@@ -119,7 +119,9 @@ def _built(settings: Settings, specification: ImageSpecification, runner: Runner
     if not settings.promote:
         return BuildResult(**vars(image))
     if image.digest is None:
-        raise WorldError(f"{image.reference}: pushed, but nothing told its digest, which the tags of promote need")
+        raise InfrastructureError(
+            f"{image.reference}: pushed, but nothing told its digest, which the tags of promote need"
+        )
     return BuildResult(**vars(image), promoted=_promote(specification, image.digest, settings, runner))
 
 

@@ -103,7 +103,7 @@ def calibrate_matrix(settings: Settings, runner: Runner) -> ExitCode:
 
     Raises:
         InputError: the settings contradict each other, or the data are wrong.
-        WorldError: a result cannot be written.
+        InfrastructureError: a result cannot be written.
     """
     configuration = configuration_of(settings)
     matrix = matrix_of(settings, configuration)

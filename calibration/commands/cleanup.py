@@ -57,7 +57,7 @@ def clean_up(leftovers: Leftovers[Any], run: str | None, everything: bool, dry_r
 
     Raises:
         InputError: they cannot be asked for.
-        WorldError: the backend does not answer, or something cannot be removed.
+        InfrastructureError: the backend does not answer, or something cannot be removed.
     """
     with leftovers as place:
         found = place.find(run)

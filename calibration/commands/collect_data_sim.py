@@ -13,7 +13,7 @@ from calibration.commands.collection_settings import (
     application_request,
     applications_entry,
     collection_request,
-    world_image,
+    scenario_image,
 )
 from calibration.commands.place import place
 from calibration.commands.record_options import chosen, record_options
@@ -21,7 +21,7 @@ from calibration.errors import ExitCode, InputError
 from calibration.execution.backends import CONTAINERS, DOCKER, EMBEDDED, KINDS, Place, check_backend
 from calibration.files import write_atomically
 from calibration.pipeline.collection import report, scenario_report
-from calibration.pipeline.collection.collecting import collect_dataset, collect_worlds
+from calibration.pipeline.collection.collecting import collect_dataset, collect_scenarios
 from calibration.pipeline.collection.report import TITLE, pose_line
 from calibration.pipeline.collection.request import (
     MAX_SCENARIOS,
@@ -29,8 +29,8 @@ from calibration.pipeline.collection.request import (
     ContainerRequest,
     ScenarioRequest,
 )
-from calibration.pipeline.collection.scenario_report import world_line
-from calibration.pipeline.collection.worlds import WorldFolder
+from calibration.pipeline.collection.scenario_report import scenario_line
+from calibration.pipeline.collection.scenarios import ScenarioFolder
 from calibration.pipeline.page.of_collection import collection_page
 from calibration.pipeline.results import PAGE_FILE
 from calibration.report import publish, show
@@ -43,7 +43,7 @@ from calibration.workflow.progress import progress
 from calibration.workflow.streams import LogDisplay
 
 MOST_SHOWN = 16
-"""The most worlds whose containers' logs are shown; the logs of more are in files only."""
+"""The most scenarios whose containers' logs are shown; the logs of more are in files only."""
 
 
 @click.command("collect-data-sim")
@@ -56,11 +56,11 @@ def command(**options: Any) -> ExitCode:
 
 
 def collect_data_sim(settings: Settings, runner: Runner) -> ExitCode:
-    """Collect a dataset, calibrate it, and report both; or do so in many worlds.
+    """Collect a dataset, calibrate it, and report both; or do so in many scenarios.
 
     Raises:
         InputError: an input is missing or wrong, or the folder has a dataset already.
-        WorldError: the folder cannot be written, or a process died; its dataset is as before.
+        InfrastructureError: the folder cannot be written, or a process died; its dataset is as before.
     """
     entry = applications_entry(settings)
     backend = settings.backend or (str(entry.get("backend", DOCKER)) if entry else EMBEDDED)
@@ -68,8 +68,8 @@ def collect_data_sim(settings: Settings, runner: Runner) -> ExitCode:
     _check(settings, backend, applications=bool(entry))
     collection = application_request(settings, entry) if entry else collection_request(settings)
     if settings.scenarios is not None:
-        return _many_worlds(settings, settings.scenarios, collection, backend, runner)
-    return _one_world(settings, collection, backend, runner)
+        return _many_scenarios(settings, settings.scenarios, collection, backend, runner)
+    return _one_scenario(settings, collection, backend, runner)
 
 
 def _check(settings: Settings, backend: str, applications: bool) -> None:
@@ -87,7 +87,9 @@ def _check(settings: Settings, backend: str, applications: bool) -> None:
         if backend == EMBEDDED:
             raise InputError(f"backend: found {EMBEDDED}; applications run in containers: {containers}")
         if settings.scenario_set is not None:
-            raise InputError("scenario-set: worlds vary in our own simulation only; applications are told {scenario}")
+            raise InputError(
+                "scenario-set: scenarios vary in our own simulation only; applications are told {scenario}"
+            )
         if settings.scenarios is not None and settings.scenario is not None:
             raise InputError("scenario: give either scenarios (how many) or scenario (the id of one)")
         if settings.resume and settings.scenarios is None and not KINDS[backend].resumes:
@@ -96,16 +98,16 @@ def _check(settings: Settings, backend: str, applications: bool) -> None:
                 f"resume: one dataset has no part that could be missing; with scenarios, or with {lasting}"
             )
         return
-    worlds = [asked for asked in (settings.scenarios, settings.scenario) if asked is not None]
-    if settings.scenario_set is None and worlds:
-        raise InputError("scenarios and scenario need a scenario-set: a YAML file of what varies between worlds")
-    if settings.scenario_set is not None and len(worlds) != 1:
-        raise InputError("scenario-set: give either scenarios (how many worlds) or scenario (the id of one) with it")
+    scenarios = [asked for asked in (settings.scenarios, settings.scenario) if asked is not None]
+    if settings.scenario_set is None and scenarios:
+        raise InputError("scenarios and scenario need a scenario-set: a YAML file of what varies between scenarios")
+    if settings.scenario_set is not None and len(scenarios) != 1:
+        raise InputError("scenario-set: give either scenarios (how many scenarios) or scenario (the id of one) with it")
     if backend != EMBEDDED:
         if settings.scenarios is None:
             raise InputError(
                 f"backend: found {backend}; it runs the team's applications (applications, or image with "
-                "simulation-command and robot-command), or many worlds (image with scenario-set and scenarios)"
+                "simulation-command and robot-command), or many scenarios (image with scenario-set and scenarios)"
             )
         return
     for name in ("image", "timeout", "run"):
@@ -115,17 +117,17 @@ def _check(settings: Settings, backend: str, applications: bool) -> None:
                 f"{containers} with a scenario-set"
             )
     if settings.resume:
-        raise InputError(f"resume: is for worlds in containers: backend {containers}")
+        raise InputError(f"resume: is for scenarios in containers: backend {containers}")
 
 
-def _one_world(
+def _one_scenario(
     settings: Settings, request: CollectionRequest | ContainerRequest, backend: str, runner: Runner
 ) -> ExitCode:
     """Collect one dataset."""
 
     def begin(system: System, motion: Motion) -> None:
-        world = "" if settings.scenario is None else f" in world {settings.scenario}"
-        runner.log(f"{system.name}{world}: {len(motion)} poses of {motion.source}, seed {request.seed}")
+        scenario = "" if settings.scenario is None else f" in scenario {settings.scenario}"
+        runner.log(f"{system.name}{scenario}: {len(motion)} poses of {motion.source}, seed {request.seed}")
 
     def done(count: int, total: int, record: Record) -> None:
         advance(count, total, pose_line(record), important=not record.kept)
@@ -137,7 +139,7 @@ def _one_world(
     ):
         results = collect_dataset(request, settings.output, settings.overwrite, settings.jobs, place, begin, done)
     found = report.report(results, settings.output)
-    if settings.scenario is None:  # one of many worlds has the same files wherever it is made
+    if settings.scenario is None:  # one of many scenarios has the same files wherever it is made
         sheet = settings.output / report.CONTACT_SHEET if results.contact_sheet else None
         write_atomically(settings.output / PAGE_FILE, collection_page(found, sheet))
         found = replace(found, outputs={**found.outputs, "report": settings.output / PAGE_FILE})
@@ -145,7 +147,7 @@ def _one_world(
     return found.exit_code
 
 
-def _many_worlds(
+def _many_scenarios(
     settings: Settings, count: int, collection: CollectionRequest | ContainerRequest, backend: str, runner: Runner
 ) -> ExitCode:
     """Collect many datasets, with one report over all."""
@@ -157,25 +159,25 @@ def _many_worlds(
         count,
         settings.minimum_success_rate,
         application_options(settings) if applications else (),
-        None if embedded or applications else world_image(settings, backend),
+        None if embedded or applications else scenario_image(settings, backend),
     )
 
-    def begin(system: str, worlds: int) -> None:
-        of = "datasets of the applications" if applications else f"worlds of {settings.scenario_set}"
-        runner.log(f"{system}: {worlds} {of}, seed {settings.seed}")
+    def begin(system: str, scenarios: int) -> None:
+        of = "datasets of the applications" if applications else f"scenarios of {settings.scenario_set}"
+        runner.log(f"{system}: {scenarios} {of}, seed {settings.seed}")
 
     def done(count: int, total: int, result: ScenarioResult) -> None:
-        advance(count, total, world_line(result), important=not result.converged)
+        advance(count, total, scenario_line(result), important=not result.converged)
 
     place = _place(settings, backend, runner)
     if backend == DOCKER and count > MOST_SHOWN:
         place = replace(place, show=None)
-    folder = WorldFolder(settings.output, settings.resume, settings.overwrite)
+    folder = ScenarioFolder(settings.output, settings.resume, settings.overwrite)
     with (
         stop_commands(runner) if embedded else nullcontext(),
-        progress(runner, TITLE, bar=embedded, kept="worlds" if embedded else "") as advance,
+        progress(runner, TITLE, bar=embedded, kept="scenarios" if embedded else "") as advance,
     ):
-        results = collect_worlds(request, folder, settings.jobs, place, begin, done)
+        results = collect_scenarios(request, folder, settings.jobs, place, begin, done)
     found = scenario_report.report(results, settings.output)
     publish(found, runner, settings.output)
     return found.exit_code
@@ -186,7 +188,7 @@ def _place(settings: Settings, backend: str, runner: Runner) -> Place:
 
     Raises:
         InputError: nothing says where in the cloud, or which run is to be resumed.
-        WorldError: the name of the run cannot be kept.
+        InfrastructureError: the name of the run cannot be kept.
     """
     if backend == EMBEDDED:
         return Place()

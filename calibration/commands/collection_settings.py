@@ -12,9 +12,9 @@ from calibration.pipeline.collection.request import (
     CollectionChecks,
     CollectionRequest,
     ContainerRequest,
+    ScenarioImage,
+    ScenarioOfSet,
     Share,
-    WorldImage,
-    WorldOfSet,
 )
 from calibration.pipeline.configuration import parse_applications
 from calibration.records import at_least, field, record
@@ -35,12 +35,14 @@ class Settings:
         "Motion sequence (JSON), or generate:N; the system's motion.json unless given.", default=None
     )
     scenarios: Annotated[int, at_least(1)] | None = field(
-        "How many worlds of the set, or datasets of the applications.", default=None
+        "How many scenarios of the set, or datasets of the applications.", default=None
     )
-    scenario_set: Path | None = field("YAML file of what varies between worlds.", default=None)
-    scenario: str | None = field("Only this world, with its images: s1-00017 (seed 1, number 17).", default=None)
-    minimum_success_rate: Share = field("Share of the worlds that has to pass, 0 to 1 (1).", default=1.0)
-    seed: Annotated[int, at_least(0)] = field("Seed of the noise, of a generated motion, of the worlds (1).", default=1)
+    scenario_set: Path | None = field("YAML file of what varies between scenarios.", default=None)
+    scenario: str | None = field("Only this scenario, with its images: s1-00017 (seed 1, number 17).", default=None)
+    minimum_success_rate: Share = field("Share of the scenarios that has to pass, 0 to 1 (1).", default=1.0)
+    seed: Annotated[int, at_least(0)] = field(
+        "Seed of the noise, of a generated motion, of the scenarios (1).", default=1
+    )
     checks: CollectionChecks = field(flat=True, default_factory=CollectionChecks)
     """What a dataset has to keep to, where the two limits that follow say nothing else."""
     max_translation_mm: Tolerance | None = field("Largest error against the truth, mm (5).", default=None)
@@ -51,17 +53,19 @@ class Settings:
     run: str | None = field("Name of the run in containers or the cloud; a new one unless given.", default=None)
     resume: bool = field("Run only what is missing of an earlier run into this folder, or of this name.", default=False)
     applications: Path | None = field("YAML file of the team's applications, each in a container.", default=None)
-    image: str | None = field("Of applications that name none; or, with calibration-ci in it, of worlds.", default=None)
+    image: str | None = field(
+        "Of applications that name none; or, with calibration-ci in it, of scenarios.", default=None
+    )
     simulation_command: str | None = field("What the simulation application runs, without a file for it.", default=None)
     robot_command: str | None = field("What the robot application runs, which labels and saves.", default=None)
     player: Literal["ros1"] | None = field("ros1: our player moves the pattern and asks for collections.", default=None)
     ros: Literal["none", "1", "2"] | None = field("1 starts a ROS master beside the applications.", default=None)
     truth: str | None = field("Of the applications' dataset: a file, dataset or none (the system's).", default=None)
     timeout: str | None = field(
-        "How long the applications, or a world in a container, may take: 10m (1h).", default=None
+        "How long the applications, or a scenario in a container, may take: 10m (1h).", default=None
     )
     jobs: Annotated[int, at_least(1)] | None = field("Processes, or containers at once (one a core).", default=None)
-    output: Path = field("Folder for the dataset, or for the report on the worlds.")
+    output: Path = field("Folder for the dataset, or for the report on the scenarios.")
     overwrite: bool = field("Replace a dataset that the folder has.", default=False)
 
 
@@ -71,9 +75,9 @@ def collection_request(settings: Settings) -> CollectionRequest:
     Raises:
         InputError: there is no such system.
     """
-    world = None
+    scenario = None
     if settings.scenario_set is not None and settings.scenario is not None:
-        world = WorldOfSet(settings.scenario_set, settings.scenario)
+        scenario = ScenarioOfSet(settings.scenario_set, settings.scenario)
     return CollectionRequest(
         system=system_folder(settings.system),
         robot=settings.robot,
@@ -82,7 +86,7 @@ def collection_request(settings: Settings) -> CollectionRequest:
         seed=settings.seed,
         stillness=None if settings.stillness_mm is None else settings.stillness_mm / 1000,
         checks=collection_checks(settings),
-        world=world,
+        scenario=scenario,
     )
 
 
@@ -158,15 +162,15 @@ def application_options(settings: Settings) -> tuple[str, ...]:
     return tuple(word for name, value in given if value is not None for word in (f"--{name}", str(value)))
 
 
-def world_image(settings: Settings, backend: str) -> WorldImage:
-    """The image of worlds of our own simulation.
+def scenario_image(settings: Settings, backend: str) -> ScenarioImage:
+    """The image of scenarios of our own simulation.
 
     Raises:
         InputError: there is none, or the time is none.
     """
     if settings.image is None:
-        raise InputError(f"image: missing: {backend} runs every world in an image that has calibration-ci")
-    return WorldImage(
+        raise InputError(f"image: missing: {backend} runs every scenario in an image that has calibration-ci")
+    return ScenarioImage(
         settings.image, SECONDS if settings.timeout is None else parse_seconds(settings.timeout, "timeout")
     )
 

@@ -64,7 +64,7 @@ def comment(settings: Settings, runner: Runner, event: Event) -> ExitCode:
 
     Raises:
         InputError: the results are none, or the token may not.
-        WorldError: GitHub cannot be reached.
+        InfrastructureError: GitHub cannot be reached.
     """
     if not event.name:
         runner.log(comment_text(_found(settings.results), settings.name or "", {}))

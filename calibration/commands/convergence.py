@@ -144,7 +144,7 @@ def convergence(settings: Settings, runner: Runner) -> ExitCode:
 
     Raises:
         InputError: the settings contradict each other, or the data are wrong.
-        WorldError: a result cannot be written, a process died, or there is no engine.
+        InfrastructureError: a result cannot be written, a process died, or there is no engine.
     """
     asked = _with_seeds(settings)
     configuration = configuration_of(asked)
@@ -164,7 +164,7 @@ def convergence(settings: Settings, runner: Runner) -> ExitCode:
                 number,
                 total,
                 f"{cell.name}, {cell.method}, {cell.start}{failed}",
-                important=cell.error == ExitCode.WORLD,
+                important=cell.error == ExitCode.INFRASTRUCTURE,
             )
 
         cells = run_sweep(matrices, asked.output, asked.jobs, done, replace(place, show=LogDisplay(runner)))

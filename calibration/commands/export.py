@@ -40,7 +40,7 @@ def export(dataset: Path, description: Path | None, formats: tuple[str, ...], ou
 
     Raises:
         InputError: an unknown format, a dataset that is not calibrated, a URDF that does not fit it.
-        WorldError: a file cannot be written.
+        InfrastructureError: a file cannot be written.
     """
     known = (URDF, *FORMATS)
     for each in formats:

@@ -48,7 +48,7 @@ def gather_results(settings: Settings, runner: Runner) -> ExitCode:
 
     Raises:
         InputError: the jobs left something else than what was planned.
-        WorldError: a result cannot be written.
+        InfrastructureError: a result cannot be written.
     """
     clear_results(settings.output)
     needs = parse_needs(settings.needs)

@@ -36,7 +36,7 @@ def import_rigelfile(file: Path, output: Path, runner: Runner, *, overwrite: boo
 
     Raises:
         InputError: there is no Rigelfile, it is none, nothing in it has a place here, or the file to write is there.
-        WorldError: the file cannot be written.
+        InfrastructureError: the file cannot be written.
     """
     if output.exists() and (not overwrite or output.samefile(file)):
         hint = "name another file" if overwrite else "name another file, or add --overwrite"

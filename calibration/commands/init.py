@@ -47,7 +47,7 @@ def init(dataset: Path, output: Path, suite: str, runner: Runner, *, overwrite: 
 
     Raises:
         InputError: a file is there already, or the dataset is wrong or cannot be calibrated.
-        WorldError: a file cannot be written.
+        InfrastructureError: a file cannot be written.
     """
     repository, at, version = suite.partition("@")
     if not at or repository.count("/") != 1 or any(not (c.isalnum() or c in "/._-@") for c in suite):

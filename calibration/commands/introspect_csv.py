@@ -87,7 +87,7 @@ def introspect(settings: Settings, runner: Runner) -> ExitCode:
     """Judge the tables, report every violation, and return pass or fail.
 
     Raises :class:`InputError` when a file, a column or a labelled row is missing or a file is no
-    table, and :class:`calibration.errors.WorldError` when a result cannot be written. A result of
+    table, and :class:`calibration.errors.InfrastructureError` when a result cannot be written. A result of
     an earlier run is removed first, so that none is mistaken for this one's.
     """
     if settings.output is not None:

@@ -37,7 +37,7 @@ def place(
 
     Raises:
         InputError: the section is missing or wrong, or nothing says which run is to be resumed.
-        WorldError: the name of the run cannot be kept.
+        InfrastructureError: the name of the run cannot be kept.
     """
     if not KINDS[backend].settings:
         return Place(backend, run=run)
@@ -55,7 +55,7 @@ def name_of_run(output: Path, given: str | None, resume: bool) -> str:
 
     Raises:
         InputError: an earlier run is to be resumed, and nothing says which.
-        WorldError: the file cannot be written.
+        InfrastructureError: the file cannot be written.
     """
     path = output / RUN_FILE
     if given is None and resume:

@@ -96,7 +96,7 @@ def plan_matrix(settings: Settings, runner: Runner) -> ExitCode:
 
     Raises:
         InputError: the configuration is wrong, there is nothing to do, or the matrix is too large.
-        WorldError: the outputs cannot be written.
+        InfrastructureError: the outputs cannot be written.
     """
     plan = plan_of(settings, Event.from_environment(os.environ))
     outputs = plan_outputs(plan)

@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from calibration.commands.parameters import boolean_option, integer, path, system_folder, text
-from calibration.errors import ExitCode, InputError, WorldError
+from calibration.errors import ExitCode, InfrastructureError, InputError
 from calibration.workflow import Runner
 
 MAX_PORT = 65535
@@ -63,10 +63,10 @@ def record_motion(settings: Settings, runner: Runner) -> ExitCode:
 
     Raises:
         InputError: an input is missing or wrong.
-        WorldError: viser is not installed, the port is taken, or a file cannot be written.
+        InfrastructureError: viser is not installed, the port is taken, or a file cannot be written.
     """
     if find_spec("viser") is None:
-        raise WorldError("record-motion needs viser: pip install viser")
+        raise InfrastructureError("record-motion needs viser: pip install viser")
     if settings.output.is_dir():
         raise InputError(f"{settings.output}: is a folder, expected a file for the sequence")
     from calibration.recorder.recording import Inputs, record  # needs the extra record, slow to import

@@ -46,7 +46,7 @@ def run(settings: Settings, runner: Runner) -> ExitCode:
 
     Raises:
         InputError: the configuration or the data are wrong.
-        WorldError: a result cannot be written.
+        InfrastructureError: a result cannot be written.
     """
     configuration = read_configuration(settings.config)
     matrix = Matrix(configuration.systems, configuration.noise)

@@ -16,7 +16,7 @@ import numpy as np
 
 from calibration.comparison.sensor_pair import CAMERAS, pair_of, why_not_pair, with_pair
 from calibration.dataset.model import CornerLabels, Dataset, Sensor
-from calibration.errors import InputError, UndeterminedError, WorldError
+from calibration.errors import InfrastructureError, InputError, UndeterminedError
 from calibration.geometry.distortion import Equidistant, Rational
 from calibration.geometry.transforms import inverse, transform
 from calibration.geometry.types import Array
@@ -36,7 +36,7 @@ def opencv_stereo(dataset: Dataset) -> Dataset:
     Raises:
         InputError: the method does not apply (`why_not_stereo`).
         UndeterminedError: OpenCV finds no solution.
-        WorldError: OpenCV is not installed.
+        InfrastructureError: OpenCV is not installed.
     """
     return _stereo(dataset, fixed=False)
 
@@ -126,5 +126,7 @@ def _opencv() -> Any:
     try:
         import cv2
     except ImportError:
-        raise WorldError("OpenCV's stereo calibration needs OpenCV: pip install opencv-python-headless") from None
+        raise InfrastructureError(
+            "OpenCV's stereo calibration needs OpenCV: pip install opencv-python-headless"
+        ) from None
     return cv2

@@ -9,7 +9,7 @@ from urllib.parse import quote, urlsplit
 
 from calibration.coverage.lines import FileCoverage
 from calibration.coverage.sources import language_of
-from calibration.errors import InputError, WorldError
+from calibration.errors import InfrastructureError, InputError
 from calibration.http import Answer, Http, is_loopback
 from calibration.workflow.text import shorten
 
@@ -100,16 +100,16 @@ class Codacy:
         """Send all requests, even if one fails.
 
         Raises:
-            WorldError: Codacy rejected one; the first of these errors.
+            InfrastructureError: Codacy rejected one; the first of these errors.
         """
         http = self.http or Http([self.account.token], address="the address (api-url)")
-        first: WorldError | None = None
+        first: InfrastructureError | None = None
         for request in requests:
             try:
                 answer = http.send("POST", request.url, request.headers, request.body)
                 check_answer(answer, urlsplit(request.url).netloc, http)
-            except WorldError as error:
-                first = first or WorldError(f"codacy: {error}")
+            except InfrastructureError as error:
+                first = first or InfrastructureError(f"codacy: {error}")
         if first is not None:
             raise first
 
@@ -146,7 +146,7 @@ def check_answer(answer: Answer, host: str, http: Http) -> None:
     """Check an answer: Codacy's JSON decides on success, whatever the HTTP status.
 
     Raises:
-        WorldError: the request failed; the message names the remedy.
+        InfrastructureError: the request failed; the message names the remedy.
     """
     document = _document(answer.body)
     if isinstance(document, dict) and "error" not in document and isinstance(document.get("success"), str):
@@ -157,10 +157,10 @@ def check_answer(answer: Answer, host: str, http: Http) -> None:
     if answer.status in (401, 403, 404):
         _refused(answered, answer.status, http.quote(answer.body))
     if answer.content_type == "text/html" or answer.body.lstrip()[:1] == b"<":
-        raise WorldError(f"{answered} with an HTML page, not from Codacy's API: check api-url and proxies")
+        raise InfrastructureError(f"{answered} with an HTML page, not from Codacy's API: check api-url and proxies")
     if document is None:
-        raise WorldError(f"{answered} with a body that is not JSON{http.quote(answer.body)}: check api-url")
-    raise WorldError(
+        raise InfrastructureError(f"{answered} with a body that is not JSON{http.quote(answer.body)}: check api-url")
+    raise InfrastructureError(
         f"{answered} with JSON that contains neither success nor error{http.quote(answer.body)}: check api-url"
     )
 
@@ -233,4 +233,4 @@ def _refused(answered: str, status: int, said: str) -> NoReturn:
         advice = "check the token, whether it is of this repository, and provider, organisation and repository"
     else:
         advice = "check the commit and the language, and whether Codacy knows the repository"
-    raise WorldError(f"{answered}{said}: {advice}")
+    raise InfrastructureError(f"{answered}{said}: {advice}")

@@ -17,7 +17,7 @@ from coverage.exceptions import CoverageException
 
 from calibration.coverage.formats import MAX_BYTES, MAX_LINE, Report, parse_cobertura
 from calibration.coverage.injection import REPORTER, bring_coverage, reporting, write_settings
-from calibration.errors import InputError, WorldError
+from calibration.errors import InfrastructureError, InputError
 from calibration.files import read_bytes
 from calibration.workflow.text import one_line, shorten
 
@@ -81,7 +81,7 @@ def report_of(data: Path, name: str, settings: Mapping[str, Any], directory: Pat
         executable: the Python that measured; its temporary files are written beside the data.
 
     Raises:
-        WorldError: the report cannot be written.
+        InfrastructureError: the report cannot be written.
     """
     configuration, output = data.with_suffix(".rc"), data.with_suffix(".xml")
     kept = {key: value for key, value in settings.items() if not key.startswith("run:") or key == "run:plugins"}
@@ -97,10 +97,10 @@ def report_of(data: Path, name: str, settings: Mapping[str, Any], directory: Pat
             check=False,
         )
     except (OSError, subprocess.TimeoutExpired) as error:
-        raise WorldError(f"{name}: {executable} cannot write a report of it: {one_line(str(error))}") from None
+        raise InfrastructureError(f"{name}: {executable} cannot write a report of it: {one_line(str(error))}") from None
     if done.returncode:
         said = done.stderr.decode("utf-8", "replace").strip().rpartition("\n")[2]
-        raise WorldError(f"{name}: coverage.py cannot report on it: {shorten(one_line(said), 300)}")
+        raise InfrastructureError(f"{name}: coverage.py cannot report on it: {shorten(one_line(said), 300)}")
     report = parse_cobertura(read_bytes(output, MAX_BYTES, "coverage.py's report"), name)
     return Report(name, report.files, (str(directory),))
 

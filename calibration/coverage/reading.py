@@ -205,7 +205,7 @@ def read_reports(
 
     Raises:
         InputError: a file is not a report, is malformed, or is too large; names it.
-        WorldError: coverage.py cannot report on its data.
+        InfrastructureError: coverage.py cannot report on its data.
     """
     paths = PathMap(sources.repository, sources.directory, sources.tracked)
     folder.mkdir(exist_ok=True)

@@ -37,7 +37,7 @@ def report(results: Results, directory: Path = Path(), badge: Path | None = None
     return Report(
         title=TITLE,
         verdict=verdict,
-        error=ExitCode.WORLD if verdict == "pass" and results.upload.state == "failed" else None,
+        error=ExitCode.INFRASTRUCTURE if verdict == "pass" and results.upload.state == "failed" else None,
         sentence=_sentence(results),
         reasons=tuple(results.problems),
         annotations=tuple(_annotations(results, directory)),
@@ -131,7 +131,7 @@ def _outcomes(results: Results) -> Iterable[Outcome]:
             name=f"upload to {results.upload.service}",
             group=TITLE,
             reasons=(results.upload.reason,) if failed else (),
-            error=ExitCode.WORLD if failed else None,
+            error=ExitCode.INFRASTRUCTURE if failed else None,
             skipped=results.upload.reason if skipped else None,
         )
 

@@ -17,7 +17,7 @@ from calibration.coverage.data_file import measured_names
 from calibration.coverage.formats import MAX_BYTES
 from calibration.coverage.injection import bring_coverage, measuring, write_settings
 from calibration.coverage.junit import Tally, parse_junit
-from calibration.errors import InputError, WorldError
+from calibration.errors import InfrastructureError, InputError
 from calibration.execution.log_file import LogFile
 from calibration.files import read_bytes
 from calibration.programs import has_ended, started
@@ -49,7 +49,7 @@ def run(
 
     Raises:
         InputError: it cannot be started.
-        WorldError: it exceeds the time limit.
+        InfrastructureError: it exceeds the time limit.
     """
     deadline = time.monotonic() + seconds
     with ExitStack() as stack, selectors.DefaultSelector() as selector:
@@ -63,7 +63,7 @@ def run(
         more = True
         while True:
             if time.monotonic() > deadline:
-                raise WorldError(f"the tests took longer than {seconds:g} s (timeout) and were stopped")
+                raise InfrastructureError(f"the tests took longer than {seconds:g} s (timeout) and were stopped")
             if more and selector.select(_PAUSE):
                 data = os.read(process.stdout.fileno(), 64 * 1024)
                 feed(data)
@@ -160,7 +160,7 @@ def run_tests(
 
     Raises:
         InputError: the command cannot be started, or its JUnit file is malformed.
-        WorldError: the time limit is exceeded.
+        InfrastructureError: the time limit is exceeded.
     """
     if command.junit is not None:
         command.junit.unlink(missing_ok=True)  # else the result of an earlier run might be read

@@ -19,7 +19,7 @@ from calibration.coverage.report import LCOV, report, what_is_left_out
 from calibration.coverage.results import Change, Limit, Results, State, Uploaded
 from calibration.coverage.sources import Sources, find_sources
 from calibration.coverage.tests import Tests, measured_environment, measurement, run_tests
-from calibration.errors import ExitCode, InputError, WorldError
+from calibration.errors import ExitCode, InfrastructureError, InputError
 from calibration.execution.sizes import parse_seconds
 from calibration.files import matching, write_atomically
 from calibration.git.changes import changed_lines, find_base
@@ -97,7 +97,7 @@ def upload(settings: Settings, runner: Runner) -> ExitCode:
 
     Raises:
         InputError: an input or a report is wrong or missing.
-        WorldError: the tests exceed the time limit, or a result cannot be written. A result of an earlier run
+        InfrastructureError: the tests exceed the time limit, or a result cannot be written. A result of an earlier run
             is removed first, so that it is not mistaken for this one's.
     """
     if settings.output is not None:
@@ -274,7 +274,7 @@ def _upload(results: Results, settings: Settings, service: Codacy | None, skippe
     upload = Upload(results.commit, results.files, settings.partial, settings.final)
     try:
         return Uploaded(name, _send(service, service.requests(upload), settings, runner))
-    except WorldError as error:
+    except InfrastructureError as error:
         return Uploaded(name, "failed", str(error))
 
 
@@ -282,7 +282,7 @@ def _send(service: Codacy, requests: Sequence[Request], settings: Settings, runn
     """Send the requests, or only log them in a dry run.
 
     Raises:
-        WorldError: the service rejected one.
+        InfrastructureError: the service rejected one.
     """
     for request in requests:
         verb = "would be sent" if settings.dry_run else "sent"

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.dataset.document import shown
-from calibration.errors import InputError, WorldError
+from calibration.errors import InfrastructureError, InputError
 from calibration.files import read_bytes
 from calibration.geometry.cameras import Camera
 from calibration.geometry.types import Array, IntArray
@@ -58,7 +58,7 @@ def read_depth_image(path: Path | str, camera: Camera) -> DepthImage:
 
     Raises:
         InputError: the file cannot be read, or is no PNG file of one channel of 16 bits and of the camera's size.
-        WorldError: OpenCV, which decodes it, is missing.
+        InfrastructureError: OpenCV, which decodes it, is missing.
     """
     data = read_bytes(path, _MAX_BYTES, "a depth image")
     try:
@@ -105,7 +105,7 @@ def _decode(data: bytes, camera: Camera) -> NDArray[np.uint16]:
     try:
         import cv2
     except ImportError as error:
-        raise WorldError("reading depth images needs OpenCV: pip install opencv-python-headless") from error
+        raise InfrastructureError("reading depth images needs OpenCV: pip install opencv-python-headless") from error
     try:
         image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     except cv2.error:

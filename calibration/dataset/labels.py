@@ -44,7 +44,7 @@ def read_labels(
 
     Raises:
         InputError: something in the labels or in a labelled point cloud, scan or depth image is missing or wrong.
-        WorldError: OpenCV, which decodes depth images, is missing.
+        InfrastructureError: OpenCV, which decodes depth images, is missing.
     """
     corners: list[_Detection] = []
     points: list[_Detection] = []

@@ -39,7 +39,7 @@ def write_points(path: Path | str, points: Array) -> None:
     """Write points (N, 3) as a binary PCD file of float32 x, y, z.
 
     Raises:
-        WorldError: the file cannot be written.
+        InfrastructureError: the file cannot be written.
     """
     write_atomically(path, encode_pcd(points))
 

@@ -148,7 +148,7 @@ def write_truth(truth: Truth, path: Path | str) -> None:
     """Write the truth in the form that `read_truth` reads.
 
     Raises:
-        WorldError: the file cannot be written.
+        InfrastructureError: the file cannot be written.
     """
     of_sensors = set(truth.sensors.values())
     write_document(

@@ -26,7 +26,7 @@ def write_document(document: Mapping[str, Any], path: Path | str) -> None:
 
     Raises:
         InputError: the document is nested too deeply.
-        WorldError: the file cannot be written.
+        InfrastructureError: the file cannot be written.
     """
     try:
         text = json_text(document)
@@ -50,7 +50,7 @@ def write_dataset(dataset: Dataset, path: Path | str, images: bool = True) -> Pa
 
     Raises:
         InputError: the path is the dataset's own file, or a transform is not finite.
-        WorldError: a file cannot be written.
+        InfrastructureError: a file cannot be written.
     """
     path = Path(path)
     if path.suffix != ".json":

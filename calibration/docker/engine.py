@@ -19,7 +19,7 @@ import urllib3
 from docker import DockerClient
 from docker.errors import APIError
 
-from calibration.errors import InputError, WorldError
+from calibration.errors import InfrastructureError, InputError
 from calibration.workflow.text import one_line, shorten
 
 SECONDS = 60
@@ -41,7 +41,7 @@ _OUR_FAULT = (
 """What the engine says, whatever the status of its answer, where the job asks for what there is not."""
 
 
-class EngineLostError(WorldError):
+class EngineLostError(InfrastructureError):
     """The engine does not answer any more."""
 
 
@@ -67,7 +67,7 @@ def connect(seconds: int = SECONDS) -> DockerClient:
     """Make a client of the engine, which has answered.
 
     Raises:
-        WorldError: no engine answers.
+        InfrastructureError: no engine answers.
     """
     try:
         if os.environ.get("DOCKER_HOST", "").startswith(_UNIX):
@@ -75,7 +75,7 @@ def connect(seconds: int = SECONDS) -> DockerClient:
         client = _client(None, seconds)
         client.ping()
     except (docker.errors.DockerException, requests.RequestException, OSError, ValueError) as error:
-        raise WorldError(
+        raise InfrastructureError(
             f"no Docker Engine answers at {address()}: {_cause(error)}; start it, or set DOCKER_HOST"
         ) from None
     return client
@@ -85,7 +85,7 @@ def engine_available() -> bool:
     """Whether an engine answers."""
     try:
         connect(5).close()
-    except WorldError:
+    except InfrastructureError:
         return False
     return True
 
@@ -94,14 +94,14 @@ def find_engine() -> Engine:
     """Find the engine, and what it has.
 
     Raises:
-        WorldError: there is none, or it runs no Linux containers.
+        InfrastructureError: there is none, or it runs no Linux containers.
     """
     client = connect()
     try:
         with engine_errors():
             facts = client.info()
             if facts.get("OSType", "linux") != "linux":
-                raise WorldError(f"the Docker Engine at {address()} runs no Linux containers")
+                raise InfrastructureError(f"the Docker Engine at {address()} runs no Linux containers")
             return Engine(
                 address=address(),
                 version=client.api.api_version,
@@ -128,13 +128,13 @@ def engine_errors(where: str = "") -> Iterator[None]:
     Raises:
         EngineLostError: the connection broke, or the engine did not answer in time.
         InputError: the engine says that what was asked makes no sense.
-        WorldError: the engine failed.
+        InfrastructureError: the engine failed.
     """
     try:
         yield
     except docker.errors.APIError as error:
         message = f"{where}{': ' if where else ''}{engine_message(error)}"
-        raise (InputError if is_our_fault(error) else WorldError)(message) from None
+        raise (InputError if is_our_fault(error) else InfrastructureError)(message) from None
     except (requests.RequestException, urllib3.exceptions.HTTPError, docker.errors.DockerException) as error:
         raise lost(error) from None
     except (ConnectionError, TimeoutError) as error:

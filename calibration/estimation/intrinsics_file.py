@@ -33,7 +33,7 @@ def write_intrinsics(path: Path, intrinsics: Mapping[str, CalibratedIntrinsics])
     """Write the intrinsics of cameras, by sensor.
 
     Raises:
-        WorldError: the file cannot be written.
+        InfrastructureError: the file cannot be written.
     """
     cameras = {
         name: {

@@ -80,7 +80,7 @@ class Table:
         """Write the table as a CSV file atomically.
 
         Raises:
-            WorldError: the file cannot be written.
+            InfrastructureError: the file cannot be written.
         """
         write_atomically(path, self.to_csv())
 

@@ -74,7 +74,7 @@ class Backend(Protocol[Work, Outcome]):
 
         Raises:
             InputError: a job makes no sense, or an image is missing.
-            WorldError: the backend cannot be reached, a process died, or a file cannot be written.
+            InfrastructureError: the backend cannot be reached, a process died, or a file cannot be written.
         """
         ...
 

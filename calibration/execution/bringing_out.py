@@ -7,7 +7,7 @@ from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from calibration.errors import InputError, WorldError
+from calibration.errors import InfrastructureError, InputError
 from calibration.execution.extraction import Budget, Extraction, RefusedError, extract
 from calibration.execution.globs import Glob
 from calibration.execution.job import Artifact, Container
@@ -29,7 +29,7 @@ class Archive:
 
 
 Opener = Callable[[str], AbstractContextManager[Archive]]
-"""Opens what lies at an absolute path in a container; raises `NothingThereError`, or WorldError."""
+"""Opens what lies at an absolute path in a container; raises `NothingThereError`, or InfrastructureError."""
 
 
 class BringingOut:
@@ -51,7 +51,7 @@ class BringingOut:
         Raises:
             RefusedError: something of it is hostile, or too large.
             InputError: two artifacts would land at the same place.
-            WorldError: it cannot be read, or a file cannot be written.
+            InfrastructureError: it cannot be read, or a file cannot be written.
         """
         for artifact in container.artifacts:
             try:
@@ -121,7 +121,7 @@ def complete_or_not_at_all(folder: Path) -> Iterator[Path]:
     """A folder beside ``folder`` that takes its place if nothing goes wrong, and is removed else.
 
     Raises:
-        WorldError: it cannot be made.
+        InfrastructureError: it cannot be made.
     """
     temporary = folder.with_name(f".{folder.name}-{os.urandom(6).hex()}")
     try:
@@ -129,7 +129,7 @@ def complete_or_not_at_all(folder: Path) -> Iterator[Path]:
         yield temporary
         temporary.rename(folder)
     except OSError as error:
-        raise WorldError(f"{folder}: cannot be written: {error.strerror or error}") from error
+        raise InfrastructureError(f"{folder}: cannot be written: {error.strerror or error}") from error
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
 
@@ -141,7 +141,7 @@ def _fresh(folder: Path) -> Iterator[Path]:
         fresh.mkdir()
         yield fresh
     except OSError as error:
-        raise WorldError(f"{folder}: cannot be written: {error.strerror or error}") from error
+        raise InfrastructureError(f"{folder}: cannot be written: {error.strerror or error}") from error
     finally:
         shutil.rmtree(fresh, ignore_errors=True)
 

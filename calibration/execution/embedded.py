@@ -13,7 +13,7 @@ from pathlib import Path
 from queue import SimpleQueue
 from typing import Any, TypeVar
 
-from calibration.errors import WorldError
+from calibration.errors import InfrastructureError
 from calibration.workflow.signals import held_back
 
 Result = TypeVar("Result")
@@ -49,7 +49,7 @@ class Embedded:
             workers: processes; None for one a core, 1 for none but this one.
 
         Raises:
-            WorldError: a process died.
+            InfrastructureError: a process died.
         """
         count = min(workers or cores(), len(work))
         if count > 1:
@@ -83,7 +83,7 @@ def _in_processes(work: Sequence[Callable[[], Result]], workers: int) -> Generat
             yield running.pop(future), future.result()
     except BrokenProcessPool as error:
         message = "a worker process died (killed, or out of memory); try fewer with jobs"
-        raise WorldError(message) from error
+        raise InfrastructureError(message) from error
     finally:
         # Workers end with the item they are at, also after a signal: one that is killed while it answers
         # leaves half an answer in the pipe, for which the pool would wait for ever. A second signal waits for them too:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO, cast
 
-from calibration.errors import CalibrationError, ExitCode, WorldError
+from calibration.errors import CalibrationError, ExitCode, InfrastructureError
 from calibration.execution.sizes import describe_bytes
 from calibration.workflow.text import one_line, shorten
 
@@ -87,7 +87,7 @@ def extract(
 
     Raises:
         RefusedError: an entry leaves the folder, is no file or folder, clashes with another, or is too large.
-        WorldError: the stream ends too early, or a file cannot be written.
+        InfrastructureError: the stream ends too early, or a file cannot be written.
     """
     result = Extraction()
     written: dict[tuple[str, ...], tuple[str, ...]] = {}
@@ -124,7 +124,7 @@ def _entries(stream: Iterable[bytes]) -> Iterator[tuple[tarfile.TarInfo, Callabl
     """Each entry, and what opens its content.
 
     Raises:
-        WorldError: the stream ends too early, or is no tar.
+        InfrastructureError: the stream ends too early, or is no tar.
     """
     source = _Source(stream)
     try:
@@ -141,7 +141,7 @@ def _entries(stream: Iterable[bytes]) -> Iterator[tuple[tarfile.TarInfo, Callabl
     except (tarfile.TarError, EOFError, ValueError, OverflowError, UnicodeError) as error:
         raise _broken(error) from None
     if not source.is_complete:
-        raise WorldError("the archive of the artifacts ends too early")
+        raise InfrastructureError("the archive of the artifacts ends too early")
 
 
 class _Source:
@@ -166,7 +166,7 @@ class _Source:
         """Read so many bytes; fewer at the end.
 
         Raises:
-            WorldError: more than was announced.
+            InfrastructureError: more than was announced.
         """
         while len(self._buffer) < count:
             chunk = next(self._chunks, None)
@@ -178,7 +178,7 @@ class _Source:
         self._last = (self._last + data)[-_BLOCK:]
         self._allowed -= len(data)
         if self._allowed < 0:
-            raise WorldError("the archive of the artifacts is broken: a header has no end")
+            raise InfrastructureError("the archive of the artifacts is broken: a header has no end")
         return data
 
 
@@ -240,7 +240,7 @@ def _make_folder(folder: Path, parts: tuple[str, ...]) -> None:
     except (FileExistsError, NotADirectoryError):
         raise RefusedError(f"artifact '{_shown('/'.join(parts))}' is a folder and a file") from None
     except OSError as error:
-        raise WorldError(f"{folder}: an artifact cannot be written: {error.strerror}") from error
+        raise InfrastructureError(f"{folder}: an artifact cannot be written: {error.strerror}") from error
 
 
 def _write(entry: tarfile.TarInfo, content: IO[bytes], folder: Path, parts: tuple[str, ...]) -> Extracted:
@@ -254,9 +254,9 @@ def _write(entry: tarfile.TarInfo, content: IO[bytes], folder: Path, parts: tupl
             try:
                 file.write(chunk)
             except OSError as error:
-                raise WorldError(f"{folder}: an artifact cannot be written: {error.strerror}") from error
+                raise InfrastructureError(f"{folder}: an artifact cannot be written: {error.strerror}") from error
     if size != entry.size:
-        raise WorldError("the archive of the artifacts ends too early")
+        raise InfrastructureError("the archive of the artifacts ends too early")
     return Extracted("/".join(parts), size, digest.hexdigest())
 
 
@@ -266,7 +266,7 @@ def _new_file(path: Path, entry: tarfile.TarInfo) -> io.FileIO:
     except (FileExistsError, IsADirectoryError):
         raise _refused(entry, "would land where another file is") from None
     except OSError as error:
-        raise WorldError(f"{path}: an artifact cannot be written: {error.strerror}") from error
+        raise InfrastructureError(f"{path}: an artifact cannot be written: {error.strerror}") from error
 
 
 def _read(content: IO[bytes]) -> bytes:
@@ -281,8 +281,8 @@ def _target(folder: Path, parts: tuple[str, ...]) -> Path:
     return folder.joinpath(*parts)
 
 
-def _broken(error: Exception) -> WorldError:
-    return WorldError(f"the archive of the artifacts is broken: {shorten(one_line(str(error)))}")
+def _broken(error: Exception) -> InfrastructureError:
+    return InfrastructureError(f"the archive of the artifacts is broken: {shorten(one_line(str(error)))}")
 
 
 def _refused(entry: tarfile.TarInfo, why: str) -> RefusedError:

@@ -12,7 +12,7 @@ import json
 import shutil
 from pathlib import Path
 
-from calibration.errors import WorldError
+from calibration.errors import InfrastructureError
 from calibration.execution.outcome import JobOutcome
 from calibration.files import write_atomically
 
@@ -25,7 +25,7 @@ def make_job_folder(folder: Path) -> None:
     """Make a job's folder; what an earlier run left there must not be taken for this one's.
 
     Raises:
-        WorldError: it cannot be written.
+        InfrastructureError: it cannot be written.
     """
     try:
         for name in (ARTIFACTS, LOGS, FILE_NAME):
@@ -36,14 +36,14 @@ def make_job_folder(folder: Path) -> None:
                 place.unlink(missing_ok=True)
         (folder / LOGS).mkdir(parents=True)
     except OSError as error:
-        raise WorldError(f"{folder}: cannot be written: {error.strerror or error}") from error
+        raise InfrastructureError(f"{folder}: cannot be written: {error.strerror or error}") from error
 
 
 def write_manifest(outcome: JobOutcome, run: str) -> None:
     """Write the manifest of a job into its folder.
 
     Raises:
-        WorldError: it cannot be written.
+        InfrastructureError: it cannot be written.
     """
     document = {
         "schema": 1,

@@ -130,7 +130,7 @@ class Judge:
                 name = container.container.name
                 self.fail(f"container '{name}' was never started: another ended the job", ExitCode.FAIL)
         if not self.reasons and not any(c.end == End.EXITED for c in essential):
-            self.fail("nobody knows how the job ended", ExitCode.WORLD)
+            self.fail("nobody knows how the job ended", ExitCode.INFRASTRUCTURE)
         if self.reasons:  # what else went wrong may be why
             others = [c for c in containers if not c.container.essential and c is not early]
             self.reasons += [self._clean(failure) for c in others if (failure := failure_of(c)) is not None]
@@ -142,7 +142,7 @@ class Judge:
             self.stopped_for |= dict.fromkeys(running, End.TIMED_OUT)
             still = f": still running were {', '.join(running)}" if running else ""
             never = f"; not started were {', '.join(c.container.name for c in waiting)}" if waiting else ""
-            self.fail(f"the job ran longer than its {self._job.seconds:g} s{still}{never}", ExitCode.WORLD)
+            self.fail(f"the job ran longer than its {self._job.seconds:g} s{still}{never}", ExitCode.INFRASTRUCTURE)
             return True
         for container in containers:
             if not is_running(container) or container.started is None:
@@ -151,7 +151,9 @@ class Judge:
             limit, readiness = container.container.limits.seconds, container.container.readiness
             if limit is not None and seconds >= limit:
                 self.stopped_for[name] = End.TIMED_OUT
-                self.fail(f"container '{name}' ran longer than its {limit:g} s{_said(container)}", ExitCode.WORLD)
+                self.fail(
+                    f"container '{name}' ran longer than its {limit:g} s{_said(container)}", ExitCode.INFRASTRUCTURE
+                )
                 return True
             if readiness is not None and not container.ready and seconds >= readiness.seconds:
                 self.stopped_for[name] = End.NOT_READY

@@ -6,7 +6,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from calibration.errors import WorldError
+from calibration.errors import InfrastructureError
 from calibration.execution.redaction import Redactor
 from calibration.workflow.streams import tame
 from calibration.workflow.text import shorten
@@ -38,7 +38,7 @@ class LogFile:
             most_bytes: what is kept; the file then says that it was cut.
 
         Raises:
-            WorldError: the file cannot be written.
+            InfrastructureError: the file cannot be written.
         """
         self.path = path
         self.last_line = ""
@@ -55,7 +55,7 @@ class LogFile:
         try:
             self._file = path.open("wb", buffering=0)
         except OSError as error:
-            raise WorldError(f"{path}: the log cannot be written: {error.strerror}") from error
+            raise InfrastructureError(f"{path}: the log cannot be written: {error.strerror}") from error
 
     def __enter__(self) -> Self:
         return self
@@ -69,7 +69,7 @@ class LogFile:
         """Take more output.
 
         Raises:
-            WorldError: the file cannot be written.
+            InfrastructureError: the file cannot be written.
         """
         self._take(self._redactor.feed(data))
 
@@ -77,7 +77,7 @@ class LogFile:
         """Take the end of the output; more than once is no error.
 
         Raises:
-            WorldError: the file cannot be written.
+            InfrastructureError: the file cannot be written.
         """
         if self._file.closed:
             return
@@ -117,4 +117,4 @@ class LogFile:
             if data:
                 self._file.write(data)
         except OSError as error:
-            raise WorldError(f"{self.path}: the log cannot be written: {error.strerror}") from error
+            raise InfrastructureError(f"{self.path}: the log cannot be written: {error.strerror}") from error

@@ -71,7 +71,7 @@ class JobOutcome:
     """Why it failed, a line each, the cause first; none where it succeeded."""
     exit_code: ExitCode = ExitCode.PASS
     """1 where the software in the containers failed (it never got ready, it left no artifact or a hostile one), 2
-    where the job is wrong (no such image or user), 3 where the world failed: the engine, or the time."""
+    where the job is wrong (no such image or user), 3 where infrastructure failed: the engine, or the time."""
     seconds: float = 0.0
 
     @property

@@ -38,7 +38,7 @@ class Supervised(ABC):
         """Update ``ready``, and ``ended`` where nothing else does.
 
         Raises:
-            WorldError: the container cannot be asked.
+            InfrastructureError: the container cannot be asked.
         """
 
     @abstractmethod

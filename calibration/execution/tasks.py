@@ -79,7 +79,7 @@ def run_tasks(
 
     Raises:
         InputError: a job makes no sense, or an image is missing; nothing has been run then.
-        WorldError: a process died, or the place cannot be reached.
+        InfrastructureError: a process died, or the place cannot be reached.
         CalibrationError: what a function raises.
     """
     found = {task.name: kept for task in tasks if (kept := find(task.name)) is not None}

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Generic, TypeVar
 from urllib.parse import quote
 
-from calibration.errors import InputError, WorldError
+from calibration.errors import InfrastructureError, InputError
 from calibration.execution.tasks import Task
 from calibration.files import write_atomically
 
@@ -54,7 +54,7 @@ class Workspace(Generic[Result]):
         """Write the files of a task, then its result: where that is, the task is done.
 
         Raises:
-            WorldError: a file cannot be written.
+            InfrastructureError: a file cannot be written.
         """
         for file, content in (files or {}).items():
             write_atomically(self.folder / file, content)
@@ -90,7 +90,7 @@ def workspace(
 
     Raises:
         InputError: another run into this folder goes on.
-        WorldError: the folder cannot be made or written.
+        InfrastructureError: the folder cannot be made or written.
     """
     folder = output / FOLDER
     made = [path for path in (output, *output.parents) if not path.exists()]
@@ -112,7 +112,7 @@ def workspace(
                 if finished or not work.count():
                     shutil.rmtree(folder, ignore_errors=True)
     except OSError as error:
-        raise WorldError(f"{output}: cannot be written: {error.strerror or error}") from error
+        raise InfrastructureError(f"{output}: cannot be written: {error.strerror or error}") from error
     finally:
         for path in made:
             with suppress(OSError):  # it is not empty, or was not made

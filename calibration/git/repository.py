@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Self
 
-from calibration.errors import InputError, WorldError
+from calibration.errors import InfrastructureError, InputError
 from calibration.workflow.text import one_line, shorten
 
 SECONDS = 120
@@ -71,12 +71,12 @@ class Repository:
             exclude: patterns of files and folders that are left out, as git has them (``**/tests``).
 
         Raises:
-            WorldError: git fails.
+            InfrastructureError: git fails.
         """
         left_out = [f":(exclude,top,glob){pattern}{below}" for pattern in exclude for below in ("", "/**")]
         code, output, problem = _git(self.root, "ls-files", "-s", "-z", "--", ":(top)", *left_out)
         if code:
-            raise WorldError(f"git ls-files: {_said(problem)}")
+            raise InfrastructureError(f"git ls-files: {_said(problem)}")
         files = set()
         for entry in output.decode("utf-8", "surrogateescape").split("\0"):
             mode, _, path = entry.partition("\t")
@@ -109,7 +109,7 @@ class Repository:
 
         Raises:
             InputError: it is no regular file there, or is larger than ``most`` bytes.
-            WorldError: git fails.
+            InfrastructureError: git fails.
         """
         code, output, _ = _git(self.root, "ls-tree", "-l", "-z", "--full-tree", commit, "--", path)
         if code or not output:
@@ -121,19 +121,19 @@ class Repository:
             raise InputError(f"{commit[:12]}:{path}: found {size} bytes, expected at most {most}")
         code, output, problem = _git(self.root, "cat-file", "blob", name)
         if code:
-            raise WorldError(f"git cat-file: {_said(problem)}")
+            raise InfrastructureError(f"git cat-file: {_said(problem)}")
         return output
 
     def contents(self, commits: Sequence[str], path: str, most: int) -> Iterator[tuple[str, bytes | None]]:
         """What a file held in each of many commits, by one process; None where it is no file, or is too large.
 
         Raises:
-            WorldError: git fails.
+            InfrastructureError: git fails.
         """
         asked = "".join(f"{commit}:{path}\n" for commit in commits).encode("utf-8", "surrogateescape")
         code, output, problem = _git(self.root, "cat-file", "--batch", given=asked)
         if code:
-            raise WorldError(f"git cat-file: {_said(problem)}")
+            raise InfrastructureError(f"git cat-file: {_said(problem)}")
         at = 0
         for commit in commits:
             end = output.index(b"\n", at)
@@ -171,7 +171,7 @@ class Repository:
 
         Raises:
             InputError: there is no such commit.
-            WorldError: git fails.
+            InfrastructureError: git fails.
         """
         arguments = ["log", "-z", "--format=%H%x09%cs%x09%s", "--first-parent", "--diff-merges=first-parent"]
         if newest is not None:
@@ -183,7 +183,7 @@ class Repository:
         if code:
             if self.head() is None:
                 return []
-            raise WorldError(f"git log: {_said(problem)}")
+            raise InfrastructureError(f"git log: {_said(problem)}")
         rows = (entry.split("\t", 2) for entry in output.decode("utf-8", "replace").split("\0") if entry)
         return [Commit(*row) for row in rows]
 
@@ -191,7 +191,7 @@ class Repository:
         """What the files on the disk have and the commit has not, as ``git diff`` without context.
 
         Raises:
-            WorldError: git fails.
+            InfrastructureError: git fails.
         """
         code, output, problem = _git(
             self.root,
@@ -199,20 +199,20 @@ class Repository:
             *("--src-prefix=a/", "--dst-prefix=b/", "--ignore-submodules", commit, "--"),
         )
         if code:
-            raise WorldError(f"git diff {commit}: {_said(problem)}")
+            raise InfrastructureError(f"git diff {commit}: {_said(problem)}")
         return output
 
     def changed(self, commit: str) -> list[str]:
         """The files that the disk and a commit do not have alike, in order; both names of one that was renamed.
 
         Raises:
-            WorldError: git fails.
+            InfrastructureError: git fails.
         """
         code, output, problem = _git(
             self.root, "diff", "--name-only", "--no-renames", "--no-ext-diff", "-z", "--ignore-submodules", commit, "--"
         )
         if code:
-            raise WorldError(f"git diff {commit}: {_said(problem)}")
+            raise InfrastructureError(f"git diff {commit}: {_said(problem)}")
         return sorted(filter(None, output.decode("utf-8", "surrogateescape").split("\0")))
 
 
@@ -232,13 +232,13 @@ def _git(directory: Path, *arguments: str, given: bytes = b"") -> tuple[int, byt
             check=False,
         )
     except subprocess.TimeoutExpired:
-        raise WorldError(f"git {arguments[0]} took longer than {SECONDS} s") from None
+        raise InfrastructureError(f"git {arguments[0]} took longer than {SECONDS} s") from None
     except OSError as error:
         if not directory.is_dir():
             raise InputError(f"{directory}: there is no such folder") from None
         if not os.access(directory, os.X_OK):
             raise InputError(f"{directory}: this folder cannot be entered: {error.strerror}") from None
-        raise WorldError(f"git cannot be started: {error.strerror}") from None
+        raise InfrastructureError(f"git cannot be started: {error.strerror}") from None
     return done.returncode, done.stdout, done.stderr
 
 

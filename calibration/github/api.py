@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from typing import Any
 from urllib.parse import urlsplit
 
-from calibration.errors import InputError, WorldError
+from calibration.errors import InfrastructureError, InputError
 from calibration.http import Answer, Http, is_loopback
 
 API_URL = "https://api.github.com"
@@ -61,7 +61,7 @@ class GitHubApi:
         Raises:
             MissingError: 404, 410.
             InputError: the token is refused, or may not do this.
-            WorldError: GitHub cannot be reached, has had too many requests, or answers something unexpected.
+            InfrastructureError: GitHub cannot be reached, has had too many requests, or answers something unexpected.
         """
         headers = {
             "Accept": "application/vnd.github+json",
@@ -78,21 +78,21 @@ class GitHubApi:
         if answer.status == 401:
             raise InputError(f"{said}: the token is wrong or has expired")
         if answer.status == 403 and _has_had_too_many(answer):
-            raise WorldError(f"{said}: it has had too many requests of this token: run it again later")
+            raise InfrastructureError(f"{said}: it has had too many requests of this token: run it again later")
         if answer.status == 403:
             raise InputError(f"{said}: the token may not: the job needs permissions: pull-requests: write")
-        raise WorldError(f"{said}: this was not expected of {method} {path}")
+        raise InfrastructureError(f"{said}: this was not expected of {method} {path}")
 
     def pages(self, path: str) -> Iterator[dict[str, Any]]:
         """Yield the entries of a list, whose path ends in its query (``?...&``) or in ``?``.
 
         Raises:
-            WorldError: as `request`, or the answer is no list.
+            InfrastructureError: as `request`, or the answer is no list.
         """
         for page in range(1, MOST_PAGES + 1):
             entries = self.request("GET", f"{path}per_page={PAGE}&page={page}")
             if not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):
-                raise WorldError(f"{urlsplit(self.url).netloc}: {path}: expected a list of objects")
+                raise InfrastructureError(f"{urlsplit(self.url).netloc}: {path}: expected a list of objects")
             yield from entries
             if len(entries) < PAGE:
                 return
@@ -104,7 +104,7 @@ class GitHubApi:
             return json.loads(answer.body)
         except (ValueError, RecursionError):
             host = urlsplit(self.url).netloc
-            raise WorldError(
+            raise InfrastructureError(
                 f"{host}: answered something else than JSON: is GITHUB_API_URL the address of an API?"
             ) from None
 

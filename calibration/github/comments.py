@@ -57,7 +57,7 @@ class Comments:
 
         Raises:
             InputError: the token may not.
-            WorldError: GitHub cannot be reached, or has had too many requests.
+            InfrastructureError: GitHub cannot be reached, or has had too many requests.
         """
         body = (marker.text + text)[:LONGEST]
         found = self._marked(marker.key)
@@ -78,7 +78,7 @@ class Comments:
         """Delete the comments with a key, and return how many there were.
 
         Raises:
-            InputError, WorldError: as `keep`.
+            InputError, InfrastructureError: as `keep`.
         """
         found = self._marked(key)
         for each in found:

@@ -13,7 +13,7 @@ def pull_request_of(event: Event, api: GitHubApi) -> int | None:
     GitHub tells: never by what the run left, which a stranger may have written.
 
     Raises:
-        InputError, WorldError: as `GitHubApi.request`.
+        InputError, InfrastructureError: as `GitHubApi.request`.
     """
     if event.name != "workflow_run":
         number = event.at("pull_request", "number")

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import docker.errors
 
 from calibration.docker.engine import connect, engine_errors
-from calibration.errors import InputError, WorldError
+from calibration.errors import InfrastructureError, InputError
 from calibration.image.builders.build_log import BuildLog
 from calibration.registries.credentials import Credentials, RegistrySettings
 from calibration.registries.login import registry_login
@@ -50,7 +50,7 @@ def find_base(client: "DockerClient", name: str, login: Login, *, ask_registry: 
 
     Raises:
         InputError: neither has such an image.
-        WorldError: the registry cannot be reached.
+        InfrastructureError: the registry cannot be reached.
     """
     reference = parse_reference(name)
     if reference.digest:
@@ -82,7 +82,7 @@ def fetch(client: "DockerClient", name: str, login: Login, platform: str | None,
 
     Raises:
         InputError: there is no such image, or it may not be seen.
-        WorldError: it cannot be fetched.
+        InfrastructureError: it cannot be fetched.
     """
     if local_image(client, name) is not None:
         return
@@ -106,11 +106,11 @@ def fetch(client: "DockerClient", name: str, login: Login, platform: str | None,
         raise _failed(name, str(error.explanation or error), log) from None
 
 
-def _failed(name: str, message: str, log: BuildLog) -> InputError | WorldError:
+def _failed(name: str, message: str, log: BuildLog) -> InputError | InfrastructureError:
     message = shorten(log.clean(message), 300)
     if _MISSING.search(message.lower()):
         return InputError(f"image {name}: it cannot be pulled: {message}: check the name, or log in")
-    return WorldError(f"image {name}: it cannot be pulled: {message}")
+    return InfrastructureError(f"image {name}: it cannot be pulled: {message}")
 
 
 def _digest(image: "Image", reference: Reference) -> str | None:
@@ -133,7 +133,7 @@ def pull_image(name: str, settings: RegistrySettings, runner: Runner, title: str
 
     Raises:
         InputError: there is no such image, or it may not be seen.
-        WorldError: the engine or the registry cannot be reached.
+        InfrastructureError: the engine or the registry cannot be reached.
     """
     credentials = registry_login(settings, name, runner)
     with (

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from calibration.docker.engine import connect, engine_errors
-from calibration.errors import CalibrationError, InputError, WorldError
+from calibration.errors import CalibrationError, InfrastructureError, InputError
 from calibration.image.bases import Base, fetch, local_image
 from calibration.image.builders.build_log import BuildLog
 from calibration.image.builders.buildkit import build_and_push, build_by_buildkit
@@ -87,7 +87,7 @@ def build_image(
     Raises:
         InputError: a file, base, secret or builder is missing, or access denied.
         BuildFailedError: a step of the Dockerfile failed.
-        WorldError: the engine, a registry or the network failed.
+        InfrastructureError: the engine, a registry or the network failed.
     """
     begin = time.monotonic()
     push = specification.push if push is None else push
@@ -215,7 +215,7 @@ class _Work:
                 made = reference
         image = self._client.images.get(made)
         if image.labels.get(KEY_LABEL) != plan.key:
-            raise WorldError(f"{reference}: the builder has made an image without our labels")
+            raise InfrastructureError(f"{reference}: the builder has made an image without our labels")
         platform = f"{image.attrs['Os']}/{image.attrs['Architecture']}"
         for asked in specification.platforms:
             if "/".join(asked.split("/")[:2]) != platform:

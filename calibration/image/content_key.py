@@ -35,7 +35,7 @@ def content_key(
         labels: the user's.
 
     Raises:
-        WorldError: a file cannot be read.
+        InfrastructureError: a file cannot be read.
     """
     parts = {
         "form": FORM,

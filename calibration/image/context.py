@@ -12,7 +12,7 @@ from typing import IO
 
 from docker.utils.build import Pattern
 
-from calibration.errors import InputError, WorldError
+from calibration.errors import InfrastructureError, InputError
 from calibration.files import read_bytes, write_atomically
 
 MAX_BYTES = 2 * 1024**3
@@ -133,7 +133,7 @@ class Context:
         """Yield path, mode and what identifies the content of every entry, sorted by path.
 
         Raises:
-            WorldError: a file cannot be read.
+            InfrastructureError: a file cannot be read.
         """
         for path, entry in sorted(self.entries.items()):
             if entry.link is not None:
@@ -148,7 +148,7 @@ class Context:
         """Write the context as a tar archive.
 
         Raises:
-            WorldError: a file cannot be read, or has changed meanwhile.
+            InfrastructureError: a file cannot be read, or has changed meanwhile.
         """
         with tarfile.open(fileobj=target, mode="w", format=tarfile.GNU_FORMAT, errors="surrogateescape") as archive:
             for path, entry in sorted(self.entries.items()):
@@ -170,7 +170,7 @@ class Context:
 
         Raises:
             InputError: the folder has something in it.
-            WorldError: it cannot be written.
+            InfrastructureError: it cannot be written.
         """
         if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
             raise InputError(f"{folder}: an empty folder was expected: what is there would get mixed with the context")
@@ -188,7 +188,7 @@ class Context:
                         write_atomically(target, file.read())
                     target.chmod(entry.mode)
         except OSError as error:
-            raise WorldError(f"{folder}: the context cannot be written: {error.strerror}") from error
+            raise InfrastructureError(f"{folder}: the context cannot be written: {error.strerror}") from error
 
     def _put(self, path: str, entry: Entry) -> None:
         self.entries[path] = entry
@@ -271,11 +271,13 @@ def _opened(path: str, entry: Entry) -> BytesIO | BufferedReader:
     try:
         return entry.source.open("rb")
     except OSError as error:
-        raise WorldError(f"{entry.source}: cannot be read for the build ({path}): {error.strerror}") from error
+        raise InfrastructureError(f"{entry.source}: cannot be read for the build ({path}): {error.strerror}") from error
 
 
 def _add(archive: tarfile.TarFile, info: tarfile.TarInfo, file: IO[bytes]) -> None:
     try:
         archive.addfile(info, file)
     except OSError as error:  # tarfile's own, too, for a file that has become shorter
-        raise WorldError(f"{info.name}: the build context cannot be written: {error.strerror or error}") from error
+        raise InfrastructureError(
+            f"{info.name}: the build context cannot be written: {error.strerror or error}"
+        ) from error

@@ -60,7 +60,7 @@ def make_plan(
 
     Raises:
         InputError: a file, a folder or a base is missing, or the context is too large.
-        WorldError: a file cannot be read, or a base's registry not reached.
+        InfrastructureError: a file cannot be read, or a base's registry not reached.
     """
     source = specification.source
     context = Context(leave_out)

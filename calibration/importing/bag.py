@@ -13,7 +13,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from calibration.errors import CalibrationError, InputError, WorldError
+from calibration.errors import CalibrationError, InfrastructureError, InputError
 
 if TYPE_CHECKING:
     from rosbags.rosbag1 import Reader as Reader1
@@ -139,7 +139,7 @@ def open_bag(paths: Sequence[Path]) -> Iterator[Bag]:
 
     Raises:
         InputError: there is no such file, it is no bag, it is damaged or encrypted, or files of both kinds are mixed.
-        WorldError: rosbags is not installed.
+        InfrastructureError: rosbags is not installed.
     """
     kinds = {_ros_of(path) for path in paths}
     if len(kinds) != 1:
@@ -149,7 +149,7 @@ def open_bag(paths: Sequence[Path]) -> Iterator[Bag]:
         from rosbags.rosbag1 import Reader as Reader1
         from rosbags.rosbag2 import Reader as Reader2
     except ModuleNotFoundError:
-        raise WorldError("bags need the package rosbags: pip install 'calibration-ci[bags]'") from None
+        raise InfrastructureError("bags need the package rosbags: pip install 'calibration-ci[bags]'") from None
     with ExitStack() as stack:
         parts = []
         for path in paths:

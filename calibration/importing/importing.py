@@ -86,7 +86,7 @@ def import_data(
 
     Raises:
         InputError: something that was given is missing or wrong, or does not fit the rest.
-        WorldError: a file cannot be written, or a process died.
+        InfrastructureError: a file cannot be written, or a process died.
     """
     refuse_existing(output, overwrite)
     described = read_description(config)

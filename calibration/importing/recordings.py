@@ -152,7 +152,7 @@ def taken_out(
 
     Raises:
         InputError: the bag is damaged.
-        WorldError: a file cannot be written.
+        InfrastructureError: a file cannot be written.
     """
     labelled = []
     with open_bag(files) as bag:
@@ -174,7 +174,7 @@ def ranges_taken_out(
 
     Raises:
         InputError: the bag is damaged, or a message is wrong.
-        WorldError: a file cannot be written.
+        InfrastructureError: a file cannot be written.
     """
     views: list[dict[str, RangeView]] = [{} for _ in moments]
     with open_bag(files) as bag:

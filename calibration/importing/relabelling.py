@@ -55,7 +55,7 @@ def label_dataset(
 
     Raises:
         InputError: the dataset or an image is wrong, nothing is to be labelled, or a camera sees a pattern nowhere.
-        WorldError: a file cannot be written, or a process died.
+        InfrastructureError: a file cannot be written, or a process died.
     """
     refuse_existing(output, overwrite)
     if output.resolve() == path.resolve():

@@ -11,7 +11,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from calibration.errors import InputError, WorldError
+from calibration.errors import InfrastructureError, InputError
 from calibration.files import read_bytes
 from calibration.simulation.description import MAX_BYTES
 from calibration.workflow.text import one_line, shorten
@@ -47,7 +47,7 @@ def read_robot_description(path: Path, packages: Path | None) -> bytes:
 
     Raises:
         InputError: the file cannot be read or expanded, or the folder is none.
-        WorldError: xacrodoc is not installed.
+        InfrastructureError: xacrodoc is not installed.
     """
     content = read_bytes(path, MAX_BYTES, "a robot description")
     if packages is not None and not packages.is_dir():
@@ -57,7 +57,7 @@ def read_robot_description(path: Path, packages: Path | None) -> bytes:
 
 def _expanded(path: Path, packages: Path | None) -> bytes:
     if find_spec("xacrodoc") is None:
-        raise WorldError(f"{path}: a xacro needs the package xacrodoc: pip install 'calibration-ci[xacro]'")
+        raise InfrastructureError(f"{path}: a xacro needs the package xacrodoc: pip install 'calibration-ci[xacro]'")
     with TemporaryDirectory() as folder:
         target = Path(folder) / "robot.urdf"
         words = [str(path.resolve()), str(target), str(packages.resolve()) if packages else ""]

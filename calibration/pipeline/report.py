@@ -34,7 +34,7 @@ def write_results(results: Results, output: Path) -> None:
     """Write the files of a stage's results into the output folder, for the next stage and for people.
 
     Raises:
-        WorldError: a file cannot be written.
+        InfrastructureError: a file cannot be written.
     """
     report(results, output, "calibration").write(output)
 

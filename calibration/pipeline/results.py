@@ -237,7 +237,7 @@ def clear_results(output: Path, inputs: Collection[Path] = ()) -> None:
 
     Raises:
         InputError: one of the inputs is among the earlier results.
-        WorldError: a file cannot be removed.
+        InfrastructureError: a file cannot be removed.
     """
     try:
         earlier = read_results(output)

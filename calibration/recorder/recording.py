@@ -50,7 +50,7 @@ def record(
 
     Raises:
         InputError: an input is missing or malformed.
-        WorldError: the port is taken, or a file cannot be written.
+        InfrastructureError: the port is taken, or a file cannot be written.
     """
     system = read_system(inputs.system, inputs.robot, inputs.configuration)
     session = Session(system, read_motion(inputs.motion) if inputs.motion else None)

@@ -9,7 +9,7 @@ from ipaddress import ip_address
 import rich
 import viser
 
-from calibration.errors import InputError, WorldError
+from calibration.errors import InfrastructureError, InputError
 
 LOOPBACK = "127.0.0.1"
 
@@ -28,7 +28,7 @@ def serving(host: str, port: int) -> Iterator[viser.ViserServer]:
 
     Raises:
         InputError: the host is not an address of this machine.
-        WorldError: the port is in use, or needs other privileges.
+        InfrastructureError: the port is in use, or needs other privileges.
     """
     _check_free(host, port)
     console = rich.get_console()
@@ -71,12 +71,14 @@ def _check_free(host: str, port: int) -> None:
     except socket.gaierror as error:
         raise InputError(f"host: found '{host}', expected an address of this machine ({error.strerror})") from None
     except PermissionError:
-        raise WorldError(f"port: {port} may not be used by this user; give --port 0 for any that is free") from None
+        raise InfrastructureError(
+            f"port: {port} may not be used by this user; give --port 0 for any that is free"
+        ) from None
     except OSError as error:
         if error.errno == errno.EADDRINUSE:
             raise _in_use(host, port) from None
         raise InputError(f"host: found '{host}', expected an address of this machine ({error.strerror})") from None
 
 
-def _in_use(host: str, port: int) -> WorldError:
-    return WorldError(f"port: {port} is in use on {host}; give another --port, or 0 for any that is free")
+def _in_use(host: str, port: int) -> InfrastructureError:
+    return InfrastructureError(f"port: {port} is in use on {host}; give another --port, or 0 for any that is free")

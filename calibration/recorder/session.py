@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from calibration.dataset.json_text import json_text
-from calibration.errors import InputError, WorldError
+from calibration.errors import InfrastructureError, InputError
 from calibration.files import read_bytes, write_atomically
 from calibration.geometry.transforms import inverse
 from calibration.geometry.types import Array
@@ -197,7 +197,7 @@ class Session:
         Raises:
             InputError: no pose is saved, or the file exists, is not what this session wrote there,
                 and may not be replaced.
-            WorldError: it cannot be written.
+            InfrastructureError: it cannot be written.
         """
         content = self.text().encode()
         if not replace_file and not self.may_write(path):
@@ -213,14 +213,14 @@ class Session:
             The new file; None if everything is saved.
 
         Raises:
-            WorldError: no location is writable.
+            InfrastructureError: no location is writable.
         """
         if not self.is_unsaved:
             return None
         try:
             path = _free_name(output)
             self.export(path)
-        except WorldError:
+        except InfrastructureError:
             path = _free_name(Path(tempfile.gettempdir(), output.name))
             self.export(path)
         return path

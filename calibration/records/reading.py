@@ -74,7 +74,7 @@ def read(
         document: parsed document: mappings, lists, texts, numbers, booleans.
         where: prefix of messages: the file, and the key in it if the document is a part of one.
         folder: base folder of relative paths; None leaves them unchanged.
-        error: class of the error; `WorldError` for documents that are not written by users.
+        error: class of the error; `InfrastructureError` for documents that are not written by users.
         more: values of fields that are not part of the document, such as ``name``.
 
     Raises:

@@ -6,7 +6,7 @@ import re
 from dataclasses import dataclass
 from urllib.parse import urlencode, urlsplit
 
-from calibration.errors import WorldError
+from calibration.errors import InfrastructureError
 from calibration.http import Http, is_loopback
 from calibration.registries.credentials import Credentials
 from calibration.workflow.text import one_line, shorten
@@ -59,7 +59,7 @@ def fetch_token(
         registry: for messages.
 
     Raises:
-        WorldError: the place is not safe, cannot be reached, or answers with something else.
+        InfrastructureError: the place is not safe, cannot be reached, or answers with something else.
     """
     try:
         realm = urlsplit(challenge.realm)
@@ -68,7 +68,9 @@ def fetch_token(
     insecure = is_loopback(realm.netloc) or (credentials is not None and credentials.insecure)
     if realm.scheme != "https" and not (realm.scheme == "http" and insecure):
         shown = shorten(one_line(challenge.realm))
-        raise WorldError(f"{registry}: wants passwords sent to {shown!r}, which is not safe: https was expected")
+        raise InfrastructureError(
+            f"{registry}: wants passwords sent to {shown!r}, which is not safe: https was expected"
+        )
     asked = {"service": challenge.service, "scope": challenge.scope or scope}
     query = urlencode({name: value for name, value in asked.items() if value})
     url = challenge.realm + ("&" if realm.query else "?") + query
@@ -88,5 +90,5 @@ def fetch_token(
     except (ValueError, AttributeError, RecursionError):
         token = None
     if answer.status != 200 or not isinstance(token, str) or not (token.isascii() and token.isprintable()):
-        raise WorldError(f"{realm.netloc}: answered {answer.status} where a token for {registry} was expected")
+        raise InfrastructureError(f"{realm.netloc}: answered {answer.status} where a token for {registry} was expected")
     return token

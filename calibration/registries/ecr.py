@@ -7,7 +7,7 @@ import boto3
 from botocore.config import Config
 
 from calibration.aws_errors import aws_errors
-from calibration.errors import WorldError
+from calibration.errors import InfrastructureError
 from calibration.registries.credentials import Credentials
 from calibration.registries.reference import ECR_PUBLIC, Reference, ecr_host, parse_reference
 from calibration.workflow import Runner, add_mask
@@ -30,7 +30,7 @@ def ecr_credentials(name: str, runner: Runner, create_repository: bool = False, 
 
     Raises:
         InputError: there are no credentials, they are expired or unknown, or may not do this.
-        WorldError: AWS cannot be reached, throttles, or fails.
+        InfrastructureError: AWS cannot be reached, throttles, or fails.
     """
     reference = parse_reference(name)
     with aws_errors(reference.name, "ecr-public" if reference.registry == ECR_PUBLIC else "ecr"):
@@ -47,7 +47,7 @@ def ecr_credentials(name: str, runner: Runner, create_repository: bool = False, 
     except (LookupError, TypeError, ValueError):
         token = colon = ""
     if not colon:
-        raise WorldError(f"{reference.name}: AWS answers without a token")
+        raise InfrastructureError(f"{reference.name}: AWS answers without a token")
     add_mask(runner, token)
     return Credentials(reference.registry, username, password, insecure=insecure)
 

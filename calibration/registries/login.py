@@ -5,7 +5,7 @@ from collections.abc import Mapping
 
 from docker import auth, errors
 
-from calibration.errors import InputError, WorldError
+from calibration.errors import InfrastructureError, InputError
 from calibration.registries.credentials import Credentials, RegistrySettings
 from calibration.registries.reference import DOCKER_HUB, is_ecr, parse_reference
 from calibration.workflow import Runner, add_mask
@@ -29,7 +29,7 @@ def registry_login(
 
     Raises:
         InputError: the settings are not complete, the variable is not set, or AWS denies it.
-        WorldError: AWS cannot be reached, or docker's own helper fails.
+        InfrastructureError: AWS cannot be reached, or docker's own helper fails.
     """
     settings = settings or RegistrySettings()
     registry = parse_reference(name).registry
@@ -74,7 +74,7 @@ def _from_docker(registry: str, insecure: bool) -> Credentials | None:
     try:
         found = auth.load_config().resolve_authconfig(None if registry == DOCKER_HUB else registry)
     except errors.DockerException as error:
-        raise WorldError(
+        raise InfrastructureError(
             f"{registry}: docker's own login cannot be read: {shorten(one_line(str(error)), 200)}"
         ) from None
     except (ValueError, TypeError, AttributeError, UnicodeError):

@@ -29,7 +29,7 @@ def promote(
 
     Raises:
         InputError: the image is not there, a tag is none, or it is denied.
-        WorldError: the registry cannot be reached, or fails.
+        InfrastructureError: the registry cannot be reached, or fails.
     """
     image = parse_reference(name)
     source = image.with_digest(digest_or_key) if is_digest(digest_or_key) else image.with_tag(digest_or_key)
@@ -49,7 +49,7 @@ def tag_image(client: RegistryClient, reference: Reference, manifest: Manifest) 
 
     Raises:
         InputError: that is denied.
-        WorldError: the registry cannot be reached, or fails.
+        InfrastructureError: the registry cannot be reached, or fails.
     """
     before = client.find_manifest(reference)
     if before == manifest.digest:

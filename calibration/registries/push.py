@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import docker.errors
 import requests
 
-from calibration.errors import CalibrationError, InputError, WorldError
+from calibration.errors import CalibrationError, InfrastructureError, InputError
 from calibration.registries.credentials import Credentials
 from calibration.registries.promotion import tag_image
 from calibration.registries.reference import Reference, is_digest, parse_reference
@@ -117,7 +117,7 @@ def push_image(
 
     Raises:
         InputError: there is no such image or repository, or it is denied.
-        WorldError: the engine or the registry cannot be reached, fails, or has something else afterwards.
+        InfrastructureError: the engine or the registry cannot be reached, fails, or has something else afterwards.
     """
     image = parse_reference(reference)
     wanted = [image.with_tag(tag) for tag in dict.fromkeys(tags) if tag != image.tag]
@@ -125,7 +125,7 @@ def push_image(
     with RegistryClient(credentials, pause=pause) as registry:
         manifest = registry.read_manifest(image.with_digest(digest))
         if manifest is None or registry.find_manifest(image) != digest:
-            raise WorldError(f"{image}: the registry does not have the image that was pushed, {digest}")
+            raise InfrastructureError(f"{image}: the registry does not have the image that was pushed, {digest}")
         for other in wanted:
             tag_image(registry, other, manifest)
     return digest
@@ -145,7 +145,7 @@ def _push(
             problem = str(error)
         if attempt + 1 < ATTEMPTS:
             pause(FIRST_PAUSE * 2**attempt)
-    raise WorldError(f"{image}: the push failed: {problem} ({ATTEMPTS} attempts)")
+    raise InfrastructureError(f"{image}: the push failed: {problem} ({ATTEMPTS} attempts)")
 
 
 def _push_once(
@@ -180,7 +180,9 @@ def _events(client: "DockerClient", image: Reference, credentials: Credentials |
     except docker.errors.APIError as error:
         raise _error(str(error.explanation or error), image, credentials) from None
     except (requests.RequestException, OSError, ValueError) as error:
-        raise WorldError(f"{image}: the engine broke off the push: {shorten(one_line(str(error)), 200)}") from None
+        raise InfrastructureError(
+            f"{image}: the engine broke off the push: {shorten(one_line(str(error)), 200)}"
+        ) from None
 
 
 class _PassingError(Exception):
@@ -203,4 +205,4 @@ def _error(message: str, image: Reference, credentials: Credentials | None) -> C
         return InputError(f"{image}: {image.registry} is not trusted by the engine ({message}): {hint}")
     if _PASSING.search(text):
         return _PassingError(message)
-    return WorldError(f"{image}: the push failed: {message}")
+    return InfrastructureError(f"{image}: the push failed: {message}")

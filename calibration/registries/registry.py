@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from typing import Self
 from urllib.parse import quote
 
-from calibration.errors import InputError, WorldError
+from calibration.errors import InfrastructureError, InputError
 from calibration.http import Answer, Http, Limits, is_loopback
 from calibration.registries.challenge import basic, fetch_token, parse_challenge
 from calibration.registries.credentials import Credentials
@@ -74,7 +74,7 @@ class RegistryClient:
 
         Raises:
             InputError: whoever is logged in may not see it.
-            WorldError: the registry cannot be reached, or answers with something else.
+            InfrastructureError: the registry cannot be reached, or answers with something else.
         """
         reference = _parsed(reference)
         answer = self._request(
@@ -87,7 +87,7 @@ class RegistryClient:
             manifest = self.read_manifest(reference)
             return None if manifest is None else manifest.digest
         if reference.digest not in (None, digest):
-            raise WorldError(f"{reference}: the registry answers with another image, {digest}")
+            raise InfrastructureError(f"{reference}: the registry answers with another image, {digest}")
         return digest
 
     def read_manifest(self, reference: Reference | str) -> Manifest | None:
@@ -95,7 +95,7 @@ class RegistryClient:
 
         Raises:
             InputError: whoever is logged in may not see it, or it is of a kind that is no longer used.
-            WorldError: the registry cannot be reached, or what it sends is not what its digest says.
+            InfrastructureError: the registry cannot be reached, or what it sends is not what its digest says.
         """
         reference = _parsed(reference)
         answer = self._request("GET", reference, f"manifests/{_version(reference)}", {"Accept": ", ".join(MEDIA_TYPES)})
@@ -109,7 +109,9 @@ class RegistryClient:
         said = [reference.digest, answer.headers.get("Docker-Content-Digest")]
         for other in said:
             if other is not None and other.startswith("sha256:") and other.strip() != digest:
-                raise WorldError(f"{reference}: what the registry sends has the digest {digest}, not {one_line(other)}")
+                raise InfrastructureError(
+                    f"{reference}: what the registry sends has the digest {digest}, not {one_line(other)}"
+                )
         return Manifest(reference.digest or digest, media_type, answer.body)
 
     def put_manifest(self, reference: Reference | str, manifest: Manifest) -> None:
@@ -117,7 +119,7 @@ class RegistryClient:
 
         Raises:
             InputError: that is denied, or the registry does not take it.
-            WorldError: the registry cannot be reached, or keeps something else.
+            InfrastructureError: the registry cannot be reached, or keeps something else.
         """
         reference = _parsed(reference)
         headers = {"Content-Type": manifest.media_type}
@@ -126,17 +128,17 @@ class RegistryClient:
             raise self._denied(answer, reference)
         if answer.status not in (200, 201):
             message = f"{reference}: the registry does not take it: {answer.status}{self._http.quote(answer.body)}"
-            raise InputError(message) if 400 <= answer.status < 500 else WorldError(message)
+            raise InputError(message) if 400 <= answer.status < 500 else InfrastructureError(message)
         kept = answer.headers.get("Docker-Content-Digest", manifest.digest).strip()
         if kept != manifest.digest:
-            raise WorldError(f"{reference}: the registry keeps {one_line(kept)}, not {manifest.digest}")
+            raise InfrastructureError(f"{reference}: the registry keeps {one_line(kept)}, not {manifest.digest}")
 
     def tags(self, reference: Reference | str) -> list[str]:
         """The tags of a repository, in the registry's order; none where there is no repository.
 
         Raises:
             InputError: whoever is logged in may not see it, or there are more than :data:`MAX_TAGS`.
-            WorldError: the registry cannot be reached, or answers with something else.
+            InfrastructureError: the registry cannot be reached, or answers with something else.
         """
         reference = replace(_parsed(reference), tag=None, digest=None)
         found: list[str] = []
@@ -150,7 +152,7 @@ class RegistryClient:
             except (ValueError, TypeError, KeyError, RecursionError):
                 page = None
             if not isinstance(page, list) or not all(isinstance(tag, str) for tag in page):
-                raise WorldError(f"{reference}: the registry answers with something else than a list of tags")
+                raise InfrastructureError(f"{reference}: the registry answers with something else than a list of tags")
             found += page
             if not page or 'rel="next"' not in answer.headers.get("Link", ""):
                 return found
@@ -189,7 +191,7 @@ class RegistryClient:
 
         Raises:
             InputError: it is denied to whoever is logged in.
-            WorldError: the answer says neither.
+            InfrastructureError: the answer says neither.
         """
         if answer.status == 200:
             return False
@@ -199,7 +201,7 @@ class RegistryClient:
             if self._is_nobody(reference):
                 return True
             raise self._denied(answer, reference)
-        raise WorldError(f"{reference}: the registry answers {answer.status}{self._http.quote(answer.body)}")
+        raise InfrastructureError(f"{reference}: the registry answers {answer.status}{self._http.quote(answer.body)}")
 
     def _is_nobody(self, reference: Reference) -> bool:
         own = self._credentials

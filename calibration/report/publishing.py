@@ -6,7 +6,7 @@ from dataclasses import replace
 from itertools import accumulate, takewhile
 from pathlib import Path
 
-from calibration.errors import WorldError
+from calibration.errors import InfrastructureError
 from calibration.report.report import SUMMARY_FILE, Report
 from calibration.report.results_json import RESULTS_FILE
 from calibration.workflow.annotations import annotate
@@ -25,7 +25,7 @@ _PATHS = {"results": RESULTS_FILE, "summary": SUMMARY_FILE}
 def publish(report: Report, runner: Runner, folder: Path | None = None) -> None:
     """Write the files of a report into a folder if one is given, then show the report on the runner.
 
-    The verdict is the last line of the log. Raises :class:`WorldError` when something cannot be written.
+    The verdict is the last line of the log. Raises :class:`InfrastructureError` when something cannot be written.
     """
     if folder is not None:
         report.write(folder)
@@ -66,10 +66,12 @@ def _bounded(outputs: Mapping[str, OutputValue | None]) -> tuple[dict[str, Outpu
 def remove_results(folder: Path, names: Iterable[str]) -> None:
     """Remove files that an earlier run left in a folder, so that none is mistaken for this one's.
 
-    Raises :class:`WorldError` when one cannot be removed.
+    Raises :class:`InfrastructureError` when one cannot be removed.
     """
     for name in names:
         try:
             (folder / name).unlink(missing_ok=True)
         except OSError as error:
-            raise WorldError(f"{folder / name}: an earlier result cannot be removed: {error.strerror}") from error
+            raise InfrastructureError(
+                f"{folder / name}: an earlier result cannot be removed: {error.strerror}"
+            ) from error

@@ -129,6 +129,6 @@ class Report:
         return {**self.files, **texts, SUMMARY_FILE: self.markdown()}
 
     def write(self, folder: Path) -> None:
-        """Write all files into a folder; raises :class:`calibration.errors.WorldError`."""
+        """Write all files into a folder; raises :class:`calibration.errors.InfrastructureError`."""
         for name, content in self.written().items():
             write_atomically(folder / name, content)

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TypeAlias
 
-from calibration.errors import WorldError
+from calibration.errors import InfrastructureError
 from calibration.workflow.runner import Runner
 
 OutputValue: TypeAlias = str | Path | bool | int | float | Sequence[object] | Mapping[str, object]
@@ -20,7 +20,7 @@ def set_outputs(runner: Runner, values: Mapping[str, OutputValue]) -> None:
     """Set outputs of the step; does nothing if the runner provides no file for them.
 
     Raises ``ValueError`` for a name that GitHub rejects or a number that is not finite, and
-    :class:`WorldError` if the runner's file cannot be written.
+    :class:`InfrastructureError` if the runner's file cannot be written.
     """
     lines = "".join(_assignment(name, _text(value)) for name, value in values.items())
     if runner.output_file is None:
@@ -29,7 +29,9 @@ def set_outputs(runner: Runner, values: Mapping[str, OutputValue]) -> None:
         with runner.output_file.open("a", encoding="utf-8", errors="backslashreplace", newline="") as file:
             file.write(lines)
     except OSError as error:
-        raise WorldError(f"{runner.output_file}: the step's outputs cannot be written: {error.strerror}") from error
+        raise InfrastructureError(
+            f"{runner.output_file}: the step's outputs cannot be written: {error.strerror}"
+        ) from error
 
 
 def _text(value: OutputValue) -> str:

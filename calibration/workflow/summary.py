@@ -3,7 +3,7 @@
 import re
 from collections.abc import Iterable, Sequence
 
-from calibration.errors import WorldError
+from calibration.errors import InfrastructureError
 from calibration.workflow.runner import Runner
 from calibration.workflow.text import LONGEST_CELL, shorten, visible
 
@@ -19,7 +19,7 @@ def add_summary(runner: Runner, markdown: str) -> None:
     """Append Markdown to the step's summary; does nothing if the runner provides no file for it.
 
     Text beyond :data:`SUMMARY_LIMIT` is cut at the end of a line, with a remark in the summary.
-    Raises :class:`WorldError` if the runner's file cannot be written.
+    Raises :class:`InfrastructureError` if the runner's file cannot be written.
     """
     if runner.summary_file is None:
         return
@@ -27,7 +27,9 @@ def add_summary(runner: Runner, markdown: str) -> None:
         with runner.summary_file.open("ab") as file:
             file.write(_cut((markdown.rstrip("\n") + "\n").encode("utf-8", "replace"), SUMMARY_LIMIT - file.tell()))
     except OSError as error:
-        raise WorldError(f"{runner.summary_file}: the step's summary cannot be written: {error.strerror}") from error
+        raise InfrastructureError(
+            f"{runner.summary_file}: the step's summary cannot be written: {error.strerror}"
+        ) from error
 
 
 def markdown_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:

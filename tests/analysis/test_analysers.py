@@ -8,7 +8,7 @@ from calibration.analysis.analysers import ANALYSERS
 from calibration.analysis.copies import Copy
 from calibration.analysis.finding import Finding
 from calibration.analysis.programs import module, say
-from calibration.errors import WorldError
+from calibration.errors import InfrastructureError
 from tests.coverage.projects import write
 
 WORKFLOW = """on: pull_request_target
@@ -89,7 +89,7 @@ def test_the_teams_settings_are_respected(tmp_path: Path) -> None:
     ],
 )
 def test_broken_settings_are_one_line(tmp_path: Path, name: str, files: dict[str, str | bytes]) -> None:
-    with pytest.raises(WorldError, match=rf"{name} failed with exit code \d+: \S") as error:
+    with pytest.raises(InfrastructureError, match=rf"{name} failed with exit code \d+: \S") as error:
         look(tmp_path, name, files)
     assert "\n" not in str(error.value)
 
@@ -128,14 +128,14 @@ def test_a_package_of_the_repository_does_not_take_an_analysers_place(tmp_path: 
 
 
 def test_a_program_that_takes_too_long_is_ended(tmp_path: Path) -> None:
-    with pytest.raises(WorldError, match=r"sleeper took longer than 0\.2 s"):
+    with pytest.raises(InfrastructureError, match=r"sleeper took longer than 0\.2 s"):
         say("sleeper", ["sleep", "60"], tmp_path, 0.2, (0,))
 
 
 def test_a_program_that_fails_is_no_program_without_findings(tmp_path: Path) -> None:
-    with pytest.raises(WorldError, match=r"failed with exit code 1: .*No module named nothing"):
+    with pytest.raises(InfrastructureError, match=r"failed with exit code 1: .*No module named nothing"):
         say("nothing", module("nothing"), tmp_path, 60, (0,))
-    with pytest.raises(WorldError, match="cannot be started"):
+    with pytest.raises(InfrastructureError, match="cannot be started"):
         say("nothing", ["./nothing"], tmp_path, 60, (0,))
 
 

@@ -15,7 +15,7 @@ from calibration.baseline.document import (
     read_baseline,
     write_baseline,
 )
-from calibration.errors import InputError, WorldError
+from calibration.errors import InfrastructureError, InputError
 from tests.baseline.scenes import stereo, taken
 
 
@@ -96,7 +96,7 @@ def test_a_failed_write_leaves_the_old_file(tmp_path: Path, text: str, monkeypat
     path = tmp_path / "baseline.json"
     path.write_text(text)
     monkeypatch.setattr("os.replace", lambda *_: (_ for _ in ()).throw(OSError(28, "no space")))
-    with pytest.raises(WorldError, match="no space"):
+    with pytest.raises(InfrastructureError, match="no space"):
         write_baseline(path, Baseline(1, {}))
     assert path.read_text() == text
     assert list(tmp_path.iterdir()) == [path]

@@ -138,7 +138,7 @@ def test_a_password_without_a_user_is_told_in_an_action(
     assert "registry-username is not given: user and password go together" in capsys.readouterr().err
 
 
-def test_an_output_folder_that_cannot_be_written_is_the_world_s_fault(
+def test_an_output_folder_that_cannot_be_written_is_an_infrastructure_error(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "file").write_text("")

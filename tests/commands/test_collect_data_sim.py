@@ -16,7 +16,7 @@ from tests.small import first_poses
 
 PROJECT = Path(__file__).resolve().parents[2]
 T2RGB = PROJECT / "datasets" / "t2rgb"
-WORLDS = ("--system", "t2rgb", "--scenario-set", "datasets/scenarios.yml", "--scenarios", "2")
+SCENARIOS = ("--system", "t2rgb", "--scenario-set", "datasets/scenarios.yml", "--scenarios", "2")
 
 
 @pytest.fixture(autouse=True)
@@ -119,21 +119,21 @@ def test_red_is_red(small: Path, motion: Path, tmp_path: Path, capsys: pytest.Ca
         (("--system", "t2rgb", "--image", "robot:1"), "image: is for containers: give applications"),
         (("--system", "t2rgb", "--run", "mine"), "run: is for containers"),
         (("--system", "t2rgb", "--timeout", "1h"), "timeout: is for containers"),
-        (("--system", "t2rgb", "--resume"), "resume: is for worlds in containers: backend docker or aws-batch"),
+        (("--system", "t2rgb", "--resume"), "resume: is for scenarios in containers: backend docker or aws-batch"),
         (("--system", "t2rgb", "--ros", "1"), "ros: needs applications"),
         (
-            (*WORLDS, "--backend", "docker"),
-            "image: missing: docker runs every world in an image that has calibration-ci",
+            (*SCENARIOS, "--backend", "docker"),
+            "image: missing: docker runs every scenario in an image that has calibration-ci",
         ),
         (
-            (*WORLDS, "--backend", "aws-batch", "--image", "i", "--aws-batch", "no.yml"),
+            (*SCENARIOS, "--backend", "aws-batch", "--image", "i", "--aws-batch", "no.yml"),
             "no.yml: a file with a section aws-batch",
         ),
         (
-            (*WORLDS, "--backend", "aws-batch", "--image", "i", "--aws-batch", "datasets/scenarios.yml"),
+            (*SCENARIOS, "--backend", "aws-batch", "--image", "i", "--aws-batch", "datasets/scenarios.yml"),
             "datasets/scenarios.yml: missing aws-batch: region, queue, bucket, tools-image, job-role",
         ),
-        ((*WORLDS, "--minimum-coverage", "0.5"), "minimum-coverage: judges one dataset"),
+        ((*SCENARIOS, "--minimum-coverage", "0.5"), "minimum-coverage: judges one dataset"),
         (
             ("--system", "t2rgb", "--robot-command", "run", "--image", "i", "--resume"),
             "resume: one dataset has no part that could be missing",
@@ -163,7 +163,7 @@ def test_red_is_red(small: Path, motion: Path, tmp_path: Path, capsys: pytest.Ca
         ),
         (
             ("--system", "t2rgb", "--robot-command", "run", "--image", "i", "--scenario-set", "s", "--scenarios", "2"),
-            "scenario-set: worlds vary in our own simulation only; applications are told {scenario}",
+            "scenario-set: scenarios vary in our own simulation only; applications are told {scenario}",
         ),
         (
             ("--system", "t2rgb", "--robot-command", "run", "--image", "i", "--player", "ros1"),
@@ -252,16 +252,16 @@ def test_outputs_of_the_step(small: Path, motion: Path, tmp_path: Path, monkeypa
     assert "## collect-data-sim: pass" in (tmp_path / "summary").read_text()
 
 
-def test_many_worlds_and_one_of_them_again(small: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    worlds = tmp_path / "worlds.yml"
-    worlds.write_text("assembly: {translation_mm: {normal: [0, 3]}}\nmotion: {poses: 4}\n")
-    common = ("--system", small, "--scenario-set", worlds)
+def test_many_scenarios_and_one_of_them_again(small: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    scenarios = tmp_path / "scenarios.yml"
+    scenarios.write_text("assembly: {translation_mm: {normal: [0, 3]}}\nmotion: {poses: 4}\n")
+    common = ("--system", small, "--scenario-set", scenarios)
     assert run(*common, "--scenarios", "3", "--seed", "4", "--output", tmp_path / "all") == 0
     out = capsys.readouterr().out
-    assert out.startswith(f"small: 3 worlds of {worlds}, seed 4\n")
-    assert "pass: 3 of 3 worlds of small pass" in out.splitlines()[-1]
+    assert out.startswith(f"small: 3 scenarios of {scenarios}, seed 4\n")
+    assert "pass: 3 of 3 scenarios of small pass" in out.splitlines()[-1]
     files = snapshot(tmp_path / "all")
-    assert set(files) == {"results.json", "worlds.csv", "worlds.png", "summary.md", "junit.xml"}
+    assert set(files) == {"results.json", "scenarios.csv", "scenarios.png", "summary.md", "junit.xml"}
     document = json.loads(files["results.json"])
     assert [each["id"] for each in document["scenarios"]] == ["s4-00000", "s4-00001", "s4-00002"]
     assert run(*common, "--scenario", "s4-00002", "--output", tmp_path / "one") == 0

@@ -150,7 +150,7 @@ def test_wrong_input(options: list[str], message: str, tmp_path: Path, capsys: p
     assert error.count("\n") == 1
 
 
-def test_a_world_that_fails(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_infrastructure_failure(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "file").touch()
     assert sweep(tmp_path / "file" / "out") == 3
     assert "cannot" in capsys.readouterr().err

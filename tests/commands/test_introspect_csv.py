@@ -240,7 +240,9 @@ def test_the_input_is_not_changed(folder: Path) -> None:
     assert (folder / "t.csv").read_text() == ATOM
 
 
-def test_an_output_that_cannot_be_written_is_the_worlds_fault(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_output_that_cannot_be_written_is_an_infrastructure_error(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     (folder / "file").write_text("x")
     assert introspect("--max", "3", "--output", "file") == 3
     assert capsys.readouterr().err == "error: file/results.json: an earlier result cannot be removed: Not a directory\n"

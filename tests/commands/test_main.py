@@ -14,7 +14,7 @@ import pytest
 from calibration import __main__ as entry
 from calibration.__main__ import COMMANDS, LazyCommand, main, run_action
 from calibration.commands import parameters
-from calibration.errors import ExitCode, InputError, UndeterminedError, WorldError
+from calibration.errors import ExitCode, InfrastructureError, InputError, UndeterminedError
 
 
 @pytest.fixture(autouse=True)
@@ -63,7 +63,7 @@ def test_help_lists_the_commands_that_are_there() -> None:
     assert done.stderr == ""
     assert "introspect-csv" in done.stdout
     assert "version" in done.stdout
-    assert "0 pass, 1 the verdict is fail, 2 bad input, 3 the world" in " ".join(done.stdout.split())
+    assert "0 pass, 1 the verdict is fail, 2 bad input, 3 infrastructure failed" in " ".join(done.stdout.split())
 
 
 def test_a_command_that_is_not_installed_is_not_listed(
@@ -145,7 +145,7 @@ def test_the_exit_code_is_what_the_command_returns(ends_with: list[object], end:
     [
         (InputError("a.csv: is\nwrong"), 2, "error: a.csv: is\\nwrong\n"),
         (UndeterminedError("one axis"), 2, "error: one axis\n"),
-        (WorldError("disk full"), 3, "error: disk full\n"),
+        (InfrastructureError("disk full"), 3, "error: disk full\n"),
         (OSError(28, "No space left", "/x"), 3, "error: /x: No space left: make room, or name another place\n"),
         (KeyboardInterrupt(), 130, "error: stopped by SIGINT\n"),
         (
@@ -208,7 +208,7 @@ def test_warnings_of_packages_stand_beside_no_error(
         assert capsys.readouterr().err == ""
 
 
-@pytest.mark.parametrize("error", [InputError, WorldError, click.UsageError])
+@pytest.mark.parametrize("error", [InputError, InfrastructureError, click.UsageError])
 @pytest.mark.parametrize("quoted", ["x" * 100_000, "ab " * 30_000, "a/" * 30_000])
 def test_what_an_error_quotes_is_shortened(
     ends_with: list[object], capsys: pytest.CaptureFixture[str], error: type[Exception], quoted: str

@@ -12,7 +12,7 @@ from calibration.comparison.opencv_stereo import opencv_stereo, opencv_stereo_fi
 from calibration.dataset.modalities import DEPTH
 from calibration.dataset.model import Dataset
 from calibration.dataset.reading import read_dataset
-from calibration.errors import InputError, UndeterminedError, WorldError
+from calibration.errors import InfrastructureError, InputError, UndeterminedError
 from calibration.evaluation.rgb_to_rgb import rgb_to_rgb
 from calibration.geometry.distortion import Equidistant, Rational
 from calibration.geometry.transforms import distance, from_xyz_rpy, retract
@@ -193,5 +193,5 @@ def test_an_answer_that_is_no_number_is_an_error(monkeypatch):
 
 def test_without_opencv_it_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "cv2", None)
-    with pytest.raises(WorldError, match=r"needs OpenCV: pip install opencv-python-headless"):
+    with pytest.raises(InfrastructureError, match=r"needs OpenCV: pip install opencv-python-headless"):
         opencv_stereo(two_cameras(n=4)[0])

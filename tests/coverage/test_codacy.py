@@ -12,7 +12,7 @@ import pytest
 
 from calibration.coverage.codacy import API_URL, Account, Codacy, Upload, parse_account, parse_api_url, report_body
 from calibration.coverage.lines import FileCoverage, Rate
-from calibration.errors import InputError, WorldError
+from calibration.errors import InfrastructureError, InputError
 from calibration.http import ATTEMPTS, FIRST_PAUSE, MAX_BYTES, Http, Limits
 from tests.engine import wait_until
 
@@ -155,7 +155,7 @@ def test_answers_that_are_no_success(
 ) -> None:
     codacy, pauses = client(server.url)
     server.answer(status, body, **headers)
-    with pytest.raises(WorldError) as failed:
+    with pytest.raises(InfrastructureError) as failed:
         tell(codacy)
     message = str(failed.value)
     assert message.startswith(f"codacy: {urlsplit(server.url).netloc}: ")
@@ -194,7 +194,7 @@ def test_what_does_not_pass(server: projects.Codacy, status: int, body: str, sai
     codacy, pauses = client(server.url)
     for _ in range(9):
         server.answer(status, body)
-    with pytest.raises(WorldError) as failed:
+    with pytest.raises(InfrastructureError) as failed:
         tell(codacy)
     assert said in str(failed.value)
     assert len(server.asked) == ATTEMPTS == 4
@@ -204,7 +204,7 @@ def test_what_does_not_pass(server: projects.Codacy, status: int, body: str, sai
 def test_a_long_wait_is_not_waited_for(server: projects.Codacy) -> None:
     codacy, pauses = client(server.url)
     server.answer(429, "", Retry_After="3600")
-    with pytest.raises(WorldError, match=r"answered 429 and asks to come back in 3600 s \(1 attempt\)"):
+    with pytest.raises(InfrastructureError, match=r"answered 429 and asks to come back in 3600 s \(1 attempt\)"):
         tell(codacy)
     assert pauses == []
     server.answer(503, "", Retry_After="Wed, 21 Oct 2026 07:28:00 GMT")  # a date is not understood
@@ -226,7 +226,7 @@ def test_faults_of_the_network(
 ) -> None:
     codacy, pauses = client(server.url, **limits)
     server.fault = fault
-    with pytest.raises(WorldError) as failed:
+    with pytest.raises(InfrastructureError) as failed:
         tell(codacy)
     assert said in str(failed.value)
     assert "\n" not in str(failed.value)
@@ -239,7 +239,7 @@ def test_nobody_is_there() -> None:
         taken.bind(("127.0.0.1", 0))
         codacy, pauses = client(f"http://127.0.0.1:{taken.getsockname()[1]}")
         with pytest.raises(
-            WorldError, match=r"no answer: Connection refused \(4 attempts\): check the network, a proxy"
+            InfrastructureError, match=r"no answer: Connection refused \(4 attempts\): check the network, a proxy"
         ):
             tell(codacy)
     assert pauses == [0.5, 1.0, 2.0]
@@ -247,13 +247,13 @@ def test_nobody_is_there() -> None:
 
 def test_no_such_host() -> None:
     codacy, _ = client("https://codacy.invalid")
-    with pytest.raises(WorldError, match=r"codacy: codacy.invalid: no (answer|connection)"):
+    with pytest.raises(InfrastructureError, match=r"codacy: codacy.invalid: no (answer|connection)"):
         tell(codacy)
 
 
 def test_tls_that_is_none(server: projects.Codacy) -> None:
     codacy, pauses = client(server.url.replace("http:", "https:"))
-    with pytest.raises(WorldError, match=r"TLS is not trusted|no answer"):
+    with pytest.raises(InfrastructureError, match=r"TLS is not trusted|no answer"):
         tell(codacy)
     assert len(pauses) in (0, 3)
 
@@ -283,7 +283,7 @@ def test_tls_that_nobody_vouches_for(tmp_path: Path) -> None:
     with projects.codacy(context) as service:
         codacy, pauses = client(service.url)
         with pytest.raises(
-            WorldError, match=r"its TLS is not trusted: .*certificate verify failed.*REQUESTS_CA_BUNDLE"
+            InfrastructureError, match=r"its TLS is not trusted: .*certificate verify failed.*REQUESTS_CA_BUNDLE"
         ):
             tell(codacy)
         assert pauses == []  # not tried again
@@ -292,12 +292,12 @@ def test_tls_that_nobody_vouches_for(tmp_path: Path) -> None:
 
 def test_an_answer_without_end(server: projects.Codacy) -> None:
     server.answer(200, b" " * (MAX_BYTES + 1))
-    with pytest.raises(WorldError, match="answers with more than 4194304 bytes"):
+    with pytest.raises(InfrastructureError, match="answers with more than 4194304 bytes"):
         tell(client(server.url, whole=30)[0])
 
 
 def test_a_request_that_cannot_be_made(server: projects.Codacy) -> None:
-    with pytest.raises(WorldError, match="the request failed: "):
+    with pytest.raises(InfrastructureError, match="the request failed: "):
         Http().send("POST", server.url, {"bad\nname": "x"}, b"")
 
 
@@ -310,7 +310,7 @@ def test_the_token_stays_with_this_server(
     monkeypatch.setenv("http_proxy", "http://127.0.0.1:9")
     with projects.codacy() as other:
         server.answer(307, "", Location=other.url)
-        with pytest.raises(WorldError, match="sends a POST on"):
+        with pytest.raises(InfrastructureError, match="sends a POST on"):
             tell(client(server.url)[0])
         assert other.asked == []
     assert "Authorization" not in server.asked[0].headers
@@ -329,7 +329,7 @@ def test_the_password_of_another_is_sent_to_nobody(tmp_path: Path, monkeypatch: 
 def test_what_follows_a_failure_is_still_sent(server: projects.Codacy) -> None:
     server.answer(400, '{"error": "first"}')
     server.answer(400, '{"error": "second"}')
-    with pytest.raises(WorldError, match="first"):
+    with pytest.raises(InfrastructureError, match="first"):
         tell(client(server.url)[0], final=True)
     assert len(server.asked) == 2
 

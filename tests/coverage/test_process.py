@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from calibration.coverage.tests import run
-from calibration.errors import InputError, WorldError
+from calibration.errors import InfrastructureError, InputError
 from tests.engine import wait_until
 from tests.processes import runs
 
@@ -67,7 +67,7 @@ def test_what_it_leaves_behind_is_ended(tmp_path: Path) -> None:
 def test_it_may_not_take_longer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("calibration.programs.GRACE", 0.2)  # it ignores SIGTERM
     output = bytearray()
-    with pytest.raises(WorldError, match=r"the tests took longer than 1.5 s \(timeout\) and were stopped"):
+    with pytest.raises(InfrastructureError, match=r"the tests took longer than 1.5 s \(timeout\) and were stopped"):
         run([sys.executable, "-c", STUBBORN], tmp_path, dict(os.environ), 1.5, output.extend)
     assert gone([int(pid) for pid in output.split()[1:]])
 

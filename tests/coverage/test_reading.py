@@ -16,7 +16,7 @@ from calibration.coverage.formats import MAX_BYTES
 from calibration.coverage.lines import FileCoverage, Rate
 from calibration.coverage.reading import Found, read_reports
 from calibration.coverage.sources import find_sources
-from calibration.errors import InputError, WorldError
+from calibration.errors import InfrastructureError, InputError
 from calibration.git.repository import Repository
 
 from .projects import NAMING, commit, robot, write
@@ -210,12 +210,12 @@ def test_what_is_no_report(root: Path, tmp_path: Path, make: Any, message: str) 
 
 def test_a_python_that_cannot_report(root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     file = write_data(tmp_path / "data", {str(root / "robot/naming.py"): JUMPS})
-    with pytest.raises(WorldError, match=r"x: /no/python cannot write a report of it: .*No such file"):
+    with pytest.raises(InfrastructureError, match=r"x: /no/python cannot write a report of it: .*No such file"):
         data_file.report_of(file, "x", {}, root, "/no/python")
-    with pytest.raises(WorldError, match=r"x: coverage.py cannot report on it: .*no_such_plugin"):
+    with pytest.raises(InfrastructureError, match=r"x: coverage.py cannot report on it: .*no_such_plugin"):
         data_file.report_of(file, "x", {"run:plugins": ["no_such_plugin"]}, root, sys.executable)
     monkeypatch.setattr(data_file, "SECONDS", 0.01)
-    with pytest.raises(WorldError, match=r"cannot write a report of it: .*timed out"):
+    with pytest.raises(InfrastructureError, match=r"cannot write a report of it: .*timed out"):
         data_file.report_of(file, "x", {}, root, sys.executable)
 
 

@@ -65,7 +65,7 @@ def test_the_sentence() -> None:
     [
         (GOOD, ExitCode.PASS),
         (FULL, ExitCode.FAIL),  # the verdict goes before the upload
-        (replace(GOOD, upload=Uploaded("codacy", "failed")), ExitCode.WORLD),
+        (replace(GOOD, upload=Uploaded("codacy", "failed")), ExitCode.INFRASTRUCTURE),
         (replace(GOOD, tests=Tests("x", 0, 1.0, Tally())), ExitCode.FAIL),
         (replace(GOOD, limits=(Limit("minimum", 100, Rate(1, 1)),)), ExitCode.PASS),
         (replace(GOOD, limits=(Limit("minimum", 0, Rate()),)), ExitCode.FAIL),  # nothing is no pass

@@ -4,7 +4,7 @@ from pathlib import Path
 import pytest
 
 from calibration.coverage.sources import Sources, find_sources, language_of
-from calibration.errors import InputError, WorldError
+from calibration.errors import InfrastructureError, InputError
 from calibration.git import repository
 from calibration.git.repository import Repository, is_commit
 from tests.conftest import NEEDS_ROOT
@@ -27,7 +27,7 @@ def test_a_folder_outside_of_any_repository(tmp_path: Path) -> None:
 
 def test_no_git(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PATH", str(tmp_path))
-    with pytest.raises(WorldError, match="git cannot be started: No such file"):
+    with pytest.raises(InfrastructureError, match="git cannot be started: No such file"):
         Repository.around(tmp_path)
 
 
@@ -36,7 +36,7 @@ def test_git_that_takes_too_long(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     (tmp_path / "git").chmod(0o755)
     monkeypatch.setenv("PATH", f"{tmp_path}:{os.environ['PATH']}")
     monkeypatch.setattr(repository, "SECONDS", 0.3)
-    with pytest.raises(WorldError, match=r"git rev-parse took longer than 0.3 s"):
+    with pytest.raises(InfrastructureError, match=r"git rev-parse took longer than 0.3 s"):
         Repository.around(tmp_path)
 
 
@@ -104,7 +104,7 @@ def test_commits(tmp_path: Path) -> None:
     assert checkout.commit("--all") is None
     assert checkout.parents("0" * 40) == []
     assert checkout.merge_base("0" * 40, "HEAD") is None
-    with pytest.raises(WorldError, match="git diff 000"):
+    with pytest.raises(InfrastructureError, match="git diff 000"):
         checkout.difference("0" * 40)
     shallow = tmp_path / "shallow"
     git(tmp_path, "clone", "-q", "--depth", "1", f"file://{root}", str(shallow))
@@ -116,7 +116,7 @@ def test_commits(tmp_path: Path) -> None:
 def test_a_broken_checkout(tmp_path: Path) -> None:
     root = robot(tmp_path / "p")
     (root / ".git/index").write_bytes(b"x" * 100)
-    with pytest.raises(WorldError, match=r"git ls-files: .*index"):
+    with pytest.raises(InfrastructureError, match=r"git ls-files: .*index"):
         Repository.around(root).tracked()
 
 

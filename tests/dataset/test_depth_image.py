@@ -11,7 +11,7 @@ from calibration.dataset.depth_image import NO_RETURN, read_depth_image
 from calibration.dataset.model import PointLabels
 from calibration.dataset.reading import read_dataset
 from calibration.dataset.writing import write_dataset
-from calibration.errors import InputError, WorldError
+from calibration.errors import InfrastructureError, InputError
 from calibration.geometry.cameras import Camera
 from tests.dataset import documents
 from tests.dataset.documents import MISSING, Document, changed
@@ -178,7 +178,7 @@ def test_what_is_too_large_is_not_decoded(tmp_path, monkeypatch):
 def test_without_opencv_it_says_what_to_install(tmp_path, monkeypatch):
     path = write(tmp_path)
     monkeypatch.setitem(sys.modules, "cv2", None)
-    with pytest.raises(WorldError, match=r"needs OpenCV: pip install opencv-python-headless"):
+    with pytest.raises(InfrastructureError, match=r"needs OpenCV: pip install opencv-python-headless"):
         read_dataset(path)
     read_dataset(write(tmp_path, changed(document(), {f"{LABEL}/detected": False})))  # nothing is decoded
 

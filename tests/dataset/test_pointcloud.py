@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
 from calibration.dataset.pointcloud import decode_pcd, read_points, write_points
-from calibration.errors import ExitCode, InputError, WorldError
+from calibration.errors import ExitCode, InfrastructureError, InputError
 
 POINTS = np.array([[1.5, -2.25, 3.0], [0.1, 0.2, 0.3], [np.nan, 0.0, -0.0]])
 COLUMNS = {
@@ -114,5 +114,5 @@ def test_words_that_are_no_numbers():
 
 
 def test_where_nothing_can_be_written(tmp_path):
-    with pytest.raises(WorldError, match="cannot be written"):
+    with pytest.raises(InfrastructureError, match="cannot be written"):
         write_points(tmp_path, POINTS)

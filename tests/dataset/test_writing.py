@@ -10,7 +10,7 @@ from calibration.dataset import writing
 from calibration.dataset.model import CornerLabels, Dataset
 from calibration.dataset.reading import read_dataset
 from calibration.dataset.writing import write_dataset, write_document
-from calibration.errors import ExitCode, InputError, WorldError
+from calibration.errors import ExitCode, InfrastructureError, InputError
 from calibration.geometry.transforms import retract
 from tests.dataset import documents
 from tests.dataset.documents import MISSING, changed
@@ -347,9 +347,9 @@ def test_a_transform_can_be_taken_away(tmp_path):
 
 def test_where_nothing_can_be_written(dataset, tmp_path):
     (tmp_path / "file").write_text("")
-    with pytest.raises(WorldError, match="cannot be written") as caught:
+    with pytest.raises(InfrastructureError, match="cannot be written") as caught:
         write_dataset(dataset, tmp_path / "file" / "out")
-    assert caught.value.exit_code == ExitCode.WORLD
+    assert caught.value.exit_code == ExitCode.INFRASTRUCTURE
     assert "\n" not in str(caught.value)
 
 

@@ -15,7 +15,7 @@ from calibration.docker.engine import (
     engine_available,
     engine_errors,
 )
-from calibration.errors import InputError, WorldError
+from calibration.errors import InfrastructureError, InputError
 
 
 @pytest.mark.parametrize(
@@ -29,7 +29,7 @@ from calibration.errors import InputError, WorldError
 )
 def test_no_engine_is_one_line(monkeypatch: pytest.MonkeyPatch, address: str, message: str) -> None:
     monkeypatch.setenv("DOCKER_HOST", address)
-    with pytest.raises(WorldError) as caught:
+    with pytest.raises(InfrastructureError) as caught:
         connect(5)
     assert message in str(caught.value)
     assert "\n" not in str(caught.value)
@@ -40,7 +40,7 @@ def test_no_engine_is_one_line(monkeypatch: pytest.MonkeyPatch, address: str, me
 def test_no_engine_answers_at_a_file(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     (tmp_path / "docker.sock").write_text("")
     monkeypatch.setenv("DOCKER_HOST", f"unix://{tmp_path}/docker.sock")
-    with pytest.raises(WorldError, match="Connection refused"):
+    with pytest.raises(InfrastructureError, match="Connection refused"):
         connect(5)
 
 
@@ -55,7 +55,11 @@ def api_error(status: int, said: str) -> docker.errors.APIError:
     [
         (api_error(400, "no command\nspecified"), InputError, "here: the Docker Engine says: no command specified"),
         (api_error(500, "unable to find user x"), InputError, "unable to find user x"),
-        (api_error(500, "layer does not exist"), WorldError, "here: the Docker Engine says: layer does not exist"),
+        (
+            api_error(500, "layer does not exist"),
+            InfrastructureError,
+            "here: the Docker Engine says: layer does not exist",
+        ),
         (requests.ConnectionError("gone"), EngineLostError, "does not answer any more: gone"),
         (requests.exceptions.ChunkedEncodingError("cut"), EngineLostError, "does not answer any more: cut"),
         (ConnectionResetError(104, "Connection reset by peer"), EngineLostError, "any more: Connection reset by peer"),

@@ -87,7 +87,7 @@ def specification(base: str) -> str:
 
 
 def green(registry: Registry, server: str, **more: str) -> list[Step]:
-    """Return a step for every action, with more inputs; the world is told only on a push, with the secrets it has."""
+    """Return a step for every action, with more inputs; Codacy is told only on a push, with the secrets it has."""
     image = {"spec": "my image.yml", "name": f"{registry.address}/green", "output": "the image"}
     matrix = {"dataset": "my robot", "translation-noise": "0, 0.5", "evaluate": EVALUATE, "output": "the matrix"}
     collection = {"system": "my robot", "motion": "generate:4", "seed": "3", "output": "the collection"}
@@ -195,7 +195,7 @@ def refused() -> Iterator[str]:
 
 
 def test_every_action_is_red_in_every_way(repository: Repository, base_image: str, image: str, refused: str) -> None:
-    """1: the verdict; 2: the input; 3: the world. Each says in one annotation what is wrong."""
+    """1: the verdict; 2: the input; 3: the infrastructure. Each says in one annotation what is wrong."""
     averages = {"file": "my table.csv", "column": "RMS (pix)", "row": "Averages"}
     matrix = {"dataset": "my robot", "evaluate": EVALUATE}
     collection = {"system": "my robot", "motion": "generate:3"}

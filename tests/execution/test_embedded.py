@@ -11,7 +11,7 @@ from typing import TypeVar
 
 import pytest
 
-from calibration.errors import InputError, WorldError
+from calibration.errors import InfrastructureError, InputError
 from calibration.execution.embedded import Embedded
 
 Item = TypeVar("Item")
@@ -51,7 +51,7 @@ def test_an_error_reaches_the_caller() -> None:
 
 
 def test_a_process_that_dies_is_said() -> None:
-    with pytest.raises(WorldError, match="worker process died"):
+    with pytest.raises(InfrastructureError, match="worker process died"):
         list(in_parallel(lambda _: os.kill(os.getpid(), signal.SIGKILL), range(2), 2))
 
 

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calibration.errors import CalibrationError, ExitCode, WorldError
+from calibration.errors import CalibrationError, ExitCode, InfrastructureError
 from calibration.execution.extraction import Budget, Extraction, RefusedError, extract
 from calibration.execution.globs import Glob
 
@@ -145,7 +145,7 @@ def test_a_header_without_an_end_is_not_read(tmp_path: Path) -> None:
             read += 1
             yield ZEROS
 
-    with pytest.raises(WorldError, match="a header has no end"):
+    with pytest.raises(InfrastructureError, match="a header has no end"):
         extracted(tmp_path / "to", stream())
     assert read <= 4
 
@@ -197,7 +197,7 @@ def test_a_hard_link_counts_too(tmp_path: Path) -> None:
     ],
 )
 def test_a_stream_that_breaks_is_no_success(tmp_path: Path, broken: list[bytes]) -> None:
-    with pytest.raises(WorldError, match=r"the archive of the artifacts (is broken|ends too early)"):
+    with pytest.raises(InfrastructureError, match=r"the archive of the artifacts (is broken|ends too early)"):
         extracted(tmp_path / "to", broken)
 
 
@@ -214,7 +214,7 @@ def test_a_folder_that_cannot_be_written(tmp_path: Path, content: bytes) -> None
 def test_a_full_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     plain = io.FileIO
     monkeypatch.setattr(io, "FileIO", lambda _path, _mode: plain("/dev/full", "w"))
-    with pytest.raises(WorldError, match="an artifact cannot be written: No space left on device"):
+    with pytest.raises(InfrastructureError, match="an artifact cannot be written: No space left on device"):
         extracted(tmp_path / "to", archive(entry("out/a", b"x")))
 
 

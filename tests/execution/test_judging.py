@@ -120,7 +120,10 @@ def test_limits_that_count() -> None:
     late = Fake(of(limits=Limits(seconds=9)), started=time.monotonic() - 10, ended=None, last_line="begun")
     judge = Judge(Job("j", (late.container,), seconds=None), one_line)
     assert judge.is_over([late], [])
-    assert (judge.reasons, judge.exit_code) == (["container 'a' ran longer than its 9 s: begun"], ExitCode.WORLD)
+    assert (judge.reasons, judge.exit_code) == (
+        ["container 'a' ran longer than its 9 s: begun"],
+        ExitCode.INFRASTRUCTURE,
+    )
 
 
 def test_one_that_others_wait_for_ended_too_early() -> None:

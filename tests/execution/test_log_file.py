@@ -2,7 +2,7 @@ from pathlib import Path
 
 import pytest
 
-from calibration.errors import WorldError
+from calibration.errors import InfrastructureError
 from calibration.execution.log_file import LONGEST_LINE, LogFile
 
 
@@ -52,12 +52,15 @@ def test_secrets_are_in_neither(tmp_path: Path) -> None:
 
 
 def test_a_file_that_cannot_be_written(tmp_path: Path) -> None:
-    with pytest.raises(WorldError, match="the log cannot be written: No such file or directory"):
+    with pytest.raises(InfrastructureError, match="the log cannot be written: No such file or directory"):
         LogFile(tmp_path / "nosuch" / "log")
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
 def test_a_full_disk(tmp_path: Path) -> None:
     (tmp_path / "log").symlink_to("/dev/full")
-    with LogFile(tmp_path / "log") as log, pytest.raises(WorldError, match="the log cannot be written: No space left"):
+    with (
+        LogFile(tmp_path / "log") as log,
+        pytest.raises(InfrastructureError, match="the log cannot be written: No space left"),
+    ):
         log.feed(b"x")

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from calibration.errors import ExitCode, WorldError
+from calibration.errors import ExitCode, InfrastructureError
 from calibration.execution.bringing_out import Archive, NothingThereError, Opener
 from calibration.execution.job import Artifact, Container, Job, Readiness
 from calibration.execution.judging import how_it_ended
@@ -43,7 +43,7 @@ class Play(Supervisor[Played]):
 
     def _start(self, container: Played) -> None:
         if container.code < 0:
-            raise WorldError("cannot be started")
+            raise InfrastructureError("cannot be started")
         self.told.append(f"start {container.name}")
         container.started = time.monotonic()
         container.ready = container.container.readiness is None
@@ -97,7 +97,7 @@ def test_nothing_more_is_started_when_one_that_others_wait_for_ends_too_early(tm
 
 def test_the_rest_is_stopped_when_one_cannot_be_started(tmp_path: Path) -> None:
     play = Play(Job("job", (container("a"), container("b"))), b={"code": -1})
-    with pytest.raises(WorldError, match="cannot be started"):
+    with pytest.raises(InfrastructureError, match="cannot be started"):
         play.supervise(tmp_path / "artifacts")
     assert play.told == ["start a", "stop a"]
     assert play.containers[0].outcome().end == End.LOST

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from calibration.errors import InputError, WorldError
+from calibration.errors import InfrastructureError, InputError
 from calibration.execution.backends import Place
 from calibration.execution.job import Container, Job
 from calibration.execution.outcome import JobOutcome
@@ -104,11 +104,11 @@ def test_a_result_that_stops_the_others(last: str) -> None:
 @pytest.mark.parametrize("where", ["judge", "done", "stops"])
 def test_an_error_anywhere_ends_everything(where: str) -> None:
     def refuse(*_: object) -> Any:
-        raise WorldError("planted")
+        raise InfrastructureError("planted")
 
     place, tasks = There(), [job("a").then(refuse) if where == "judge" else job("a"), job("b")]
     callbacks = {where: refuse} if where != "judge" else {}
-    with pytest.raises(WorldError, match="planted"):
+    with pytest.raises(InfrastructureError, match="planted"):
         run_tasks(tasks, place=place, **callbacks)
     assert "ended" in place.engine.log
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from calibration.errors import InputError, WorldError
+from calibration.errors import InfrastructureError, InputError
 from calibration.execution.tasks import Task, run_tasks
 from calibration.execution.workspace import FOLDER, Workspace, identity, workspace
 
@@ -76,7 +76,7 @@ def test_two_at_a_time(tmp_path: Path) -> None:
 def test_a_folder_that_cannot_be_made(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with (
-        pytest.raises(WorldError, match="file/inside: cannot be written: Not a directory"),
+        pytest.raises(InfrastructureError, match="file/inside: cannot be written: Not a directory"),
         opened(tmp_path / "file" / "inside", "a"),
     ):
         pass

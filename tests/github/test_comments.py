@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from calibration.errors import InputError, WorldError
+from calibration.errors import InfrastructureError, InputError
 from calibration.github.api import GitHubApi
 from calibration.github.comments import LONGEST, Comments, Marker
 
@@ -126,18 +126,18 @@ def test_a_text_is_cut_to_what_github_takes(service: GitHub) -> None:
         ([FORBIDDEN], InputError, "the token may not: the job needs permissions: pull-requests: write"),
         (
             [(403, {"message": "API rate limit exceeded"}, {"X-RateLimit-Remaining": "0"})],
-            WorldError,
+            InfrastructureError,
             "too many requests",
         ),
         (
             [(403, {"message": "You have exceeded a secondary rate limit"}, {"Retry-After": "60"})],
-            WorldError,
+            InfrastructureError,
             "too many",
         ),
-        ([(502, {"message": "Bad Gateway"}, {})] * 4, WorldError, "answered 502 (Bad Gateway) (4 attempts)"),
+        ([(502, {"message": "Bad Gateway"}, {})] * 4, InfrastructureError, "answered 502 (Bad Gateway) (4 attempts)"),
         ([(404, {"message": "Not Found"}, {})], InputError, "the token may not know of this pull request"),
-        ([(422, {"message": "Validation Failed"}, {})], WorldError, "answered 422 (Validation Failed)"),
-        ([(429, {}, {"Retry-After": "3600"})], WorldError, "3600 s"),
+        ([(422, {"message": "Validation Failed"}, {})], InfrastructureError, "answered 422 (Validation Failed)"),
+        ([(429, {}, {"Retry-After": "3600"})], InfrastructureError, "3600 s"),
     ],
 )
 def test_what_github_refuses_is_one_line(

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calibration.errors import InputError, WorldError
+from calibration.errors import InfrastructureError, InputError
 from calibration.image.content_key import content_key, key_tag
 from calibration.image.context import MTIME, NO_SOURCES, Context, Ignored, read_ignore_file
 
@@ -189,12 +189,12 @@ def test_too_large_names_the_largest(tmp_path: Path) -> None:
 def test_a_file_that_is_gone_or_shorter_at_the_build(folder: Path) -> None:
     context = of_folder(folder)
     (folder / "a.py").write_text("")
-    with pytest.raises(WorldError, match=r"a\.py: the build context cannot be written"):
+    with pytest.raises(InfrastructureError, match=r"a\.py: the build context cannot be written"):
         packed(context)
     (folder / "a.py").unlink()
-    with pytest.raises(WorldError, match=r"a.py: cannot be read for the build"):
+    with pytest.raises(InfrastructureError, match=r"a.py: cannot be read for the build"):
         packed(context)
-    with pytest.raises(WorldError, match=r"a.py: cannot be read for the build"):
+    with pytest.raises(InfrastructureError, match=r"a.py: cannot be read for the build"):
         key(context)
 
 
@@ -206,7 +206,7 @@ def test_written_as_a_folder(folder: Path, tmp_path: Path) -> None:
     assert packed(of_folder(target)) == packed(context_with_parents(context))
     with pytest.raises(InputError, match="an empty folder was expected"):
         context.write_folder(target)
-    with pytest.raises(WorldError, match="cannot be written"):
+    with pytest.raises(InfrastructureError, match="cannot be written"):
         context.write_folder(Path("/proc/nothing"))
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from calibration.errors import WorldError
+from calibration.errors import InfrastructureError
 from calibration.image.specification import ImageSpecification, OwnDockerfile
 from calibration.pipeline.matrix.matrix import Matrix
 from calibration.pipeline.results import Collected, ImageResult, Results
@@ -35,11 +35,11 @@ def test_a_pull_request_promotes_nothing(tmp_path: Path, capsys: pytest.CaptureF
 def test_an_image_that_was_not_pushed_cannot_be_promoted(tmp_path: Path) -> None:
     results = replace(PASSED, image=replace(IMAGE, digest=None))
     with pytest.raises(
-        WorldError, match=r"^image\.promote: .* is in no registry; add push: true to the section image$"
+        InfrastructureError, match=r"^image\.promote: .* is in no registry; add push: true to the section image$"
     ):
         promote_stage(asked(results, tmp_path))
 
 
 def test_anything_else_asks_the_registry(tmp_path: Path) -> None:
-    with pytest.raises(WorldError, match=r"127\.0\.0\.1:9"):
+    with pytest.raises(InfrastructureError, match=r"127\.0\.0\.1:9"):
         promote_stage(asked(PASSED, tmp_path))

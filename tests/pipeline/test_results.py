@@ -91,7 +91,7 @@ def test_writing_what_was_read_changes_nothing(tmp_path: Path) -> None:
         ((CELL,), "pass", ExitCode.PASS),
         ((CELL, FAILED), "fail", ExitCode.FAIL),
         ((CELL, FAILED, BROKEN), "fail", ExitCode.BAD_INPUT),
-        ((BROKEN, replace(BROKEN, error=ExitCode.WORLD)), "fail", ExitCode.WORLD),
+        ((BROKEN, replace(BROKEN, error=ExitCode.INFRASTRUCTURE)), "fail", ExitCode.INFRASTRUCTURE),
         ((), "fail", ExitCode.FAIL),
     ],
 )
@@ -379,7 +379,9 @@ def test_whose_fault_it_is() -> None:
     assert line.endswith("Our engine fails on the same data too (RMS: found 2.5): look at the data")
     assert "Methods without a result" not in told(software_cells(False)).markdown()
     died = software_cells(True)
-    died = replace(died, cells=(replace(died.cells[0], reasons=("the engine is gone",), error=ExitCode.WORLD),))
+    died = replace(
+        died, cells=(replace(died.cells[0], reasons=("the engine is gone",), error=ExitCode.INFRASTRUCTURE),)
+    )
     [line] = failures(died)
     assert line.endswith(": the engine is gone")  # which is not the software's fault
 

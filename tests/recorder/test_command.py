@@ -48,7 +48,7 @@ def test_bad_input_is_said_in_one_line(
     assert expected in said
 
 
-def test_a_port_in_use_is_the_worlds_fault(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_port_in_use_is_an_infrastructure_error(capsys: pytest.CaptureFixture[str]) -> None:
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         taken.listen()

@@ -3,7 +3,7 @@ import urllib.request
 
 import pytest
 
-from calibration.errors import InputError, WorldError
+from calibration.errors import InfrastructureError, InputError
 from calibration.recorder.server import address, is_loopback, serving
 
 
@@ -25,7 +25,7 @@ def test_a_port_in_use_is_said_and_no_other_one_is_taken() -> None:
         taken.listen()
         port = taken.getsockname()[1]
         expected = f"^port: {port} is in use on 127.0.0.1; give another --port"
-        with pytest.raises(WorldError, match=expected), serving("127.0.0.1", port):
+        with pytest.raises(InfrastructureError, match=expected), serving("127.0.0.1", port):
             raise AssertionError("it must not start")
 
 

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calibration.errors import InputError, WorldError
+from calibration.errors import InfrastructureError, InputError
 from calibration.geometry.transforms import from_xyz_rpy, translation
 from calibration.recorder.session import Session, joined
 from calibration.simulation.motion.sequence import Motion, read_motion
@@ -242,7 +242,7 @@ def test_what_cannot_be_saved_beside_the_output_goes_to_temporary_files(
     (tmp_path / "a file").write_text("")
     output = tmp_path / "a file" / "motion.json"  # no folder can be made there
     session = with_poses(t2rgb, 1.5)
-    with pytest.raises(WorldError):
+    with pytest.raises(InfrastructureError):
         session.export(output)
     assert session.is_unsaved
     assert session.autosave(output) == tmp_path / "motion.autosave.json"

@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calibration.errors import InputError, WorldError
+from calibration.errors import InfrastructureError, InputError
 from calibration.records import (
     UNIQUE,
     ByName,
@@ -233,8 +233,8 @@ def test_results_have_nulls_and_may_have_more() -> None:
     schema = schema_of(Result)
     jsonschema.validate({"rms_px": None, "newer": 1}, schema)
     jsonschema.validate({"rms_px": 1.5}, schema)
-    with pytest.raises(WorldError, match=r"results\.json: rms_px: found 'x', expected a number"):
-        read(Result, {"rms_px": "x"}, "results.json", error=WorldError)
+    with pytest.raises(InfrastructureError, match=r"results\.json: rms_px: found 'x', expected a number"):
+        read(Result, {"rms_px": "x"}, "results.json", error=InfrastructureError)
 
 
 @result

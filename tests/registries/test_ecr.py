@@ -5,7 +5,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from calibration.errors import CalibrationError, InputError, WorldError
+from calibration.errors import CalibrationError, InfrastructureError, InputError
 from calibration.registries.credentials import RegistrySettings
 from calibration.registries.ecr import ecr_credentials
 from calibration.registries.login import registry_login
@@ -151,22 +151,26 @@ def reply(status: int, code: str, message: str = "said") -> Reply:
         (reply(400, "InvalidSignatureException"), InputError, "AWS does not know these credentials"),
         (reply(400, "AccessDeniedException"), InputError, "GetAuthorizationToken: AccessDeniedException: the role or"),
         (reply(400, "InvalidParameterException", "a\nb"), InputError, "InvalidParameterException: a b"),
-        (reply(500, "ServerException", "oops"), WorldError, "ServerException: oops"),
+        (reply(500, "ServerException", "oops"), InfrastructureError, "ServerException: oops"),
         (
             reply(400, "ThrottlingException"),
-            WorldError,
+            InfrastructureError,
             "ThrottlingException: too many requests, also after several tries",
         ),
-        (Reply(502, b"<html>"), WorldError, "GetAuthorizationToken"),
-        (Reply(200, b"<html>"), WorldError, "AWS answers without a token"),
-        (Reply(200, b"{}"), WorldError, "AWS answers without a token"),
-        (Reply(200, b'{"authorizationData": []}'), WorldError, "AWS answers without a token"),
+        (Reply(502, b"<html>"), InfrastructureError, "GetAuthorizationToken"),
+        (Reply(200, b"<html>"), InfrastructureError, "AWS answers without a token"),
+        (Reply(200, b"{}"), InfrastructureError, "AWS answers without a token"),
+        (Reply(200, b'{"authorizationData": []}'), InfrastructureError, "AWS answers without a token"),
         (
             Reply(200, b'{"authorizationData": [{"authorizationToken": "%"}]}'),
-            WorldError,
+            InfrastructureError,
             "AWS answers without a token",
         ),
-        (Reply(200, b'{"authorizationData": [{"authorizationToken": "QVdT"}]}'), WorldError, "without a token"),
+        (
+            Reply(200, b'{"authorizationData": [{"authorizationToken": "QVdT"}]}'),
+            InfrastructureError,
+            "without a token",
+        ),
     ],
 )
 def test_what_aws_denies(
@@ -208,7 +212,7 @@ def test_no_aws_at_all(runner: Runner, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("botocore.retries.standard.ExponentialBackoff.delay_amount", lambda *_: 0.0)
     with serve(lambda _: Reply()) as server:
         monkeypatch.setenv("AWS_ENDPOINT_URL", f"http://{server.address}")
-    with pytest.raises(WorldError, match="AWS: Could not connect to the endpoint URL"):
+    with pytest.raises(InfrastructureError, match="AWS: Could not connect to the endpoint URL"):
         ecr_credentials(NAME, runner)
 
 

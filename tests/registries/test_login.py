@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from calibration.errors import CalibrationError, InputError, WorldError
+from calibration.errors import CalibrationError, InfrastructureError, InputError
 from calibration.registries.credentials import Credentials, RegistrySettings
 from calibration.registries.login import registry_login
 from calibration.workflow import Runner
@@ -124,7 +124,7 @@ def test_a_credential_helper(
 def test_a_credential_helper_that_fails(runner: Runner, docker_config: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     docker_config.write_text(json.dumps({"credHelpers": {"ghcr.io": "calibrationtest"}}))
     helper(docker_config.parent, monkeypatch, "cat >/dev/null; echo locked >&2; echo locked; exit 1")
-    with pytest.raises(WorldError, match=r"ghcr\.io: docker's own login cannot be read: .*locked"):
+    with pytest.raises(InfrastructureError, match=r"ghcr\.io: docker's own login cannot be read: .*locked"):
         registry_login(None, NAME, runner, {})
 
 

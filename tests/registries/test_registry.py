@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from calibration.errors import CalibrationError, InputError, WorldError
+from calibration.errors import CalibrationError, InfrastructureError, InputError
 from calibration.http import Limits
 from calibration.registries.credentials import Credentials
 from calibration.registries.registry import MEDIA_TYPES, Manifest, RegistryClient
@@ -123,7 +123,7 @@ def test_answers_that_are_no_manifest(client: RegistryClient, reply: Reply, vers
 
 
 def test_another_image_than_the_one_that_was_asked_for(client: RegistryClient) -> None:
-    with serve(lambda _: FINE) as server, pytest.raises(WorldError, match="answers with another image"):
+    with serve(lambda _: FINE) as server, pytest.raises(InfrastructureError, match="answers with another image"):
         client.find_manifest(f"{server.address}/robot@{OTHER}")
 
 
@@ -156,7 +156,7 @@ def test_what_passes_is_tried_again(client: RegistryClient, pauses: list[float],
 def test_what_does_not_pass_is_given_up(
     client: RegistryClient, pauses: list[float], fault: Reply, message: str
 ) -> None:
-    with serve(lambda _: fault) as server, pytest.raises(WorldError) as caught:
+    with serve(lambda _: fault) as server, pytest.raises(InfrastructureError) as caught:
         client.read_manifest(f"{server.address}/robot")
     assert str(caught.value).startswith(f"{server.address}: {message}")
     assert pauses == [0.5, 1.0, 2.0]
@@ -166,7 +166,7 @@ def test_what_does_not_pass_is_given_up(
 def test_no_server_at_all(client: RegistryClient) -> None:
     with serve(lambda _: FINE) as server:
         pass
-    with pytest.raises(WorldError, match=r"no answer: .*[Rr]efused"):
+    with pytest.raises(InfrastructureError, match=r"no answer: .*[Rr]efused"):
         client.find_manifest(f"{server.address}/robot")
 
 
@@ -181,7 +181,7 @@ def test_the_pause_that_a_registry_asks_for(client: RegistryClient, pauses: list
 def test_a_pause_that_is_too_long(client: RegistryClient, pauses: list[float]) -> None:
     with (
         serve(lambda _: Reply(429, headers={"Retry-After": "3600"})) as server,
-        pytest.raises(WorldError, match="answered 429 and asks to come back in 3600 s"),
+        pytest.raises(InfrastructureError, match="answered 429 and asks to come back in 3600 s"),
     ):
         client.find_manifest(f"{server.address}/robot")
     assert pauses == []
@@ -296,7 +296,7 @@ def test_something_else_than_a_token(answer: bytes) -> None:
     with (
         serve(reply) as server,
         RegistryClient() as client,
-        pytest.raises(WorldError, match=r"answered 200 where a token for .* was expected"),
+        pytest.raises(InfrastructureError, match=r"answered 200 where a token for .* was expected"),
     ):
         client.find_manifest(f"{server.address}/robot")
 
@@ -309,7 +309,7 @@ def test_a_place_for_passwords_that_is_not_safe(realm: str) -> None:
     with (
         serve(registry) as server,
         RegistryClient(user(server)) as client,
-        pytest.raises(WorldError, match="which is not safe: https was expected"),
+        pytest.raises(InfrastructureError, match="which is not safe: https was expected"),
     ):
         client.find_manifest(f"{server.address}/robot")
 
@@ -361,7 +361,7 @@ def test_tls_that_nobody_vouches_for(certificate: Path, monkeypatch: pytest.Monk
         with (
             serve(lambda _: Reply(302, headers={"Location": target})) as server,
             RegistryClient(pause=pauses.append) as client,
-            pytest.raises(WorldError, match="TLS is not trusted"),
+            pytest.raises(InfrastructureError, match="TLS is not trusted"),
         ):
             client.find_manifest(f"{server.address}/robot")
     assert pauses == []
@@ -379,7 +379,10 @@ def test_tls_that_nobody_vouches_for(certificate: Path, monkeypatch: pytest.Monk
     ],
 )
 def test_redirects_that_are_not_followed(client: RegistryClient, location: str, message: str) -> None:
-    with serve(lambda _: Reply(302, headers={"Location": location})) as server, pytest.raises(WorldError) as caught:
+    with (
+        serve(lambda _: Reply(302, headers={"Location": location})) as server,
+        pytest.raises(InfrastructureError) as caught,
+    ):
         client.find_manifest(f"{server.address}/robot")
     assert message in str(caught.value)
 
@@ -387,7 +390,7 @@ def test_redirects_that_are_not_followed(client: RegistryClient, location: str, 
 def test_a_manifest_is_not_sent_on(client: RegistryClient) -> None:
     with (
         serve(lambda _: Reply(307, headers={"Location": "/x"})) as server,
-        pytest.raises(WorldError, match="sends a PUT on to"),
+        pytest.raises(InfrastructureError, match="sends a PUT on to"),
     ):
         client.put_manifest(f"{server.address}/robot:v1", Manifest(DIGEST, DOCKER, CONTENT))
 
@@ -397,14 +400,18 @@ def test_a_manifest_is_not_sent_on(client: RegistryClient) -> None:
     [
         (Reply(201), None, ""),
         (Reply(201, headers={"Docker-Content-Digest": DIGEST}), None, ""),
-        (Reply(201, headers={"Docker-Content-Digest": OTHER}), WorldError, f"the registry keeps {OTHER}, not {DIGEST}"),
+        (
+            Reply(201, headers={"Docker-Content-Digest": OTHER}),
+            InfrastructureError,
+            f"the registry keeps {OTHER}, not {DIGEST}",
+        ),
         (Reply(403), InputError, "denies access (403); nobody is logged in"),
         (
             Reply(400, b'{"errors": [{"code": "TAG_INVALID", "message": "tag is immutable"}]}'),
             InputError,
             "the registry does not take it: 400 (TAG_INVALID: tag is immutable)",
         ),
-        (Reply(302), WorldError, "the registry does not take it: 302"),
+        (Reply(302), InfrastructureError, "the registry does not take it: 302"),
     ],
 )
 def test_a_tag_for_an_image(
@@ -440,7 +447,10 @@ def test_tags(client: RegistryClient) -> None:
 
 @pytest.mark.parametrize("body", [b"<html>", b"[]", b"{}", b'{"tags": "a"}', b'{"tags": [1]}'])
 def test_something_else_than_tags(client: RegistryClient, body: bytes) -> None:
-    with serve(lambda _: Reply(200, body)) as server, pytest.raises(WorldError, match="else than a list of tags"):
+    with (
+        serve(lambda _: Reply(200, body)) as server,
+        pytest.raises(InfrastructureError, match="else than a list of tags"),
+    ):
         client.tags(f"{server.address}/robot")
 
 
@@ -499,5 +509,5 @@ def test_a_proxy_of_the_environment_is_not_asked_for_this_machine(
 def test_docker_hub_is_asked_where_it_answers(client: RegistryClient, monkeypatch: pytest.MonkeyPatch) -> None:
     with serve(lambda _: Reply(503)) as proxy:
         monkeypatch.setenv("https_proxy", f"http://{proxy.address}")
-        with pytest.raises(WorldError, match=r"registry-1\.docker\.io: no answer"):
+        with pytest.raises(InfrastructureError, match=r"registry-1\.docker\.io: no answer"):
             client.find_manifest("debian:bookworm")

@@ -15,7 +15,7 @@ def test_suites_and_cases() -> None:
             "table.csv": [
                 Outcome(name="good", group="g", seconds=1.25),
                 Outcome(name="bad", group="g", reasons=("2 wrong", "this & that"), file="table.csv", line=3),
-                Outcome(name="crashed", reasons=("engine",), error=ExitCode.WORLD),
+                Outcome(name="crashed", reasons=("engine",), error=ExitCode.INFRASTRUCTURE),
                 Outcome(name="left out", skipped="not asked"),
             ],
             "empty": [],
@@ -56,4 +56,4 @@ def test_invalid_characters_are_removed(character: str) -> None:
 
 
 def test_an_error_without_a_reason_is_no_pass() -> None:
-    assert fromstring(junit_xml({"s": [Outcome(name="a", error=ExitCode.WORLD)]})).attrib["errors"] == "1"
+    assert fromstring(junit_xml({"s": [Outcome(name="a", error=ExitCode.INFRASTRUCTURE)]})).attrib["errors"] == "1"

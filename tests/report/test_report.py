@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from calibration.errors import ExitCode, WorldError
+from calibration.errors import ExitCode, InfrastructureError
 from calibration.records import document_of
 from calibration.report import (
     Code,
@@ -63,7 +63,7 @@ def test_a_check_as_an_entry_of_the_results() -> None:
 def test_the_verdict_of_an_outcome() -> None:
     assert Outcome(name="a").verdict == "pass"
     assert Outcome(name="a", reasons=("too far",)).verdict == "fail"
-    assert Outcome(name="a", error=ExitCode.WORLD).verdict == "fail"
+    assert Outcome(name="a", error=ExitCode.INFRASTRUCTURE).verdict == "fail"
     assert Outcome(name="a", skipped="not asked").verdict == "pass"
 
 
@@ -200,5 +200,5 @@ def test_results_of_an_earlier_run_are_removed(tmp_path: Path) -> None:
     (tmp_path / "mine").write_text("x")
     remove_results(tmp_path, ("a", "b"))
     assert [path.name for path in tmp_path.iterdir()] == ["mine"]
-    with pytest.raises(WorldError, match="mine/a: an earlier result cannot be removed"):
+    with pytest.raises(InfrastructureError, match="mine/a: an earlier result cannot be removed"):
         remove_results(tmp_path / "mine", ("a",))

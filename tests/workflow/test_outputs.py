@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calibration.errors import WorldError
+from calibration.errors import InfrastructureError
 from calibration.workflow import Runner, set_outputs
 
 
@@ -85,6 +85,6 @@ def test_without_a_runner_nothing_is_written() -> None:
     set_outputs(Runner(), {"verdict": "pass"})
 
 
-def test_a_file_that_cannot_be_written_is_the_worlds_fault(tmp_path: Path) -> None:
-    with pytest.raises(WorldError, match=f"{tmp_path}: the step's outputs cannot be written"):
+def test_a_file_that_cannot_be_written_is_an_infrastructure_error(tmp_path: Path) -> None:
+    with pytest.raises(InfrastructureError, match=f"{tmp_path}: the step's outputs cannot be written"):
         set_outputs(Runner(output_file=tmp_path), {"verdict": "pass"})

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from markdown_it import MarkdownIt
 
-from calibration.errors import WorldError
+from calibration.errors import InfrastructureError
 from calibration.workflow import Runner, add_summary
 from calibration.workflow.summary import SUMMARY_LIMIT, code_block, escape_markdown, markdown_table
 from calibration.workflow.text import visible
@@ -90,6 +90,6 @@ def test_without_a_runner_nothing_is_written() -> None:
     add_summary(Runner(), "text")
 
 
-def test_a_file_that_cannot_be_written_is_the_worlds_fault(tmp_path: Path) -> None:
-    with pytest.raises(WorldError, match=f"{tmp_path}: the step's summary cannot be written"):
+def test_a_file_that_cannot_be_written_is_an_infrastructure_error(tmp_path: Path) -> None:
+    with pytest.raises(InfrastructureError, match=f"{tmp_path}: the step's summary cannot be written"):
         add_summary(Runner(summary_file=tmp_path), "text")

@@ -31,7 +31,7 @@ class Analyser(ABC):
             seconds: that it may take.
 
         Raises:
-            WorldError: the program is missing, fails or takes too long.
+            InfrastructureError: the program is missing, fails or takes too long.
         """
 
 

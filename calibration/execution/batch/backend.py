@@ -88,7 +88,7 @@ class BatchBackend:
         Raises:
             InputError: a job makes no sense or cannot run on Batch, an image is missing, the queue or bucket is not
                 there, or not for us.
-            WorldError: AWS cannot be reached.
+            InfrastructureError: AWS cannot be reached.
         """
         check_jobs(jobs)
         if workers is not None and workers < 1:

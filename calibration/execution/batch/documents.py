@@ -12,7 +12,7 @@ from dataclasses import dataclass, fields
 from typing import Annotated, Any, Literal
 
 from calibration import json_file
-from calibration.errors import ExitCode, WorldError
+from calibration.errors import ExitCode, InfrastructureError
 from calibration.execution.extraction import RefusedError, path_parts
 from calibration.execution.job import Artifact, Container, Job, Limits, Readiness
 from calibration.execution.job_check import NAME
@@ -129,12 +129,12 @@ def read_job(data: bytes, index: int, where: str) -> TaskJob:
         where: the file's name, for messages.
 
     Raises:
-        WorldError: it is not what `jobs_document` writes, or has no such job.
+        InfrastructureError: it is not what `jobs_document` writes, or has no such job.
     """
     document = parse_json(data, MOST_BYTES, where)
     if not isinstance(document, list) or not 0 <= index < len(document):
-        raise WorldError(f"{where}: there is no job {index} in it")
-    entry = read(_JobEntry, document[index], f"{where}: job {index}", error=WorldError)
+        raise InfrastructureError(f"{where}: there is no job {index} in it")
+    entry = read(_JobEntry, document[index], f"{where}: job {index}", error=InfrastructureError)
     job = Job(
         name=entry.job,
         seconds=entry.seconds,
@@ -149,14 +149,14 @@ def parse_json(data: bytes, most: int, where: str) -> object:
     """Parse a document of at most ``most`` bytes.
 
     Raises:
-        WorldError: it is larger, or no JSON.
+        InfrastructureError: it is larger, or no JSON.
     """
     if len(data) > most:
-        raise WorldError(f"{where}: found {len(data)} bytes, at most {most} were expected")
+        raise InfrastructureError(f"{where}: found {len(data)} bytes, at most {most} were expected")
     try:
         return json_file.parse_json(data)
     except (ValueError, RecursionError) as error:
-        raise WorldError(f"{where}: this is no JSON: {shorten(str(error), 200)}") from None
+        raise InfrastructureError(f"{where}: this is no JSON: {shorten(str(error), 200)}") from None
 
 
 def _entry_of(container: Container, memory: int | None) -> _ContainerEntry:
@@ -268,10 +268,10 @@ def read_outcome(data: bytes, job: Job, attempt: int, where: str) -> TaskOutcome
         where: the file's name, for messages.
 
     Raises:
-        WorldError: it is none, or contradicts the job or itself.
+        InfrastructureError: it is none, or contradicts the job or itself.
     """
-    place = Place(where, error=WorldError)
-    entry = read(_OutcomeEntry, parse_json(data, most_bytes(job), where), where, error=WorldError)
+    place = Place(where, error=InfrastructureError)
+    entry = read(_OutcomeEntry, parse_json(data, most_bytes(job), where), where, error=InfrastructureError)
     for key, found, expected in (("job", entry.job, job.name), ("attempt", entry.attempt, attempt)):
         if found != expected:
             raise place.below(key).unexpected(found, repr(expected))
@@ -302,39 +302,43 @@ def _check_containers(outcome: TaskOutcome, job: Job, where: str) -> None:
     its = {container.name: container for container in outcome.containers}
     found, expected = [c.name for c in outcome.containers], [c.name for c in job.containers]
     if sorted(found) != sorted(expected):
-        raise WorldError(f"{where}: containers: found {shorten(str(found))}, expected {shorten(str(expected))}")
+        raise InfrastructureError(
+            f"{where}: containers: found {shorten(str(found))}, expected {shorten(str(expected))}"
+        )
     if outcome.exit_code != ExitCode.PASS:
         return
     ended = [c for c in job.containers if c.essential and its[c.name].end != End.STOPPED]
     for container in ended:
         end, code = its[container.name].end, its[container.name].exit_code
         if end != End.EXITED or code not in container.success:
-            raise WorldError(
+            raise InfrastructureError(
                 f"{where}: the job is said to have passed, but container '{container.name}' {end} with exit code {code}"
             )
     if not ended:
-        raise WorldError(f"{where}: the job is said to have passed, but no essential container ended")
+        raise InfrastructureError(f"{where}: the job is said to have passed, but no essential container ended")
 
 
 def _check_artifacts(outcome: TaskOutcome, job: Job, where: str) -> None:
     if (size := sum(file.size for file in outcome.artifacts)) > job.artifact_bytes:
-        raise WorldError(f"{where}: artifacts: found {size} bytes, at most {job.artifact_bytes} were expected")
+        raise InfrastructureError(f"{where}: artifacts: found {size} bytes, at most {job.artifact_bytes} were expected")
     names = {container.name for container in job.containers}
     paths: set[str] = set()
     for file in outcome.artifacts:
         try:
             parts = path_parts(file.path)
         except RefusedError as error:
-            raise WorldError(f"{where}: artifacts: {error}") from None
+            raise InfrastructureError(f"{where}: artifacts: {error}") from None
         if "/".join(parts) != file.path:
-            raise WorldError(f"{where}: artifacts: path: found {shorten(repr(file.path))}, expected a plain path")
+            raise InfrastructureError(
+                f"{where}: artifacts: path: found {shorten(repr(file.path))}, expected a plain path"
+            )
         if file.container not in names:
-            raise WorldError(f"{where}: artifacts: there is no container '{shorten(file.container)}'")
+            raise InfrastructureError(f"{where}: artifacts: there is no container '{shorten(file.container)}'")
         if file.path in paths:
-            raise WorldError(f"{where}: artifacts: '{file.path}' stands there twice")
+            raise InfrastructureError(f"{where}: artifacts: '{file.path}' stands there twice")
         paths.add(file.path)
     for file in outcome.artifacts:
         above = file.path.split("/")[:-1]
         for count in range(1, len(above) + 1):
             if (folder := "/".join(above[:count])) in paths:
-                raise WorldError(f"{where}: artifacts: '{folder}' is a folder and a file")
+                raise InfrastructureError(f"{where}: artifacts: '{folder}' is a folder and a file")

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from typing import Annotated, Any
 
 from calibration.aws_errors import AwsLostError
-from calibration.errors import ExitCode, WorldError
+from calibration.errors import ExitCode, InfrastructureError
 from calibration.execution.batch.documents import MOST_BYTES, most_bytes, parse_json, read_outcome
 from calibration.execution.batch.following import Submitted
 from calibration.execution.batch.store import Store
@@ -59,7 +59,7 @@ def find_results(store: Store, location: Location) -> dict[str, Result]:
 
     Raises:
         InputError: it is not allowed.
-        WorldError: a file of jobs is broken.
+        InfrastructureError: a file of jobs is broken.
         AwsLostError: AWS does not answer.
     """
     found: dict[str, Result] = {}
@@ -77,7 +77,7 @@ def find_results(store: Store, location: Location) -> dict[str, Result]:
 
 
 def has_verdict(store: Store, location: Location, result: Result, job: Job) -> bool:
-    """Whether a result says what the job is worth, good or bad: not that its input was wrong or that the world failed.
+    """Whether a result is a verdict on the job, pass or fail: not bad input and not an infrastructure failure.
 
     Args:
         store: where it is.
@@ -95,7 +95,7 @@ def has_verdict(store: Store, location: Location, result: Result, job: Job) -> b
         return data is not None and read_outcome(data, job, result.attempt, key).exit_code <= ExitCode.FAIL
     except AwsLostError:
         raise
-    except WorldError:  # it is none of this job
+    except InfrastructureError:  # it is none of this job
         return False
 
 
@@ -110,7 +110,7 @@ def _ids(store: Store, location: Location) -> dict[int, str]:
     data = store.get(key, MOST_BYTES)
     ids: dict[int, str] = {}
     for entry in _list(data, key):
-        submission = read(_Submission, entry, key, error=WorldError)
+        submission = read(_Submission, entry, key, error=InfrastructureError)
         for child in range(submission.count):
             ids[submission.first + child] = f"{submission.id}:{child}" if submission.count > 1 else submission.id
     return ids

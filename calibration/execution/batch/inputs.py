@@ -11,7 +11,7 @@ from functools import partial
 from pathlib import Path, PurePosixPath
 from typing import IO, Any
 
-from calibration.errors import InputError, WorldError
+from calibration.errors import InfrastructureError, InputError
 from calibration.execution.batch.documents import Input, job_entry, jobs_document, mount_targets
 from calibration.execution.batch.following import batches
 from calibration.execution.batch.session import patiently
@@ -37,7 +37,7 @@ def pack(folder: Path, file: IO[bytes]) -> Packed:
 
     Raises:
         InputError: something cannot be read, is no file or folder, or a link that leads out.
-        WorldError: the tar cannot be written.
+        InfrastructureError: the tar cannot be written.
     """
     root = folder.resolve()
     try:
@@ -45,7 +45,7 @@ def pack(folder: Path, file: IO[bytes]) -> Packed:
             for path in _all_in(root):
                 _add(archive, root, path)
     except OSError as error:
-        raise WorldError(f"{folder}: cannot be packed: {error.strerror or error}") from error
+        raise InfrastructureError(f"{folder}: cannot be packed: {error.strerror or error}") from error
     size = file.tell()
     file.seek(0)
     return Packed(hashlib.file_digest(file, "sha256").hexdigest(), size)  # type: ignore[arg-type]
@@ -124,7 +124,7 @@ class Inputs:
 
         Raises:
             InputError: something cannot be read, or the bucket not be written.
-            WorldError: a file changes meanwhile, or the disk is full.
+            InfrastructureError: a file changes meanwhile, or the disk is full.
             AwsLostError: AWS does not answer.
         """
         sources = dict.fromkeys(

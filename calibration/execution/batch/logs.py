@@ -34,7 +34,7 @@ def write_log(aws: Aws, group: str, stream: str, path: Path, secrets: Iterable[s
         Its last line that is not empty, fit for a message.
 
     Raises:
-        WorldError: the file cannot be written.
+        InfrastructureError: the file cannot be written.
         InputError: it is not allowed.
         AwsLostError: AWS does not answer.
     """

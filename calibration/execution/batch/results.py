@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from calibration.aws_errors import AwsLostError
-from calibration.errors import CalibrationError, ExitCode, WorldError
+from calibration.errors import CalibrationError, ExitCode, InfrastructureError
 from calibration.execution.batch.documents import TaskOutcome, most_bytes, read_outcome
 from calibration.execution.batch.following import Attempt, ContainerEnd, Description
 from calibration.execution.batch.logs import is_ours, secrets_of, streams, write_log
@@ -37,7 +37,7 @@ class Why:
     """Why there is no outcome."""
 
     reason: str
-    exit_code: ExitCode = ExitCode.WORLD
+    exit_code: ExitCode = ExitCode.INFRASTRUCTURE
 
 
 def host_lost(attempt: Attempt) -> bool:
@@ -70,7 +70,9 @@ def why_no_outcome(job: Job, description: Description, given_up: str, last_lines
             image = next((c.image for c in job.containers if c.name == name), "")
             missing = any(sign in reason.lower() for sign in _NO_SUCH_IMAGE)
             which = f"container '{name}': the image {image}".rstrip() if name else "an image"
-            return Why(f"{which} cannot be pulled: {reason}", ExitCode.BAD_INPUT if missing else ExitCode.WORLD)
+            return Why(
+                f"{which} cannot be pulled: {reason}", ExitCode.BAD_INPUT if missing else ExitCode.INFRASTRUCTURE
+            )
         if reason.startswith(_NO_RESOURCE):
             return Why(f"its task could not be set up: check roles, secrets and the way to the network: {reason}")
     if description.status_reason.startswith(_TIMEOUT):
@@ -191,7 +193,7 @@ class Place:
     """Why we have ended all that was left, if we have."""
 
 
-class _WrongFileError(WorldError):
+class _WrongFileError(InfrastructureError):
     """A file in S3 is not what the task says."""
 
 
@@ -228,7 +230,7 @@ class Results:
         """Bring the result of a job that has ended.
 
         Raises:
-            WorldError: a file cannot be written.
+            InfrastructureError: a file cannot be written.
             InputError: it is not allowed.
             AwsLostError: AWS has not answered for a long time.
         """
@@ -239,8 +241,8 @@ class Results:
             found = self._outcome(asked, place)
         except AwsLostError:
             raise
-        except WorldError as error:  # it is no outcome of this job
-            found = _failed(asked, place.description, str(error), ExitCode.WORLD)
+        except InfrastructureError as error:  # it is no outcome of this job
+            found = _failed(asked, place.description, str(error), ExitCode.INFRASTRUCTURE)
         attempt = 0 if found is None else found.attempt
         lines: dict[str, str] = {}
         if self._all_logs or found is None or found.exit_code != ExitCode.PASS:
@@ -249,7 +251,7 @@ class Results:
             why = why_no_outcome(job, place.description, place.given_up, lines)
             found = _failed(asked, place.description, why.reason, why.exit_code)
         elif found is None:
-            found = _failed(asked, None, "its result is in S3 no more", ExitCode.WORLD)
+            found = _failed(asked, None, "its result is in S3 no more", ExitCode.INFRASTRUCTURE)
         elif attempt:
             found = with_ends(found, asked, _ends(place.description, attempt), lines)
         found = self._files(found, place, attempt, folder / ARTIFACTS)
@@ -261,7 +263,7 @@ class Results:
         """The newest complete outcome, or None where there is none.
 
         Raises:
-            WorldError: it is no outcome of this job.
+            InfrastructureError: it is no outcome of this job.
         """
         expected = place.attempt or (len(place.description.attempts) if place.description else 0)
         found = self._read(job, place, expected) if expected else None
@@ -304,7 +306,7 @@ class Results:
                 for file in found.artifacts:
                     self._file(file, place.location.result_key(place.index, attempt, FILES_FOLDER), fresh)
         except _WrongFileError as error:
-            code = found.exit_code or ExitCode.WORLD
+            code = found.exit_code or ExitCode.INFRASTRUCTURE
             return replace(found, artifacts=(), exit_code=code, reasons=(*found.reasons, str(error)))
         return found
 

@@ -102,7 +102,7 @@ class BatchRun:
 
         Raises:
             InputError: AWS refuses something.
-            WorldError: AWS is away, or a file cannot be written.
+            InfrastructureError: AWS is away, or a file cannot be written.
         """
         inputs = Inputs(self._store, self._location(""), self._settings.memory)
         inputs.upload(self._jobs, _WORKERS)

@@ -22,7 +22,7 @@ from botocore.config import Config
 from botocore.credentials import AssumeRoleWithWebIdentityCredentialFetcher, DeferredRefreshableCredentials
 
 from calibration.aws_errors import AwsLostError, aws_errors
-from calibration.errors import WorldError
+from calibration.errors import InfrastructureError
 from calibration.http import Http
 
 Result = TypeVar("Result")
@@ -190,17 +190,17 @@ def _token_of_github(url: str, secret: str) -> str:
     """Ask GitHub's token service for a token that says which job this is.
 
     Raises:
-        WorldError: it gives none.
+        InfrastructureError: it gives none.
     """
     if urlsplit(url).scheme not in ("https", "http"):
-        raise WorldError(f"GitHub's token service: {_TOKEN_URL} is no URL")
+        raise InfrastructureError(f"GitHub's token service: {_TOKEN_URL} is no URL")
     http = Http([secret], address=_TOKEN_URL)
     try:
         answer = http.send("GET", f"{url}&audience={_AUDIENCE}", {"Authorization": f"bearer {secret}"})
         token = str(json.loads(answer.body)["value"])
-    except (WorldError, ValueError, LookupError, TypeError, RecursionError) as error:
-        why = f"answered {answer.status}" if not isinstance(error, WorldError) else error
-        raise WorldError(f"GitHub's token service gives no token for a role in AWS ({why})") from None
+    except (InfrastructureError, ValueError, LookupError, TypeError, RecursionError) as error:
+        why = f"answered {answer.status}" if not isinstance(error, InfrastructureError) else error
+        raise InfrastructureError(f"GitHub's token service gives no token for a role in AWS ({why})") from None
     finally:
         http.close()
     return token

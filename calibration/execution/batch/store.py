@@ -9,7 +9,7 @@ from typing import IO, TYPE_CHECKING, Any
 import botocore.exceptions
 
 from calibration.aws_errors import aws_errors, error_code
-from calibration.errors import InputError, WorldError
+from calibration.errors import InfrastructureError, InputError
 from calibration.execution.batch.session import Aws
 
 if TYPE_CHECKING:
@@ -78,7 +78,7 @@ class Store:
 
         Raises:
             InputError: it is not allowed.
-            WorldError: it is larger.
+            InfrastructureError: it is larger.
             AwsLostError: AWS does not answer.
         """
         answer = self._open(key)
@@ -86,7 +86,7 @@ class Store:
             return None
         with closing(answer["Body"]) as body:
             if answer["ContentLength"] > most:
-                raise WorldError(
+                raise InfrastructureError(
                     f"{self._where}: {key} has {answer['ContentLength']} bytes, at most {most} were expected"
                 )
             with aws_errors(self._where):
@@ -101,7 +101,7 @@ class Store:
 
         Raises:
             InputError: it is not allowed.
-            WorldError: the file cannot be written.
+            InfrastructureError: the file cannot be written.
             AwsLostError: AWS does not answer.
         """
         answer = self._open(key)
@@ -117,7 +117,7 @@ class Store:
                         digest.update(chunk)
                         file.write(chunk)
             except OSError as error:
-                raise WorldError(f"{path}: cannot be written: {error.strerror or error}") from error
+                raise InfrastructureError(f"{path}: cannot be written: {error.strerror or error}") from error
         return digest.hexdigest()
 
     def keys(self, prefix: str) -> Iterator[str]:

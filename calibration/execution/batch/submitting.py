@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from calibration.aws_errors import AwsLostError, aws_errors
-from calibration.errors import CalibrationError, WorldError
+from calibration.errors import CalibrationError, InfrastructureError
 from calibration.execution.batch.definition import DIGEST_TAG
 from calibration.execution.batch.following import AT_ONCE, Submitted, batches, describe, records
 from calibration.execution.batch.session import Aws, Patience
@@ -134,7 +134,7 @@ def terminate(aws: Aws, ids: Sequence[str], reason: str) -> None:
     """End jobs, whatever they are doing, and see that Batch has taken note of each.
 
     Raises:
-        WorldError: it does not take note; names how many.
+        InfrastructureError: it does not take note; names how many.
         InputError: it is not allowed, or the credentials are expired.
         AwsLostError: AWS does not answer.
     """
@@ -155,7 +155,7 @@ def terminate(aws: Aws, ids: Sequence[str], reason: str) -> None:
         seen = describe(aws, left)
         left = [each for each in left if each in seen and not (seen[each].ended or seen[each].terminated)]
         if left and time.monotonic() > deadline:
-            raise WorldError(f"{len(left)} jobs in AWS Batch do not end, such as {next(iter(left))}")
+            raise InfrastructureError(f"{len(left)} jobs in AWS Batch do not end, such as {next(iter(left))}")
         if left:
             time.sleep(_TAKING_NOTE)
 
@@ -231,7 +231,7 @@ class Submitting:
         """End jobs, and what may have been submitted without our knowing.
 
         Raises:
-            WorldError: something may go on.
+            InfrastructureError: something may go on.
             InputError: it is not allowed, or the credentials are expired.
             AwsLostError: AWS does not answer.
         """
@@ -247,7 +247,7 @@ class Submitting:
         with aws_errors(f"queue '{self._queue}'"):
             answer = self._aws.submitting.submit_job(**request)
         if not answer.get("jobId"):
-            raise WorldError(f"queue '{self._queue}': AWS Batch answers without the id of the job")
+            raise InfrastructureError(f"queue '{self._queue}': AWS Batch answers without the id of the job")
         return str(answer["jobId"])
 
     def _end_doubles(self, name: str, keep: str) -> None:

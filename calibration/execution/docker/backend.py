@@ -12,7 +12,7 @@ from types import TracebackType
 from typing import Self
 
 from calibration.docker.engine import EngineLostError, engine_errors, find_engine, lost
-from calibration.errors import CalibrationError, InputError, WorldError
+from calibration.errors import CalibrationError, InfrastructureError, InputError
 from calibration.execution.admission import Admission, Need
 from calibration.execution.backends import Place
 from calibration.execution.docker.images import find_images
@@ -73,7 +73,7 @@ class DockerBackend:
         """Find the engine.
 
         Raises:
-            WorldError: there is none.
+            InfrastructureError: there is none.
         """
         self._engine = find_engine()
         self._client = self._engine.client()
@@ -85,7 +85,7 @@ class DockerBackend:
         """Remove what is left, such as the networks.
 
         Raises:
-            WorldError: something cannot be removed, and nothing else has gone wrong.
+            InfrastructureError: something cannot be removed, and nothing else has gone wrong.
         """
         try:
             try:
@@ -113,7 +113,7 @@ class DockerBackend:
 
         Raises:
             InputError: a job makes no sense, or an image is missing.
-            WorldError: the engine or a registry cannot be reached.
+            InfrastructureError: the engine or a registry cannot be reached.
         """
         check_jobs(jobs)
         if workers is not None and workers < 1:
@@ -220,7 +220,7 @@ class DockerBackend:
                 self._sweep(containers_only=True)
             except EngineLostError:
                 break
-            except WorldError:
+            except InfrastructureError:
                 pass  # somebody else is removing it
             for thread in threads:
                 thread.join(0.2 / len(threads))
@@ -229,7 +229,7 @@ class DockerBackend:
         """End what still runs after an interruption of the ending itself, and remove all that is left.
 
         Raises:
-            WorldError: something cannot be removed, or the engine does not answer.
+            InfrastructureError: something cannot be removed, or the engine does not answer.
         """
         self._stop([thread for thread in self._threads if thread.is_alive()])
         self._sweep()
@@ -238,7 +238,7 @@ class DockerBackend:
         """Remove everything of the run from the engine.
 
         Raises:
-            WorldError: something cannot be removed, or the engine does not answer.
+            InfrastructureError: something cannot be removed, or the engine does not answer.
         """
         self._ask()  # one that says nothing is not waited for
         leftovers = find_leftovers(self._client.api, self.run_name)

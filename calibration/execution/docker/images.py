@@ -7,7 +7,7 @@ from docker import APIClient
 from docker.utils import parse_repository_tag
 
 from calibration.docker.engine import engine_errors, engine_message
-from calibration.errors import InputError, WorldError
+from calibration.errors import InfrastructureError, InputError
 from calibration.workflow.text import one_line, shorten
 
 _NOT_THERE = (
@@ -33,7 +33,7 @@ def find_images(api: APIClient, images: Iterable[str]) -> dict[str, str]:
 
     Raises:
         InputError: there is no such image, or it may not be pulled.
-        WorldError: the engine or the registry cannot be reached.
+        InfrastructureError: the engine or the registry cannot be reached.
     """
     return {image: _find(api, image) or _pull(api, image) for image in dict.fromkeys(images)}
 
@@ -57,15 +57,15 @@ def _pull(api: APIClient, image: str) -> str:
             raise _not_pulled(image, engine_message(error)) from None
     found = _find(api, image)
     if found is None:
-        raise WorldError(f"image '{image}': was pulled, but the engine does not have it")
+        raise InfrastructureError(f"image '{image}': was pulled, but the engine does not have it")
     return found
 
 
-def _not_pulled(image: str, said: str) -> InputError | WorldError:
+def _not_pulled(image: str, said: str) -> InputError | InfrastructureError:
     said = shorten(one_line(said), 300)
     if any(sentence in said.lower() for sentence in _NOT_THERE):
         return InputError(
             f"image '{image}' is not on the engine, and cannot be pulled: {said}; "
             "build it, log in to its registry, or correct its name"
         )
-    return WorldError(f"image '{image}' is not on the engine, and its registry cannot be reached: {said}")
+    return InfrastructureError(f"image '{image}' is not on the engine, and its registry cannot be reached: {said}")

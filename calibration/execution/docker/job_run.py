@@ -9,7 +9,7 @@ from pathlib import Path
 from queue import Empty, SimpleQueue
 
 from calibration.docker.engine import Engine, EngineLostError, engine_errors
-from calibration.errors import CalibrationError, WorldError
+from calibration.errors import CalibrationError, InfrastructureError
 from calibration.execution.bringing_out import Opener
 from calibration.execution.docker.container_run import GRACE, ContainerRun
 from calibration.execution.docker.copying import copy_in, open_output, opener_of
@@ -70,7 +70,7 @@ class JobRun(Supervisor[ContainerRun]):
 
         Raises:
             Interrupted: the run is being stopped.
-            WorldError: a file of ours cannot be written.
+            InfrastructureError: a file of ours cannot be written.
         """
         make_job_folder(self._folder)
         client = self._run.engine.client()
@@ -200,7 +200,7 @@ class JobRun(Supervisor[ContainerRun]):
         """Remove everything of the job; what cannot be removed now, the run tries again at its end."""
         if self._lost:
             return
-        with suppress(WorldError):
+        with suppress(InfrastructureError):
             remove(self._api, [Leftover.of("container", c.id) for c in self.containers if c.id])
             for container in self.containers:
                 container.join(_SETTLING)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Literal, Self
 import docker.errors
 
 from calibration.docker.engine import connect, engine_errors, engine_message
-from calibration.errors import WorldError
+from calibration.errors import InfrastructureError
 from calibration.execution.docker.labels import CONTAINER, JOB, RUN, Owner
 
 if TYPE_CHECKING:
@@ -46,7 +46,7 @@ def find_leftovers(api: "APIClient", run: str | None = None) -> list[Leftover]:
     """Find what a run, or every run, has on the engine, in the order in which it can be removed.
 
     Raises:
-        WorldError: the engine does not answer.
+        InfrastructureError: the engine does not answer.
     """
     chosen = {"label": [RUN if run is None else f"{RUN}={run}"]}
     with engine_errors():
@@ -67,7 +67,7 @@ def remove(api: "APIClient", leftovers: Sequence[Leftover]) -> list[Leftover]:
         What has been removed, by this or by somebody else meanwhile.
 
     Raises:
-        WorldError: something cannot be removed; the rest has been. Or the engine does not answer.
+        InfrastructureError: something cannot be removed; the rest has been. Or the engine does not answer.
     """
     removed, problems = [], []
     for leftover in _in_order(leftovers):
@@ -82,7 +82,7 @@ def remove(api: "APIClient", leftovers: Sequence[Leftover]) -> list[Leftover]:
                     continue
         removed.append(leftover)
     if problems:
-        raise WorldError(f"cannot be removed: {'; '.join(problems[:5])}")
+        raise InfrastructureError(f"cannot be removed: {'; '.join(problems[:5])}")
     return removed
 
 
@@ -123,7 +123,7 @@ class EngineLeftovers:
         """Find the engine.
 
         Raises:
-            WorldError: there is none.
+            InfrastructureError: there is none.
         """
         self._client = connect()
         return self

@@ -14,7 +14,7 @@ import docker.errors
 from docker import APIClient
 
 from calibration.docker.engine import EngineLostError, engine_errors
-from calibration.errors import CalibrationError, WorldError
+from calibration.errors import CalibrationError, InfrastructureError
 from calibration.execution.docker.labels import new_run
 
 _NO_TALKING = {"com.docker.network.bridge.enable_icc": "false"}
@@ -45,7 +45,7 @@ class Networks:
         """The network for jobs with one container; one of its own where the engine cannot keep them apart.
 
         Raises:
-            WorldError: the engine cannot make it, or does not answer.
+            InfrastructureError: the engine cannot make it, or does not answer.
         """
         with self._lock:
             if internal not in self._shared:
@@ -62,7 +62,7 @@ class Networks:
         """A network on which there is nobody.
 
         Raises:
-            WorldError: the engine cannot make one more, or does not answer.
+            InfrastructureError: the engine cannot make one more, or does not answer.
         """
         with self._lock:
             if self._free[internal]:
@@ -83,7 +83,7 @@ class Networks:
                 api.create_network(network.name, "bridge", options, internal=internal, labels=self._labels)
             except docker.errors.APIError as error:
                 if "address pool" in str(error):
-                    raise WorldError(
+                    raise InfrastructureError(
                         "the Docker Engine has no addresses for one more network: let fewer jobs run at once, "
                         "or remove unused networks (docker network prune)"
                     ) from None

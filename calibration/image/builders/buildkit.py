@@ -13,7 +13,7 @@ from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 from typing import IO
 
-from calibration.errors import InputError, WorldError
+from calibration.errors import InfrastructureError, InputError
 from calibration.image.builders.build_log import LAST_LINES, BuildLog
 from calibration.image.builders.failure import build_problem
 from calibration.image.builders.programs import Program, docker_environment, lines_of
@@ -63,7 +63,7 @@ def build_by_buildkit(program: Program, request: BuildRequest, reference: str, l
     Raises:
         BuildFailedError: a step failed, or the Dockerfile is wrong.
         InputError: SSH is asked for and there is no agent.
-        WorldError: the engine, its disk or the network failed.
+        InfrastructureError: the engine, its disk or the network failed.
     """
     start = ["buildx", "build", "--builder", "default", "--load"] if program.buildx else ["build"]
     _run(program, [*start, "--tag", reference], docker_environment(os.environ), request, log)
@@ -75,7 +75,7 @@ def build_and_push(
     """Build for several platforms and push; no engine holds such an image. Returns its digest.
 
     Raises:
-        BuildFailedError, InputError, WorldError: as :func:`build_by_buildkit`.
+        BuildFailedError, InputError, InfrastructureError: as :func:`build_by_buildkit`.
     """
     with ExitStack() as stack:
         folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="calibration-"))
@@ -88,7 +88,7 @@ def build_and_push(
         text = metadata.read_text() if metadata.exists() else ""
     digest = re.search(r'"containerimage\.digest"\s*:\s*"(sha256:[0-9a-f]{64})"', text)
     if digest is None:
-        raise WorldError(f"image {request.name}: BuildKit ended without a digest")
+        raise InfrastructureError(f"image {request.name}: BuildKit ended without a digest")
     return digest[1]
 
 
@@ -124,7 +124,7 @@ def _follow(
     """Run the program to its end.
 
     Raises:
-        BuildFailedError, InputError, WorldError: it failed.
+        BuildFailedError, InputError, InfrastructureError: it failed.
     """
     reader = BuildKitOutput(log)
     status = None
@@ -208,6 +208,6 @@ def _administer(program: Program, environment: Mapping[str, str], image: str, *a
         )
     except subprocess.CalledProcessError as error:
         said = " ".join(error.stderr.decode(errors="replace").split())[-200:]
-        raise WorldError(f"image {image}: `docker buildx {arguments[0]}` failed: {said}") from None
+        raise InfrastructureError(f"image {image}: `docker buildx {arguments[0]}` failed: {said}") from None
     except (OSError, subprocess.TimeoutExpired) as error:
-        raise WorldError(f"image {image}: `docker buildx {arguments[0]}` failed: {error}") from None
+        raise InfrastructureError(f"image {image}: `docker buildx {arguments[0]}` failed: {error}") from None

@@ -16,7 +16,7 @@ import docker
 import requests
 import urllib3
 
-from calibration.errors import CalibrationError, WorldError
+from calibration.errors import CalibrationError, InfrastructureError
 from calibration.image.builders.build_log import BuildLog
 from calibration.image.builders.failure import build_problem
 from calibration.image.builders.request import BuildRequest
@@ -40,12 +40,12 @@ def build_by_engine(client: "DockerClient", request: BuildRequest, log: BuildLog
 
     Raises:
         BuildFailedError: a step failed, or the Dockerfile is wrong.
-        WorldError: the engine, its disk or the network failed.
+        InfrastructureError: the engine, its disk or the network failed.
     """
     for _ in range(_ATTEMPTS):
         with suppress(_LayerGoneError):
             return _build(client, request, log)
-    raise WorldError(f"image {request.name}: others remove images that this build is made of: run it again")
+    raise InfrastructureError(f"image {request.name}: others remove images that this build is made of: run it again")
 
 
 def _build(client: "DockerClient", request: BuildRequest, log: BuildLog) -> str:
@@ -74,9 +74,9 @@ def _build(client: "DockerClient", request: BuildRequest, log: BuildLog) -> str:
         except docker.errors.APIError as error:
             raise build_problem(request.name, "", str(error.explanation or error), log) from None
         except (requests.RequestException, urllib3.exceptions.HTTPError, OSError, ValueError):
-            raise WorldError(f"image {request.name}: the engine broke off the build") from None
+            raise InfrastructureError(f"image {request.name}: the engine broke off the build") from None
     if not image:
-        raise WorldError(f"image {request.name}: the engine ended without an image")
+        raise InfrastructureError(f"image {request.name}: the engine ended without an image")
     return image
 
 

@@ -1,9 +1,9 @@
-"""A build that failed: because of what was to be built, of a missing base, or of the world."""
+"""A build that failed: because of what was to be built, of a missing base, or of the infrastructure."""
 
 import re
 from collections.abc import Sequence
 
-from calibration.errors import CalibrationError, ExitCode, InputError, WorldError
+from calibration.errors import CalibrationError, ExitCode, InfrastructureError, InputError
 from calibration.image.builders.build_log import BuildLog
 from calibration.workflow.text import one_line, shorten
 
@@ -52,7 +52,7 @@ def build_problem(name: str, step: str, message: str, log: BuildLog) -> Calibrat
         log: has the last lines of the step.
 
     Returns:
-        BuildFailedError, unless the words speak of a missing base (InputError) or of the world (WorldError).
+        BuildFailedError; for a missing base InputError, for a failure of the infrastructure InfrastructureError.
     """
     log.end_line()
     message = shorten(log.clean(message), 400)
@@ -60,5 +60,5 @@ def build_problem(name: str, step: str, message: str, log: BuildLog) -> Calibrat
         if _MISSING_BASE.search(message):
             return InputError(f"image {name}: a base image is missing: {message}: check its name, or log in")
         if _WORLD.search(message):
-            return WorldError(f"image {name}: the build broke off: {message}")
+            return InfrastructureError(f"image {name}: the build broke off: {message}")
     return BuildFailedError(name, step, message, tuple(log.last_lines))

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from functools import cache
 from typing import IO
 
-from calibration.errors import WorldError
+from calibration.errors import InfrastructureError
 from calibration.programs import has_ended, started
 
 LONGEST_LINE = 64 * 1024
@@ -22,13 +22,13 @@ def lines_of(command: Sequence[str], stdin: IO[bytes], environment: Mapping[str,
     Closing the generator, or an exception while it waits, stops the program.
 
     Raises:
-        WorldError: it cannot be started.
+        InfrastructureError: it cannot be started.
     """
     with ExitStack() as stack:
         try:
             process = stack.enter_context(started(command, environment, stdin=stdin))
         except OSError as error:
-            raise WorldError(f"{command[0]}: cannot be started: {error.strerror}") from error
+            raise InfrastructureError(f"{command[0]}: cannot be started: {error.strerror}") from error
         if process.stdout is None:
             raise AssertionError("its output is a pipe")
         while line := process.stdout.readline(LONGEST_LINE):

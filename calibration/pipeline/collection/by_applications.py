@@ -16,7 +16,7 @@ from calibration.dataset import truth
 from calibration.dataset.model import CornerLabels, Dataset, label_count
 from calibration.dataset.reading import read_dataset
 from calibration.dataset.writing import write_document
-from calibration.errors import CalibrationError, ExitCode, InputError, WorldError
+from calibration.errors import CalibrationError, ExitCode, InfrastructureError, InputError
 from calibration.execution.backends import Place
 from calibration.execution.job import Job
 from calibration.execution.job_folder import ARTIFACTS, LOGS
@@ -28,7 +28,7 @@ from calibration.pipeline.collection.applications import MOTION, PLAYER, REPORT,
 from calibration.pipeline.collection.report import report
 from calibration.pipeline.collection.request import ContainerRequest
 from calibration.pipeline.collection.results import CollectionResults
-from calibration.pipeline.collection.worlds import Judged, Worlds
+from calibration.pipeline.collection.scenarios import Judged, Scenarios
 from calibration.simulation.collection.contact_sheet import write_contact_sheet
 from calibration.simulation.collection.dataset_folder import replacing_dataset
 from calibration.simulation.collection.document import truth_document
@@ -83,7 +83,7 @@ def collect_by_applications(
 
     Raises:
         InputError: an input is missing or wrong, or the folder has a dataset and may not be overwritten.
-        WorldError: there is no backend, or a file cannot be written.
+        InfrastructureError: there is no backend, or a file cannot be written.
     """
     plan = read_plan(request)
     with replacing_dataset(output, overwrite) as new, tempfile.TemporaryDirectory(prefix=".job-", dir=output) as work:
@@ -130,7 +130,7 @@ def write_inputs(folder: Path, plan: Plan) -> Path | None:
     """Write what the containers see as `INPUTS` into a new folder; None where there is nothing to see.
 
     Raises:
-        WorldError: it cannot be written.
+        InfrastructureError: it cannot be written.
     """
     if plan.motion is None:
         return None
@@ -147,14 +147,14 @@ def _keep_logs(outcome: JobOutcome, output: Path) -> None:
         if (outcome.folder / LOGS).is_dir():
             shutil.move(outcome.folder / LOGS, output / LOGS)
     except OSError as error:
-        raise WorldError(f"{output / LOGS}: cannot be written: {error.strerror or error}") from error
+        raise InfrastructureError(f"{output / LOGS}: cannot be written: {error.strerror or error}") from error
 
 
 def judged(plan: Plan, outcome: JobOutcome, scenario: int, new: Path) -> CollectionResults:
     """Put what was brought out into a new folder, with the results beside it.
 
     Raises:
-        WorldError: a file cannot be written.
+        InfrastructureError: a file cannot be written.
     """
     results = _results(plan, outcome, scenario, new)
     report(results, new).write(new)
@@ -165,7 +165,7 @@ def _results(plan: Plan, outcome: JobOutcome, scenario: int, new: Path) -> Colle
     request = plan.request
     dataset, records, proof = None, [], None
     failures, error = outcome.reasons, None
-    if outcome.exit_code in (ExitCode.BAD_INPUT, ExitCode.WORLD):
+    if outcome.exit_code in (ExitCode.BAD_INPUT, ExitCode.INFRASTRUCTURE):
         error = outcome.exit_code
     if outcome.exit_code == ExitCode.PASS:
         brought = outcome.folder / ARTIFACTS / plan.dataset_name(scenario)
@@ -296,7 +296,7 @@ def _drawn_labels(dataset: Dataset, index: int) -> dict[str, dict[str, dict[str,
     }
 
 
-class ApplicationWorlds(Worlds):
+class ApplicationScenarios(Scenarios):
     """The collections of a request."""
 
     stillness = None

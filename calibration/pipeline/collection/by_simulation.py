@@ -1,7 +1,7 @@
-"""Collections by our own simulation: one dataset, or many worlds in processes here or in containers.
+"""Collections by our own simulation: one dataset, or many scenarios in processes here or in containers.
 
-In a container, ``calibration collect-data-sim`` collects one world; the image has this package. What it says of a world
-is not taken on trust: its dataset is calibrated here again.
+In a container, ``calibration collect-data-sim`` collects one scenario; the image has this package. Its result is not
+trusted: the dataset is calibrated here again.
 """
 
 import json
@@ -22,10 +22,10 @@ from calibration.execution.workspace import identity, workspace
 from calibration.files import read_bytes, write_atomically
 from calibration.pipeline.collection.applications import INPUTS
 from calibration.pipeline.collection.report import report
-from calibration.pipeline.collection.request import CollectionRequest, ScenarioRequest, WorldImage
+from calibration.pipeline.collection.request import CollectionRequest, ScenarioImage, ScenarioRequest
 from calibration.pipeline.collection.results import CollectionResults
-from calibration.pipeline.collection.world_file import FILE, read_world, write_world
-from calibration.pipeline.collection.worlds import Judged, WorldDone, Worlds
+from calibration.pipeline.collection.scenario_file import FILE, read_scenario, write_scenario
+from calibration.pipeline.collection.scenarios import Judged, ScenarioDone, Scenarios
 from calibration.records import read, text_of
 from calibration.simulation.collection.capture import Requirements
 from calibration.simulation.collection.collecting import collect, kept, single_threaded_opencv
@@ -48,7 +48,7 @@ from calibration.simulation.scenarios.scenario_set import read_scenario_set
 from calibration.simulation.system import MOTION_FILE, System, read_system
 from calibration.workflow.text import one_line, shorten
 
-WORLD = "world"
+CONTAINER = "scenario"
 """The name of the container."""
 DATASET = "dataset"
 """The name of the folder that it leaves."""
@@ -75,27 +75,27 @@ def collect_by_simulation(
 
     Raises:
         InputError: an input is wrong, or the folder has a dataset and may not be overwritten.
-        WorldError: a file cannot be written, or a process died; the folder's dataset is as it was.
+        InfrastructureError: a file cannot be written, or a process died; the folder's dataset is as it was.
     """
     requirements = requirements_of(request)
     system = read_system(request.system, request.robot, request.configuration)
-    if request.world is None:
+    if request.scenario is None:
         played = play(system, required_motion(request, system), request.seed)
         begin(system, played.motion)
         return _collected(played, request, requirements, output, overwrite, jobs, done)
-    seed, index = parse_id(request.world.id)
-    worlds = read_scenario_set(request.world.scenario_set, system)
+    seed, index = parse_id(request.scenario.id)
+    scenarios = read_scenario_set(request.scenario.scenario_set, system)
     motion = None if request.motion is None else required_motion(request, system, seed)
-    world = worlds.scenario(seed, index)
-    result = pending_result(worlds, world, motion)
+    scenario = scenarios.scenario(seed, index)
+    result = pending_result(scenarios, scenario, motion)
     try:
-        played = scenario_play(worlds, world, motion)
+        played = scenario_play(scenarios, scenario, motion)
     except InputError as error:
-        write_world(replace(result, reasons=(str(error),)), requirements.stillness, output)
+        write_scenario(replace(result, reasons=(str(error),)), requirements.stillness, output)
         raise
     begin(played.system, played.motion)
     found = _collected(played, request, requirements, output, overwrite, jobs, done, result.hash)
-    write_world(finished_result(result, found.records, found.proof), requirements.stillness, output)
+    write_scenario(finished_result(result, found.records, found.proof), requirements.stillness, output)
     return found
 
 
@@ -124,10 +124,10 @@ def _collected(
     overwrite: bool,
     jobs: int | None,
     done: PoseDone,
-    world: str = "",
+    scenario: str = "",
 ) -> CollectionResults:
-    """Collect what a motion shows; ``world`` tells the world from the one that the system's files describe."""
-    depends_on = _identity(played, requirements, world)
+    """Collect what a motion shows; ``scenario`` identifies it, empty for what the system's files describe."""
+    depends_on = _identity(played, requirements, scenario)
     with workspace(output, depends_on, Record.to_json, Record.from_json) as work:
         records = collect(played, requirements, work, jobs, done)
         good = kept(records)
@@ -150,24 +150,24 @@ def _collected(
     return results
 
 
-def _identity(played: Play, requirements: Requirements, world: str) -> str:
+def _identity(played: Play, requirements: Requirements, scenario: str) -> str:
     """What the records of a collection depend on."""
-    versions = f"{__version__} {np.__version__} {cv2.__version__} {played.seed} {requirements} {world}"
+    versions = f"{__version__} {np.__version__} {cv2.__version__} {played.seed} {requirements} {scenario}"
     motion = json.dumps(motion_document(played.motion))
     return identity(versions.encode(), motion.encode(), *played.system.sources.values())
 
 
-class SimulatedWorlds(Worlds):
-    """The worlds of a scenario set."""
+class SimulatedScenarios(Scenarios):
+    """The scenarios of a scenario set."""
 
     def __init__(self, collection: CollectionRequest, request: ScenarioRequest) -> None:
-        """Read the request's files, and draw the worlds.
+        """Read the request's files, and draw the scenarios.
 
         Raises:
-            InputError: one is missing or wrong, or no draw of a world keeps to the constraints.
+            InputError: one is missing or wrong, or no draw of a scenario keeps to the constraints.
         """
         if request.scenario_set is None:
-            raise InputError("scenarios and scenario need a scenario-set: a YAML file of what varies between worlds")
+            raise InputError("scenarios and scenario need a scenario-set: a YAML file of what varies between scenarios")
         self.image = request.image
         self._collection = collection
         self._requirements = requirements_of(collection)
@@ -180,11 +180,11 @@ class SimulatedWorlds(Worlds):
         self._scenarios = [self._set.scenario(collection.seed, number) for number in range(request.count)]
         self.pending = [pending_result(self._set, scenario, self._motion) for scenario in self._scenarios]
 
-    def run(self, output: Path, jobs: int | None, done: WorldDone) -> list[Judged]:
-        """Collect and calibrate all worlds in processes here; what an interrupted run has finished is found again.
+    def run(self, output: Path, jobs: int | None, done: ScenarioDone) -> list[Judged]:
+        """Collect and calibrate all scenarios in processes here; what an interrupted run has finished is found again.
 
         Raises:
-            WorldError: a file cannot be written, or a process died.
+            InfrastructureError: a file cannot be written, or a process died.
         """
         with workspace(output, self._identity, text_of, _decoded) as work, single_threaded_opencv():
             tasks = [scenario_task(self._set, each, self._motion, self._requirements) for each in self._scenarios]
@@ -193,7 +193,7 @@ class SimulatedWorlds(Worlds):
 
     @property
     def _identity(self) -> str:
-        """What the worlds depend on, beside their numbers."""
+        """What the scenarios depend on, beside their numbers."""
         versions = f"{__version__} {np.__version__} {cv2.__version__} {self._requirements}"
         motion = json.dumps(motion_document(self._motion)) if self._motion else ""
         content = read_bytes(self._set_file, MAX_INPUT, "a scenario set")
@@ -214,31 +214,35 @@ class SimulatedWorlds(Worlds):
         return None if motion is None or motion.startswith(GENERATE) else Path(motion)
 
     def job(self, number: int, inputs: Path | None) -> Job:
-        """The job of a world."""
-        of, image, name = self._collection, self.image or WorldImage(""), self.pending[number].id
+        """The job of a scenario."""
+        of, image, name = self._collection, self.image or ScenarioImage(""), self.pending[number].id
         options = {
             "--system": f"{INPUTS}/{SYSTEM_FOLDER}/{self.system}",
             "--scenario-set": f"{INPUTS}/{SET_FILE}",
             "--scenario": name,
             "--output": f"{OUTPUT}/{DATASET}",
-            "--jobs": "1",  # the worlds are the parallel ones
+            "--jobs": "1",  # the scenarios are the parallel ones
         }
         if of.motion is not None:
             options["--motion"] = of.motion if self._motion_file is None else f"{INPUTS}/{MOTION_INPUT}"
         if of.stillness is not None:
             options["--stillness-mm"] = repr(1000 * of.stillness)
         container = Container(
-            name=WORLD,
+            name=CONTAINER,
             image=image.image,
             command=("calibration", "collect-data-sim", *(word for option in options.items() for word in option)),
             mounts=() if inputs is None else (Mount(inputs.resolve(), INPUTS),),
-            success=(ExitCode.PASS, ExitCode.FAIL, ExitCode.BAD_INPUT),  # what these mean is in the file of the world
+            success=(
+                ExitCode.PASS,
+                ExitCode.FAIL,
+                ExitCode.BAD_INPUT,
+            ),  # what these mean is in the file of the scenario
             artifacts=(Artifact(f"{OUTPUT}/{DATASET}", required=False),),
         )
         return Job(name, (container,), seconds=image.seconds)
 
     def judge(self, number: int, outcome: JobOutcome, new: Path) -> Judged:
-        """What a world's job is worth: its dataset is moved to ``new``, and calibrated."""
+        """What a scenario's job is worth: its dataset is moved to ``new``, and calibrated."""
         known = self.pending[number]
         if outcome.exit_code != ExitCode.PASS:
             error = None if outcome.exit_code == ExitCode.FAIL else outcome.exit_code
@@ -247,7 +251,7 @@ class SimulatedWorlds(Worlds):
         try:
             if not (brought / FILE).exists():
                 raise InputError(f"the image left no {FILE} (it needs calibration-ci){_last_line(outcome)}")
-            said = read_world(brought, known, self.stillness)
+            said = read_scenario(brought, known, self.stillness)
         except InputError as error:
             return Judged(replace(known, reasons=(str(error),)), complete=False)
         brought.rename(new)
@@ -260,13 +264,13 @@ class SimulatedWorlds(Worlds):
 
 
 def _decoded(text: bytes) -> ScenarioResult:
-    return read(ScenarioResult, json.loads(text), "a finished world")
+    return read(ScenarioResult, json.loads(text), "a finished scenario")
 
 
 def _last_line(outcome: JobOutcome) -> str:
     """What the container said last, for a message; nothing where it said nothing."""
     try:
-        with (outcome.folder / LOGS / f"{WORLD}.log").open("rb") as log:
+        with (outcome.folder / LOGS / f"{CONTAINER}.log").open("rb") as log:
             log.seek(max(0, log.seek(0, 2) - _TAIL))
             lines = log.read(_TAIL).decode("utf-8", "replace").splitlines()
     except OSError:

@@ -68,7 +68,7 @@ def report(results: CollectionResults, output: Path) -> Report:
             "corner-error-px": results.corner_rms,
             "translation-mm": proof.translation_mm if proof else None,
             "rotation-deg": proof.rotation_deg if proof else None,
-            **dict.fromkeys(("success-rate", "worst-worlds")),  # of several worlds
+            **dict.fromkeys(("success-rate", "worst-scenarios")),  # of several scenarios
             "contact-sheet": output / CONTACT_SHEET if sheet else None,
             "report": None,  # where there is a page
         },

@@ -30,8 +30,8 @@ class CollectionChecks:
 
 
 @dataclass(frozen=True)
-class WorldOfSet:
-    """One world of a scenario set."""
+class ScenarioOfSet:
+    """One scenario of a scenario set."""
 
     scenario_set: Path
     id: str
@@ -50,12 +50,12 @@ class CollectionRequest:
     motion: str | None = None
     """A file, or ``generate:N``; the system's own motion where None."""
     seed: int = 1
-    """Of the noise and of a generated motion, or of the worlds."""
+    """Of the noise and of a generated motion, or of the scenarios."""
     stillness: float | None = None
     """How far a pattern may move while the sensors look, m; None for the usual."""
     checks: CollectionChecks = dataclasses.field(default_factory=CollectionChecks)
-    world: WorldOfSet | None = None
-    """None for the world that the system's files describe."""
+    scenario: ScenarioOfSet | None = None
+    """None for the scenario that the system's files describe."""
 
 
 @dataclass(frozen=True)
@@ -79,12 +79,12 @@ class ContainerRequest:
 
 
 @dataclass(frozen=True)
-class WorldImage:
-    """An image with this package, in which worlds of our own simulation run."""
+class ScenarioImage:
+    """An image with this package, in which scenarios of our own simulation run."""
 
     image: str
     seconds: float = SECONDS
-    """A world that takes longer is stopped."""
+    """A scenario that takes longer is stopped."""
 
 
 @dataclass(frozen=True)
@@ -92,13 +92,13 @@ class ScenarioRequest:
     """Many datasets."""
 
     collection: CollectionRequest | ContainerRequest
-    """The system, the seed of the worlds, and what each of them has to keep to; a motion, if all have the same."""
+    """The system, the seed of the scenarios, and what each of them has to keep to; a motion, if all have the same."""
     scenario_set: Path | None
-    """Of our own simulation's worlds; None for the team's applications, which know themselves what varies."""
+    """Of our own simulation's scenarios; None for the team's applications, which know themselves what varies."""
     count: int
     minimum_success_rate: float = 1.0
-    """The share of the worlds that has to pass."""
+    """The share of the scenarios that has to pass."""
     applications: tuple[str, ...] = ()
     """The options of the command that say what the team's applications are."""
-    image: WorldImage | None = None
-    """None to run our own simulation's worlds in processes here."""
+    image: ScenarioImage | None = None
+    """None to run our own simulation's scenarios in processes here."""

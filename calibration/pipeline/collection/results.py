@@ -1,4 +1,4 @@
-"""Results of a collection: numbers, checks and verdict, of one dataset and of many worlds."""
+"""Results of a collection: numbers, checks and verdict, of one dataset and of many scenarios."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -190,23 +190,23 @@ def _sensor_numbers(name: str, modality: str, results: CollectionResults) -> Sen
 
 @dataclass(frozen=True)
 class ScenarioResults:
-    """What came of the worlds, and the verdict on them."""
+    """What came of the scenarios, and the verdict on them."""
 
     system: str
     request: ScenarioRequest
     statistics: Statistics
     errors: Mapping[str, ExitCode] = dataclass_field(default_factory=dict)
-    """The worlds that could not be run, by id: because of bad input (2) or a failing world (3). They have failed."""
+    """Scenarios that could not be run, by id: bad input (2) or an infrastructure failure (3). They count as failed."""
 
     @cached_property
     def failed(self) -> dict[str, list[str]]:
-        """The worlds that do not pass, by id, and why."""
+        """The scenarios that do not pass, by id, and why."""
         checks = self.request.collection.checks
-        return {result.id: why for result in self.statistics.results if (why := world_reasons(result, checks))}
+        return {result.id: why for result in self.statistics.results if (why := scenario_reasons(result, checks))}
 
     @property
     def success_rate(self) -> float:
-        """The share of the worlds that pass."""
+        """The share of the scenarios that pass."""
         return round(1 - len(self.failed) / len(self.statistics.results), 6)
 
     @property
@@ -217,7 +217,7 @@ class ScenarioResults:
 
     @property
     def verdict(self) -> Verdict:
-        """Pass if enough worlds pass."""
+        """Pass if enough scenarios pass."""
         return verdict_of(not self.reasons)
 
     @property
@@ -229,12 +229,12 @@ class ScenarioResults:
 
     @property
     def title(self) -> str:
-        """Such as "100 worlds of t2rgb"."""
-        return f"{count_of(len(self.statistics.results), 'world')} of {self.system}"
+        """Such as "100 scenarios of t2rgb"."""
+        return f"{count_of(len(self.statistics.results), 'scenario')} of {self.system}"
 
 
-def world_reasons(result: ScenarioResult, checks: CollectionChecks) -> list[str]:
-    """Why a world does not pass; nothing where it does."""
+def scenario_reasons(result: ScenarioResult, checks: CollectionChecks) -> list[str]:
+    """Why a scenario does not pass; nothing where it does."""
     if not result.converged:
         return list(result.reasons) or ["it does not calibrate"]
     limits = [at_least("collections", result.kept, checks.minimum_collections)]

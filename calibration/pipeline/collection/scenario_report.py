@@ -1,4 +1,4 @@
-"""The report on many worlds of one system."""
+"""The report on many scenarios of one system."""
 
 import re
 import shlex
@@ -17,7 +17,7 @@ from calibration.simulation.scenarios.figure import figure
 from calibration.simulation.scenarios.scenario import ScenarioResult
 from calibration.simulation.scenarios.statistics import PERCENTILES, Statistics, why_unknown
 
-TABLE_FILE, FIGURE_FILE = "worlds.csv", "worlds.png"
+TABLE_FILE, FIGURE_FILE = "scenarios.csv", "scenarios.png"
 REPORT_FILES = (*FILES, TABLE_FILE, FIGURE_FILE)
 WORST_SHOWN = 5
 DRIVERS_SHOWN = 8
@@ -62,12 +62,12 @@ def report(results: ScenarioResults, output: Path) -> Report:
         blocks=(
             Text(_sentence(statistics), only="summary"),
             distribution(statistics),
-            Text("Over the worlds that calibrate; errors are those of the worst sensor.", only="summary"),
+            Text("Over the scenarios that calibrate; errors are those of the worst sensor.", only="summary"),
             *_worst(results),
             *drivers(statistics),
             _losses(statistics),
         ),
-        suites={f"worlds of {results.system}": [_outcome(results, result) for result in statistics.results]},
+        suites={f"scenarios of {results.system}": [_outcome(results, result) for result in statistics.results]},
         results={
             "system": results.system,
             "seed": results.request.collection.seed,
@@ -79,18 +79,18 @@ def report(results: ScenarioResults, output: Path) -> Report:
         outputs={
             **dict.fromkeys(("dataset", "collections", "lost", "detection-rate", "corner-error-px")),  # of one dataset
             "success-rate": results.success_rate,
-            "worst-worlds": worst,
+            "worst-scenarios": worst,
             "translation-mm": statistics.percentiles("translation_mm").get(100),
             "rotation-deg": statistics.percentiles("rotation_deg").get(100),
-            "report": None,  # of one world
+            "report": None,  # of one scenario
             "contact-sheet": output / FIGURE_FILE if pictures else None,
         },
-        files={TABLE_FILE: worlds_table(statistics.results).csv(), **pictures},
+        files={TABLE_FILE: scenarios_table(statistics.results).csv(), **pictures},
     )
 
 
-def world_line(result: ScenarioResult) -> str:
-    """What came of one world, for the progress."""
+def scenario_line(result: ScenarioResult) -> str:
+    """What came of one scenario, for the progress."""
     if not result.converged:
         return f"{result.id}: {'; '.join(result.reasons) or 'does not calibrate'}"
     error = "" if result.translation_mm is None else f", {result.translation_mm:.3g} mm, {result.rotation_deg:.2g} deg"
@@ -100,7 +100,7 @@ def world_line(result: ScenarioResult) -> str:
 def document(statistics: Statistics) -> dict[str, Any]:
     """Return the statistics for ``results.json``."""
     return {
-        "worlds": len(statistics.results),
+        "count": len(statistics.results),
         "calibrated": len(statistics.calibrated),
         "percentiles": {
             measure: {str(p): value for p, value in statistics.percentiles(measure).items()} for measure in _MEASURES
@@ -118,8 +118,8 @@ def _outcome(results: ScenarioResults, result: ScenarioResult) -> Outcome:
 
 def _sentence(statistics: Statistics) -> str:
     poses, kept = (sum(getattr(result, what) for result in statistics.results) for what in ("poses", "kept"))
-    worlds = count_of(len(statistics.results), "world")
-    return f"{len(statistics.calibrated)} of {worlds} calibrate; {kept} of {poses} poses gave a collection."
+    scenarios = count_of(len(statistics.results), "scenario")
+    return f"{len(statistics.calibrated)} of {scenarios} calibrate; {kept} of {poses} poses gave a collection."
 
 
 def distribution(statistics: Statistics) -> Table:
@@ -133,7 +133,7 @@ def distribution(statistics: Statistics) -> Table:
 
 
 def _worst(results: ScenarioResults) -> list[Block]:
-    """Return the worst worlds, and folded their parameters and how to replay them."""
+    """Return the worst scenarios, and folded their parameters and how to replay them."""
     statistics = results.statistics
     worst = statistics.worst(WORST_SHOWN)
     rows = (
@@ -147,21 +147,21 @@ def _worst(results: ScenarioResults) -> list[Block]:
         )
         for result in worst
     )
-    header = ("World", "Error (mm)", "Error (deg)", "Stated sigma (mm)", "Collections", "Outcome")
+    header = ("Scenario", "Error (mm)", "Error (deg)", "Stated sigma (mm)", "Collections", "Outcome")
     first = statistics.results[0].values
     names = [name for name in first if any(result.values[name] != first[name] for result in statistics.results)]
     values = tuple((name, *(f"{result.values[name]:g}" for result in worst)) for name in names)
     parameters = Table(("Parameter", *(result.id for result in worst)), values)
     commands = "\n".join(replay(results, result.id) for result in worst)
     return [
-        Table(header, tuple(rows), title="Worst worlds"),
+        Table(header, tuple(rows), title="Worst scenarios"),
         replace(parameters, title="Their parameters", folded=True, only="summary"),
         Code(commands, title="How to replay them", folded=True, only="summary"),
     ]
 
 
 def replay(results: ScenarioResults, scenario: str) -> str:
-    """The command that collects one of the worlds."""
+    """The command that collects one of the scenarios."""
     of, request = results.request.collection, results.request
     words = ["calibration", "collect-data-sim", "--system", str(of.system or results.system)]
     words += [*request.applications, "--scenario", scenario]
@@ -186,8 +186,8 @@ def drivers(statistics: Statistics) -> list[Block]:
     rows = tuple((d.parameter, f"{d.correlation:+.2f}", f"{d.p:.2g}") for d in strong[:DRIVERS_SHOWN])
     text = (
         f"Spearman's; p (below {SIGNIFICANT:g} here) is the probability that chance gives as much with any of the "
-        f"{len(found)} parameters. Between bars: a parameter's magnitude. A world without a calibration counts as the "
-        "worst."
+        f"{len(found)} parameters. Between bars: a parameter's magnitude. A scenario without a calibration counts as "
+        "the worst."
     )
     header = ("Parameter", "Rank correlation with the translation error", "p")
     return [Table(header, rows, title=title), Text(text, only="summary")]
@@ -206,8 +206,8 @@ def _losses(statistics: Statistics) -> Lines:
     return Lines(lines, REASONS_SHOWN, title=title, only="summary")
 
 
-def worlds_table(results: Sequence[ScenarioResult]) -> Table:
-    """Return a row for each world, for ``worlds.csv``; an empty cell where there is no value."""
+def scenarios_table(results: Sequence[ScenarioResult]) -> Table:
+    """Return a row for each scenario, for ``scenarios.csv``; an empty cell where there is no value."""
     rows = [{name: "" if value is None else str(value) for name, value in _row(each).items()} for each in results]
     return Table(tuple(rows[0]) if rows else (), tuple(tuple(row.values()) for row in rows))
 

@@ -179,7 +179,9 @@ class ConvergenceMap:
     def error(self) -> ExitCode | None:
         """What could not be done: a failing world anywhere, bad input where there is no noise to blame for it."""
         errors = [cell.error for cell in self.pairs[0.0, 0.0].cells]
-        errors += [cell.error for pair in self.pairs.values() for cell in pair.cells if cell.error == ExitCode.WORLD]
+        errors += [
+            cell.error for pair in self.pairs.values() for cell in pair.cells if cell.error == ExitCode.INFRASTRUCTURE
+        ]
         return max((error for error in errors if error is not None), default=None)
 
 

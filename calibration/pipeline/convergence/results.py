@@ -45,7 +45,7 @@ class ConvergenceResults:
         """Why the verdict is fail; nothing where it is pass."""
         lost = [reason for each in self.judged if (reason := without_noise(each))]
         failed = [cell for each in self.judged for pair in each.pairs.values() for cell in pair.cells]
-        world = [f"{cell.name}: {cell.reasons[0]}" for cell in failed if cell.error == ExitCode.WORLD]
+        world = [f"{cell.name}: {cell.reasons[0]}" for cell in failed if cell.error == ExitCode.INFRASTRUCTURE]
         return [*lost, *world, *(str(check) for check in self.checks if not check.passed)]
 
     @property

@@ -86,7 +86,7 @@ def run_sweep(
 
     Raises:
         InputError: a dataset, an evaluation, a truth, an image or a rule is wrong.
-        WorldError: a process died, containers cannot be run, or a file cannot be written.
+        InfrastructureError: a process died, containers cannot be run, or a file cannot be written.
     """
     with ExitStack() as stack:
         tasks = []

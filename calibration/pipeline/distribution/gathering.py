@@ -140,7 +140,7 @@ def _start(cell: Cell) -> tuple[str, float, float, int]:
 
 def _missing(cell: Cell, job: JobCell) -> CellResult:
     result = nothing_yet(cell, SOFTWARE if job.image else OUR_METHOD)
-    return replace(result.failing(NO_RESULT), error=ExitCode.WORLD)
+    return replace(result.failing(NO_RESULT), error=ExitCode.INFRASTRUCTURE)
 
 
 def _collections_of(plan: Plan, folder: Path) -> Results:
@@ -149,7 +149,8 @@ def _collections_of(plan: Plan, folder: Path) -> Results:
     found = _read(folder / COLLECTED_DATA)
     by_name = {each.name: each for each in found.collections}
     collections = [
-        by_name.get(name) or Collected(name, reasons=(NO_RESULT,), error=ExitCode.WORLD) for name in plan.simulations
+        by_name.get(name) or Collected(name, reasons=(NO_RESULT,), error=ExitCode.INFRASTRUCTURE)
+        for name in plan.simulations
     ]
     if other := by_name.keys() - set(plan.simulations):
         raise InputError(f"{folder / COLLECTED_DATA / RESULTS_FILE}: has {min(other)}, which was not planned")

@@ -111,7 +111,7 @@ def run_matrix(
 
     Raises:
         InputError: a dataset, an evaluation, a truth or an image is wrong; nothing has been calibrated then.
-        WorldError: a process died, or containers cannot be run.
+        InfrastructureError: a process died, or containers cannot be run.
     """
     with matrix_tasks(matrix, output, output) as tasks:
         cells = {task.name for task in tasks.cells}
@@ -151,7 +151,7 @@ def matrix_tasks(matrix: Matrix, output: Path, containers: Path) -> Iterator[Mat
 
     Raises:
         InputError: a dataset, an evaluation or a truth is wrong, or a command.
-        WorldError: a file cannot be written.
+        InfrastructureError: a file cannot be written.
     """
     loaded = {system.name: load(system) for system in matrix.systems}
     comparisons = [

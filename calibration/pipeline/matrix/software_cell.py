@@ -53,7 +53,7 @@ def software_task(cell: Cell, system: LoadedSystem, software: Software, start: P
 
     Raises:
         InputError: the command has a placeholder that there is not.
-        WorldError: a file cannot be written.
+        InfrastructureError: a file cannot be written.
     """
     write_dataset(with_starting_noise(system.dataset, cell.noise), start)
     job = cell_job(cell, software, system.dataset.path.parent, start)
@@ -151,7 +151,7 @@ def judged(
 
     Raises:
         InputError: the dataset cannot be evaluated, or the table cannot be read.
-        WorldError: the table cannot be written.
+        InfrastructureError: the table cannot be written.
     """
     result = replace(result, converged=True)
     if other := same_labels(dataset, system.dataset):

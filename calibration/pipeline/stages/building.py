@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from calibration.errors import WorldError
+from calibration.errors import InfrastructureError
 from calibration.image.building import build_image
 from calibration.pipeline.configuration import Simulation
 from calibration.pipeline.results import ImageResult
@@ -17,7 +17,7 @@ def build_stage(run: Run) -> Run:
 
     Raises:
         InputError: the specification, or a file that it names, is wrong.
-        WorldError: there is no engine, or a registry does not answer.
+        InfrastructureError: there is no engine, or a registry does not answer.
         CalibrationError: a step of the build failed (exit code 1).
     """
     if run.image is None:
@@ -45,7 +45,7 @@ def promote_stage(run: Run) -> Run:
     """Give the image that was tested its release tags, if the verdict is pass; nothing is built or pulled.
 
     Raises:
-        WorldError: the registry does not answer, or the image was not pushed.
+        InfrastructureError: the registry does not answer, or the image was not pushed.
     """
     specification, image = run.image, run.results.image
     if specification is None or image is None or run.results.verdict != "pass":
@@ -55,7 +55,9 @@ def promote_stage(run: Run) -> Run:
         run.runner.log("not promoted: a pull request is not merged yet")
         return run
     if image.digest is None:
-        raise WorldError(f"image.promote: {image.reference} is in no registry; add push: true to the section image")
+        raise InfrastructureError(
+            f"image.promote: {image.reference} is in no registry; add push: true to the section image"
+        )
     credentials = registry_login(specification.registry, specification.name, run.runner)
     promoted = promote(specification.name, image.digest, specification.promote, credentials, run.runner)
     return replace(run, results=replace(run.results, image=replace(image, promoted=tuple(promoted))))

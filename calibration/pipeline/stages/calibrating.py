@@ -17,7 +17,7 @@ def calibrate_stage(run: Run) -> Run:
 
     Raises:
         InputError: a dataset, an evaluation, a truth or the baseline is wrong.
-        WorldError: a file cannot be written, a process died, or there is no engine.
+        InfrastructureError: a file cannot be written, a process died, or there is no engine.
     """
     matrix, update = run.matrix, None
     if run.baseline is not None:

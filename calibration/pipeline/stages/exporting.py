@@ -38,7 +38,7 @@ def export_stage(run: Run) -> Run:
     What cannot be exported is a reason of the verdict.
 
     Raises:
-        WorldError: a file cannot be written.
+        InfrastructureError: a file cannot be written.
     """
     found = tuple(
         _exported(

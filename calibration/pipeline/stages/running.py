@@ -98,7 +98,7 @@ def run_stages(run: Run, stages: Collection[str] = tuple(STAGES)) -> Results:
 
     Raises:
         InputError: there is no such stage, or an input is wrong.
-        WorldError: a file cannot be written, a process died, an engine or a registry does not answer.
+        InfrastructureError: a file cannot be written, a process died, an engine or a registry does not answer.
     """
     _check(stages)
     if "calibrate" in stages:

@@ -59,7 +59,7 @@ def collect(
         All records, in the order of the poses.
 
     Raises:
-        WorldError: a file cannot be written, or a process died.
+        InfrastructureError: a file cannot be written, or a process died.
     """
 
     def collect_into(number: int) -> Record:

@@ -32,7 +32,7 @@ def write_contact_sheet(folder: Path, system: System, records: Sequence[Record],
         files: the folder with the images, depth images and clouds of the records.
 
     Raises:
-        WorldError: it cannot be written.
+        InfrastructureError: it cannot be written.
     """
     tiles = [_tile(system, record, files) for record in records[:MOST_POSES]]
     columns = max(1, round(WIDTH / tiles[0].shape[1]))

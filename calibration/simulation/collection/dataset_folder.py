@@ -10,7 +10,7 @@ from pathlib import Path
 from calibration.dataset import truth
 from calibration.dataset.reading import FILE_NAME
 from calibration.dataset.writing import write_document
-from calibration.errors import InputError, WorldError
+from calibration.errors import InfrastructureError, InputError
 from calibration.files import place, write_atomically
 from calibration.simulation.collection.document import dataset_document, truth_document
 from calibration.simulation.collection.record import Record
@@ -31,7 +31,7 @@ def write_dataset(new: Path, play: Play, kept: Sequence[Record], files: Path) ->
         files: the folder with the images and clouds that their records name; they are linked or copied.
 
     Raises:
-        WorldError: something cannot be written.
+        InfrastructureError: something cannot be written.
     """
     for name, content in play.system.sources.items():
         write_atomically(new / name, content)
@@ -78,7 +78,7 @@ def replacing_dataset(folder: Path, overwrite: bool) -> Iterator[Path]:
                 _refuse_other_files(folder, new)
             _swap(folder, new, old)
     except OSError as error:
-        raise WorldError(f"{folder}: cannot be written: {error.strerror or error}") from error
+        raise InfrastructureError(f"{folder}: cannot be written: {error.strerror or error}") from error
     finally:
         for path in created:
             with suppress(OSError):  # it is not empty: something was written
@@ -91,7 +91,7 @@ def _make(folder: Path) -> list[Path]:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise WorldError(f"{folder}: cannot be made: {error.strerror or error}") from error
+        raise InfrastructureError(f"{folder}: cannot be made: {error.strerror or error}") from error
     return missing
 
 

@@ -1,1 +1,1 @@
-"""Many worlds instead of one: what varies between them, each addressed by its id, and what drives the error."""
+"""Many scenarios instead of one: what varies between them, each addressed by its id, and what drives the error."""

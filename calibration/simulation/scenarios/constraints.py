@@ -1,4 +1,4 @@
-"""Constraints: what the values of a world have to keep to; where they do not, they are drawn again.
+"""Constraints: what the values of a scenario have to keep to; where they do not, they are drawn again.
 
 In a scenario set, under ``constraints``, a list of
 
@@ -35,7 +35,7 @@ class Range:
     """What messages call it."""
 
     def holds(self, value: Value) -> bool:
-        """Whether a world keeps to it."""
+        """Whether a scenario keeps to it."""
         return all(self.low <= value(name) <= self.high for name in self.names)
 
 
@@ -48,7 +48,7 @@ class Order:
     """What messages call it."""
 
     def holds(self, value: Value) -> bool:
-        """Whether a world keeps to it."""
+        """Whether a scenario keeps to it."""
         return all(max(map(value, lower)) < min(map(value, upper)) for lower, upper in pairwise(self.steps))
 
 
@@ -85,11 +85,11 @@ class ConstraintEntry:
 
 
 def broken(constraints: tuple[Constraint, ...], values: Mapping[str, float], clearance: Callable[[], float]) -> int:
-    """The index of the first constraint that a world does not keep to; -1 where it keeps to all.
+    """The index of the first constraint that a scenario does not keep to; -1 where it keeps to all.
 
     Args:
         constraints: in the order of the file.
-        values: the world's parameters.
+        values: the scenario's parameters.
         clearance: the value of `CLEARANCE`, asked for only where a constraint names it.
     """
 

@@ -1,4 +1,4 @@
-"""Which parameter drives the error: rank correlations over the worlds, and how sure they are.
+"""Which parameter drives the error: rank correlations over the scenarios, and how sure they are.
 
 Spearman's rank correlation of each parameter with the error (ties share their mean rank). Its
 p-value is that of a permutation test: how often does a shuffled error correlate as strongly with
@@ -17,8 +17,8 @@ from calibration.simulation.random_streams import stream
 PERMUTATIONS = 4000
 SIGNIFICANT = 0.01
 """A driver's p-value is below it."""
-LEAST_WORLDS = 10
-"""Of fewer worlds nothing is said."""
+LEAST_SCENARIOS = 10
+"""Of fewer scenarios nothing is said."""
 _CHUNK = 2_000_000  # numbers that are shuffled at once
 
 
@@ -39,7 +39,7 @@ class Driver:
         return self.parameter.strip("|")
 
     def of(self, values: Mapping[str, float]) -> float:
-        """The value of the parameter in a world, or its magnitude."""
+        """The value of the parameter in a scenario, or its magnitude."""
         value = values[self.name]
         return value if self.name == self.parameter else abs(value)
 
@@ -57,14 +57,14 @@ def find_drivers(values: Sequence[Mapping[str, float]], errors: Sequence[float])
     that never varies is left out.
 
     Args:
-        values: of each world, by parameter; the same parameters in all.
-        errors: of each world; infinite where a world gave no calibration: such a world is worse
+        values: of each scenario, by parameter; the same parameters in all.
+        errors: of each scenario; infinite where a scenario gave no calibration: such a scenario is worse
             than any other.
 
     Returns:
-        The list; empty where there are fewer than `LEAST_WORLDS` worlds, or the error never varies.
+        The list; empty where there are fewer than `LEAST_SCENARIOS` scenarios, or the error never varies.
     """
-    if len(values) < LEAST_WORLDS:
+    if len(values) < LEAST_SCENARIOS:
         return []
     error_ranks = centred_ranks(np.array(errors, float))
     columns = {name: centred_ranks(column) for name, column in _columns(values).items()}
@@ -98,7 +98,7 @@ def centred_ranks(values: Array) -> IntArray:
 
 
 def _columns(values: Sequence[Mapping[str, float]]) -> dict[str, Array]:
-    columns = {name: np.array([world[name] for world in values]) for name in values[0]}
+    columns = {name: np.array([scenario[name] for scenario in values]) for name in values[0]}
     signed = [name for name, column in columns.items() if column.min() < 0 < column.max()]
     return {**columns, **{f"|{name}|": np.abs(columns[name]) for name in signed}}
 

@@ -1,4 +1,4 @@
-"""A picture of many worlds: how the errors are distributed, and how they go with what drives them."""
+"""A picture of many scenarios: how the errors are distributed, and how they go with what drives them."""
 
 import io
 from typing import TYPE_CHECKING, Any
@@ -31,7 +31,7 @@ def figure(
 
     Args:
         report: the results.
-        title: such as "100 worlds of t2rgb".
+        title: such as "100 scenarios of t2rgb".
         translation_limit: what passes, mm; drawn as a line.
         rotation_limit: deg.
 
@@ -63,7 +63,7 @@ def figure(
 
 
 def _distribution(axes: "Axes", report: Statistics, measure: str, label: str, limit: float | None) -> None:
-    """The share of all worlds whose error is at most so large; it ends below 100 % where some do not calibrate."""
+    """The share of all scenarios whose error is at most so large; it ends below 100 % where some do not calibrate."""
     values = sorted(value for result in report.calibrated if (value := getattr(result, measure)) is not None)
     total = len(report.results)
     shares = [100 * (number + 1) / total for number in range(len(values))]
@@ -80,17 +80,19 @@ def _distribution(axes: "Axes", report: Statistics, measure: str, label: str, li
     if limit is not None:
         axes.axvline(limit, color=_LIMIT, linewidth=1.2, linestyle="--", label=f"limit: {limit:g}")
         axes.legend(loc="upper left", borderaxespad=0)
-    axes.set(xlabel=label, ylabel="Worlds with at most that (%)", ylim=(0, 115))
+    axes.set(xlabel=label, ylabel="Scenarios with at most that (%)", ylim=(0, 115))
     axes.set_xlim(0, 1.1 * max([*values[-1:], limit or 0]) or 1)
     axes.set_yticks(range(0, 101, 20))
 
 
 def _scatter(axes: "Axes", report: Statistics, driver: Driver) -> None:
-    """The error over one parameter; a cross at the top for each world without a calibration."""
+    """The error over one parameter; a cross at the top for each scenario without a calibration."""
     places = {result.id: driver.of(result.values) for result in report.results}
     errors = {result.id: result.translation_mm for result in report.calibrated if result.translation_mm is not None}
-    lost = [place for world, place in places.items() if world not in errors]
-    axes.plot([places[world] for world in errors], list(errors.values()), "o", color=_DOTS, markersize=3.5, alpha=0.75)
+    lost = [place for scenario, place in places.items() if scenario not in errors]
+    axes.plot(
+        [places[scenario] for scenario in errors], list(errors.values()), "o", color=_DOTS, markersize=3.5, alpha=0.75
+    )
     axes.set_ylim(0, 1.25 * max(errors.values(), default=0) or 1)
     if lost:
         top = axes.get_xaxis_transform()

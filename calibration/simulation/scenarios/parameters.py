@@ -1,6 +1,6 @@
-"""What may vary between the worlds of a system: the parameters, their limits, their names.
+"""What may vary between the scenarios of a system: the parameters, their limits, their names.
 
-A scenario set speaks of groups, such as ``cameras`` and ``noise_levels``; a world has a value for
+A scenario set speaks of groups, such as ``cameras`` and ``noise_levels``; a scenario has a value for
 each thing in the group: ``left_camera.noise_levels`` and ``right_camera.noise_levels``. A parameter
 that has axes, such as ``translation_mm`` under ``assembly``, has one for each of them:
 ``left_camera.translation_x_mm``.
@@ -138,7 +138,7 @@ class OneSensor:
 
 @record(case="snake")
 class ScenarioSetFile:
-    """What varies between the worlds of a simulated system, and what they keep to."""
+    """What varies between the scenarios of a simulated system, and what they keep to."""
 
     light: Light | None = field("The light on the scene.", default=None)
     occluders: Occluders | None = field("Boxes between the cameras and the pattern.", default=None)
@@ -157,13 +157,13 @@ class ScenarioSetFile:
         "Single sensors by name, in place of what is said of all.", default_factory=dict
     )
     constraints: Annotated[tuple[ConstraintEntry, ...], length(0, 100)] = field(
-        "What every world keeps to; values that do not are drawn again.", default=()
+        "What every scenario keeps to; values that do not are drawn again.", default=()
     )
 
 
 @dataclass(frozen=True)
 class Parameters:
-    """What varies between the worlds of one system."""
+    """What varies between the scenarios of one system."""
 
     distributions: Mapping[str, Distribution]
     """By the parameter's name."""

@@ -1,4 +1,4 @@
-"""Scenarios run: each world is collected, calibrated, and held against its truth."""
+"""Scenarios run: each is collected, calibrated, and held against its truth."""
 
 import tempfile
 from collections.abc import Sequence
@@ -23,32 +23,32 @@ from calibration.simulation.scenarios.scenario_set import ScenarioSet
 from calibration.simulation.scenarios.world import build_world, scenario_motion
 
 
-def scenario_play(worlds: ScenarioSet, scenario: Scenario, motion: Motion | None = None) -> Play:
+def scenario_play(scenarios: ScenarioSet, scenario: Scenario, motion: Motion | None = None) -> Play:
     """What a scenario plays: its world, its motion and its seed.
 
     Args:
-        worlds: the set that the scenario is of.
+        scenarios: the set that the scenario is of.
         scenario: from `ScenarioSet.scenario`.
-        motion: the same for all worlds; None to generate one for this world.
+        motion: the same for all scenarios; None to generate one for this scenario.
 
     Raises:
         InputError: no motion is found, or it does not fit the world.
     """
-    world = build_world(worlds.system, scenario)
+    world = build_world(scenarios.system, scenario)
     return play(world, motion or scenario_motion(world, scenario), scenario.collection_seed)
 
 
 def run_scenario(
-    worlds: ScenarioSet, scenario: Scenario, motion: Motion | None = None, requirements: Requirements | None = None
+    scenarios: ScenarioSet, scenario: Scenario, motion: Motion | None = None, requirements: Requirements | None = None
 ) -> ScenarioResult:
-    """Collect, calibrate and judge one world. A world that gives no calibration is a result, with its reasons.
+    """Collect, calibrate and judge one scenario. One that gives no calibration is a result, with its reasons.
 
     Raises:
-        WorldError: no temporary file can be written.
+        InfrastructureError: no temporary file can be written.
     """
-    result = pending_result(worlds, scenario, motion)
+    result = pending_result(scenarios, scenario, motion)
     try:
-        played = scenario_play(worlds, scenario, motion)
+        played = scenario_play(scenarios, scenario, motion)
     except InputError as error:
         return replace(result, reasons=(str(error),))
     with tempfile.TemporaryDirectory(prefix="calibration-") as folder:
@@ -56,9 +56,9 @@ def run_scenario(
         return finished_result(result, records, prove(Path(folder)) if kept(records) else None)
 
 
-def pending_result(worlds: ScenarioSet, scenario: Scenario, motion: Motion | None = None) -> ScenarioResult:
+def pending_result(scenarios: ScenarioSet, scenario: Scenario, motion: Motion | None = None) -> ScenarioResult:
     """Result of a scenario that has not been run: its id, its hash and its values."""
-    return ScenarioResult(scenario.id, content_hash(worlds.system, scenario, motion), dict(scenario.values))
+    return ScenarioResult(scenario.id, content_hash(scenarios.system, scenario, motion), dict(scenario.values))
 
 
 def finished_result(result: ScenarioResult, records: Sequence[Record], proof: Proof | None) -> ScenarioResult:
@@ -74,10 +74,10 @@ def finished_result(result: ScenarioResult, records: Sequence[Record], proof: Pr
 
 
 def scenario_task(
-    worlds: ScenarioSet, scenario: Scenario, motion: Motion | None = None, requirements: Requirements | None = None
+    scenarios: ScenarioSet, scenario: Scenario, motion: Motion | None = None, requirements: Requirements | None = None
 ) -> Task[ScenarioResult]:
-    """The task of one world, by its id; what comes of it does not depend on the others."""
-    return Task.call(scenario.id, partial(run_scenario, worlds, scenario, motion, requirements))
+    """The task of one scenario, by its id; what comes of it does not depend on the others."""
+    return Task.call(scenario.id, partial(run_scenario, scenarios, scenario, motion, requirements))
 
 
 def _collect(played: Play, requirements: Requirements, folder: Path) -> list[Record]:

@@ -1,4 +1,4 @@
-"""One scenario: what makes a world differ from the description, the id that finds it again, and what came of it."""
+"""One scenario: what makes a scenario differ from the description, the id that finds it again, and what came of it."""
 
 import hashlib
 import json
@@ -27,7 +27,7 @@ _LONGEST_LINE = 1000
 
 @dataclass(frozen=True)
 class Scenario:
-    """A world's parameters. Everything in it is drawn from its seed and index alone."""
+    """A scenario's parameters. Everything in it is drawn from its seed and index alone."""
 
     seed: int
     index: int
@@ -48,7 +48,7 @@ class Scenario:
         return int(self.random("collection").integers(MAX_SEED))
 
     def random(self, *purpose: str | int) -> np.random.Generator:
-        """Random numbers for one purpose in this world."""
+        """Random numbers for one purpose in this scenario."""
         return stream(self.seed, "scenario", self.index, self.attempt, *purpose)
 
 
@@ -71,10 +71,10 @@ def parse_id(text: str) -> tuple[int, int]:
 
 
 def content_hash(system: System, scenario: Scenario, motion: Motion | None = None) -> str:
-    """What tells two worlds apart: 12 hexadecimal digits of a SHA-256.
+    """What tells two scenarios apart: 12 hexadecimal digits of a SHA-256.
 
     Over the scenario's id and values, the system's files, the motion if one is given, and the version
-    of this package. What a scenario set says beyond the values, such as how it is laid out, changes no world.
+    of this package. What a scenario set says beyond the values, such as how it is laid out, changes no scenario.
     """
     content = {
         "version": __version__,
@@ -108,13 +108,13 @@ def _poses(lost: Mapping[str, tuple[str, ...]], _: Place) -> Mapping[str, tuple[
 
 @record(case="snake", nulls=True)
 class ScenarioResult:
-    """What came of one world. Numbers are None where there are none."""
+    """What came of one scenario. Numbers are None where there are none."""
 
     id: Annotated[str, matching("s(0|[1-9][0-9]{0,15})-[0-9]{5,8}", "an id such as s1-00017")] = field(
         "Its seed and index: s1-00017."
     )
     hash: Annotated[str, matching("[0-9a-f]{12}", "12 hexadecimal digits")] = field(
-        "Of its content: equal worlds have equal hashes."
+        "Of its content: equal scenarios have equal hashes."
     )
     values: Mapping[str, float] = field("Its parameters.")
     poses: Annotated[int, between(0, 100_000)] = field("Of its motion; 0 where none was found.", default=0)

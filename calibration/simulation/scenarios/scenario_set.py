@@ -1,4 +1,4 @@
-"""Scenario sets: the distributions of everything that varies between worlds, and what the worlds keep to.
+"""Scenario sets: the distributions of everything that varies between scenarios, and what the scenarios keep to.
 
 A scenario set is YAML, such as::
 
@@ -40,12 +40,12 @@ MAX_ATTEMPTS = 100
 
 @dataclass(frozen=True, eq=False)
 class ScenarioSet:
-    """The worlds of one system."""
+    """The scenarios of one system."""
 
     path: Path
     """The file it was read from."""
     system: System
-    """As it is described: the middle of all worlds."""
+    """As it is described: the middle of all scenarios."""
     parameters: Parameters
     constraints: tuple[Constraint, ...]
 

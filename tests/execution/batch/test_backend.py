@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from calibration.aws_errors import AwsLostError
-from calibration.errors import ExitCode, WorldError
+from calibration.errors import ExitCode, InfrastructureError
 from calibration.execution.batch import following
 from calibration.execution.batch import run as run_module
 from calibration.execution.batch.backend import BatchBackend
@@ -215,7 +215,7 @@ def test_a_task_that_never_started(batch_emulator: Aws, tmp_path: Path) -> None:
     tasks.do = lambda task, attempt: Did(document=lambda _: None, result=failed_to_start(reason))
     [outcome], _ = run_jobs(tmp_path, job())
     assert (outcome.exit_code, outcome.reasons) == (
-        ExitCode.WORLD,
+        ExitCode.INFRASTRUCTURE,
         (f"its task could not be set up: check roles, secrets and the way to the network: {reason}",),
     )
 
@@ -226,7 +226,7 @@ def test_inputs_that_could_not_be_brought_in_are_named_by_our_own_log(batch_emul
         document=lambda _: None, log={PREPARE: ["error: bucket is gone"]}, result=ended(attempt, {PREPARE: 3})
     )
     [outcome], _ = run_jobs(tmp_path, job())
-    assert outcome.exit_code == ExitCode.WORLD
+    assert outcome.exit_code == ExitCode.INFRASTRUCTURE
     assert outcome.reasons == (
         f"its inputs could not be brought in: {PREPARE} ended with exit code 3: error: bucket is gone",
     )
@@ -267,7 +267,7 @@ def test_an_outcome_is_not_believed(
     tasks.do = lambda task, attempt: Did({"dataset/a": b"abcd"}, document=change)
     outcomes, _ = run_jobs(tmp_path, job())
     [outcome] = outcomes
-    assert outcome.exit_code == ExitCode.WORLD
+    assert outcome.exit_code == ExitCode.INFRASTRUCTURE
     assert message in outcome.reasons[0]
     assert outcome.artifacts == ()
     assert [path for path in (tmp_path / "one" / "artifacts").rglob("*") if path.is_file()] == []
@@ -306,7 +306,10 @@ def test_resume_runs_only_what_is_missing_or_has_changed(batch_emulator: Aws, tm
 def test_resume_runs_again_what_failed_for_want_of_time_or_of_a_host(batch_emulator: Aws, tmp_path: Path) -> None:
     """A verdict of the software stands; what is no verdict may be one the next time."""
     tasks = Tasks(batch_emulator)
-    good, codes = tasks.do, {"world/0": ExitCode.WORLD, "world/1": ExitCode.FAIL, "world/2": ExitCode.BAD_INPUT}
+    good, codes = (
+        tasks.do,
+        {"world/0": ExitCode.INFRASTRUCTURE, "world/1": ExitCode.FAIL, "world/2": ExitCode.BAD_INPUT},
+    )
     ends = {"robot": (End.EXITED, 1)}
     tasks.do = lambda task, attempt: Did(reasons=("it failed",), exit_code=codes[task.job.name], ends=ends)
     run_jobs(tmp_path, *jobs(3), run="nightly", resume=False)
@@ -376,7 +379,7 @@ def test_what_is_broken_among_the_results_of_an_earlier_run(batch_emulator: Aws,
             if listed.split("/")[-2] not in key:
                 services._s3().delete_object(BUCKET, key)
     services.put(BUCKET, listed, b"no JSON")
-    with pytest.raises(WorldError, match="this is no JSON"):
+    with pytest.raises(InfrastructureError, match="this is no JSON"):
         run_jobs(tmp_path, *jobs(2), run="again", resume=True)
 
 
@@ -386,7 +389,7 @@ def test_a_result_that_vanishes(batch_emulator: Aws, tmp_path: Path, monkeypatch
     batch_emulator.batch.jobs.jobs.clear()
     monkeypatch.setattr(Results, "_read", lambda *_: None)
     [outcome], _ = run_jobs(tmp_path, job(), run="again", resume=True)
-    assert (outcome.exit_code, outcome.reasons) == (ExitCode.WORLD, ("its result is in S3 no more",))
+    assert (outcome.exit_code, outcome.reasons) == (ExitCode.INFRASTRUCTURE, ("its result is in S3 no more",))
 
 
 def test_the_result_of_an_older_attempt_is_found(batch_emulator: Aws, tmp_path: Path) -> None:
@@ -431,7 +434,7 @@ def test_aws_that_stays_away(batch_emulator: Aws, tmp_path: Path, monkeypatch: p
 def test_a_folder_that_cannot_be_written_is_no_verdict(batch_emulator: Aws, tmp_path: Path) -> None:
     Tasks(batch_emulator)
     (tmp_path / "one").write_text("in the way")
-    with pytest.raises(WorldError, match="one: cannot be written"):
+    with pytest.raises(InfrastructureError, match="one: cannot be written"):
         run_jobs(tmp_path, job())
     assert running(batch_emulator) == []
 
@@ -451,5 +454,5 @@ def test_an_answer_without_an_id(batch_emulator: Aws, tmp_path: Path) -> None:
     with BatchBackend(SETTINGS) as backend:
         outcomes = backend.run(jobs(2), tmp_path)
         backend.aws.submitting.submit_job = lambda **_: {}
-        with pytest.raises(WorldError, match="answers without the id of the job"):
+        with pytest.raises(InfrastructureError, match="answers without the id of the job"):
             next(outcomes)

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calibration.errors import WorldError
+from calibration.errors import InfrastructureError
 from calibration.execution.batch.documents import (
     Input,
     TaskJob,
@@ -103,7 +103,7 @@ def test_volumes_are_numbered_by_their_targets() -> None:
     ],
 )
 def test_what_no_client_writes_is_refused(data: bytes, message: str) -> None:
-    with pytest.raises(WorldError) as caught:
+    with pytest.raises(InfrastructureError) as caught:
         read_job(data, 0, "f")
     assert message in str(caught.value)
 
@@ -151,11 +151,11 @@ def test_the_same_jobs_are_the_same_bytes() -> None:
     ],
 )
 def test_what_is_no_json(data: bytes, message: str) -> None:
-    with pytest.raises(WorldError) as caught:
+    with pytest.raises(InfrastructureError) as caught:
         parse_json(data, 100, "f")
     assert message in str(caught.value)
 
 
 def test_what_is_nested_too_deeply() -> None:
-    with pytest.raises(WorldError, match="this is no JSON: "):
+    with pytest.raises(InfrastructureError, match="this is no JSON: "):
         parse_json(b"[" * 200_000 + b"]" * 200_000, 10**6, "f")

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calibration.errors import CalibrationError, ExitCode, WorldError
+from calibration.errors import CalibrationError, ExitCode, InfrastructureError
 from calibration.execution.batch.documents import (
     TaskOutcome,
     most_bytes,
@@ -55,7 +55,7 @@ def read(document: object, job: Job = JOB, attempt: int = 2) -> TaskOutcome:
     return read_outcome(json.dumps(document).encode(), job, attempt, "f")
 
 
-@pytest.mark.parametrize("outcome", [PASSED, FAILED, replace(FAILED, exit_code=ExitCode.WORLD)])
+@pytest.mark.parametrize("outcome", [PASSED, FAILED, replace(FAILED, exit_code=ExitCode.INFRASTRUCTURE)])
 def test_what_is_written_is_read(outcome: TaskOutcome) -> None:
     data = outcome_document(outcome)
     assert read_outcome(data, JOB, 2, "f") == outcome
@@ -107,7 +107,7 @@ def artifact(**changes: Any) -> list[dict[str, Any]]:
     ],
 )
 def test_what_contradicts_the_job_or_itself(changes: dict[str, Any], message: str) -> None:
-    with pytest.raises(WorldError) as caught:
+    with pytest.raises(InfrastructureError) as caught:
         read({**json.loads(outcome_document(PASSED)), **changes})
     assert message in str(caught.value)
     assert str(caught.value).startswith("f: ")
@@ -121,7 +121,7 @@ def test_lines_command_nothing() -> None:
 
 
 def test_what_is_too_large() -> None:
-    with pytest.raises(WorldError, match=r"f: found .* bytes, at most .* were expected"):
+    with pytest.raises(InfrastructureError, match=r"f: found .* bytes, at most .* were expected"):
         read_outcome(b" " * (most_bytes(JOB) + 1), JOB, 2, "f")
 
 

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calibration.errors import InputError, WorldError
+from calibration.errors import InfrastructureError, InputError
 from calibration.execution.batch.inputs import pack
 from tests.execution.batch.client import unpacked
 
@@ -85,7 +85,7 @@ def test_what_cannot_be_read_or_written(tmp_path: Path, monkeypatch: pytest.Monk
         def write(self, data: object) -> int:
             raise OSError(28, "No space left on device")
 
-    with pytest.raises(WorldError, match="cannot be packed: No space left on device"):
+    with pytest.raises(InfrastructureError, match="cannot be packed: No space left on device"):
         pack(tmp_path, Full())
 
     def refuse(self: Path, mode: str) -> None:

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from calibration.__main__ import main
-from calibration.errors import InputError, WorldError
+from calibration.errors import InfrastructureError, InputError
 from calibration.execution.batch import submitting
 from calibration.execution.batch.backend import BatchBackend
 from calibration.execution.batch.definition import Resources
@@ -298,7 +298,7 @@ def test_jobs_that_do_not_end(aws: Aws, batch_emulator: FakeAws, monkeypatch: py
     arn = batch.register_job_definition(**definition(1024))["jobDefinitionArn"]
     ids = [batch.submit_job(jobName="a", jobQueue=QUEUE, jobDefinition=arn)["jobId"] for _ in range(6)]
     monkeypatch.setattr(aws.batch, "terminate_job", lambda **_: {})
-    with pytest.raises(WorldError, match="6 jobs in AWS Batch do not end, such as "):
+    with pytest.raises(InfrastructureError, match="6 jobs in AWS Batch do not end, such as "):
         terminate(aws, ids, "test")
     monkeypatch.undo()
     batch_emulator.faults.deny("TerminateJob", times=4)

@@ -8,7 +8,7 @@ from http.server import BaseHTTPRequestHandler, HTTPServer
 import pytest
 
 from calibration.aws_errors import AwsLostError, aws_errors
-from calibration.errors import CalibrationError, InputError, WorldError
+from calibration.errors import CalibrationError, InfrastructureError, InputError
 from calibration.execution.batch import session
 from calibration.execution.batch.session import Aws
 from calibration.execution.batch.store import Store
@@ -47,7 +47,7 @@ def once(monkeypatch: pytest.MonkeyPatch) -> None:
         (403, "AccessDeniedException", InputError, "batch:DescribeJobs: AccessDeniedException: the role or user needs"),
         (429, "TooManyRequestsException", AwsLostError, "too many requests, also after several tries"),
         (500, "ServerException", AwsLostError, "batch:DescribeJobs: ServerException: said\\x1b[2J"),
-        (403, "RequestTimeTooSkewed", WorldError, "the clock of this machine is wrong"),
+        (403, "RequestTimeTooSkewed", InfrastructureError, "the clock of this machine is wrong"),
         (400, "ClientException", InputError, "batch:DescribeJobs: ClientException: said"),
     ],
 )
@@ -172,7 +172,7 @@ def test_no_token(
     monkeypatch.setenv("AWS_ROLE_ARN", ROLE)
     tokens.answer = answer
     error = failure(Aws(REGION))
-    assert isinstance(error, WorldError)
+    assert isinstance(error, InfrastructureError)
     assert "GitHub's token service gives no token for a role in AWS" in str(error)
     assert "planted" not in str(error)
     monkeypatch.setenv("ACTIONS_ID_TOKEN_REQUEST_TOKEN", "wrong")

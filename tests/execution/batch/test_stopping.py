@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from calibration.errors import CalibrationError, InputError, WorldError
+from calibration.errors import CalibrationError, InfrastructureError, InputError
 from calibration.execution.batch.backend import BatchBackend
 from calibration.execution.batch.documents import TaskJob
 from calibration.execution.outcome import JobOutcome
@@ -87,9 +87,9 @@ def test_an_error_of_who_reads_ends_all(batch_emulator: Aws, tmp_path: Path) -> 
     Tasks(batch_emulator, hang)
 
     def fail(outcome: object) -> None:
-        raise WorldError("the disk is full")
+        raise InfrastructureError("the disk is full")
 
-    with BatchBackend(SETTINGS) as backend, pytest.raises(WorldError, match="the disk is full"):
+    with BatchBackend(SETTINGS) as backend, pytest.raises(InfrastructureError, match="the disk is full"):
         list(map(fail, backend.run(jobs(3), tmp_path)))
     batch_emulator.batch.wait()
 
@@ -142,7 +142,7 @@ def test_what_is_submitted_while_the_answer_is_lost_is_ended_too(
     monkeypatch.setattr(session.Patience.__init__, "__defaults__", (0.0,))
     Tasks(batch_emulator, hang)
     batch_emulator.faults.drop("SubmitJob", answered=True)
-    with BatchBackend(SETTINGS) as backend, pytest.raises(WorldError, match="Connection was closed"):
+    with BatchBackend(SETTINGS) as backend, pytest.raises(InfrastructureError, match="Connection was closed"):
         list(backend.run(jobs(2), tmp_path))
     assert len(batch_emulator.batch.jobs.jobs) == 1
     batch_emulator.batch.wait()

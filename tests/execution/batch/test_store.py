@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from calibration.aws_errors import AwsLostError
-from calibration.errors import InputError, WorldError
+from calibration.errors import InfrastructureError, InputError
 from calibration.execution.batch.session import Aws
 from calibration.execution.batch.store import Store
 from tests.aws.fixtures import BUCKET, REGION
@@ -28,14 +28,14 @@ def test_what_is_written_is_read(store: Store, tmp_path: Path) -> None:
     store.put("a/b", b"content")
     assert store.get("a/b", 7) == b"content"
     assert store.get("a/c", 7) is None
-    with pytest.raises(WorldError, match="a/b has 7 bytes, at most 6 were expected"):
+    with pytest.raises(InfrastructureError, match="a/b has 7 bytes, at most 6 were expected"):
         store.get("a/b", 6)
     assert store.download("a/b", tmp_path / "b", 7) == hashlib.sha256(b"content").hexdigest()
     assert (tmp_path / "b").read_bytes() == b"content"
     assert store.download("a/b", tmp_path / "c", 8) == ""
     assert store.download("a/c", tmp_path / "c", 8) == ""
     assert not (tmp_path / "c").exists()
-    with pytest.raises(WorldError, match="b: cannot be written: File exists"):
+    with pytest.raises(InfrastructureError, match="b: cannot be written: File exists"):
         store.download("a/b", tmp_path / "b", 7)
 
 

@@ -2,7 +2,7 @@ import io
 
 import pytest
 
-from calibration.errors import ExitCode, InputError, WorldError
+from calibration.errors import ExitCode, InfrastructureError, InputError
 from calibration.image.builders.build_log import LAST_LINES, LONGEST, BuildLog
 from calibration.image.builders.buildkit import BuildKitOutput
 from calibration.image.builders.failure import BuildFailedError, build_problem
@@ -128,10 +128,10 @@ def test_what_buildkit_says(runner: Runner, text: str, step: str, problem: str, 
         ("exit code 3", BuildFailedError),
         ("COPY failed: file not found in build context", BuildFailedError),
         ("dockerfile parse error line 2: unknown instruction: FORM", BuildFailedError),
-        ("write /var/lib/docker/x: no space left on device", WorldError),
-        ("failed to create endpoint x on network bridge: could not find bridge docker0", WorldError),
-        ("Get https://r/v2/: dial tcp: lookup r: no such host", WorldError),
-        ("toomanyrequests: You have reached your pull rate limit", WorldError),
+        ("write /var/lib/docker/x: no space left on device", InfrastructureError),
+        ("failed to create endpoint x on network bridge: could not find bridge docker0", InfrastructureError),
+        ("Get https://r/v2/: dial tcp: lookup r: no such host", InfrastructureError),
+        ("toomanyrequests: You have reached your pull rate limit", InfrastructureError),
         ("manifest for x:1 not found: manifest unknown: manifest unknown", InputError),
         ("pull access denied for x, repository does not exist", InputError),
     ],

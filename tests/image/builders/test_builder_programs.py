@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from calibration.errors import WorldError
+from calibration.errors import InfrastructureError
 from calibration.image.builders import programs
 from calibration.image.builders.buildkit import write_login
 from calibration.image.builders.programs import Program, find_buildkit, lines_of
@@ -49,7 +49,7 @@ def test_lines_and_exit_code(tmp_path: Path) -> None:
         stdin.seek(0)
         command = ["sh", "-c", 'cat; echo; echo "$A" >&2; exit 5']
         assert list(lines_of(command, stdin, {"A": "b", "PATH": os.environ["PATH"]})) == ["hello", "b", 5]
-        with pytest.raises(WorldError, match="/nowhere/docker: cannot be started: No such file"):
+        with pytest.raises(InfrastructureError, match="/nowhere/docker: cannot be started: No such file"):
             list(lines_of(["/nowhere/docker"], stdin, {}))
 
 

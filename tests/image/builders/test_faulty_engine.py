@@ -5,7 +5,7 @@ import json
 import docker
 import pytest
 
-from calibration.errors import WorldError
+from calibration.errors import InfrastructureError
 from calibration.image.bases import fetch
 from calibration.image.builders.build_log import BuildLog
 from calibration.image.builders.engine import build_by_engine
@@ -43,11 +43,11 @@ def message(text: str, status: int = 500) -> Reply:
 @pytest.mark.parametrize(
     ("reply", "kind", "said"),
     [
-        (message("no space left on device"), WorldError, "the build broke off: no space left on device"),
+        (message("no space left on device"), InfrastructureError, "the build broke off: no space left on device"),
         (message("unknown instruction: FORM", 400), BuildFailedError, "image robot: unknown instruction: FORM"),
-        (Reply(reset=True), WorldError, "the engine broke off the build"),
-        (Reply(body=b"<html>"), WorldError, "the engine broke off the build"),
-        (Reply(body=json.dumps(STEP).encode()), WorldError, "the engine ended without an image"),
+        (Reply(reset=True), InfrastructureError, "the engine broke off the build"),
+        (Reply(body=b"<html>"), InfrastructureError, "the engine broke off the build"),
+        (Reply(body=json.dumps(STEP).encode()), InfrastructureError, "the engine ended without an image"),
         (
             Reply(body=json.dumps({"error": "it broke", "errorDetail": "not a mapping"}).encode()),
             BuildFailedError,
@@ -68,7 +68,7 @@ def test_a_layer_that_somebody_else_removes_in_the_midst() -> None:
     built = Reply(body=json.dumps({"aux": {"ID": "sha256:1"}}).encode())
     assert build(GONE, GONE, built) == "sha256:1"
     with pytest.raises(
-        WorldError, match=r"^image robot: others remove images that this build is made of: run it again$"
+        InfrastructureError, match=r"^image robot: others remove images that this build is made of: run it again$"
     ):
         build(GONE)
 
@@ -77,6 +77,6 @@ def test_a_pull_that_the_engine_refuses() -> None:
     replies = iter([message("no such image", 404), message("dial tcp: lookup r: no such host")])
     with serve(lambda _: next(replies)) as server:
         client = docker.DockerClient(base_url=f"tcp://{server.address}", version="1.41", timeout=60)
-        with pytest.raises(WorldError, match=r"image r/x: it cannot be pulled: .*no such host"):
+        with pytest.raises(InfrastructureError, match=r"image r/x: it cannot be pulled: .*no such host"):
             fetch(client, "r/x", lambda _: Credentials("docker.io"), None, log())
         client.close()

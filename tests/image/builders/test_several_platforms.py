@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from calibration.errors import WorldError
+from calibration.errors import InfrastructureError
 from calibration.image.builders.build_log import BuildLog
 from calibration.image.builders.buildkit import build_and_push, build_by_buildkit
 from calibration.image.builders.failure import BuildFailedError
@@ -105,7 +105,7 @@ def test_the_builder_is_removed_whatever_happens(
     program: Program, log: BuildLog, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, variable: str
 ) -> None:
     monkeypatch.setenv(variable, "1")
-    error = BuildFailedError if variable == "FAIL" else WorldError
+    error = BuildFailedError if variable == "FAIL" else InfrastructureError
     with pytest.raises(
         error, match=r"step 2 of 2, RUN x: exit code 9|ended without a digest|docker buildx (create|rm)"
     ):
@@ -120,5 +120,5 @@ def test_buildx_for_one_platform_loads(program: Program, log: BuildLog, tmp_path
 
 
 def test_a_program_that_is_gone(log: BuildLog) -> None:
-    with pytest.raises(WorldError, match="docker buildx rm"):
+    with pytest.raises(InfrastructureError, match="docker buildx rm"):
         build_and_push(Program("/nowhere/docker", buildx=True), request(), [], Credentials("r"), log)

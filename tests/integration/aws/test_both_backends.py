@@ -37,7 +37,7 @@ def jobs(folder: Path) -> list[Job]:
         brought = (Artifact(f"{OUTPUT}/dataset"),)
         return server, Container("robot", PYTHON_IMAGE, command, mounts=mounts, after=("server",), artifacts=brought)
 
-    return [Job(f"worlds/{seed}", containers(seed, code), seconds=90.0) for seed, code in ((1, 0), (2, 4))]
+    return [Job(f"scenarios/{seed}", containers(seed, code), seconds=90.0) for seed, code in ((1, 0), (2, 4))]
 
 
 def run(backend: JobBackend, given: list[Job], folder: Path) -> list[tuple[Any, ...]]:

@@ -8,7 +8,7 @@ import pytest
 
 from calibration.coverage.junit import Tally
 from calibration.coverage.lines import FileCoverage, Rate
-from calibration.errors import InputError, WorldError
+from calibration.errors import InfrastructureError, InputError
 from tests.coverage.projects import NAMING, TOKEN, commit, git, write
 
 from .conftest import Run
@@ -128,7 +128,7 @@ def test_all_tests_were_skipped(run: Run, root: Path) -> None:
 
 def test_it_takes_too_long(run: Run, root: Path) -> None:
     commit(root, {"tests/test_naming.py": "import time\ndef test(): time.sleep(60)\n"})
-    with pytest.raises(WorldError, match="the tests took longer than 2 s"):
+    with pytest.raises(InfrastructureError, match="the tests took longer than 2 s"):
         run("pytest -q -p no:cacheprovider", OURS, 2)
 
 

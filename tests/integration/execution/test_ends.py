@@ -10,7 +10,7 @@ pytest.importorskip("docker")
 
 from docker.errors import APIError, NotFound
 
-from calibration.errors import ExitCode, InputError, WorldError
+from calibration.errors import ExitCode, InfrastructureError, InputError
 from calibration.execution.docker.backend import DockerBackend
 from calibration.execution.docker.container_run import attach
 from calibration.execution.docker.labels import RUN, new_run
@@ -168,7 +168,7 @@ def test_the_time_of_a_job(tmp_path: Path) -> None:
         shell("sleep 600", "d", readiness=Readiness(file="/never")),
         seconds=1.5,
     )
-    assert outcome.exit_code == ExitCode.WORLD
+    assert outcome.exit_code == ExitCode.INFRASTRUCTURE
     assert outcome.reasons == (
         "the job ran longer than its 1.5 s: still running were d, a, b; not started were c",
     ) or (outcome.reasons == ("the job ran longer than its 1.5 s: still running were a, b, d; not started were c",))
@@ -194,7 +194,7 @@ def test_an_essential_container_that_never_ran_is_no_success(tmp_path: Path) -> 
 @pytest.mark.parametrize(
     ("image", "kind", "message"),
     [
-        ("127.0.0.1:1/nosuch:1", WorldError, "is not on the engine, and its registry cannot be reached: "),
+        ("127.0.0.1:1/nosuch:1", InfrastructureError, "is not on the engine, and its registry cannot be reached: "),
         ("UPPER case", InputError, "image 'UPPER case'"),
     ],
 )
@@ -239,7 +239,7 @@ def test_what_an_earlier_run_left_is_never_taken_for_this_ones(tmp_path: Path) -
 
 def test_a_folder_that_cannot_be_made_stops_the_run(tmp_path: Path) -> None:
     (tmp_path / "job").write_text("a file")
-    with pytest.raises(WorldError, match="job: cannot be written: Not a directory"):
+    with pytest.raises(InfrastructureError, match="job: cannot be written: Not a directory"):
         run_job(tmp_path, shell("true"))
 
 
@@ -273,7 +273,7 @@ def test_what_cannot_be_removed_is_said(tmp_path: Path, engine: "DockerClient") 
     backend.__enter__()
     engine.api.create_volume(volume, labels={RUN: run})
     user = engine.api.create_container(PYTHON_IMAGE, ["true"], host_config=host)
-    with pytest.raises(WorldError, match=f"cannot be removed: volume {volume}: .*in use"):
+    with pytest.raises(InfrastructureError, match=f"cannot be removed: volume {volume}: .*in use"):
         backend.__exit__(None, None, None)
     engine.api.remove_container(user)
     with pytest.raises(ZeroDivisionError), DockerBackend(run=run):  # what went wrong first is what is said
@@ -288,7 +288,7 @@ def test_an_engine_without_addresses(engine: "DockerClient", monkeypatch: pytest
         raise APIError(said, explanation=said)
 
     monkeypatch.setattr(engine.api, "create_network", full)
-    with pytest.raises(WorldError, match="no addresses for one more network: let fewer jobs run at once"):
+    with pytest.raises(InfrastructureError, match="no addresses for one more network: let fewer jobs run at once"):
         Networks("r", {}).take(engine.api, internal=False)
 
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from calibration.errors import ExitCode, InputError, WorldError
+from calibration.errors import ExitCode, InfrastructureError, InputError
 from calibration.image.builders.failure import BuildFailedError
 from tests.engine import Registry
 from tests.image.builders.test_several_platforms import SCRIPT as SEVERAL
@@ -206,13 +206,16 @@ def test_a_dockerfile_that_is_wrong(builds: Builds, builder: str, text: str) -> 
 def test_a_base_that_is_not_there(builds: Builds, registry: Registry) -> None:
     with pytest.raises(InputError, match=f"base image {registry.address}/no/such:1: neither this machine nor"):
         builds.build(base=f"{registry.address}/no/such:1")
-    with pytest.raises(WorldError):
+    with pytest.raises(InfrastructureError):
         builds.build(base="127.0.0.1:1/no/such:1")
 
 
 @pytest.mark.parametrize(
     ("address", "kind", "message"),
-    [("", InputError, "it cannot be pulled: .*check the name, or log in"), ("127.0.0.1:1", WorldError, "refused")],
+    [
+        ("", InputError, "it cannot be pulled: .*check the name, or log in"),
+        ("127.0.0.1:1", InfrastructureError, "refused"),
+    ],
 )
 def test_a_pinned_base_that_cannot_be_pulled(
     builds: Builds, registry: Registry, address: str, kind: type[Exception], message: str
@@ -249,7 +252,7 @@ def test_several_platforms_need_buildx(builds: Builds, registry: Registry) -> No
 
 def test_what_the_key_cannot_see_is_said(builds: Builds) -> None:
     builds.write("Dockerfile", f"FROM {BASE} AS a\nFROM other-$TARGETARCH AS b\nFROM a\n")
-    with pytest.raises((BuildFailedError, InputError, WorldError)):
+    with pytest.raises((BuildFailedError, InputError, InfrastructureError)):
         builds.build({"builder": "engine"}, dockerfile="Dockerfile")
     assert "not seen by the content key: what other-$TARGETARCH stands for is known only to the builder" in builds.log
 

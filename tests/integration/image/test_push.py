@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from calibration.errors import CalibrationError, InputError, WorldError
+from calibration.errors import CalibrationError, InfrastructureError, InputError
 from calibration.registries.credentials import Credentials
 from calibration.registries.push import push_image
 from calibration.registries.registry import RegistryClient
@@ -112,7 +112,10 @@ def test_what_never_passes_is_given_up(engine: "DockerClient", registry: Registr
 
     with faulty(registry.address, fault) as server:
         name = fresh_name(server.address)
-        with small_image(engine, name, "v1"), pytest.raises(WorldError, match=r"the push failed: .* \(4 attempts\)"):
+        with (
+            small_image(engine, name, "v1"),
+            pytest.raises(InfrastructureError, match=r"the push failed: .* \(4 attempts\)"),
+        ):
             push_image(engine, f"{name}:v1", [], None, pause=pauses.append)
     assert pauses == [1.0, 2.0, 4.0]
 
@@ -121,7 +124,7 @@ def test_no_registry(engine: "DockerClient") -> None:
     with serve(lambda _: Reply()) as server:
         pass
     name = fresh_name(server.address)
-    with small_image(engine, name, "v1"), pytest.raises(WorldError, match=r"refused.* \(4 attempts\)"):
+    with small_image(engine, name, "v1"), pytest.raises(InfrastructureError, match=r"refused.* \(4 attempts\)"):
         push_image(engine, f"{name}:v1", [], None, pause=lambda _: None)
 
 
@@ -134,7 +137,7 @@ def test_a_registry_that_loses_what_was_pushed(engine: "DockerClient", registry:
         name = fresh_name(server.address)
         with (
             small_image(engine, name, "v1"),
-            pytest.raises(WorldError, match="does not have the image that was pushed"),
+            pytest.raises(InfrastructureError, match="does not have the image that was pushed"),
         ):
             push_image(engine, f"{name}:v1", [], None)
 
@@ -149,7 +152,7 @@ def test_a_registry_that_has_something_else_afterwards(engine: "DockerClient", r
         name = fresh_name(server.address)
         with (
             small_image(engine, name, "v1"),
-            pytest.raises(WorldError, match="does not have the image that was pushed"),
+            pytest.raises(InfrastructureError, match="does not have the image that was pushed"),
         ):
             push_image(engine, f"{name}:v1", [], None)
 
@@ -176,7 +179,7 @@ def test_an_engine_that_is_gone() -> None:
     with serve(lambda _: Reply()) as server:
         pass
     nowhere = engine_at(f"tcp://{server.address}")
-    with pytest.raises(WorldError, match="the engine broke off the push"):
+    with pytest.raises(InfrastructureError, match="the engine broke off the push"):
         push_image(nowhere, "127.0.0.1:1/robot:v1", [], None)
     nowhere.close()
 

@@ -84,7 +84,7 @@ def test_without_the_right_login_it_is_one_line(
     assert "Traceback" not in log
 
 
-def test_a_registry_that_does_not_answer_is_the_worlds_fault(
+def test_a_registry_that_does_not_answer_is_an_infrastructure_error(
     engine: "DockerClient", monkeypatch: pytest.MonkeyPatch
 ) -> None:
     arguments = ["--dataset", str(DATASET), "--image", "127.0.0.1:1/robot:1", "--command", COMMAND]

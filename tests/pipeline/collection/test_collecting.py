@@ -11,7 +11,7 @@ import cv2
 import jsonschema
 import pytest
 
-from calibration.errors import ExitCode, InputError, WorldError
+from calibration.errors import ExitCode, InfrastructureError, InputError
 from calibration.files import write_atomically
 from calibration.pipeline.collection.collecting import collect_dataset
 from calibration.pipeline.collection.report import SCHEMA, report
@@ -152,11 +152,11 @@ def test_a_full_disk_loses_nothing(
         nonlocal writes
         writes += 1
         if writes > 5:
-            raise WorldError(f"{path}: cannot be written: No space left on device")
+            raise InfrastructureError(f"{path}: cannot be written: No space left on device")
         write_atomically(path, content)
 
     monkeypatch.setattr("calibration.execution.workspace.write_atomically", full)
-    with pytest.raises(WorldError, match="No space left on device"):
+    with pytest.raises(InfrastructureError, match="No space left on device"):
         collect_dataset(request_, tmp_path, jobs=1)
     assert (tmp_path / "notes.txt").read_text() == "mine"
     assert not (tmp_path / "dataset.json").exists()
@@ -241,6 +241,6 @@ def test_without_opencv_it_says_what_to_install(words: tuple[str, ...], tmp_path
     code = "import sys; sys.modules['cv2'] = None; from calibration.__main__ import main; sys.exit(main())"
     command = [sys.executable, "-c", code, *words, str(tmp_path / "output")]
     done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=tmp_path)
-    assert done.returncode == ExitCode.WORLD
+    assert done.returncode == ExitCode.INFRASTRUCTURE
     assert "the package cv2 is not installed: pip install opencv-python-headless" in done.stderr
     assert len(done.stderr.splitlines()) == 1

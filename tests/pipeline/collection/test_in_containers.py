@@ -178,7 +178,11 @@ def test_a_collection_again_replaces_all_of_the_earlier_one(collected: Path, tmp
 
 @pytest.mark.parametrize(
     ("code", "error"),
-    [(ExitCode.FAIL, None), (ExitCode.BAD_INPUT, ExitCode.BAD_INPUT), (ExitCode.WORLD, ExitCode.WORLD)],
+    [
+        (ExitCode.FAIL, None),
+        (ExitCode.BAD_INPUT, ExitCode.BAD_INPUT),
+        (ExitCode.INFRASTRUCTURE, ExitCode.INFRASTRUCTURE),
+    ],
 )
 def test_applications_that_fail_say_why(tmp_path: Path, code: ExitCode, error: ExitCode | None) -> None:
     outcome = {"exit_code": code, "reasons": ("robot: exited with code 3",)}

@@ -11,7 +11,7 @@ import pytest
 
 from calibration.pipeline.collection.request import CollectionRequest, ScenarioRequest
 from calibration.pipeline.collection.results import ScenarioResults
-from calibration.pipeline.collection.scenario_report import document, report, worlds_table
+from calibration.pipeline.collection.scenario_report import document, report, scenarios_table
 from calibration.report import Report
 from calibration.simulation.scenarios.scenario import ScenarioResult
 from calibration.simulation.scenarios.statistics import Statistics
@@ -53,8 +53,10 @@ def told(statistics: Statistics) -> Report:
 def test_the_report_says_it_all() -> None:
     errors = [0.2 + 0.1 * (i % 7) + 0.001 * i for i in range(40)]
     text = told(many([*errors[:-1], None])).markdown()
-    assert text.startswith("## collect-data-sim: fail: 39 of 40 worlds of &lt;b&gt;t2rgb&lt;/b&gt; pass\n\n- success")
-    assert "39 of 40 worlds calibrate; 440 of 480 poses gave a collection." in text
+    assert text.startswith(
+        "## collect-data-sim: fail: 39 of 40 scenarios of &lt;b&gt;t2rgb&lt;/b&gt; pass\n\n- success"
+    )
+    assert "39 of 40 scenarios calibrate; 440 of 480 poses gave a collection." in text
     assert "| Translation error (mm) | 0.2 |" in text
     assert "| s1-00039 | - | - | - | 11/12 | no collection &#124; has labels |" in text
     assert "| s1-00034 | 0.834 | 0.083 | 0.3 | 11/12 | calibrates |" in text
@@ -73,38 +75,38 @@ def test_where_nothing_drives_the_error_it_says_so() -> None:
     )
 
 
-def test_few_worlds_tell_nothing_of_drivers() -> None:
+def test_few_scenarios_tell_nothing_of_drivers() -> None:
     text = told(many([0.1, 0.2])).markdown()
-    assert "Not known: it takes 10 worlds." in text
+    assert "Not known: it takes 10 scenarios." in text
     assert "| motion.sway\\_mm | 1 | 0 |" in text
     assert "motion.sway" not in told(many([0.1])).markdown()  # it varies between none
     assert "Not known: nothing varies." in told(Statistics([result(i, 0.1) for i in range(12)])).markdown()
 
 
-def test_a_report_of_worlds_that_all_fail() -> None:
+def test_a_report_of_scenarios_that_all_fail() -> None:
     text = told(many([None] * 12)).markdown()
-    assert "0 of 12 worlds calibrate" in text
+    assert "0 of 12 scenarios calibrate" in text
     assert "Translation error (mm)" not in text
-    assert told(many([None])).markdown().count("0 of 1 world calibrate;") == 1
+    assert told(many([None])).markdown().count("0 of 1 scenario calibrate;") == 1
 
 
-def test_the_table_has_a_row_for_each_world() -> None:
+def test_the_table_has_a_row_for_each_scenario() -> None:
     results = many([0.5, None]).results
-    first, second = csv.DictReader(io.StringIO(worlds_table(results).csv()))
+    first, second = csv.DictReader(io.StringIO(scenarios_table(results).csv()))
     assert first["id"] == "s1-00000"
     assert float(first["translation_mm"]) == 0.5
     assert (first["converged"], first["kept"], first["motion.sway_mm"]) == ("1", "11", "0.0")
     assert (second["converged"], second["translation_mm"], second["rms_px"]) == ("0", "", "")
     assert second["reasons"] == "no collection | has labels"
-    assert "\r" not in worlds_table(results).csv()
-    assert worlds_table(results).csv() == worlds_table([replace(each) for each in results]).csv()
-    assert worlds_table(results[1:]).csv().splitlines()[1] == worlds_table(results).csv().splitlines()[2]
+    assert "\r" not in scenarios_table(results).csv()
+    assert scenarios_table(results).csv() == scenarios_table([replace(each) for each in results]).csv()
+    assert scenarios_table(results[1:]).csv().splitlines()[1] == scenarios_table(results).csv().splitlines()[2]
 
 
 def test_the_document_is_strict_json_with_all_of_it() -> None:
     statistics = many([0.5, None, *[0.1] * 10])
     read = json.loads(json.dumps(document(statistics), allow_nan=False))
-    assert (read["worlds"], read["calibrated"]) == (12, 11)
+    assert (read["count"], read["calibrated"]) == (12, 11)
     assert read["percentiles"]["translation_mm"]["100"] == 0.5
     assert read["worst"][:2] == ["s1-00001", "s1-00000"]
     assert read["drivers"][0].keys() == {"parameter", "correlation", "p", "stands_out"}

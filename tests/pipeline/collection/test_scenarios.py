@@ -1,4 +1,4 @@
-"""The verdict over many worlds, and what it leaves in files."""
+"""The verdict over many scenarios, and what it leaves in files."""
 
 import csv
 import json
@@ -15,11 +15,11 @@ from calibration.pipeline.collection.request import (
     MAX_SCENARIOS,
     CollectionChecks,
     CollectionRequest,
+    ScenarioOfSet,
     ScenarioRequest,
-    WorldOfSet,
 )
-from calibration.pipeline.collection.results import ScenarioResults, world_reasons
-from calibration.pipeline.collection.scenario_report import replay, report, world_line
+from calibration.pipeline.collection.results import ScenarioResults, scenario_reasons
+from calibration.pipeline.collection.scenario_report import replay, report, scenario_line
 from calibration.simulation.scenarios.scenario import ScenarioResult
 from calibration.simulation.scenarios.statistics import Statistics
 
@@ -44,33 +44,33 @@ BROKEN = replace(
 def results(*found: ScenarioResult, rate: float = 1.0, **checks: float) -> ScenarioResults:
     request = ScenarioRequest(
         CollectionRequest(Path("my robot"), seed=1, checks=CollectionChecks(**checks)),  # type: ignore[arg-type]
-        Path("worlds.yml"),
+        Path("scenarios.yml"),
         len(found),
         rate,
     )
     return ScenarioResults("robot", request, Statistics(found))
 
 
-def test_a_world_passes_within_its_limits() -> None:
-    assert world_reasons(GOOD, CollectionChecks()) == []
-    assert world_reasons(BROKEN, CollectionChecks()) == ["nothing seen"]
-    assert world_reasons(replace(BROKEN, reasons=()), CollectionChecks()) == ["it does not calibrate"]
-    assert world_reasons(FAR, CollectionChecks()) == [
+def test_a_scenario_passes_within_its_limits() -> None:
+    assert scenario_reasons(GOOD, CollectionChecks()) == []
+    assert scenario_reasons(BROKEN, CollectionChecks()) == ["nothing seen"]
+    assert scenario_reasons(replace(BROKEN, reasons=()), CollectionChecks()) == ["it does not calibrate"]
+    assert scenario_reasons(FAR, CollectionChecks()) == [
         "translation error against the truth: found 7 mm, expected at most 5 mm"
     ]
     strict = CollectionChecks(minimum_collections=12, minimum_detection_rate=0.95, max_rotation_deg=0.05)
-    assert [reason.partition(":")[0] for reason in world_reasons(GOOD, strict)] == [
+    assert [reason.partition(":")[0] for reason in scenario_reasons(GOOD, strict)] == [
         "collections",
         "detection rate of left",
         "rotation error against the truth",
     ]
-    assert world_reasons(replace(GOOD, translation_mm=None), CollectionChecks()) != []
-    assert world_reasons(replace(GOOD, joint_mm=4.0, joint_deg=0.4), CollectionChecks()) == [
+    assert scenario_reasons(replace(GOOD, translation_mm=None), CollectionChecks()) != []
+    assert scenario_reasons(replace(GOOD, joint_mm=4.0, joint_deg=0.4), CollectionChecks()) == [
         "joint rotation error against the truth: found 0.4 deg, expected at most 0.3 deg"
     ]
 
 
-def test_every_world_has_to_pass_unless_a_rate_is_given() -> None:
+def test_every_scenario_has_to_pass_unless_a_rate_is_given() -> None:
     assert results(GOOD).exit_code == ExitCode.PASS
     assert results(GOOD, FAR).exit_code == ExitCode.FAIL
     assert results(GOOD, FAR).reasons == ["success rate: found 0.5, expected at least 1"]
@@ -84,13 +84,13 @@ def test_what_it_leaves(tmp_path: Path) -> None:
     found.write(tmp_path)
     assert found.notes == ()
     assert {path.name for path in tmp_path.iterdir()} == {
-        *("results.json", "worlds.csv", "worlds.png", "summary.md", "junit.xml")
+        *("results.json", "scenarios.csv", "scenarios.png", "summary.md", "junit.xml")
     }
     document = json.loads((tmp_path / "results.json").read_text())
     assert document == json.loads(json.dumps(found.document))
     assert document["failed"].keys() == {"s1-00001", "s1-00002"}
     assert document["worst"][0] == "s1-00002"
-    rows = list(csv.DictReader((tmp_path / "worlds.csv").read_text().splitlines()))
+    rows = list(csv.DictReader((tmp_path / "scenarios.csv").read_text().splitlines()))
     assert [row["id"] for row in rows] == ["s1-00000", "s1-00001", "s1-00002"]
     assert 'tests="3" failures="2"' in (tmp_path / "junit.xml").read_text()
     assert "success rate: found 0.3333, expected at least 1" in found.markdown()
@@ -102,7 +102,7 @@ def test_without_what_draws_the_figure_there_is_a_note(tmp_path: Path, monkeypat
     found = report(results(GOOD), tmp_path)
     found.write(tmp_path)
     assert found.notes == ("the figure needs matplotlib: pip install matplotlib",)
-    assert not (tmp_path / "worlds.png").exists()
+    assert not (tmp_path / "scenarios.png").exists()
     assert (tmp_path / "results.json").exists()
 
 
@@ -112,31 +112,31 @@ def test_the_command_that_replays_is_one_that_the_command_line_takes() -> None:
     context = command.make_context("collect-data-sim", words[2:])
     assert context.params["scenario"] == "s1-00017"
     assert context.params["system"] == "my robot"
-    assert context.params["scenario_set"] == Path("worlds.yml")
+    assert context.params["scenario_set"] == Path("scenarios.yml")
 
 
 def test_lines_of_the_progress() -> None:
-    assert world_line(GOOD) == "s1-00000: 11/12 collections, 1 mm, 0.1 deg"
-    assert world_line(BROKEN) == "s1-00002: nothing seen"
+    assert scenario_line(GOOD) == "s1-00000: 11/12 collections, 1 mm, 0.1 deg"
+    assert scenario_line(BROKEN) == "s1-00002: nothing seen"
     assert MAX_SCENARIOS >= 10_000
 
 
-def test_a_world_does_not_go_on_with_what_another_set_made_of_its_id(small: Path, tmp_path: Path) -> None:
+def test_a_scenario_does_not_go_on_with_what_another_set_made_of_its_id(small: Path, tmp_path: Path) -> None:
     def files(folder: Path) -> dict[str, bytes]:
         return {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()}
 
     def interrupt(*_: object) -> None:
         raise KeyboardInterrupt
 
-    def world(name: str) -> CollectionRequest:
-        return CollectionRequest(small, world=WorldOfSet(tmp_path / f"{name}.yml", "s1-00000"))
+    def scenario(name: str) -> CollectionRequest:
+        return CollectionRequest(small, scenario=ScenarioOfSet(tmp_path / f"{name}.yml", "s1-00000"))
 
     for name, noise in (("a", 1), ("b", 5)):
         text = f"cameras: {{noise_levels: {noise}}}\nmotion: {{poses: 4}}\n"
         (tmp_path / f"{name}.yml").write_text(text)
     with pytest.raises(KeyboardInterrupt):
-        collect_dataset(world("a"), tmp_path / "out", jobs=1, done=interrupt)
+        collect_dataset(scenario("a"), tmp_path / "out", jobs=1, done=interrupt)
     assert (tmp_path / "out" / ".unfinished").exists()
     for folder in ("out", "fresh"):
-        collect_dataset(world("b"), tmp_path / folder, jobs=1)
+        collect_dataset(scenario("b"), tmp_path / folder, jobs=1)
     assert files(tmp_path / "out") == files(tmp_path / "fresh")

@@ -117,5 +117,5 @@ def test_bad_input_counts_only_where_there_is_no_noise_to_blame() -> None:
     assert noisy.error is None
     without = one_map((0.0, 1.0), (0.0,), lambda *_: False, error=ExitCode.BAD_INPUT)
     assert without.error == ExitCode.BAD_INPUT
-    world = one_map((0.0, 1.0), (0.0,), lambda t, _r, _s: t == 0, error=ExitCode.WORLD)
-    assert world.error == ExitCode.WORLD
+    world = one_map((0.0, 1.0), (0.0,), lambda t, _r, _s: t == 0, error=ExitCode.INFRASTRUCTURE)
+    assert world.error == ExitCode.INFRASTRUCTURE

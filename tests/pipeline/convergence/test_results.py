@@ -90,7 +90,7 @@ def test_the_outputs_are_the_least_of_the_maps() -> None:
     assert least([1.0, None]) is None
 
 
-@pytest.mark.parametrize("code", [ExitCode.BAD_INPUT, ExitCode.WORLD])
+@pytest.mark.parametrize("code", [ExitCode.BAD_INPUT, ExitCode.INFRASTRUCTURE])
 def test_what_could_not_be_run_has_its_own_exit_code(code: ExitCode) -> None:
     found = results(GOOD, one_map(T, R, lambda *_: False, NOISE.seeds, error=code))
     assert (found.verdict, found.exit_code) == ("fail", code)
@@ -99,8 +99,8 @@ def test_what_could_not_be_run_has_its_own_exit_code(code: ExitCode) -> None:
 
 
 def test_a_noisy_start_that_the_world_failed_is_no_pass() -> None:
-    found = results(one_map(T, R, lambda t, *_: t == 0, NOISE.seeds, error=ExitCode.WORLD))
-    assert (found.verdict, found.exit_code) == ("fail", ExitCode.WORLD)
+    found = results(one_map(T, R, lambda t, *_: t == 0, NOISE.seeds, error=ExitCode.INFRASTRUCTURE))
+    assert (found.verdict, found.exit_code) == ("fail", ExitCode.INFRASTRUCTURE)
     assert found.reasons[0] == "arm, 0.5 m, 0 rad, seed 1: a false minimum"
     assert 'errors="1"' in junit_xml(told(found).suites)
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from calibration.diagnosis.limits import Limits
-from calibration.errors import InputError, WorldError
+from calibration.errors import InfrastructureError, InputError
 from calibration.introspection.rule_set import parse_rules
 from calibration.pipeline.convergence import sweep
 from calibration.pipeline.convergence.sweep import run_sweep, sweep_matrices
@@ -114,7 +114,7 @@ def test_a_rule_that_does_not_fit_the_table_is_an_error_and_leaves_nothing(tmp_p
 
 def test_a_folder_that_cannot_be_made_is_an_error(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
-    with pytest.raises(WorldError, match="cannot be written"):
+    with pytest.raises(InfrastructureError, match="cannot be written"):
         run_sweep(sweep_matrices(matrix(), ("linear",)), tmp_path / "file", jobs=1)
 
 

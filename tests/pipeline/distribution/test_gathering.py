@@ -123,7 +123,7 @@ def test_a_cell_that_failed_explains_its_job(leave: Callable[..., Path], tmp_pat
 def test_a_missing_result_is_never_a_pass(job: str, leave: Callable[..., Path], tmp_path: Path) -> None:
     leave("one", result(ONE))
     found = gather(needs(BOTH, calibrate=job), tmp_path)
-    assert found.exit_code == ExitCode.WORLD
+    assert found.exit_code == ExitCode.INFRASTRUCTURE
     assert [cell.reasons for cell in found.results.cells] == [(), (NO_RESULT,)]
 
 
@@ -135,10 +135,10 @@ def test_a_missing_seed_is_a_missing_result(leave: Callable[..., Path], tmp_path
 
 def test_nothing_at_all_is_left(tmp_path: Path) -> None:
     found = gather(needs(WHOLE, image="failure", calibrate="skipped"), tmp_path / "nowhere")
-    assert found.exit_code == ExitCode.WORLD
+    assert found.exit_code == ExitCode.INFRASTRUCTURE
     assert all(cell.reasons == (NO_RESULT,) for cell in found.results.cells)
     assert [cell.method for cell in found.results.cells] == ["calibration-ci", "calibration-ci", "software"]
-    assert found.results.collections == (Collected("fresh", reasons=(NO_RESULT,), error=ExitCode.WORLD),)
+    assert found.results.collections == (Collected("fresh", reasons=(NO_RESULT,), error=ExitCode.INFRASTRUCTURE),)
     assert found.problems == ("the job image failed: see its log",)
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from calibration.dataset.reading import read_dataset
-from calibration.errors import ExitCode, InputError, WorldError
+from calibration.errors import ExitCode, InfrastructureError, InputError
 from calibration.geometry.transforms import from_xyz_rpy
 from calibration.introspection.rule_set import parse_rules
 from calibration.pipeline.matrix import cell as cell_module
@@ -194,7 +194,7 @@ def test_each_job_is_reported_once(matrix: Matrix, tmp_path: Path) -> None:
 def test_a_worker_that_dies_is_said(matrix: Matrix, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cell_module, "calibrate", lambda *_: os.kill(os.getpid(), signal.SIGKILL))
 
-    with pytest.raises(WorldError, match="worker process died"):
+    with pytest.raises(InfrastructureError, match="worker process died"):
         run_matrix(matrix, tmp_path, 2)
 
 

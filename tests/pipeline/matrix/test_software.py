@@ -340,7 +340,11 @@ def test_data_that_nobody_can_calibrate_verify_nothing(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("code", "error"),
-    [(ExitCode.FAIL, None), (ExitCode.BAD_INPUT, ExitCode.BAD_INPUT), (ExitCode.WORLD, ExitCode.WORLD)],
+    [
+        (ExitCode.FAIL, None),
+        (ExitCode.BAD_INPUT, ExitCode.BAD_INPUT),
+        (ExitCode.INFRASTRUCTURE, ExitCode.INFRASTRUCTURE),
+    ],
 )
 def test_a_job_that_failed_says_why(tmp_path: Path, code: ExitCode, error: ExitCode | None) -> None:
     system = load(System("t2rgb", DATASETS / "t2rgb"))

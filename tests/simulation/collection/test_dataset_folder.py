@@ -6,7 +6,7 @@ import pytest
 
 from calibration.dataset.reading import read_dataset
 from calibration.dataset.truth import find_truth
-from calibration.errors import InputError, WorldError
+from calibration.errors import InfrastructureError, InputError
 from calibration.simulation.collection import dataset_folder
 from calibration.simulation.collection.dataset_folder import replacing_dataset, write_dataset
 from calibration.simulation.collection.record import Record
@@ -101,7 +101,7 @@ def test_an_interrupted_run_leaves_everything_as_it_was(
     monkeypatch.setattr(Path, "rename", interrupted)
     for move in range(1, 19 if old else 11):
         countdown = move
-        with pytest.raises(WorldError if error is OSError else error):
+        with pytest.raises(InfrastructureError if error is OSError else error):
             write(folder, collected, overwrite=True)
         assert snapshot(tmp_path) == before
         assert folder.exists() == old
@@ -115,7 +115,7 @@ def test_a_full_disk_while_writing(collected: Writer, tmp_path: Path, monkeypatc
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(dataset_folder, "place", full)
-    with pytest.raises(WorldError, match="output: cannot be written: No space left on device"):
+    with pytest.raises(InfrastructureError, match="output: cannot be written: No space left on device"):
         write(tmp_path / "output", collected)
     assert list(tmp_path.iterdir()) == []
 
@@ -157,5 +157,5 @@ def test_an_output_that_is_a_file(collected: Writer, tmp_path: Path) -> None:
     (tmp_path / "output").write_text("mine")
     with pytest.raises(InputError, match="output: is a file, expected a folder for the dataset"):
         write(tmp_path / "output", collected)
-    with pytest.raises(WorldError, match="output/inside: cannot be made: Not a directory"):
+    with pytest.raises(InfrastructureError, match="output/inside: cannot be made: Not a directory"):
         write(tmp_path / "output" / "inside", collected)

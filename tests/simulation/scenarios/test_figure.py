@@ -29,20 +29,20 @@ def report(count: int, lost: int = 0) -> Statistics:
 
 @pytest.mark.parametrize(("count", "lost"), [(40, 3), (40, 40), (1, 0), (3, 1)])
 def test_any_report_is_drawn(count: int, lost: int) -> None:
-    png = figure(report(count, lost), r"Worlds of $\frac$", translation_limit=1, rotation_limit=0.1)
+    png = figure(report(count, lost), r"Scenarios of $\frac$", translation_limit=1, rotation_limit=0.1)
     image = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR)
     assert image.shape == (770, 1100, 3)
     assert np.ptp(image) > 100
 
 
 def test_the_same_report_gives_the_same_picture() -> None:
-    png = figure(report(30), "30 worlds")
-    assert png == figure(report(30), "30 worlds")
+    png = figure(report(30), "30 scenarios")
+    assert png == figure(report(30), "30 scenarios")
     assert b"matplotlib" not in png
-    assert figure(report(30), "30 worlds") != figure(report(30, 1), "30 worlds")
+    assert figure(report(30), "30 scenarios") != figure(report(30, 1), "30 scenarios")
 
 
 def test_without_matplotlib_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     with pytest.raises(InputError, match=r"pip install matplotlib"):
-        figure(report(3), "3 worlds")
+        figure(report(3), "3 scenarios")

@@ -24,18 +24,18 @@ assembly: {translation_mm: {normal: [0, 2]}}
 motion: {poses: 5, sway_mm: {log_uniform: [0.01, 10]}}
 """
 LENIENT = Requirements(stillness=1)
-WORLDS = 16
+SCENARIOS = 16
 
 
 def run_scenarios(
-    worlds: ScenarioSet,
+    scenarios: ScenarioSet,
     indices: Sequence[int],
     jobs: int,
     motion: Motion | None = None,
     requirements: Requirements | None = None,
 ) -> list[ScenarioResult]:
-    """The worlds of seed 1 with these numbers."""
-    tasks = [scenario_task(worlds, worlds.scenario(1, index), motion, requirements) for index in indices]
+    """The scenarios of seed 1 with these numbers."""
+    tasks = [scenario_task(scenarios, scenarios.scenario(1, index), motion, requirements) for index in indices]
     with single_threaded_opencv():
         return list(run_tasks(tasks, workers=jobs).values())
 
@@ -49,11 +49,11 @@ def swaying(small: Path, tmp_path_factory: pytest.TempPathFactory) -> ScenarioSe
 
 @pytest.fixture(scope="module")
 def results(swaying: ScenarioSet) -> list[ScenarioResult]:
-    return run_scenarios(swaying, range(WORLDS), 2, requirements=LENIENT)
+    return run_scenarios(swaying, range(SCENARIOS), 2, requirements=LENIENT)
 
 
-def test_every_world_is_collected_and_calibrated(results: list[ScenarioResult]) -> None:
-    assert [result.id for result in results] == [f"s1-{i:05d}" for i in range(WORLDS)]
+def test_every_scenario_is_collected_and_calibrated(results: list[ScenarioResult]) -> None:
+    assert [result.id for result in results] == [f"s1-{i:05d}" for i in range(SCENARIOS)]
     for result in results:
         assert result.reasons == ()
         assert result.converged
@@ -87,29 +87,29 @@ def test_what_was_planted_drives_the_error(results: list[ScenarioResult]) -> Non
     assert not any(driver.stands_out for driver in others)
 
 
-def test_a_still_world_calibrates_although_it_was_put_together_badly(read_set: ReadSet) -> None:
-    worlds = read_set(
+def test_a_still_scenario_calibrates_although_it_was_put_together_badly(read_set: ReadSet) -> None:
+    scenarios = read_set(
         "assembly: {translation_mm: {uniform: [5, 20]}, rotation_deg: {uniform: [1, 3]}}\nmotion: {poses: 6}"
     )
-    (result,) = run_scenarios(worlds, [0], 1)
+    (result,) = run_scenarios(scenarios, [0], 1)
     assert result.translation_mm is not None
     assert result.translation_mm < 0.5
 
 
-def test_a_world_without_a_motion_does_not_lose_the_others(read_set: ReadSet) -> None:
-    worlds = read_set("occluders: {count: {choice: [0, 40]}, size_m: 1.5}\nmotion: {poses: 4}")
-    counts = [worlds.scenario(1, i).values["occluders.count"] for i in range(10)]
+def test_a_scenario_without_a_motion_does_not_lose_the_others(read_set: ReadSet) -> None:
+    scenarios = read_set("occluders: {count: {choice: [0, 40]}, size_m: 1.5}\nmotion: {poses: 4}")
+    counts = [scenarios.scenario(1, i).values["occluders.count"] for i in range(10)]
     indices = [counts.index(0), counts.index(40)]
-    open_world, walled = run_scenarios(worlds, indices, 2)
-    assert open_world.converged
+    open_scenario, walled = run_scenarios(scenarios, indices, 2)
+    assert open_scenario.converged
     assert not walled.converged
     assert (walled.poses, walled.kept, walled.translation_mm) == (0, 0, None)
     assert len(walled.reasons) == 1
 
 
-def test_a_world_in_the_dark_says_that_no_pose_gave_a_collection(read_set: ReadSet) -> None:
-    worlds = read_set("light: {ambient: 0, intensity: 0}\nmotion: {poses: 2}")
-    (result,) = run_scenarios(worlds, [3], 1)
+def test_a_scenario_in_the_dark_says_that_no_pose_gave_a_collection(read_set: ReadSet) -> None:
+    scenarios = read_set("light: {ambient: 0, intensity: 0}\nmotion: {poses: 2}")
+    (result,) = run_scenarios(scenarios, [3], 1)
     assert (result.poses, result.kept, result.converged) == (2, 0, False)
     assert result.detection == {"left_camera": 0, "right_camera": 0}
     assert result.lost is not None
@@ -117,7 +117,7 @@ def test_a_world_in_the_dark_says_that_no_pose_gave_a_collection(read_set: ReadS
     assert result.reasons == ("no pose gave a collection",)
 
 
-def test_a_given_motion_is_played_in_every_world(swaying: ScenarioSet, small: Path) -> None:
+def test_a_given_motion_is_played_in_every_scenario(swaying: ScenarioSet, small: Path) -> None:
     motion = read_motion(small / "motion.json").take([0, 3, 5])
     first, second = run_scenarios(swaying, [0, 1], 1, motion, LENIENT)
     assert (first.poses, second.poses) == (3, 3)
@@ -128,7 +128,7 @@ def test_a_given_motion_is_played_in_every_world(swaying: ScenarioSet, small: Pa
     assert "found no position and orientation" in refused.reasons[0]
 
 
-def test_constraints_that_cannot_be_kept_end_it_before_the_first_world(read_set: ReadSet) -> None:
-    worlds = read_set("motion: {sway_mm: {uniform: [0, 1]}}\nconstraints: [{parameter: motion.sway_mm, min: 2}]")
+def test_constraints_that_cannot_be_kept_end_it_before_the_first_scenario(read_set: ReadSet) -> None:
+    scenarios = read_set("motion: {sway_mm: {uniform: [0, 1]}}\nconstraints: [{parameter: motion.sway_mm, min: 2}]")
     with pytest.raises(InputError, match=r"constraints\.0"):
-        run_scenarios(worlds, [0, 1], 1)
+        run_scenarios(scenarios, [0, 1], 1)

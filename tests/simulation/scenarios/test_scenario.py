@@ -44,7 +44,7 @@ def test_what_is_no_id_is_refused(text: str) -> None:
         parse_id(text)
 
 
-def test_a_world_draws_its_own_numbers() -> None:
+def test_a_scenario_draws_its_own_numbers() -> None:
     others = [replace(SCENARIO, seed=2), replace(SCENARIO, index=18), replace(SCENARIO, attempt=1)]
     seeds = {scenario.collection_seed for scenario in (SCENARIO, *others)}
     assert len(seeds) == 4

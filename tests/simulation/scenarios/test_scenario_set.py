@@ -16,14 +16,14 @@ OCCLUDERS = "occluders: {count: {integer: [1, 4]}, size_m: {uniform: [0.1, 0.4]}
 
 
 def test_a_group_has_a_parameter_for_each_of_its_things(read_set: ReadSet) -> None:
-    worlds = read_set("""
+    scenarios = read_set("""
 cameras: {exposure: 1.5}
 lidars: {noise_m: {uniform: [0.01, 0.02]}}
 assembly: {translation_mm: 1, rotation_deg: 2}
 pattern: {bow_mm: 3}
 motion: {sway_mm: 4}
 """)
-    assert dict(worlds.scenario(1, 0).values) == {
+    assert dict(scenarios.scenario(1, 0).values) == {
         "motion.sway_mm": 4,
         "pattern_1.bow_x_mm": 3,
         "pattern_1.bow_y_mm": 3,
@@ -35,16 +35,16 @@ motion: {sway_mm: 4}
 
 
 def test_an_anchored_sensor_is_where_it_was_designed_to_be(read_set: ReadSet) -> None:
-    worlds = read_set("assembly: {translation_mm: 1}\nlidars: {noise_m: 0.01}", "rlbot")
-    assert set(worlds.parameters.distributions) == {
+    scenarios = read_set("assembly: {translation_mm: 1}\nlidars: {noise_m: 0.01}", "rlbot")
+    assert set(scenarios.parameters.distributions) == {
         "lidar_right.noise_m",
         *(f"lidar_right.translation_{axis}_mm" for axis in "xyz"),
     }
 
 
 def test_joints_vary_by_the_unit_of_their_parameters(read_set: ReadSet) -> None:
-    worlds = read_set("joints: {translation_mm: 2, rotation_deg: {normal: [0, 1]}}", "spjbot")
-    values = worlds.scenario(1, 0).values
+    scenarios = read_set("joints: {translation_mm: 2, rotation_deg: {normal: [0, 1]}}", "spjbot")
+    values = scenarios.scenario(1, 0).values
     assert values["j3_joint.origin_z.translation_mm"] == 2
     angles = {"j2_joint.origin_yaw.rotation_deg", "j4_joint.origin_yaw.rotation_deg"}
     assert set(values) == {"j3_joint.origin_z.translation_mm", *angles}
@@ -53,8 +53,8 @@ def test_joints_vary_by_the_unit_of_their_parameters(read_set: ReadSet) -> None:
 
 
 def test_what_is_said_of_one_sensor_stands_before_what_is_said_of_all(read_set: ReadSet) -> None:
-    worlds = read_set("cameras: {exposure: 1.5, k1: 0.1}\nsensors: {right_camera: {exposure: 2, translation_mm: 1}}")
-    values = worlds.scenario(1, 0).values
+    scenarios = read_set("cameras: {exposure: 1.5, k1: 0.1}\nsensors: {right_camera: {exposure: 2, translation_mm: 1}}")
+    values = scenarios.scenario(1, 0).values
     assert (values["left_camera.exposure"], values["right_camera.exposure"]) == (1.5, 2)
     assert values["right_camera.k1"] == 0.1
     assert values["right_camera.translation_x_mm"] == 1
@@ -62,12 +62,12 @@ def test_what_is_said_of_one_sensor_stands_before_what_is_said_of_all(read_set: 
 
 
 def test_any_part_of_the_scenarios_in_any_order_is_a_part_of_the_whole(read_set: ReadSet) -> None:
-    worlds = read_set(LIGHT + CAMERAS + "constraints: [{less: [light.intensity, light.ambient]}]")
-    whole = [worlds.scenario(3, index) for index in range(40)]
+    scenarios = read_set(LIGHT + CAMERAS + "constraints: [{less: [light.intensity, light.ambient]}]")
+    whole = [scenarios.scenario(3, index) for index in range(40)]
     some = random.Random(0).sample(range(40), 15)
-    assert [worlds.scenario(3, index) for index in some] == [whole[index] for index in some]
+    assert [scenarios.scenario(3, index) for index in some] == [whole[index] for index in some]
     assert len({tuple(scenario.values.values()) for scenario in whole}) == 40
-    assert worlds.scenario(4, 0).values != whole[0].values
+    assert scenarios.scenario(4, 0).values != whole[0].values
 
 
 def test_these_are_the_values_on_every_machine(read_set: ReadSet) -> None:
@@ -94,8 +94,8 @@ def test_how_the_file_is_laid_out_does_not_matter(read_set: ReadSet) -> None:
     assert other.scenario(1, 5) == one
 
 
-def test_every_world_keeps_to_the_constraints(read_set: ReadSet) -> None:
-    worlds = read_set(
+def test_every_scenario_keeps_to_the_constraints(read_set: ReadSet) -> None:
+    scenarios = read_set(
         LIGHT
         + CAMERAS
         + """
@@ -105,7 +105,7 @@ constraints:
   - {less: [left_camera.k1, right_camera.k1]}
 """
     )
-    scenarios = [worlds.scenario(1, index) for index in range(60)]
+    scenarios = [scenarios.scenario(1, index) for index in range(60)]
     for scenario in scenarios:
         values = scenario.values
         assert values["light.intensity"] < values["light.ambient"]
@@ -114,7 +114,7 @@ constraints:
     assert {scenario.attempt for scenario in scenarios} > {0, 1, 2}  # about one draw in seven keeps to them
 
 
-def test_a_world_that_keeps_to_the_constraints_is_drawn_as_without_them(read_set: ReadSet) -> None:
+def test_a_scenario_that_keeps_to_the_constraints_is_drawn_as_without_them(read_set: ReadSet) -> None:
     free, bound = read_set(LIGHT), read_set(LIGHT + "constraints: [{less: [light.intensity, light.ambient]}]")
     for index in range(30):
         values = free.scenario(1, index).values
@@ -124,26 +124,26 @@ def test_a_world_that_keeps_to_the_constraints_is_drawn_as_without_them(read_set
 
 def test_sensors_keep_a_distance_from_boxes(read_set: ReadSet) -> None:
     near = read_set(OCCLUDERS)
-    worlds = read_set(OCCLUDERS + f"constraints: [{{parameter: {CLEARANCE}, min: 0.35}}]")
+    scenarios = read_set(OCCLUDERS + f"constraints: [{{parameter: {CLEARANCE}, min: 0.35}}]")
     before = [clearance(build_world(near.system, near.scenario(1, i))) for i in range(30)]
-    after = [clearance(build_world(worlds.system, worlds.scenario(1, i))) for i in range(30)]
+    after = [clearance(build_world(scenarios.system, scenarios.scenario(1, i))) for i in range(30)]
     assert min(before) < 0.35 <= min(after)
 
 
 def test_a_constraint_that_nothing_keeps_to_is_named(read_set: ReadSet) -> None:
-    worlds = read_set(
+    scenarios = read_set(
         LIGHT + "constraints: [{parameter: light.ambient, min: 0.3}, {parameter: light.intensity, min: 2}]"
     )
     with pytest.raises(
         InputError, match=r"scenarios.yml: constraints.1: 'light.intensity at least 2' is broken by [89]"
     ):
-        worlds.scenario(1, 17)
+        scenarios.scenario(1, 17)
 
 
 def test_the_set_that_ships_fits_every_system(systems: dict[str, System]) -> None:
     for system in systems.values():
-        worlds = read_scenario_set(DATASETS / "scenarios.yml", system)
-        assert all(worlds.scenario(1, index).values for index in range(20))
+        scenarios = read_scenario_set(DATASETS / "scenarios.yml", system)
+        assert all(scenarios.scenario(1, index).values for index in range(20))
 
 
 @pytest.mark.parametrize(

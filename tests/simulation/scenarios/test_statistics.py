@@ -19,7 +19,7 @@ def many(errors: Sequence[float | None]) -> Statistics:
 
 @settings(deadline=None)
 @given(st.lists(st.floats(0, 1e3), min_size=1, max_size=60))
-def test_percentiles_are_values_of_worlds(errors: list[float]) -> None:
+def test_percentiles_are_values_of_scenarios(errors: list[float]) -> None:
     found = many(errors).percentiles("translation_mm")
     assert list(found) == [0, 5, 25, 50, 75, 95, 100]
     assert (found[0], found[100]) == (min(errors), max(errors))

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from calibration.errors import CalibrationError, InputError, WorldError
+from calibration.errors import CalibrationError, InfrastructureError, InputError
 from calibration.execution.batch.documents import MOST_BYTES, TaskJob, TaskOutcome, outcome_document, read_job
 from calibration.execution.batch.inside.prepare import prepare
 from calibration.execution.batch.inside.script import Signs
@@ -65,7 +65,7 @@ def send_files(store: Store, files: Iterable[BroughtOut], folder: Path, place: s
             with path.open("rb") as file:
                 store.write(key, file)
         except OSError as error:
-            raise WorldError(f"{path}: cannot be read: {error.strerror}") from error
+            raise InfrastructureError(f"{path}: cannot be read: {error.strerror}") from error
 
     keys = {file.path: f"{place}/{file.path}" for file in files}
     for path, key in keys.items():
@@ -123,13 +123,13 @@ class Task:
 
         Raises:
             InputError: the bucket cannot be read.
-            WorldError: there is no such job, or it makes no sense.
+            InfrastructureError: there is no such job, or it makes no sense.
             AwsLostError: AWS does not answer.
         """
         key = self.location.jobs_key(self.index)
         data = patiently(lambda: self.store.get(key, MOST_BYTES))
         if data is None:
-            raise WorldError(f"s3://{self.location.bucket}/{key}: there is no such object")
+            raise InfrastructureError(f"s3://{self.location.bucket}/{key}: there is no such object")
         return read_job(data, self.index % JOBS_PER_FILE, key)
 
 

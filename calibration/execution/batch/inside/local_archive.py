@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
-from calibration.errors import WorldError
+from calibration.errors import InfrastructureError
 from calibration.execution.bringing_out import Archive, NothingThereError, Opener
 from calibration.execution.extraction import RefusedError
 from calibration.execution.job import OUTPUT
@@ -41,7 +41,7 @@ def opener_of(folder: Path) -> Opener:
             except (FileNotFoundError, NotADirectoryError):
                 raise NothingThereError from None
             except OSError as error:
-                raise WorldError(f"artifact '{path}' cannot be read: {error.strerror}") from error
+                raise InfrastructureError(f"artifact '{path}' cannot be read: {error.strerror}") from error
             yield Archive(_stream(above, name, parts[-1] if parts else "output"), "")
 
     return opened
@@ -85,12 +85,14 @@ def _stream(above: int, name: str, shown: str) -> Iterator[bytes]:
     """The tar of one entry of a folder, with all that is in it.
 
     Raises:
-        WorldError: it cannot be read.
+        InfrastructureError: it cannot be read.
     """
     try:
         yield from _entries(above, name, shown)
     except OSError as error:
-        raise WorldError(f"artifact '{shorten(one_line(shown), 200)}' cannot be read: {error.strerror}") from error
+        raise InfrastructureError(
+            f"artifact '{shorten(one_line(shown), 200)}' cannot be read: {error.strerror}"
+        ) from error
     yield _END
 
 
@@ -124,7 +126,9 @@ def _content(file: int, entry: tarfile.TarInfo) -> Iterator[bytes]:
     while left:
         chunk = os.read(file, min(left, _CHUNK))
         if not chunk:
-            raise WorldError(f"artifact '{shorten(one_line(entry.name), 200)}' became shorter while it was read")
+            raise InfrastructureError(
+                f"artifact '{shorten(one_line(entry.name), 200)}' became shorter while it was read"
+            )
         left -= len(chunk)
         yield chunk
     yield b"\0" * (-entry.size % _BLOCK)

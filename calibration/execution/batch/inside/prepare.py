@@ -6,7 +6,7 @@ import tarfile
 import tempfile
 from pathlib import Path
 
-from calibration.errors import WorldError
+from calibration.errors import InfrastructureError
 from calibration.execution.batch.documents import Input, TaskJob
 from calibration.execution.batch.inside.script import Signs, script_of
 from calibration.execution.batch.store import Store
@@ -27,7 +27,7 @@ def prepare(task: TaskJob, store: Store, signs: Signs, mounts: Path, output: Pat
 
     Raises:
         InputError: the job cannot run here, or the bucket not be read.
-        WorldError: an input is not what it should be, or a volume cannot be written.
+        InfrastructureError: an input is not what it should be, or a volume cannot be written.
         AwsLostError: AWS does not answer.
     """
     scripts = {container.name: script_of(container, task.job) for container in task.job.containers}
@@ -36,7 +36,7 @@ def prepare(task: TaskJob, store: Store, signs: Signs, mounts: Path, output: Pat
     try:
         output.chmod(0o1777)  # users of images are anybody
     except OSError as error:
-        raise WorldError(f"{output}: cannot be written: {error.strerror}") from error
+        raise InfrastructureError(f"{output}: cannot be written: {error.strerror}") from error
     signs.make(task.job)
     for name, script in scripts.items():
         path = signs.folder / f"{name}.sh"
@@ -50,7 +50,7 @@ def _bring(item: Input, store: Store, volume: Path) -> None:
         file = Path(folder, "input.tar")
         found = store.download(item.key, file, item.size)
         if found != item.sha256:
-            raise WorldError(f"{where}: it is not there, or not what was sent: run the job again")
+            raise InfrastructureError(f"{where}: it is not there, or not what was sent: run the job again")
         try:
             with tarfile.open(file, "r:") as archive:
                 # what is checked by Python itself depends on its version
@@ -59,7 +59,7 @@ def _bring(item: Input, store: Store, volume: Path) -> None:
             if item.writable:
                 _open_for_all(volume)
         except (tarfile.TarError, OSError, RefusedError) as error:
-            raise WorldError(f"{where}: cannot be unpacked: {shorten(one_line(str(error)), 200)}") from error
+            raise InfrastructureError(f"{where}: cannot be unpacked: {shorten(one_line(str(error)), 200)}") from error
 
 
 def _checked(entry: tarfile.TarInfo) -> tarfile.TarInfo:

@@ -13,7 +13,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
 
-from calibration.errors import InputError, WorldError
+from calibration.errors import InfrastructureError, InputError
 from calibration.execution.batch.wire import JOB_FOLDER
 from calibration.execution.job import Container, Job
 
@@ -41,7 +41,7 @@ class Signs:
         """Make what the containers of a job write to.
 
         Raises:
-            WorldError: it cannot be made.
+            InfrastructureError: it cannot be made.
         """
         try:
             (self.folder / START).mkdir(parents=True, exist_ok=True)
@@ -50,13 +50,13 @@ class Signs:
                 state.mkdir(parents=True, exist_ok=True)
                 state.chmod(0o1777)  # its user is whatever the image says
         except OSError as error:
-            raise WorldError(f"{self.folder}: cannot be written: {error.strerror or error}") from error
+            raise InfrastructureError(f"{self.folder}: cannot be written: {error.strerror or error}") from error
 
     def start(self, name: str) -> None:
         """Let a container start.
 
         Raises:
-            WorldError: it cannot be written.
+            InfrastructureError: it cannot be written.
         """
         self._write(self.folder / START / name)
 
@@ -64,7 +64,7 @@ class Signs:
         """Ask all containers to end.
 
         Raises:
-            WorldError: it cannot be written.
+            InfrastructureError: it cannot be written.
         """
         self._write(self.folder / STOP)
 
@@ -105,7 +105,7 @@ class Signs:
         try:
             path.touch()
         except OSError as error:
-            raise WorldError(f"{path}: cannot be written: {error.strerror or error}") from error
+            raise InfrastructureError(f"{path}: cannot be written: {error.strerror or error}") from error
 
 
 GRACE = 5

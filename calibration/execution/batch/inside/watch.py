@@ -134,7 +134,7 @@ class WatchedContainer(Supervised):
         """Let it start its command.
 
         Raises:
-            WorldError: it cannot be told.
+            InfrastructureError: it cannot be told.
         """
         self._signs.start(self.name)
         self.started = time.monotonic()
@@ -251,7 +251,7 @@ class Watch(Supervisor[WatchedContainer]):
         """Watch the job until it has ended; what it leaves is in ``folder`` then, which is not there before.
 
         Raises:
-            WorldError: a sign cannot be given.
+            InfrastructureError: a sign cannot be given.
         """
         try:
             if self._all_arrive():

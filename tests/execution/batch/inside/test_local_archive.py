@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from calibration.errors import WorldError
+from calibration.errors import InfrastructureError
 from calibration.execution.batch.inside.local_archive import opener_of
 from calibration.execution.bringing_out import NothingThereError
 from calibration.execution.extraction import Budget, Extraction, RefusedError, extract
@@ -113,7 +113,7 @@ def test_a_link_that_is_put_in_the_place_of_a_folder(output: Path, tmp_path: Pat
     assert b"s3cret" not in first + rest
     with opener_of(output)(f"{OUTPUT}/empty") as archive:
         (output / "empty").unlink()
-        with pytest.raises(WorldError, match="artifact 'empty' cannot be read: No such file"):
+        with pytest.raises(InfrastructureError, match="artifact 'empty' cannot be read: No such file"):
             next(archive.chunks)
 
 
@@ -132,7 +132,9 @@ def test_a_link_that_comes_between_the_look_and_the_reading(
 
     with opener_of(output)(OUTPUT) as archive:
         monkeypatch.setattr(os, "stat", look)
-        with pytest.raises(WorldError, match=r"cannot be read: (Too many levels of symbolic links|Not a directory)"):
+        with pytest.raises(
+            InfrastructureError, match=r"cannot be read: (Too many levels of symbolic links|Not a directory)"
+        ):
             list(archive.chunks)
         monkeypatch.undo()
 
@@ -142,7 +144,7 @@ def test_a_file_that_becomes_shorter(output: Path) -> None:
         next(archive.chunks)
         next(archive.chunks)
         (output / "run-7" / "deep" / "b").write_bytes(b"")
-        with pytest.raises(WorldError, match="artifact 'b' became shorter while it was read"):
+        with pytest.raises(InfrastructureError, match="artifact 'b' became shorter while it was read"):
             list(archive.chunks)
 
 
@@ -151,5 +153,8 @@ def test_an_error_of_the_disk(output: Path, monkeypatch: pytest.MonkeyPatch) -> 
         raise OSError(5, "Input/output error")
 
     monkeypatch.setattr(os, "stat", fails)
-    with pytest.raises(WorldError, match="cannot be read: Input/output error"), opener_of(output)(f"{OUTPUT}/empty"):
+    with (
+        pytest.raises(InfrastructureError, match="cannot be read: Input/output error"),
+        opener_of(output)(f"{OUTPUT}/empty"),
+    ):
         pass

@@ -16,7 +16,7 @@ import pytest
 
 pytest.importorskip("boto3")
 
-from calibration.errors import ExitCode, WorldError
+from calibration.errors import ExitCode, InfrastructureError
 from calibration.execution.batch.documents import Input, TaskOutcome, job_entry, jobs_document, read_outcome
 from calibration.execution.batch.inside.__main__ import Places, Task, main, send_files
 from calibration.execution.batch.inside.script import Signs, script_of
@@ -139,13 +139,13 @@ def test_an_input_that_is_not_what_was_sent(
     aws: "Aws", places: Places, capsys: pytest.CaptureFixture[str], data: bytes, changes: dict[str, Any], message: str
 ) -> None:
     put_job(aws, inputs=(put_input(aws, data, **changes),))
-    assert main(["prepare"], variables(), places) == ExitCode.WORLD
+    assert main(["prepare"], variables(), places) == ExitCode.INFRASTRUCTURE
     said = capsys.readouterr().err
     assert said.startswith("error: volume 0: s3 object ")
     assert message in said
     assert said.count("\n") == 1
     found = outcome(aws)  # the client learns of it
-    assert found.exit_code == ExitCode.WORLD
+    assert found.exit_code == ExitCode.INFRASTRUCTURE
     assert f"error: {found.reasons[0]}\n" == said
     assert [c.end for c in found.containers] == [End.NOT_STARTED]
     assert not (places.job / "a.sh").exists()
@@ -262,7 +262,7 @@ def test_a_longer_name_than_s3_takes(aws: "Aws") -> None:
 
 
 def test_a_file_that_is_not_there_any_more(aws: "Aws", tmp_path: Path) -> None:
-    with pytest.raises(WorldError, match="cannot be read: No such file"):
+    with pytest.raises(InfrastructureError, match="cannot be read: No such file"):
         send_files(Task(variables()).store, [BroughtOut("gone", "a", 1, "")], tmp_path, "p/files")
 
 
@@ -295,5 +295,5 @@ def test_stopped_it_asks_the_containers_to_end_and_leaves_no_outcome(
 def test_what_a_volume_does_not_let_us_do(aws: "Aws", places: Places, capsys: pytest.CaptureFixture[str]) -> None:
     put_job(aws)
     shutil.rmtree(places.output)
-    assert main(["prepare"], variables(), places) == ExitCode.WORLD
+    assert main(["prepare"], variables(), places) == ExitCode.INFRASTRUCTURE
     assert f"{places.output}: cannot be written: No such file or directory" in capsys.readouterr().err

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from calibration.errors import WorldError
+from calibration.errors import InfrastructureError
 from calibration.execution.batch.inside.script import BEAT, ENDED, LOG, PIPE, Signs
 from calibration.execution.job import Container, Job
 
@@ -85,5 +85,5 @@ def test_what_cannot_be_written(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     signs = Signs(tmp_path / "file")
     for act in (lambda: signs.make(JOB), signs.stop, lambda: signs.start("a")):
-        with pytest.raises(WorldError, match=r"file.*: cannot be written: Not a directory"):
+        with pytest.raises(InfrastructureError, match=r"file.*: cannot be written: Not a directory"):
             act()

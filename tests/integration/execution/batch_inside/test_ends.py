@@ -106,14 +106,14 @@ def test_a_job_ends_with_its_essential_container(tmp_path: Path) -> None:
             shell("sleep 600", limits=Limits(seconds=1)),
             {},
             End.TIMED_OUT,
-            ExitCode.WORLD,
+            ExitCode.INFRASTRUCTURE,
             "container 'a' ran longer than its 1 s",
         ),
         (
             shell("sleep 600"),
             {"seconds": 1.5},
             End.TIMED_OUT,
-            ExitCode.WORLD,
+            ExitCode.INFRASTRUCTURE,
             "the job ran longer than its 1.5 s: still running were a",
         ),
         (

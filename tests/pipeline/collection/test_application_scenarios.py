@@ -14,7 +14,7 @@ from calibration.errors import ExitCode, InputError
 from calibration.execution.job import OUTPUT, Job
 from calibration.execution.outcome import JobOutcome
 from calibration.pipeline.collection.applications import applications_from
-from calibration.pipeline.collection.collecting import collect_dataset, collect_worlds
+from calibration.pipeline.collection.collecting import collect_dataset, collect_scenarios
 from calibration.pipeline.collection.request import (
     CollectionChecks,
     CollectionRequest,
@@ -23,7 +23,7 @@ from calibration.pipeline.collection.request import (
 )
 from calibration.pipeline.collection.results import ScenarioResults
 from calibration.pipeline.collection.scenario_report import replay, report
-from calibration.pipeline.collection.worlds import WorldFolder
+from calibration.pipeline.collection.scenarios import ScenarioFolder
 from calibration.simulation.scenarios.scenario import ScenarioResult
 from tests.pipeline.places import at
 
@@ -31,7 +31,7 @@ T2RGB = Path(__file__).parents[3] / "datasets" / "t2rgb"
 ENTRY = {
     "image": "robot:1",
     "containers": {
-        "simulation": {"command": "simulate --seed {seed} --world {scenario}", "essential": False},
+        "simulation": {"command": "simulate --seed {seed} --scenario {scenario}", "essential": False},
         "robot": {"command": "collect --motion {motion} --out {output}/set{scenario}", "after": ["simulation"]},
     },
     "dataset": "{output}/set{scenario}",
@@ -54,7 +54,7 @@ class Leaves:
             artifacts = folder / job.name / "artifacts"
             artifacts.mkdir(parents=True)
             (folder / job.name / "logs").mkdir()
-            (folder / job.name / "logs" / "robot.log").write_text(f"world {number}\n")
+            (folder / job.name / "logs" / "robot.log").write_text(f"scenario {number}\n")
             yield (
                 place,
                 JobOutcome(job.name, folder / job.name, **(self.leave[number](artifacts / f"set{number}") or {})),
@@ -84,7 +84,7 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def lost(folder: Path) -> dict[str, Any]:
-    return {"exit_code": ExitCode.WORLD, "reasons": ("the host was lost",)}
+    return {"exit_code": ExitCode.INFRASTRUCTURE, "reasons": ("the host was lost",)}
 
 
 def failed(folder: Path) -> dict[str, Any]:
@@ -103,7 +103,7 @@ def run(
         if told is not None:
             told.append(result.id)
 
-    found = collect_worlds(request, WorldFolder(output, resume), place=at(backend), done=done)
+    found = collect_scenarios(request, ScenarioFolder(output, resume), place=at(backend), done=done)
     report(found, output).write(output)
     return found
 
@@ -127,16 +127,18 @@ def test_each_dataset_is_judged_by_itself(good: Leave, tmp_path: Path) -> None:
     assert found.failed.keys() == {"s3-00001", "s3-00002", "s3-00004"}
     assert found.failed["s3-00001"] == ["container 'robot' ended with exit code 3"]
     assert found.failed["s3-00004"][0].startswith("dataset.json")
-    assert (found.errors, found.exit_code) == ({"s3-00002": ExitCode.WORLD}, ExitCode.WORLD)
+    assert (found.errors, found.exit_code) == ({"s3-00002": ExitCode.INFRASTRUCTURE}, ExitCode.INFRASTRUCTURE)
     document = json.loads((tmp_path / "results.json").read_text())
     assert (document["seed"], document["system"], document["success_rate"]) == (3, "t2rgb", 0.4)
     assert document["scenarios"][3]["translation_mm"] < 0.5
     assert len({each["hash"] for each in document["scenarios"]}) == 5
-    kept = {path.name: {file.name for file in path.iterdir()} for path in (tmp_path / "worlds").iterdir()}
+    kept = {path.name: {file.name for file in path.iterdir()} for path in (tmp_path / "scenarios").iterdir()}
     assert kept.keys() == {"s3-00000", "s3-00001", "s3-00003", "s3-00004"}
-    assert {"dataset.json", "ground_truth.json", "results.json", "world.json", "contact_sheet.png"} <= kept["s3-00000"]
+    assert {"dataset.json", "ground_truth.json", "results.json", "scenario.json", "contact_sheet.png"} <= kept[
+        "s3-00000"
+    ]
     assert "dataset.json" not in kept["s3-00004"]
-    assert (tmp_path / "logs" / "s3-00002" / "robot.log").read_text() == "world 2\n"
+    assert (tmp_path / "logs" / "s3-00002" / "robot.log").read_text() == "scenario 2\n"
 
 
 def test_only_what_is_missing_runs_again(good: Leave, tmp_path: Path) -> None:

@@ -11,10 +11,10 @@ from calibration.pipeline.collection.collecting import collect_dataset
 from calibration.pipeline.collection.request import CollectionRequest
 
 PROJECT = Path(__file__).parents[3]
-# A simulation that tells of its world, and a robot application whose third collection fails.
+# A simulation that tells of its scenario, and a robot application whose third collection fails.
 SIMULATION = """
 import os, sys, time
-with open("/calibration/output/world", "w") as file:
+with open("/calibration/output/scenario", "w") as file:
     file.write(sys.argv[1])
 print("ready", flush=True)
 time.sleep(600)
@@ -24,7 +24,7 @@ import json, os, shutil, sys
 motion, output, scenario, seed = sys.argv[1:]
 assert os.listdir("/calibration/in") == ["motion.json"], os.listdir("/calibration/in")
 assert len(json.load(open(motion))) == 4
-assert open("/calibration/output/world").read() == scenario
+assert open("/calibration/output/scenario").read() == scenario
 if scenario == "2":
     sys.exit("no board was seen with seed " + seed)
 shutil.copytree("/collected", output + "/dataset")
@@ -71,18 +71,18 @@ def test_three_of_which_one_fails(applications: Path, tmp_path: Path, capsys: py
     out, err = capsys.readouterr()
     assert out.startswith("t2rgb: 3 datasets of the applications, seed 3\n")
     document = json.loads((output / "results.json").read_text())
-    [(world, [why])] = document["failed"].items()
-    assert world == "s3-00002"
+    [(scenario, [why])] = document["failed"].items()
+    assert scenario == "s3-00002"
     assert why == "container 'robot' ended with exit code 1: no board was seen with seed 3"
-    assert f"warning: {world}: {why}" in err
+    assert f"warning: {scenario}: {why}" in err
     assert [each["converged"] for each in document["scenarios"]] == [True, True, False]
-    assert (output / "logs" / world / "robot.log").read_text() == "no board was seen with seed 3\n"
-    assert (output / "worlds" / "s3-00001" / "contact_sheet.png").exists()
-    [replay] = [line for line in (output / "summary.md").read_text().splitlines() if f"--scenario {world}" in line]
+    assert (output / "logs" / scenario / "robot.log").read_text() == "no board was seen with seed 3\n"
+    assert (output / "scenarios" / "s3-00001" / "contact_sheet.png").exists()
+    [replay] = [line for line in (output / "summary.md").read_text().splitlines() if f"--scenario {scenario}" in line]
     assert f"--applications {applications}" in replay
 
     assert main([*words, "--scenario", "s3-00001", "--output", str(tmp_path / "one")]) == 0
-    alone, kept = tmp_path / "one" / "dataset.json", output / "worlds" / "s3-00001" / "dataset.json"
+    alone, kept = tmp_path / "one" / "dataset.json", output / "scenarios" / "s3-00001" / "dataset.json"
     assert alone.read_bytes() == kept.read_bytes()
     enough = ("--resume", "--minimum-success-rate", "0.6")
     assert main([*words, "--scenarios", "3", *enough, "--output", str(output)]) == 0

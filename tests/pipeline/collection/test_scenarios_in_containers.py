@@ -1,4 +1,4 @@
-"""Worlds that ran in containers: the same report as here, and what is made of those that were lost or lie."""
+"""Scenarios that ran in containers: the same report as here, and what is made of those that were lost or lie."""
 
 import json
 import shutil
@@ -13,17 +13,17 @@ import pytest
 
 from calibration import __version__
 from calibration.__main__ import main
-from calibration.errors import ExitCode, InputError, WorldError
+from calibration.errors import ExitCode, InfrastructureError, InputError
 from calibration.execution.job import OUTPUT, Job
 from calibration.execution.job_check import check_jobs
 from calibration.execution.outcome import JobOutcome
 from calibration.pipeline.collection.applications import INPUTS
-from calibration.pipeline.collection.collecting import collect_dataset, collect_worlds
-from calibration.pipeline.collection.request import CollectionRequest, ScenarioRequest, WorldImage, WorldOfSet
+from calibration.pipeline.collection.collecting import collect_dataset, collect_scenarios
+from calibration.pipeline.collection.request import CollectionRequest, ScenarioImage, ScenarioOfSet, ScenarioRequest
 from calibration.pipeline.collection.results import ScenarioResults
+from calibration.pipeline.collection.scenario_file import FILE, ScenarioFile
 from calibration.pipeline.collection.scenario_report import report
-from calibration.pipeline.collection.world_file import FILE, WorldFile
-from calibration.pipeline.collection.worlds import WorldDone, WorldFolder
+from calibration.pipeline.collection.scenarios import ScenarioDone, ScenarioFolder
 from calibration.records.schema import schema_of
 from tests.pipeline.places import at
 from tests.small import first_poses
@@ -32,7 +32,7 @@ SET = """
 assembly: {translation_mm: {normal: [0, 3]}}
 motion: {poses: 3}
 """
-WORLDS = 3
+SCENARIOS = 3
 
 Change = Callable[[Path, dict[str, Any]], None]
 """Changes what a job left (its folder), and the fields of its outcome."""
@@ -62,10 +62,10 @@ class RunsHere:
             [container] = job.containers
             [mount] = container.mounts
             code = self._run(container.command, mount.source, artifacts)
-            (place / "logs" / "world.log").write_text(f"began\nended with {code}\n\n")
+            (place / "logs" / "scenario.log").write_text(f"began\nended with {code}\n\n")
             fields: dict[str, Any] = {}
             if code not in container.success:
-                fields = {"exit_code": ExitCode.FAIL, "reasons": (f"container 'world' ended with exit code {code}",)}
+                fields = {"exit_code": ExitCode.FAIL, "reasons": (f"container 'scenario' ended with exit code {code}",)}
             self.changes.get(job.name.replace("-", "_"), lambda *_: None)(place, fields)
             yield number, JobOutcome(job.name, place, **fields)
 
@@ -90,15 +90,15 @@ def kept(tmp_path_factory: pytest.TempPathFactory) -> None:
 
 @pytest.fixture(autouse=True)
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Leave the figure out, whose drawing takes longer than a world."""
+    """Leave the figure out, whose drawing takes longer than a scenario."""
     monkeypatch.setattr("calibration.pipeline.collection.scenario_report.figure", lambda *_: b"a picture")
 
 
 @pytest.fixture
 def asked(small: Path, tmp_path: Path) -> ScenarioRequest:
-    path = tmp_path / "my worlds.yml"
+    path = tmp_path / "my scenarios.yml"
     path.write_text(SET)
-    return ScenarioRequest(CollectionRequest(small, seed=5), path, WORLDS)
+    return ScenarioRequest(CollectionRequest(small, seed=5), path, SCENARIOS)
 
 
 def own(asked: ScenarioRequest) -> CollectionRequest:
@@ -121,17 +121,17 @@ def run(
     output: Path,
     backend: RunsHere | None = None,
     begin: Callable[[str, int], None] = lambda *_: None,
-    done: WorldDone = lambda *_: None,
+    done: ScenarioDone = lambda *_: None,
     **how: bool,
 ) -> ScenarioResults:
-    there = replace(asked, image=WorldImage("robot:1", 60))
+    there = replace(asked, image=ScenarioImage("robot:1", 60))
     return written(
-        collect_worlds(there, WorldFolder(output, **how), None, at(backend or RunsHere()), begin, done), output
+        collect_scenarios(there, ScenarioFolder(output, **how), None, at(backend or RunsHere()), begin, done), output
     )
 
 
 def run_here(asked: ScenarioRequest, output: Path) -> ScenarioResults:
-    return written(collect_worlds(asked, WorldFolder(output), 1), output)
+    return written(collect_scenarios(asked, ScenarioFolder(output), 1), output)
 
 
 def snapshot(folder: Path) -> dict[str, bytes]:
@@ -151,17 +151,17 @@ def test_the_same_report_and_the_same_datasets_as_here(
     )
     run_here(asked, tmp_path / "here")
     assert snapshot(tmp_path / "there") == snapshot(tmp_path / "here")
-    assert (found.exit_code, begun) == (ExitCode.PASS, [("small", WORLDS)])
+    assert (found.exit_code, begun) == (ExitCode.PASS, [("small", SCENARIOS)])
     assert told == ["s5-00002", "s5-00001", "s5-00000"]
-    assert {path.name for path in (tmp_path / "there").iterdir() if path.is_dir()} == {"worlds", "logs"}
-    assert (tmp_path / "there" / "logs" / "s5-00001" / "world.log").read_text() == "began\nended with 0\n\n"
+    assert {path.name for path in (tmp_path / "there").iterdir() if path.is_dir()} == {"scenarios", "logs"}
+    assert (tmp_path / "there" / "logs" / "s5-00001" / "scenario.log").read_text() == "began\nended with 0\n\n"
 
-    alone = replace(own(asked), world=WorldOfSet(tmp_path / "my worlds.yml", "s5-00001"))
+    alone = replace(own(asked), scenario=ScenarioOfSet(tmp_path / "my scenarios.yml", "s5-00001"))
     collect_dataset(alone, tmp_path / "one", jobs=1)
-    kept = snapshot(tmp_path / "there" / "worlds" / "s5-00001")
+    kept = snapshot(tmp_path / "there" / "scenarios" / "s5-00001")
     assert kept == snapshot(tmp_path / "one")
     assert {"dataset.json", "ground_truth.json", "contact_sheet.png", FILE} <= kept.keys()
-    jsonschema.validate(json.loads(kept[FILE]), schema_of(WorldFile))
+    jsonschema.validate(json.loads(kept[FILE]), schema_of(ScenarioFile))
     assert [job.seconds for job in backend.jobs] == [60, 60, 60]
     assert capsys.readouterr().err == ""
 
@@ -188,24 +188,24 @@ def test_a_robot_a_configuration_a_motion_and_a_requirement_of_its_own(
 
 def lost(place: Path, outcome: dict[str, Any]) -> None:
     shutil.rmtree(place / "artifacts")
-    outcome |= {"exit_code": ExitCode.WORLD, "reasons": ("the host i-1 was lost",)}
+    outcome |= {"exit_code": ExitCode.INFRASTRUCTURE, "reasons": ("the host i-1 was lost",)}
 
 
 def killed(place: Path, outcome: dict[str, Any]) -> None:
-    outcome |= {"exit_code": ExitCode.FAIL, "reasons": ("container 'world' ran out of memory",)}
+    outcome |= {"exit_code": ExitCode.FAIL, "reasons": ("container 'scenario' ran out of memory",)}
 
 
-def test_a_lost_world_loses_no_other_and_is_no_pass(asked: ScenarioRequest, tmp_path: Path) -> None:
+def test_a_lost_scenario_loses_no_other_and_is_no_pass(asked: ScenarioRequest, tmp_path: Path) -> None:
     found = run(asked, tmp_path / "out", RunsHere(s5_00001=lost))
     assert found.failed == {"s5-00001": ["the host i-1 was lost"]}
-    assert (found.verdict, found.exit_code, found.success_rate) == ("fail", ExitCode.WORLD, 0.666667)
+    assert (found.verdict, found.exit_code, found.success_rate) == ("fail", ExitCode.INFRASTRUCTURE, 0.666667)
     assert [each.id for each in found.statistics.ran] == ["s5-00000", "s5-00002"]
     document = json.loads((tmp_path / "out" / "results.json").read_text())
     assert document["errors"] == {"s5-00001": 3}
     assert [each["converged"] for each in document["scenarios"]] == [True, False, True]
     assert document["scenarios"][1]["values"].keys() == document["scenarios"][0]["values"].keys()
     assert 'errors="1"' in (tmp_path / "out" / "junit.xml").read_text()
-    assert sorted(path.name for path in (tmp_path / "out" / "worlds").iterdir()) == ["s5-00000", "s5-00002"]
+    assert sorted(path.name for path in (tmp_path / "out" / "scenarios").iterdir()) == ["s5-00000", "s5-00002"]
     enough = run(replace(asked, minimum_success_rate=0.6), tmp_path / "rate", RunsHere(s5_00001=lost))
     assert enough.exit_code == ExitCode.PASS
     assert enough.failed.keys() == {"s5-00001"}
@@ -214,7 +214,9 @@ def test_a_lost_world_loses_no_other_and_is_no_pass(asked: ScenarioRequest, tmp_
 def test_only_what_is_missing_is_run_again(asked: ScenarioRequest, tmp_path: Path) -> None:
     output = tmp_path / "out"
     run(asked, output, RunsHere(s5_00001=lost, s5_00002=killed))
-    with pytest.raises(InputError, match=r"out/worlds: exists already; --overwrite replaces the worlds, --resume runs"):
+    with pytest.raises(
+        InputError, match=r"out/scenarios: exists already; --overwrite replaces the scenarios, --resume runs"
+    ):
         run(asked, output)
     again, told = RunsHere(), list[str]()
     found = run(asked, output, again, done=lambda _count, _total, each: told.append(each.id), resume=True)
@@ -226,10 +228,10 @@ def test_only_what_is_missing_is_run_again(asked: ScenarioRequest, tmp_path: Pat
     run(asked, output, nothing, resume=True)
     assert nothing.jobs == []
     run(replace(asked, collection=replace(own(asked), seed=6), count=1), output, overwrite=True)
-    assert [path.name for path in (output / "worlds").iterdir()] == ["s6-00000"]
+    assert [path.name for path in (output / "scenarios").iterdir()] == ["s6-00000"]
 
 
-def test_what_was_another_world_is_not_kept(asked: ScenarioRequest, tmp_path: Path) -> None:
+def test_what_was_another_scenario_is_not_kept(asked: ScenarioRequest, tmp_path: Path) -> None:
     asked = replace(asked, count=1)
     run(asked, tmp_path / "out")
     set_file(asked).write_text(SET.replace("3]", "4]"))
@@ -243,7 +245,7 @@ def test_what_was_another_world_is_not_kept(asked: ScenarioRequest, tmp_path: Pa
 
 
 def edited(**changes: object) -> Change:
-    """Change ``world.json``: the fields of the result, or ``_version`` and the like beside it."""
+    """Change ``scenario.json``: the fields of the result, or ``_version`` and the like beside it."""
 
     def change(place: Path, outcome: dict[str, Any]) -> None:
         path = place / "artifacts" / "dataset" / FILE
@@ -273,26 +275,26 @@ def silent(place: Path, outcome: dict[str, Any]) -> None:
 @pytest.mark.parametrize(
     ("change", "reason"),
     [
-        (killed, "container 'world' ran out of memory"),
-        (rewritten(None), "the image left no world.json (it needs calibration-ci): ended with 0"),
-        (silent, "the image left no world.json (it needs calibration-ci)"),
-        (rewritten("{"), "world.json: this is no JSON"),
-        (rewritten("[" * 100_000), "world.json: this is no JSON"),
-        (rewritten('{"schema": NaN}'), "world.json: this is no JSON"),
-        (rewritten("[]"), "world.json: found an empty list, expected keys: schema, version, stillness_m, result"),
-        (edited(poses=-1), "world.json: result.poses: found -1, expected a whole number from 0 to 100000"),
-        (edited(rms_px="x"), "world.json: result.rms_px: found 'x', expected a number"),
+        (killed, "container 'scenario' ran out of memory"),
+        (rewritten(None), "the image left no scenario.json (it needs calibration-ci): ended with 0"),
+        (silent, "the image left no scenario.json (it needs calibration-ci)"),
+        (rewritten("{"), "scenario.json: this is no JSON"),
+        (rewritten("[" * 100_000), "scenario.json: this is no JSON"),
+        (rewritten('{"schema": NaN}'), "scenario.json: this is no JSON"),
+        (rewritten("[]"), "scenario.json: found an empty list, expected keys: schema, version, stillness_m, result"),
+        (edited(poses=-1), "scenario.json: result.poses: found -1, expected a whole number from 0 to 100000"),
+        (edited(rms_px="x"), "scenario.json: result.rms_px: found 'x', expected a number"),
         (
             edited(corner_rms_px=float("1e308")),
-            "world.json: result.corner_rms_px: found 1e+308, expected a number",
+            "scenario.json: result.corner_rms_px: found 1e+308, expected a number",
         ),
-        (edited(more=1), "world.json: result: unknown key 'more'"),
-        (edited(id="s5-00007"), "world.json: it is of another world: id: found s5-00007, expected s5-00000"),
-        (edited(hash="0" * 12), "world.json: it is of another world: hash: found 000000000000"),
-        (edited(_stillness_m=1), "world.json: it is of another world: stillness: found 1.0, expected 0.002"),
+        (edited(more=1), "scenario.json: result: unknown key 'more'"),
+        (edited(id="s5-00007"), "scenario.json: it is of another scenario: id: found s5-00007, expected s5-00000"),
+        (edited(hash="0" * 12), "scenario.json: it is of another scenario: hash: found 000000000000"),
+        (edited(_stillness_m=1), "scenario.json: it is of another scenario: stillness: found 1.0, expected 0.002"),
         (
             edited(_version="0.0.0\n::error::x"),
-            f"made by calibration-ci 0.0.0 ::error::x, this is {__version__}: another version makes other worlds",
+            f"made by calibration-ci 0.0.0 ::error::x, this is {__version__}: another version makes other scenarios",
         ),
     ],
 )
@@ -304,7 +306,7 @@ def test_what_a_container_leaves_is_checked(
     assert reason in why
     assert "\n" not in why
     assert found.exit_code == ExitCode.FAIL
-    assert not (tmp_path / "out" / "worlds").exists()
+    assert not (tmp_path / "out" / "scenarios").exists()
 
 
 def test_numbers_are_our_own(asked: ScenarioRequest, tmp_path: Path) -> None:
@@ -320,7 +322,7 @@ def test_numbers_are_our_own(asked: ScenarioRequest, tmp_path: Path) -> None:
     assert second.reasons[0].startswith("dataset.json: ")
 
 
-def test_a_world_without_a_collection_is_a_result(asked: ScenarioRequest, tmp_path: Path) -> None:
+def test_a_scenario_without_a_collection_is_a_result(asked: ScenarioRequest, tmp_path: Path) -> None:
     set_file(asked).write_text("motion: {poses: 3, sway_mm: 50}\n")  # nothing is still
     asked = replace(asked, count=1)
     found = run(asked, tmp_path / "out")
@@ -335,7 +337,7 @@ def test_a_world_without_a_collection_is_a_result(asked: ScenarioRequest, tmp_pa
     assert run(asked, tmp_path / "unsaid", unsaid).failed == found.failed
 
 
-def test_a_world_in_which_no_motion_is_found_is_a_result(
+def test_a_scenario_in_which_no_motion_is_found_is_a_result(
     asked: ScenarioRequest, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     set_file(asked).write_text("motion: {poses: 4, nearest_m: 900, farthest_m: 990}\n")
@@ -345,7 +347,7 @@ def test_a_world_in_which_no_motion_is_found_is_a_result(
     run_here(asked, tmp_path / "here")
     assert snapshot(tmp_path / "out") == snapshot(tmp_path / "here")
     assert (found.exit_code, found.errors) == (ExitCode.FAIL, {})
-    assert [path.name for path in (tmp_path / "out" / "worlds" / "s5-00000").iterdir()] == [FILE]
+    assert [path.name for path in (tmp_path / "out" / "scenarios" / "s5-00000").iterdir()] == [FILE]
 
 
 def test_bad_input_before_anything_runs(asked: ScenarioRequest, tmp_path: Path) -> None:
@@ -358,7 +360,7 @@ def test_bad_input_before_anything_runs(asked: ScenarioRequest, tmp_path: Path) 
     assert not (tmp_path / "out").exists()
     (tmp_path / "file").write_text("")
     set_file(asked).write_text(sound)
-    with pytest.raises(WorldError, match="file: cannot be written: "):
+    with pytest.raises(InfrastructureError, match="file: cannot be written: "):
         run(asked, tmp_path / "file", backend)
     assert backend.jobs == []
 
@@ -366,10 +368,10 @@ def test_bad_input_before_anything_runs(asked: ScenarioRequest, tmp_path: Path) 
 def test_a_place_that_cannot_be_written(asked: ScenarioRequest, tmp_path: Path) -> None:
     output = tmp_path / "out"
     output.mkdir()
-    (output / "worlds").write_text("in the way")
-    with pytest.raises(WorldError, match="out: cannot be written: File exists"):
+    (output / "scenarios").write_text("in the way")
+    with pytest.raises(InfrastructureError, match="out: cannot be written: File exists"):
         run(replace(asked, count=1), output, resume=True)
-    assert sorted(path.name for path in output.iterdir()) == ["logs", "worlds"]
+    assert sorted(path.name for path in output.iterdir()) == ["logs", "scenarios"]
 
 
 def test_an_interruption_keeps_what_is_done(asked: ScenarioRequest, tmp_path: Path) -> None:
@@ -378,20 +380,22 @@ def test_an_interruption_keeps_what_is_done(asked: ScenarioRequest, tmp_path: Pa
 
     with pytest.raises(KeyboardInterrupt):
         run(asked, tmp_path / "out", done=interrupt)
-    assert {path.name for path in (tmp_path / "out").iterdir()} == {"worlds", "logs"}
-    assert [path.name for path in (tmp_path / "out" / "worlds").iterdir()] == ["s5-00002"]
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {"scenarios", "logs"}
+    assert [path.name for path in (tmp_path / "out" / "scenarios").iterdir()] == ["s5-00002"]
 
 
-def test_worlds_here_that_are_interrupted_go_on_unless_they_are_others(asked: ScenarioRequest, tmp_path: Path) -> None:
+def test_scenarios_here_that_are_interrupted_go_on_unless_they_are_others(
+    asked: ScenarioRequest, tmp_path: Path
+) -> None:
     def interrupt(count: int, *_: object) -> None:
         if count == 2:
             raise KeyboardInterrupt
 
     def run_again(asked: ScenarioRequest) -> list[int]:
         with pytest.raises(KeyboardInterrupt):
-            collect_worlds(asked, WorldFolder(tmp_path / "out"), 1, done=interrupt)
+            collect_scenarios(asked, ScenarioFolder(tmp_path / "out"), 1, done=interrupt)
         seen: list[int] = []
-        found = collect_worlds(asked, WorldFolder(tmp_path / "out"), 1, done=lambda count, *_: seen.append(count))
+        found = collect_scenarios(asked, ScenarioFolder(tmp_path / "out"), 1, done=lambda count, *_: seen.append(count))
         written(found, tmp_path / "out")
         return seen
 
@@ -401,7 +405,7 @@ def test_worlds_here_that_are_interrupted_go_on_unless_they_are_others(asked: Sc
     assert not [path for path in (tmp_path / "out").iterdir() if path.is_dir()]
 
     with pytest.raises(KeyboardInterrupt):
-        collect_worlds(asked, WorldFolder(tmp_path / "out"), 1, done=interrupt)
+        collect_scenarios(asked, ScenarioFolder(tmp_path / "out"), 1, done=interrupt)
     kept = snapshot(tmp_path / "out" / ".unfinished")
     assert len([name for name in kept if name.endswith(".result.json")]) == 2
     set_file(asked).write_text(SET.replace("3]", "4]"))

@@ -1,4 +1,4 @@
-"""Worlds of our simulation in real containers, on this machine's engine and on AWS Batch: the same bytes come home."""
+"""Scenarios of our simulation in real containers, on this machine's engine and on AWS Batch, give the same bytes."""
 
 import json
 from collections.abc import Callable
@@ -16,36 +16,36 @@ if TYPE_CHECKING:
 
     from tests.aws.fixtures import Aws
 
-# Of seed 5's first four worlds the third is so unquiet that no pose of it can be used.
+# Of seed 5's first four scenarios the third is so unquiet that no pose of it can be used.
 SET = """
 assembly: {translation_mm: {normal: [0, 3]}}
 motion: {poses: 3, sway_mm: {choice: [0, 0, 0, 0, 0, 0, 0, 50]}}
 """
-WORLDS = 4
+SCENARIOS = 4
 FAILS = "s5-00002"
 ROLE = "arn:aws:iam::123456789012:role/robots"
 Run = Callable[..., int]
 
 
 @pytest.fixture(scope="module")
-def worlds(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("worlds") / "scenarios.yml"
+def scenarios(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("scenarios") / "scenarios.yml"
     path.write_text(SET)
     return path
 
 
 @pytest.fixture(scope="module")
-def on_docker(tools_image: str, small: Path, worlds: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """What the engine of this machine makes of the worlds."""
+def on_docker(tools_image: str, small: Path, scenarios: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What the engine of this machine makes of the scenarios."""
     output = tmp_path_factory.mktemp("docker") / "out"
-    assert collect(small, worlds, output, "docker", tools_image) == 1
+    assert collect(small, scenarios, output, "docker", tools_image) == 1
     return output
 
 
 def collect(
-    system: Path, worlds: Path, output: Path, backend: str, image: str, *options: str, count: int = WORLDS
+    system: Path, scenarios: Path, output: Path, backend: str, image: str, *options: str, count: int = SCENARIOS
 ) -> int:
-    words = ["--system", str(system), "--scenario-set", str(worlds), "--scenarios", str(count), "--seed", "5"]
+    words = ["--system", str(system), "--scenario-set", str(scenarios), "--scenarios", str(count), "--seed", "5"]
     return main(["collect-data-sim", *words, "--backend", backend, "--image", image, "--output", str(output), *options])
 
 
@@ -58,13 +58,15 @@ def tree(folder: Path) -> dict[str, bytes]:
     return {str(path.relative_to(folder)): path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
 
 
-def test_on_this_machine(on_docker: Path, small: Path, worlds: Path, tmp_path: Path, engine: "DockerClient") -> None:
+def test_on_this_machine(on_docker: Path, small: Path, scenarios: Path, tmp_path: Path, engine: "DockerClient") -> None:
     document = report(on_docker)
     assert (document["success_rate"], document["errors"]) == (0.75, {})
     assert document["failed"] == {FAILS: ["no pose gave a collection"]}
-    assert len([each for each in document["scenarios"] if each["converged"]]) == WORLDS - 1
-    assert sorted(path.name for path in (on_docker / "worlds").iterdir()) == [f"s5-0000{i}" for i in range(WORLDS)]
-    assert (on_docker / "logs" / FAILS / "world.log").read_text()
+    assert len([each for each in document["scenarios"] if each["converged"]]) == SCENARIOS - 1
+    assert sorted(path.name for path in (on_docker / "scenarios").iterdir()) == [
+        f"s5-0000{i}" for i in range(SCENARIOS)
+    ]
+    assert (on_docker / "logs" / FAILS / "scenario.log").read_text()
     left = [
         c
         for c in engine.containers.list(all=True, ignore_removed=True)
@@ -72,20 +74,20 @@ def test_on_this_machine(on_docker: Path, small: Path, worlds: Path, tmp_path: P
     ]
     assert left == []
 
-    words = ["--system", str(small), "--scenario-set", str(worlds), "--seed", "5"]
-    assert main(["collect-data-sim", *words, "--scenarios", str(WORLDS), "--output", str(tmp_path / "here")]) == 1
-    assert {name: (on_docker / name).read_bytes() for name in ("results.json", "worlds.csv", "junit.xml")} == {
-        name: (tmp_path / "here" / name).read_bytes() for name in ("results.json", "worlds.csv", "junit.xml")
+    words = ["--system", str(small), "--scenario-set", str(scenarios), "--seed", "5"]
+    assert main(["collect-data-sim", *words, "--scenarios", str(SCENARIOS), "--output", str(tmp_path / "here")]) == 1
+    assert {name: (on_docker / name).read_bytes() for name in ("results.json", "scenarios.csv", "junit.xml")} == {
+        name: (tmp_path / "here" / name).read_bytes() for name in ("results.json", "scenarios.csv", "junit.xml")
     }
     assert main(["collect-data-sim", *words, "--scenario", "s5-00003", "--output", str(tmp_path / "one")]) == 0
-    assert tree(on_docker / "worlds" / "s5-00003") == tree(tmp_path / "one")
+    assert tree(on_docker / "scenarios" / "s5-00003") == tree(tmp_path / "one")
 
 
 def test_an_image_without_us(
-    base_image: str, small: Path, worlds: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    base_image: str, small: Path, scenarios: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert collect(small, worlds, tmp_path / "out", "docker", base_image, count=1) == 1
-    assert "s5-00000: container 'world'" in capsys.readouterr().out
+    assert collect(small, scenarios, tmp_path / "out", "docker", base_image, count=1) == 1
+    assert "s5-00000: container 'scenario'" in capsys.readouterr().out
     [why] = report(tmp_path / "out")["failed"]["s5-00000"]
     assert "calibration" in why
 
@@ -103,7 +105,7 @@ def section(tools_image: str, tmp_path: Path) -> Path:
 def test_in_the_cloud_the_verdict_and_every_byte_are_the_same(
     on_docker: Path,
     small: Path,
-    worlds: Path,
+    scenarios: Path,
     section: Path,
     tools_image: str,
     batch_in_containers: "Aws",
@@ -115,11 +117,11 @@ def test_in_the_cloud_the_verdict_and_every_byte_are_the_same(
     batch_in_containers.faults.throttle("DescribeJobs", times=2, after=1)
     output = tmp_path / "out"
     options = ("--aws-batch", str(section), "--run", "nightly")
-    assert collect(small, worlds, output, "aws-batch", tools_image, *options) == 1
+    assert collect(small, scenarios, output, "aws-batch", tools_image, *options) == 1
     said = capsys.readouterr().out
     assert "attempt 1 of 2 lost its host" in said
-    assert tree(output / "worlds") == tree(on_docker / "worlds")
-    names = ("results.json", "worlds.csv", "junit.xml", "summary.md")
+    assert tree(output / "scenarios") == tree(on_docker / "scenarios")
+    names = ("results.json", "scenarios.csv", "junit.xml", "summary.md")
     assert {name: (output / name).read_bytes() for name in names} == {
         name: (on_docker / name).read_bytes() for name in names
     }
@@ -129,6 +131,6 @@ def test_in_the_cloud_the_verdict_and_every_byte_are_the_same(
 
     calls = len(batch.list_jobs(jobQueue=QUEUE, jobStatus="SUCCEEDED")["jobSummaryList"])
     again = tmp_path / "again"  # another machine: nothing but the name of the run is known
-    assert collect(small, worlds, again, "aws-batch", tools_image, *options, "--resume") == 1
-    assert tree(again / "worlds") == tree(on_docker / "worlds")
+    assert collect(small, scenarios, again, "aws-batch", tools_image, *options, "--resume") == 1
+    assert tree(again / "scenarios") == tree(on_docker / "scenarios")
     assert len(batch.list_jobs(jobQueue=QUEUE, jobStatus="SUCCEEDED")["jobSummaryList"]) == calls

@@ -1,0 +1,165 @@
+"""Many scenarios in containers: each is a job, and leaves a folder, which is kept as soon as it is complete."""
+
+import shutil
+import tempfile
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from calibration.errors import ExitCode, InfrastructureError, InputError
+from calibration.execution.backends import Place
+from calibration.execution.job import Job
+from calibration.execution.job_folder import LOGS
+from calibration.execution.outcome import JobOutcome
+from calibration.execution.tasks import Task, run_tasks
+from calibration.pipeline.collection.scenario_file import read_scenario, write_scenario
+from calibration.pipeline.collection.scenario_report import REPORT_FILES
+from calibration.simulation.scenarios.scenario import ScenarioResult
+
+SCENARIOS = "scenarios"
+"""The folder of the datasets, a folder for each scenario in it."""
+
+ScenarioDone = Callable[[int, int, ScenarioResult], None]
+"""Called after each scenario; first with those that are done already."""
+
+
+@dataclass(frozen=True)
+class Judged:
+    """Result of a scenario, and whether its job could be run."""
+
+    result: ScenarioResult
+    error: ExitCode | None = None
+    """Set where it could not be run: a wrong image (2), the engine, the host or the time (3)."""
+    complete: bool = True
+    """Whether there is nothing to gain from running it again."""
+
+
+class Scenarios(ABC):
+    """Scenarios of a request whose files are read; each can be run as a job of containers."""
+
+    system: str
+    pending: Sequence[ScenarioResult]
+    """Result of each scenario before it is run: id, hash and values."""
+    stillness: float | None
+    """How far a pattern may move while the sensors look, m; None where nobody asks."""
+
+    @abstractmethod
+    def write_inputs(self, folder: Path) -> Path | None:
+        """Write what all jobs read into a new folder; None where they read nothing."""
+
+    @abstractmethod
+    def job(self, number: int, inputs: Path | None) -> Job:
+        """The job of a scenario."""
+
+    @abstractmethod
+    def judge(self, number: int, outcome: JobOutcome, new: Path) -> Judged:
+        """Judge a scenario by what its job left; its dataset is moved to ``new``, which does not exist yet."""
+
+
+@dataclass(frozen=True)
+class ScenarioFolder:
+    """The output folder of many scenarios."""
+
+    output: Path
+    resume: bool = False
+    """Whether what an earlier run left is kept, and only what is missing is run."""
+    overwrite: bool = False
+    """Whether what an earlier run left is removed."""
+
+    def make_room(self) -> None:
+        """Make the output folder, without the report of an earlier run, and without its scenarios if they are to go.
+
+        Raises:
+            InputError: there are scenarios of an earlier run, and nobody has said what to do with them.
+            InfrastructureError: the folder cannot be written.
+        """
+        place = self.output / SCENARIOS
+        if place.exists() and not (self.resume or self.overwrite):
+            raise InputError(
+                f"{place}: exists already; --overwrite replaces the scenarios, --resume runs what is missing"
+            )
+        try:
+            self.output.mkdir(parents=True, exist_ok=True)
+            for name in REPORT_FILES:
+                (self.output / name).unlink(missing_ok=True)
+            if not self.resume:
+                for folder in (place, self.output / LOGS):
+                    if folder.exists():
+                        shutil.rmtree(folder)
+        except OSError as error:
+            raise InfrastructureError(f"{self.output}: cannot be written: {error.strerror or error}") from error
+
+    def task(self, scenarios: Scenarios, number: int, inputs: Path | None, work: Path) -> Task[Judged]:
+        """The task of a scenario.
+
+        Args:
+            scenarios: which it is one of.
+            number: of the scenario.
+            inputs: what all jobs read.
+            work: a folder in the output folder, for what is not complete yet.
+        """
+
+        def judge(outcome: JobOutcome) -> Judged:
+            return self._take(scenarios, number, outcome, work / "new")
+
+        return Task.containers(scenarios.pending[number].id, scenarios.job(number, inputs), judge)
+
+    def find(self, pending: ScenarioResult, stillness: float | None) -> Judged | None:
+        """Result of a scenario in an earlier run; None where it is missing, or was of another scenario."""
+        if not self.resume:
+            return None
+        try:
+            return Judged(read_scenario(self.output / SCENARIOS / pending.id, pending, stillness))
+        except InputError:
+            return None
+
+    def _take(self, scenarios: Scenarios, number: int, outcome: JobOutcome, new: Path) -> Judged:
+        """Judge a scenario, and keep what it left: all of it is there, or nothing."""
+        name = scenarios.pending[number].id
+        try:
+            judged = scenarios.judge(number, outcome, new)
+            _replace(outcome.folder / LOGS, self.output / LOGS / name)
+            if judged.complete:
+                write_scenario(judged.result, scenarios.stillness, new)
+                _replace(new, self.output / SCENARIOS / name)
+            for left in (new, outcome.folder):
+                if left.exists():
+                    shutil.rmtree(left)
+        except OSError as error:
+            raise InfrastructureError(f"{self.output}: cannot be written: {error.strerror or error}") from error
+        return judged
+
+
+def run_in_containers(
+    scenarios: Scenarios, folder: ScenarioFolder, jobs: int | None, place: Place | None, done: ScenarioDone
+) -> list[Judged]:
+    """Run scenarios as jobs of containers; their datasets and logs are in the folder.
+
+    Raises:
+        InputError: an image is missing, or the folder has scenarios already.
+        InfrastructureError: a file cannot be written, or the place cannot be reached.
+    """
+    folder.make_room()
+    pending = {each.id: each for each in scenarios.pending}
+    with tempfile.TemporaryDirectory(prefix=".scenarios-", dir=folder.output) as temporary:
+        work = Path(temporary)
+        inputs = scenarios.write_inputs(work / "in")
+        found = run_tasks(
+            [folder.task(scenarios, number, inputs, work) for number in range(len(scenarios.pending))],
+            work / "jobs",
+            jobs,
+            place,
+            find=lambda name: folder.find(pending[name], scenarios.stillness),
+            done=lambda count, total, judged: done(count, total, judged.result),
+        )
+    return list(found.values())
+
+
+def _replace(source: Path, target: Path) -> None:
+    """Move a folder, if there is one, to the place of another."""
+    if target.exists():
+        shutil.rmtree(target)
+    if source.exists():
+        target.parent.mkdir(parents=True, exist_ok=True)
+        source.rename(target)
