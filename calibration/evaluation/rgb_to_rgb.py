@@ -4,12 +4,17 @@ ATOM's evaluations ``rgb_to_rgb`` and ``inter_collection_rgb_to_rgb``. The sourc
 gives the pose of the pattern; the rays of its labels meet the pattern's plane; these points are
 moved to the target camera by the calibrated transforms, and their pixels compared with the target's
 labels of the same ids (in ATOM: the labels mapped by the homography that the plane induces).
-Two more columns compare the pattern poses estimated by each camera alone, including the noise of both.
+Two more columns compare the pattern poses estimated by each camera alone, including the noise of both. Their
+distance is measured at the pattern's first corner, the origin of ATOM's PnP: the distance of two poses that are
+turned against each other depends on the point.
 """
+
+from dataclasses import replace
 
 import numpy as np
 
 from calibration.dataset.model import Dataset
+from calibration.dataset.pattern import Pattern
 from calibration.errors import InputError
 from calibration.evaluation.pairing import between_collections
 from calibration.evaluation.selection import camera_of, pattern_of
@@ -17,7 +22,7 @@ from calibration.evaluation.table import COLLECTION, Table
 from calibration.evaluation.views import CornerViews, corner_views
 from calibration.geometry import rotations
 from calibration.geometry.cameras import Camera
-from calibration.geometry.transforms import apply, inverse
+from calibration.geometry.transforms import apply, inverse, translation
 from calibration.geometry.types import Array, IntArray
 
 COLUMNS = ("RMS (pix)", "X err (pix)", "Y err (pix)", "Trans (mm)", "Rot (deg)")
@@ -28,8 +33,8 @@ def rgb_to_rgb(dataset: Dataset, source: str, target: str, pattern: str | None =
     """Return the errors between two cameras in each collection that both saw.
 
     Columns, over the corners seen by both: the root of the mean squared distance, the mean absolute
-    error along x and y (px); the distance (mm) and angle (deg) between the pattern poses estimated by each
-    camera alone.
+    error along x and y (px); the distance (mm) of the pattern's first corner and the angle (deg) between the
+    pattern poses estimated by each camera alone.
 
     Args:
         dataset: the transforms to evaluate.
@@ -44,7 +49,7 @@ def rgb_to_rgb(dataset: Dataset, source: str, target: str, pattern: str | None =
     if source == target:
         raise InputError(f"'{source}' against itself tests nothing in one collection: use inter-collection-rgb-to-rgb")
     seen_pattern = pattern_of(dataset, pattern)
-    a, b = (corner_views(dataset, name, seen_pattern) for name in (source, target))
+    a, b = (_views(dataset, name, seen_pattern) for name in (source, target))
     common, in_a, in_b = np.intersect1d(a.collections, b.collections, assume_unique=True, return_indices=True)
     frames = camera_of(dataset, target)[0].frame, camera_of(dataset, source)[0].frame
     T_target_source = dataset.with_collections(common.tolist()).transform(*frames)
@@ -62,7 +67,7 @@ def inter_collection_rgb_to_rgb(dataset: Dataset, source: str, target: str, patt
         InputError: also when the pattern is not fixed.
     """
     seen_pattern = pattern_of(dataset, pattern)
-    a, b = (corner_views(dataset, name, seen_pattern) for name in (source, target))
+    a, b = (_views(dataset, name, seen_pattern) for name in (source, target))
     sensors = camera_of(dataset, source)[0], camera_of(dataset, target)[0]
     seen = a.collections.tolist(), b.collections.tolist()
     found = between_collections(dataset, sensors, seen_pattern, seen)
@@ -70,6 +75,12 @@ def inter_collection_rgb_to_rgb(dataset: Dataset, source: str, target: str, patt
     keys = dataset.keys
     labels = [f"{keys[m]}-{keys[n]}" for m, n in zip(found.source, found.target, strict=True)]
     return _table(dataset, (source, target), (a, b), pairs, found.T_target_source, labels)
+
+
+def _views(dataset: Dataset, sensor: str, pattern: Pattern) -> CornerViews:
+    """Return `corner_views` with poses whose origin is the pattern's first corner."""
+    views = corner_views(dataset, sensor, pattern)
+    return replace(views, T_camera_pattern=views.T_camera_pattern @ translation(pattern.corners[0]))
 
 
 def _table(

@@ -7,12 +7,15 @@ import numpy as np
 import pytest
 
 from calibration.dataset.model import CornerLabels, Dataset
+from calibration.dataset.pattern import grid
 from calibration.dataset.reading import read_dataset
 from calibration.errors import InputError
 from calibration.evaluation.rgb_to_rgb import inter_collection_rgb_to_rgb, rgb_to_rgb
-from calibration.geometry.transforms import apply, from_xyz_rpy, inverse, retract
+from calibration.geometry.cameras import Camera
+from calibration.geometry.rotations import exp
+from calibration.geometry.transforms import apply, from_xyz_rpy, inverse, retract, transform, translation
 from calibration.geometry.types import Array
-from tests.evaluation.scene import WIDE, arm, cut, two_cameras, with_labels
+from tests.evaluation.scene import WIDE, arm, corner_labels, cut, two_cameras, with_labels
 
 
 def moved(dataset: Dataset, edge: tuple[str, str], twist: list[float]) -> Dataset:
@@ -31,6 +34,33 @@ def test_the_papers_dataset_gives_the_known_table(shared_data):
     assert lines[-1] == "Averages,0.6078,0.2936,0.2500,1.8313,0.2996"
     assert len(table.labels) == 16
     assert table.left_out == ()
+
+
+# Two cameras of a robot as ATOM calibrated it (`softbot_example`, nig_0.1_run001, collection 000) and what each
+# sees of its board: translation (m), rotation vector (rad).
+T_RIGHT_LEFT = [-0.0453795, 0.0395623, -0.1541482, -0.0020974, -0.3743601, 0.1693397]
+T_LEFT_BOARD = [0.1860703, 0.1267512, 2.1952337, -0.5731355, 0.0995774, -0.5055248]
+T_RIGHT_BOARD = [-0.7880252, 0.1226591, 2.0404742, -0.4714069, -0.3159323, -0.4704677]
+
+
+@pytest.mark.parametrize("origin", [0.06, 0.0])
+def test_millimetres_are_those_of_atoms_published_table(origin):
+    """ATOM's board begins at its first corner: the published row ends in 129.0287 mm, 1.8683 deg."""
+    camera = Camera(1108.509382382374, 1108.509382382374, 640.5, 360.5, 1280, 720)
+    T_right_left, T_left_board, T_right_board = (
+        transform(exp(np.array(each[3:])), each[:3]) for each in (T_RIGHT_LEFT, T_LEFT_BOARD, T_RIGHT_BOARD)
+    )
+    base, _ = two_cameras(n=1)
+    board = replace(base.patterns["board"], corners=grid(11, 8, 0.06, (origin, origin)))
+    identity = dict.fromkeys(base.transforms, np.eye(4))
+    dataset = replace(base, patterns={"board": board}).with_cameras({"left": camera, "right": camera})
+    dataset = dataset.with_transforms({**identity, ("world", "right_mount"): inverse(T_right_left)})
+    to_origin = translation([0.06 - origin, 0.06 - origin, 0])
+    for sensor, T in (("left", T_left_board), ("right", T_right_board)):
+        label = corner_labels(camera, board, T @ to_origin, np.zeros((88, 2)))
+        dataset = with_labels(dataset, sensor, [label])
+    row = rgb_to_rgb(dataset, "left", "right").values[0]
+    np.testing.assert_allclose(row[3:], [129.0287, 1.8683], atol=1e-4)
 
 
 def test_true_transforms_without_noise_leave_no_error():
