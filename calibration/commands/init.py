@@ -61,7 +61,7 @@ def init(dataset: Path, output: Path, suite: str, runner: Runner, *, overwrite: 
     write_atomically(workflow, _WORKFLOW.format(suite=repository, version=version))
     read_configuration(configuration)
     with stop_commands(runner):
-        for each in beginning.reasons:
+        for each in (*beginning.missing, *beginning.reasons):
             runner.log(one_line(f"{beginning.name}: {each}"))
         word = "fails as it is" if beginning.reasons else "passes"
         runner.log(one_line(f"{configuration}, {workflow}: written; {beginning.name} {word}"))

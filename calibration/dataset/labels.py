@@ -13,6 +13,7 @@ from calibration.dataset.edges import read_pose
 from calibration.dataset.modalities import IndexedPoints, PointData
 from calibration.dataset.model import Collection, CornerLabels, Labels, PointLabels, PoseLabels, Sensor
 from calibration.dataset.pattern import Pattern
+from calibration.dataset.payload import MissingFileError
 from calibration.geometry.types import Array, BoolArray, IntArray
 
 MAX_POINTS = 1 << 40
@@ -33,13 +34,21 @@ class _Detection(NamedTuple):
     idxs: Node
 
 
+class ReadLabels(NamedTuple):
+    """The labels of a dataset."""
+
+    collections: tuple[Collection, ...]
+    missing_files: Mapping[str, tuple[str, ...]]
+    """By sensor: the files that its labels refer to and that are not there. These labels are left out."""
+
+
 def read_labels(
     collections: Sequence[Node],
     sensors: Mapping[str, Sensor],
     patterns: Mapping[str, Pattern],
     version: str,
     data: Path | None = None,
-) -> tuple[Collection, ...]:
+) -> ReadLabels:
     """The collections with their labels, in the same order; files that they name in ``data``, if it is given.
 
     Raises:
@@ -59,14 +68,21 @@ def read_labels(
                     kind = corners if modality.has_corners else poses if modality.has_poses else points
                     kind.append(_Detection(i, pattern, sensor, label, idxs))
     found: list[dict[tuple[str, str], Labels]] = [{} for _ in collections]
-    everything: list[tuple[_Detection, Labels]] = [
+    missing: dict[str, dict[str, None]] = {}
+    everything: list[tuple[_Detection, Labels | MissingFileError]] = [
         *zip(corners, _read_corners(corners, patterns, sensors), strict=True),
         *zip(points, _read_points(points, collections, sensors, data), strict=True),
         *((each, _read_pose(each.idxs)) for each in poses),
     ]
     for detection, labels in everything:
-        found[detection.collection][detection.pattern, detection.sensor] = labels
-    return tuple(Collection(node.keys[-1], labels) for node, labels in zip(collections, found, strict=True))
+        if isinstance(labels, MissingFileError):
+            missing.setdefault(detection.sensor, {})[str(labels)] = None
+        else:
+            found[detection.collection][detection.pattern, detection.sensor] = labels
+    return ReadLabels(
+        tuple(Collection(node.keys[-1], labels) for node, labels in zip(collections, found, strict=True)),
+        {sensor: tuple(files) for sensor, files in missing.items()},
+    )
 
 
 def _by_pattern(labels: Node, patterns: Mapping[str, Pattern], version: str) -> Iterator[tuple[str, Node]]:
@@ -139,7 +155,8 @@ def _read_pose(idxs: Node) -> PoseLabels:
 
 def _read_points(
     detections: Sequence[_Detection], collections: Sequence[Node], sensors: Mapping[str, Sensor], folder: Path | None
-) -> Iterator[PointLabels]:
+) -> Iterator[PointLabels | MissingFileError]:
+    """The labelled points of each detection, or that their file is not there."""
     if not detections:
         return
     batch, index = _read_indices([detection.idxs for detection in detections])
@@ -150,18 +167,22 @@ def _read_points(
     if missing is not None:
         i, position = missing
         raise _element(limit_lists[i], position).unexpected("one of 'idxs'")
-    points = np.empty((len(index), 3))
-    clouds: dict[str, IndexedPoints] = {}  # of one collection; more need not fit into memory
+    points = np.zeros((len(index), 3))
+    clouds: dict[str, IndexedPoints | MissingFileError] = {}  # of one collection; more need not fit into memory
+    not_there: dict[int, MissingFileError] = {}
     collection = None
-    for detection, data, part in zip(detections, data_of, batch.parts, strict=True):
+    for i, (detection, data, part) in enumerate(zip(detections, data_of, batch.parts, strict=True)):
         if detection.collection != collection:
             collection, clouds = detection.collection, {}
         if detection.sensor not in clouds:
             message = collections[collection]["data"][detection.sensor]
             if folder is not None:
                 message = Node(folder / message.file.name, message.keys, message.value)
-            clouds[detection.sensor] = data.read(message, sensors[detection.sensor].camera)
+            clouds[detection.sensor] = _read_cloud(data, message, sensors[detection.sensor])
         cloud = clouds[detection.sensor]
+        if isinstance(cloud, MissingFileError):
+            not_there[i] = cloud
+            continue
         try:
             with np.errstate(invalid="ignore"):  # a NaN that signals; it is refused below
                 points[part] = cloud.take(index[part])
@@ -179,8 +200,15 @@ def _read_points(
             f"{abs(points[batch.parts[i]][position]).max():g} m away, expected {FARTHEST:g} m at most"
         )
     points.flags.writeable = positions.flags.writeable = False
-    for part, limit_part in zip(batch.parts, limit_batch.parts, strict=True):
-        yield PointLabels(points[part], positions[limit_part])
+    for i, (part, limit_part) in enumerate(zip(batch.parts, limit_batch.parts, strict=True)):
+        yield not_there.get(i) or PointLabels(points[part], positions[limit_part])
+
+
+def _read_cloud(data: PointData, message: Node, sensor: Sensor) -> IndexedPoints | MissingFileError:
+    try:
+        return data.read(message, sensor.camera)
+    except MissingFileError as error:
+        return error
 
 
 def _limits(label: Node, data: PointData) -> Node:

@@ -15,7 +15,7 @@ from calibration.dataset import pointcloud
 from calibration.dataset.depth_image import read_depth_image
 from calibration.dataset.document import Node
 from calibration.dataset.laser_scan import read_scan
-from calibration.dataset.payload import locate
+from calibration.dataset.payload import locate_existing
 from calibration.errors import InputError
 from calibration.geometry.cameras import Camera
 from calibration.geometry.types import Array, IntArray
@@ -122,8 +122,13 @@ class Modality:
 
 
 def _in_file(name: Node, read: Callable[[str], IndexedPoints]) -> IndexedPoints:
-    """What a file beside the dataset holds; an error names the key that names the file."""
-    path = locate(name)
+    """What a file beside the dataset holds; an error names the key that names the file.
+
+    Raises:
+        MissingFileError: there is no such file.
+        InputError: it cannot be read.
+    """
+    path = locate_existing(name)
     try:
         return read(path)
     except InputError as error:

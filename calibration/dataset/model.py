@@ -157,6 +157,9 @@ class Dataset:
     """Those of the additional transforms that each collection has its own of."""
     joints: Mapping[str, Joint] = field(default_factory=dict)
     """Joints of which parameters are calibrated, by name."""
+    missing_files: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    """By sensor: the files that its labels refer to and that are not there. These labels are left out, and a sensor
+    that has no others is none of `sensors`."""
 
     @property
     def name(self) -> str:
@@ -188,6 +191,14 @@ class Dataset:
                 raise InputError(f"{self.path}: collections/{key}/transforms: no '{step.parent}-{step.child}'")
             T = T @ (inverse(edge) if step.inverted else edge)
         return T
+
+    def missing_files_of(self, sensor: str) -> str:
+        """What is not there of a sensor, in words; empty where nothing is missing."""
+        files = self.missing_files.get(sensor, ())
+        if not files:
+            return ""
+        listed = ", ".join(files[:3]) + (f" and {len(files) - 3} more" if files[3:] else "")
+        return f"{len(files)} data file{'s' if files[1:] else ''} of sensor '{sensor}' not found: {listed}"
 
     def detections(self, pattern: str, sensor: str) -> list[tuple[int, Labels]]:
         """The collections, by index, in which the sensor saw the pattern, with what it saw."""

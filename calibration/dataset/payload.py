@@ -4,6 +4,28 @@ import os
 from pathlib import Path
 
 from calibration.dataset.document import Node, shown
+from calibration.errors import InputError
+
+
+class MissingFileError(InputError):
+    """A file that a collection names is not there: its message is the name."""
+
+
+def locate_existing(name: Node) -> str:
+    """The path of a ``data_file``, as `locate`.
+
+    Raises:
+        MissingFileError: there is no such file.
+        InputError: as `locate`.
+    """
+    path = locate(name)
+    try:
+        os.stat(path)  # noqa: PTH116 (called for every cloud)
+    except FileNotFoundError:
+        raise MissingFileError(name.text()) from None
+    except (OSError, ValueError):  # who reads it says why it cannot
+        pass
+    return path
 
 
 def locate(name: Node) -> str:

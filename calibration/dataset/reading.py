@@ -15,6 +15,7 @@ from calibration.dataset.labels import read_labels
 from calibration.dataset.model import Dataset, Edge
 from calibration.dataset.pattern import Pattern, with_explicit_geometry
 from calibration.dataset.sensors import read_sensors
+from calibration.errors import InputError
 from calibration.geometry.types import Array
 
 FILE_NAME = "dataset.json"
@@ -22,6 +23,9 @@ FILE_NAME = "dataset.json"
 
 def read_dataset(path: Path | str, data: Path | None = None) -> Dataset:
     """The dataset in a folder with ``dataset.json``, or in a file itself.
+
+    Labels that refer to a point cloud or a depth image that is not there are left out (`Dataset.missing_files`); so is
+    a sensor that has no others, which then stays where the robot's description puts it.
 
     Every label of the result belongs to a known corner or point, every number is finite, every
     sensor's calibrated transform lies on the way from the world to its frame, and no transform on
@@ -65,6 +69,9 @@ def _read(path: Path, data: Path | None) -> Dataset:
     patterns = _patterns(root, configuration, version)
     collections = _collections(root["collections"])
     transforms = read_transforms(collections)
+    read, missing = read_labels(collections, sensors, patterns, version, data)
+    labelled = {sensor for collection in read for _, sensor in collection.labels}
+    sensors = {name: sensor for name, sensor in sensors.items() if name in labelled or name not in missing}
     additional = tuple(configuration.additional_tfs.values())
     dataset = Dataset(
         path=path,
@@ -72,15 +79,18 @@ def _read(path: Path, data: Path | None) -> Dataset:
         world=configuration.world_link,
         sensors=sensors,
         patterns=patterns,
-        anchored=configuration.anchored_sensor,
+        anchored=anchored if (anchored := configuration.anchored_sensor) in sensors else None,
         additional_transforms=additional,
         transforms=transforms,
-        collections=read_labels(collections, sensors, patterns, version, data),
+        collections=read,
         document=root.value,
         moving_transforms=frozenset(edge for edge in additional if _moves(edge, transforms, described)),
         joints=read_joints(root["calibration_config"], collections),
+        missing_files=missing,
     )
-    if not any(collection.labels for collection in dataset.collections):
+    if not labelled and missing:
+        raise InputError(f"{path}: no label is left: {'; '.join(map(dataset.missing_files_of, missing))}")
+    if not labelled:
         raise root["collections"].fault(f"none of the {len(collections)} collections has a detected pattern")
     check_frames(dataset, root, collections)
     _check_image_sizes(dataset, collections)

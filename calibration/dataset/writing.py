@@ -127,7 +127,10 @@ def _configuration(dataset: Dataset) -> dict[str, Any]:
     if not source.get("calibration_patterns"):
         source["calibration_patterns"] = {FIRST_PATTERN: single}
     defaults = {"package_name": "", "joints": None, "additional_tfs": None}
-    return {**defaults, **source, "anchored_sensor": dataset.anchored, "version": 3.0}
+    anchored = dataset.anchored
+    if (read := source.get("anchored_sensor")) in dataset.missing_files:
+        anchored = read
+    return {**defaults, **source, "anchored_sensor": anchored, "version": 3.0}
 
 
 def _sensor(dataset: Dataset, name: str, read: Mapping[str, Any]) -> Mapping[str, Any]:

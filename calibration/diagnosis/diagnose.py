@@ -6,6 +6,7 @@ from calibration.diagnosis.exchanged_labels import exchanged_labels
 from calibration.diagnosis.finding import Finding
 from calibration.diagnosis.limits import Limits
 from calibration.diagnosis.mirrored import mirrored
+from calibration.diagnosis.missing_files import missing_files
 from calibration.diagnosis.precision import precision
 from calibration.diagnosis.rejected_labels import rejected_labels
 from calibration.diagnosis.repeated import repeated
@@ -34,6 +35,7 @@ def diagnose(
     """
     if not calibration.converged:
         return (
+            *missing_files(calibration.dataset),
             *wrong_views(calibration),
             *exchanged_labels(calibration, description, options),
             *mirrored(calibration, description, options),
@@ -46,6 +48,7 @@ def diagnose(
     hopeless = useless or any(each.kind == "contradiction" and each.severity == "red" for each in suspected) or far
     flipped = mirrored(calibration, description, options) if hopeless and not explained else ()
     return (
+        *missing_files(calibration.dataset),
         *flipped,
         *(far if explained else ()),
         *(each for each in suspected if each.severity == "red"),

@@ -51,7 +51,13 @@ def calibrate(dataset: Dataset, options: Options | None = None, noise: StartingN
         InputError: the labels cannot be used.
     """
     with solvable(dataset.path):
-        return _calibrate(dataset, options or Options(), noise or StartingNoise())
+        try:
+            return _calibrate(dataset, options or Options(), noise or StartingNoise())
+        except UndeterminedError as error:
+            if not dataset.missing_files:
+                raise
+            missing = "; ".join(map(dataset.missing_files_of, dataset.missing_files))
+            raise UndeterminedError(f"{error}; {missing}") from error
 
 
 def _calibrate(dataset: Dataset, options: Options, noise: StartingNoise) -> Calibration:

@@ -15,6 +15,8 @@ def sensor_of(dataset: Dataset, name: str) -> Sensor:
     Raises:
         InputError: the dataset has none.
     """
+    if missing := name not in dataset.sensors and dataset.missing_files_of(name):
+        raise InputError(f"{dataset.path}: {missing}; put them beside it, or leave '{name}' out")
     if name not in dataset.sensors:
         raise InputError(f"{dataset.path}: no sensor '{name}' (sensors: {_names(dataset.sensors)})")
     return dataset.sensors[name]

@@ -48,6 +48,8 @@ class Beginning:
     """The content of calibration.yml."""
     reasons: tuple[str, ...]
     """Why the dataset fails as it is; none where it passes."""
+    missing: tuple[str, ...] = ()
+    """What is left out, because its files are not beside the dataset."""
 
 
 def begin(path: Path, root: Path) -> Beginning:
@@ -102,7 +104,8 @@ def begin(path: Path, root: Path) -> Beginning:
         "# Written by `calibration init`: what this recording is held to, and every later one in its place.\n"
         "# A limit that your robot needs tighter or looser is yours to change; `calibration run` tells the rest.\n"
     )
-    return Beginning(system.name, f"{head}\nsystems:\n" + "\n".join(lines) + "\n", judged.reasons)
+    missing = tuple(map(dataset.missing_files_of, dataset.missing_files))
+    return Beginning(system.name, f"{head}\nsystems:\n" + "\n".join(lines) + "\n", judged.reasons, missing)
 
 
 def nice(number: float) -> float:

@@ -49,6 +49,18 @@ def test_what_is_written_passes(repository: Path, name: str, table: str) -> None
     assert main(["run", "--jobs", "1"]) == 0
 
 
+def test_what_is_left_out_for_want_of_files_is_told(repository: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    bring(repository, "softbot")
+    for cloud in (repository / "data" / "softbot").glob("*.pcd"):
+        cloud.unlink()
+    assert main(["init", "--dataset", "data/softbot"]) == 0
+    assert "softbot: 14 data files of sensor 'lidar3d' not found: lidar3d_000.pcd" in capfd.readouterr().out
+    assert main(["run", "--jobs", "1"]) == 0
+    said = capfd.readouterr().err
+    assert "warning: softbot: 14 data files of sensor 'lidar3d' not found" in said
+    assert "it is not calibrated, and stays where the robot's description puts it" in said
+
+
 def test_every_limit_says_why_it_is_what_it_is(repository: Path) -> None:
     bring(repository, "t2rgb")
     main(["init", "--dataset", "data/t2rgb"])

@@ -561,8 +561,8 @@ def test_a_loop_of_links(tmp_path):
     cloud_refused(tmp_path, "loop/a", data_file="loop/a")  # Python 3.13 finds the loop only when it opens the file
 
 
-@pytest.mark.parametrize("name", ["missing.pcd", "folder", ".", "a\0b", "x" * 5000])
-def test_a_cloud_that_is_not_there(tmp_path, name):
+@pytest.mark.parametrize("name", ["folder", ".", "a\0b", "x" * 5000])
+def test_a_cloud_that_is_no_file(tmp_path, name):
     (tmp_path / "folder").mkdir()
     cloud_refused(tmp_path, "no regular file" if name in ("folder", ".") else "cannot be read", data_file=name)
 

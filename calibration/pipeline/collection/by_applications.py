@@ -201,8 +201,10 @@ def _check_sensors(dataset: Dataset, plan: Plan) -> None:
     """Hold a dataset's sensors to those of the system.
 
     Raises:
-        InputError: one is missing.
+        InputError: one is missing, or data of one.
     """
+    for missing in map(dataset.missing_files_of, dataset.missing_files):
+        raise InputError(f"dataset.json: {missing}")
     for name in plan.system.sensors if plan.system else ():
         if name not in dataset.sensors:
             raise InputError(f"dataset.json: missing sensor '{name}' (it has {', '.join(dataset.sensors)})")

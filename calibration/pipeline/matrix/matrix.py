@@ -193,6 +193,10 @@ def load(system: System) -> LoadedSystem:
             )
     evaluation = parse_evaluation(system.evaluate) if system.evaluate else None
     for sensor in evaluation.sensors if evaluation else ():
+        if missing := sensor not in dataset.sensors and dataset.missing_files_of(sensor):
+            raise InputError(
+                f"evaluation '{evaluation}': {dataset.path}: {missing}; put them beside it, or evaluate other sensors"
+            )
         if sensor not in dataset.sensors:
             raise InputError(
                 f"evaluation '{evaluation}': {dataset.path} has no sensor '{sensor}'"

@@ -1,0 +1,23 @@
+"""Point clouds and depth images that a dataset names and that are not there."""
+
+from calibration.dataset.model import Dataset
+from calibration.diagnosis.finding import Finding
+
+
+def missing_files(dataset: Dataset) -> tuple[Finding, ...]:
+    """What was left out of a calibration because its files are missing, a sensor at a time."""
+    return tuple(
+        Finding(
+            "missing-files",
+            "warning",
+            f"{dataset.missing_files_of(sensor)}; "
+            + (
+                "its labels in these are left out"
+                if sensor in dataset.sensors
+                else "it is not calibrated, and stays where the robot's description puts it"
+            ),
+            sensors=(sensor,),
+            value=float(len(files)),
+        )
+        for sensor, files in dataset.missing_files.items()
+    )
