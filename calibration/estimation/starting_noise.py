@@ -34,13 +34,13 @@ class StartingNoise:
 def perturb(setup: Setup, values: Values, noise: StartingNoise) -> Values:
     """The values with noise on the transforms to calibrate; the same draws for every size of noise.
 
-    What a user holds stays where it is.
+    What is held stays where the robot's description puts it: what a user holds, and the sensor that is held as the
+    origin because nothing else fixes it, as if it were anchored.
     """
     out = list(values)
-    gauge = setup.dataset.sensors[setup.gauge].edge if setup.gauge else None
     for edge, T in _noisy_transforms(setup.dataset, noise).items():
         block = setup.block(edge)
-        if edge == gauge or not setup.problem.blocks[block].held:
+        if not setup.problem.blocks[block].held:
             out[block] = T
     return tuple(out)
 

@@ -117,9 +117,12 @@ def test_a_transform_without_a_linear_start_is_said(start):
     assert errors(dataset, result.transforms)[0] < 0.002
 
 
-def test_where_it_was_held_is_where_the_guess_was():
+@pytest.mark.parametrize("start", ["linear", "given"])
+@pytest.mark.parametrize("noise", [StartingNoise(), StartingNoise(0.2, 0.1, 3)])
+def test_the_sensor_that_is_held_stands_where_the_description_puts_it(start, noise):
     dataset = stereo(**NOISY).dataset()
-    moved = dataset.with_transforms({("world", "left"): pose(1, 2, 3)})
-    result = calibrate(moved)
+    whole_rig = {edge: pose(1, 2, 3) @ dataset.transforms[edge] for edge in (("world", "left"), ("world", "right"))}
+    result = calibrate(dataset.with_transforms(whole_rig), Options(start), noise)
+    assert result.converged
     assert result.gauge == "left"
-    np.testing.assert_array_equal(result.transforms["world", "left"], pose(1, 2, 3))
+    np.testing.assert_array_equal(result.transforms["world", "left"], whole_rig["world", "left"][0])

@@ -26,6 +26,8 @@ def test_a_real_dataset_has_one_optimum_whatever_the_noise(shared_data: Path):
     for result in results:
         assert result.converged
         assert result.gauge == "left_camera"
+        held = dataset.sensors["left_camera"].edge
+        np.testing.assert_array_equal(result.dataset.transforms[held], dataset.transforms[held])
         assert result.rms_px == pytest.approx(results[0].rms_px, rel=1e-9)
         translation, rotation = distance(truth, camera_to_camera(result.dataset, "left_camera", "right_camera"))
         assert 1e3 * translation == pytest.approx(0.42, abs=0.01)
