@@ -49,6 +49,7 @@ def diagnose(
     flipped = mirrored(calibration, description, options) if hopeless and not explained else ()
     return (
         *missing_files(calibration.dataset),
+        *_not_determined(calibration),
         *flipped,
         *(far if explained else ()),
         *(each for each in suspected if each.severity == "red"),
@@ -62,6 +63,18 @@ def diagnose(
         *repeated(calibration),
         *_said_by_the_engine(calibration),
     )
+
+
+def _not_determined(calibration: Calibration) -> tuple[Finding, ...]:
+    """What is left out of the result because the data cannot tell it."""
+    if not calibration.not_determined:
+        return ()
+    text = (
+        f"only the poses of the sensors relative to each other are calibrated, from what they see together; where they "
+        f"are on the robot is not: '{calibration.gauge}' is held where the robot's description puts it, for "
+        f"{calibration.not_determined}"
+    )
+    return (Finding("not-determined", "warning", text),)
 
 
 def _said_by_the_engine(calibration: Calibration) -> tuple[Finding, ...]:

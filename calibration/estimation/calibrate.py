@@ -7,7 +7,7 @@ import numpy as np
 
 from calibration.dataset.modalities import BORDERS
 from calibration.dataset.model import Dataset, Edge, PointLabels
-from calibration.errors import UndeterminedError, solvable
+from calibration.errors import InputError, UndeterminedError, solvable
 from calibration.estimation.blocks import Pose, Values
 from calibration.estimation.build import Setup, build
 from calibration.estimation.error_bars import ErrorBars, error_bars
@@ -52,12 +52,40 @@ def calibrate(dataset: Dataset, options: Options | None = None, noise: StartingN
     """
     with solvable(dataset.path):
         try:
-            return _calibrate(dataset, options or Options(), noise or StartingNoise())
+            return _calibrate_what_is_determined(dataset, options or Options(), noise or StartingNoise())
         except UndeterminedError as error:
             if not dataset.missing_files:
                 raise
             missing = "; ".join(map(dataset.missing_files_of, dataset.missing_files))
             raise UndeterminedError(f"{error}; {missing}") from error
+
+
+def _calibrate_what_is_determined(dataset: Dataset, options: Options, noise: StartingNoise) -> Calibration:
+    """The calibration; where the robot's motion is too poor for it, that of the sensors relative to each other."""
+    try:
+        return _calibrate(dataset, options, noise)
+    except UndeterminedError as error:
+        if (relative := _relative(dataset, options, noise)) is None:
+            raise
+        why = str(error).removeprefix(f"{dataset.path}: ")
+        return replace(relative, not_determined=why)
+
+
+def _relative(dataset: Dataset, options: Options, noise: StartingNoise) -> Calibration | None:
+    """The calibration of sensors that see a fixed pattern together, as if it were another pattern in each collection.
+
+    Then nothing depends on how the robot has moved between collections, nor tells where the sensors are on it. None
+    where there are no such sensors, or that does not determine them either.
+    """
+    fixed = [name for name, pattern in dataset.patterns.items() if pattern.fixed]
+    if len(dataset.sensors) < 2 or not fixed or set(fixed) & set(options.hold):
+        return None
+    patterns = {name: replace(pattern, fixed=False) for name, pattern in dataset.patterns.items()}
+    try:
+        found = _calibrate(replace(dataset, patterns=patterns), options, noise)
+    except InputError:
+        return None
+    return found if found.converged and found.gauge else None
 
 
 def _calibrate(dataset: Dataset, options: Options, noise: StartingNoise) -> Calibration:

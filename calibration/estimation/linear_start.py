@@ -321,16 +321,18 @@ class _Search:
         blocks = [self.problem.blocks[link.block] for link in (first, second)]
         what = f"{self.setup.dataset.path}: '{blocks[0].name}' and '{blocks[1].name}' cannot be told apart"
         axes = solution.spectrum.axes(SINGLE_AXIS)
+        known = next((b.name for b in blocks if b.name in self.setup.dataset.patterns), blocks[1].name)
+        or_hold = f", or hold '{known}' if its place in the dataset is known to be right"
         if views < 3:
-            return f"{what}: {views} views, at least 3 with different rotations are needed"
+            return f"{what}: {views} views, at least 3 with different rotations are needed{or_hold}"
         if axes == 0:
-            return f"{what}: the robot never rotates; add collections with rotations about two axes"
+            return f"{what}: the robot never rotates; add collections with rotations about two axes{or_hold}"
         if axes == 1 and blocks[1].edge:
             axis = solution.spectrum.axis * np.sign(solution.spectrum.axis[np.abs(solution.spectrum.axis).argmax()])
             x, y, z = np.round(axis, 2) + 0.0
             return (
                 f"{what}: the robot rotates about a single axis only, ({x:g}, {y:g}, {z:g}) in frame "
-                f"'{blocks[1].edge[second.inverted]}'; add collections with rotations about another axis"
+                f"'{blocks[1].edge[second.inverted]}'; add collections with rotations about another axis{or_hold}"
             )
         return ""
 

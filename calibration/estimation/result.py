@@ -154,6 +154,9 @@ class Calibration:
     """Of the cameras of which intrinsics were free, by name."""
     dropped_views: tuple[DroppedView, ...] = ()
     """Views that contradicted the majority of the others; the result is that of the others."""
+    not_determined: str = ""
+    """Why only the poses of the sensors relative to each other are calibrated, not where they are on the robot; empty
+    where all is."""
 
     @cached_property
     def rms_px(self) -> float:

@@ -6,12 +6,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calibration.dataset.model import CornerLabels, Labels, PointLabels
+from calibration.dataset.model import CornerLabels, Dataset, Labels, PointLabels
+from calibration.dataset.reading import read_dataset
+from calibration.dataset.truth import Truth, read_truth
+from calibration.diagnosis.diagnose import diagnose
+from calibration.diagnosis.limits import Limits
 from calibration.errors import ExitCode, InputError, UndeterminedError
 from calibration.estimation.calibrate import Options, calibrate
+from calibration.estimation.starting_noise import StartingNoise
+from calibration.evaluation.truth import truth_error
 from calibration.geometry.transforms import transform
 from tests.estimation.scenes import Scene, board, errors, pose, relabelled
 from tests.estimation.systems import camera_and_lidar, eye_in_hand, eye_to_hand, rotating, stereo, two_bodies
+from tests.pipeline.conftest import DATASETS
 
 TURNS = np.linspace(-0.5, 0.5, 12)[:, None]
 ALTERNATING = {"sees": lambda sensor, _, i: (i % 2 == 0) == (sensor in ("left", "a"))}
@@ -48,6 +55,54 @@ def test_an_arm_that_turns_about_one_axis(scene: Callable[[int], Scene], mount, 
     x, y, z = np.round(axis * np.sign(axis[np.abs(axis).argmax()]), 2)
     assert f"'{mount}' and 'board' cannot be told apart" in message
     assert f"about a single axis only, ({x:g}, {y:g}, {z:g}) in frame '{frame}'" in message
+
+
+def base_that_turns_about_one_axis(collections: int) -> tuple[Dataset, Truth]:
+    """Two cameras and a LiDAR on a base that drives over a floor, its poses known, before a pattern in the world."""
+    folder = DATASETS / "softbot"
+    dataset, truth = read_dataset(folder), read_truth(folder / "ground_truth.json")
+    moving = dataset.moving_transforms
+    poses = {edge: np.stack([truth.patterns[key][edge] for key in dataset.keys]) for edge in moving}
+    dataset = replace(dataset, anchored=None, additional_transforms=(), moving_transforms=frozenset())
+    return dataset.with_transforms(poses).with_collections(range(collections)), truth
+
+
+@pytest.mark.parametrize("start", ["linear", "given"])
+def test_a_base_that_turns_about_one_axis_tells_the_sensors_relative_to_each_other(start):
+    dataset, truth = base_that_turns_about_one_axis(5)
+    result = calibrate(dataset, Options(start), StartingNoise(0.1, 0.05, 2))
+    assert result.converged
+    assert result.gauge == "front_left_camera"
+    held = dataset.sensors[result.gauge].edge
+    np.testing.assert_array_equal(result.transforms[held], dataset.transforms[held][0])
+    assert ("world", "pattern_link") not in result.transforms
+    found = truth_error(result.dataset, truth)
+    assert found.translation_mm < 0.6
+    assert found.rotation_deg < 0.04
+    assert "'pattern_1' cannot be told apart: the robot rotates about a single axis only" in result.not_determined
+    (said,) = (each for each in diagnose(result, dataset, Options(), Limits()) if each.kind == "not-determined")
+    assert said.severity == "warning"
+    assert "'front_left_camera' is held where the robot's description puts it" in said.text
+    assert "add collections with rotations about another axis, or hold 'pattern_1'" in said.text
+
+
+def test_where_the_base_is_known_to_stand_all_is_determined():
+    dataset, _ = base_that_turns_about_one_axis(5)
+    result = calibrate(dataset, Options(hold=("pattern_1",)))
+    assert result.converged
+    assert not result.not_determined
+    assert result.gauge is None
+
+
+def test_one_camera_on_such_a_base_is_refused():
+    dataset, _ = base_that_turns_about_one_axis(5)
+    one = replace(dataset, sensors={"front_left_camera": dataset.sensors["front_left_camera"]})
+    collections = tuple(
+        replace(c, labels={key: label for key, label in c.labels.items() if key[1] in one.sensors})
+        for c in one.collections
+    )
+    with pytest.raises(UndeterminedError, match=r"a single axis only, .*, or hold 'pattern_1' if its place"):
+        calibrate(replace(one, collections=collections))
 
 
 @pytest.mark.parametrize("wobble", [0.005, 0.015])
