@@ -29,6 +29,7 @@ MODULES = {
     "paper": "the t2rgb dataset of the paper from 400 noisy starts",
     "synthetic": "three synthetic systems from 100 noisy starts each",
     "dataset_loading": "reading a dataset against json.load",
+    "imports": "what each command imports before it begins",
     "process": "whole processes, from start to exit",
     "rendering": "simulated images, depth images and scans: how many, and where a detector finds their corners",
     "labelling": "detectors on real and simulated images and clouds",

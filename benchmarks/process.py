@@ -6,11 +6,11 @@ import statistics
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from benchmarks import AS_FOUND
+from benchmarks import AS_FOUND, reference
 from benchmarks.rows import Bar, Row
 from benchmarks.shared_data import FOLDER, ROOT, missing
 from benchmarks.timing import seconds
@@ -22,6 +22,9 @@ from calibration.estimation.calibrate import calibrate
 from calibration.estimation.starting_noise import StartingNoise
 assert calibrate(read_dataset(sys.argv[1]), noise=StartingNoise(0.5, 0.5, 1)).converged
 """
+ENVIRONMENT = {key: value for key, value in AS_FOUND.items() if key != "PYTHONDONTWRITEBYTECODE"}
+ENVIRONMENT["OPENBLAS_NUM_THREADS"] = "1"
+"""A process that begins finds its modules compiled, and has one thread, as the commands have."""
 TABLE = "Collection #,RMS (pix)\n000,0.5\nAverages,0.5\n"
 
 
@@ -42,7 +45,7 @@ class Process:
     def run(self) -> None:
         """Run it to its end."""
         command = [sys.executable, *self.arguments]
-        done = subprocess.run(command, cwd=ROOT, env=AS_FOUND, capture_output=True, text=True)
+        done = subprocess.run(command, cwd=ROOT, env=ENVIRONMENT, capture_output=True, text=True)
         if done.returncode:
             self.failure = f"exit {done.returncode}: {' '.join(done.stderr.split())[-200:]}"
 
@@ -57,7 +60,8 @@ class Process:
 def measure(quick: bool) -> Iterator[Row]:
     """Import, load and solve; the commands."""
     with tempfile.TemporaryDirectory() as folder:
-        processes = [*_bare(), *_solves(), *_commands(Path(folder))]
+        bare, cells = _bare(), _cells(Path(folder))
+        processes = [bare, *cells.values(), *_solves(), *_commands(Path(folder))]
         for round_ in range(4 if quick else 6):  # the first fills the caches
             for process in processes:
                 before = cpu_seconds()
@@ -69,6 +73,7 @@ def measure(quick: bool) -> Iterator[Row]:
     yield Row("process/load", busy, "", note=f"1 minute's load average; above {os.cpu_count()} times are long")
     for process in processes:
         yield process.row()
+    yield _above_numpy(bare, cells)
     for name in ("t2rgb-paper", "synthetic/t2rgb", "synthetic/riwbot", "synthetic/rlbot"):
         if reason := missing(name):
             yield Row(f"process/{name}", skipped=reason)
@@ -80,8 +85,28 @@ def cpu_seconds() -> float:
     return usage.ru_utime + usage.ru_stime
 
 
-def _bare() -> Iterator[Process]:
-    yield Process("python, numpy", ["-c", "import numpy"], None, "what of the next rows is not ours")
+def _bare() -> Process:
+    return Process("python, numpy", ["-c", "import numpy"], None, "what of the next rows is not ours")
+
+
+def _cells(folder: Path) -> dict[str, Process]:
+    """The command for one cell: now, and as it was."""
+    data = str(FOLDER / "t2rgb-paper" if (FOLDER / "t2rgb-paper").exists() else ROOT / "datasets" / "t2rgb")
+    places = {"now": ROOT, "before": reference.folder()}
+    found = {}
+    for name, place in places.items():
+        if place is not None:
+            command = ["calibrate-matrix", "--dataset", data, "--output", str(folder / name)]
+            program = f"from calibration.__main__ import main; sys.exit(main({command!r}))"
+            found[name] = Process(f"one cell, {name}", reference.python(program, place), None, Path(data).name)
+    return found
+
+
+def _above_numpy(bare: Process, cells: Mapping[str, Process]) -> Row:
+    """CPU time of a cell's process above that of numpy's."""
+    above = {name: statistics.median(cell.cpu) - statistics.median(bare.cpu) for name, cell in cells.items()}
+    note = f"CPU time above that of a process that imports numpy; before: {above.get('before', float('nan')):.2f} s"
+    return Row("process/one cell, above numpy", above["now"], "s", Bar(high=0.15), note)
 
 
 def _solves() -> Iterator[Process]:

@@ -8,6 +8,7 @@ from calibration.dataset.configuration import MAX_SPACING, MIN_SIZE
 from calibration.dataset.model import CornerLabels, Dataset
 from calibration.dataset.pattern import Pattern, grid, tag_grid
 from calibration.errors import InputError
+from calibration.estimation.median import median
 from calibration.geometry.types import Array, IntArray
 
 LEAST_CORNERS = 12
@@ -45,7 +46,7 @@ def check_board_order(dataset: Dataset) -> None:
         for sensor in dataset.sensors:
             views = _views(dataset, name, sensor)
             if views:
-                mirrored[sensor] = float(np.median([_side(pattern.corners[ids, :2], xy) for ids, xy in views])) < 0
+                mirrored[sensor] = median(np.array([_side(pattern.corners[ids, :2], xy) for ids, xy in views])) < 0
             misfit = _median_misfit(pattern.corners, views)
             if misfit <= MISFIT:
                 continue
@@ -114,7 +115,7 @@ def _numbered(pattern: Pattern, row: int) -> Array:
 def _median_misfit(corners: Array, views: Sequence[View]) -> float:
     """Of views that tell something; 0 where none does."""
     misfits = [_misfit(corners[ids, :2], xy) for ids, xy in views]
-    return float(np.median(misfits)) if misfits else 0.0
+    return median(np.array(misfits)) if misfits else 0.0
 
 
 def _misfit(plane: Array, image: Array) -> float:

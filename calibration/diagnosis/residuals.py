@@ -11,6 +11,7 @@ import numpy as np
 
 from calibration.diagnosis.finding import Finding
 from calibration.estimation.label_errors import LabelErrors, label_errors
+from calibration.estimation.median import median
 from calibration.estimation.result import Calibration
 from calibration.estimation.significance import score_of_f, threshold
 from calibration.geometry.types import Array
@@ -148,7 +149,7 @@ def _scatter(calibration: Calibration, labels: Sequence[LabelErrors]) -> list[Fi
 
 def _level(labels: LabelErrors) -> float:
     """The root of the median squared error of each axis, px or m: a few wrong labels do not count."""
-    return float(np.sqrt(np.median((labels.errors**2).mean(1)[labels.seen])))
+    return float(np.sqrt(median((labels.errors**2).mean(1)[labels.seen])))
 
 
 def _unit(labels: LabelErrors) -> str:

@@ -8,6 +8,7 @@ import numpy as np
 from calibration.dataset.model import Dataset, Edge, Joint, PointLabels, PoseLabels
 from calibration.dataset.pattern import Pattern
 from calibration.errors import InputError
+from calibration.estimation.median import median
 from calibration.estimation.planar_pose import planar_poses
 from calibration.geometry.joints import JOINT_PARAMETERS
 from calibration.geometry.transforms import distance
@@ -73,12 +74,12 @@ def square(pattern: Pattern) -> float:
 def _check_points(dataset: Dataset) -> None:
     for sensor in dataset.sensors:
         ranges = [
-            float(np.median(np.linalg.norm(label.points, axis=-1)))
+            median(np.linalg.norm(label.points, axis=-1))
             for collection in dataset.collections
             for (_, name), label in collection.labels.items()
             if name == sensor and isinstance(label, PointLabels) and len(label.points)
         ]
-        if ranges and (far := float(np.median(ranges))) > FARTHEST_POINT:
+        if ranges and (far := median(np.array(ranges))) > FARTHEST_POINT:
             raise InputError(
                 f"{dataset.path}: sensor '{sensor}': found the pattern {far:g} m away, expected {FARTHEST_POINT:g} m "
                 f"at most; this looks like millimetres: {far / MM:g} m"
@@ -123,13 +124,13 @@ def _off(joint: Joint, values: Array, positions: Array, T: Array) -> float:
 
 def _check_transforms(dataset: Dataset) -> None:
     """Refuse transforms that put what sees the same pattern much farther apart than from the pattern."""
-    some = np.unique(np.linspace(0, len(dataset.collections) - 1, COLLECTIONS).round().astype(int)).tolist()
+    some = sorted({round(i) for i in np.linspace(0, len(dataset.collections) - 1, COLLECTIONS).tolist()})
     dataset = dataset.with_collections(some)
     seen = _distances(dataset)
     for a, b, pattern, apart, near, path in _places(dataset, seen):
-        if len(apart) and np.median(apart / near) > (MOVES_TOO_FAR if a == b else TOO_FAR):
+        if len(apart) and median(apart / near) > (MOVES_TOO_FAR if a == b else TOO_FAR):
             edge, size, moves = _largest(dataset, path, a == b)
-            far, away = f"{np.median(apart):.3g} m", f"{np.median(near) / 2:.2g} m away"
+            far, away = f"{median(apart):.3g} m", f"{median(near) / 2:.2g} m away"
             so = f"'{a}' moves by {far}" if a == b else f"'{a}' and '{b}' are {far} apart"
             raise InputError(
                 f"{dataset.path}: transform '{'-'.join(edge)}': found {'a motion' if moves else 'a translation'} of "

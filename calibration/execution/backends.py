@@ -10,11 +10,10 @@ from dataclasses import dataclass
 from dataclasses import field as dataclass_field
 from importlib import import_module
 from pathlib import Path
-from typing import Any, Literal, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, Protocol, TypeVar
 
 from calibration.errors import InputError
 from calibration.execution.batch.settings import BatchSettings
-from calibration.execution.docker.labels import Owner
 from calibration.execution.job import Job
 from calibration.execution.outcome import JobOutcome
 from calibration.records import field, flat_fields, read, record
@@ -22,6 +21,9 @@ from calibration.variables import with_variables
 from calibration.workflow.streams import LogDisplay
 from calibration.workflow.text import did_you_mean
 from calibration.yaml_file import read_yaml
+
+if TYPE_CHECKING:
+    from calibration.execution.docker.labels import Owner
 
 Work = TypeVar("Work", contravariant=True)
 Outcome = TypeVar("Outcome", covariant=True)
@@ -31,7 +33,7 @@ class Leftover(Protocol):
     """Something that a run has started and not removed."""
 
     @property
-    def owner(self) -> Owner | None:
+    def owner(self) -> "Owner | None":
         """The process that started it; None where nothing says which."""
 
     @property

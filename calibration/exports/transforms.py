@@ -2,7 +2,6 @@
 
 import json
 import re
-from xml.sax.saxutils import quoteattr
 
 import yaml
 
@@ -14,6 +13,13 @@ from calibration.geometry.types import Array
 AUTOWARE_BASE = "base_link"
 FRAME = re.compile(r"[\w./:+-]+")
 """Of a launch file's attributes: blanks would be more arguments, ``$(...)`` would be evaluated."""
+
+
+def _quoted(text: str) -> str:
+    """A text as the value of an attribute of XML, with its quotes."""
+    from xml.sax.saxutils import quoteattr  # brings urllib.request, and whoever names a format would start it
+
+    return quoteattr(text)
 
 
 def _frame(name: str) -> str:
@@ -39,7 +45,7 @@ def ros1_launch(of: Calibrated) -> str:
         xyz, quat = _parts(T)
         arguments = " ".join([*map(repr, (*xyz, *quat)), _frame(parent), _frame(child)])
         node = f'pkg="tf2_ros" type="static_transform_publisher" name="calibrated_{i}"'
-        lines.append(f"  <node {node} args={quoteattr(arguments)}/>")
+        lines.append(f"  <node {node} args={_quoted(arguments)}/>")
     return "\n".join([*lines, "</launch>", ""])
 
 
@@ -47,7 +53,7 @@ def ros2_xml(of: Calibrated) -> str:
     """The same for ROS 2, as XML."""
     lines = ["<launch>"]
     for arguments in _ros2_arguments(of):
-        text = quoteattr(" ".join([*arguments[:-3], _frame(arguments[-3]), arguments[-2], _frame(arguments[-1])]))
+        text = _quoted(" ".join([*arguments[:-3], _frame(arguments[-3]), arguments[-2], _frame(arguments[-1])]))
         lines.append(f'  <node pkg="tf2_ros" exec="static_transform_publisher" args={text}/>')
     return "\n".join([*lines, "</launch>", ""])
 

@@ -186,27 +186,28 @@ def read_results(folder: Path) -> Results:
     return results
 
 
-def without_verdicts(results: Results, output: Path) -> Results:
-    """Return results that were read, for their cells to be judged anew, with what the cells' own files say.
-
-    Args:
-        results: of `read_results`.
-        output: the folder with the files of the cells.
+def results_of(output: Path) -> Results:
+    """Read the results in an output folder, with what the cells' own files say.
 
     Raises:
         InputError: a file cannot be read.
     """
 
+    def whole(cell: CellResult) -> CellResult:
+        return replace(cell, details=own_details(cell, output))
+
+    results = read_results(output)
+    return replace(results, cells=tuple(map(whole, results.cells)), comparisons=tuple(map(whole, results.comparisons)))
+
+
+def without_verdicts(results: Results) -> Results:
+    """Return results for their cells to be judged anew."""
+
     def reset(cell: CellResult) -> CellResult:
         red = tuple(finding.text for finding in cell.findings if finding.severity == "red")
-        reasons = red if cell.converged else cell.reasons
-        return replace(cell, reasons=reasons, details=own_details(cell, output))
+        return replace(cell, reasons=red if cell.converged else cell.reasons)
 
-    return replace(
-        results,
-        cells=tuple(map(reset, results.cells)),
-        comparisons=tuple(map(reset, results.comparisons)),
-    )
+    return replace(results, cells=tuple(map(reset, results.cells)), comparisons=tuple(map(reset, results.comparisons)))
 
 
 def own_file(cell: CellResult) -> str | None:

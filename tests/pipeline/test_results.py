@@ -28,6 +28,7 @@ from calibration.pipeline.results import (
     Results,
     clear_results,
     read_results,
+    results_of,
     without_verdicts,
 )
 from calibration.pipeline.system import NoiseGrid
@@ -56,7 +57,7 @@ def test_real_results_follow_their_schema_and_read_back(tmp_path: Path) -> None:
     own = json.loads((tmp_path / found.cells[0].dataset).with_name("results.json").read_text())
     jsonschema.validate(own, schema)
     assert own["cells"][0]["transforms"][0]["sigma_mm"] > 0
-    assert without_verdicts(read_results(tmp_path), tmp_path) == results
+    assert without_verdicts(results_of(tmp_path)) == results
 
 
 def test_results_of_an_older_version_are_read(tmp_path: Path) -> None:
@@ -79,7 +80,7 @@ def test_writing_what_was_read_changes_nothing(tmp_path: Path) -> None:
     write_results(Results(found.cells), tmp_path)
     before = {p: p.read_bytes() for p in tmp_path.rglob("results.json")}
 
-    write_results(without_verdicts(read_results(tmp_path), tmp_path), tmp_path)
+    write_results(without_verdicts(results_of(tmp_path)), tmp_path)
 
     assert {p: p.read_bytes() for p in tmp_path.rglob("results.json")} == before
     assert len(before) == 2
@@ -147,7 +148,7 @@ def test_a_method_that_depends_on_the_start_is_neither_our_engine_nor_judged(tmp
     results = icp_rows()
     write_results(results, tmp_path)
 
-    assert without_verdicts(read_results(tmp_path), tmp_path) == results
+    assert without_verdicts(results_of(tmp_path)) == results
     jsonschema.validate(json.loads((tmp_path / "results.json").read_text()), json.loads(SCHEMA.read_text()))
     rows = list(csv.DictReader((tmp_path / "cells.csv").read_text().splitlines()))
     assert [row["Verdict"] for row in rows] == ["pass", "fail", "", "", ""]
@@ -188,7 +189,7 @@ def test_errors_stand_beside_what_is_stated(tmp_path: Path) -> None:
     document = json.loads((tmp_path / "results.json").read_text())
     jsonschema.validate(document, json.loads(SCHEMA.read_text()))
     assert document["cells"][0]["sigma"] == {"translation_mm": 0.4, "rotation_deg": 0.01, "joint_mm": 0.2}
-    assert without_verdicts(read_results(tmp_path), tmp_path) == results
+    assert without_verdicts(results_of(tmp_path)) == results
 
 
 def test_of_many_parameters_the_first_are_shown() -> None:
@@ -283,7 +284,7 @@ def test_a_red_finding_fails_the_cell_whoever_reads_it(tmp_path: Path) -> None:
     red = CELL.found((Finding("far", "red", "the camera is far off", ("camera",), value=0.3, unit="m"),))
     write_results(Results((red,)), tmp_path)
 
-    read = without_verdicts(read_results(tmp_path), tmp_path)
+    read = without_verdicts(results_of(tmp_path))
 
     assert read.cells[0].verdict == "fail"
     assert read.cells == (red,)

@@ -20,6 +20,8 @@ PIXELS = 640
 """Width of an image in the page; larger ones are made smaller."""
 QUALITY = 70
 """Of its JPEG, percent."""
+JPEG, SMALL = b"\xff\xd8\xff", 64_000
+"""How a JPEG begins; and one of so many bytes is shown as it is."""
 
 
 def worst_views(
@@ -51,20 +53,24 @@ def _figure(dataset: Dataset, found: Residuals, name: str, i: int, rms: float, g
 
 
 def _jpeg(given: Dataset | None, name: str, key: str) -> bytes | None:
-    """The image of a view, made smaller; None where it is not at hand, or OpenCV is not installed."""
+    """The image of a view, made smaller; None where it is not at hand, or OpenCV is needed and not installed."""
     if given is None:
         return None
     try:
-        import cv2
+        path = Path(locate(Node(given.path, (), given.document)["collections"][key]["data"][name]["data_file"]))
+        if not path.is_file():
+            return None
+        if path.stat().st_size <= SMALL and (data := path.read_bytes()).startswith(JPEG):
+            return data
+        import cv2  # takes longer to start than a small dataset to calibrate
 
         from calibration.importing.looking import read_image  # which needs OpenCV too
 
-        message = Node(given.path, (), given.document)["collections"][key]["data"][name]
-        image: Any = read_image(Path(locate(message["data_file"])))
-    except (ImportError, CalibrationError):
+        image: Any = read_image(path)
+    except (ImportError, OSError, CalibrationError):
         return None
     scale = min(1.0, PIXELS / image.shape[1])
     size = max(1, round(scale * image.shape[1])), max(1, round(scale * image.shape[0]))
     smaller = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
-    done, data = cv2.imencode(".jpg", smaller, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
-    return bytes(data) if done else None
+    done, encoded = cv2.imencode(".jpg", smaller, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
+    return bytes(encoded) if done else None

@@ -7,7 +7,7 @@ from calibration.pipeline.baseline import with_accepted
 from calibration.pipeline.matrix.cell import CellResult
 from calibration.pipeline.matrix.judgement import judge_cells
 from calibration.pipeline.matrix.matrix import run_matrix
-from calibration.pipeline.results import read_results, without_verdicts
+from calibration.pipeline.results import results_of, without_verdicts
 from calibration.pipeline.stages.running import Run
 from calibration.workflow.progress import progress
 
@@ -42,15 +42,15 @@ def _line(cell: CellResult) -> str:
 def introspect_stage(run: Run) -> Run:
     """Judge the tables that the stage before left in the output folder by each system's rules and limits.
 
-    Our engine's answers beside those of a team's software are judged too, without a part in the verdict. Of the results
-    of the stages before, what they say of an image stays; the rest is read from the output folder.
+    Our engine's answers beside those of a team's software are judged too, without a part in the verdict. Where this run
+    has calibrated no cell, the results are read from the output folder, but for what this run says of an image.
 
     Raises:
         InputError: there are no results, or a rule does not fit a table.
     """
     systems, output = run.matrix.systems, run.output
     names = {system.name for system in systems}
-    found = without_verdicts(read_results(output), output)
+    found = without_verdicts(run.results if run.results.cells else results_of(output))
     cells = [cell for cell in found.cells if cell.system in names]
     references = [cell for cell in found.comparisons if cell.system in names and not cell.by_other_method]
     others = [cell for cell in found.comparisons if cell.system in names and cell.by_other_method]

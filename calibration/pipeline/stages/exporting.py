@@ -60,7 +60,7 @@ def _exported(system: System, exports: Exports, cells: Sequence[CellResult], out
         # The data of the cell's labels stay beside the dataset that was calibrated.
         dataset = read_dataset(output / (first.dataset or ""), data=_data(system))
         files, notes = exported(dataset, exports.formats, exports.robot_description)
-        details = own_details(first, output)
+        details = first.details or own_details(first, output)
     except CalibrationError as error:
         return Exported(system=system.name, folder=folder, reasons=(f"{system.name}: exports: {error}",))
     if details is not None and details.snapshot is not None:

@@ -106,13 +106,16 @@ def run_stages(run: Run, stages: Collection[str] = tuple(STAGES)) -> Results:
     run = _placed(run)
     if "calibrate" in stages or "collect" in stages:
         clear_results(run.output, _inputs(run.matrix))
-    for name, stage in STAGES.items():
-        if stage.applies(run) and (name in stages or (name == "build" and run.wants_image)):
-            run = imported(stage.target)(run)
-            if run.results.judged:  # what an earlier run left there is not replaced by an image
-                write_results(run.results, run.output)
-    found = report(run.results, run.output, run.title)
-    files = {**found.files, PAGE_FILE: _page(found, run)}
+    try:
+        for name, stage in STAGES.items():
+            if stage.applies(run) and (name in stages or (name == "build" and run.wants_image)):
+                run = imported(stage.target)(run)
+        found = report(run.results, run.output, run.title)
+        files = {**found.files, PAGE_FILE: _page(found, run)}
+    except BaseException:  # a signal too: what the stages before have found is there for another run
+        if run.results.judged:  # what an earlier run left there is not replaced by an image
+            write_results(run.results, run.output)
+        raise
     outputs = {**found.outputs, "report": run.output / PAGE_FILE}
     publish(replace(found, places=_places(found.reasons, run), files=files, outputs=outputs), run.runner, run.output)
     return run.results

@@ -1,0 +1,27 @@
+"""What 'before' is: the package as it was at a kept commit, measured in the same run as what it is now."""
+
+import subprocess
+from functools import cache
+from pathlib import Path
+from tempfile import mkdtemp
+
+from benchmarks.shared_data import ROOT
+
+COMMIT = "51bef2e"
+"""Before the work on speed began; its package runs with today's dependencies."""
+
+
+@cache
+def folder() -> Path | None:
+    """A folder with the package of that commit; None where the repository's history is not there."""
+    archive = subprocess.run(["git", "archive", COMMIT, "calibration"], cwd=ROOT, capture_output=True)
+    if archive.returncode:
+        return None
+    place = Path(mkdtemp(prefix="calibration-before-"))
+    subprocess.run(["tar", "x"], cwd=place, input=archive.stdout, check=True)
+    return place
+
+
+def python(program: str, place: Path) -> list[str]:
+    """The arguments of a Python process that takes the package from a folder."""
+    return ["-c", f"import sys; sys.path.insert(0, {str(place)!r}); {program}"]
