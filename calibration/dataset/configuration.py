@@ -210,6 +210,8 @@ def _pattern(name: str, node: Node) -> PatternConfiguration:
     dimension = node["dimension"]
     size = node["size"].within(MIN_SIZE, MAX_SIZE)
     inner = node.get("inner_size")
+    if inner and kind.value == "chessboard" and inner.number() == 0:  # ATOM's way to say that it has no markers
+        inner = None
     if inner and inner.within(MIN_SIZE, MAX_SIZE) >= size:
         raise inner.unexpected(f"less than the size of a square, {size:g}")
     columns, rows = dimension["x"].whole(2, MAX_CORNERS), dimension["y"].whole(2, MAX_CORNERS)

@@ -1,4 +1,4 @@
-"""The corners of chessboards, all of them or none.
+"""The corners of chessboards: OpenCV finds all of them or none, and those that are no good are left out.
 
 A chessboard has no marker that says where it begins, so corner 0 is chosen by a rule. Of the ways to
 number the corners as a grid that is seen from the front (x along a row, y down a column, never
@@ -27,6 +27,8 @@ DECIMALS = 4
 """Of the corners' pixels."""
 CLEARANCE = 0.4
 """How far around a corner refinement looks (squares); the next corners are at 1."""
+LEAST_SHARE = 0.75
+"""A smaller share of corners that look like corners of a board is none; what the others hide is left out."""
 LEAST_CORNERS = 3
 """Along each side of a board, for OpenCV to find it."""
 LARGE = 800
@@ -69,9 +71,9 @@ class ChessboardDetector:
         predicted = predict(self._places, pixels, self._places)
         refined, found = refine(image, pixels, predicted.jacobians, CLEARANCE)
         found[found] = fits_neighbours(self._places[found], refined[found]) if found.sum() >= 4 else False
-        if not found.all():
+        if found.mean() < LEAST_SHARE:
             return NotDetected(f"{int((~found).sum())} of {len(found)} corners do not look like corners of a board")
-        return CornerLabels(np.arange(len(found)), np.round(refined, DECIMALS))
+        return CornerLabels(np.flatnonzero(found), np.round(refined[found], DECIMALS))
 
     def _find(self, image: Image) -> Array | None:
         """The corners (rows, columns, 2) in some order along rows and columns; None where there are none.

@@ -98,6 +98,22 @@ def test_a_configuration(tmp_path):
     assert (board.kind, board.dictionary, board.inner_size, board.mesh_file) == ("chessboard", None, None, "")
 
 
+@pytest.mark.parametrize("written_as", ["0", "0.0", "null"])
+def test_a_chessboard_has_no_markers_whatever_their_size(tmp_path, written_as):
+    text = CONFIG.replace(
+        "    pattern_type: chessboard\n", f"    pattern_type: chessboard\n    inner_size: {written_as}\n"
+    )
+    assert text != CONFIG
+    assert read_configuration(written(tmp_path, text)).patterns["board"].inner_size is None
+
+
+def test_a_charuco_board_has_markers(tmp_path):
+    text = VERSION_2.replace("inner_size: 0.045", "inner_size: 0.0")
+    assert text != VERSION_2
+    with pytest.raises(InputError, match=r"inner_size: found 0\.0, expected a number from 1e-06"):
+        read_configuration(written(tmp_path, text))
+
+
 def test_the_geometry_of_its_patterns(tmp_path):
     board = read_configuration(written(tmp_path, CONFIG)).patterns["board"].pattern()
     assert (board.name, board.link, board.parent_link, board.fixed) == ("board", "board_link", "world", False)

@@ -1,13 +1,19 @@
-"""Chessboards: all corners, where the truth projects them, numbered by a rule that holds when the board is turned."""
+"""Chessboards: corners where the truth projects them, numbered by a rule that holds when the board is turned."""
 
+from typing import Any
+
+import cv2
 import numpy as np
 import pytest
 
 from calibration.dataset.model import CornerLabels
 from calibration.errors import InputError
+from calibration.geometry.types import Array, BoolArray
+from calibration.labelling import chessboard as chessboards
 from calibration.labelling.chessboard import ChessboardDetector
 from calibration.labelling.corner_detector import corner_detector
 from calibration.labelling.detection import NotDetected
+from calibration.labelling.printed_corners import refine
 from tests.labelling.pictures import HD, VGA, Photograph, chessboard, facing, true_corners
 
 UNIQUE, TWOFOLD, SQUARE, SQUARE_FOURFOLD = chessboard(10, 7), chessboard(9, 7), chessboard(7, 7), chessboard(6, 6)
@@ -67,7 +73,35 @@ def test_light_that_varies_over_the_board_is_no_colour() -> None:
     assert np.linalg.norm(found.pixels - true_corners(VGA, UNIQUE, T), axis=-1).max() < 1
 
 
-def test_all_corners_or_nothing() -> None:
+@pytest.mark.parametrize("spot", [2, 5, 8])
+@pytest.mark.parametrize("corners", [(34,), (0,), (0, 13, 27, 69)])
+def test_corners_under_a_spot_are_left_out_and_cost_no_other(spot, corners) -> None:
+    T = facing(UNIQUE, 1.2, 0.3, 0.5, 0.1)
+    image, truth = Photograph(VGA).of(UNIQUE, T), true_corners(VGA, UNIQUE, T)
+    for x, y in np.round(truth[list(corners)]).astype(int).tolist():
+        cv2.circle(image, (x + 2, y), spot, 60, -1)
+    found = ChessboardDetector(UNIQUE).detect(image)
+    assert isinstance(found, CornerLabels), found
+    assert found.ids.tolist() == [i for i in range(70) if i not in corners]
+    assert np.linalg.norm(found.pixels - truth[found.ids], axis=-1).max() < 0.2
+
+
+@pytest.mark.parametrize(("bad", "kept"), [(17, True), (18, False)])
+def test_a_board_of_which_a_quarter_is_no_good_is_none(monkeypatch: pytest.MonkeyPatch, bad: int, kept: bool) -> None:
+    def spoilt(*arguments: Any) -> tuple[Array, BoolArray]:
+        refined, found = refine(*arguments)
+        found[:bad] = False
+        return refined, found
+
+    monkeypatch.setattr(chessboards, "refine", spoilt)
+    found = ChessboardDetector(UNIQUE).detect(Photograph(VGA).of(UNIQUE, facing(UNIQUE, 1.2, 0.3, 0.5, 0.1)))
+    if kept:
+        assert isinstance(found, CornerLabels)
+    else:
+        assert found == NotDetected(f"{bad} of 70 corners do not look like corners of a board")
+
+
+def test_a_board_that_is_cut_off_or_covered_is_none() -> None:
     assert isinstance(
         ChessboardDetector(UNIQUE).detect(Photograph(VGA).of(UNIQUE, facing(UNIQUE, 0.6, at=(0.4, 0)))), NotDetected
     )
