@@ -1,5 +1,5 @@
-"""An accepted calibration, kept in git, and what has changed since.
+"""Baseline: accepted calibrations kept in git, and their comparison with new ones.
 
-A `snapshot.Snapshot` is a calibration's result in numbers that can be compared; `document` is the reviewed file of
-accepted ones, ``calibration-baseline.json``; `comparison` says how far two lie apart, `verdict` what that means.
+A `snapshot.Snapshot` is a calibration's result as comparable numbers; `document` reads and writes the reviewed file of
+accepted ones, ``calibration-baseline.json``; `comparison` computes the differences, `verdict` judges them.
 """

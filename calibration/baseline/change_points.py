@@ -1,8 +1,8 @@
-"""Where a series of measurements changes its level, and whether it creeps.
+"""Detection of level changes and slow drift in a series of measurements.
 
 The levels are the segmentation with the least ``sum |x_i - mean of its segment|^2 / s^2 + penalty * changes``, found
 exactly by optimal partitioning (B. Jackson et al., "An algorithm for optimal partitioning of data on an interval",
-2005); the penalty is a quantile of chi-squared, so that a series without a change has one with a probability of 0.001.
+2005). The penalty is a quantile of chi-squared, so that the false alarm rate of a constant series is 0.001.
 """
 
 import math
@@ -15,19 +15,19 @@ from calibration.estimation.significance import FAMILY_WISE
 from calibration.geometry.types import Array, IntArray
 
 NORMAL = 1.4826
-"""The standard deviation of normal numbers over their median absolute deviation."""
+"""Ratio of standard deviation to median absolute deviation of a normal distribution."""
 FEWEST = 4
-"""With fewer values there is no trend."""
+"""Minimum number of values for a trend."""
 MANY = 12
-"""From so many values on their differences tell their noise."""
+"""From this number of values on, the noise is estimated from their differences."""
 LEAST = 0.02
-"""Of the noise that is stated there is at least this part."""
+"""Lower limit of the noise, as a fraction of the stated one."""
 
 
 def noise_of(values: Array, stated: Array) -> Array:
-    """The standard deviation of each column of a series, from its differences; what is stated of it where they are few.
+    """Estimate the standard deviation of each column of a series from its differences; short series: the stated one.
 
-    It is the larger of two halves', so that a series that becomes noisier does not seem to jump.
+    It is the larger of the two halves' estimates, so that increasing noise is not detected as changes of the level.
 
     Args:
         values: (n, d).
@@ -43,7 +43,7 @@ def noise_of(values: Array, stated: Array) -> Array:
 
 
 def change_points(values: Array, noise: Array) -> list[int]:
-    """The indices at which a series has another level than before.
+    """Return the indices at which the level of a series changes.
 
     Args:
         values: (n, d), with d at most 6.
@@ -73,12 +73,12 @@ def change_points(values: Array, noise: Array) -> list[int]:
 
 
 def creeps(values: Array, noise: Array, changes: Sequence[int]) -> bool:
-    """Whether a straight line explains a series better than levels, each parameter being paid for.
+    """Whether a straight line explains a series better than levels, with a penalty for each parameter.
 
     Args:
         values: (n, d).
         noise: (d,), the standard deviation of each column.
-        changes: the indices that `change_points` finds.
+        changes: the indices from `change_points`.
     """
     n = len(values)
     if n < FEWEST:

@@ -1,11 +1,11 @@
-"""How far two calibrations of one robot lie apart.
+"""Comparison of two calibrations of the same robot, with a significance test.
 
-The difference d of two poses, a twist in the child frame of the first, has the covariance
-``C = C_1 + C_2 - sum (m_1 m_2^T + m_2 m_1^T)`` where the data are others, with the moves m of what both hold: its error
-is the same in both, and moves both results alike. Where nothing has moved ``d^T C^-1 d`` is Hotelling's T^2, as the C
-are estimated from collections: with k = 6 parameters and n degrees of freedom, those of the effective collections of
-both, ``T^2 (n - k + 1) / (k n)`` is F-distributed (H. Hotelling, "The generalization of Student's ratio", 1931). On the
-same data the result is deterministic, and no noise excuses a difference.
+The difference d of two poses is a twist in the child frame of the first. For independent recordings its covariance is
+``C = C_1 + C_2 - sum (m_1 m_2^T + m_2 m_1^T)``, where m are the effects of fixed parameters that both have in common:
+their error is the same in both and moves both results alike. If nothing has moved, ``d^T C^-1 d`` is Hotelling's T^2,
+as the C are estimated from collections: with k = 6 parameters and n degrees of freedom, those of the effective
+collections of both, ``T^2 (n - k + 1) / (k n)`` is F-distributed (H. Hotelling, "The generalization of Student's
+ratio", 1931). On the same data the result is deterministic, so every difference counts.
 """
 
 import math
@@ -23,9 +23,9 @@ from calibration.records import field, result
 
 Kind = Literal["pose", "parameter", "added", "removed"]
 MOST_FREEDOM = 1e6
-"""More degrees of freedom are as good as any number."""
+"""Upper limit of the degrees of freedom; beyond it the distribution is practically chi-squared."""
 LEAST = 1e-9
-"""Relative to the largest, a variance below it is rounding."""
+"""Relative to the largest: a smaller variance is rounding error."""
 
 
 @result(kw_only=True)
@@ -34,19 +34,19 @@ class Change:
 
     name: str = field("The sensor, the transform or the parameter.")
     kind: Kind = field("pose, parameter; added and removed where only one of the two calibrations has it.")
-    translation_mm: tuple[float, ...] = field("Of a pose, in the earlier child frame.", unit="mm", default=())
-    rotation_deg: tuple[float, ...] = field("Of a pose, a rotation vector in that frame.", unit="degrees", default=())
-    value: float | None = field("Of a parameter: the difference.", default=None)
+    translation_mm: tuple[float, ...] = field("Translation, in the earlier child frame.", unit="mm", default=())
+    rotation_deg: tuple[float, ...] = field("Rotation vector, in that frame.", unit="degrees", default=())
+    value: float | None = field("Difference of a parameter.", default=None)
     unit: str | None = field("Of a parameter.", default=None)
     mm: float = field("Norm of the translation.", unit="mm", default=0.0)
     deg: float = field("Angle of the rotation.", unit="degrees", default=0.0)
     sigma_mm: float = field("Standard deviation of the translation, the norm of three axes.", unit="mm", default=0.0)
-    sigma_deg: float = field("The same of the rotation.", unit="degrees", default=0.0)
+    sigma_deg: float = field("Standard deviation of the rotation, the norm of three axes.", unit="degrees", default=0.0)
     sigma: float | None = field("Standard deviation of the difference of a parameter.", default=None)
     sigmas: float = field("The difference in standard deviations: the root of T^2.", default=0.0)
-    p: float = field("How probable so large a difference is where nothing has moved.", default=1.0)
+    p: float = field("Probability of so large a difference if nothing has moved.", default=1.0)
     unseen_mm: float = field(
-        "The largest displacement that could be too small to be significant, in the worst direction.",
+        "Largest displacement that would not be significant, in the worst direction.",
         unit="mm",
         default=0.0,
     )
@@ -54,7 +54,7 @@ class Change:
 
 @dataclass(frozen=True)
 class Comparison:
-    """Two calibrations of one system."""
+    """Comparison of two calibrations of one system."""
 
     before: Snapshot
     now: Snapshot
@@ -62,12 +62,12 @@ class Comparison:
 
     @property
     def same_data(self) -> bool:
-        """Whether both are of the same labels."""
+        """Whether both are calibrated from the same labels."""
         return self.before.data == self.now.data
 
     @property
     def other_inputs(self) -> tuple[str, ...]:
-        """What beside the labels is another than before."""
+        """Inputs other than the labels that differ."""
         before, now = self.before.inputs, self.now.inputs
         changed = [name for name in now if before.get(name, now[name]) != now[name]]
         if not self.same_data:
@@ -77,7 +77,7 @@ class Comparison:
 
     @property
     def significance(self) -> float:
-        """The probability below which a difference is significant: family-wise over all of them (Bonferroni)."""
+        """Significance level of each single difference: family-wise over all of them (Bonferroni)."""
         return FAMILY_WISE / max(1, sum(each.kind in ("pose", "parameter") for each in self.changes))
 
 
@@ -101,7 +101,7 @@ def compare(before: Snapshot, now: Snapshot) -> Comparison:
 
 
 def _freedom(before: Snapshot, now: Snapshot) -> float:
-    """Degrees of freedom of the covariance of a difference; without end where nothing says how many."""
+    """Degrees of freedom of the covariance of a difference; infinite if unknown."""
     known = [each.effective_collections for each in (before, now)]
     return sum(each - 1 if each is not None else math.inf for each in known)
 
@@ -119,7 +119,7 @@ def _pose_change(before: Pose, now: Pose, same: bool, threshold: float, freedom:
     chi_squared, worst = (0.0, 0.0) if C is None else _chi_squared(d, C)
     sizes = (0.0, 0.0) if C is None else _norms(np.sqrt(np.diagonal(C)))
     if C is None and np.abs(d).max() > 0:
-        chi_squared = math.inf  # both were held: there is no error bar, and no noise
+        chi_squared = math.inf  # fixed in both: no standard deviation, and no noise
     mm, deg = _norms(d)
     return Change(
         name=now.name,
@@ -159,7 +159,7 @@ def _parameter_change(before: Parameter, now: Parameter, same: bool, freedom: fl
 
 
 def _label_covariance(pose: Pose) -> Array | None:
-    """(6, 6) by the labels' noise alone, as far as a pose tells it; None where it was held."""
+    """Covariance (6, 6) from the labels' noise alone, without that of fixed parameters; None for a fixed pose."""
     C = pose.covariance
     if C is None or pose.label_sigma_mm is None or pose.label_sigma_deg is None:
         return C
@@ -169,7 +169,7 @@ def _label_covariance(pose: Pose) -> Array | None:
 
 
 def covariance_of_difference(before: Pose, now: Pose) -> Array | None:
-    """(6, 6) of the difference of two poses from different data; None where both were held."""
+    """Covariance (6, 6) of the difference of two poses from independent recordings; None if both are fixed."""
     parts = [each for each in (before.covariance, now.covariance) if each is not None]
     if not parts:
         return None
@@ -179,7 +179,7 @@ def covariance_of_difference(before: Pose, now: Pose) -> Array | None:
 
 
 def _chi_squared(d: Array, C: Array) -> tuple[float, float]:
-    """``d^T C^-1 d``, and the largest standard deviation of a translation in any direction, m."""
+    """Return ``d^T C^-1 d``, and the largest standard deviation of a translation in any direction, m."""
     scale = np.sqrt(np.maximum(np.diagonal(C), 1e-300))
     values, vectors = np.linalg.eigh(C / np.outer(scale, scale))
     values = np.maximum(values, LEAST * values[-1])
@@ -188,7 +188,7 @@ def _chi_squared(d: Array, C: Array) -> tuple[float, float]:
 
 
 def _norms(d: Array) -> tuple[float, float]:
-    """Of a twist (6,), m and rad: mm and degrees."""
+    """Return the norms of a twist (6,) in m and rad, as mm and degrees."""
     return 1e3 * float(np.linalg.norm(d[:3])), float(np.degrees(np.linalg.norm(d[3:])))
 
 
@@ -201,9 +201,9 @@ def _finite(value: float) -> float:
 
 
 def t_squared_tail(x: float, k: int, freedom: float) -> float:
-    """The probability that Hotelling's T^2 of k parameters is larger than x where nothing differs.
+    """Probability that Hotelling's T^2 of k parameters exceeds x under the null hypothesis.
 
-    1 where the degrees of freedom are too few to tell.
+    1 if there are too few degrees of freedom.
     """
     n = min(freedom, MOST_FREEDOM)
     if n - k + 1 < 1 or x <= 0:
@@ -215,17 +215,17 @@ def t_squared_tail(x: float, k: int, freedom: float) -> float:
 
 
 def t_squared_quantile(p: float, freedom: float) -> float:
-    """The value that Hotelling's T^2 of 6 parameters exceeds with a probability p; infinite where nothing can tell."""
+    """Value that Hotelling's T^2 of 6 parameters exceeds with probability p; infinite if ``freedom`` is too small."""
     return _exceeded(lambda x: t_squared_tail(x, 6, freedom), p)
 
 
 def chi_squared_quantile(p: float) -> float:
-    """The value that chi-squared with 6 degrees of freedom exceeds with a probability p."""
+    """Quantile that chi-squared with 6 degrees of freedom exceeds with probability p."""
     return _exceeded(chi_squared_tail, p)
 
 
 def chi_squared_tail(x: float) -> float:
-    """The probability that chi-squared with 6 degrees of freedom is larger than x.
+    """Probability that chi-squared with 6 degrees of freedom exceeds x.
 
     ``exp(-x/2) (1 + x/2 + x^2/8)`` (M. Abramowitz, I. Stegun, "Handbook of mathematical functions", 26.4.21).
     """
@@ -233,7 +233,7 @@ def chi_squared_tail(x: float) -> float:
 
 
 def _exceeded(tail: Callable[[float], float], p: float) -> float:
-    """Where a falling function is p; infinite where it is above that for long."""
+    """Solve ``tail(x) = p`` for a decreasing function; infinite if there is no solution below the search limit."""
     low, high = 0.0, 1e6
     if tail(high) > p:
         return math.inf

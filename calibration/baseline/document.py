@@ -1,4 +1,4 @@
-"""``calibration-baseline.json``: the accepted calibration of each system, reviewed like a lock file."""
+"""The file ``calibration-baseline.json``: the accepted calibration of each system, reviewed like a lock file."""
 
 import json
 from collections.abc import Mapping
@@ -13,25 +13,25 @@ from calibration.records import document_of, field, length, read, record
 
 VERSION: Literal[1] = 1
 LARGEST = 32_000_000
-"""Bytes of the largest baseline that is read: a thousand systems of many sensors."""
+"""Limit of a baseline's size in bytes: a thousand systems of many sensors."""
 CONFLICT = b"<<<<<<<"
 WIDTH = 100
-"""Characters of a line that a short list or mapping may take."""
+"""Maximum line length for short lists and mappings."""
 
 
 @record
 class Baseline:
-    """The accepted calibration of each system."""
+    """Accepted calibration of each system."""
 
     version: Literal[1] = field("Number of this form.")
     systems: Annotated[Mapping[str, Snapshot], length(0, 10_000)] = field("The systems by name.")
 
 
 def read_baseline(path: Path) -> Baseline | None:
-    """Read a baseline from a file; None where there is none.
+    """Read a baseline from a file; None if it does not exist.
 
     Raises:
-        InputError: it is no baseline: names file and key.
+        InputError: it is not a valid baseline; names file and key.
     """
     if path.is_symlink():
         raise InputError(f"{path}: found a symbolic link, expected the baseline itself")
@@ -41,10 +41,10 @@ def read_baseline(path: Path) -> Baseline | None:
 
 
 def parse_baseline(content: bytes, where: str) -> Baseline:
-    """Read a baseline.
+    """Parse a baseline.
 
     Raises:
-        InputError: it is none; begins with ``where``.
+        InputError: it is not valid; the message begins with ``where``.
     """
     if len(content) > LARGEST:
         raise InputError(f"{where}: found {len(content)} bytes, a baseline has at most {LARGEST}")
@@ -69,7 +69,7 @@ def write_baseline(path: Path, baseline: Baseline) -> None:
     """Write a baseline; an interruption leaves the old file.
 
     Raises:
-        InputError: something else than a file stands there.
+        InputError: the path is not a regular file.
         InfrastructureError: it cannot be written.
     """
     if path.is_symlink() or (path.exists() and not path.is_file()):
@@ -78,7 +78,7 @@ def write_baseline(path: Path, baseline: Baseline) -> None:
 
 
 def baseline_text(baseline: Baseline) -> str:
-    """The text of a baseline: systems in order of their names, what fits in a line in one line."""
+    """Format a baseline: systems sorted by name, short values on one line."""
     document = document_of(baseline)
     document["systems"] = {name: document["systems"][name] for name in sorted(document["systems"])}
     return _text(document, "") + "\n"
@@ -96,7 +96,7 @@ def _text(value: Any, indent: str) -> str:
 
 
 def _fits(value: Any, line: str) -> bool:
-    """Whether a value stands in one line: numbers and names of any length, lists of lists and mappings if short."""
+    """Whether a value is written on one line: flat lists of any length, nested lists and mappings if short."""
     children = list(value.values()) if isinstance(value, dict) else value
     if not any(isinstance(each, dict | list) for each in children):
         return isinstance(value, list) or len(line) <= WIDTH

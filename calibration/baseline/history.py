@@ -1,4 +1,4 @@
-"""The accepted calibrations through the history of a repository: what changed when, and what creeps."""
+"""History of accepted calibrations in a repository: level changes and drift, with the commits that introduced them."""
 
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -20,12 +20,12 @@ from calibration.git.repository import Commit, Repository
 from calibration.records import computed, field, result
 
 LEAST = np.array([1e-6] * 3 + [1e-6] * 3)
-"""Noise of less than a micrometre or a microradian is none."""
+"""Lower limit of the noise: a micrometre, a microradian."""
 
 
 @dataclass(frozen=True)
 class Revision:
-    """What a commit accepted."""
+    """Accepted calibrations of one commit."""
 
     commit: Commit
     systems: Mapping[str, Snapshot]
@@ -33,45 +33,45 @@ class Revision:
 
 @result(kw_only=True)
 class Point:
-    """A pose in one commit, against the first one."""
+    """Pose in one commit, relative to the first one."""
 
     commit: str = field("Hash of the commit.")
     date: str = field("Of the commit.")
     subject: str = field("First line of its message.")
-    translation_mm: tuple[float, ...] = field("From the first pose, in its child frame.", unit="mm")
-    rotation_deg: tuple[float, ...] = field("Likewise, a rotation vector.", unit="degrees")
+    translation_mm: tuple[float, ...] = field("Translation from the first pose, in its child frame.", unit="mm")
+    rotation_deg: tuple[float, ...] = field("Rotation from the first pose, as a rotation vector.", unit="degrees")
     sigma_mm: float = field("Standard deviation of the translation, the norm of three axes.", unit="mm")
     rms_px: float | None = field("Of the system.", unit="px")
 
 
 @result(kw_only=True)
 class Step:
-    """A commit at which a series has another level than before."""
+    """Commit at which the level of a series changes."""
 
     commit: str = field("Hash of the commit.")
     date: str = field("Of the commit.")
     subject: str = field("First line of its message.")
-    mm: float = field("By how much the translation differs from the level before.", unit="mm", default=0.0)
-    deg: float = field("By how much the rotation does.", unit="degrees", default=0.0)
-    rms_px: float | None = field("Of an RMS: by how much.", unit="px", default=None)
+    mm: float = field("Difference of the translation from the previous level.", unit="mm", default=0.0)
+    deg: float = field("Difference of the rotation from the previous level.", unit="degrees", default=0.0)
+    rms_px: float | None = field("Difference of an RMS from the previous level.", unit="px", default=None)
 
 
 @result(kw_only=True)
 class Trend:
-    """A pose, or the RMS of a system, through the history."""
+    """Series of a pose, or of the RMS of a system, through the history."""
 
     system: str = field("The system.")
     name: str = field("The sensor or the transform; RMS.")
     points: tuple[Point, ...] = field("A point for each commit that changed the file, the earliest first.")
-    steps: tuple[Step, ...] = field("Where it changes; none where it creeps.")
+    steps: tuple[Step, ...] = field("Changes of its level; none if it drifts.")
     crept_mm: float | None = field(
-        "How far it has crept in one direction; null where it has not.", unit="mm", default=None
+        "Distance that it has drifted in one direction; null if it has not.", unit="mm", default=None
     )
 
 
 @result(kw_only=True)
 class History:
-    """The accepted calibrations of a repository."""
+    """Accepted calibrations of a repository, over its commits."""
 
     file: str = field("The file, relative to the repository.")
     commits: int = field("Commits that changed it.")
@@ -81,17 +81,17 @@ class History:
     @property
     @computed()
     def changes(self) -> int:
-        """How many changes there are in all trends."""
+        """Number of changes in all trends."""
         return sum(len(trend.steps) for trend in self.trends)
 
 
 def read_history(repository: Repository, path: str, commits: Sequence[Commit]) -> tuple[list[Revision], list[str]]:
-    """What each commit accepted, the earliest first, and the commits in which the file cannot be read.
+    """Return the accepted calibrations of each commit, oldest first, and the commits with an unreadable file.
 
     Args:
         repository: a checkout.
-        path: of the file in it.
-        commits: those that changed the file, the latest first.
+        path: of the file, in the checkout.
+        commits: those that changed the file, newest first.
     """
     found: list[Revision] = []
     unreadable: list[str] = []
@@ -110,14 +110,14 @@ def read_history(repository: Repository, path: str, commits: Sequence[Commit]) -
 
 
 def _read(content: bytes, where: str, known: dict[str, tuple[Any, Snapshot]]) -> dict[str, Snapshot]:
-    """The systems of a file; those that stand in it as in the one before are not read again."""
+    """Parse the systems of a file; unchanged ones are taken from the previous revision."""
     try:
         document = json.loads(content)
         entries = document["systems"] if document["version"] == VERSION else {}
         stayed = {name: known[name][1] for name, entry in entries.items() if name in known and known[name][0] == entry}
         new = {name: entry for name, entry in entries.items() if name not in stayed}
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
-        return dict(parse_baseline(content, where).systems)  # says what is wrong
+        return dict(parse_baseline(content, where).systems)  # raises with the full message
     read: Mapping[str, Snapshot] = {}
     if new or not entries:
         read = parse_baseline(json.dumps({**document, "systems": new}).encode(), where).systems
@@ -127,16 +127,16 @@ def _read(content: bytes, where: str, known: dict[str, tuple[Any, Snapshot]]) ->
 
 
 def history_of(file: Path, systems: Sequence[str], since: str | None, most: int) -> History:
-    """The history of a file of accepted calibrations.
+    """Return the history of a file of accepted calibrations.
 
     Args:
-        file: in a checkout.
-        systems: only these; all where there are none.
-        since: only commits after it.
-        most: so many of them, the newest.
+        file: the file, in a checkout.
+        systems: restrict to these; empty for all.
+        since: restrict to commits after this one.
+        most: restrict to this number of newest commits.
 
     Raises:
-        InputError: it is in no repository, or no commit has it.
+        InputError: the file is not in a repository, or in no commit.
         InfrastructureError: git fails.
     """
     repository = Repository.around(file.resolve().parent)
@@ -152,10 +152,10 @@ def history_of(file: Path, systems: Sequence[str], since: str | None, most: int)
 
 
 def history(file: str, accepted: Sequence[Revision], unreadable: Iterable[str], systems: Sequence[str]) -> History:
-    """The trends of systems, all where none is named.
+    """Return the trends of systems; of all if none is named.
 
     Raises:
-        InputError: a system that is named has never been accepted.
+        InputError: a named system has never been accepted.
     """
     known = dict.fromkeys(name for each in accepted for name in each.systems)
     for name in systems:
@@ -172,7 +172,7 @@ def _trends(system: str, accepted: Sequence[Revision]) -> Iterator[Trend]:
         for pose in snapshot.poses:
             poses.setdefault(pose.name, []).append((commit, snapshot, pose))
     for name, entries in poses.items():
-        if any(pose.sigma_mm for _, _, pose in entries):  # what was always held says nothing
+        if any(pose.sigma_mm for _, _, pose in entries):  # poses that were always fixed carry no information
             yield _of_pose(system, name, entries)
     yield _of_rms(system, [(commit, snapshot) for commit, snapshot in having if snapshot.rms_px is not None])
 
@@ -206,7 +206,7 @@ def _of_pose(system: str, name: str, entries: Sequence[tuple[Commit, Snapshot, P
 
 
 def _stated(poses: Sequence[Pose]) -> Array:
-    """(6,): the standard deviation of a pose among others of the same robot, by their error bars."""
+    """Standard deviation (6,) of a pose by its reported covariances, among recordings of the same robot."""
     found = [covariance_of_difference(*pair) for pair in pairwise(poses)]
     sigmas = [np.sqrt(np.maximum(np.diagonal(C), 0.0) / 2) for C in found if C is not None]
     return np.maximum(np.median(sigmas, axis=0), LEAST) if sigmas else LEAST
@@ -232,7 +232,7 @@ def _point(commit: Commit, snapshot: Snapshot, pose: Pose, twist: Array) -> Poin
 def _of_rms(system: str, entries: Sequence[tuple[Commit, Snapshot]]) -> Trend:
     values = np.array([[snapshot.rms_px or 0.0] for _, snapshot in entries]).reshape(-1, 1)
     typical = max(float(np.median(values)), 1e-6) if len(values) else 1.0
-    # A standard deviation from n views has a relative one of 1 / sqrt(4 n): two coordinates each.
+    # A standard deviation estimated from n views has a relative one of 1 / sqrt(4 n): two coordinates each.
     views = [max(1, sum(snapshot.views.values())) for _, snapshot in entries] or [1]
     noise = noise_of(values, np.array([typical / np.sqrt(4 * float(np.median(views)))]))
     at = change_points(values, noise)

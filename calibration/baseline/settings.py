@@ -1,4 +1,4 @@
-"""What a change against the baseline may be: the section ``baseline`` of calibration.yml."""
+"""The section ``baseline`` of calibration.yml: allowed changes against the baseline."""
 
 from pathlib import Path
 from typing import Annotated
@@ -49,10 +49,10 @@ class BaselineSettings:
         f"The reviewed file, relative to this one ({FILE}).", default=Path(FILE)
     )
     required: bool = field("Whether a system without an accepted calibration fails (false).", default=False)
-    translation_mm: Least = field("A sensor may have moved by so much on other data (0).", default=0.0, unit="mm")
-    rotation_deg: Least = field("Likewise turned by so much (0).", default=0.0, unit="degrees")
-    same_data: SameData = field("What a result on the same data may differ by.", default_factory=SameData)
+    translation_mm: Least = field("Allowed displacement of a sensor on other data (0).", default=0.0, unit="mm")
+    rotation_deg: Least = field("Allowed rotation of a sensor on other data (0).", default=0.0, unit="degrees")
+    same_data: SameData = field("Allowed differences of a result on the same data.", default_factory=SameData)
     max_increase: MaxIncrease = field(
-        "How much worse than the baseline the quality may be; on other data, what chance does is added.",
+        "Allowed increase of the errors over the baseline; on other data, the effect of chance is added.",
         default_factory=MaxIncrease,
     )

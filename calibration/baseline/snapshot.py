@@ -1,4 +1,4 @@
-"""A calibration's result in numbers that can be compared with another's: poses, parameters, error bars, quality."""
+"""Snapshot of a calibration: poses, parameters, standard deviations and quality as comparable numbers."""
 
 import hashlib
 import json
@@ -28,40 +28,40 @@ Six = Annotated[tuple[Number, ...], length(6, 6)]
 Count = Annotated[int, at_least(0)]
 Name = Annotated[str, length(1, 500)]
 CELLS = 4
-"""The image's coverage counts cells of a grid of so many by so many."""
+"""The coverage of the image is counted in a grid of this number of cells per side."""
 NEGLIGIBLE = 1e-3
-"""Part of a variance that is not told apart."""
+"""Fraction of a variance below which a contribution is not stored separately."""
 POSITIONS = "the robot's moving transforms"
-"""An input that is another one with every recording."""
+"""Name of the input that differs between any two recordings."""
 DEFINITE = -1e-4
-"""The smallest eigenvalue of correlations, below which no rounding has made it."""
+"""Lower limit of the smallest eigenvalue of correlations; a more negative one is not rounding error."""
 
 
 @record
 class Pose:
-    """Calibrated transform. Its error bar is that of a twist, translation and rotation in the child frame.
+    """Calibrated transform. Its covariance is that of a twist, (translation, rotation) in the child frame.
 
-    What is held and not exactly known (intrinsics, the board, an arm) errs alike in every recording of a robot, so that
-    it is told apart: ``C = C_own + sum m m^T`` over the moves m of `held`.
+    Fixed parameters that are not exactly known (intrinsics, the board, an arm) have the same error in every recording
+    of a robot, so their effects are stored separately: ``C = C_own + sum m m^T`` over the effects m in `held`.
     """
 
     parent: Name = field("The parent frame.")
     child: Name = field("The child frame.")
     xyz_mm: Three = field("Translation.", unit="mm")
     rpy_deg: Three = field("Rotation as roll, pitch and yaw.", unit="degrees")
-    sensor: Name | None = field("The sensor that it places, where it is one's.", default=None)
+    sensor: Name | None = field("The sensor that it calibrates, if any.", default=None)
     own_mm: Sigmas | None = field(
-        "Standard deviations of the translation, but for what is held; absent where it was held itself.",
+        "Standard deviations of the translation, without the effects of fixed parameters; absent for a fixed pose.",
         unit="mm",
         default=None,
     )
-    own_deg: Sigmas | None = field("The same of the rotation.", unit="degrees", default=None)
+    own_deg: Sigmas | None = field("Standard deviations of the rotation, likewise.", unit="degrees", default=None)
     correlations: tuple[Annotated[float, between(-1, 1)], ...] | None = field(
-        "Of these six, below the diagonal, row by row.", default=None
+        "Correlations of these six, below the diagonal, row by row.", default=None
     )
     held: Mapping[str, tuple[Six, ...]] = field(
-        "By what an error of one standard deviation of what is held moves it, mm and degrees: the same error in "
-        "every recording of this robot.",
+        "Effects of fixed parameters that are not exactly known: by what an error of one standard deviation moves "
+        "the pose, mm and degrees; the same error in every recording of this robot.",
         default_factory=dict,
     )
     label_sigma_mm: Positive | None = field(
@@ -69,10 +69,14 @@ class Pose:
         unit="mm",
         default=None,
     )
-    label_sigma_deg: Positive | None = field("The same of the rotation.", unit="degrees", default=None)
+    label_sigma_deg: Positive | None = field(
+        "Standard deviation of the rotation by the labels' noise alone, the norm of three axes.",
+        unit="degrees",
+        default=None,
+    )
 
     def __post_init__(self) -> None:
-        """Refuse correlations that no error bar has.
+        """Refuse correlations that no covariance has.
 
         Raises:
             Misfit: they are not 15, or some combination of the six would have a negative variance.
@@ -93,7 +97,7 @@ class Pose:
 
     @property
     def name(self) -> str:
-        """What a message calls it."""
+        """Name of the pose in messages."""
         return self.sensor or f"{self.parent} to {self.child}"
 
     @property
@@ -103,7 +107,7 @@ class Pose:
 
     @cached_property
     def covariance(self) -> Array | None:
-        """(6, 6), m and rad, in all; None where it was held."""
+        """Total covariance (6, 6), m and rad; None for a fixed pose."""
         if self.own_mm is None or self.own_deg is None:
             return None
         sigmas = np.concatenate([1e-3 * np.array(self.own_mm), np.radians(self.own_deg)])
@@ -112,25 +116,25 @@ class Pose:
         return covariance + sum(np.outer(each, each) for each in moves)
 
     def moves(self, held: str) -> Array:
-        """(k, 6): what one standard deviation of something held moves it by, m and rad."""
+        """Effects (k, 6) of a fixed input on the pose, for one standard deviation of each, m and rad."""
         moves: Array = np.array(self.held[held]) * np.array([1e-3] * 3 + [np.pi / 180] * 3)
         return moves
 
     @property
     @computed("sigma-mm")
     def sigma_mm(self) -> tuple[float, ...] | None:
-        """Standard deviations of the translation, in all."""
+        """Standard deviations of the translation, mm, in total."""
         return None if self.covariance is None else _digits(1e3 * np.sqrt(np.diagonal(self.covariance)[:3]), 4)
 
     @property
     @computed("sigma-deg")
     def sigma_deg(self) -> tuple[float, ...] | None:
-        """Standard deviations of the rotation, in all."""
+        """Standard deviations of the rotation, degrees, in total."""
         return None if self.covariance is None else _digits(np.degrees(np.sqrt(np.diagonal(self.covariance)[3:])), 4)
 
     @property
     def norm_mm(self) -> float:
-        """The standard deviation of the translation, the norm of three axes; 0 where it was held."""
+        """Standard deviation of the translation, norm over three axes, mm; 0 for a fixed pose."""
         return float(np.linalg.norm(self.sigma_mm)) if self.sigma_mm else 0.0
 
     @cached_property
@@ -145,28 +149,28 @@ class Parameter:
     """Calibrated parameter of a joint or a camera."""
 
     of: Name = field("The joint or the camera.")
-    parameter: Name = field("What it is of it.")
+    parameter: Name = field("Name of the parameter.")
     value: Number = field("The calibrated value.")
-    unit: Literal["m", "rad", "px", "1"] = field("Of value and sigmas.")
+    unit: Literal["m", "rad", "px", "1"] = field("Unit of value and sigmas.")
     sigma: Positive = field("Standard deviation, in all.")
     label_sigma: Positive | None = field("Standard deviation by the labels' noise alone, where known.", default=None)
 
     @property
     def name(self) -> str:
-        """What a message calls it."""
+        """Name of the parameter in messages."""
         return f"{self.of}'s {self.parameter}"
 
 
 @record
 class Start:
-    """What a team's software made of a system from one start."""
+    """Result of a team's software on a system from one initial guess."""
 
-    translation_noise: Positive = field("Of the start.", unit="m")
-    rotation_noise: Positive = field("Of the start.", unit="rad")
-    seed: Count = field("Of the noise.")
+    translation_noise: Positive = field("Noise of the initial translation.", unit="m")
+    rotation_noise: Positive = field("Noise of the initial rotation.", unit="rad")
+    seed: Count = field("Seed of the noise.")
     passed: bool = field("Whether the cell passed.")
     rms_px: Positive | None = field("Root mean square of its table.", unit="px", default=None)
-    distance_mm: Positive | None = field("How far its result is from our optimum.", unit="mm", default=None)
+    distance_mm: Positive | None = field("Distance of its result from the optimum.", unit="mm", default=None)
 
     @property
     def start(self) -> tuple[float, float, int]:
@@ -182,7 +186,7 @@ class Snapshot:
         "SHA-256 of the labels: with another one the data are others."
     )
     inputs: Mapping[str, Annotated[str, matching("[0-9a-f]{16}", "16 hexadecimal digits")]] = field(
-        "What else went in, by hashes: camera_info, patterns, what of the robot is held, options.",
+        "Hashes of the other inputs: camera_info, patterns, fixed transforms of the robot, options.",
         default_factory=dict,
     )
     collections: Count = field("Collections in the data.")
@@ -195,7 +199,7 @@ class Snapshot:
     averages: Mapping[str, float] = field("Averages of the table's columns.", default_factory=dict)
     noise: NoiseLevels = field("Standard deviations of the labels.", default_factory=NoiseLevels)
     effective_collections: Positive | None = field(
-        "Independent collections of equal weight that tell as much.", default=None
+        "Number of independent collections of equal weight with the same information.", default=None
     )
     rejected_labels: Count = field("Labels that do not fit.")
     labels: Count = field("Labels in all: corners, points.")
@@ -206,20 +210,20 @@ class Snapshot:
     )
     passed: Count | None = field("Starts that passed.", default=None)
     starts: Count | None = field("Starts in all.", default=None)
-    software: tuple[Start, ...] = field("What the team's software made of each start.", default=())
+    software: tuple[Start, ...] = field("Results of the team's software from each initial guess.", default=())
     although: Name | None = field("Why it was accepted although the verdict was fail.", default=None)
 
 
 def snapshot(
     calibration: Calibration, given: Dataset, rms_px: float | None, options: Options | None = None
 ) -> Snapshot:
-    """The snapshot of a calibration that has converged.
+    """Return the snapshot of a converged calibration.
 
     Args:
-        calibration: it.
+        calibration: the result of the engine.
         given: the dataset that was calibrated.
-        rms_px: of its table.
-        options: how it was calibrated.
+        rms_px: RMS of its table of errors, px.
+        options: options of the calibration.
     """
     sensors: dict[Edge, str] = {}
     for each in calibration.dataset.sensors.values():
@@ -246,7 +250,7 @@ def snapshot(
 
 
 def hash_of_labels(dataset: Dataset) -> str:
-    """SHA-256 of the labels of a dataset: who saw what of which pattern in which collection."""
+    """Return the SHA-256 of a dataset's labels."""
     found = hashlib.sha256()
     for key, label in _labels(dataset):
         arrays = label_arrays(label)
@@ -257,12 +261,12 @@ def hash_of_labels(dataset: Dataset) -> str:
 
 
 def hashes_of_inputs(given: Dataset, calibrated: Collection[Edge], options: Options) -> dict[str, str]:
-    """Hashes of what a calibration takes beside the labels, by names for messages.
+    """Return hashes of a calibration's inputs other than the labels, by their names in messages.
 
     Args:
         given: the dataset.
-        calibrated: the transforms that it calibrates; the others are held.
-        options: how.
+        calibrated: the calibrated transforms; all others are fixed.
+        options: options of the calibration.
     """
     found = {}
     for name, sensor in sorted(given.sensors.items()):
@@ -276,13 +280,13 @@ def hashes_of_inputs(given: Dataset, calibrated: Collection[Edge], options: Opti
     moving = {edge: T for edge, T in held.items() if edge not in fixed}
     found["the robot's fixed transforms"] = _hash(repr(list(fixed)), *fixed.values())
     found[POSITIONS] = _hash(repr(list(moving)), *moving.values())
-    asked = {key: value for key, value in document_of(options).items() if key != "start"}  # the optimum is the same
+    asked = {key: value for key, value in document_of(options).items() if key != "start"}  # not of the optimum
     found["options"] = _hash(json.dumps(asked, sort_keys=True, default=str))
     return found
 
 
 def _hash(text: str, *arrays: Array) -> str:
-    """Of numbers to a billionth: what is computed may differ in its last bits between processors."""
+    """Hash numbers rounded to 1e-9: the last bits of a result may differ between processors."""
     found = hashlib.sha256(text.encode())
     for array in arrays:
         found.update(np.ascontiguousarray(np.round(array, 9) + 0.0, "<f8").tobytes())
@@ -296,11 +300,11 @@ def _labels(dataset: Dataset) -> Iterator[tuple[tuple[str, str, str], Labels]]:
 
 
 def _at_description(calibration: Calibration, given: Dataset) -> Iterator[tuple[Edge, Array]]:
-    """The calibrated transforms by their edges, from whatever start they were found.
+    """Return the calibrated transforms by edge, independent of the initial guess.
 
-    Where only relative poses are determined, a sensor was held where the start had it: all sensors are moved together,
+    If only relative poses are determined, one sensor is fixed at its initial guess: all sensors are moved together
     so that it is where the dataset has it, ``T_p_s' = T_p_g D T_g_p T_p_s`` with ``D = T_g_h (given) T_h_g``. A pattern
-    that was held for the same reason is left out.
+    that was fixed for the same reason is left out.
     """
     patterns = {(pattern.parent_link, pattern.link) for pattern in calibration.dataset.patterns.values()}
     edges = {sensor.edge for sensor in calibration.dataset.sensors.values()}
@@ -341,19 +345,19 @@ def _pose(calibration: Calibration, edge: Edge, T: Array, sensor: str | None) ->
 
 
 def _moved_by_held(calibration: Calibration, edge: Edge) -> dict[str, Array]:
-    """(6, k) of each cause: what its assumed errors move a transform by, m and rad."""
+    """Effects (6, k) of each fixed input's assumed errors on a transform, m and rad."""
     setup, bars = calibration.solution.setup, calibration.error_bars
     at = setup.problem.shared_parameters[setup.block(edge)]
     frames = {
         (pattern.parent_link, pattern.link): adjoint(translation(pattern.centre))
         for pattern in calibration.dataset.patterns.values()
-    }  # of patterns, the engine's frame is their centre
+    }  # the engine's frame of a pattern is at its centre
     to_frame = frames.get(edge, np.eye(6))
     return {name: to_frame @ moves[at] for name, moves in bars.held.items()} if bars else {}
 
 
 def _relevant(moves: Array, C: Array) -> tuple[tuple[float, ...], ...]:
-    """What is held as the file has it; nothing where it is no part of the error bar to speak of."""
+    """Effects of fixed inputs in the file's form; empty if they are a negligible part of the covariance."""
     if (np.square(moves) < NEGLIGIBLE * np.diagonal(C)[:, None]).all():
         return ()
     return tuple(_digits(row, 4) for row in (moves * np.array([1e3] * 3 + [180 / np.pi] * 3)[:, None]).T)
@@ -380,7 +384,7 @@ def _views(dataset: Dataset) -> dict[str, int]:
 
 
 def _covered(dataset: Dataset) -> dict[str, float]:
-    """Part of each camera's image in which there are corners."""
+    """Fraction of each camera's image covered by corners."""
     found = {}
     for name, sensor in sorted(dataset.sensors.items()):
         if sensor.camera is None or not sensor.modality.has_corners:
@@ -399,7 +403,7 @@ def _rounded(values: Array, digits: int) -> tuple[float, ...]:
 
 
 def _digits(values: Array, digits: int) -> tuple[float, ...]:
-    """So many significant digits, and none below a billionth."""
+    """Round to a number of significant digits, and to 1e-9."""
     return tuple(round(_significant(float(v), digits), 9) + 0.0 for v in values)
 
 

@@ -1,4 +1,4 @@
-"""Trends as a picture: how far each pose has moved since the first accepted one, and where it changed."""
+"""Figure of the trends: displacement of each pose from the first accepted one, with its changes."""
 
 import io
 import math
@@ -18,14 +18,14 @@ MOST_PANELS = 24
 COLUMNS = 2
 TICKS = 6
 MARKED = 60
-"""More points than these are a line without marks."""
+"""Above this number of points, a line has no markers."""
 _WIDTH, _HEIGHT = 5.0, 2.2
-"""Inches of a panel."""
+"""Size of a panel in inches."""
 _LINE, _BAND, _CHANGE = "#1f5fa8", "#b9cfe8", "#c8102e"
 _STYLE: Any = {
     "font.size": 8,
-    "font.family": ["DejaVu Sans"],  # it comes with matplotlib: the same picture on every machine
-    "text.parse_math": False,  # names are the user's
+    "font.family": ["DejaVu Sans"],  # bundled with matplotlib: the same picture on every machine
+    "text.parse_math": False,  # names come from the user and may contain $
     "svg.hashsalt": "calibration-ci",
     "svg.fonttype": "path",
 }
@@ -45,7 +45,7 @@ def figure(found: History) -> bytes:
     except ImportError as error:
         raise InputError("the figure needs matplotlib: pip install matplotlib") from error
     with rc_context(_STYLE), warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message="Glyph")  # a name in a script that the font does not have
+        warnings.filterwarnings("ignore", message="Glyph")  # a name in a script that the font lacks
         columns = min(COLUMNS, len(found.trends))
         rows = math.ceil(len(found.trends) / columns)
         drawing = figures.Figure(figsize=(columns * _WIDTH, rows * _HEIGHT + 0.4), layout="constrained")

@@ -1,4 +1,4 @@
-"""What a change of the file of accepted calibrations accepts: the base branch's against this one's."""
+"""Changes of the baseline file: the base branch's against the current one's."""
 
 from collections.abc import Iterator
 
@@ -10,32 +10,32 @@ from calibration.records import field, result
 
 @result(kw_only=True)
 class Update:
-    """One number of the accepted calibration that a change replaces."""
+    """Replaced value of an accepted calibration."""
 
     system: str = field("The system.")
-    before: str = field("What was accepted; empty where there was nothing.", default="")
-    now: str = field("What is; empty where there is nothing any more.", default="")
-    change: Change | None = field("The difference, where both are there.", default=None)
+    before: str = field("Previously accepted value; empty if there was none.", default="")
+    now: str = field("Now accepted value; empty if there is none.", default="")
+    change: Change | None = field("The difference, if both exist.", default=None)
     although: str | None = field("Why it was accepted although it had failed.", default=None)
 
 
 @result(kw_only=True)
 class BaselineUpdate:
-    """The file of accepted calibrations, and what the change that is tested does to it."""
+    """Baseline file, and its changes in the tested commit."""
 
     file: str = field("Its path.")
     since: str = field("Its name with its last commit.", default="")
     compared: tuple[str, ...] = field("Systems whose accepted calibration is in it.", default=())
-    not_accepted: tuple[str, ...] = field("Systems of which it has none.", default=())
+    not_accepted: tuple[str, ...] = field("Systems without an accepted calibration.", default=())
     base: str | None = field("The commit that it is compared with; null where there is none.", default=None)
-    updates: tuple[Update, ...] = field("What the change accepts.", default=())
+    updates: tuple[Update, ...] = field("Values that the change accepts.", default=())
     unused: tuple[str, ...] = field("Systems in it that the configuration does not have.", default=())
-    problem: str | None = field("Why the base's cannot be compared with.", default=None)
+    problem: str | None = field("Reason why the base's baseline cannot be compared with.", default=None)
     reasons: tuple[str, ...] = field("Why the verdict is fail.", default=())
 
 
 def updates(before: Baseline | None, now: Baseline | None) -> tuple[Update, ...]:
-    """What replaces what, system by system; nothing for what has stayed."""
+    """Return the replaced values, system by system; unchanged ones are left out."""
     old, new = (each.systems if each else {} for each in (before, now))
     found: list[Update] = []
     for name in sorted(old.keys() | new.keys()):
@@ -64,7 +64,7 @@ def _count(snapshot: Snapshot) -> str:
 
 
 def _texts(snapshot: Snapshot) -> dict[str, str]:
-    """What was calibrated, in words, by name."""
+    """Return the calibrated values as text, by name."""
     poses = {each.name: f"{_numbers(each.xyz_mm, 2)} mm, {_numbers(each.rpy_deg, 3)} deg" for each in snapshot.poses}
     values = {
         each.name: f"{each.value:.6g}{'' if each.unit == '1' else f' {each.unit}'}" for each in snapshot.parameters

@@ -1,4 +1,4 @@
-"""What differences from the accepted calibration mean: red, a note, or nothing."""
+"""Verdict on the differences from the accepted calibration: failure, note, or nothing."""
 
 import math
 from collections.abc import Iterator
@@ -20,30 +20,30 @@ QUALITY = "baseline-quality"
 NO_BASELINE = "no-baseline"
 ACCEPT = "accept it: calibration accept"
 SPREAD = 4.0
-"""On other data, quality may be worse by so many of its own standard deviations besides."""
+"""Tolerance for quality on other data, in its own standard deviations, in addition to the allowed increase."""
 ALONG = 0.9
-"""A direction with so large a part along one axis is named by it."""
+"""A direction with at least this component along an axis is named by the axis."""
 LEAST_P = 1e-9
 NEGLIGIBLE = 0.1
-"""Part of the standard deviation by which software may be farther from our optimum than it was."""
+"""Tolerance for the distance of other software from the optimum, as a fraction of the standard deviation."""
 
 
 @dataclass(frozen=True)
 class Accepted:
-    """What a system's cells are compared with."""
+    """Accepted calibration that a system's cells are compared with."""
 
     settings: BaselineSettings
     snapshot: Snapshot | None
-    """None where no calibration of the system has been accepted."""
+    """None if no calibration of the system has been accepted."""
     since: str = ""
-    """The file, and its last commit, as a message has them: "calibration-baseline.json of 2026-11-02 (1a2b3c4)"."""
+    """The file and its last commit, for messages: "calibration-baseline.json of 2026-11-02 (1a2b3c4)"."""
 
 
 def against_baseline(accepted: Accepted, now: Snapshot) -> tuple[Comparison | None, tuple[Finding, ...]]:
     """Compare a calibration with the accepted one.
 
     Returns:
-        The comparison, None where nothing has been accepted; and what it means.
+        The comparison, None if nothing has been accepted; and the findings.
     """
     if accepted.snapshot is None:
         return None, nothing_accepted(accepted)
@@ -57,7 +57,7 @@ def against_baseline(accepted: Accepted, now: Snapshot) -> tuple[Comparison | No
 
 
 def nothing_accepted(accepted: Accepted) -> tuple[Finding, ...]:
-    """Red where an accepted calibration is required; else nothing: the run's report names all such systems at once."""
+    """Return a failure if an accepted calibration is required; else nothing: the report lists all such systems."""
     if not accepted.settings.required:
         return ()
     text = f"no calibration of it has been accepted in {accepted.since}: calibration accept"
@@ -103,7 +103,7 @@ def _on_other_data(change: Change, comparison: Comparison, settings: BaselineSet
 
 
 def _why(comparison: Comparison) -> str:
-    """What may have made another result of the same data."""
+    """Return possible causes of a different result on the same data."""
     if comparison.other_inputs:
         return f"what changed beside: {', '.join(comparison.other_inputs)}: look there"
     if comparison.before.inputs:
@@ -123,7 +123,7 @@ def _found(severity: str, change: Change, text: str) -> Finding:
 
 
 def _nothing_moved(comparison: Comparison, since: str) -> list[Finding]:
-    """What the error bars would hide."""
+    """Return the note that no pose has moved, with the largest move that would not be detected."""
     poses = [each for each in comparison.changes if each.kind == "pose"]
     if not poses:
         return []
@@ -133,7 +133,7 @@ def _nothing_moved(comparison: Comparison, since: str) -> list[Finding]:
 
 
 def _size(change: Change) -> str:
-    """By how much, and in which direction: "4.9 +- 0.3 mm along its x, 0.5 +- 0.02 deg about its z"."""
+    """Describe a change's size and direction: "4.9 +- 0.3 mm along its x, 0.5 +- 0.02 deg about its z"."""
     if change.kind == "parameter":
         sigma = "" if change.sigma is None else f" +- {change.sigma:.2g}"
         unit = "" if change.unit in (None, "1") else f" {change.unit}"
@@ -167,7 +167,7 @@ def _probability(p: float) -> str:
 
 
 def _error_bars(comparison: Comparison, settings: BaselineSettings) -> Iterator[Finding]:
-    """Noise and standard deviations that differ on the same data, where they are deterministic too."""
+    """Findings on differing noise and standard deviations on the same data, where they are deterministic too."""
     before, now, share = comparison.before, comparison.now, settings.same_data.error_bars / 100
     levels, new = before.noise.given(), now.noise.given()
     rows = [(f"noise of the labels ({kind})", levels[kind], new[kind]) for kind in levels if kind in new]
@@ -184,12 +184,12 @@ def _error_bars(comparison: Comparison, settings: BaselineSettings) -> Iterator[
 
 
 def _quality(comparison: Comparison, settings: BaselineSettings) -> Iterator[Finding]:
-    """Measures of quality that are worse than the baseline's by more than allowed."""
+    """Findings on measures of quality that exceed the baseline's by more than allowed."""
     if comparison.same_data:
         yield from _error_bars(comparison, settings)
     before, now, most = comparison.before, comparison.now, settings.max_increase
     levels = now.noise.given()
-    # An estimate of a standard deviation from n views has a relative one of 1 / sqrt(4 n): two coordinates each.
+    # The estimate of a standard deviation from n views has a relative one of 1 / sqrt(4 n): two coordinates each.
     views = [max(1, sum(each.views.values())) for each in (before, now)]
     chance = 0.0 if comparison.same_data else SPREAD * math.sqrt(sum(1 / (4 * n) for n in views))
     sigmas = _largest_sigmas(before, now)
@@ -211,17 +211,17 @@ def _quality(comparison: Comparison, settings: BaselineSettings) -> Iterator[Fin
 
 
 def _largest_sigmas(before: Snapshot, now: Snapshot) -> list[float]:
-    """Of each, the largest standard deviation of a translation, mm, of the poses that both have."""
+    """Return the largest standard deviation of a translation, mm, of each calibration, over the poses of both."""
     common = {each.edge for each in before.poses} & {each.edge for each in now.poses}
     return [max((each.norm_mm for each in one.poses if each.edge in common), default=0.0) for one in (before, now)]
 
 
 def software_against_baseline(accepted: Accepted, now: Start, data: str) -> tuple[Finding, ...]:
-    """What has become worse of a team's software from one start on the same data; nothing on other data.
+    """Return findings on other software that got worse from one initial guess on the same data; empty on other data.
 
     Args:
-        accepted: what it is compared with.
-        now: what it made of the start.
+        accepted: the accepted calibration.
+        now: the software's result from this initial guess.
         data: the hash of the labels.
     """
     before = accepted.snapshot
@@ -253,5 +253,5 @@ def _worse(check: Check, before: float) -> str:
 
 
 def _rejected(snapshot: Snapshot) -> float:
-    """Percent of the labels."""
+    """Percentage of rejected labels."""
     return 100 * snapshot.rejected_labels / max(1, snapshot.labels)

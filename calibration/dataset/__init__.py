@@ -1,4 +1,4 @@
-"""ATOM datasets: read, checked, written; the calibration configuration; patterns; point clouds.
+"""ATOM datasets: reading, checks and writing; calibration configuration; patterns; point clouds.
 
-`calibration.dataset.reading.read_dataset` gives a `calibration.dataset.model.Dataset`.
+`calibration.dataset.reading.read_dataset` returns a `calibration.dataset.model.Dataset`.
 """

@@ -1,6 +1,6 @@
-"""The calibration configuration: which sensors, patterns and transforms are calibrated.
+"""Calibration configuration: the sensors, patterns and transforms to calibrate.
 
-The same content stands in ATOM's config.yml and in a dataset's ``calibration_config``.
+ATOM's config.yml and a dataset's ``calibration_config`` have the same content.
 """
 
 from collections.abc import Mapping
@@ -21,24 +21,24 @@ from calibration.dataset.pattern import (
 )
 
 MAX_CORNERS = 1000
-"""The largest number of corners along one side of a pattern."""
+"""Limit of the number of corners along one side of a pattern."""
 MIN_SIZE, MAX_SIZE = 1e-6, 1e3
-"""The smallest and the largest square of a pattern (m)."""
+"""Limits of the side of a pattern's square (m)."""
 TAGS, TAG_COUNT = "DICT_APRILTAG_36h11", 587
-"""The dictionary of an aprilgrid's tags, and how many it has."""
+"""ArUco dictionary of an aprilgrid's tags, and the number of tags in it."""
 MIN_SPACING, MAX_SPACING = 0.01, 1.0
-"""The narrowest and the widest gap between two tags, in sides of a tag."""
+"""Limits of the gap between two tags, in sides of a tag."""
 FIRST_PATTERN = "pattern_1"
-"""The name that a version 2 configuration's only pattern gets."""
+"""Name of the only pattern of a version 2 configuration."""
 
 
 @dataclass(frozen=True)
 class SensorConfiguration:
-    """A sensor: the frame of its data, and the transform parent_link -> child_link to calibrate."""
+    """Configuration of a sensor: the frame of its data, and the transform parent_link -> child_link to calibrate."""
 
     name: str
     modality: str
-    """As it is written: "rgb", "lidar3d", "depth" ..."""
+    """As in the document: "rgb", "lidar3d", "depth" ..."""
     link: str
     parent_link: str
     child_link: str
@@ -48,7 +48,7 @@ class SensorConfiguration:
 
 @dataclass(frozen=True)
 class PatternConfiguration:
-    """A pattern, as it is printed and as it is mounted. Metres."""
+    """Configuration of a pattern: its print and its mounting. Metres."""
 
     name: str
     kind: PatternKind
@@ -62,15 +62,15 @@ class PatternConfiguration:
     inner_size: float | None = None
     """The side of a charuco board's markers."""
     border_size: tuple[float, float] = (0.0, 0.0)
-    """What the physical board has around what is printed, along x and y."""
+    """Margin of the physical board around the print, along x and y."""
     dictionary: str | None = None
-    """The ArUco dictionary of a charuco board; of an aprilgrid `TAGS`."""
+    """The ArUco dictionary of a charuco board; `TAGS` for an aprilgrid."""
     mesh_file: str = ""
     spacing: float = 0.0
-    """Of an aprilgrid: the gap between two tags, in sides of a tag (Kalibr's ``tagSpacing``)."""
+    """Aprilgrid only: the gap between two tags, in sides of a tag (Kalibr's ``tagSpacing``)."""
 
     def pattern(self, version: str = "3.0") -> Pattern:
-        """The geometry that a dataset of this version gives the pattern."""
+        """Return the geometry of the pattern in a dataset of this version."""
         columns, rows = self.dimension
         if self.kind == "aprilgrid":
             corners = tag_grid(columns, rows, self.size, self.spacing)
@@ -84,7 +84,7 @@ class PatternConfiguration:
 
 @dataclass(frozen=True)
 class Configuration:
-    """What is calibrated, with what, and relative to what."""
+    """Configuration of a calibration."""
 
     world_link: str
     sensors: Mapping[str, SensorConfiguration]
@@ -99,7 +99,7 @@ class Configuration:
     max_duration_between_msgs: float = 1000.0
 
     def to_document(self) -> dict[str, Any]:
-        """The ``calibration_config`` of a version 3 dataset."""
+        """Return the ``calibration_config`` of a version 3 dataset."""
         return {
             "world_link": self.world_link,
             "anchored_sensor": self.anchored_sensor,
@@ -145,19 +145,19 @@ class Configuration:
 
 
 def read_configuration(path: Path | str) -> Configuration:
-    """The configuration in ATOM's YAML form; a single ``calibration_pattern`` (version 2) is accepted.
+    """Read a configuration in ATOM's YAML form; a single ``calibration_pattern`` (version 2) is accepted.
 
     Raises:
         InputError: the file cannot be read, or something in it is missing or wrong.
     """
-    from calibration.yaml_file import read_yaml  # here, so that reading a dataset does not pay for it
+    from calibration.yaml_file import read_yaml  # imported here, so that reading a dataset does not load it
 
     path = Path(path)
     return parse_configuration(Node(path, (), read_yaml(path, "a calibration configuration")))
 
 
 def parse_configuration(node: Node) -> Configuration:
-    """A configuration from a document, checked by itself.
+    """Parse a configuration and check that it is consistent in itself.
 
     Raises:
         InputError: something in it is missing or wrong.
@@ -237,17 +237,17 @@ def _pattern(name: str, node: Node) -> PatternConfiguration:
 
 
 def check_tags(columns: int, rows: int, where: Node) -> None:
-    """Refuse an aprilgrid of more tags than there are.
+    """Refuse an aprilgrid with more tags than its dictionary has.
 
     Raises:
-        InputError: it has.
+        InputError: there are too many.
     """
     if columns * rows > TAG_COUNT:
         raise where.fault(f"found {columns} x {rows} tags, expected {TAG_COUNT} at most, as {TAGS} has")
 
 
 def _border(node: Node | None) -> tuple[float, float]:
-    """One width for all sides, or {x, y}; absent means none."""
+    """Return the border's widths; one number is for all sides, else {x, y}; absent means 0."""
     if node is None:
         return (0.0, 0.0)
     x, y = (node["x"], node["y"]) if isinstance(node.value, dict) else (node, node)

@@ -1,4 +1,4 @@
-"""Lists of numbered points ``{id, x, y}``, as labels and patterns have them."""
+"""Parse lists of numbered points ``{id, x, y}``, as in labels and patterns."""
 
 from collections.abc import Iterable
 from itertools import chain
@@ -13,7 +13,7 @@ KEYS = ("id", "x", "y")
 
 
 def read_corners(lists: Iterable[Node]) -> tuple[Array, Array]:
-    """The ids (K,), not yet checked to be whole, and the coordinates (K, 2) of all lists, one after the other.
+    """Return the ids (K,), not yet checked to be integers, and coordinates (K, 2) of all lists, concatenated.
 
     Raises:
         InputError: a key is missing, or a value is not a finite number.
@@ -22,7 +22,7 @@ def read_corners(lists: Iterable[Node]) -> tuple[Array, Array]:
     corners = list(chain.from_iterable(node.sequence() for node in nodes))
     try:
         columns = finite(list(chain.from_iterable(map(itemgetter(key), corners) for key in KEYS))).reshape(3, -1)
-    except (NotNumbersError, KeyError, TypeError):  # one by one, until the wrong one says what it is
+    except (NotNumbersError, KeyError, TypeError):  # check one by one, to report the first invalid one
         elements = chain.from_iterable(node.elements() for node in nodes)
         columns = np.array([[element[key].number() for key in KEYS] for element in elements]).T
     return columns[0], np.ascontiguousarray(columns[1:].T)

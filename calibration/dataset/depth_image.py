@@ -1,4 +1,4 @@
-"""Depth images: PNG files of 16 bits that count tenths of a millimetre along the optical axis."""
+"""Depth images: 16-bit PNG files of depth along the optical axis, in tenths of a millimetre."""
 
 import zlib
 from dataclasses import dataclass
@@ -14,11 +14,11 @@ from calibration.geometry.cameras import Camera
 from calibration.geometry.types import Array, IntArray
 
 UNIT = 1e-4
-"""m: what a depth image counts in."""
+"""m: the unit of a depth image."""
 NO_RETURN = 65535
-"""What a pixel holds that measured nothing, and 0 says the same; so the greatest depth is 6.5534 m."""
+"""Value of a pixel without a measurement, as is 0; the largest depth is 6.5534 m."""
 MAX_AREA = 1 << 26
-"""No image of more pixels is decoded."""
+"""Limit of the number of pixels of a decoded image."""
 _MAX_BYTES = 4 * MAX_AREA
 _SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _FIRST_CHUNK = b"\0\0\0\rIHDR"  # its length and its name
@@ -27,17 +27,17 @@ _HEADER_BYTES = 26  # up to bit depth and colour type
 
 @dataclass(frozen=True, eq=False)
 class DepthImage:
-    """What a depth camera measured, pixel by pixel."""
+    """Depth image of a camera."""
 
     depth: NDArray[np.uint16]
-    """(H, W): in units of `UNIT`; `NO_RETURN` or 0 where nothing was measured."""
+    """(H, W): in units of `UNIT`; `NO_RETURN` or 0 for no measurement."""
     camera: Camera
 
     def __len__(self) -> int:
         return self.depth.size
 
     def take(self, index: IntArray) -> Array:
-        """The points (N, 3) in the optical frame (m) of pixels ``y * width + x`` (N,); NaN where there is none.
+        """Return the points (N, 3) of pixels ``y * width + x`` (N,), m, optical frame; NaN without a measurement.
 
         Raises:
             IndexError: an index is not below the number of pixels.
@@ -50,14 +50,14 @@ class DepthImage:
 
 
 def read_depth_image(path: Path | str, camera: Camera) -> DepthImage:
-    """The depth image in a PNG file.
+    """Read a depth image from a PNG file.
 
     Args:
-        path: the file.
+        path: path of the PNG file.
         camera: the intrinsics, whose size the image must have.
 
     Raises:
-        InputError: the file cannot be read, or is no PNG file of one channel of 16 bits and of the camera's size.
+        InputError: the file cannot be read, or is not a PNG file with one 16-bit channel and the camera's size.
         InfrastructureError: OpenCV, which decodes it, is missing.
     """
     data = read_bytes(path, _MAX_BYTES, "a depth image")
@@ -70,7 +70,7 @@ def read_depth_image(path: Path | str, camera: Camera) -> DepthImage:
 
 
 def _check_header(data: bytes, camera: Camera) -> None:
-    """Refuse what is not to be decoded, by the first chunk of a PNG file (https://www.w3.org/TR/png-3/#11IHDR)."""
+    """Refuse an unsupported image by the first chunk of its PNG file (https://www.w3.org/TR/png-3/#11IHDR)."""
     if len(data) < _HEADER_BYTES or not data.startswith(_SIGNATURE + _FIRST_CHUNK):
         raise InputError(f"found {shown(data[:4].decode('latin-1'))} at its begin, expected a PNG file")
     width, height = int.from_bytes(data[16:20], "big"), int.from_bytes(data[20:24], "big")
@@ -89,7 +89,7 @@ def _check_header(data: bytes, camera: Camera) -> None:
 
 
 def _check_chunks(data: bytes) -> None:
-    """Refuse what is cut off or damaged: a decoder may give a part of the image, or believe any length."""
+    """Refuse a truncated or damaged file: a decoder may return a partial image, or trust any length field."""
     at, view = len(_SIGNATURE), memoryview(data)
     while at + 12 <= len(data):  # length, name, content, checksum of name and content
         end = at + 8 + int.from_bytes(view[at : at + 4], "big")

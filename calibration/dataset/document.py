@@ -1,4 +1,4 @@
-"""Documents (JSON, YAML) as they come from a file, and one line for whatever is wrong in them."""
+"""Parsed documents (JSON, YAML) from untrusted files, with one-line errors that locate the fault."""
 
 import json
 import math
@@ -16,13 +16,13 @@ from calibration.geometry.types import Array, IntArray
 from calibration.json_file import RepeatedKeyError, parse_json
 
 MAX_BYTES = 1 << 30
-"""No file larger than this is read."""
+"""Limit of a file's size in bytes."""
 
 Numbers = TypeVar("Numbers", Array, IntArray)
 
 
 class Node:
-    """A value in a document, with the way to it: every error names the file, the keys, what was found."""
+    """Value in a document, with the keys that lead to it: errors name the file, the keys and the value found."""
 
     __slots__ = ("file", "keys", "value")
 
@@ -32,61 +32,61 @@ class Node:
         self.value = value
 
     def __getitem__(self, key: str) -> "Node":
-        """The value of a key that must be there."""
+        """Return the value of a required key."""
         value = self.mapping()
         if key not in value:
             raise self.fault(f"missing key '{key}'")
         return Node(self.file, (*self.keys, key), value[key])
 
     def get(self, key: str) -> "Node | None":
-        """The value of a key that may be absent or null."""
+        """Return the value of an optional key; None if it is absent or null."""
         value = self.mapping().get(key)
         return None if value is None else Node(self.file, (*self.keys, key), value)
 
     def items(self) -> Iterator[tuple[str, "Node"]]:
-        """Every key of an object with its value."""
+        """Iterate over the keys and values of an object."""
         for key, value in self.mapping().items():
-            if not isinstance(key, str):  # YAML has keys of every type
+            if not isinstance(key, str):  # YAML keys may have any type
                 raise self.fault(f"found the key {shown(key)}, expected text")
             yield key, Node(self.file, (*self.keys, key), value)
 
     def elements(self) -> Iterator["Node"]:
-        """Every element of a list."""
+        """Iterate over the elements of a list."""
         for i, value in enumerate(self.sequence()):
             yield Node(self.file, (*self.keys, str(i)), value)
 
     def mapping(self) -> dict[str, Any]:
-        """The value, which must be an object."""
+        """Return the value as an object, or raise InputError."""
         if type(self.value) is not dict:
             raise self.unexpected("an object")
         return self.value
 
     def sequence(self) -> list[Any]:
-        """The value, which must be a list."""
+        """Return the value as a list, or raise InputError."""
         if type(self.value) is not list:
             raise self.unexpected("a list")
         return self.value
 
     def text(self) -> str:
-        """The value, which must be text."""
+        """Return the value as text, or raise InputError."""
         if type(self.value) is not str:
             raise self.unexpected("text")
         return self.value
 
     def name(self) -> str:
-        """The value, which must be text and not empty."""
+        """Return the value as text that is not empty, or raise InputError."""
         if not self.text():
             raise self.unexpected("a name")
         return self.text()
 
     def flag(self) -> bool:
-        """The value, which must be true or false."""
+        """Return the value as a boolean, or raise InputError."""
         if type(self.value) is not bool:
             raise self.unexpected("true or false")
         return self.value
 
     def number(self) -> float:
-        """The value, which must be a finite number."""
+        """Return the value as a finite number, or raise InputError."""
         try:
             if type(self.value) in (int, float) and math.isfinite(self.value):
                 return float(self.value)
@@ -95,41 +95,41 @@ class Node:
         raise self.unexpected("a finite number")
 
     def within(self, low: float, high: float) -> float:
-        """The value, which must be a number from ``low`` to ``high``."""
+        """Return the value as a number from ``low`` to ``high``, or raise InputError."""
         number = self.number()
         if not low <= number <= high:
             raise self.unexpected(f"a number from {low:g} to {high:g}")
         return number
 
     def whole(self, low: int, high: int) -> int:
-        """The value, which must be a whole number from ``low`` to ``high``."""
+        """Return the value as an integer from ``low`` to ``high``, or raise InputError."""
         number = self.number()
         if number != int(number) or not low <= number <= high:
             raise self.unexpected(f"a whole number from {low} to {high}")
         return int(number)
 
     def numbers(self, count: int) -> list[float]:
-        """The value, which must be a list of this many finite numbers."""
+        """Return the value as a list of ``count`` finite numbers, or raise InputError."""
         if len(self.sequence()) != count:
             raise self.unexpected(f"a list of {count} numbers")
         return [element.number() for element in self.elements()]
 
     def unexpected(self, expected: str) -> InputError:
-        """The error that says what was found here and what was expected."""
+        """Return the error for an unexpected value: what was found and what was expected."""
         return self.fault(f"found {shown(self.value)}, expected {expected}")
 
     def fault(self, message: str) -> InputError:
-        """The error with this message about this place, on one line."""
-        where = "/".join(_shortened(str(key)) for key in self.keys)  # of YAML they may be numbers
+        """Return a one-line error with the location of this value and a message."""
+        where = "/".join(_shortened(str(key)) for key in self.keys)  # keys of YAML may be numbers
         return InputError(f"{self.file}: {where}: {message}" if where else f"{self.file}: {message}")
 
 
 class NotNumbersError(Exception):
-    """Something in a list is no number of the kind wanted; whoever catches it looks for the place."""
+    """An element of a list is not a number of the expected kind; the caller searches for the element to report it."""
 
 
 def finite(flat: list[Any]) -> Array:
-    """Finite numbers as an array, checked all at once.
+    """Convert to an array of finite numbers, checked all at once.
 
     Raises:
         NotNumbersError: a value is not a finite number.
@@ -141,7 +141,7 @@ def finite(flat: list[Any]) -> Array:
 
 
 def integers(flat: list[Any]) -> IntArray:
-    """Integers as an array, checked all at once.
+    """Convert to an array of integers, checked all at once.
 
     Raises:
         NotNumbersError: a value is not an integer of 64 bits.
@@ -151,11 +151,11 @@ def integers(flat: list[Any]) -> IntArray:
 
 
 def finite_rows(rows: list[Any], width: int) -> Array:
-    """Rows of ``width`` finite numbers each as an array (len(rows), width), checked all at once.
+    """Convert rows of ``width`` finite numbers each to an array (len(rows), width), checked all at once.
 
     Raises:
         NotNumbersError: a row has another length, or a value is not a finite number.
-        TypeError: a row is no list.
+        TypeError: a row is not a list.
     """
     if not set(map(len, rows)) <= {width}:
         raise NotNumbersError
@@ -163,7 +163,7 @@ def finite_rows(rows: list[Any], width: int) -> Array:
 
 
 def _packed(code: str, flat: list[Any]) -> bytes:
-    """The bytes of numbers: several times faster than `numpy.array`, and it parses no text."""
+    """Pack numbers into bytes: several times faster than `numpy.array`, and it does not parse text."""
     try:
         return struct.pack(f"{len(flat)}{code}", *flat)
     except (struct.error, OverflowError):
@@ -171,7 +171,7 @@ def _packed(code: str, flat: list[Any]) -> bytes:
 
 
 def _refuse_flags(values: Numbers, flat: list[Any]) -> Numbers:
-    """False and true pass for 0 and 1 in Python, so look again at what seems to be 0 or 1."""
+    """Refuse booleans, which Python accepts as 0 and 1: check the type of each 0 and 1."""
     suspects = np.flatnonzero((values == 0) | (values == 1))
     few = len(suspects) < len(flat) // 4
     if bool in set(map(type, map(flat.__getitem__, suspects.tolist()) if few else flat)):
@@ -180,7 +180,7 @@ def _refuse_flags(values: Numbers, flat: list[Any]) -> Numbers:
 
 
 def read_json(path: Path, max_bytes: int = MAX_BYTES) -> Node:
-    """The root of a JSON file, one that is no larger than ``max_bytes``.
+    """Read a JSON file of at most ``max_bytes`` and return its root.
 
     Raises:
         InputError: the file cannot be read, is not JSON, or its top level is not an object.
@@ -197,14 +197,14 @@ def read_json(path: Path, max_bytes: int = MAX_BYTES) -> Node:
         raise root.fault(f"byte {error.start}: found no UTF-8 text, expected JSON") from None
     except RecursionError:
         raise root.fault("nested too deeply") from None
-    except (ValueError, MemoryError) as error:  # an integer of thousands of digits
+    except (ValueError, MemoryError) as error:  # such as an integer of thousands of digits
         raise root.fault(f"cannot be read as JSON: {error}") from None
     root.mapping()
     return root
 
 
 _WORDS = ("true", "false", "null", "NaN", "Infinity", "-Infinity", ".", "e+", "e-", "E+", "E-")
-"""What JSON has besides text, digits and brackets."""
+"""Words of JSON other than strings, digits and brackets."""
 
 
 def _refuse_json(root: Node, error: json.JSONDecodeError) -> NoReturn:
@@ -218,7 +218,7 @@ def _refuse_json(root: Node, error: json.JSONDecodeError) -> NoReturn:
 
 
 def shown(value: Any) -> str:
-    """A value of a document in the words of an error message."""
+    """Format a value of a document for an error message, shortened."""
     match value:
         case None | True | False:
             return {None: "null", True: "true", False: "false"}[value]

@@ -1,4 +1,4 @@
-"""The transforms of all collections, edge by edge, converted at once."""
+"""Transforms of all collections, parsed edge by edge in one pass."""
 
 import math
 from collections.abc import Sequence
@@ -14,9 +14,9 @@ from calibration.geometry import rotations, transforms
 from calibration.geometry.types import Array
 
 QUATERNION_TOLERANCE = 1e-3
-"""How far from 1 the length of a quaternion may be; it is normalised."""
+"""Tolerance of a quaternion's norm, which should be 1; quaternions are normalised."""
 FAR = 1e9
-"""No frame is farther from its parent, m."""
+"""m: limit of the distance of a frame from its parent."""
 
 _frames_of = itemgetter("parent", "child")
 _translation_of = itemgetter("trans")
@@ -24,7 +24,7 @@ _quaternion_of = itemgetter("quat")
 
 
 def read_transforms(collections: Sequence[Node]) -> dict[Edge, Array]:
-    """(N, 4, 4) for each edge of any of the N collections' ``transforms``; NaN where a collection lacks it.
+    """Parse the ``transforms`` of N collections: (N, 4, 4) for each edge; NaN where a collection lacks it.
 
     Raises:
         InputError: something in them is missing or wrong.
@@ -59,7 +59,7 @@ def read_transforms(collections: Sequence[Node]) -> dict[Edge, Array]:
 
 
 def read_transform(node: Node) -> tuple[Edge, Array]:
-    """A single transform (4, 4) and its edge.
+    """Parse a single transform (4, 4) and its edge.
 
     Raises:
         InputError: something in it is missing or wrong.
@@ -75,7 +75,7 @@ def read_transform(node: Node) -> tuple[Edge, Array]:
 
 
 def read_pose(node: Node, far: float) -> Array:
-    """A pose (4, 4) as ROS's messages have it: ``position`` and ``orientation``.
+    """Parse a pose (4, 4) in the form of ROS messages: ``position`` and ``orientation``.
 
     Raises:
         InputError: something in it is missing or wrong, or it is farther away than ``far``, m.
@@ -89,7 +89,7 @@ def read_pose(node: Node, far: float) -> Array:
 
 
 def pose_document(T: Array) -> dict[str, Any]:
-    """A pose (4, 4) as `read_pose` reads it."""
+    """Return a pose (4, 4) in the form that `read_pose` reads."""
     position, quaternion = T[:3, 3].tolist(), rotations.to_quaternion(T[:3, :3]).tolist()
     return {
         "position": dict(zip("xyz", position, strict=True)),
@@ -98,7 +98,7 @@ def pose_document(T: Array) -> dict[str, Any]:
 
 
 def transform_documents(edge: Edge, T: Array) -> list[dict[str, Any]]:
-    """Transforms (N, 4, 4) of an edge as a document holds them."""
+    """Return the document entries of an edge's transforms (N, 4, 4)."""
     translations, quaternions = T[:, :3, 3].tolist(), rotations.to_quaternion(T[:, :3, :3]).tolist()
     return [
         {"parent": edge[0], "child": edge[1], "trans": trans, "quat": quat}
@@ -113,10 +113,10 @@ def is_constant(T: Array) -> bool:
 
 
 def _slots(entries: Sequence[dict[str, dict[str, object]]], slots: dict[Edge, int]) -> list[int]:
-    """Number the edges in ``slots``, in order of appearance; the number of every transform's edge.
+    """Number the edges in ``slots``, in order of appearance, and return the number of each transform's edge.
 
     Raises:
-        KeyError, TypeError: a frame is missing, is no text, or does not fit the key.
+        KeyError, TypeError: a frame is missing, is not text, or does not fit the key.
     """
     numbers: list[int] = []
     keys: list[str] = []
@@ -124,7 +124,7 @@ def _slots(entries: Sequence[dict[str, dict[str, object]]], slots: dict[Edge, in
     here: list[int] = []
     for each in entries:
         previous, frames = frames, list(map(_frames_of, each.values()))
-        if frames != previous or list(each) != keys:  # most collections repeat the one before
+        if frames != previous or list(each) != keys:  # most collections repeat the frames of the previous one
             keys = list(each)
             for key, (parent, child) in zip(keys, frames, strict=True):
                 if type(parent) is not str or type(child) is not str or key != f"{parent}-{child}":
@@ -135,7 +135,7 @@ def _slots(entries: Sequence[dict[str, dict[str, object]]], slots: dict[Edge, in
 
 
 def _one_by_one(collections: Sequence[Node], slots: dict[Edge, int]) -> tuple[list[int], Array, Array]:
-    """What `read_transforms` reads at once, until the wrong one says what it is."""
+    """Parse like `read_transforms`, but one by one, to report the first invalid transform."""
     slot_of, translations, quaternions = [], [], []
     for collection in collections:
         for key, entry in collection["transforms"].items():
@@ -149,7 +149,7 @@ def _one_by_one(collections: Sequence[Node], slots: dict[Edge, int]) -> tuple[li
 
 
 def _entry(collections: Sequence[Node], row: int) -> Node:
-    """A transform by its number among those of all collections."""
+    """Return the document entry of a transform by its index over all collections."""
     for collection in collections:
         keys = list(collection["transforms"].mapping())
         if row < len(keys):

@@ -1,4 +1,4 @@
-"""Whether a dataset's transforms form a tree that holds every chain a calibration needs."""
+"""Checks of a dataset's frames: they form a tree that has every chain needed for a calibration."""
 
 from collections.abc import Iterable, Sequence
 
@@ -12,15 +12,16 @@ from calibration.geometry.transforms import distance, inverse
 from calibration.geometry.types import Array
 
 MOTION_TOLERANCE = 0.2
-"""A joint's position and its transform may tell motions that differ by this, m or rad: they are read one after the
-other while the robot may still move."""
+"""m or rad: tolerance between the motion of a joint's position and that of its transform. They are recorded one after
+the other, and the robot may still be moving.
+"""
 
 
 def check_frames(dataset: Dataset, root: Node, collections: Sequence[Node]) -> None:
-    """Check the tree, the frames that sensors, patterns and additional transforms name, and the ways between them.
+    """Check the tree, the frames of sensors, patterns and additional transforms, and the chains between them.
 
     Raises:
-        InputError: the first thing that is wrong.
+        InputError: the first fault.
     """
     _check_tree(dataset, collections)
     config = root["calibration_config"]
@@ -41,13 +42,13 @@ def check_frames(dataset: Dataset, root: Node, collections: Sequence[Node]) -> N
 
 
 def _check_tree(dataset: Dataset, collections: Sequence[Node]) -> None:
-    """Build the tree; where that fails, find the first transform that cannot be part of it."""
+    """Build the tree; on failure report the first transform that cannot be part of it."""
     try:
         _ = dataset.tree
     except InputError:
         edges = list(dataset.transforms)
         low, high = 0, len(edges) - 1
-        while low < high:  # the first so many edges for which the tree fails
+        while low < high:  # bisection for the smallest number of edges that are not a tree
             middle = (low + high) // 2
             low, high = (low, middle) if _fault(edges[: middle + 1]) else (middle + 1, high)
         parent, child = edges[high]
@@ -57,7 +58,7 @@ def _check_tree(dataset: Dataset, collections: Sequence[Node]) -> None:
 
 
 def _fault(edges: Iterable[Edge]) -> str:
-    """Why these edges are no tree; empty if they are one."""
+    """Return the reason why edges are not a tree; empty if they are."""
     try:
         FrameTree(edges)
     except InputError as error:
@@ -66,7 +67,7 @@ def _fault(edges: Iterable[Edge]) -> str:
 
 
 def _sensor_chains(dataset: Dataset, sensors: Node, world: Node) -> dict[Edge, str]:
-    """The transforms from the world to every sensor, each with what needs it."""
+    """Return the edges from the world to every sensor, each with the sensor that needs it."""
     needed = {}
     for name, sensor in dataset.sensors.items():
         for key in ("calibration_parent", "calibration_child"):
@@ -84,7 +85,7 @@ def _sensor_chains(dataset: Dataset, sensors: Node, world: Node) -> dict[Edge, s
 
 
 def _pattern_chains(dataset: Dataset, config: Node, world: Node) -> dict[Edge, str]:
-    """The transforms from the world to every pattern's parent, each with what needs it."""
+    """Return the edges from the world to every pattern's parent, each with the pattern that needs it."""
     needed: dict[Edge, str] = {}
     edges = list(dataset.transforms)
     links: set[str] = set()
@@ -102,7 +103,7 @@ def _pattern_chains(dataset: Dataset, config: Node, world: Node) -> dict[Edge, s
 
 
 def _additional(dataset: Dataset, config: Node) -> dict[Edge, str]:
-    """The additional transforms to calibrate, each with what needs it."""
+    """Return the additional transforms to calibrate, each with the entry that needs it."""
     if not (node := config.get("additional_tfs")):
         return {}
     for name, edge in zip(node.mapping(), dataset.additional_transforms, strict=True):
@@ -112,7 +113,7 @@ def _additional(dataset: Dataset, config: Node) -> dict[Edge, str]:
 
 
 def _joints(dataset: Dataset, config: Node) -> dict[Edge, str]:
-    """The transforms of the joints to calibrate, each with what needs it."""
+    """Return the edges of the joints to calibrate, each with the joint that needs it."""
     taken = {sensor.edge: f"sensor '{sensor.name}'" for sensor in dataset.sensors.values()}
     taken |= dict.fromkeys(dataset.additional_transforms, "additional_tfs")
     needed: dict[Edge, str] = {}
@@ -127,9 +128,9 @@ def _joints(dataset: Dataset, config: Node) -> dict[Edge, str]:
 
 
 def _check_motions(dataset: Dataset, collections: Sequence[Node]) -> None:
-    """Refuse positions of joints that do not go with the transforms: in degrees, of another joint, not updated.
+    """Refuse joint positions that contradict the transforms: in degrees, of another joint, or not updated.
 
-    Compared are the motions since the first collection, which are the same whatever the joint's origin and bias.
+    The motions since the first collection are compared, which do not depend on the joint's origin and bias.
     """
     for name, joint in dataset.joints.items():
         T = dataset.transforms[joint.edge]
@@ -153,7 +154,7 @@ def _check_motions(dataset: Dataset, collections: Sequence[Node]) -> None:
 
 
 def _off(moved: Array, joint: Joint, since: Array) -> Array:
-    """How far (N,) the motions of a joint (N, 4, 4) are from those of changes of its position (N,), m or rad."""
+    """Difference (N,) of a joint's motions (N, 4, 4) from those by the changes of its position (N,), m or rad."""
     with np.errstate(invalid="ignore"):
         off: Array = np.max(distance(moved, joint.model.motion(since)), axis=0)
     return off

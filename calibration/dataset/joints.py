@@ -1,4 +1,4 @@
-"""The joints that a dataset calibrates: what the configuration asks for, and what the collections say of them."""
+"""Joints with calibrated parameters, from the configuration and the collections."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -12,13 +12,13 @@ from calibration.geometry.types import Array
 
 _KINDS = {"revolute": False, "continuous": False, "prismatic": True}
 FAR = 1e6
-"""No joint is farther from its origin, m or rad."""
+"""m or rad: limit of a joint's origin."""
 _SAME = 1e-9
-"""Origins of one joint in two collections that differ by more (m, rad) are not the same."""
+"""Tolerance (m, rad) of a joint's origin between collections."""
 
 
 def read_joints(config: Node, collections: Sequence[Node]) -> dict[str, Joint]:
-    """The joints of a dataset's ``calibration_config/joints``, with their positions in each collection.
+    """Parse the joints of a dataset's ``calibration_config/joints``, with their positions in each collection.
 
     The origin, the axis and the kind are those of the first collection, and the same in all.
 
@@ -38,7 +38,7 @@ def read_joints(config: Node, collections: Sequence[Node]) -> dict[str, Joint]:
 
 
 def joint_document(joint: Joint, read: Mapping[str, Any], i: int) -> dict[str, Any]:
-    """What collection i says of a joint, with its parameters as they are now."""
+    """Return the document entry of a joint in collection i, with its current parameters."""
     values = dict(zip(JOINT_PARAMETERS, joint.values.tolist(), strict=True))
     bias = values.pop("position_bias")
     document = {**read, **values, "position": float(joint.positions[i])}

@@ -1,7 +1,7 @@
-"""JSON text for large documents: what `json.dumps` gives with an indent, in less than half the time.
+"""Fast JSON formatting of large documents: the result of `json.dumps` with an indent, in less than half the time.
 
-Python's encoder is fast only without an indent. So flat objects and lists, where nearly all of a
-dataset's text is, are left to it, with separators that already hold the line ends and the indent.
+Python's encoder is fast only without an indent. So flat objects and lists, which are nearly all of a
+dataset's text, are left to it, with separators that already contain the line ends and the indent.
 """
 
 import json
@@ -15,7 +15,7 @@ CONTAINERS = frozenset({dict, list, tuple})
 
 
 def json_text(document: Mapping[str, Any]) -> str:
-    """The same as ``json.dumps(document, indent=2, sort_keys=True)``, for documents with text for keys.
+    """Format a document like ``json.dumps(document, indent=2, sort_keys=True)``; all keys must be text.
 
     Raises:
         RecursionError: it is nested too deeply.
@@ -24,7 +24,7 @@ def json_text(document: Mapping[str, Any]) -> str:
 
 
 def _text(value: Any, indent: str) -> str:
-    """The text of a value whose lines begin with ``indent`` (which has the line end in it)."""
+    """Format a value; its lines begin with ``indent``, which includes the line end."""
     if not value or type(value) not in CONTAINERS:
         return json.dumps(value)
     inner = indent + "  "
@@ -35,7 +35,7 @@ def _text(value: Any, indent: str) -> str:
         lines = [f"{encode_basestring_ascii(key)}: {_text(value[key], inner)}" for key in sorted(value)]
         return f"{{{inner}{f',{inner}'.join(lines)}{indent}}}"
     if all(value) and set(map(type, value)) == {dict} and _are_flat(chain.from_iterable(map(dict.values, value))):
-        # No line end stands inside a string of JSON, so what is replaced can only be the end of an object.
+        # JSON strings contain no line ends, so only the end of an object can match.
         deep = inner + "  "
         text = _flat(value, deep)[2:-2].replace(f"}},{deep}{{", f"{inner}}},{inner}{{{deep}")
         return f"[{inner}{{{deep}{text}{inner}}}{indent}]"

@@ -1,4 +1,4 @@
-"""The labels of all collections: what each sensor detected of each pattern, checked and converted at once."""
+"""Labels of all collections: the detections of patterns by sensors, checked and converted in one pass."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import chain
@@ -17,15 +17,15 @@ from calibration.dataset.payload import MissingFileError
 from calibration.geometry.types import Array, BoolArray, IntArray
 
 MAX_POINTS = 1 << 40
-"""More points than any cloud, scan or depth image has."""
+"""Limit of the number of points of a cloud, scan or depth image."""
 FARTHEST = 1e4
-"""No sensor sees farther, m."""
+"""m: limit of a sensor's range."""
 OUTSIDE_SHARE = 0.1
-"""No larger share of a camera's corners lies outside of its image: a few are errors of a detector."""
+"""Limit of the share of a camera's corners outside of its image: a few are errors of a detector."""
 
 
 class _Detection(NamedTuple):
-    """What one sensor detected of one pattern in one collection."""
+    """Detection of one pattern by one sensor in one collection."""
 
     collection: int
     pattern: str
@@ -35,11 +35,11 @@ class _Detection(NamedTuple):
 
 
 class ReadLabels(NamedTuple):
-    """The labels of a dataset."""
+    """Labels of a dataset, and the missing data files."""
 
     collections: tuple[Collection, ...]
     missing_files: Mapping[str, tuple[str, ...]]
-    """By sensor: the files that its labels refer to and that are not there. These labels are left out."""
+    """By sensor: missing files that its labels refer to. These labels are left out."""
 
 
 def read_labels(
@@ -49,7 +49,7 @@ def read_labels(
     version: str,
     data: Path | None = None,
 ) -> ReadLabels:
-    """The collections with their labels, in the same order; files that they name in ``data``, if it is given.
+    """Read the labels of all collections, in the same order; data files are searched in ``data`` if it is given.
 
     Raises:
         InputError: something in the labels or in a labelled point cloud, scan or depth image is missing or wrong.
@@ -86,7 +86,7 @@ def read_labels(
 
 
 def _by_pattern(labels: Node, patterns: Mapping[str, Pattern], version: str) -> Iterator[tuple[str, Node]]:
-    """Each pattern with its labels by sensor; version 2 has one pattern and does not name it."""
+    """Iterate over patterns with their labels by sensor; version 2 has one pattern and does not name it."""
     if version == "2.0":
         yield next(iter(patterns)), labels
         return
@@ -122,7 +122,7 @@ def _read_corners(
 def _check_pixels(
     detections: Sequence[_Detection], batch: "_Batch", pixels: Array, sensors: Mapping[str, Sensor]
 ) -> None:
-    """Refuse a corner that lies far outside of its image, and cameras of which many corners lie outside."""
+    """Refuse a corner far outside of its image, and cameras with many corners outside."""
     cameras = [sensors[detection.sensor].camera for detection in detections]
     sizes = np.array([(camera.width, camera.height) if camera else (0, 0) for camera in cameras], float)[batch.owner]
     if (far := batch.first(np.any((pixels < -sizes) | (pixels > 2 * sizes), axis=-1))) is not None:
@@ -156,7 +156,7 @@ def _read_pose(idxs: Node) -> PoseLabels:
 def _read_points(
     detections: Sequence[_Detection], collections: Sequence[Node], sensors: Mapping[str, Sensor], folder: Path | None
 ) -> Iterator[PointLabels | MissingFileError]:
-    """The labelled points of each detection, or that their file is not there."""
+    """Read the labelled points of each detection; a missing file is returned as its error."""
     if not detections:
         return
     batch, index = _read_indices([detection.idxs for detection in detections])
@@ -168,7 +168,7 @@ def _read_points(
         i, position = missing
         raise _element(limit_lists[i], position).unexpected("one of 'idxs'")
     points = np.zeros((len(index), 3))
-    clouds: dict[str, IndexedPoints | MissingFileError] = {}  # of one collection; more need not fit into memory
+    clouds: dict[str, IndexedPoints | MissingFileError] = {}  # of one collection, to limit memory
     not_there: dict[int, MissingFileError] = {}
     collection = None
     for i, (detection, data, part) in enumerate(zip(detections, data_of, batch.parts, strict=True)):
@@ -184,7 +184,7 @@ def _read_points(
             not_there[i] = cloud
             continue
         try:
-            with np.errstate(invalid="ignore"):  # a NaN that signals; it is refused below
+            with np.errstate(invalid="ignore"):  # signalling NaNs; they are refused below
                 points[part] = cloud.take(index[part])
         except IndexError:
             wrong = _element(detection.idxs, int((index[part] >= len(cloud)).argmax()))
@@ -212,7 +212,7 @@ def _read_cloud(data: PointData, message: Node, sensor: Sensor) -> IndexedPoints
 
 
 def _limits(label: Node, data: PointData) -> Node:
-    """The limit points, under the first of their keys that is there."""
+    """Return the limit points, from the first of their possible keys that is present."""
     *others, last = data.limits
     if node := next((node for key in others if (node := label.get(key))), None) or label.get(last):
         return node
@@ -222,10 +222,10 @@ def _limits(label: Node, data: PointData) -> Node:
 
 
 def _read_indices(lists: Sequence[Node]) -> "tuple[_Batch, IntArray]":
-    """Indices, not yet checked against the size of a cloud."""
+    """Parse indices, not yet checked against the size of a cloud."""
     try:
         index = integers(list(chain.from_iterable(node.sequence() for node in lists)))
-    except NotNumbersError:  # one by one, until the wrong one says what it is
+    except NotNumbersError:  # check one by one, to report the first invalid one
         elements = chain.from_iterable(node.elements() for node in lists)
         index = np.array([element.whole(0, MAX_POINTS) for element in elements], np.int64)
     batch = _Batch([len(node.value) for node in lists])
@@ -240,35 +240,35 @@ def _element(indices: Node, position: int) -> Node:
 
 
 class _Batch:
-    """Rows of several lists, one after the other."""
+    """Rows of several lists, concatenated."""
 
     def __init__(self, counts: Sequence[int]) -> None:
         self.ends = np.cumsum(counts)
         self.owner = np.repeat(np.arange(len(counts)), counts)
-        """Which list each row belongs to."""
+        """Index of the list of each row."""
         ends = self.ends.tolist()
         self.parts = [slice(end - count, end) for end, count in zip(ends, counts, strict=True)]
 
     def place(self, row: int) -> tuple[int, int]:
-        """The list and the position in it of a row."""
+        """Return the list of a row and its position in the list."""
         i = int(self.owner[row])
         return i, row - self.parts[i].start
 
     def first(self, wrong: BoolArray) -> tuple[int, int] | None:
-        """The place of the first row that is marked."""
+        """Return the place of the first marked row."""
         return self.place(int(wrong.argmax())) if wrong.any() else None
 
     def outside(self, values: Array, bounds: Sequence[int]) -> tuple[int, int] | None:
-        """The place of the first value that is no whole number from 0 to below its list's bound."""
+        """Return the place of the first value that is not an integer from 0 to below its list's bound."""
         return self.first(~((values >= 0) & (values < np.array(bounds)[self.owner]) & (values == np.floor(values))))
 
     def keys(self, index: IntArray) -> IntArray:
-        """Numbers that are equal where list and index are equal."""
+        """Return keys of rows: equal if list and index are equal."""
         keys: IntArray = self.owner * MAX_POINTS + index
         return keys
 
     def repeated(self, index: IntArray) -> tuple[int, int] | None:
-        """The first row whose index stands in its list before."""
+        """Return the place of the first row with an index that its list has before."""
         keys = self.keys(index)
         order = np.argsort(keys, kind="stable")
         wrong = np.zeros(len(keys), bool)
@@ -276,7 +276,7 @@ class _Batch:
         return self.first(wrong)
 
     def find(self, index: IntArray, other: "_Batch", wanted: IntArray) -> tuple[IntArray, tuple[int, int] | None]:
-        """Where in its own list each index of another batch stands, and the first that does not."""
+        """Return the position of each index of another batch in its own list, and the place of the first missing."""
         keys, wanted_keys = self.keys(index), other.keys(wanted)
         order = np.argsort(keys, kind="stable")
         rows = order[np.searchsorted(keys, wanted_keys, sorter=order).clip(max=len(keys) - 1)]

@@ -1,4 +1,4 @@
-"""Scans of a 2D LiDAR: ROS LaserScan messages, whose ranges stand in the dataset's JSON itself."""
+"""Scans of 2D LiDARs: ROS LaserScan messages, with their ranges inside the dataset's JSON."""
 
 import math
 
@@ -8,15 +8,15 @@ from calibration.dataset.document import Node
 from calibration.geometry.types import Array
 
 MAX_RAYS = 1 << 20
-"""More rays than any scan has."""
+"""Limit of the number of rays of a scan."""
 _REVOLUTION = 2 * math.pi * 1.02
-"""No scan goes round farther: the last rays of one that turns may overlap the first."""
+"""Limit of a scan's angle: the last rays of a rotating LiDAR may overlap the first."""
 
 
 def read_scan(message: Node) -> Array:
-    """The points (N, 3) of a LaserScan in the sensor's frame (m), one for each ray, all with z = 0.
+    """Convert a LaserScan to points (N, 3) in the sensor's frame (m), one for each ray, all with z = 0.
 
-    The ray k points along ``angle_min + k * angle_increment``, from x to y. NaN where nothing came back: a range
+    The ray k points along ``angle_min + k * angle_increment``, from x to y. NaN for a ray without a return: a range
     that is not finite, not above 0, or outside of ``range_min`` to ``range_max`` where the message has them.
 
     Raises:
@@ -38,7 +38,7 @@ def read_scan(message: Node) -> Array:
 
 
 def _ranges(node: Node) -> Array:
-    """The ranges (N,), NaN for null."""
+    """Return the ranges (N,), NaN for null."""
     values = node.sequence()
     if len(values) > MAX_RAYS:
         raise node.fault(f"found {len(values)} ranges, expected {MAX_RAYS} at most")
@@ -56,6 +56,6 @@ def _is_range(value: object) -> bool:
 
 
 def _bound(message: Node, key: str, otherwise: float) -> float:
-    """A limit of the ranges; some drivers have infinity for the farther one."""
+    """Return a limit of the ranges; some drivers set the upper one to infinity."""
     node = message.get(key)
     return otherwise if node is None or node.value == math.inf else node.number()

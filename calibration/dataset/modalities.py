@@ -1,7 +1,7 @@
-"""The modalities of sensors: one object for each, with everything that a dataset says of that kind of sensor.
+"""Modalities of sensors: one object for each, with all facts about its labels and data in a dataset.
 
-What the engine and the tables need of it stands here as facts (how many points make a view, whether they lie in a
-plane, how they err); how it is simulated, in `calibration.simulation.sensors`.
+The engine and the tables use these facts (minimum of points in a view, planar or not, kinds of noise). The
+simulation of each modality is in `calibration.simulation.sensors`.
 """
 
 from collections.abc import Callable
@@ -31,18 +31,19 @@ NoiseKind = Literal[
     "pose_translation",
     "pose_rotation",
 ]
-"""What is measured of a label: a corner, px; a range, m; the direction in which a border is found, rad; where a
-pattern is, m, and how it is turned, rad."""
+"""Quantity of a label that has noise: a corner, px; a range, m; the direction to a border point, rad; the position of
+a pattern, m, and its rotation, rad.
+"""
 
 
 class IndexedPoints(Protocol):
-    """What a sensor measured in a collection: points that labels refer to by their index."""
+    """Data of a sensor in a collection: points that labels refer to by index."""
 
     def __len__(self) -> int:
-        """How many there are."""
+        """Number of points."""
 
     def take(self, index: IntArray) -> Array:
-        """The points (N, 3) of indices (N,), m, in the sensor's frame; NaN where nothing was measured.
+        """Return the points (N, 3) of indices (N,), m, in the sensor's frame; NaN without a measurement.
 
         Raises:
             IndexError: an index is not below the number of points.
@@ -65,40 +66,40 @@ class _Points:
 
 @dataclass(frozen=True)
 class PointData:
-    """How the labels of a sensor that measures points are read."""
+    """Access to the data of a sensor that measures points, and to labels that index them."""
 
     count: str
-    """What an index counts, in the words of an error message: "cloud's {} points"."""
+    """Description of an index in error messages: "cloud's {} points"."""
     nothing: str
-    """What is wrong with a label where nothing was measured: "point {} of the cloud is not finite"."""
+    """Error message for a label without a measurement: "point {} of the cloud is not finite"."""
     read: Callable[[Node, Camera | None], IndexedPoints]
-    """From the sensor's message in a collection, and its intrinsics."""
+    """Function that reads the sensor's message in a collection; its second argument is the intrinsics."""
     noise: tuple[NoiseKind, NoiseKind]
-    """How its ranges err, and its points on the border."""
+    """Kinds of noise of its ranges, and of its border points."""
     minimum: int = 10
-    """So many labelled points make a view: fewer hardly make a plane (ATOM's rule too)."""
+    """Minimum of labelled points in a view: fewer hardly determine a plane (ATOM's rule too)."""
     planar: bool = False
-    """They lie in one plane of the sensor, so that a view is a cut through the pattern, a line."""
+    """The points are in one plane of the sensor, so that a view of a pattern is a scan line."""
     limits: tuple[str, ...] = ("idxs_limit_points",)
-    """The keys that its limit points may have."""
+    """Possible keys of its limit points."""
 
 
 @dataclass(frozen=True)
 class Modality:
-    """A kind of sensor."""
+    """Modality of a sensor."""
 
     name: str
-    """As datasets and configurations write it."""
+    """Name in datasets and configurations."""
     family: Family
-    """Tables of errors are for all modalities of a family, as ``lidar-to-rgb`` is for every LiDAR."""
+    """Tables of errors are per family: ``lidar-to-rgb`` is for every LiDAR."""
     message: str
-    """The type of its ROS messages."""
+    """Type of its ROS messages."""
     has_intrinsics: bool = False
-    """It is a camera in its geometry: a dataset has its ``camera_info``."""
+    """Whether it projects like a camera: the dataset has its ``camera_info``."""
     points: PointData | None = None
-    """How labels refer to its data; None where they are corners or poses, which need no data."""
+    """Access to its data; None if its labels are corners or poses, which need no data."""
     has_poses: bool = False
-    """Its labels are poses of patterns, that it or a software before it has measured."""
+    """Whether its labels are poses of patterns, measured by the sensor or by other software."""
 
     @property
     def has_corners(self) -> bool:
@@ -107,14 +108,14 @@ class Modality:
 
     @property
     def point_data(self) -> PointData:
-        """How labels refer to its data; not for those that `has_corners` or `has_poses`."""
+        """Access to its data; not for modalities that `has_corners` or `has_poses`."""
         if self.points is None:
             raise AssertionError(f"labels of a sensor {self.name} are no points")
         return self.points
 
     @property
     def is_planar(self) -> bool:
-        """Whether it sees a pattern only where one plane cuts it."""
+        """Whether its view of a pattern is a scan line in one plane."""
         return self.points is not None and self.points.planar
 
     def __str__(self) -> str:
@@ -122,7 +123,7 @@ class Modality:
 
 
 def _in_file(name: Node, read: Callable[[str], IndexedPoints]) -> IndexedPoints:
-    """What a file beside the dataset holds; an error names the key that names the file.
+    """Read a data file of the dataset; an error names the key that has the file's name.
 
     Raises:
         MissingFileError: there is no such file.
@@ -172,9 +173,9 @@ LIDAR2D = Modality(
         "ray {} of the scan has no range; a labelled ray must",
         _read_scan,
         noise=("lidar2d_range", "lidar2d_border"),
-        minimum=3,  # two points make a line, with nothing to check them by
+        minimum=3,  # two points determine a line, with no redundancy
         planar=True,
-        limits=("idxs_limit_points", "edge_idxs"),  # the latter is ATOM's
+        limits=("idxs_limit_points", "edge_idxs"),  # the latter is ATOM's key
     ),
 )
 DEPTH = Modality(
@@ -191,11 +192,11 @@ DEPTH = Modality(
 )
 POSE = Modality("pose", "tracker", "PoseStamped", has_poses=True)
 MODALITIES = {modality.name: modality for modality in (RGB, LIDAR3D, LIDAR2D, DEPTH, POSE)}
-"""By name."""
+"""All modalities by name."""
 BORDERS: frozenset[NoiseKind] = frozenset(each.points.noise[1] for each in MODALITIES.values() if each.points)
-"""How points on a border err, an angle, in rad."""
+"""Kinds of noise of border points, an angle, in rad."""
 
 
 def of_family(family: Family) -> tuple[Modality, ...]:
-    """The modalities of a family."""
+    """Return the modalities of a family."""
     return tuple(modality for modality in MODALITIES.values() if modality.family == family)

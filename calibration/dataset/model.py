@@ -1,6 +1,6 @@
-"""What a dataset is: sensors, patterns, and collections of labels and transforms.
+"""Data model of a dataset: sensors, patterns, and collections of labels and transforms.
 
-A `Dataset` is never changed; `Dataset.with_transforms` gives a new one.
+A `Dataset` is immutable; `Dataset.with_transforms` returns a new one.
 """
 
 from collections.abc import Mapping, Sequence
@@ -27,37 +27,37 @@ Edge = tuple[str, str]
 
 @dataclass(frozen=True)
 class Sensor:
-    """A sensor and the transform that calibrates it."""
+    """Sensor with the transform that calibrates it."""
 
     name: str
     modality: Modality
     frame: str
-    """The frame of its data."""
+    """Frame of its data."""
     calibration_parent: str
     calibration_child: str
     camera: Camera | None = None
-    """The intrinsics, of a modality that has them."""
+    """Intrinsics, if its modality has them."""
 
     @property
     def edge(self) -> Edge:
-        """The calibrated transform, parent -> child; it lies somewhere on the way to `frame`."""
+        """Calibrated transform, parent -> child; it is part of the chain to `frame`."""
         return (self.calibration_parent, self.calibration_child)
 
 
 @dataclass(frozen=True, eq=False)
 class Joint:
-    """A joint of the robot of which some parameters are calibrated."""
+    """Joint of the robot with calibrated parameters."""
 
     name: str
     edge: Edge
-    """Its parent link and its child link."""
+    """Parent link and child link."""
     model: JointModel
     parameters: tuple[JointParameter, ...]
-    """To calibrate, in the order of `calibration.geometry.joints.JOINT_PARAMETERS`."""
+    """Parameters to calibrate, in the order of `calibration.geometry.joints.JOINT_PARAMETERS`."""
     values: Array
     """(7,): all parameters, m and rad, in that order."""
     positions: Array
-    """(N,): in each collection as the encoder has it, rad or m."""
+    """(N,): encoder position in each collection, rad or m."""
 
     @property
     def transform(self) -> Array:
@@ -68,7 +68,7 @@ class Joint:
 
 @dataclass(frozen=True, eq=False)
 class CornerLabels:
-    """The corners that a camera detected in one collection."""
+    """Corners that a camera detected in one collection."""
 
     ids: IntArray
     """(K,): ids of the pattern's corners, each once."""
@@ -78,17 +78,17 @@ class CornerLabels:
 
 @dataclass(frozen=True, eq=False)
 class PointLabels:
-    """The points of a LiDAR or a depth camera that lie on the pattern in one collection."""
+    """Points of a LiDAR or a depth camera on the pattern in one collection."""
 
     points: Array
     """(N, 3): in the sensor's frame, m; of a 2D LiDAR in its plane z = 0."""
     limits: IntArray
-    """(L,): which of `points` lie on the pattern's physical border: of a 2D LiDAR the ends of its cut."""
+    """(L,): indices of the `points` on the pattern's physical border: of a 2D LiDAR the ends of the scan line."""
 
 
 @dataclass(frozen=True, eq=False)
 class PoseLabels:
-    """The pose that a pattern was measured to have in one collection."""
+    """Measured pose of a pattern in one collection."""
 
     T: Array
     """(4, 4): ``T_sensor_pattern``, of the pattern's frame."""
@@ -98,7 +98,7 @@ Labels = CornerLabels | PointLabels | PoseLabels
 
 
 def label_arrays(label: Labels) -> tuple[NDArray[Any], ...]:
-    """All that a label says, to be hashed or compared."""
+    """Return all arrays of a label, to be hashed or compared."""
     match label:
         case CornerLabels():
             return label.ids, label.pixels
@@ -109,7 +109,7 @@ def label_arrays(label: Labels) -> tuple[NDArray[Any], ...]:
 
 
 def label_count(label: Labels) -> int:
-    """How many labels there are: corners, points, or one pose."""
+    """Return the number of labels: corners, points, or one pose."""
     match label:
         case CornerLabels():
             return len(label.ids)
@@ -121,7 +121,7 @@ def label_count(label: Labels) -> int:
 
 @dataclass(frozen=True, eq=False)
 class Collection:
-    """What all sensors saw at one moment. Sensors that did not detect a pattern are absent."""
+    """Labels of all sensors at one moment. Sensors without a detection are absent."""
 
     key: str
     labels: Mapping[tuple[str, str], Labels]
@@ -130,57 +130,56 @@ class Collection:
 
 @dataclass(frozen=True, eq=False)
 class Dataset:
-    """A calibration dataset.
+    """Calibration dataset.
 
-    Transforms are held edge by edge with the collections as batch axis, so that any chain of
+    Transforms are stored edge by edge with the collections as batch axis, so that any chain of
     frames is one product for all collections.
     """
 
     path: Path
-    """The file it was read from."""
+    """File that it was read from."""
     version: str
-    """The version of the file, "2.0" or "3.0"."""
+    """Version of the file, "2.0" or "3.0"."""
     world: str
     sensors: Mapping[str, Sensor]
     patterns: Mapping[str, Pattern]
     anchored: str | None
-    """The sensor whose transform is given and stays as it is."""
+    """Sensor with a given transform, which is not calibrated."""
     additional_transforms: tuple[Edge, ...]
-    """Transforms to calibrate that belong to no sensor."""
+    """Transforms to calibrate that do not belong to a sensor."""
     collections: tuple[Collection, ...]
-    """In the order of their numbers, N of them."""
+    """The N collections, in the order of their numbers."""
     transforms: Mapping[Edge, Array]
     """(N, 4, 4) for each edge: ``T_parent_child`` in each collection; NaN where a collection lacks it."""
     document: Mapping[str, Any]
-    """The parsed JSON document, as it was read."""
+    """The parsed JSON document, unchanged."""
     moving_transforms: frozenset[Edge] = frozenset()
-    """Those of the additional transforms that each collection has its own of."""
+    """The additional transforms that differ between collections, each calibrated per collection."""
     joints: Mapping[str, Joint] = field(default_factory=dict)
-    """Joints of which parameters are calibrated, by name."""
+    """Joints with calibrated parameters, by name."""
     missing_files: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
-    """By sensor: the files that its labels refer to and that are not there. These labels are left out, and a sensor
-    that has no others is none of `sensors`."""
+    """By sensor: missing files that its labels refer to. They are left out, as are sensors without others."""
 
     @property
     def name(self) -> str:
-        """The name of the dataset's folder."""
+        """Name of the dataset's folder."""
         return self.path.resolve().parent.name
 
     @cached_property
     def tree(self) -> FrameTree:
-        """The frames of all collections."""
+        """Tree of the frames of all collections."""
         return FrameTree(self.transforms)
 
     @cached_property
     def keys(self) -> tuple[str, ...]:
-        """The keys of the collections, such as "000"."""
+        """Keys of the collections, such as "000"."""
         return tuple(collection.key for collection in self.collections)
 
     def transform(self, start: str, end: str) -> Array:
-        """``T_start_end`` (N, 4, 4) in every collection.
+        """Return ``T_start_end`` (N, 4, 4) in every collection.
 
         Raises:
-            InputError: a frame is unknown, not connected, or a transform on the way is missing in a collection.
+            InputError: a frame is unknown, not connected, or a transform between them is missing in a collection.
         """
         T = np.broadcast_to(np.eye(4), (len(self.collections), 4, 4))
         for step in self.tree.path(start, end):
@@ -193,7 +192,7 @@ class Dataset:
         return T
 
     def missing_files_of(self, sensor: str) -> str:
-        """What is not there of a sensor, in words; empty where nothing is missing."""
+        """Describe the missing files of a sensor; empty if there are none."""
         files = self.missing_files.get(sensor, ())
         if not files:
             return ""
@@ -201,29 +200,29 @@ class Dataset:
         return f"{len(files)} data file{'s' if files[1:] else ''} of sensor '{sensor}' not found: {listed}"
 
     def detections(self, pattern: str, sensor: str) -> list[tuple[int, Labels]]:
-        """The collections, by index, in which the sensor saw the pattern, with what it saw."""
+        """Return the collections, by index, in which the sensor saw the pattern, with the labels."""
         key = (pattern, sensor)
         return [(i, c.labels[key]) for i, c in enumerate(self.collections) if key in c.labels]
 
     def with_transforms(self, transforms: Mapping[Edge, Array]) -> "Dataset":
-        """A new dataset with some edges replaced or added; each (4, 4), for all collections, or (N, 4, 4)."""
+        """Return a new dataset with some edges replaced or added; each (4, 4), for all collections, or (N, 4, 4)."""
         shape = (len(self.collections), 4, 4)
         changed = {edge: np.broadcast_to(T, shape) for edge, T in transforms.items()}
         return replace(self, transforms={**self.transforms, **changed})
 
     def with_joints(self, values: Mapping[str, Array]) -> "Dataset":
-        """A new dataset with the parameters (7,) of some joints replaced, and their transforms with them."""
+        """Return a new dataset with the parameters (7,) of some joints, and so their transforms, replaced."""
         joints = {**self.joints, **{name: replace(self.joints[name], values=each) for name, each in values.items()}}
         moved = self.with_transforms({joints[name].edge: joints[name].transform for name in values})
         return replace(moved, joints=joints)
 
     def with_cameras(self, cameras: Mapping[str, Camera]) -> "Dataset":
-        """A new dataset with the intrinsics of some sensors replaced."""
+        """Return a new dataset with the intrinsics of some sensors replaced."""
         changed = {name: replace(self.sensors[name], camera=camera) for name, camera in cameras.items()}
         return replace(self, sensors={**self.sensors, **changed})
 
     def with_collections(self, keep: Sequence[int]) -> "Dataset":
-        """A new dataset with only the collections of these indices, in this order."""
+        """Return a new dataset with only the collections of these indices, in this order."""
         index = list(keep)
         return replace(
             self,

@@ -1,4 +1,4 @@
-"""Calibration patterns: where their corners and their border lie.
+"""Calibration patterns: the geometry of their corners and border.
 
 The pattern frame: x along a row of corners, y along a column, z into the board (away from a camera
 that sees it), all corners at z = 0. Metres.
@@ -19,35 +19,35 @@ PatternKind = Literal["charuco", "chessboard", "aprilgrid"]
 
 @dataclass(frozen=True, eq=False)
 class Pattern:
-    """One pattern, its geometry and its place in the tree of frames."""
+    """Calibration pattern: its geometry, and its frame in the tree."""
 
     name: str
     kind: PatternKind
     link: str
-    """The pattern's frame."""
+    """Frame of the pattern."""
     parent_link: str
-    """The frame that the pattern's pose is relative to."""
+    """Frame that the pattern's pose is relative to."""
     fixed: bool
-    """One pose for all collections, or one for each."""
+    """Whether it has one pose for all collections, or one for each."""
     corners: Array
-    """(K, 3): the inner corners, of an aprilgrid those of its tags, by label id; z = 0."""
+    """(K, 3): inner corners, or corners of an aprilgrid's tags, by label id; z = 0."""
     outline: Array
     """(4, 2): the corners of the physical border: top left, top right, bottom right, bottom left."""
 
     @property
     def centre(self) -> Array:
-        """(3,): the mean of the corners."""
+        """Mean of the corners (3,)."""
         mean: Array = self.corners.mean(axis=0)
         return mean
 
     @property
     def size(self) -> float:
-        """The radius of the corners about their centre (root mean square, m): the scale of the pattern."""
+        """Root-mean-square distance of the corners from their centre, m: the scale of the pattern."""
         return float(np.sqrt(((self.corners - self.centre) ** 2).sum(-1).mean()))
 
 
 def grid(columns: int, rows: int, square: float, origin: tuple[float, float]) -> Array:
-    """(K, 3): corner ``row * columns + column`` at ``origin + (column, row) * square``."""
+    """Return the corners of a grid (K, 3): corner ``row * columns + column`` is ``origin + (column, row) * square``."""
     row, column = np.divmod(np.arange(columns * rows), columns)
     corners = np.zeros((columns * rows, 3))
     corners[:, 0] = origin[0] + column * square
@@ -56,13 +56,13 @@ def grid(columns: int, rows: int, square: float, origin: tuple[float, float]) ->
 
 
 def tag_lines(count: int, tag: float, spacing: float) -> Array:
-    """(2 count,): where tags in a row begin and end, the first at 0; ``spacing`` in sides of a tag."""
+    """Return where the tags in a row begin and end (2 count,), from 0; ``spacing`` in sides of a tag."""
     begins = np.arange(count) * (1 + spacing) * tag
     return np.stack([begins, begins + tag], -1).ravel()
 
 
 def tag_grid(columns: int, rows: int, tag: float, spacing: float) -> Array:
-    """(4 * columns * rows, 3): the corners of an aprilgrid's tags, numbered as Kalibr does.
+    """Return the corners (4 * columns * rows, 3) of an aprilgrid's tags, numbered as in Kalibr.
 
     Corner 0 is the bottom left of tag 0, the tag at the bottom left of the board; along the bottom of the first
     row of tags, then along its top, and so on upwards, ``2 columns`` corners a row. Corner 0 is the origin, x points to
@@ -73,7 +73,7 @@ def tag_grid(columns: int, rows: int, tag: float, spacing: float) -> Array:
 
 
 def tag_outline(columns: int, rows: int, tag: float, spacing: float, border: tuple[float, float]) -> Array:
-    """(4, 2): the tags, the squares at their corners (a gap between tags wide), and the border around these."""
+    """Return the outline (4, 2) of an aprilgrid: tags, the squares at their corners (one gap wide), and the border."""
     (width, height), gap = ((n * (1 + spacing) - spacing) * tag for n in (columns, rows)), spacing * tag
     left, right = -gap - border[0], width + gap + border[0]
     top, bottom = -height - gap - border[1], gap + border[1]
@@ -81,14 +81,14 @@ def tag_outline(columns: int, rows: int, tag: float, spacing: float, border: tup
 
 
 def outline(columns: int, rows: int, square: float, border: tuple[float, float], origin: tuple[float, float]) -> Array:
-    """(4, 2): the printed squares, one more than inner corners each way, and the border around them."""
+    """Return the outline (4, 2) of a board: the squares, one more than inner corners each way, and the border."""
     left, top = origin[0] - square - border[0], origin[1] - square - border[1]
     right, bottom = origin[0] + columns * square + border[0], origin[1] + rows * square + border[1]
     return np.array([[left, top], [right, top], [right, bottom], [left, bottom]])
 
 
 def corner_origin(kind: PatternKind, version: str, square: float) -> tuple[float, float]:
-    """Where corner 0 lies in the pattern frame.
+    """Return the position of corner 0 in the pattern frame.
 
     A charuco board of dataset version 3 has its origin at the corner of the printed board; a
     chessboard, and a charuco board of version 2, on the first inner corner.
@@ -98,17 +98,17 @@ def corner_origin(kind: PatternKind, version: str, square: float) -> tuple[float
 
 CORNERS = ("top_left", "top_right", "bottom_right", "bottom_left")
 SIDES = {"top": (0, 1), "bottom": (3, 2), "left": (0, 3), "right": (1, 2)}
-"""The sides of the border, each from one of `CORNERS` to another."""
+"""Sides of the border, each from one of `CORNERS` to another."""
 SPACING = 0.02
-"""How far apart ATOM samples the sides of the border (m)."""
+"""m: distance of ATOM's samples of the sides of the border."""
 MAX_SAMPLES = 10_000
-"""The largest number of samples on one side."""
+"""Limit of the number of samples of one side."""
 MAX_COORDINATE = 1e6
-"""The largest coordinate in a pattern's frame (m)."""
+"""m: limit of a coordinate in a pattern's frame."""
 
 
 def with_explicit_geometry(pattern: Pattern, node: Node) -> Pattern:
-    """The pattern with the corners and the border that the document gives; what it lacks stays as it is.
+    """Return the pattern with the corners and the border of the document; missing parts are unchanged.
 
     Raises:
         InputError: something in it is wrong.
@@ -126,7 +126,7 @@ def _coordinate(node: Node) -> float:
 
 
 def _corners(node: Node) -> Array:
-    """(K, 3) by id; the ids must be 0 to K - 1, in any order."""
+    """Parse corners (K, 3) by id; the ids must be 0 to K - 1, in any order."""
     ids, places = read_corners([node])
     order = np.argsort(ids, kind="stable")
     if not np.array_equal(ids[order], np.arange(len(ids))):
@@ -139,7 +139,7 @@ def _corners(node: Node) -> Array:
 
 
 def pattern_document(pattern: Pattern, transforms_initial: Mapping[str, Any]) -> dict[str, Any]:
-    """The ``patterns[name]`` of a version 3 dataset; ``transforms_initial`` is kept as it is given."""
+    """Return the ``patterns[name]`` of a version 3 dataset; ``transforms_initial`` is copied unchanged."""
     ends = pattern.outline.tolist()
     return {
         "corners": [{"id": i, "x": x, "y": y} for i, (x, y, _) in enumerate(pattern.corners.tolist())],

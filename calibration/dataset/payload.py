@@ -1,4 +1,4 @@
-"""The files beside a dataset that its collections name: images and point clouds."""
+"""Data files of a dataset that its collections name: images and point clouds."""
 
 import os
 from pathlib import Path
@@ -8,11 +8,11 @@ from calibration.errors import InputError
 
 
 class MissingFileError(InputError):
-    """A file that a collection names is not there: its message is the name."""
+    """A data file is missing; the message is its name."""
 
 
 def locate_existing(name: Node) -> str:
-    """The path of a ``data_file``, as `locate`.
+    """Return the path of a ``data_file``, like `locate`, and check that it exists.
 
     Raises:
         MissingFileError: there is no such file.
@@ -23,16 +23,16 @@ def locate_existing(name: Node) -> str:
         os.stat(path)  # noqa: PTH116 (called for every cloud)
     except FileNotFoundError:
         raise MissingFileError(name.text()) from None
-    except (OSError, ValueError):  # who reads it says why it cannot
+    except (OSError, ValueError):  # the reader reports why it cannot be opened
         pass
     return path
 
 
 def locate(name: Node) -> str:
-    """The path of a ``data_file``, which must lie in the dataset's folder, symbolic links resolved.
+    """Return the path of a ``data_file``, which must be in the dataset's folder, with symbolic links resolved.
 
     Raises:
-        InputError: the name is no relative path, or leaves the folder.
+        InputError: the name is not a relative path, or leaves the folder.
     """
     file, folder = name.name(), name.file.parent
     try:

@@ -15,18 +15,18 @@ from calibration.files import read_bytes, write_atomically
 from calibration.geometry.types import Array
 
 Cloud = NDArray[np.floating[Any]]
-"""The points (N, 3) of a cloud in the sensor's frame (m), usually a view of a file's content."""
+"""Points (N, 3) of a cloud in the sensor's frame (m), usually a view of a file's content."""
 
 HEADER_BYTES = 1 << 16
-"""The header of a PCD file ends within so many bytes."""
+"""Limit of the size of a PCD file's header."""
 _DATA = re.compile(rb"^DATA[ \t]+(\S+)[ \t]*\r?\n", re.MULTILINE)
 
 
 def read_points(path: Path | str) -> Cloud:
-    """The points (N, 3) of a PCD file, of the file's precision; NaN where the sensor had no return.
+    """Read the points (N, 3) of a PCD file, in the file's precision; NaN for points without a return.
 
     Raises:
-        InputError: the file cannot be read, or is no PCD file with floating-point x, y and z.
+        InputError: the file cannot be read, or is not a PCD file with floating-point x, y and z.
     """
     data = read_bytes(path, MAX_BYTES, "a point cloud")
     try:
@@ -45,7 +45,7 @@ def write_points(path: Path | str, points: Array) -> None:
 
 
 def encode_pcd(points: Array) -> bytes:
-    """The content of a binary PCD file of float32 x, y, z, from points (N, 3)."""
+    """Encode points (N, 3) as a binary PCD file of float32 x, y, z."""
     header = (
         "# .PCD v0.7 - Point Cloud Data file format\nVERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\n"
         f"WIDTH {len(points)}\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS {len(points)}\nDATA binary\n"
@@ -54,10 +54,10 @@ def encode_pcd(points: Array) -> bytes:
 
 
 def decode_pcd(data: bytes) -> Cloud:
-    """The points of a PCD file's content.
+    """Decode the points of a PCD file.
 
     Raises:
-        InputError: it is no PCD file that can be read; the message does not name the file.
+        InputError: it is not a supported PCD file; the message does not name the file.
     """
     end = _DATA.search(data, 0, HEADER_BYTES)
     if end is None:
@@ -78,7 +78,7 @@ def decode_pcd(data: bytes) -> Cloud:
 
 
 class _Layout:
-    """Where x, y and z lie among the bytes of a point, and among the words of a line of ASCII."""
+    """Layout of x, y and z in the bytes of a point, or in the words of a line of ASCII."""
 
     def __init__(self, step: int, offsets: list[int], types: list[str], width: int, words: list[int]) -> None:
         self.step = step
@@ -88,7 +88,7 @@ class _Layout:
         self.words = words
 
     def points(self, data: bytes, start: int, count: int) -> Cloud:
-        """The points of packed data: a view where x, y and z are evenly spaced, else a copy."""
+        """Decode packed data: a view if x, y and z are evenly spaced, else a copy."""
         if len(data) - start < count * self.step:
             raise InputError(
                 f"found {len(data) - start} bytes of points, expected {count * self.step} for {count} points; "
@@ -133,7 +133,7 @@ def _pcd_layout(fields: str, size: str, type_: str, count: str) -> _Layout:
 
 
 def _pcd_count(header: dict[str, str]) -> int:
-    """How many points the header announces."""
+    """Return the number of points in the header."""
     points, width, height = (
         _whole(key, header[key].strip()) if key in header else None for key in ("POINTS", "WIDTH", "HEIGHT")
     )
@@ -164,7 +164,7 @@ def _decode_ascii(data: bytes, count: int, layout: _Layout) -> Cloud:
 
 
 def decode_message(message: Node) -> Cloud:
-    """The points of a PointCloud2 message as a document holds it; ``data`` is base64 text or a list of bytes.
+    """Decode a PointCloud2 message from a document; ``data`` is base64 text or a list of bytes.
 
     Raises:
         InputError: something in it is missing or wrong.
@@ -175,7 +175,7 @@ def decode_message(message: Node) -> Cloud:
     data = _message_bytes(message["data"])
     if len(data) < rows * row_step:
         raise message["data"].fault(f"found {len(data)} bytes, expected {rows} x {columns} points of {step} bytes")
-    if row_step > columns * step:  # rows with something behind them
+    if row_step > columns * step:  # rows with padding
         data = b"".join(data[i * row_step : i * row_step + columns * step] for i in range(rows))
     big = message.get("is_bigendian")
     if big and big.value not in (0, 1):

@@ -1,4 +1,4 @@
-"""Reading a dataset: ATOM's JSON, versions 2.0 and 3.0, checked whole before anyone calculates with it."""
+"""Read datasets: ATOM's JSON, versions 2.0 and 3.0, checked completely before any computation."""
 
 import gc
 import os
@@ -22,22 +22,22 @@ FILE_NAME = "dataset.json"
 
 
 def read_dataset(path: Path | str, data: Path | None = None) -> Dataset:
-    """The dataset in a folder with ``dataset.json``, or in a file itself.
+    """Read a dataset from a folder with ``dataset.json``, or from a JSON file.
 
-    Labels that refer to a point cloud or a depth image that is not there are left out (`Dataset.missing_files`); so is
-    a sensor that has no others, which then stays where the robot's description puts it.
+    Labels that refer to a missing point cloud or depth image are left out (`Dataset.missing_files`); so is
+    a sensor without other labels, which then keeps the pose of the robot's description.
 
     Every label of the result belongs to a known corner or point, every number is finite, every
-    sensor's calibrated transform lies on the way from the world to its frame, and no transform on
-    that way or on the way to a pattern's parent is missing in any collection. A missing pattern
+    sensor's calibrated transform is in the chain from the world to its frame, and no transform in
+    that chain or the chain to a pattern's parent is missing in any collection. A missing pattern
     transform is NaN. The arrays are read-only.
 
     Args:
         path: the folder, or the file.
-        data: the folder of the point clouds and depth images that it names, unless they lie beside it.
+        data: the folder of its point clouds and depth images; None if they are in the dataset's folder.
 
     Raises:
-        InputError: there is no such file, or something in it is missing or wrong; the message
+        InputError: the file does not exist, or something in it is missing or wrong; the message
             names the file, the keys that lead there, what was found and what was expected.
     """
     path = Path(path)
@@ -49,7 +49,7 @@ def read_dataset(path: Path | str, data: Path | None = None) -> Dataset:
 
 @contextmanager
 def _no_collector() -> Iterator[None]:
-    """Keep the garbage collector from looking again and again at a growing document: it is no garbage."""
+    """Disable the garbage collector while a document is parsed: it would scan it repeatedly and find nothing."""
     enabled = gc.isenabled()
     gc.disable()
     try:
@@ -98,10 +98,10 @@ def _read(path: Path, data: Path | None) -> Dataset:
 
 
 def _check_image_sizes(dataset: Dataset, collections: Sequence[Node]) -> None:
-    """Refuse labelled images that their messages give another size than the camera."""
+    """Refuse labelled images whose messages have another size than the camera."""
     for node, collection in zip(collections, dataset.collections, strict=True):
         for _, name in collection.labels:
-            camera = dataset.sensors[name].camera  # of a depth camera, the image itself is held to it
+            camera = dataset.sensors[name].camera  # the size of a depth camera's images is checked when they are read
             data = node.get("data")
             if camera and dataset.sensors[name].modality.has_corners and data and (message := data.get(name)):
                 for key, size in (("width", camera.width), ("height", camera.height)):
@@ -110,7 +110,7 @@ def _check_image_sizes(dataset: Dataset, collections: Sequence[Node]) -> None:
 
 
 def _moves(edge: Edge, transforms: Mapping[Edge, Array], described: Node | None) -> bool:
-    """Whether an additional transform differs between collections: as the file says, else as it stands there."""
+    """Whether an additional transform differs between collections: as the file states, else by its values."""
     entry = described.get("-".join(edge)) if described else None
     if kind := entry and entry.get("type"):
         if kind.text() not in ("fixed", "multiple"):
@@ -139,7 +139,7 @@ def _patterns(root: Node, configuration: Configuration, version: str) -> dict[st
 
 
 def _collections(node: Node) -> list[Node]:
-    """The collections in the order of their numbers."""
+    """Return the collections in the order of their numbers."""
     numbered: dict[int, Node] = {}
     for key, collection in node.items():
         if not (key.isascii() and key.isdigit() and len(key) <= 18):

@@ -1,4 +1,4 @@
-"""The sensors of a dataset: frames, calibrated transforms and intrinsics, checked against the configuration."""
+"""Sensors of a dataset: frames, calibrated transforms and intrinsics, checked against the configuration."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -11,20 +11,20 @@ from calibration.geometry.cameras import Camera
 from calibration.geometry.distortion import MODELS, Distortion, PlumbBob
 
 MAX_PIXELS = 1 << 20
-"""The largest width or height of an image."""
+"""px: limit of the width or height of an image."""
 MAX_INTRINSIC = 1e7
-"""No focal length, principal point (px) or coefficient of a lens is larger."""
+"""Limit of focal length, principal point (px) and distortion coefficients."""
 _TWINS = {
     "modality": "modality",
     "parent": "link",
     "calibration_parent": "parent_link",
     "calibration_child": "child_link",
 }
-"""Keys of a sensor and of its configuration that say the same."""
+"""Keys of a sensor, and the keys of its configuration with the same meaning."""
 
 
 def read_sensors(node: Node, configuration: Mapping[str, SensorConfiguration]) -> dict[str, Sensor]:
-    """The sensors of a dataset's ``sensors``.
+    """Parse the sensors of a dataset's ``sensors``.
 
     Raises:
         InputError: something in it is missing or wrong, or it differs from the configuration.
@@ -54,7 +54,7 @@ def read_sensors(node: Node, configuration: Mapping[str, SensorConfiguration]) -
 
 
 def read_camera(info: Node) -> Camera:
-    """The intrinsics of a sensor_msgs/CameraInfo: K, D and the size of the image.
+    """Parse the intrinsics of a sensor_msgs/CameraInfo: K, D and the size of the image.
 
     Raises:
         InputError: something in it is missing or wrong, its distortion model is not known, or the image is a part
@@ -79,7 +79,7 @@ def read_camera(info: Node) -> Camera:
 
 
 def _refuse_binning(info: Node, width: int, height: int) -> None:
-    """Refuse an image whose pixels are not those of K: in CameraInfo, K is of the whole image without binning."""
+    """Refuse an image with roi or binning: in CameraInfo, K is of the full image without binning."""
     for key in ("binning_x", "binning_y"):
         if (binning := info.get(key)) and binning.number() not in (0, 1):
             raise binning.unexpected("0 or 1: K, width and height of the image as it is, without binning")
@@ -90,7 +90,7 @@ def _refuse_binning(info: Node, width: int, height: int) -> None:
 
 
 def camera_document(camera: Camera) -> dict[str, Any]:
-    """What a CameraInfo says of a camera that `read_camera` reads: its size, model, D, K and P."""
+    """Return the CameraInfo fields that `read_camera` reads: size, model, D, K and P."""
     fx, fy, cx, cy = camera.fx, camera.fy, camera.cx, camera.cy
     return {
         "height": camera.height,

@@ -1,4 +1,4 @@
-"""The truth beside a dataset: what a calibration of it should find."""
+"""Ground truth of a dataset: the values that a calibration should find."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -23,21 +23,21 @@ class Truth:
     """True transforms, each ``T_parent_child`` (4, 4)."""
 
     path: Path
-    """The file it was read from."""
+    """File that it was read from."""
     sensors: Mapping[str, Edge]
-    """The calibrated transform of each sensor."""
+    """Calibrated transform of each sensor."""
     transforms: Mapping[Edge, Array]
-    """Those that are the same in all collections: of sensors, fixed patterns, additional transforms."""
+    """Transforms that are the same in all collections: of sensors, fixed patterns, additional transforms."""
     patterns: Mapping[str, Mapping[Edge, Array]]
-    """The poses of patterns in each collection, by its key, and of what else differs between collections."""
+    """Transforms that differ between collections, by the collection's key: poses of patterns and others."""
     notes: Mapping[str, Any] = field(default_factory=dict)
-    """What else the file says, such as the noise of the labels."""
+    """Other content of the file, such as the noise of the labels."""
     joints: Mapping[str, Mapping[JointParameter, float]] = field(default_factory=dict)
-    """The calibrated parameters of each joint, by its name, m and rad."""
+    """Calibrated parameters of each joint by name, m and rad."""
 
 
 def read_truth(path: Path | str) -> Truth:
-    """The truth in a file: ``sensors`` by name, ``patterns`` by collection, ``pattern`` if it is fixed.
+    """Read the truth from a file: ``sensors`` by name, ``patterns`` by collection, ``pattern`` if it is fixed.
 
     A file may also have ``transforms``, a list of further transforms that are the same in all
     collections; in ``patterns`` a list for each collection if there are several, other transforms that
@@ -78,12 +78,12 @@ def _parameters(node: Node) -> dict[JointParameter, float]:
 
 
 def choose_truth(dataset: Dataset, choice: str | None) -> Truth | None:
-    """The truth that a user has chosen for a dataset: a file, "dataset" for the transforms in it, "none".
+    """Return the truth that the user has chosen for a dataset: a file, "dataset" for the transforms in it, "none".
 
-    None stands for ``ground_truth.json`` beside the dataset, where there is one.
+    None means ``ground_truth.json`` beside the dataset, if it exists.
 
     Raises:
-        InputError: the file is wrong, or is about other transforms than those the dataset calibrates.
+        InputError: the file is wrong, or has other transforms than those the dataset calibrates.
     """
     if choice is None:
         return find_truth(dataset)
@@ -93,10 +93,10 @@ def choose_truth(dataset: Dataset, choice: str | None) -> Truth | None:
 
 
 def find_truth(dataset: Dataset) -> Truth | None:
-    """The truth in ``ground_truth.json`` beside the dataset, if there is one.
+    """Read the truth from ``ground_truth.json`` beside the dataset; None if there is no such file.
 
     Raises:
-        InputError: the file is wrong, or is about other transforms than those the dataset calibrates.
+        InputError: the file is wrong, or has other transforms than those the dataset calibrates.
     """
     path = dataset.path.parent / FILE_NAME
     if not path.exists():
@@ -114,7 +114,7 @@ def find_truth(dataset: Dataset) -> Truth | None:
 
 
 def truth_of(dataset: Dataset) -> Truth:
-    """The transforms and joints in a dataset as the truth, as in ATOM's simulations.
+    """Return the transforms and joints of a dataset as the truth, as in ATOM's simulations.
 
     Raises:
         InputError: a calibrated transform differs between collections.

@@ -1,4 +1,4 @@
-"""Writing a dataset: ATOM's JSON, version 3.0, which reads back as the same dataset."""
+"""Write datasets: ATOM's JSON, version 3.0, which reads back as the same dataset."""
 
 from collections.abc import Mapping
 from contextlib import suppress
@@ -38,12 +38,11 @@ def write_document(document: Mapping[str, Any], path: Path | str) -> None:
 def write_dataset(dataset: Dataset, path: Path | str, images: bool = True) -> Path:
     """Write a dataset into a folder as ``dataset.json``, or into a file whose name ends in ``.json``.
 
-    What a `Dataset` can change is written as it is now: the transforms, the intrinsics and the choice of
-    collections.
-    Everything else is as it was read; version 2.0 becomes 3.0 with its own corner coordinates, so
-    that poses keep their meaning. If transforms have changed, each collection also gets those that
-    were read, as ``transforms_ini``. The point clouds and depth images that lie beside the input come
-    along, and the images if wanted: as hard links where the file system can, else as copies.
+    Transforms, intrinsics and the choice of collections are those of ``dataset``; everything else is copied from the
+    document that was read. Version 2.0 becomes 3.0 with explicit corner coordinates, so that poses keep their
+    meaning. If transforms have changed, the original ones are added to each collection as ``transforms_ini``. The point
+    clouds and depth images are placed next to the output, and the images if requested: as hard links if the file system
+    supports them, else as copies.
 
     Returns:
         The path of the JSON file.
@@ -64,7 +63,7 @@ def write_dataset(dataset: Dataset, path: Path | str, images: bool = True) -> Pa
 
 
 def dataset_document(dataset: Dataset) -> dict[str, Any]:
-    """The version 3.0 document of a dataset; parts that have not changed are shared with the one that was read.
+    """Return the version 3.0 document of a dataset; unchanged parts are shared with the document that was read.
 
     Raises:
         InputError: a transform is not finite.
@@ -87,7 +86,7 @@ def dataset_document(dataset: Dataset) -> dict[str, Any]:
 
 
 def _changed(dataset: Dataset) -> dict[Edge, list[dict[str, Any] | None]]:
-    """The edges that are not as they were read: the entry of each collection, None where it has none."""
+    """Return the changed edges, with the entry for each collection; None where a collection lacks it."""
     collections = dataset.document["collections"]
     read = read_transforms([Node(dataset.path, ("collections", key), collections[key]) for key in dataset.keys])
     missing = np.full((len(dataset.keys), 4, 4), np.nan)
@@ -134,7 +133,7 @@ def _configuration(dataset: Dataset) -> dict[str, Any]:
 
 
 def _sensor(dataset: Dataset, name: str, read: Mapping[str, Any]) -> Mapping[str, Any]:
-    """A sensor as it was read; where its intrinsics are others now, with these."""
+    """Return the document of a sensor, with its current intrinsics if they have changed."""
     camera = dataset.sensors[name].camera if name in dataset.sensors else None
     if camera is None or camera == read_camera(
         Node(dataset.path, ("sensors", name, "camera_info"), read["camera_info"])
@@ -144,7 +143,7 @@ def _sensor(dataset: Dataset, name: str, read: Mapping[str, Any]) -> Mapping[str
 
 
 def _pattern(dataset: Dataset, pattern: Pattern) -> dict[str, Any]:
-    """The pattern as it was read, with what was missing."""
+    """Return the document of a pattern, with missing parts added."""
     read = (dataset.document.get("patterns") or {}).get(pattern.name) or {}
     given = {key: value for key, value in read.items() if value}
     initial = given.get("transforms_initial")
@@ -158,7 +157,7 @@ def _pattern(dataset: Dataset, pattern: Pattern) -> dict[str, Any]:
 
 
 def _initial_poses(dataset: Dataset, pattern: Pattern) -> dict[str, Any]:
-    """The pattern's poses in the dataset as the initial ones, with the camera that saw it."""
+    """Return the current poses of a pattern as its initial ones, with the camera that saw it."""
     edge = (pattern.parent_link, pattern.link)
     poses = {}
     for i, collection in enumerate(dataset.collections):
@@ -172,7 +171,7 @@ def _initial_poses(dataset: Dataset, pattern: Pattern) -> dict[str, Any]:
 
 
 def _kind(dataset: Dataset, edge: Edge) -> dict[str, Any]:
-    """What ATOM says of a transform: whether it is calibrated, and the same in all collections."""
+    """Return ATOM's attributes of a transform: whether it is calibrated, and constant in all collections."""
     calibrated = {*(sensor.edge for sensor in dataset.sensors.values()), *dataset.additional_transforms}
     joint = next((joint for joint in dataset.joints.values() if joint.edge == edge), None)
     return {
@@ -190,12 +189,12 @@ def _kind(dataset: Dataset, edge: Edge) -> dict[str, Any]:
 
 
 def _bring_payload(dataset: Dataset, folder: Path, images: bool) -> None:
-    """Put the files that the dataset's collections name, as far as they exist, into the folder."""
+    """Link or copy the existing data files of the collections into the folder."""
     for key in dataset.keys:
         data = dataset.document["collections"][key].get("data")
         for sensor, message in data.items() if isinstance(data, dict) else ():
             if sensor in dataset.sensors and (images or dataset.sensors[sensor].modality.points):
-                with suppress(InputError):  # what is wrong here has no label: reading did not need it
+                with suppress(InputError):  # a fault here concerns files without labels, which reading did not need
                     _bring(Node(dataset.path, ("collections", key, "data", sensor), message)["data_file"], folder)
 
 

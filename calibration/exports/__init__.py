@@ -1,8 +1,8 @@
-"""A calibration in the forms that a robot takes: its description, launch files, camera parameters.
+"""Export of calibrated datasets to the file formats that robots use: URDF, launch files, camera parameters.
 
-- ``calibrated``: what is exported, from a calibrated dataset;
-- ``urdf``: the team's own URDF with the calibrated origins, every other byte as it was;
+- ``calibrated``: the part of a calibrated dataset that is exported;
+- ``urdf``: the given URDF with calibrated origins, all other bytes unchanged;
 - ``transforms``: launch files of static transforms for ROS 1 and ROS 2, and the same as YAML;
 - ``cameras``: camera_info, Kalibr's camchain, OpenCV's FileStorage;
-- ``formats``: the table of all of them.
+- ``formats``: the table of all formats.
 """

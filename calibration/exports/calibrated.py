@@ -1,4 +1,4 @@
-"""What of a calibrated dataset goes to a robot: transforms, joints, cameras."""
+"""Calibrated part of a robot: the transforms, joints and cameras of a dataset that are exported."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -12,30 +12,30 @@ from calibration.geometry.transforms import distance
 from calibration.geometry.types import Array
 
 SAME = 1e-9
-"""m, rad: a calibrated transform is one for all collections."""
+"""m, rad: tolerance for a calibrated transform to be the same in all collections."""
 
 
 @dataclass(frozen=True, eq=False)
 class Calibrated:
-    """The calibrated part of a robot."""
+    """Calibrated transforms, joints and cameras of a robot."""
 
     name: str
-    """Of the system."""
+    """Name of the system."""
     transforms: Mapping[Edge, Array]
     """``T_parent_child`` (4, 4) of sensors and additional transforms."""
     joints: Mapping[Edge, Array]
     """``T_parent_child`` (4, 4) of calibrated joints at position 0."""
     cameras: Mapping[str, Camera]
     frames: Mapping[str, str]
-    """The frame of each camera's images."""
+    """Frame of each camera's images."""
     poses: Mapping[str, Array]
-    """``T_first_camera`` (4, 4) of each camera from the first one, where no moving transform is between them."""
+    """``T_first_camera`` (4, 4) of each camera relative to the first one, if no moving transform is between them."""
 
 
 def calibrated(dataset: Dataset) -> Calibrated:
-    """What a calibrated dataset says of its robot.
+    """Extract the calibrated transforms, joints and cameras from a dataset.
 
-    Patterns are left out: they are no part of it.
+    Patterns are left out: they are not part of the robot.
 
     Raises:
         InputError: a calibrated transform is missing, or differs between collections.
@@ -67,5 +67,5 @@ def calibrated(dataset: Dataset) -> Calibrated:
 
 
 def _differs(T: Array) -> bool:
-    """Whether transforms (N, 4, 4) are not the same in all collections."""
+    """Whether transforms (N, 4, 4) differ between collections."""
     return bool(max(float(part.max()) for part in distance(T[0], T)) > SAME)

@@ -1,4 +1,4 @@
-"""Parameters of the cameras, in the files that others read: ROS's camera_info, Kalibr's camchain, OpenCV's storage."""
+"""Camera parameters in other tools' file formats: ROS's camera_info, Kalibr's camchain, OpenCV's FileStorage."""
 
 from itertools import pairwise
 
@@ -12,7 +12,7 @@ from calibration.geometry.transforms import inverse
 
 
 def camera_info(camera: Camera, name: str) -> str:
-    """The file that ROS's camera_info_manager loads for a camera."""
+    """Return a camera's file for ROS's camera_info_manager."""
     fx, fy, cx, cy = (float(v) for v in camera.intrinsics[:4])
     coefficients = camera.distortion.coefficients.tolist()
 
@@ -33,10 +33,10 @@ def camera_info(camera: Camera, name: str) -> str:
 
 
 def kalibr_camchain(of: Calibrated) -> str:
-    """Kalibr's camchain: each camera, and where it stands to the one before (``T_cn_cnm1``).
+    """Return Kalibr's camchain: each camera, and its pose relative to the previous one (``T_cn_cnm1``).
 
     Raises:
-        InputError: a lens has coefficients that Kalibr's models have not: k3, or those of a rational one.
+        InputError: a distortion model has coefficients that Kalibr's models lack: k3, or those of the rational model.
     """
     document = {}
     for i, (name, camera) in enumerate(of.cameras.items()):
@@ -45,7 +45,7 @@ def kalibr_camchain(of: Calibrated) -> str:
         if any(coefficients[4:]):
             raise InputError(
                 f"camera '{name}': Kalibr has radtan (k1, k2, p1, p2) and equidistant, found "
-                f"{camera.distortion.ros_name} with {camera.distortion.names()[4]} and more: hold these at 0"
+                f"{camera.distortion.ros_name} with {camera.distortion.names()[4]} and more: keep these fixed at 0"
             )
         document[f"cam{i}"] = {
             "camera_model": "pinhole",
@@ -62,11 +62,11 @@ def kalibr_camchain(of: Calibrated) -> str:
 
 
 def opencv_storage(of: Calibrated) -> str:
-    """OpenCV's FileStorage: ``K_i`` and ``D_i`` of each camera, ``R_0_i`` and ``T_0_i`` from the first to each.
+    """Return OpenCV's FileStorage: ``K_i`` and ``D_i`` of each camera, ``R_0_i`` and ``T_0_i`` from the first to each.
 
-    A point X of the first camera is ``R X + T`` of the other, as cv2.stereoCalibrate has it.
+    A point X in the first camera's frame is ``R X + T`` in the other's, as in cv2.stereoCalibrate.
     """
-    import cv2  # slow to start, and whoever names a format would start it
+    import cv2  # imported here: it is slow, and listing the formats does not need it
 
     storage = cv2.FileStorage(".yml", cv2.FileStorage_WRITE | cv2.FileStorage_MEMORY)
     for i, (name, camera) in enumerate(of.cameras.items()):

@@ -1,4 +1,4 @@
-"""All files of some formats, for a calibrated dataset and, where it is given, the robot's description."""
+"""Export of a calibrated dataset to all files of the requested formats."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -15,16 +15,16 @@ CALIBRATED_URDF = "calibrated.urdf"
 
 
 def exported(dataset: Dataset, formats: Sequence[str], description: Path | None) -> tuple[dict[str, bytes], list[str]]:
-    """The files of formats by their names, and what a user should know of them.
+    """Return the files of the requested formats by name, and notes for the user.
 
     Args:
-        dataset: the calibrated one.
-        formats: their names; none for all that these data can have.
-        description: the robot's URDF; None for none.
+        dataset: the calibrated dataset.
+        formats: names of formats; empty for all that the dataset supports.
+        description: the robot's URDF; None if there is none.
 
     Raises:
-        InputError: a dataset that is not calibrated, a URDF that does not fit it, a format that is asked for and that
-            these data cannot have.
+        InputError: the dataset is not calibrated, the URDF does not match it, or the dataset does not support a
+            requested format.
     """
     if URDF in formats and description is None:
         raise InputError(f"the format {URDF} needs the robot's own file: give robot-description")
@@ -40,7 +40,7 @@ def exported(dataset: Dataset, formats: Sequence[str], description: Path | None)
 
 
 def _texts(of: Calibrated, formats: Sequence[str]) -> tuple[dict[str, bytes], list[str]]:
-    """The files of formats by their names, and which formats these data cannot have where all are asked for."""
+    """Return the files by name, and, if all formats are requested, those that the dataset does not support."""
     files: dict[str, bytes] = {}
     notes = []
     for name, each in FORMATS.items():

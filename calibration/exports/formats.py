@@ -1,4 +1,4 @@
-"""The formats: what each is called, and the files that it makes."""
+"""Table of the export formats: names, help, and the functions that write their files."""
 
 from collections.abc import Callable, Mapping
 from typing import NamedTuple
@@ -15,16 +15,16 @@ from calibration.exports.transforms import (
 )
 
 URDF = "urdf"
-"""The one format that needs a file of the team's: its own description."""
+"""The only format that needs an input file: the robot's URDF."""
 
 
 class Format(NamedTuple):
-    """A format of files."""
+    """Export format, one or several files."""
 
     what: str
     """One line of help."""
     files: Callable[[Calibrated], Mapping[str, str]]
-    """The texts of its files by their names."""
+    """Function that returns the texts of the files by name."""
 
 
 FORMATS: Mapping[str, Format] = {
@@ -44,6 +44,6 @@ FORMATS: Mapping[str, Format] = {
 
 
 def file_name(name: str) -> str:
-    """A name as that of a file: no separator, no hidden file."""
+    """Turn a name into a safe file name: no separators, not hidden."""
     kept = "".join(each if each.isalnum() or each in "_-." else "_" for each in name)
     return f"camera_info_{kept}"

@@ -1,4 +1,4 @@
-"""Calibrated transforms for robots whose description does not have them: launch files, YAML."""
+"""Calibrated transforms outside of a URDF: launch files of static transforms, and YAML."""
 
 import json
 import re
@@ -12,7 +12,7 @@ from calibration.geometry.types import Array
 
 AUTOWARE_BASE = "base_link"
 FRAME = re.compile(r"[\w./:+-]+")
-"""Of a launch file's attributes: blanks would be more arguments, ``$(...)`` would be evaluated."""
+"""Allowed in a launch file's attributes: blanks would separate arguments, ``$(...)`` would be evaluated."""
 
 
 def _quoted(text: str) -> str:
@@ -23,10 +23,10 @@ def _quoted(text: str) -> str:
 
 
 def _frame(name: str) -> str:
-    """A frame for an attribute of a launch file.
+    """Return a frame's name, checked for use in a launch file's attribute.
 
     Raises:
-        InputError: it would be more than a name there.
+        InputError: it contains other characters than those of `FRAME`.
     """
     if not FRAME.fullmatch(name):
         raise InputError(f"frame {name!r}: expected letters, digits and _ - . / : + in a frame of a launch file")
@@ -34,12 +34,12 @@ def _frame(name: str) -> str:
 
 
 def _parts(T: Array) -> tuple[list[float], list[float]]:
-    """Translation, and the rotation as a quaternion xyzw."""
+    """Return translation, and rotation as a quaternion xyzw."""
     return [float(v) + 0.0 for v in T[:3, 3]], [float(v) + 0.0 for v in to_quaternion(T[:3, :3])]
 
 
 def ros1_launch(of: Calibrated) -> str:
-    """A launch file of ROS 1: one ``static_transform_publisher`` a transform."""
+    """Return a ROS 1 launch file with one ``static_transform_publisher`` per transform."""
     lines = ["<launch>"]
     for i, ((parent, child), T) in enumerate(of.transforms.items()):
         xyz, quat = _parts(T)
@@ -50,7 +50,7 @@ def ros1_launch(of: Calibrated) -> str:
 
 
 def ros2_xml(of: Calibrated) -> str:
-    """The same for ROS 2, as XML."""
+    """Return a ROS 2 launch file in XML with one ``static_transform_publisher`` per transform."""
     lines = ["<launch>"]
     for arguments in _ros2_arguments(of):
         text = _quoted(" ".join([*arguments[:-3], _frame(arguments[-3]), arguments[-2], _frame(arguments[-1])]))
@@ -59,7 +59,7 @@ def ros2_xml(of: Calibrated) -> str:
 
 
 def ros2_launch(of: Calibrated) -> str:
-    """The same for ROS 2, as Python."""
+    """Return a ROS 2 launch file in Python with one ``static_transform_publisher`` per transform."""
     lines = [
         "from launch import LaunchDescription",
         "from launch_ros.actions import Node",
@@ -89,7 +89,7 @@ def _ros2_arguments(of: Calibrated) -> list[list[str]]:
 
 
 def tf_static(of: Calibrated) -> str:
-    """A list of transforms as messages of ``/tf_static`` have them, as YAML."""
+    """Return the transforms as YAML, in the form of ``/tf_static`` messages."""
     messages = []
     for (parent, child), T in of.transforms.items():
         xyz, quat = _parts(T)
@@ -107,9 +107,9 @@ def tf_static(of: Calibrated) -> str:
 
 
 def autoware(of: Calibrated) -> dict[str, str]:
-    """Autoware's two files of extrinsics, ``parent: {child: {x, y, z, roll, pitch, yaw}}``, as YAML.
+    """Return Autoware's two files of extrinsics, ``parent: {child: {x, y, z, roll, pitch, yaw}}``, as YAML.
 
-    What hangs on ``base_link`` stands in sensors_calibration.yaml, the rest in sensor_kit_calibration.yaml.
+    Children of ``base_link`` go to sensors_calibration.yaml, all others to sensor_kit_calibration.yaml.
     """
     files: dict[str, dict[str, dict[str, dict[str, float]]]] = {
         "sensors_calibration.yaml": {},
@@ -126,10 +126,10 @@ def autoware(of: Calibrated) -> dict[str, str]:
 
 
 def xacro_properties(of: Calibrated) -> str:
-    """Origins by joint for macros to load, ``parent_to_child: {xyz: ..., rpy: ...}``, as YAML.
+    """Return origins by joint as YAML to load in xacro, ``parent_to_child: {xyz: ..., rpy: ...}``.
 
     ``<xacro:property name="calibrated" value="${xacro.load_yaml('calibrated.yaml')}"/>`` loads it, and
-    ``<origin xyz="${calibrated['a_to_b']['xyz']}" rpy="${calibrated['a_to_b']['rpy']}"/>`` takes one.
+    ``<origin xyz="${calibrated['a_to_b']['xyz']}" rpy="${calibrated['a_to_b']['rpy']}"/>`` uses one.
     """
     origins = {
         f"{parent}_to_{child}": {

@@ -1,7 +1,7 @@
-"""The team's own URDF with calibrated origins; every other byte stays as it was.
+"""Write calibrated origins into an existing URDF; all other bytes are unchanged.
 
-A calibrated transform is a joint of the URDF, or spans several that are fixed: then the last of them takes the change.
-The file is parsed for where its tags stand, and only the ``xyz`` and ``rpy`` of the joints concerned are written anew.
+A calibrated transform is a joint of the URDF, or a chain of fixed joints, of which the last one is changed.
+The file is parsed for the byte positions of its tags, and only the ``xyz`` and ``rpy`` of these joints are rewritten.
 """
 
 import re
@@ -24,16 +24,16 @@ _ATTRIBUTE = r"""(\s{name}\s*=\s*)("[^"]*"|'[^']*')"""
 
 @dataclass
 class _Joint:
-    """A joint, and where it stands in the file."""
+    """Joint of a URDF, with its byte positions in the file."""
 
     name: str
     fixed: bool
     start: tuple[int, int]
-    """First and last byte of its tag."""
+    """First and last byte of the joint's tag."""
     parent: str = ""
     child: str = ""
     origin: tuple[int, int] | None = None
-    """Of the tag of its origin."""
+    """First and last byte of the tag of its origin."""
     xyz: str = "0 0 0"
     rpy: str = "0 0 0"
 
@@ -48,7 +48,7 @@ class _Joint:
 
 @dataclass
 class CalibratedUrdf:
-    """The new file, and what a person should know of it."""
+    """The new URDF, and notes for the user."""
 
     content: bytes
     notes: list[str] = field(default_factory=list)
@@ -59,12 +59,12 @@ def calibrated_urdf(content: bytes, transforms: Mapping[Edge, Array], where: str
 
     Args:
         content: the URDF, in UTF-8.
-        transforms: ``T_parent_child`` (4, 4), of joints that move at position 0.
+        transforms: ``T_parent_child`` (4, 4); of movable joints at position 0.
         where: the file, for messages.
 
     Raises:
-        InputError: it is no URDF or a xacro, two joints have one child, or it has not the frames of a transform or no
-            joint that could take it.
+        InputError: it is not a URDF, or is a xacro, two joints have the same child, or it lacks the frames of a
+            transform or a joint to change.
     """
     if XACRO in content:
         raise InputError(f"{where}: this is a xacro, a URDF was expected: expand it, or export 'xacro' properties")
@@ -94,7 +94,7 @@ def calibrated_urdf(content: bytes, transforms: Mapping[Edge, Array], where: str
 
 
 def _joints(content: bytes, where: str) -> list[_Joint]:
-    """The joints of a robot, by where their tags stand; tags elsewhere (transmissions, plugins) are none."""
+    """Return the robot's joints with the positions of their tags; those of transmissions and plugins are skipped."""
     found: list[_Joint] = []
     path: list[str] = []
     parser = ParserCreate("UTF-8")
@@ -115,7 +115,7 @@ def _joints(content: bytes, where: str) -> list[_Joint]:
                 joint.xyz, joint.rpy = attributes.get("xyz", joint.xyz), attributes.get("rpy", joint.rpy)
 
     def doctype(*_: object) -> None:
-        raise InputError(f"{where}: found a document type declaration; a URDF needs none, and entities are not read")
+        raise InputError(f"{where}: found a document type declaration; it is not allowed in a URDF")
 
     parser.StartElementHandler = start
     parser.EndElementHandler = lambda _: path.pop()
@@ -132,7 +132,7 @@ def _joints(content: bytes, where: str) -> list[_Joint]:
 
 
 def _span(content: bytes, parser: XMLParserType) -> tuple[int, int]:
-    """The first byte of the tag that is being read, and the one after its last."""
+    """Return the first byte of the current tag, and the byte after its last."""
     start = at = parser.CurrentByteIndex
     quote = b""
     while True:
@@ -147,7 +147,7 @@ def _span(content: bytes, parser: XMLParserType) -> tuple[int, int]:
 
 
 def _path(joints: Mapping[str, _Joint], parent: str, child: str, where: str) -> list[_Joint]:
-    """The joints from one link to another below it."""
+    """Return the joints from a link to one of its descendants."""
     path: list[_Joint] = []
     at = child
     while at != parent:
@@ -167,7 +167,7 @@ def _product(poses: list[Array]) -> Array:
 
 
 def _edit(content: bytes, joint: _Joint, T: Array) -> tuple[int, int, bytes]:
-    """What stands in the place of which bytes, so that a joint has another origin."""
+    """Return the byte range to replace, and its new content, to give a joint another origin."""
     new = {"xyz": number_texts(T[:3, 3]), "rpy": number_texts(rotations.to_rpy(T[:3, :3]))}
     if joint.origin is None:
         start, end = joint.start
@@ -185,7 +185,7 @@ def _edit(content: bytes, joint: _Joint, T: Array) -> tuple[int, int, bytes]:
 
 
 def number_texts(values: Array) -> str:
-    """Numbers with all their digits, separated by blanks; no -0."""
+    """Format numbers with all their digits, separated by blanks, without -0."""
     return " ".join(escape(repr(float(value) + 0.0)) for value in values)
 
 
