@@ -59,19 +59,12 @@ class SeenGroup:
         moved = moved if columns is None else moved @ columns
         return -moved if step.inverted else moved
 
-    def widened(self, twists: Array | None) -> Array | None:
-        """Twists of the pose (V, 6, k) as combinations of all columns (V, 6 + E, k)."""
-        if twists is None:
-            return None
-        out = np.zeros((len(twists), self.width, twists.shape[-1]))
-        out[:, :POSE] = twists
-        return out
-
 
 Weights = dict[str, float]
 """Of a group's own columns, by name."""
 Columns = Callable[[SeenGroup], Array | None]
-"""(6 + E, k) or (V, 6 + E, k): which columns of a group's views the parameters of a cause move; None for no view."""
+"""What the parameters of a cause do to a group's views: they move the pose by twists (V, 6, k), or they are combinations
+(6 + E, k) of a view's columns behind those of the pose; None for no view."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -212,7 +205,7 @@ def _combinations(weights: Sequence[Weights], concerns: Callable[[SeenGroup], bo
 def _of_moving_edge(edge: Edge, T: Array, assume: Assumptions) -> Iterator[Cause]:
     name = "-".join(edge)
     sigma = (assume.arm_translation,) * 3 + (assume.arm_rotation,) * 3
-    yield Cause("link", name, "m", lambda group: group.widened(group.twist(edge)), sigma)
+    yield Cause("link", name, "m", lambda group: group.twist(edge), sigma)
     axis = joint_axis(T)
     if axis is None:
         lengths = _lengths(T)
@@ -232,7 +225,7 @@ def _on_views(edge: Edge, twists: Array) -> Columns:
     """The columns of twists (N, 6, k) in an edge's child frame, one for each collection."""
 
     def columns(group: SeenGroup) -> Array | None:
-        return group.widened(group.twist(edge, twists[group.group.collections]))
+        return group.twist(edge, twists[group.group.collections])
 
     return columns
 
@@ -272,7 +265,7 @@ def moved_sensor(sensor: Sensor) -> Cause:
     """The pose of a sensor on its own, apart from others that may share its transform."""
 
     def columns(group: SeenGroup) -> Array | None:
-        return group.widened(group.twist(sensor.edge)) if group.sensor.name == sensor.name else None
+        return group.twist(sensor.edge) if group.sensor.name == sensor.name else None
 
     return Cause(PLACE, sensor.name, "m", columns, (0.0,) * 6, counts=False)
 
@@ -281,7 +274,7 @@ def moved_pattern(pattern: Pattern) -> Cause:
     """The pose of a fixed pattern."""
 
     def columns(group: SeenGroup) -> Array | None:
-        return group.widened(adjoint(group.T)) if group.pattern.name == pattern.name else None
+        return adjoint(group.T) if group.pattern.name == pattern.name else None
 
     return Cause(PLACE, pattern.name, "m", columns, (0.0,) * 6, counts=False)
 
@@ -296,7 +289,7 @@ def lag(sensor: Sensor, velocities: dict[tuple[str, str], Array]) -> Cause:
 
     def columns(group: SeenGroup) -> Array | None:
         found = velocities.get((group.sensor.name, group.pattern.name))
-        return group.widened(found[..., None]) if found is not None and group.sensor.name == sensor.name else None
+        return found[..., None] if found is not None and group.sensor.name == sensor.name else None
 
     return Cause("lag", sensor.name, "collections", columns, (0.0,), counts=False)
 

@@ -10,9 +10,10 @@ with the columns Z of the S calibrated parameters that all collections share and
 Every question about what is held is a question to these: no label is looked at again.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 
@@ -33,6 +34,7 @@ from calibration.estimation.held import (
 from calibration.estimation.label_columns import POSE, squeeze
 from calibration.estimation.normal_equations import Weighting
 from calibration.estimation.problem import Problem
+from calibration.estimation.views import Term
 from calibration.geometry.types import Array, IntArray
 
 MOST_CLUSTERS = 100
@@ -107,27 +109,22 @@ def linear_model(
     N = problem.collections
     ends = np.cumsum([S, *(cause.size for cause in found)]).tolist()
     places = [slice(*ends[i : i + 2]) for i in range(len(found))]
-    C = ends[-1]
     clusters = _at_most(np.arange(N) if clusters is None else clusters, MOST_CLUSTERS)
-    K = int(clusters.max()) + 1
-    G, g = np.zeros((K, C, C)), np.zeros((K, C))
-    mixed, H_local, g_local = np.zeros((N, C, P)), np.zeros((N, P, P)), np.zeros((N, P))
+    sums = _Sums.zeros(int(clusters.max()) + 1, N, ends[-1], P)
     table = table_of(problem.blocks, values)
     for seen in groups:
         start = 0
         for batch in batches(problem.blocks, [seen.group], N, problem.shared_parameters, problem.local_parameters):
             _, A = batch.linearise(table, values)
-            spread = batch.spread(A, (S, P), slice(0, 0))
-            count = len(A)
-            span = slice(start, start + count)
-            start += count
-            active, Z = _design(problem, seen, found, places, spread[0], span)
-            _add(
-                problem, seen, weighting, values, span, active, Z, spread[1], clusters, (G, g, mixed, H_local, g_local)
-            )
+            J_shared, J_local = batch.spread(A, (S, P), slice(0, 0))
+            span = slice(start, start := start + len(A))
+            design = _design(problem, seen, found, places, J_shared, span)
+            terms = problem.terms(seen.group.take(span), values)
+            _add(sums, seen, span, terms, weighting, design, J_local, clusters)
+    G, g = sums.G, sums.g
     alone = np.einsum("kii->i", G)
     if P:
-        _eliminate(G, g, mixed, H_local, g_local, clusters)
+        _eliminate(sums, clusters)
     prior = _priors(problem, values)
     kept = [i for i, at in enumerate(places) if G[:, at, at].any()]
     columns = np.concatenate([np.arange(S), *(np.arange(places[i].start, places[i].stop) for i in kept)]).astype(int)
@@ -168,81 +165,134 @@ def _at_most(clusters: IntArray, most: int) -> IntArray:
     return clusters * most // count if count > most else clusters
 
 
+@dataclass(frozen=True, eq=False)
+class _Sums:
+    """The products of all columns, summed: what `_add` fills."""
+
+    G: Array
+    """(K, C, C), over clusters."""
+    g: Array
+    """(K, C)."""
+    mixed: Array
+    """(N, C, P), over collections."""
+    H_local: Array
+    """(N, P, P)."""
+    g_local: Array
+    """(N, P)."""
+
+    @classmethod
+    def zeros(cls, K: int, N: int, C: int, P: int) -> Self:
+        """Before any view."""
+        return cls(np.zeros((K, C, C)), np.zeros((K, C)), np.zeros((N, C, P)), np.zeros((N, P, P)), np.zeros((N, P)))
+
+
+@dataclass(frozen=True, eq=False)
+class _Design:
+    """How some views depend on the columns of the model: through their pose, and through the view's other columns."""
+
+    moving: IntArray
+    """(a,): columns that move the pose."""
+    twists: Array
+    """(V, 6, a): by these twists."""
+    steady: IntArray
+    """(b,): columns that are the same combination of a view's other columns in all views."""
+    weights: Array
+    """(E, b): that combination."""
+
+
 def _design(
     problem: Problem, seen: SeenGroup, found: Sequence[Cause], places: Sequence[slice], J: Array, span: slice
-) -> tuple[IntArray, Array]:
-    """Which columns (C,) the views of a span depend on, and how on them: (v, 6 + E, active)."""
-    S = J.shape[-1]
+) -> _Design:
+    """The design of a span of a group's views, of which J (V, 6, S) is the Jacobian to the shared parameters."""
+    if J.shape[-1] == 0:
+        raise AssertionError("nothing is calibrated")
     used = np.flatnonzero(np.abs(J).max((0, 1)) > 0)
-    active, parts = [used], [seen.widened(J[:, :POSE, used])]
-    if seen.group.intrinsics is not None and not problem.blocks[seen.group.intrinsics].held:
-        intrinsics = problem.blocks[seen.group.intrinsics].intrinsics
+    moving, twists = [used], [J[:, :, used]]
+    steady, weights = [np.zeros(0, int)], [np.zeros((seen.width, 0))]
+    block = seen.group.intrinsics
+    if block is not None and not problem.blocks[block].held:
+        intrinsics = problem.blocks[block].intrinsics
         if intrinsics is None:
             raise AssertionError("a group's block of intrinsics has none")
-        at = problem.shared_parameters[seen.group.intrinsics]
-        own = np.concatenate([seen.names.selection({name: 1.0}) for name in intrinsics.free], -1)
-        active.append(np.arange(at.start, at.stop))
-        parts.append(np.broadcast_to(own, (len(J), *own.shape)))
+        steady.append(np.arange(problem.sizes[0])[problem.shared_parameters[block]])
+        weights += [seen.names.selection({name: 1.0}) for name in intrinsics.free]
     for cause, at in zip(found, places, strict=True):
         columns = cause.columns(seen)
-        if columns is not None:
-            active.append(np.arange(at.start, at.stop))
-            parts.append(columns[span] if columns.ndim == 3 else np.broadcast_to(columns, (len(J), *columns.shape)))
-    if S == 0:
-        raise AssertionError("nothing is calibrated")
-    return np.concatenate(active), np.concatenate([part for part in parts if part is not None], -1)
+        if columns is None:
+            continue
+        own, parts = (moving, twists) if columns.ndim == 3 else (steady, weights)
+        own.append(np.arange(at.start, at.stop))
+        parts.append(columns[span] if columns.ndim == 3 else columns)
+    return _Design(
+        np.concatenate(moving), np.concatenate(twists, -1), np.concatenate(steady), np.concatenate(weights, -1)[POSE:]
+    )
 
 
 def _add(
-    problem: Problem,
+    sums: _Sums,
     seen: SeenGroup,
-    weighting: Weighting,
-    values: Values,
     span: slice,
-    active: IntArray,
-    Z: Array,
+    terms: Sequence[Term],
+    weighting: Weighting,
+    design: _Design,
     J_local: Array,
     clusters: IntArray,
-    sums: tuple[Array, Array, Array, Array, Array],
 ) -> None:
-    """Add the views of a span to the sums over clusters and collections."""
-    G, g, mixed, H_local, g_local = sums
-    group = seen.group.take(span)
-    terms = problem.terms(group, values)
-    for first in range(0, len(Z), VIEWS_AT_A_TIME):
+    """Add a span of a group's views to the sums over clusters and collections."""
+    columns, T = np.concatenate([design.moving, design.steady]), seen.T[span]
+    a, W = len(design.moving), design.weights
+    for first in range(0, len(T), VIEWS_AT_A_TIME):
         part = slice(first, first + VIEWS_AT_A_TIME)
-        M, m = squeeze(
-            [term.take(part) for term in terms], seen.names.camera, seen.pattern, seen.T[span][part], weighting
-        )
-        collections = group.collections[part]
-        MZ = M @ Z[part]
-        for k in np.unique(clusters[collections]):
-            of = clusters[collections] == k
-            left = Z[part][of].reshape(-1, len(active))
-            G[k][np.ix_(active, active)] += left.T @ MZ[of].reshape(-1, len(active))
-            g[k][active] += left.T @ m[of].ravel()
-        Y = J_local[part, :POSE]
+        M, m = squeeze([term.take(part) for term in terms], seen.names.camera, seen.pattern, T[part], weighting)
+        collections = seen.group.collections[span][part]
+        A = design.twists[part]
+        At, MA = np.swapaxes(A, 1, 2), M[:, :, :POSE] @ A
+        which, sum_up = _by_cluster(clusters[collections])
+        G = np.empty((len(which), len(columns), len(columns)))
+        G[:, :a, :a] = sum_up(At @ MA[:, :POSE])
+        G[:, a:, :a] = W.T @ sum_up(MA[:, POSE:])
+        G[:, :a, a:] = np.swapaxes(G[:, a:, :a], 1, 2)
+        G[:, a:, a:] = W.T @ sum_up(M[:, POSE:, POSE:]) @ W
+        sums.G[which[:, None, None], columns[:, None], columns] += G
+        sums.g[which[:, None], design.moving] += sum_up((At @ m[:, :POSE, None])[..., 0])
+        sums.g[which[:, None], design.steady] += sum_up(m[:, POSE:]) @ W
+        Y = J_local[part]
         if Y.shape[-1]:
             Yt = np.swapaxes(Y, 1, 2)
-            H_local[collections] += Yt @ M[:, :POSE, :POSE] @ Y
-            g_local[collections] += (Yt @ m[:, :POSE, None])[..., 0]
-            mixed[collections[:, None], active] += np.swapaxes(MZ[:, :POSE], 1, 2) @ Y
+            sums.H_local[collections] += Yt @ M[:, :POSE, :POSE] @ Y
+            sums.g_local[collections] += (Yt @ m[:, :POSE, None])[..., 0]
+            sums.mixed[collections[:, None], design.moving] += np.swapaxes(MA[:, :POSE], 1, 2) @ Y
+            sums.mixed[collections[:, None], design.steady] += W.T @ (M[:, POSE:, :POSE] @ Y)
 
 
-def _eliminate(G: Array, g: Array, mixed: Array, H_local: Array, g_local: Array, clusters: IntArray) -> None:
+def _by_cluster(clusters: IntArray) -> tuple[IntArray, Callable[[Array], Array]]:
+    """Which clusters there are among those of views (v,), ascending, and what sums (v, ...) over each."""
+    order = clusters.argsort(kind="stable")
+    ranked = clusters[order]
+    starts = np.flatnonzero(np.diff(ranked, prepend=-1))
+    in_order = bool((order == np.arange(len(order))).all())
+
+    def sum_up(values: Array) -> Array:
+        values = values if in_order else values[order]
+        return values if len(starts) == len(values) else np.add.reduceat(values, starts)
+
+    return ranked[starts], sum_up
+
+
+def _eliminate(sums: _Sums, clusters: IntArray) -> None:
     """Take the local parameters out of the sums of each cluster."""
+    H_local, mixed = sums.H_local, sums.mixed
     index = np.arange(H_local.shape[-1])
     diagonal = H_local[:, index, index]
     H_local[:, index, index] = np.where(diagonal == 0.0, 1.0, diagonal)
-    right = np.concatenate([np.swapaxes(mixed, 1, 2), g_local[..., None]], -1)
-    solved = np.linalg.solve(H_local, right)
-    for k in range(len(G)):
-        of = clusters == k
-        left = np.swapaxes(mixed[of], 0, 1).reshape(mixed.shape[1], -1)
-        taken = left @ solved[of].reshape(-1, solved.shape[-1])
-        G[k] -= taken[:, :-1]
-        g[k] -= taken[:, -1]
-        G[k] = 0.5 * (G[k] + G[k].T)
+    solved = np.linalg.inv(H_local) @ np.concatenate([np.swapaxes(mixed, 1, 2), sums.g_local[..., None]], -1)
+    order = clusters.argsort(kind="stable")
+    ranked = clusters[order]
+    for of in np.split(order, np.flatnonzero(np.diff(ranked)) + 1):
+        k = clusters[of[0]]
+        taken = np.swapaxes(mixed[of], 0, 1).reshape(mixed.shape[1], -1) @ solved[of].reshape(-1, solved.shape[-1])
+        sums.G[k] -= 0.5 * (taken[:, :-1] + taken[:, :-1].T)
+        sums.g[k] -= taken[:, -1]
 
 
 def _priors(problem: Problem, values: Values) -> Array:

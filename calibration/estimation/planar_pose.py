@@ -44,57 +44,71 @@ def planar_poses(rays: Array, corners: Array, seen: BoolArray | None = None) -> 
 
 
 def _planar_poses(rays: Array, corners: Array, seen: BoolArray | None) -> Array:
-    """`planar_poses` for a chunk of views; the corners are (K, 2)."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        if seen is None:
-            weights = np.ones((1, len(corners)))
-        else:
-            weights = seen.astype(float)
-            rays = np.where(seen[:, None], rays, 0.0)
-        count = weights.sum(-1)
-        centre = weights @ corners / count[:, None]
-        q = (corners.T - centre[..., None]) * weights[:, None]  # (V, 2, K)
-        moments = q @ q.swapaxes(-1, -2) / count[:, None, None]
-        W = _inverse_sqrt(moments)
-        q = W @ q
-        basis = np.concatenate([weights[:, None], q], 1)  # (1, q1, q2), each of norm sqrt(count)
+    """`planar_poses` for a chunk of views; the corners are (K, 2).
 
+    All sums over corners are sums of 1, x, y and x^2 + y^2 of the rays times the monomials (1, a, b, a^2, ab, b^2) of
+    the corners, which are the same in all views: one product of matrices.
+    """
+    with np.errstate(divide="ignore", invalid="ignore"):
+        origin, size = corners.mean(0), np.sqrt(corners.var(0).sum()) or 1.0
+        a, b = ((corners - origin) / size).T
+        monomials = np.stack([np.ones_like(a), a, b, a * a, a * b, b * b], -1)  # (K, 6)
+        weights = np.ones((1, len(corners))) if seen is None else seen.astype(float)
+        rays = rays if seen is None else np.where(seen[:, None], rays, 0.0)
+        count = weights.sum(-1)
         middle = rays.sum(-1) / count[:, None]
-        offset = (rays - middle[..., None]) * weights[:, None]
-        fits, G = _regress(basis, offset)
+        offset = rays - middle[..., None] if seen is None else (rays - middle[..., None]) * weights[:, None]
+
+        of_corners = _second_moments(weights @ monomials)
+        centre = of_corners[:, 0, 1:] / count[:, None]
+        moments = of_corners[:, 1:, 1:] / count[:, None, None] - centre[:, :, None] * centre[:, None]
+        W = _inverse_sqrt(moments)
+        to_basis = np.zeros((len(W), 3, 3))  # from (1, a, b) to (1, q1, q2), each of norm sqrt(count)
+        to_basis[:, 0, 0] = 1.0
+        to_basis[:, 1:, 1:] = W
+        to_basis[:, 1:, 0] = -(W @ centre[..., None])[..., 0]
+
+        sums = np.concatenate([offset, (offset * offset).sum(1, keepdims=True)], 1) @ monomials
+        in_basis = to_basis[:, None] @ _second_moments(sums) @ to_basis.swapaxes(-1, -2)[:, None]
+        fits = in_basis[:, :2].swapaxes(1, 2) / count[:, None, None, None]  # (V, 3, 2, 3)
+        flat = fits.reshape(len(fits), 3, 6)
+        G = in_basis[:, 2] - count[:, None, None] * (flat @ flat.swapaxes(-1, -2))
         h3 = np.ones((len(rays), 3))
         h3[:, 1:] = -_solve2(G[:, 1:, 1:], G[:, 1:, 0])
         h12 = np.einsum("vi,vijk->vjk", h3, fits) + middle[..., None] * h3[:, None]
         H = np.concatenate([h12, h3[:, None]], 1)  # columns for 1, q1, q2
 
-        B = H[..., 1:] @ W  # columns for metres
+        B = H[..., 1:] @ (W / size)  # columns for metres
         S = B.swapaxes(-1, -2) @ B
         root = _inverse_sqrt(S)
         R = np.empty((len(rays), 3, 3))
         R[..., :2] = B @ root
         R[..., 2] = np.cross(R[..., 0], R[..., 1])
         scale = 0.5 * (root * S).sum((-1, -2))  # the mean singular value of B
-        t = H[..., 0] / scale[:, None] - (R[..., :2] @ centre[..., None])[..., 0]
+        t = H[..., 0] / scale[:, None] - (R[..., :2] @ (origin + size * centre)[..., None])[..., 0]
 
-        _, G_frontal = _regress(basis, q)  # singular when all corners but one lie on a line
-        usable = (count >= 4) & _regular(moments) & _regular(G_frontal[:, 1:, 1:])
-        spread = (offset * offset).sum((-1, -2)) / count
+        spread = sums[:, 2, 0] / count
+        usable = (count >= 4) & _regular(moments) & _in_two_directions(to_basis, monomials, weights)
         usable = usable & (spread > 1e-16 * (1 + (middle * middle).sum(-1))) & _regular(S)
     return np.where(usable[:, None, None], transform(R, t), np.nan)
 
 
-def _regress(basis: Array, rays: Array) -> tuple[Array, Array]:
-    """Regress the rays (V, 2, K), times each of the basis (V, 3, K), on the basis.
+def _second_moments(sums: Array) -> Array:
+    """Sums (..., 6) of the monomials (1, a, b, a^2, ab, b^2) as the matrices (..., 3, 3) of (1, a, b)(1, a, b)^T."""
+    matrices: Array = sums[..., [[0, 1, 2], [1, 3, 4], [2, 4, 5]]]
+    return matrices
 
-    Returns the coefficients (V, 3, 2, 3) and the Gram matrix of the residuals (V, 3, 3).
-    """
-    products = basis[:, :, None] * rays[:, None]  # (V, 3, 2, K)
-    views, _, _, corners = products.shape
-    count = (basis[:, 0] ** 2).sum(-1)[:, None, None]
-    fits = products.reshape(views, 6, corners) @ basis.swapaxes(-1, -2) / count
-    flat, flat_fits = products.reshape(views, 3, -1), fits.reshape(views, 3, 6)
-    G: Array = flat @ flat.swapaxes(-1, -2) - count * (flat_fits @ flat_fits.swapaxes(-1, -2))
-    return fits.reshape(views, 3, 2, 3), G
+
+def _in_two_directions(to_basis: Array, monomials: Array, weights: Array) -> BoolArray:
+    """Which views (V,) see more corners beside a line than one: else a homography is open."""
+    basis = (to_basis @ monomials[:, :3].T) * weights[:, None]  # (V, 3, K)
+    q = basis[:, 1:]
+    products = basis[:, :, None] * q[:, None]  # (V, 3, 2, K)
+    count = weights.sum(-1)[:, None, None]
+    flat = products.reshape(len(q), 3, -1)
+    fits = (products.reshape(len(q), 6, -1) @ basis.swapaxes(-1, -2) / count).reshape(len(q), 3, 6)
+    G = flat @ flat.swapaxes(-1, -2) - count * (fits @ fits.swapaxes(-1, -2))
+    return _regular(G[:, 1:, 1:])
 
 
 def _inverse_sqrt(S: Array) -> Array:

@@ -17,13 +17,17 @@ from typing import ClassVar, Literal, Self
 import numpy as np
 
 from calibration.dataset.modalities import NoiseKind
+from calibration.estimation.planar_pose import planar_poses
 from calibration.geometry import rotations
 from calibration.geometry.cameras import Camera
+from calibration.geometry.distortion import LAST_STEP
 from calibration.geometry.types import Array, BoolArray, IntArray
 
 CHUNK = 6400
 """Labels at a time: the rows of 128 views of 50 corners stay in a second-level cache."""
 
+ROUGH_STEP = 1e-3
+"""Where `calibration.geometry.distortion.Distortion.undistort` may stop for a start: the rays err by 1e-6."""
 Linearised = tuple[Array, Array, Array]
 
 
@@ -71,9 +75,25 @@ class CornerTerm:
     @property
     def rays(self) -> Array:
         """(V, 2, K): the labels as undistorted normalised coordinates."""
-        camera = self.camera
-        x, y = (self.pixels[:, 0] - camera.cx) / camera.fx, (self.pixels[:, 1] - camera.cy) / camera.fy
-        return np.stack(camera.distortion.undistort(x, y), 1)
+        return self._rays(slice(None), LAST_STEP)
+
+    def _rays(self, views: slice, step: float) -> Array:
+        camera, pixels = self.camera, self.pixels[views]
+        x, y = (pixels[:, 0] - camera.cx) / camera.fx, (pixels[:, 1] - camera.cy) / camera.fy
+        return np.stack(camera.distortion.undistort(x, y, step), 1)
+
+    @cached_property
+    def linear_poses(self) -> Array:
+        """``T_camera_centre`` (V, 4, 4) of each view by its homography; NaN where its corners give none."""
+        T = np.empty((len(self.pixels), 4, 4))
+        for views in chunks(*self.pixels.shape[::2]):
+            rays = self._rays(views, ROUGH_STEP)
+            seen = None if self.seen is None else self.seen[views]
+            if np.isnan(rays).any():  # a label where the distortion has no inverse must not cost its whole view
+                usable: BoolArray = np.asarray(np.isfinite(rays).all(1))
+                seen = usable if seen is None else seen & usable
+            T[views] = planar_poses(rays, self.corners, seen)
+        return T
 
     def take(self, views: IntArray | slice) -> "CornerTerm":
         """Only some of the views."""

@@ -14,9 +14,9 @@ from calibration.estimation.blocks import Block
 from calibration.estimation.least_squares import SETTLING, Termination, settle
 from calibration.estimation.median import median
 from calibration.estimation.normal_equations import Weighting
-from calibration.estimation.planar_pose import mirrored_poses, planar_poses
+from calibration.estimation.planar_pose import mirrored_poses
 from calibration.estimation.problem import Problem
-from calibration.estimation.residuals import CornerTerm, chunks
+from calibration.estimation.residuals import CornerTerm
 from calibration.estimation.views import Chain, Link, ViewGroup
 from calibration.geometry.cameras import Camera
 from calibration.geometry.types import Array, BoolArray
@@ -37,20 +37,6 @@ def corner_term(camera: Camera, pattern: Pattern, views: Sequence[CornerLabels])
         pixels[v][:, labels.ids] = labels.pixels.T
         seen[v, labels.ids] = True
     return CornerTerm(camera, pattern.corners - pattern.centre, pixels, None if seen.all() else seen)
-
-
-def linear_poses(term: CornerTerm) -> Array:
-    """``T_camera_centre`` (V, 4, 4) of each view by its homography; NaN where its corners give none."""
-    T = np.empty((len(term.pixels), 4, 4))
-    for views in chunks(*term.pixels.shape[::2]):
-        part = term.take(views)
-        rays = part.rays
-        seen = part.seen
-        if np.isnan(rays).any():  # a label where the distortion has no inverse must not cost its whole view
-            usable: BoolArray = np.asarray(np.isfinite(rays).all(1))
-            seen = usable if seen is None else seen & usable
-        T[views] = planar_poses(rays, part.corners, seen)
-    return T
 
 
 def refined_poses(
@@ -86,7 +72,7 @@ def fitted_poses(term: CornerTerm) -> tuple[Array, Array]:
 
     Returns as `refined_poses`, of each view the better of two minima.
     """
-    T, rms = refined_poses(term, linear_poses(term))
+    T, rms = refined_poses(term, term.linear_poses)
     mirrored, mirrored_rms = refined_poses(term, mirrored_poses(T, np.zeros(3)))
     flipped = mirrored_rms < rms
     return np.where(flipped[:, None, None], mirrored, T), np.where(flipped, mirrored_rms, rms)
@@ -98,7 +84,7 @@ def robust_poses(term: CornerTerm) -> Array:
     Views that the linear solution fits badly, because of outliers or few corners, are refined with
     a robust loss.
     """
-    T = linear_poses(term)
+    T = term.linear_poses.copy()
     good = np.isfinite(T[:, 0, 0])
     with np.errstate(invalid="ignore"):
         error = np.sqrt(np.nanmean(term.magnitudes(T)[good] ** 2, -1))

@@ -32,7 +32,7 @@ from calibration.estimation.plane_alignment import fit_planes
 from calibration.estimation.problem import Problem
 from calibration.estimation.residuals import CornerTerm, PoseTerm, RangeTerm
 from calibration.estimation.result import DroppedView
-from calibration.estimation.single_views import linear_poses, robust_poses
+from calibration.estimation.single_views import robust_poses
 from calibration.estimation.views import Term, ViewGroup
 from calibration.geometry.transforms import distance
 from calibration.geometry.types import Array, BoolArray, IntArray
@@ -124,7 +124,7 @@ def _noise(group: ViewGroup) -> float:
     """The median over the views of how far labels lie from what their own view says, px or m."""
     term = group.terms[0]
     if isinstance(term, CornerTerm):
-        return median(np.nan_to_num(_middle(term.magnitudes(linear_poses(term)), term.counts), posinf=0.0))
+        return median(np.nan_to_num(_middle(term.magnitudes(term.linear_poses), term.counts), posinf=0.0))
     if isinstance(term, RangeTerm):
         normals, offsets = fit_planes(term.points, term.present)
         off = np.abs(np.einsum("vi,vil->vl", normals, term.points) - offsets[:, None])

@@ -13,6 +13,8 @@ import numpy as np
 
 from calibration.geometry.types import Array
 
+LAST_STEP = 1e-8
+"""Of `Distortion.undistort`, in normalised coordinates: what remains is below rounding."""
 Distorted = tuple[Array, Array]
 DistortionJacobian = tuple[Array, Array, Array]
 
@@ -58,10 +60,16 @@ class Distortion(ABC):
         """Derivatives of the distorted coordinates with respect to each coefficient: (dx'/dc, dy'/dc)."""
 
     @abstractmethod
-    def undistort(self, x: Array, y: Array) -> Distorted:
+    def undistort(self, x: Array, y: Array, step: float = LAST_STEP) -> Distorted:
         """Invert `distort`, to machine precision.
 
         NaN where no inverse exists: far from the image centre a strong distortion folds the image over.
+
+        Args:
+            x: of any shape.
+            y: the same.
+            step: the iteration ends with a step that is shorter than this; it converges quadratically, so the error
+                that remains is about the square of it.
         """
 
 
@@ -109,7 +117,7 @@ class _RadialTangential(Distortion):
         )
         return distorted, jacobian
 
-    def undistort(self, x: Array, y: Array) -> Distorted:
+    def undistort(self, x: Array, y: Array, step: float = LAST_STEP) -> Distorted:
         """See `Distortion`; by Newton's method, started at the distorted point."""
         if self.is_identity:
             return x, y
@@ -121,11 +129,9 @@ class _RadialTangential(Distortion):
                 det = a * c - b * b
                 u, v = u + (c * ex - b * ey) / det, v + (a * ey - b * ex) / det
                 left = np.maximum(np.abs(ex), np.abs(ey))
-                if not (
-                    left > 1e-8
-                ).any():  # quadratic convergence: the remaining error is about the square of the last step
+                if not (left > step).any():
                     break
-            found = (left < 1e-6) & (a > 0) & (det > 0)  # negative determinant: the image is folded over
+            found = (left < max(step, 1e-6)) & (a > 0) & (det > 0)  # negative determinant: the image is folded over
         return (u, v) if found.all() else (np.where(found, u, np.nan), np.where(found, v, np.nan))
 
     def _inverse_start(self, x: Array, y: Array) -> Distorted:
@@ -270,7 +276,7 @@ class Equidistant(Distortion):
             out.append((x * factor, y * factor))
         return out
 
-    def undistort(self, x: Array, y: Array) -> Distorted:
+    def undistort(self, x: Array, y: Array, step: float = LAST_STEP) -> Distorted:
         """See `Distortion`; by Newton's method on the angle."""
         radius = np.hypot(x, y)
         t = np.minimum(radius, 1.5)
@@ -280,11 +286,9 @@ class Equidistant(Distortion):
                 slope = 1 + t2 * (3 * self.k1 + t2 * (5 * self.k2 + t2 * (7 * self.k3 + t2 * (9 * self.k4))))
                 left = radius - t * self._polynomial(t2)
                 t = t + left / slope
-                if not (
-                    np.abs(left) > 1e-8
-                ).any():  # quadratic convergence: the remaining error is about the square of the last step
+                if not (np.abs(left) > step).any():
                     break
-            found = (np.abs(left) < 1e-6) & (slope > 0) & (t >= 0) & (t < np.pi / 2)
+            found = (np.abs(left) < max(step, 1e-6)) & (slope > 0) & (t >= 0) & (t < np.pi / 2)
             grow = np.where(found, np.where(radius > 0, np.tan(t) / radius, 1.0), np.nan)
         return x * grow, y * grow
 

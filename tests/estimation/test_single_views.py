@@ -9,7 +9,7 @@ from calibration.estimation.least_squares import Termination
 from calibration.estimation.median import median
 from calibration.estimation.planar_pose import mirrored_poses
 from calibration.estimation.residuals import CornerTerm
-from calibration.estimation.single_views import corner_term, fitted_poses, linear_poses, refined_poses
+from calibration.estimation.single_views import corner_term, fitted_poses, refined_poses
 from calibration.geometry import rotations
 from calibration.geometry.cameras import Camera
 from calibration.geometry.distortion import PlumbBob
@@ -61,7 +61,7 @@ def test_exact_labels_give_exact_poses_through_distortion() -> None:
 
     for share in (1.0, 0.5):
         labels = term(T, seen=share)
-        np.testing.assert_allclose(linear_poses(labels), T, atol=1e-9)
+        np.testing.assert_allclose(labels.linear_poses, T, atol=1e-9)
         refined, rms = refined_poses(labels, retract(T, np.full((100, 6), 0.01)))
         np.testing.assert_allclose(refined, T, atol=1e-8)
         np.testing.assert_allclose(rms, 0, atol=1e-5)
@@ -71,11 +71,11 @@ def test_refinement_reaches_the_noise_floor() -> None:
     T = poses(2, 400)
     labels = term(T, 0.3, 2)
 
-    refined, rms = refined_poses(labels, linear_poses(labels))
+    refined, rms = refined_poses(labels, labels.linear_poses)
 
     # 2 K - 6 degrees of freedom in the squared norms of K corners
     assert np.mean(rms**2) == pytest.approx(0.3**2 * (2 * 50 - 6) / 50, rel=0.02)
-    linear = distance(T, linear_poses(labels))
+    linear = distance(T, labels.linear_poses)
     assert all(median(after) < 0.7 * median(before) for before, after in zip(linear, distance(T, refined), strict=True))
 
 
@@ -95,7 +95,7 @@ def test_the_refined_pose_is_a_minimum(huber: float | None) -> None:
 def test_the_error_is_that_of_reprojection() -> None:
     labels = term(poses(4, 20), 0.5, 4)
 
-    refined, rms = refined_poses(labels, linear_poses(labels))
+    refined, rms = refined_poses(labels, labels.linear_poses)
 
     np.testing.assert_allclose(rms, rms_of(labels, refined))
 
@@ -114,7 +114,7 @@ def test_huber_takes_the_weight_off_an_outlier() -> None:
     T = poses(7, 40)
     labels = term(T, 0.3, 7)
     labels.pixels[:, 0, 23] += 40
-    start = linear_poses(labels)
+    start = labels.linear_poses
 
     plain, robust = (refined_poses(labels, start, huber)[0] for huber in (None, 1.0))
 
@@ -152,7 +152,7 @@ def test_the_better_of_both_minima_is_fitted() -> None:
     labels = term(T, 0.3, 10)
 
     fitted, rms = fitted_poses(labels)
-    one, one_rms = refined_poses(labels, linear_poses(labels))
+    one, one_rms = refined_poses(labels, labels.linear_poses)
     _, back_rms = refined_poses(labels, mirrored_poses(fitted, np.zeros(3)))
 
     assert (rms <= one_rms).all()
@@ -167,7 +167,7 @@ def test_a_label_that_the_distortion_cannot_have_made_does_not_cost_the_view() -
     labels = term(T)
     labels.pixels[2, :, 7] = -5e4
 
-    linear = linear_poses(labels)
+    linear = labels.linear_poses
     robust, _ = refined_poses(labels, linear, huber=1.0)
 
     np.testing.assert_allclose(linear, T, atol=1e-9)
