@@ -15,6 +15,7 @@ from calibration.dataset.model import Dataset, Edge
 from calibration.errors import UndeterminedError
 from calibration.estimation.blocks import Block
 from calibration.estimation.views import ViewGroup
+from calibration.geometry.types import BoolArray
 
 RIGID = 1e-9
 """Transforms that differ by less (m, and elements of rotations) are the same in all collections."""
@@ -80,20 +81,24 @@ def _linked(dataset: Dataset, groups: Sequence[ViewGroup], blocks: Sequence[Bloc
     Two sensors are linked where they see the same pattern: a fixed one ever, a moving one in the same
     collection; or where the same unknown motion carries both in the same collection.
     """
-    witnesses: dict[str, set[tuple[str, int]]] = {}
+    N = len(dataset.collections)
+    witnesses: dict[str, dict[str, BoolArray]] = {}
     for group in groups:
         fixed = dataset.patterns[group.pattern].fixed
-        seen = {(group.pattern, -1)} if fixed else {(group.pattern, int(c)) for c in group.collections}
+        own = witnesses.setdefault(group.sensor, {})
         moving = {blocks[link.block].name for link in group.chain.links if blocks[link.block].per_collection}
-        seen |= {(name, int(c)) for name in moving for c in group.collections}
-        witnesses.setdefault(group.sensor, set()).update(seen)
-    parts: list[tuple[list[str], set[tuple[str, int]]]] = []
+        for name in moving | {group.pattern}:
+            seen = own.setdefault(name, np.zeros(N, bool))
+            seen[slice(None) if name == group.pattern and fixed else group.collections] = True
+    parts: list[tuple[list[str], dict[str, BoolArray]]] = []
     for sensor in (s for s in dataset.sensors if s in witnesses):
-        names, seen = [sensor], set(witnesses[sensor])
-        for part in [p for p in parts if p[1] & seen]:
+        names, of_part = [sensor], witnesses[sensor]
+        for part in [p for p in parts if any((p[1][name] & of_part[name]).any() for name in p[1].keys() & of_part)]:
             parts.remove(part)
-            names, seen = part[0] + names, part[1] | seen
-        parts.append((names, seen))
+            names = part[0] + names
+            both = {name: np.zeros(N, bool) for name in part[1].keys() | of_part}
+            of_part = {name: part[1].get(name, none) | of_part.get(name, none) for name, none in both.items()}
+        parts.append((names, of_part))
     return [sorted(names, key=list(dataset.sensors).index) for names, _ in parts]
 
 

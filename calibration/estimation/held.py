@@ -63,8 +63,8 @@ class SeenGroup:
 Weights = dict[str, float]
 """Of a group's own columns, by name."""
 Columns = Callable[[SeenGroup], Array | None]
-"""What the parameters of a cause do to a group's views: they move the pose by twists (V, 6, k), or they are combinations
-(6 + E, k) of a view's columns behind those of the pose; None for no view."""
+"""What the parameters of a cause do to a group's views: they move the pose by twists (V, 6, k), or they are
+combinations (6 + E, k) of a view's columns behind those of the pose; None for no view."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -82,19 +82,24 @@ def _products(rows: Array) -> tuple[Array, Array]:
 
 def _columns(term: Term, camera: Camera | None, pattern: Pattern, T: Array, weighting: Weighting) -> Array:
     """All columns of the labels as rows (V, 6 + E + 1, d L), weighted; the last are the residuals."""
-    if camera is not None:
-        term = term.seen_with(camera, range(len(camera.parameters)))
-    rows = term.rows(T, weighting.scales[term.kind], weighting.huber)
+    scale, huber = weighting.scales[term.kind], weighting.huber
     if isinstance(term, PoseTerm):
-        return rows.reshape(len(T), rows.shape[1], -1)
-    pull, own, residuals = rows[:, :3], rows[:, POSE:-1], rows[:, -1:]
-    extra = _lens(own, camera) if camera is not None else _ranging(term, pull, T)
-    columns = np.concatenate([rows[:, :POSE], own, extra, _shape(term, pattern, pull, T), residuals], 1)
-    return columns.reshape(len(T), columns.shape[1], -1)
+        rows = term.rows(T, scale, huber)
+    elif camera is not None:
+        term = term.seen_with(camera, range(len(camera.parameters)))
+        rows = term.rows(T, scale, huber, len(LENS) + len(SHAPE))
+        of_camera = POSE + len(camera.parameters)
+        _fill_lens(rows[:, of_camera : of_camera + len(LENS)], rows[:, POSE:of_camera], camera)
+        _fill_shape(rows[:, of_camera + len(LENS) : -1], term, pattern, rows[:, :3], T)
+    else:
+        rows = term.rows(T, scale, huber, len(RANGING) + len(SHAPE))
+        _fill_ranging(rows[:, POSE : POSE + len(RANGING)], term, rows[:, :3], T)
+        _fill_shape(rows[:, POSE + len(RANGING) : -1], term, pattern, rows[:, :3], T)
+    return rows.reshape(len(T), rows.shape[1], -1)
 
 
-def _lens(intrinsics: Array, camera: Camera) -> Array:
-    """(V, 3, 2, L): the columns of `LENS`, from those of fx: w (x, 0), of fy: w (0, y) and of cx: w (1, 0).
+def _fill_lens(out: Array, intrinsics: Array, camera: Camera) -> None:
+    """Fill the columns of `LENS` (V, 3, 2, L), from those of fx: w (x, 0), of fy: w (0, y) and of cx: w (1, 0).
 
     ``u = fx (x + skew y + prism_x r^2)``, ``v = fy (y + prism_y r^2)`` with (x, y) as the lens draws them
     (J. Weng et al., "Camera calibration with distortion models and accuracy evaluation", 1992).
@@ -102,16 +107,15 @@ def _lens(intrinsics: Array, camera: Camera) -> Array:
     weight = intrinsics[:, 2, 0]
     across, down = intrinsics[:, 0, 0], intrinsics[:, 1, 1]
     scale = np.where(weight > 0, weight, 1.0)
-    r2 = (across / scale) ** 2 + (down / scale) ** 2
-    out = np.zeros((len(intrinsics), len(LENS), *intrinsics.shape[2:]))
-    out[:, 0, 0] = camera.fx * down
-    out[:, 1, 0] = camera.fx * weight * r2
-    out[:, 2, 1] = camera.fy * weight * r2
-    return out
+    weighted_r2 = weight * ((across / scale) ** 2 + (down / scale) ** 2)
+    out[:, 0, 1] = out[:, 1, 1] = out[:, 2, 0] = 0.0
+    np.multiply(down, camera.fx, out=out[:, 0, 0])
+    np.multiply(weighted_r2, camera.fx, out=out[:, 1, 0])
+    np.multiply(weighted_r2, camera.fy, out=out[:, 2, 1])
 
 
-def _ranging(term: Term, pull: Array, T: Array) -> Array:
-    """(V, 6, 1, L): the columns of `RANGING`.
+def _fill_ranging(out: Array, term: Term, pull: Array, T: Array) -> None:
+    """Fill the columns of `RANGING` (V, 6, 1, L).
 
     They are made from where the rays should end, not from what was measured: with its noise in a column, that of the
     scale would explain the noise itself.
@@ -122,24 +126,27 @@ def _ranging(term: Term, pull: Array, T: Array) -> Array:
     flat = np.maximum(np.hypot(x, y), 1e-9)
     higher = np.stack([-x * z / flat, -y * z / flat, flat], 1)
     turn = np.arctan2(y, x) / (2 * np.pi)
-    columns = [np.einsum("vidl,vil->vdl", pull, each) for each in (ends / length, ends, -higher)]
-    columns += [-pull[:, i] * turn[:, None] for i in range(3)]
-    return np.stack(columns, 1)
+    for k, each in enumerate((ends / length, ends, -higher)):
+        out[:, k] = (pull * each[:, :, None]).sum(1)
+    np.multiply(pull, -turn[:, None, None], out=out[:, 3:])
 
 
-def _shape(term: Term, pattern: Pattern, pull: Array, T: Array) -> Array:
-    """(V, 6, d, L): the columns of `SHAPE`."""
-    local = np.einsum("vidl,vij->vjdl", pull, T[:, :3, :3])
+def _fill_shape(out: Array, term: Term, pattern: Pattern, pull: Array, T: Array) -> None:
+    """Fill the columns of `SHAPE` (V, 6, d, L)."""
+    V, _, d, L = pull.shape
+    local = (np.swapaxes(T[:, :3, :3], 1, 2) @ pull.reshape(V, 3, d * L)).reshape(pull.shape)
     places = term.places(T)
+    if places.strides[0] == 0:
+        places = places[:1]  # the same in all views
     half = np.ptp(pattern.outline, axis=0) / 2
     middle = pattern.outline.mean(0) - pattern.centre[:2]
-    a, b = ((places[:, i] - middle[i]) / half[i] for i in range(2))
-    x, y, z = (local[:, i] for i in range(3))
-    border = np.zeros_like(x)
+    a, b = ((places[:, i, None] - middle[i]) / half[i] for i in range(2))
+    for k, (axis, factor) in enumerate(
+        ((0, places[:, 0, None]), (1, places[:, 1, None]), (2, a * a - 1), (2, b * b - 1), (2, a * b))
+    ):
+        np.multiply(local[:, axis], factor, out=out[:, k])
+    out[:, 5] = 0.0
     if isinstance(term, BorderTerm):
         nearest = (np.einsum("si,vil->vls", term.normals, places[:, :2]) - term.offsets).argmax(-1)
         outward = np.moveaxis(term.normals[nearest], -1, 1)
-        border = x * outward[:, None, 0] + y * outward[:, None, 1]
-    columns = [x * places[:, None, 0], y * places[:, None, 1]]
-    columns += [z * bend[:, None] for bend in (a * a - 1, b * b - 1, a * b)]
-    return np.stack([*columns, border], 1)
+        out[:, 5] = local[:, 0] * outward[:, None, 0] + local[:, 1] * outward[:, None, 1]

@@ -39,7 +39,7 @@ from calibration.geometry.types import Array, IntArray
 
 MOST_CLUSTERS = 100
 """Clusters of collections; more tell nothing new about how far collections disagree."""
-VIEWS_AT_A_TIME = 256
+VIEWS_AT_A_TIME = 128
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,7 +104,8 @@ def linear_model(
     """
     groups = seen_groups(dataset, problem.groups, [problem.poses(group, values) for group in problem.groups])
     found = _causes(problem, dataset, groups, assume)
-    typical = [cause.assumed for cause in _causes(problem, dataset, groups, Assumptions())]
+    usual = found if assume == Assumptions() else _causes(problem, dataset, groups, Assumptions())
+    typical = [cause.assumed for cause in usual]
     S, P = problem.sizes
     N = problem.collections
     ends = np.cumsum([S, *(cause.size for cause in found)]).tolist()
@@ -287,12 +288,16 @@ def _eliminate(sums: _Sums, clusters: IntArray) -> None:
     H_local[:, index, index] = np.where(diagonal == 0.0, 1.0, diagonal)
     solved = np.linalg.inv(H_local) @ np.concatenate([np.swapaxes(mixed, 1, 2), sums.g_local[..., None]], -1)
     order = clusters.argsort(kind="stable")
-    ranked = clusters[order]
-    for of in np.split(order, np.flatnonzero(np.diff(ranked)) + 1):
-        k = clusters[of[0]]
-        taken = np.swapaxes(mixed[of], 0, 1).reshape(mixed.shape[1], -1) @ solved[of].reshape(-1, solved.shape[-1])
-        sums.G[k] -= 0.5 * (taken[:, :-1] + taken[:, :-1].T)
-        sums.g[k] -= taken[:, -1]
+    starts = np.flatnonzero(np.diff(clusters[order], prepend=-1))
+    taken = np.empty((len(starts), mixed.shape[1], solved.shape[-1]))
+    if len(starts) == len(order):
+        np.matmul(mixed[order], solved[order], out=taken)
+    else:
+        for k, of in enumerate(np.split(order, starts[1:])):
+            left = np.swapaxes(mixed[of], 0, 1).reshape(mixed.shape[1], -1)
+            np.matmul(left, solved[of].reshape(-1, solved.shape[-1]), out=taken[k])
+    np.subtract(sums.G, 0.5 * (taken[..., :-1] + np.swapaxes(taken[..., :-1], 1, 2)), out=sums.G)
+    np.subtract(sums.g, taken[..., -1], out=sums.g)
 
 
 def _priors(problem: Problem, values: Values) -> Array:

@@ -175,7 +175,7 @@ def mean_pose(T: Array, weights: ArrayLike | None = None) -> Array:
         distance = np.linalg.norm(T[:, :3, :3] - R, axis=(1, 2))
         nearness = w / np.maximum(distance, 0.05 * median(distance) + 1e-12)
         previous, R = R, rotations.nearest(np.einsum("n,nij->ij", nearness, T[:, :3, :3]))
-        if np.linalg.norm(R - previous) < 1e-9:
+        if np.linalg.norm(R - previous) < 1e-6:
             break
     return transform(R, _median(T[:, :3, 3], w))
 

@@ -1,5 +1,7 @@
 """Collections that repeat another one: the same poses of robot and pattern, within the noise of the labels."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from calibration.dataset.model import Dataset
@@ -28,12 +30,7 @@ def repeated_collections(dataset: Dataset, pixel: float | None) -> IntArray:
     views = _views(dataset, NEAR * (pixel or 0.0))
     moving = _moving(dataset)
     clusters = np.arange(len(dataset.collections))
-    pairs = np.unique(np.concatenate([np.zeros((0, 2), int), *map(_candidates, views)]), axis=0)
-    i, j = pairs.T
-    same = np.ones(len(pairs), bool)
-    for view in views:
-        same &= ~(((view[i] - view[j]) ** 2).mean(-1) > 1.0)  # what was not seen in both, NaN, says nothing
-    for k, first in pairs[same].tolist():
+    for k, first in _near(views):
         if (
             clusters[k] == k
             and clusters[first] == first
@@ -43,15 +40,36 @@ def repeated_collections(dataset: Dataset, pixel: float | None) -> IntArray:
     return clusters
 
 
-def _candidates(view: Array) -> IntArray:
-    """Pairs (i, j), j < i, of rows of a view (N, F) whose first coordinates allow that they are near."""
+def _near(views: Sequence[Array]) -> list[tuple[int, int]]:
+    """Pairs (i, j), j < i, ascending, of rows that are near in each of the views (N, F) which has both, and in one."""
+    N = max((len(view) for view in views), default=0)
+    numbers = [np.zeros(0, int)]
+    for view in views:
+        i, j = _candidates(view)
+        near = ~_apart(view, i, j)
+        numbers.append(i[near] * N + j[near])
+    i, j = np.divmod(np.unique(np.concatenate(numbers)), max(N, 1))
+    near = np.ones(len(i), bool)
+    for view in views:
+        near &= ~_apart(view, i, j)
+    return list(zip(i[near].tolist(), j[near].tolist(), strict=True))
+
+
+def _apart(view: Array, i: IntArray, j: IntArray) -> BoolArray:
+    """Whether rows of a view (N, F) are not near; what was not seen in both, NaN, says nothing."""
+    apart: BoolArray = ((view[i] - view[j]) ** 2).mean(-1) > 1.0
+    return apart
+
+
+def _candidates(view: Array) -> tuple[IntArray, IntArray]:
+    """Pairs of rows i, j, j < i, of a view (N, F) whose first coordinates allow that they are near."""
     order = view[:, 0].argsort(kind="stable")[: np.isfinite(view[:, 0]).sum()]
     ranked = view[order, 0]
     counts = np.searchsorted(ranked, ranked + np.sqrt(view.shape[-1]), side="right") - np.arange(len(order)) - 1
     first = np.repeat(np.arange(len(order)), counts)
     second = first + 1 + np.arange(len(first)) - np.repeat(np.cumsum(counts) - counts, counts)
-    pairs = np.stack([order[first], order[second]], -1)
-    return np.sort(pairs, axis=-1)[:, ::-1]
+    a, b = order[first], order[second]
+    return np.maximum(a, b), np.minimum(a, b)
 
 
 def _views(dataset: Dataset, pixels: float) -> list[Array]:

@@ -107,16 +107,18 @@ class CornerTerm:
         """See `calibration.estimation.views.Term`."""
         size = 6 + len(self.free)
         cost, H, g = np.empty(len(T)), np.empty((len(T), size, size)), np.empty((len(T), size))
-        for part in chunks(len(T), self.pixels.shape[-1]):
-            cost[part], rows = self._weighted_rows(T, part, scale, huber)
+        K = self.pixels.shape[-1]
+        for part in chunks(len(T), K):
+            rows = _SCRATCH.rows(len(T[part]), size + 1, 2, K)
+            cost[part] = self._fill(rows, T[part], part, scale, huber)
             H[part], g[part] = _squeezed(rows.reshape(len(rows), size + 1, -1))
         return cost, H, g
 
-    def rows(self, T: Array, scale: float, huber: float | None) -> Array:
+    def rows(self, T: Array, scale: float, huber: float | None, spare: int = 0) -> Array:
         """See `calibration.estimation.views.Term`."""
-        out = np.empty((len(T), 7 + len(self.free), 2, self.pixels.shape[-1]))
+        out = np.empty((len(T), 7 + len(self.free) + spare, 2, self.pixels.shape[-1]))
         for part in chunks(len(T), self.pixels.shape[-1]):
-            out[part] = self._weighted_rows(T, part, scale, huber)[1]
+            self._fill(out[part], T[part], part, scale, huber)
         return out
 
     def places(self, T: Array) -> Array:
@@ -132,7 +134,7 @@ class CornerTerm:
             xd, yd = self.camera.distortion.distort(x, y)
             u = self.camera.fx * xd + (self.camera.cx - self.pixels[part, 0])
             v = self.camera.fy * yd + (self.camera.cy - self.pixels[part, 1])
-            out[part] = np.where(front, np.hypot(u, v), np.nan)
+            out[part] = np.where(front, np.sqrt(u * u + v * v), np.nan)
         return out if self.seen is None else np.where(self.seen, out, np.nan)
 
     def _normalised(self, T: Array, seen: BoolArray | None) -> tuple[Array, Array, Array, BoolArray]:
@@ -145,9 +147,9 @@ class CornerTerm:
         inverse_z = 1.0 / z
         return P[:, 0] * inverse_z, P[:, 1] * inverse_z, inverse_z, front
 
-    def _weighted_rows(self, T: Array, part: slice, scale: float, huber: float | None) -> tuple[Array, Array]:
-        """Cost (v,) and rows (v, 7 + m, 2, K) of a part of the views; the rows stay until the next call."""
-        T, pixels, seen = T[part], self.pixels[part], None if self.seen is None else self.seen[part]
+    def _fill(self, rows: Array, T: Array, part: slice, scale: float, huber: float | None) -> Array:
+        """Fill the first 6 + m and the last of weighted rows (v, r, 2, K) of a part of the views; their cost (v,)."""
+        pixels, seen = self.pixels[part], None if self.seen is None else self.seen[part]
         camera = self.camera
         fx, fy = camera.fx / scale, camera.fy / scale
         x, y, inverse_z, front = self._normalised(T, seen)
@@ -172,15 +174,14 @@ class CornerTerm:
             cost = np.where(behind.any(-1), np.inf, cost)
         if seen is not None:
             weight = seen.astype(float) if weight is None else weight * seen
-        size = 6 + len(self.free)
-        rows = _SCRATCH.rows(len(T), size + 1, 2, x.shape[-1])
         _corner_rows(rows[:, :, 0], ux, uy, ru, x, y, inverse_z, weight)
         _corner_rows(rows[:, :, 1], vx, vy, rv, x, y, inverse_z, weight)
         if self.free:
-            self._intrinsics_rows(rows[:, 6:size], x, y, xd, yd, scale)
+            own = rows[:, 6 : 6 + len(self.free)]
+            self._intrinsics_rows(own, x, y, xd, yd, scale)
             if weight is not None:
-                rows[:, 6:size] *= weight[:, None, None]
-        return cost, rows
+                own *= weight[:, None, None]
+        return cost
 
     def _intrinsics_rows(self, rows: Array, x: Array, y: Array, xd: Array, yd: Array, scale: float) -> None:
         """Fill (v, m, 2, K) rows: the derivative of both image axes to each of the free intrinsics."""
@@ -318,12 +319,12 @@ class RangeTerm(_Rays):
             H[part], g[part] = _squeezed(rows)
         return cost, H, g
 
-    def rows(self, T: Array, scale: float, huber: float | None) -> Array:
+    def rows(self, T: Array, scale: float, huber: float | None, spare: int = 0) -> Array:
         """See `calibration.estimation.views.Term`."""
-        out = np.empty((len(T), 7, 1, self.rays.shape[-1]))
+        out = np.empty((len(T), 7 + spare, 1, self.rays.shape[-1]))
         for part in chunks(len(T), self.rays.shape[-1]):
             meeting = _Meeting(T[part], self.rays[part], self.ranges[part])
-            out[part, :, 0] = _range_rows(meeting, self.present[part], scale, huber)[1]
+            _spread(_range_rows(meeting, self.present[part], scale, huber)[1], out[part, :, 0])
         return out
 
     def places(self, T: Array) -> Array:
@@ -377,9 +378,10 @@ class BorderTerm(_Rays):
         cost, rows = self._weighted_rows(T, scale, huber)
         return cost, *_squeezed(rows)
 
-    def rows(self, T: Array, scale: float, huber: float | None) -> Array:
+    def rows(self, T: Array, scale: float, huber: float | None, spare: int = 0) -> Array:
         """See `calibration.estimation.views.Term`."""
-        return self._weighted_rows(T, scale, huber)[1][:, :, None]
+        rows = self._weighted_rows(T, scale, huber)[1]
+        return _spread(rows, np.empty((len(T), 7 + spare, rows.shape[-1])))[:, :, None]
 
     def places(self, T: Array) -> Array:
         """See `calibration.estimation.views.Term`; those on the nearest border line."""
@@ -448,9 +450,9 @@ class PoseTerm:
         cost, rows = self._weighted_rows(T, scale, huber)
         return cost, *_squeezed(rows)
 
-    def rows(self, T: Array, scale: float, huber: float | None) -> Array:
+    def rows(self, T: Array, scale: float, huber: float | None, spare: int = 0) -> Array:
         """See `calibration.estimation.views.Term`."""
-        return self._weighted_rows(T, scale, huber)[1][..., None]
+        return _spread(self._weighted_rows(T, scale, huber)[1], np.empty((len(T), 7 + spare, 3)))[..., None]
 
     def places(self, T: Array) -> Array:
         """See `calibration.estimation.views.Term`: the pattern's centre."""
@@ -570,6 +572,12 @@ def _weighted(rows: Array, present: BoolArray, huber: float | None) -> Array:
     cost, weight = robust(rows[:, 6] ** 2, huber)
     rows *= (present if weight is None else present * weight)[:, None]
     return cost
+
+
+def _spread(rows: Array, out: Array) -> Array:
+    """Rows (v, 7, L) as the first six and the last of more rows (v, r, L)."""
+    out[:, :6], out[:, -1] = rows[:, :6], rows[:, 6]
+    return out
 
 
 def _squeezed(rows: Array) -> tuple[Array, Array]:

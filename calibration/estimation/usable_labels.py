@@ -28,22 +28,24 @@ def usable_labels(dataset: Dataset) -> tuple[Dataset, tuple[str, ...]]:
     """
     ignored: list[str] = []
     on_lines = _on_lines(dataset)
-    kept: list[dict[tuple[str, str], Labels]] = []
+    modalities = {name: sensor.modality for name, sensor in dataset.sensors.items()}
+    kept: list[Mapping[tuple[str, str], Labels]] = []
     for i, collection in enumerate(dataset.collections):
-        faults = {
-            key: _too_few(label, dataset.sensors[key[1]].modality) or on_lines.get((i, *key), "")
-            for key, label in collection.labels.items()
-        }
-        kept.append({key: label for key, label in collection.labels.items() if not faults[key]})
-        ignored += [f"collection {collection.key}, {key[1]}: {fault}" for key, fault in faults.items() if fault]
-    fixed = {p for labels in kept for p in _seen_by_cameras(labels) if dataset.patterns[p].fixed}
-    for collection, labels in zip(dataset.collections, kept, strict=True):
-        known = fixed | _seen_by_cameras(labels)
-        for pattern, sensor in [key for key in labels if key[0] not in known]:
-            del labels[pattern, sensor]
-            ignored.append(f"collection {collection.key}, {sensor}: no camera saw '{pattern}'")
+        labels = collection.labels
+        faults = {key: fault for key, label in labels.items() if (fault := _too_few(label, modalities[key[1]]))}
+        if on_lines:
+            faults = {key: on_lines[i, *key] for key in labels if (i, *key) in on_lines} | faults
+        kept.append({key: label for key, label in labels.items() if key not in faults} if faults else labels)
+        ignored += [f"collection {collection.key}, {key[1]}: {faults[key]}" for key in labels if key in faults]
+    if any(modality.points for modality in modalities.values()):
+        fixed = {p for labels in kept for p in _seen_by_cameras(labels) if dataset.patterns[p].fixed}
+        for i, collection in enumerate(dataset.collections):
+            known = fixed | _seen_by_cameras(kept[i])
+            if unknown := [key for key in kept[i] if key[0] not in known]:
+                kept[i] = {key: label for key, label in kept[i].items() if key not in unknown}
+                ignored += [f"collection {collection.key}, {key[1]}: no camera saw '{key[0]}'" for key in unknown]
     for sensor in dataset.sensors:
-        if not any(sensor == s for labels in kept for _, s in labels):
+        if not any(s == sensor for labels in kept for _, s in labels):
             raise InputError(f"{dataset.path}: sensor '{sensor}': no collection has enough labels of it")
     seen = {pattern for labels in kept for pattern, _ in labels}
     ignored += [
@@ -58,9 +60,12 @@ def usable_labels(dataset: Dataset) -> tuple[Dataset, tuple[str, ...]]:
     usable = replace(
         dataset,
         patterns={name: pattern for name, pattern in dataset.patterns.items() if name in seen},
-        collections=tuple(replace(c, labels=labels) for c, labels in zip(dataset.collections, kept, strict=True)),
+        collections=tuple(
+            c if labels is c.labels else replace(c, labels=labels)
+            for c, labels in zip(dataset.collections, kept, strict=True)
+        ),
     )
-    return usable.with_collections(keep), tuple(ignored)
+    return usable if len(keep) == len(kept) else usable.with_collections(keep), tuple(ignored)
 
 
 def _seen_by_cameras(labels: Mapping[tuple[str, str], Labels]) -> set[str]:

@@ -105,10 +105,10 @@ class Term(Protocol):
             huber: the threshold in standard deviations beyond which the loss grows linearly.
         """
 
-    def rows(self, T: Array, scale: float, huber: float | None) -> Array:
-        """Weighted rows (V, 7 + m, d, L): of the twist, of the m free intrinsics, and the residuals; d as `dimension`.
+    def rows(self, T: Array, scale: float, huber: float | None, spare: int = 0) -> Array:
+        """Weighted rows (V, 7 + m + spare, d, L): of the twist, of the m free intrinsics, spare ones, the residuals.
 
-        `linearise` gives their products. Arguments as there.
+        `linearise` gives their products. Arguments as there; d is `dimension`, the spare rows are left for the caller.
         """
 
     def places(self, T: Array) -> Array:

@@ -102,14 +102,33 @@ def without(dataset: Dataset, dropped: Sequence[DroppedView]) -> Dataset:
 
 def _nearer(problem: Problem, start: Values) -> Values | None:
     """Values nearer to the optimum than the start is; None where all views fit well at one of them."""
-    noise = [_noise(group) for group in problem.groups]
-    if _all_fit(problem, start, noise):
+    first = tuple(replace(group, terms=group.terms[:1]) for group in problem.groups)
+    kinds = {group.terms[0].kind for group in first}
+    nearby = replace(problem, groups=first)
+    if _none_noticeable(nearby, start):
         return None
-    first = [(group, group.terms[0].kind) for group in problem.groups]
-    scales = {kind: NOTICEABLE[kind] / 2 for _, kind in first}
-    groups = tuple(replace(group, terms=group.terms[:1]) for group, _ in first)
-    nearer = minimise(replace(problem, groups=groups), start, Weighting(scales, HUBER), IMPROVING).values
-    return None if _all_fit(problem, nearer, noise) else nearer
+    noise = [_noise(group) for group in first]
+    if _all_fit(nearby, start, noise):
+        return None
+    weighting = Weighting({kind: NOTICEABLE[kind] / 2 for kind in kinds}, HUBER)
+    nearer = minimise(nearby, start, weighting, IMPROVING).values
+    return None if _all_fit(nearby, nearer, noise) else nearer
+
+
+def _none_noticeable(problem: Problem, values: Values) -> bool:
+    """Whether the median of each view's misses is not noticeable, as its mean square tells without ranking them.
+
+    At least half of the misses are as large as their median m, so their mean square is at least m^2 / 2.
+    """
+    for group in problem.groups:
+        (term,) = problem.terms(group, values)
+        magnitudes = term.magnitudes(problem.poses(group, values))
+        there = np.isfinite(magnitudes)
+        squares = np.einsum("vl,vl->v", *(2 * [magnitudes if there.all() else np.where(there, magnitudes, 0.0)]))
+        all_there = np.count_nonzero(there, axis=-1) == term.counts
+        if not (all_there & (2 * squares <= NOTICEABLE[term.kind] ** 2 * term.counts)).all():
+            return False
+    return True
 
 
 def _all_fit(problem: Problem, values: Values, noise: Sequence[float]) -> bool:
