@@ -1,12 +1,14 @@
 """Levenberg-Marquardt over poses, and what else is unknown."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from calibration.estimation.blocks import Values
-from calibration.estimation.normal_equations import NormalEquations, Weighting, assemble
+from calibration.estimation.normal_equations import NormalEquations, Squares, Weighting, assemble
 from calibration.estimation.problem import Problem
+from calibration.estimation.residuals import robust
 from calibration.geometry.types import Array, BoolArray
 
 STALLED = 20
@@ -35,6 +37,8 @@ class Optimum:
     values: Values
     equations: NormalEquations
     """The normal equations, undamped, as they were before the last step, which is too small to matter for them."""
+    weighting: Weighting
+    """For which it is the optimum."""
     iterations: int
     reached: bool
     """Whether it is a minimum; False when the iterations ran out or nothing finite was found."""
@@ -45,44 +49,99 @@ class Optimum:
         return self.equations.total
 
 
-def minimise(problem: Problem, values: Values, weighting: Weighting, until: Termination | None = None) -> Optimum:
+@dataclass(frozen=True, eq=False)
+class Evaluation:
+    """The normal equations at some values, and the residuals that they were made of."""
+
+    values: Values
+    weighting: Weighting
+    equations: NormalEquations
+    squares: Squares
+    """Empty unless they were asked for."""
+
+    def cost(self, weighting: Weighting) -> float:
+        """The cost with another weighting."""
+        if weighting is self.weighting:
+            return self.equations.total
+        labels = (
+            float(robust(np.nan_to_num(part) / weighting.scales[kind] ** 2, weighting.huber)[0].sum())
+            for kind, parts in self.squares.items()
+            for part in parts
+        )
+        return sum(labels) + self.equations.prior
+
+
+Reweigh = Callable[[Evaluation], Weighting]
+"""What residuals are to weigh, judged by themselves; the weighting of the evaluation itself where that is right."""
+
+
+def minimise(
+    problem: Problem,
+    values: Values,
+    weighting: Weighting,
+    until: Termination | None = None,
+    reweigh: Reweigh | None = None,
+) -> Optimum:
     """Minimise the cost from some start, by Levenberg-Marquardt.
 
     The damping follows the gain ratio (H. B. Nielsen, "Damping parameter in Marquardt's method", 1999).
     Each trial is linearised at once: nearly all are accepted, and then nothing is computed twice.
+
+    Weights that depend on the residuals move along: each step is judged by the weights that the residuals before it
+    ask for, so that the optimum and its weights are found together.
+
+    Args:
+        problem: the problem.
+        values: where to start.
+        weighting: what residuals weigh, at first.
+        until: when to stop.
+        reweigh: asked at each point for what residuals are to weigh from there on; they keep their weights if None.
     """
     until = until or Termination()
-    equations = assemble(problem, values, weighting)
-    cost = equations.total
+
+    def evaluated(at: Values, weighting: Weighting) -> Evaluation:
+        squares: Squares = {}
+        with np.errstate(over="ignore", invalid="ignore"):
+            equations = assemble(problem, at, weighting, squares) if reweigh else assemble(problem, at, weighting)
+        return Evaluation(at, weighting, equations, squares)
+
+    def ended(iterations: int, reached: bool, values: Values | None = None) -> Optimum:
+        return Optimum(values or now.values, now.equations, now.weighting, iterations, reached)
+
+    now = evaluated(values, weighting)
     damping, growth = 1e-4, 2.0
-    costs = [cost]
+    costs = [now.equations.total]
     for iteration in range(until.iterations):
-        if not np.isfinite(cost):
-            return Optimum(values, equations, iteration, reached=False)
-        shared, local, predicted = equations.step(damping)
+        if not np.isfinite(now.equations.total):
+            return ended(iteration, reached=False)
+        wanted = reweigh(now) if reweigh else now.weighting
+        cost = now.cost(wanted)
+        shared, local, predicted = now.equations.step(damping)
         tolerance = max(until.decrease, until.relative_decrease * cost)
         if abs(predicted) <= tolerance:
+            if wanted is not now.weighting:
+                now = evaluated(problem.moved(now.values, shared, local), wanted)
+                continue
             if damping > 1:  # a short step promises little anywhere: ask for a longer one
-                reached = abs(equations.step(1.0)[-1]) <= until.stall
-                return Optimum(values, equations, iteration + 1, reached)
-            return Optimum(problem.moved(values, shared, local), equations, iteration + 1, reached=True)
+                return ended(iteration + 1, abs(now.equations.step(1.0)[-1]) <= until.stall)
+            return ended(iteration + 1, reached=True, values=problem.moved(now.values, shared, local))
         if predicted > 0:  # else rounding has made the system singular or indefinite
-            trial = problem.moved(values, shared, local)
-            with np.errstate(over="ignore", invalid="ignore"):
-                trial_equations = assemble(problem, trial, weighting)
-            trial_cost = trial_equations.total
-            gain = min((cost - trial_cost) / predicted, 1.0)
+            trial = evaluated(problem.moved(now.values, shared, local), wanted)
+            gain = min((cost - trial.equations.total) / predicted, 1.0)
             if gain > 1e-4:
-                values, equations, cost = trial, trial_equations, trial_cost
-                costs.append(cost)
-                if len(costs) > STALLED and costs[-STALLED - 1] - cost < until.stall:
-                    return Optimum(values, equations, iteration + 1, reached=True)
+                costs = [*costs, trial.equations.total] if wanted is now.weighting else []
+                now = trial
+                if len(costs) > STALLED and costs[-STALLED - 1] - costs[-1] < until.stall:
+                    return ended(iteration + 1, reached=True)
                 damping, growth = max(damping * max(1 / 3, 1 - (2 * gain - 1) ** 3), 1e-12), 2.0
                 continue
+        if wanted is not now.weighting:  # the step was one for other weights
+            now = evaluated(now.values, wanted)
+            continue
         damping, growth = damping * growth, growth * 2
         if damping > 1e16:
-            return Optimum(values, equations, iteration + 1, reached=False)
-    return Optimum(values, equations, until.iterations, reached=False)
+            return ended(iteration + 1, reached=False)
+    return ended(until.iterations, reached=False)
 
 
 SETTLING = Termination(decrease=0.01, iterations=20)

@@ -1,6 +1,6 @@
 """How noisy the labels are: the standard deviation of each kind of residual, from the residuals."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import get_args
 
 import numpy as np
@@ -8,6 +8,7 @@ import numpy as np
 from calibration.dataset.modalities import NoiseKind
 from calibration.estimation.blocks import Values
 from calibration.estimation.median import median
+from calibration.estimation.normal_equations import Squares
 from calibration.estimation.problem import Problem
 from calibration.geometry.types import Array
 from calibration.records import field, result
@@ -77,18 +78,30 @@ def estimate_scales(
             are so many fewer.
         robust: whether outliers are to be kept out.
     """
-    squares: dict[NoiseKind, list[Array]] = {}
-    dimensions: dict[NoiseKind, int] = {}
+    squares: Squares = {}
     for group in problem.groups:
         T = problem.poses(group, values)
         for term in problem.terms(group, values):
-            magnitudes = term.magnitudes(T).ravel()
-            squares.setdefault(term.kind, []).append(magnitudes[np.isfinite(magnitudes)] ** 2)
-            dimensions[term.kind] = term.dimension
+            squares.setdefault(term.kind, []).append(term.magnitudes(T) ** 2)
+    return scales_of(problem, squares, parameters, robust)
+
+
+def scales_of(
+    problem: Problem, squares: Squares, parameters: Mapping[NoiseKind, float], robust: bool
+) -> dict[NoiseKind, float]:
+    """As `estimate_scales`, from the squared residuals of all labels."""
+    dimensions = {term.kind: term.dimension for group in problem.groups for term in group.terms}
     return {
-        kind: max(FLOORS[kind], _scale(np.concatenate(parts), dimensions[kind], parameters.get(kind, 0.0), robust))
+        kind: max(FLOORS[kind], _scale(_finite(parts), dimensions[kind], parameters.get(kind, 0.0), robust))
         for kind, parts in squares.items()
     }
+
+
+def _finite(parts: Sequence[Array]) -> Array:
+    """The finite numbers of some arrays, (n,)."""
+    numbers = np.concatenate([part.ravel() for part in parts])
+    finite = np.isfinite(numbers)
+    return numbers if finite.all() else numbers[finite]
 
 
 def _scale(squared: Array, dimension: int, parameters: float, robust: bool) -> float:

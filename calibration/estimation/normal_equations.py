@@ -115,8 +115,21 @@ class NormalEquations:
         return np.swapaxes(self.H_mixed, 0, 1).reshape(S, N * P)
 
 
-def assemble(problem: Problem, values: Values, weighting: Weighting) -> NormalEquations:
-    """Form the normal equations at some values."""
+Squares = dict[NoiseKind, list[Array]]
+"""Squared magnitudes of labels by their kind, each array of any shape; NaN where there is no label."""
+
+
+def assemble(
+    problem: Problem, values: Values, weighting: Weighting, squares: Squares | None = None
+) -> NormalEquations:
+    """Form the normal equations at some values.
+
+    Args:
+        problem: the problem.
+        values: of all blocks.
+        weighting: what residuals weigh.
+        squares: filled with those of all labels, where it is given.
+    """
     N, (S, P) = problem.collections, problem.sizes
     equations = NormalEquations(
         np.zeros(N), np.zeros((S, S)), np.zeros((N, S, P)), np.zeros((N, P, P)), np.zeros(S), np.zeros((N, P))
@@ -128,7 +141,7 @@ def assemble(problem: Problem, values: Values, weighting: Weighting) -> NormalEq
                 equations.cost[part.collections] = np.inf
             continue
         T, A = batch.linearise(table, values)
-        cost, M, m = linearise(problem.terms(batch, values), T, weighting)
+        cost, M, m = linearise(problem.terms(batch, values), T, weighting, squares)
         _add(equations, batch, A, cost, M, m, problem.intrinsics_at(batch))
     _fill_unobserved(equations.H_local)
     return _with_priors(equations, problem, values)
@@ -154,9 +167,16 @@ def _with_priors(equations: NormalEquations, problem: Problem, values: Values) -
     return replace(equations, prior=cost) if cost else equations
 
 
-def linearise(terms: Sequence[Term], T: Array, weighting: Weighting) -> tuple[Array, Array, Array]:
+def linearise(
+    terms: Sequence[Term], T: Array, weighting: Weighting, squares: Squares | None = None
+) -> tuple[Array, Array, Array]:
     """Cost (V,), Hessian (V, 6 + m, 6 + m) and gradient (V, 6 + m) of views at their poses, all terms together."""
-    each = [term.linearise(T, weighting.scales[term.kind], weighting.huber) for term in terms]
+    each = []
+    for term in terms:
+        own = None if squares is None else np.empty((len(T), term.length))
+        each.append(term.linearise(T, weighting.scales[term.kind], weighting.huber, own))
+        if squares is not None and own is not None:
+            squares.setdefault(term.kind, []).append(own)
     cost, M, m = each[0]
     for more in each[1:]:
         cost, M, m = cost + more[0], M + more[1], m + more[2]

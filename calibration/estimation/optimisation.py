@@ -7,9 +7,9 @@ import numpy as np
 
 from calibration.dataset.modalities import NoiseKind
 from calibration.estimation.blocks import Values
-from calibration.estimation.least_squares import Optimum, Termination, choose, minimise, settle
+from calibration.estimation.least_squares import Evaluation, Optimum, choose, minimise, settle
 from calibration.estimation.median import median
-from calibration.estimation.noise_levels import FLOORS, NoiseLevels, estimate_scales
+from calibration.estimation.noise_levels import FLOORS, NoiseLevels, estimate_scales, scales_of
 from calibration.estimation.normal_equations import NormalEquations, Weighting
 from calibration.estimation.observability import determined_parameters
 from calibration.estimation.planar_pose import mirrored_poses
@@ -22,11 +22,14 @@ from calibration.geometry.types import Array, BoolArray
 HUBER = 2.5
 """Threshold of the robust loss in standard deviations: 4 % of good corners lie beyond, which costs about
 1 % of accuracy, and what lies far beyond pulls no harder than they do."""
-ROUNDS = 20
-SETTLED = 1e-5
+SETTLED = 1e-8
 """Relative change of the standard deviations at which the weights are settled."""
-ROUGHLY = Termination(decrease=1e-3)
-"""Near enough to the optimum (3 % of a standard deviation) to judge the residuals there."""
+NEARLY_SETTLED = 1e-3
+"""The same at which it is worth asking how many parameters each kind of label determines."""
+ROUNDS = 30
+"""After so many estimates with nearly settled weights they stay as they are: they go round in circles."""
+FEW = 100
+"""From so many collections the first standard deviations are estimated."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +43,7 @@ class WeightedOptimum:
 
 
 def optimise(problem: Problem, values: Values, levels: NoiseLevels, robust: bool) -> WeightedOptimum:
-    """Minimise, estimate the noise from the residuals, and again until neither changes.
+    """Minimise, and estimate the noise from the residuals on the way, until neither changes.
 
     With plain least squares, one kind of label and nothing known beforehand the weights don't matter and one round
     is enough.
@@ -50,24 +53,49 @@ def optimise(problem: Problem, values: Values, levels: NoiseLevels, robust: bool
     given = {kind: level for kind, level in levels.given().items() if kind in kinds}
     if len(kinds) == 1 and not robust and not problem.has_priors:
         return _plain(problem, values, {**dict.fromkeys(kinds, 1.0), **given}, estimate=not given)
-    scales = {**estimate_scales(problem, values, {}, robust=True), **given}
-    iterations = 0
-    for _ in range(ROUNDS if kinds - given.keys() else 0):
-        weighting = Weighting(scales, huber)
-        optimum = minimise(problem, values, weighting, ROUGHLY)
-        values, iterations = optimum.values, iterations + optimum.iterations
-        if not np.isfinite(optimum.cost):
-            break
-        parameters = determined_parameters(problem, values, optimum.equations, weighting)
-        updated = {**estimate_scales(problem, values, parameters, robust), **given}
-        change = max(abs(updated[kind] / scales[kind] - 1) for kind in kinds)
-        scales = updated
-        if change < SETTLED:
-            break
-    weighting = Weighting(scales, huber)
-    optimum = minimise(problem, values, weighting)
-    parameters = determined_parameters(problem, optimum.values, optimum.equations, weighting)
-    return WeightedOptimum(replace(optimum, iterations=iterations + optimum.iterations), weighting, parameters)
+    some = np.zeros(problem.collections, bool)
+    some[:: max(1, problem.collections // FEW)] = True
+    weighting = Weighting({**estimate_scales(problem.seen_in(some), values, {}, robust=True), **given}, huber)
+    noise = _Noise(problem, given, robust) if kinds - given.keys() else None
+    optimum = minimise(problem, values, weighting, reweigh=noise)
+    parameters = determined_parameters(problem, optimum.values, optimum.equations, optimum.weighting)
+    return WeightedOptimum(optimum, optimum.weighting, parameters)
+
+
+class _Noise:
+    """The standard deviations of labels, estimated at each step of a minimisation from the residuals there."""
+
+    def __init__(self, problem: Problem, given: Mapping[NoiseKind, float], robust: bool) -> None:
+        """Begin without knowing how many parameters labels determine.
+
+        Args:
+            problem: the problem.
+            given: standard deviations that are not estimated.
+            robust: whether outliers are to be kept out.
+        """
+        self._problem, self._given, self._robust = problem, given, robust
+        self._parameters: Mapping[NoiseKind, float] = {}
+        self._counted_at: Mapping[NoiseKind, float] = {}
+        """The standard deviations at which the parameters were counted."""
+        self._rounds = 0
+
+    def __call__(self, now: Evaluation) -> Weighting:
+        """What residuals weigh by the residuals of an evaluation; as it has it where that changes nothing."""
+        scales, estimated = now.weighting.scales, self._estimated(now)
+        self._rounds += _change(scales, estimated) < NEARLY_SETTLED
+        if _change(scales, estimated) < NEARLY_SETTLED and _change(self._counted_at, scales) > NEARLY_SETTLED:
+            self._parameters = determined_parameters(self._problem, now.values, now.equations, now.weighting)
+            self._counted_at, estimated = scales, self._estimated(now)
+        settled = self._rounds > ROUNDS or _change(scales, estimated) < SETTLED
+        return now.weighting if settled else Weighting(estimated, now.weighting.huber)
+
+    def _estimated(self, now: Evaluation) -> dict[NoiseKind, float]:
+        return {**scales_of(self._problem, now.squares, self._parameters, self._robust), **self._given}
+
+
+def _change(before: Mapping[NoiseKind, float], after: Mapping[NoiseKind, float]) -> float:
+    """The largest relative change of standard deviations; infinite where there were none before."""
+    return max((abs(after[kind] / before[kind] - 1) if kind in before else np.inf for kind in after), default=0.0)
 
 
 def _plain(problem: Problem, values: Values, scales: dict[NoiseKind, float], estimate: bool) -> WeightedOptimum:
@@ -79,8 +107,9 @@ def _plain(problem: Problem, values: Values, scales: dict[NoiseKind, float], est
         (kind,) = scales
         freedom = max(1.0, problem.residuals - parameters[kind])
         estimated = max(FLOORS[kind], scales[kind] * float(np.sqrt(optimum.cost / freedom)))
-        optimum = replace(optimum, equations=_rescaled(optimum.equations, scales[kind] / estimated))
         weighting = Weighting({kind: estimated}, None)
+        equations = _rescaled(optimum.equations, scales[kind] / estimated)
+        optimum = replace(optimum, equations=equations, weighting=weighting)
     return WeightedOptimum(optimum, weighting, parameters)
 
 

@@ -73,6 +73,11 @@ class CornerTerm:
         return np.full(V, K) if self.seen is None else np.asarray(np.count_nonzero(self.seen, axis=-1))
 
     @property
+    def length(self) -> int:
+        """K."""
+        return int(self.pixels.shape[-1])
+
+    @property
     def rays(self) -> Array:
         """(V, 2, K): the labels as undistorted normalised coordinates."""
         return self._rays(slice(None), LAST_STEP)
@@ -103,14 +108,15 @@ class CornerTerm:
         """See `calibration.estimation.views.Term`."""
         return replace(self, camera=camera, free=tuple(free))
 
-    def linearise(self, T: Array, scale: float, huber: float | None) -> Linearised:
+    def linearise(self, T: Array, scale: float, huber: float | None, squares: Array | None = None) -> Linearised:
         """See `calibration.estimation.views.Term`."""
         size = 6 + len(self.free)
         cost, H, g = np.empty(len(T)), np.empty((len(T), size, size)), np.empty((len(T), size))
         K = self.pixels.shape[-1]
         for part in chunks(len(T), K):
             rows = _SCRATCH.rows(len(T[part]), size + 1, 2, K)
-            cost[part] = self._fill(rows, T[part], part, scale, huber)
+            into = None if squares is None else squares[part]
+            cost[part] = self._fill(rows, T[part], part, scale, huber, into)
             H[part], g[part] = _squeezed(rows.reshape(len(rows), size + 1, -1))
         return cost, H, g
 
@@ -147,7 +153,9 @@ class CornerTerm:
         inverse_z = 1.0 / z
         return P[:, 0] * inverse_z, P[:, 1] * inverse_z, inverse_z, front
 
-    def _fill(self, rows: Array, T: Array, part: slice, scale: float, huber: float | None) -> Array:
+    def _fill(
+        self, rows: Array, T: Array, part: slice, scale: float, huber: float | None, squares: Array | None = None
+    ) -> Array:
         """Fill the first 6 + m and the last of weighted rows (v, r, 2, K) of a part of the views; their cost (v,)."""
         pixels, seen = self.pixels[part], None if self.seen is None else self.seen[part]
         camera = self.camera
@@ -168,7 +176,12 @@ class CornerTerm:
         rv += (camera.cy - pixels[:, 1]) / scale
         if seen is not None:
             ru, rv = np.where(seen, ru, 0.0), np.where(seen, rv, 0.0)
-        cost, weight = robust(ru * ru + rv * rv, huber)
+        squared = ru * ru + rv * rv
+        cost, weight = robust(squared, huber)
+        if squares is not None:
+            np.multiply(squared, scale * scale, out=squares)
+            if seen is not None or not front.all():
+                squares[~front if seen is None else ~(seen & front)] = np.nan
         behind = ~front if seen is None else seen & ~front
         if behind.any():
             cost = np.where(behind.any(-1), np.inf, cost)
@@ -287,6 +300,11 @@ class _Rays:
         return np.asarray(np.count_nonzero(self.present, axis=-1))
 
     @property
+    def length(self) -> int:
+        """L."""
+        return int(self.rays.shape[-1])
+
+    @property
     def points(self) -> Array:
         """(V, 3, L): in the sensor's frame, m; anything where there is no point."""
         return self.rays * self.ranges[:, None]
@@ -310,12 +328,14 @@ class RangeTerm(_Rays):
 
     kind: NoiseKind = "range"
 
-    def linearise(self, T: Array, scale: float, huber: float | None) -> Linearised:
+    def linearise(self, T: Array, scale: float, huber: float | None, squares: Array | None = None) -> Linearised:
         """See `calibration.estimation.views.Term`."""
         cost, H, g = np.empty(len(T)), np.empty((len(T), 6, 6)), np.empty((len(T), 6))
         for part in chunks(len(T), self.rays.shape[-1]):
             meeting = _Meeting(T[part], self.rays[part], self.ranges[part])
             cost[part], rows = _range_rows(meeting, self.present[part], scale, huber)
+            if squares is not None:
+                squares[part] = np.where(self.present[part], (meeting.height * meeting.slope) ** 2, np.nan)
             H[part], g[part] = _squeezed(rows)
         return cost, H, g
 
@@ -354,7 +374,7 @@ class BorderTerm(_Rays):
     """(4,): the lines are ``normal . (x, y) = offset``, about the pattern's centre, m."""
     kind: NoiseKind = "border"
 
-    def linearise(self, T: Array, scale: float, huber: float | None) -> Linearised:
+    def linearise(self, T: Array, scale: float, huber: float | None, squares: Array | None = None) -> Linearised:
         """See `calibration.estimation.views.Term`.
 
         All in the sensor's frame: the plane has the unit normal n and the centre p; a ray has the unit direction u and
@@ -375,7 +395,7 @@ class BorderTerm(_Rays):
 
         with ``falls = (m . u) c s^2`` and ``turns = (m . u) h s^2 (2 c^2 s^2 - 1) - falls l``.
         """
-        cost, rows = self._weighted_rows(T, scale, huber)
+        cost, rows = self._weighted_rows(T, scale, huber, squares)
         return cost, *_squeezed(rows)
 
     def rows(self, T: Array, scale: float, huber: float | None, spare: int = 0) -> Array:
@@ -391,7 +411,9 @@ class BorderTerm(_Rays):
         local[:, :2] -= signed[:, None] * np.moveaxis(self.normals[side], -1, 1)
         return local
 
-    def _weighted_rows(self, T: Array, scale: float, huber: float | None) -> tuple[Array, Array]:
+    def _weighted_rows(
+        self, T: Array, scale: float, huber: float | None, squares: Array | None = None
+    ) -> tuple[Array, Array]:
         """Cost (V,) and rows (V, 7, L), as `linearise` derives them."""
         meeting = _Meeting(T, self.rays, self.ranges)
         signed, side = self._distances(T, meeting.hits)
@@ -405,6 +427,8 @@ class BorderTerm(_Rays):
         J[:, 3:6] = turns[:, None] * meeting.d_cosine - _cross(meeting.hits, m)
         J[:, 6] = signed
         J /= (scale * self.ranges)[:, None]
+        if squares is not None:
+            squares[:] = np.where(self.present, (signed / self.ranges) ** 2, np.nan)
         return _weighted(J, self.present, huber), J
 
     def magnitudes(self, T: Array) -> Array:
@@ -437,6 +461,11 @@ class PoseTerm:
         """(V,): one label in each view."""
         return np.ones(len(self.measured), int)
 
+    @property
+    def length(self) -> int:
+        """One."""
+        return 1
+
     def take(self, views: IntArray | slice) -> Self:
         """Only some of the views."""
         return replace(self, measured=self.measured[views])
@@ -445,9 +474,11 @@ class PoseTerm:
         """See `calibration.estimation.views.Term`; a pose has no intrinsics."""
         return self
 
-    def linearise(self, T: Array, scale: float, huber: float | None) -> Linearised:
+    def linearise(self, T: Array, scale: float, huber: float | None, squares: Array | None = None) -> Linearised:
         """See `calibration.estimation.views.Term`."""
         cost, rows = self._weighted_rows(T, scale, huber)
+        if squares is not None:
+            squares[:] = self.magnitudes(T) ** 2
         return cost, *_squeezed(rows)
 
     def rows(self, T: Array, scale: float, huber: float | None, spare: int = 0) -> Array:

@@ -87,13 +87,19 @@ class Term(Protocol):
     def counts(self) -> IntArray:
         """(V,): the labels of each view."""
 
+    @property
+    def length(self) -> int:
+        """L: places for labels in each view."""
+
     def take(self, views: IntArray | slice) -> "Term":
         """Only some of the views."""
 
     def seen_with(self, camera: Camera, free: Sequence[int]) -> "Term":
         """The same labels of a camera with other intrinsics, m of which (by their places among all) are free."""
 
-    def linearise(self, T: Array, scale: float, huber: float | None) -> tuple[Array, Array, Array]:
+    def linearise(
+        self, T: Array, scale: float, huber: float | None, squares: Array | None = None
+    ) -> tuple[Array, Array, Array]:
         """Cost (V,), Hessian (V, 6 + m, 6 + m) and gradient (V, 6 + m) for a twist in the sensor's frame.
 
         The m free intrinsics come after the six of the twist. A view that cannot be (a pattern behind its camera)
@@ -103,6 +109,7 @@ class Term(Protocol):
             T: (V, 4, 4), ``T_sensor_pattern``.
             scale: the standard deviation that divides the residuals, px, m or rad.
             huber: the threshold in standard deviations beyond which the loss grows linearly.
+            squares: (V, L), filled with the squared `magnitudes` where it is given.
         """
 
     def rows(self, T: Array, scale: float, huber: float | None, spare: int = 0) -> Array:
