@@ -119,9 +119,7 @@ Squares = dict[NoiseKind, list[Array]]
 """Squared magnitudes of labels by their kind, each array of any shape; NaN where there is no label."""
 
 
-def assemble(
-    problem: Problem, values: Values, weighting: Weighting, squares: Squares | None = None
-) -> NormalEquations:
+def assemble(problem: Problem, values: Values, weighting: Weighting, squares: Squares | None = None) -> NormalEquations:
     """Form the normal equations at some values.
 
     Args:

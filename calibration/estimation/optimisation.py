@@ -58,7 +58,9 @@ def optimise(problem: Problem, values: Values, levels: NoiseLevels, robust: bool
     weighting = Weighting({**estimate_scales(problem.seen_in(some), values, {}, robust=True), **given}, huber)
     noise = _Noise(problem, given, robust) if kinds - given.keys() else None
     optimum = minimise(problem, values, weighting, reweigh=noise)
-    parameters = determined_parameters(problem, optimum.values, optimum.equations, optimum.weighting)
+    parameters = noise.parameters if noise else None
+    if not parameters:
+        parameters = determined_parameters(problem, optimum.values, optimum.equations, optimum.weighting)
     return WeightedOptimum(optimum, optimum.weighting, parameters)
 
 
@@ -74,7 +76,8 @@ class _Noise:
             robust: whether outliers are to be kept out.
         """
         self._problem, self._given, self._robust = problem, given, robust
-        self._parameters: Mapping[NoiseKind, float] = {}
+        self.parameters: Mapping[NoiseKind, float] = {}
+        """How many each kind of label determines; empty until the weights are nearly settled."""
         self._counted_at: Mapping[NoiseKind, float] = {}
         """The standard deviations at which the parameters were counted."""
         self._rounds = 0
@@ -84,13 +87,14 @@ class _Noise:
         scales, estimated = now.weighting.scales, self._estimated(now)
         self._rounds += _change(scales, estimated) < NEARLY_SETTLED
         if _change(scales, estimated) < NEARLY_SETTLED and _change(self._counted_at, scales) > NEARLY_SETTLED:
-            self._parameters = determined_parameters(self._problem, now.values, now.equations, now.weighting)
+            self.parameters = determined_parameters(self._problem, now.values, now.equations, now.weighting)
             self._counted_at, estimated = scales, self._estimated(now)
-        settled = self._rounds > ROUNDS or _change(scales, estimated) < SETTLED
-        return now.weighting if settled else Weighting(estimated, now.weighting.huber)
+        if self._rounds > ROUNDS or _change(scales, estimated) < SETTLED:
+            return now.weighting
+        return Weighting(estimated, now.weighting.huber)
 
     def _estimated(self, now: Evaluation) -> dict[NoiseKind, float]:
-        return {**scales_of(self._problem, now.squares, self._parameters, self._robust), **self._given}
+        return {**scales_of(self._problem, now.squares, self.parameters, self._robust), **self._given}
 
 
 def _change(before: Mapping[NoiseKind, float], after: Mapping[NoiseKind, float]) -> float:

@@ -304,6 +304,12 @@ class _Rays:
         """L."""
         return int(self.rays.shape[-1])
 
+    @cached_property
+    def _ends(self) -> IntArray:
+        """(V,): the place after each view's last point; at least 1."""
+        last = self.present.shape[-1] - self.present[:, ::-1].argmax(-1)
+        return np.where(self.present.any(-1), last, 1)
+
     @property
     def points(self) -> Array:
         """(V, 3, L): in the sensor's frame, m; anything where there is no point."""
@@ -332,11 +338,14 @@ class RangeTerm(_Rays):
         """See `calibration.estimation.views.Term`."""
         cost, H, g = np.empty(len(T)), np.empty((len(T), 6, 6)), np.empty((len(T), 6))
         for part in chunks(len(T), self.rays.shape[-1]):
-            meeting = _Meeting(T[part], self.rays[part], self.ranges[part])
-            cost[part], rows = _range_rows(meeting, self.present[part], scale, huber)
+            there = slice(0, int(self._ends[part].max()))
+            meeting = _Meeting(T[part], self.rays[part, :, there], self.ranges[part, there])
+            present = self.present[part, there]
+            cost[part], G = _range_products(meeting, present, scale, huber)
+            H[part], g[part] = G[:, :-1, :-1], G[:, :-1, -1]
             if squares is not None:
-                squares[part] = np.where(self.present[part], (meeting.height * meeting.slope) ** 2, np.nan)
-            H[part], g[part] = _squeezed(rows)
+                squares[part, there] = np.where(present, (meeting.height * meeting.slope) ** 2, np.nan)
+                squares[part, there.stop :] = np.nan
         return cost, H, g
 
     def rows(self, T: Array, scale: float, huber: float | None, spare: int = 0) -> Array:
@@ -537,7 +546,7 @@ class _Meeting:
         self.ranges = ranges
         self.n = T[:, :3, 2, None]
         """(v, 3, 1): the plane's normal in the sensor's frame."""
-        self.cosine = np.einsum("vi,vil->vl", T[:, :3, 2], rays)
+        self.cosine = (T[:, None, :3, 2] @ rays)[:, 0]
         """(v, L)."""
         self.height = ranges * self.cosine - (T[:, :3, 2] * T[:, :3, 3]).sum(-1)[:, None]
         """(v, L): of the measured point over the plane, m; of the cosine's sign where it lies behind."""
@@ -563,12 +572,13 @@ def robust(squared: Array, huber: float | None) -> tuple[Array, Array | None]:
     """
     if huber is None:
         return squared.sum(-1), None
-    e = np.sqrt(squared)
-    outside = e > huber
+    outside = squared > huber * huber
     if not outside.any():
         return squared.sum(-1), None
-    cost = np.where(outside, 2 * huber * e - huber * huber, squared).sum(-1)
-    return cost, np.sqrt(np.where(outside, huber / np.maximum(e, huber), 1.0))
+    e = np.sqrt(squared[outside])
+    loss, weight = squared.copy(), np.ones_like(squared)
+    loss[outside], weight[outside] = 2 * huber * e - huber * huber, np.sqrt(huber / e)
+    return loss.sum(-1), weight
 
 
 def _cross(a: Array, b: Array) -> Array:
@@ -595,6 +605,29 @@ def _range_rows(meeting: _Meeting, present: BoolArray, scale: float, huber: floa
     rows[:, 3:6] = turns[:, None] * meeting.d_cosine
     rows[:, 6] = meeting.height * slope
     return _weighted(rows, present, huber), rows
+
+
+def _range_products(meeting: _Meeting, present: BoolArray, scale: float, huber: float | None) -> tuple[Array, Array]:
+    """Cost (v,) of ranges, and the products (v, 7, 7) of the rows that `_range_rows` gives, without these.
+
+    Of a ray u they are ``(-n a, n x (b u), r)``, which is linear in the five numbers ``(a, b u, r)``: so these are
+    multiplied, and of each view the matrix that makes rows of them comes before and after.
+    """
+    slope = meeting.slope / scale
+    r = np.where(present, meeting.height * slope, 0.0)
+    cost, of_loss = robust(r * r, huber)
+    weight = present.astype(float) if of_loss is None else present * of_loss
+    numbers = _SCRATCH.rows(len(r), 5, r.shape[-1])
+    np.multiply(slope, weight, out=numbers[:, 0])
+    turns = numbers[:, 0] * (meeting.ranges - meeting.height * meeting.cosine * meeting.slope * meeting.slope)
+    np.multiply(turns[:, None], meeting.rays, out=numbers[:, 1:4])
+    np.multiply(r, weight, out=numbers[:, 4])
+    n = meeting.n[..., 0]
+    to_rows = np.zeros((len(r), 7, 5))
+    to_rows[:, :3, 0] = -n
+    to_rows[:, 3:6, 1:4] = rotations.hat(n)
+    to_rows[:, 6, 4] = 1.0
+    return cost, to_rows @ (numbers @ numbers.transpose(0, 2, 1)) @ to_rows.transpose(0, 2, 1)
 
 
 def _weighted(rows: Array, present: BoolArray, huber: float | None) -> Array:
