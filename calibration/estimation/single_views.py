@@ -33,10 +33,11 @@ def corner_term(camera: Camera, pattern: Pattern, views: Sequence[CornerLabels])
     """The labels of a camera's views of a pattern."""
     K = len(pattern.corners)
     pixels, seen = np.zeros((len(views), 2, K)), np.zeros((len(views), K), bool)
-    of = np.repeat(np.arange(len(views)), [len(labels.ids) for labels in views])
-    ids = np.concatenate([labels.ids for labels in views])
-    pixels[of, :, ids] = np.concatenate([labels.pixels for labels in views])
-    seen[of, ids] = True
+    if views:
+        of = np.repeat(np.arange(len(views)), [len(labels.ids) for labels in views])
+        ids = np.concatenate([labels.ids for labels in views])
+        pixels[of, :, ids] = np.concatenate([labels.pixels for labels in views])
+        seen[of, ids] = True
     return CornerTerm(camera, pattern.corners - pattern.centre, pixels, None if seen.all() else seen)
 
 
