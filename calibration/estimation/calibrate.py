@@ -1,6 +1,6 @@
 """Calibrate a dataset: from its labels to transforms, their error bars, and what to think of them."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,6 +11,7 @@ from calibration.errors import InputError, UndeterminedError, solvable
 from calibration.estimation.blocks import Pose, Values
 from calibration.estimation.build import Setup, build
 from calibration.estimation.error_bars import ErrorBars, error_bars
+from calibration.estimation.holding import held_blocks
 from calibration.estimation.intrinsics import CalibratedIntrinsics
 from calibration.estimation.least_squares import Termination, minimise
 from calibration.estimation.linear_start import (
@@ -137,7 +138,41 @@ def _started(dataset: Dataset, options: Options, noise: StartingNoise) -> _Start
     return _Started(setup, exact, guess, linear_start(setup, guess))
 
 
+class _OpenCoefficientsError(UndeterminedError):
+    """The labels do not determine some coefficients of lenses, which can be held."""
+
+    def __init__(self, message: str, hold: Sequence[str]) -> None:
+        super().__init__(message)
+        self.hold = tuple(dict.fromkeys(hold))
+        """By their names, such as "intrinsics-left-k6"."""
+
+
 def _solved(dataset: Dataset, started: _Started, options: Options) -> Calibration:
+    """The calibration from a start; coefficients of lenses that the labels do not tell are held, which a note says."""
+    try:
+        return _solved_for_all(dataset, started, options)
+    except _OpenCoefficientsError as error:
+        found = _solved(dataset, _holding(started, error.hold), options)
+        names = ", ".join(f"'{name}'" for name in error.hold)
+        note = f"the labels do not determine {names} beside the others: held at what the dataset says"
+        return replace(found, notes=(note, *found.notes))
+
+
+def _holding(started: _Started, names: Sequence[str]) -> _Started:
+    """The same start with some coefficients of lenses held at their nominal values."""
+    setup, problem = started.setup, started.setup.problem
+    blocks = held_blocks(setup.dataset, problem.blocks, names)
+    values = list(started.linear.values)
+    for i, (before, now) in enumerate(zip(problem.blocks, blocks, strict=True)):
+        if before.intrinsics and now.intrinsics and before is not now:
+            held = [k for k in before.intrinsics.at if now.held or k not in now.intrinsics.at]
+            values[i] = values[i].copy()
+            values[i][held] = before.intrinsics.camera.intrinsics[held]
+    setup = replace(setup, problem=replace(problem, blocks=blocks))
+    return replace(started, setup=setup, linear=replace(started.linear, values=tuple(values)))
+
+
+def _solved_for_all(dataset: Dataset, started: _Started, options: Options) -> Calibration:
     setup, start = started.setup, started.linear
     robust = options.loss == "huber"
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
@@ -263,15 +298,19 @@ def _result(
         size = max(pattern.size for pattern in setup.dataset.patterns.values())
         undetermined, weakly = open_directions(problem, optimum.equations, size)
         if undetermined:
+            coefficients = [
+                f"{names[each.block]}-{name}" for each in undetermined for name in each.coefficients_to_hold()
+            ]
             named = "; ".join(direction.describe(names) for direction in undetermined[:3])
             has_names = any(problem.blocks[i].parameters.free for i in problem.shared)
             several = has_names or setup.dataset.additional_transforms
             held = next((name for each in undetermined if (name := each.to_hold(names))), "")
             hold = f", or hold one of them{f', such as {held!r}' if held else ''}" if several else ""
-            raise UndeterminedError(
+            message = (
                 f"{setup.dataset.path}: the labels do not determine {named}; "
                 f"add collections with other rotations of the pattern or the robot{hold}"
             )
+            raise _OpenCoefficientsError(message, coefficients) if coefficients else UndeterminedError(message)
         weak = tuple(direction.describe(names) for direction in weakly)
         considered = considered_covariance(problem, optimum.values, weighting)
         at = problem.shared_parameters

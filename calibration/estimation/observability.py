@@ -8,7 +8,7 @@ import numpy as np
 from calibration.dataset.modalities import NoiseKind
 from calibration.estimation.batches import table_of
 from calibration.estimation.blocks import Block, Values
-from calibration.estimation.intrinsics import FreeIntrinsics, Prior, root_mean_square
+from calibration.estimation.intrinsics import PIXELS, FreeIntrinsics, Prior, root_mean_square
 from calibration.estimation.motion import Motion
 from calibration.estimation.normal_equations import NormalEquations, Weighting, assemble
 from calibration.estimation.problem import Problem
@@ -22,6 +22,8 @@ MOVING = 0.3
 """Blocks, and parameters of joints, that move by more than this times what moves most are named too,"""
 INVOLVED = 0.02
 """and by more than this where the direction is not determined: a joint turns little where a pattern far away moves."""
+DENOMINATOR = ("k4", "k5", "k6")
+"""The coefficients of a rational lens below the line."""
 WEAK = 0.005
 """A direction with a greater standard deviation (m or rad) is reported as weak."""
 
@@ -58,6 +60,19 @@ class WeakDirection:
     def to_hold(self, names: list[str]) -> str:
         """The name by which the parameter of a joint or a camera that changes least is held; empty without one."""
         return next((f"{names[block]}-{each[-1]}" for block, each in self.parameters.items() if each), "")
+
+    def coefficients_to_hold(self) -> tuple[str, ...]:
+        """The coefficients of a lens that can be held to determine the direction; none where it is no matter of them.
+
+        Of a lens whose model says more than the labels: those of the denominator that move (a fraction whose
+        denominator is held is a polynomial), else the one of the highest power.
+        """
+        moving = self.parameters.get(self.block, ())
+        if not moving or self.kind != "ray" or moving[0] in PIXELS:
+            return ()
+        denominator = tuple(sorted(each for each in moving if each in DENOMINATOR))
+        powers = sorted(each for each in moving if each.startswith("k"))
+        return denominator or tuple(powers[-1:])
 
     def _name(self, block: int, names: list[str]) -> str:
         parameters = self.parameters.get(block)

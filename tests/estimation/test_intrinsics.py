@@ -228,13 +228,44 @@ def test_few_views_say_how_little_they_tell():
     assert result.intrinsics["c0"].sigmas[0] > 10
 
 
-def test_a_fraction_that_could_be_a_polynomial_is_undetermined():
-    """Without distortion k1 and k4 cancel each other."""
-    with pytest.raises(UndeterminedError) as error:
-        calibrate(covering(model=lens(Rational())).dataset(), EVERY)
-    assert "'intrinsics-c0' (k" in str(error.value)
-    hold = tuple(f"intrinsics-c{k}-k{i}" for k in (0, 1) for i in (4, 5, 6))
-    assert calibrate(covering(model=lens(Rational())).dataset(), replace(EVERY, hold=hold)).converged
+MILD = Rational(-0.1, 0.05, 0.001, -0.0005, 0.01, 0.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize("start", ["linear", "given"])
+@pytest.mark.parametrize("distortion", [Rational(), MILD], ids=["none", "mild"])
+def test_a_fraction_that_could_be_a_polynomial_is_one_and_that_is_said(distortion, start):
+    """With little distortion k1 to k3 and k4 to k6 cancel each other."""
+    dataset = covering(20, model=lens(distortion), pixel_noise=0.3).dataset(1)
+    result = calibrate(nominal(dataset), replace(EVERY, start=start))
+    assert result.converged, result.reason
+    (note,) = (each for each in result.notes if "do not determine" in each)
+    for name, found in result.intrinsics.items():
+        assert found.parameters == ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
+        assert all(f"'intrinsics-{name}-{each}'" in note for each in ("k4", "k5", "k6"))
+        off = intrinsics_error(result, dataset, name)[:4]
+        assert (np.abs(off) < 4 * found.sigmas[:4]).all()
+        camera = result.dataset.sensors[name].camera
+        assert camera is not None
+        assert camera.intrinsics[-3:].tolist() == [0, 0, 0]
+    assert note.endswith("held at what the dataset says")
+
+
+def test_held_coefficients_stay_where_the_dataset_has_them():
+    """Not where an optimum has put them that nothing determines."""
+    given = Rational(-0.1, 0.05, 0.001, -0.0005, 0.01, 0.02, -0.01, 0.003)
+    dataset = covering(20, cameras=1, model=lens(given), pixel_noise=0.3).dataset(1)
+    result = calibrate(nominal(dataset, 0.0), EVERY)
+    camera = result.dataset.sensors["c0"].camera
+    assert camera is not None
+    held = [i for i, each in enumerate(camera.parameters) if each not in result.intrinsics["c0"].parameters]
+    assert {"k4", "k5", "k6"} >= {camera.parameters[i] for i in held} > set()
+    np.testing.assert_array_equal(camera.intrinsics[held], lens(given).intrinsics[held])
+
+
+def test_a_fraction_that_the_labels_tell_is_whole():
+    result = calibrate(covering(30, model=lens(LENSES["rational"]), pixel_noise=0.1).dataset(1), EVERY)
+    assert result.intrinsics["c0"].parameters[-3:] == ("k4", "k5", "k6")
+    assert not any("do not determine" in each for each in result.notes)
 
 
 @pytest.fixture(scope="module")
