@@ -31,6 +31,7 @@ MODULES = {
     "dataset_loading": "reading a dataset against json.load",
     "imports": "what each command imports before it begins",
     "process": "whole processes, from start to exit",
+    "matrix": "many cells of one dataset with their tables: time and memory of each, share of two cores",
     "rendering": "simulated images, depth images and scans: how many, and where a detector finds their corners",
     "labelling": "detectors on real and simulated images and clouds",
     "importing": "imports of bags: images and bytes a second, memory; what init makes of datasets",

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from contextlib import suppress
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,6 @@ from calibration.dataset.configuration import FIRST_PATTERN
 from calibration.dataset.document import Node
 from calibration.dataset.edges import is_constant, read_transforms, transform_documents
 from calibration.dataset.joints import joint_document
-from calibration.dataset.json_text import json_text
 from calibration.dataset.model import Dataset, Edge
 from calibration.dataset.pattern import Pattern, pattern_document
 from calibration.dataset.payload import locate
@@ -19,17 +19,23 @@ from calibration.dataset.reading import FILE_NAME
 from calibration.dataset.sensors import camera_document, read_camera
 from calibration.errors import InputError
 from calibration.files import place, write_atomically
+from calibration.json_text import Shared, json_text
 
 
-def write_document(document: Mapping[str, Any], path: Path | str) -> None:
+def write_document(document: Mapping[str, Any], path: Path | str, shared: Shared | None = None) -> None:
     """Write a document as ATOM does: JSON, keys sorted, indented by 2; the file is replaced in one step.
+
+    Args:
+        document: the document.
+        path: the file.
+        shared: objects in the document whose text is kept for other documents.
 
     Raises:
         InputError: the document is nested too deeply.
         InfrastructureError: the file cannot be written.
     """
     try:
-        text = json_text(document)
+        text = json_text(document, shared=shared)
     except RecursionError:
         raise InputError(f"{path}: cannot be written: the document is nested too deeply") from None
     write_atomically(path, f"{text}\n")
@@ -51,15 +57,7 @@ def write_dataset(dataset: Dataset, path: Path | str, images: bool = True) -> Pa
         InputError: the path is the dataset's own file, or a transform is not finite.
         InfrastructureError: a file cannot be written.
     """
-    path = Path(path)
-    if path.suffix != ".json":
-        path = path / FILE_NAME
-    if path.resolve() == dataset.path.resolve():
-        raise InputError(f"{path}: is the dataset itself; write into another folder, an input is never changed")
-    document = dataset_document(dataset)
-    _bring_payload(dataset, path.parent, images)
-    write_document(document, path)
-    return path
+    return DatasetWriter(dataset).write(dataset, path, images)
 
 
 def dataset_document(dataset: Dataset) -> dict[str, Any]:
@@ -68,56 +66,98 @@ def dataset_document(dataset: Dataset) -> dict[str, Any]:
     Raises:
         InputError: a transform is not finite.
     """
-    source = dataset.document
-    changed = _changed(dataset)
-    return {
-        "additional_sensor_data": {},
-        **source,
-        "_metadata": {"package_name": "", **source["_metadata"], "version": "3.0"},
-        "calibration_config": _configuration(dataset),
-        "sensors": {name: _sensor(dataset, name, entry) for name, entry in source.get("sensors", {}).items()},
-        "patterns": {name: _pattern(dataset, pattern) for name, pattern in dataset.patterns.items()},
-        "transforms": {
-            **{"-".join(edge): _kind(dataset, edge) for edge in dataset.transforms},
-            **(source.get("transforms") or {}),
-        },
-        "collections": {key: _collection(dataset, i, changed) for i, key in enumerate(dataset.keys)},
-    }
+    return DatasetWriter(dataset).document(dataset)
 
 
-def _changed(dataset: Dataset) -> dict[Edge, list[dict[str, Any] | None]]:
-    """Return the changed edges, with the entry for each collection; None where a collection lacks it."""
-    collections = dataset.document["collections"]
-    read = read_transforms([Node(dataset.path, ("collections", key), collections[key]) for key in dataset.keys])
-    missing = np.full((len(dataset.keys), 4, 4), np.nan)
-    changed = {}
-    for edge, T in dataset.transforms.items():
-        if np.array_equal(T, read.get(edge, missing), equal_nan=True):
-            continue
-        present = ~np.isnan(T[:, 0, 0])
-        if not np.isfinite(T[present]).all():
-            raise InputError(f"{dataset.path}: transform '{'-'.join(edge)}' is not finite; it is not written")
-        entries = iter(transform_documents(edge, T[present]))
-        changed[edge] = [next(entries) if each else None for each in present]
-    return changed
+class DatasetWriter:
+    """Writer of several datasets made from one document; the text of what they share is made once."""
 
+    def __init__(self, dataset: Dataset) -> None:
+        self._source = dataset.document
+        self._keys = dataset.keys
+        collections = self._source["collections"]
+        self._collections = {key: collections[key] for key in dataset.keys}
+        nodes = [Node(dataset.path, ("collections", key), each) for key, each in self._collections.items()]
+        self._transforms = read_transforms(nodes)
+        self._initial = {key: _initial_transforms(each["transforms"]) for key, each in self._collections.items()}
 
-def _collection(dataset: Dataset, i: int, changed: Mapping[Edge, list[dict[str, Any] | None]]) -> dict[str, Any]:
-    read = dataset.document["collections"][dataset.keys[i]]
-    now = {"-".join(edge): entries[i] for edge, entries in changed.items()}
-    transforms = {key: entry for key, entry in {**read["transforms"], **now}.items() if entry is not None}
-    collection = {"additional_data": {}, "joints": {}, **read, "transforms": transforms}
-    if changed:
-        collection["transforms_ini"] = {
-            key: {**entry, "parent": f"{entry['parent']}_ini", "child": f"{entry['child']}_ini"}
-            for key, entry in read["transforms"].items()
+    @cached_property
+    def _shared(self) -> Shared:
+        parts = [*self._source.values(), *self._source.get("sensors", {}).values(), *self._initial.values()]
+        for each in self._collections.values():
+            parts += [*each.values(), *each["transforms"].values()]
+        return Shared(parts)
+
+    def write(self, dataset: Dataset, path: Path | str, images: bool = True) -> Path:
+        """Write a dataset; see `write_dataset`."""
+        path = Path(path)
+        if path.suffix != ".json":
+            path = path / FILE_NAME
+        if path.resolve() == dataset.path.resolve():
+            raise InputError(f"{path}: is the dataset itself; write into another folder, an input is never changed")
+        document = self.document(dataset)
+        _bring_payload(dataset, path.parent, images)
+        write_document(document, path, self._shared)
+        return path
+
+    def document(self, dataset: Dataset) -> dict[str, Any]:
+        """Return the document of a dataset; see `dataset_document`."""
+        if dataset.document is not self._source or dataset.keys != self._keys:
+            return DatasetWriter(dataset).document(dataset)
+        source = self._source
+        changed = self._changed(dataset)
+        return {
+            "additional_sensor_data": {},
+            **source,
+            "_metadata": {"package_name": "", **source["_metadata"], "version": "3.0"},
+            "calibration_config": _configuration(dataset),
+            "sensors": {name: _sensor(dataset, name, entry) for name, entry in source.get("sensors", {}).items()},
+            "patterns": {name: _pattern(dataset, pattern) for name, pattern in dataset.patterns.items()},
+            "transforms": {
+                **{"-".join(edge): _kind(dataset, edge) for edge in dataset.transforms},
+                **(source.get("transforms") or {}),
+            },
+            "collections": {key: self._collection(dataset, i, changed) for i, key in enumerate(dataset.keys)},
         }
-    if dataset.joints:
-        joints = {name: joint_document(joint, read["joints"][name], i) for name, joint in dataset.joints.items()}
-        collection["joints"] = {**read["joints"], **joints}
-    if dataset.version == "2.0":
-        collection["labels"] = {next(iter(dataset.patterns)): read["labels"]}
-    return collection
+
+    def _changed(self, dataset: Dataset) -> dict[Edge, list[dict[str, Any] | None]]:
+        """Return the changed edges, with the entry for each collection; None where a collection lacks it."""
+        missing = np.full((len(dataset.keys), 4, 4), np.nan)
+        changed = {}
+        for edge, T in dataset.transforms.items():
+            if np.array_equal(T, self._transforms.get(edge, missing), equal_nan=True):
+                continue
+            present = ~np.isnan(T[:, 0, 0])
+            if not np.isfinite(T[present]).all():
+                raise InputError(f"{dataset.path}: transform '{'-'.join(edge)}' is not finite; it is not written")
+            entries = iter(transform_documents(edge, T[present]))
+            changed[edge] = [next(entries) if each else None for each in present]
+        return changed
+
+    def _collection(
+        self, dataset: Dataset, i: int, changed: Mapping[Edge, list[dict[str, Any] | None]]
+    ) -> dict[str, Any]:
+        key = dataset.keys[i]
+        read = self._collections[key]
+        now = {"-".join(edge): entries[i] for edge, entries in changed.items()}
+        transforms = {key: entry for key, entry in {**read["transforms"], **now}.items() if entry is not None}
+        collection = {"additional_data": {}, "joints": {}, **read, "transforms": transforms}
+        if changed:
+            collection["transforms_ini"] = self._initial[key]
+        if dataset.joints:
+            joints = {name: joint_document(joint, read["joints"][name], i) for name, joint in dataset.joints.items()}
+            collection["joints"] = {**read["joints"], **joints}
+        if dataset.version == "2.0":
+            collection["labels"] = {next(iter(dataset.patterns)): read["labels"]}
+        return collection
+
+
+def _initial_transforms(read: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the original transforms of a collection, under names of their own."""
+    return {
+        key: {**entry, "parent": f"{entry['parent']}_ini", "child": f"{entry['child']}_ini"}
+        for key, entry in read.items()
+    }
 
 
 def _configuration(dataset: Dataset) -> dict[str, Any]:

@@ -12,11 +12,11 @@ from pathlib import Path
 
 import numpy as np
 
-from calibration.dataset.json_text import json_text
 from calibration.errors import InfrastructureError, InputError
 from calibration.files import read_bytes, write_atomically
 from calibration.geometry.transforms import inverse
 from calibration.geometry.types import Array
+from calibration.json_text import json_text
 from calibration.recorder.handle import drag, find_handle, handle_pose
 from calibration.simulation.description import MAX_BYTES
 from calibration.simulation.motion.generation import generate_motion

@@ -7,6 +7,8 @@ from typing import Any
 
 from calibration.records.declaration import fields_of, is_record, settings_of
 
+_PLAIN = frozenset({str, int, float, bool, type(None)})
+
 
 def document_of(record: Any) -> dict[str, Any]:
     """Return the document of a record: mappings, lists, texts, numbers.
@@ -32,7 +34,10 @@ def text_of(record: Any) -> str:
 
 def value_of(value: Any) -> Any:
     """Return the document value of a record's value."""
-    if is_record(type(value)):
+    kind = type(value)
+    if kind in _PLAIN:  # nearly all are
+        return value
+    if is_record(kind):
         return document_of(value)
     if isinstance(value, Mapping):
         return {key: value_of(each) for key, each in value.items()}

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from calibration.dataset import writing
 from calibration.dataset.model import CornerLabels, Dataset
 from calibration.dataset.reading import read_dataset
-from calibration.dataset.writing import write_dataset, write_document
+from calibration.dataset.writing import DatasetWriter, write_dataset, write_document
 from calibration.errors import ExitCode, InfrastructureError, InputError
 from calibration.geometry.transforms import retract
 from tests.dataset import documents
@@ -81,6 +81,16 @@ def test_what_was_read_reads_back_equal(dataset, tmp_path):
     assert again.version == "3.0"
     assert_equal(dataset, again)
     assert all("transforms_ini" not in c for c in again.document["collections"].values())
+
+
+def test_a_writer_of_several_datasets_writes_each_as_it_is_written_alone(dataset, tmp_path):
+    several = DatasetWriter(dataset)
+    made = [calibrated(dataset), dataset, calibrated(dataset, scale=0.2), dataset.with_collections([0])]
+    for number, each in enumerate(made):
+        alone = write_dataset(each, tmp_path / f"alone-{number}").read_bytes()
+        assert several.write(each, tmp_path / f"{number}").read_bytes() == alone
+        text = json.dumps(json.loads(alone), indent=2, sort_keys=True) + "\n"
+        assert alone.decode() == text
 
 
 def test_a_calibrated_dataset_reads_back_equal(dataset, tmp_path):

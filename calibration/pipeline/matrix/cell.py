@@ -17,7 +17,7 @@ from calibration.baseline.verdict import Accepted, against_baseline
 from calibration.comparison.methods import METHODS, method_of
 from calibration.dataset.model import Dataset, Edge
 from calibration.dataset.truth import Truth
-from calibration.dataset.writing import write_dataset
+from calibration.dataset.writing import DatasetWriter
 from calibration.diagnosis.against_optimum import OurOptimum, find_optimum
 from calibration.diagnosis.check_data import check_data
 from calibration.diagnosis.diagnose import diagnose
@@ -80,6 +80,11 @@ class LoadedSystem:
     @cached_property
     def _sound(self) -> None:
         check_data(self.dataset)
+
+    @cached_property
+    def writer(self) -> DatasetWriter:
+        """Writes what its cells make of the dataset."""
+        return DatasetWriter(self.dataset)
 
     @cached_property
     def optimum(self) -> OurOptimum:
@@ -416,7 +421,7 @@ def _written(
     if calibration is not None and (system.evaluation is None or result.rms_px is None):
         result = replace(result, rms_px=None if math.isnan(calibration.rms_px) else round(calibration.rms_px, 4))
     result = replace(result, truth=distance_from_truth(judged, system))
-    write_dataset(dataset, output / folder, images=False)  # they would weigh more than all the rest
+    system.writer.write(dataset, output / folder, images=False)  # they would weigh more than all the rest
     if calibration is not None and calibration.converged and calibration.intrinsics:
         write_intrinsics(output / folder / INTRINSICS, calibration.intrinsics)
     return replace(result, dataset=f"{folder}/dataset.json")

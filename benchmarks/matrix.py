@@ -1,0 +1,90 @@
+"""Many cells of one dataset, each with its table and its dataset: time, memory, and what two cores are worth.
+
+The unit is `json.loads` of the dataset. CPU time of all processes counts, their start included, as the machine may be
+busy; the efficiency is what it would be on two idle cores.
+"""
+
+import json
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from benchmarks import reference
+from benchmarks.process import ENVIRONMENT
+from benchmarks.rows import Bar, Row
+from benchmarks.shared_data import FOLDER, ROOT
+
+DATASET, TABLE = "t2rgb-paper", "rgb-to-rgb:right_camera:left_camera"
+PROGRAM = """
+import json, resource, time
+from pathlib import Path
+def unit():
+    begin = time.process_time()
+    for _ in range(30):
+        json.loads(text)
+    return (time.process_time() - begin) / 30
+def used(whom):
+    usage = resource.getrusage(whom)
+    return usage.ru_utime + usage.ru_stime, usage.ru_maxrss / 1024
+from calibration.__main__ import main
+code = main({arguments!r})
+(own, own_mb), (workers, worker_mb) = used(resource.RUSAGE_SELF), used(resource.RUSAGE_CHILDREN)
+text = Path({dataset!r}).read_bytes()
+print(json.dumps([code, own, workers, own_mb, worker_mb, unit()]))
+"""
+
+
+@dataclass(frozen=True)
+class Used:
+    """What a matrix took: CPU time in seconds, memory in MB."""
+
+    code: int
+    own: float
+    workers: float
+    own_mb: float
+    worker_mb: float
+    unit: float
+
+    @property
+    def seconds(self) -> float:
+        """CPU time of all processes."""
+        return self.own + self.workers
+
+
+def measure(quick: bool) -> Iterator[Row]:
+    """200 cells now and at the kept commit, 1000 for their memory."""
+    path = FOLDER / DATASET
+    if not path.exists():
+        yield Row("matrix", skipped=f"no {DATASET} here")
+        return
+    cells = 60 if quick else 200
+    now, alone = _matrix(ROOT, path, cells, 2), _matrix(ROOT, path, cells, 1)
+    place = reference.folder()
+    before = _matrix(place, path, cells, 2) if place else None
+    note = f"{cells} cells; json.loads takes {1e3 * now.unit:.2f} ms"
+    if before:
+        note += f"; before: {before.seconds / cells / before.unit:.1f}"
+    yield Row("matrix/a cell", now.seconds / cells / now.unit, "x json.loads", Bar(high=8), note)
+    efficiency = alone.seconds / (2 * (now.own + now.workers / 2))
+    note = f"one process {alone.seconds:.1f} s; two {now.workers:.1f} s between them, {now.own:.1f} s beside them"
+    if before:
+        note += f", before {before.own:.1f} s"
+    yield Row("matrix/efficiency", efficiency, "on 2 cores", Bar(low=0.9), note)
+    many = 200 if quick else 1000
+    large = _matrix(ROOT, path, many, 2)
+    note = f"{many} cells; each of the two workers {large.worker_mb:.0f} MB"
+    yield Row("matrix/memory", large.own_mb, "MB", Bar(high=100), note)
+
+
+def _matrix(place: Path, dataset: Path, cells: int, jobs: int) -> Used:
+    with tempfile.TemporaryDirectory() as folder:
+        noise = ["--translation-noise", "0.5", "--rotation-noise", "0.5", "--seeds", str(cells)]
+        arguments = ["calibrate-matrix", "--dataset", str(dataset), "--evaluate", TABLE, *noise]
+        arguments += ["--jobs", str(jobs), "--output", folder]
+        program = PROGRAM.format(arguments=arguments, dataset=str(dataset / "dataset.json"))
+        command = [sys.executable, *reference.python(program, place)]
+        done = subprocess.run(command, cwd=folder, env=ENVIRONMENT, capture_output=True, text=True, check=True)
+    return Used(*json.loads(done.stdout.splitlines()[-1]))
