@@ -1,11 +1,11 @@
-"""Static analysis of a repository: analysers run on a copy of its files, and only what a change brings in counts.
+"""Static analysis of a repository: analysers run on a copy of its files, and only new findings of a change count.
 
 Knows nothing of calibration, and runs nothing of what it analyses.
 
-- ``finding``: what an analyser says of a line;
+- ``finding``: a finding of an analyser at a line;
 - ``copies``: the tracked files, and those of an earlier commit, as folders without links;
-- ``programs``, ``analysers``: the programs that are started, one module each, and what they say as findings;
-- ``comparison``, ``suppressions``, ``limits``: which findings are new, which are accepted, how many may be;
-- ``sarif``, ``results``, ``report``: how they are written and shown;
+- ``programs``, ``analysers``: the external programs, one module each, and their output as findings;
+- ``comparison``, ``suppressions``, ``limits``: new findings, accepted findings, and limits of their number;
+- ``sarif``, ``results``, ``report``: the output formats;
 - ``process``: the process of the command.
 """

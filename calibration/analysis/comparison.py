@@ -1,4 +1,4 @@
-"""Which findings a change has brought in: matched by rule and content, never by line number."""
+"""Comparison of findings with those of an earlier state: matched by rule and content, never by line number."""
 
 from collections import Counter
 from collections.abc import Callable, Collection, Sequence
@@ -10,16 +10,16 @@ from calibration.analysis.finding import Finding, Located, located
 
 @dataclass(frozen=True)
 class Compared:
-    """Findings of two states of a repository."""
+    """New, known and fixed findings of two states of a repository."""
 
     new: tuple[Finding, ...]
     unchanged: tuple[Finding, ...]
     fixed: tuple[Finding, ...]
-    """At their lines in the earlier state."""
+    """Fixed findings, at their lines in the earlier state."""
 
 
 def with_content(findings: Sequence[Finding], copy: Copy) -> list[Located]:
-    """Findings with the content of their lines."""
+    """Return findings with the content of their lines."""
     lines = {path: copy.lines(path) for path in {finding.path for finding in findings}}
     return [located(finding, lines[finding.path]) for finding in findings]
 
@@ -27,11 +27,11 @@ def with_content(findings: Sequence[Finding], copy: Copy) -> list[Located]:
 def compare(
     now: Sequence[Finding], copy: Copy, earlier: Sequence[Finding], base: Copy, changed: Collection[str]
 ) -> Compared:
-    """Compare findings with those of an earlier state, of which only the changed files were analysed.
+    """Compare findings with those of an earlier state, in which only the changed files were analysed.
 
-    A finding is known where the earlier state has one of its rule on a line of the same content, in any file; or one of
+    A finding is known if the earlier state has one of its rule on a line of the same content, in any file; or one of
     its rule and message in a file that has the content anywhere, as when a formatter has broken the line. Each earlier
-    finding stands for one.
+    finding matches at most one.
     """
     touched = set(changed)
     unchanged = [finding for finding in now if finding.path not in touched]
@@ -65,9 +65,9 @@ def compare(
 def _matched(
     now: Sequence[Located], earlier: Sequence[Located], key: Callable[[Located], tuple[str, str]]
 ) -> tuple[list[Located], list[Located], list[Finding]]:
-    """Findings of now and of the earlier state without a partner, and those of now with one.
+    """Return the current and earlier findings without a partner, and the current ones with a partner.
 
-    Partners in the same file are found first, so that what is left has the name that a reader expects.
+    Partners in the same file are matched first, so that the remaining ones are at the expected file.
     """
     matched: list[Finding] = []
     for full in (lambda each: (each.finding.path, *key(each)), key):

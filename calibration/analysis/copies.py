@@ -1,4 +1,4 @@
-"""Files of a repository as a folder of their own: regular files only, so that no link leads out of it."""
+"""Copies of a repository's files in a folder: regular files only, so that no link leads out of it."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
@@ -10,33 +10,33 @@ from calibration.files import read_bytes
 from calibration.git.repository import Repository
 
 MAX_BYTES = 1_000_000
-"""Of a file that is analysed; larger ones are generated."""
+"""Limit of a file's size in bytes; larger ones are generated."""
 MAX_FILES = 50_000
 _DATA = (
     *(".dae", ".gif", ".jpeg", ".jpg", ".obj", ".pdf", ".png", ".stl", ".svg"),
     *(".bag", ".db3", ".gz", ".mcap", ".npy", ".npz", ".pcd", ".ply", ".zip"),
 )
-"""Suffixes of files that nobody expects to be analysed."""
+"""Suffixes of data files, which are skipped without a report."""
 _DEEPEST = 4000
-"""Characters of a path."""
+"""Limit of a path's length in characters."""
 
 
 @dataclass(frozen=True)
 class Copy:
-    """A folder with files of one state of the repository."""
+    """Folder with the files of one state of the repository."""
 
     root: Path
     files: tuple[str, ...]
-    """That are analysed, with ``/``, in order."""
+    """Analysed files, with ``/``, sorted."""
     left_out: Mapping[str, str] = field(default_factory=dict)
-    """Why a file is not analysed that one would expect to be, by its path."""
+    """Reason why a file is not analysed, by path; without data files."""
 
     def text(self, path: str) -> str:
-        """What a file says; what is no UTF-8 is replaced."""
+        """Return the text of a file; invalid UTF-8 is replaced."""
         return (self.root / path).read_bytes().decode("utf-8", "replace")
 
     def first_line(self, path: str) -> str:
-        """The first line of a file, at most 200 characters of it."""
+        """Return the first line of a file, at most 200 characters."""
         with (self.root / path).open("rb") as stream:
             return stream.readline(200).decode("utf-8", "replace").strip()
 
@@ -49,16 +49,16 @@ class Copy:
         return True
 
     def lines(self, path: str) -> list[str]:
-        r"""The lines of a file, as all analysers count them: they end in ``\n``."""
+        r"""Return the lines of a file, as all analysers count them: they end in ``\n``."""
         return self.text(path).split("\n")
 
     def content(self, path: str) -> str:
-        """What a file says, without what formatters change."""
+        """Return the text of a file, without what formatters change."""
         return plain_content(self.text(path))
 
 
 def copied(repository: Repository, folder: Path, paths: Iterable[str]) -> Copy:
-    """Copy the files on the disk.
+    """Copy the files of the working tree.
 
     Raises:
         InputError: there are too many.
@@ -88,17 +88,17 @@ def copied(repository: Repository, folder: Path, paths: Iterable[str]) -> Copy:
 
 
 def before(now: Copy, repository: Repository, commit: str, folder: Path, changed: Iterable[str]) -> Copy:
-    """Copy the changed files as they were in a commit, among the others as they are now.
+    """Copy the changed files as of a commit, with the current version of all others.
 
-    The others are what analysers read beside the files: the team's settings, and headers. So a change of the settings
+    The others are read by analysers too: the team's settings, and headers. So a change of the settings
     alone makes no finding new.
 
     Args:
-        now: the copy of the files on the disk.
+        now: the copy of the working tree.
         repository: the checkout.
-        commit: the earlier one.
-        folder: for the copy.
-        changed: the files that the disk and the commit do not have alike, without settings.
+        commit: the earlier commit.
+        folder: folder of the new copy.
+        changed: the files that differ between the working tree and the commit, without settings.
 
     Raises:
         InfrastructureError: git fails, or a file cannot be written.

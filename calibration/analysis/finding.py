@@ -1,4 +1,4 @@
-"""One thing that an analyser found, in the one form that all analysers share."""
+"""Finding of an analyser, in the common form of all analysers."""
 
 import re
 from collections.abc import Sequence
@@ -21,12 +21,12 @@ CATEGORIES: tuple[Category, ...] = Category.__args__  # type: ignore[attr-define
 Severity = Literal["error", "warning", "note"]
 SEVERITIES: tuple[Severity, ...] = Severity.__args__  # type: ignore[attr-defined]
 _NO_CONTENT = re.compile(r"[\s,;()'\"\\]+")
-"""What formatters move, add and take away."""
+"""Characters that formatters move, add and remove."""
 
 
 @result
 class Finding:
-    """What is wrong at a line."""
+    """Fault at a line of a file."""
 
     path: str = field("The file, in the repository.")
     line: int = field("The first line of the file is 1.")
@@ -37,25 +37,25 @@ class Finding:
 
     @property
     def place(self) -> str:
-        """The file and line."""
+        """File and line."""
         return f"{self.path}:{self.line}"
 
 
 @dataclass(frozen=True)
 class Located:
-    """A finding with what its line says, by which it is recognised where the line has moved."""
+    """Finding with the content of its line, to match it after the line has moved."""
 
     finding: Finding
     content: str
-    """The line, without what formatters change; the message where the line is empty."""
+    """The line, without what formatters change; the message if the line is empty."""
 
 
 def plain_content(text: str) -> str:
-    """A text without spaces, line ends, quotes, commas and parentheses."""
+    """Return a text without spaces, line ends, quotes, commas and parentheses."""
     return _NO_CONTENT.sub("", text)
 
 
 def located(finding: Finding, lines: Sequence[str]) -> Located:
-    """A finding with the content of its line; ``lines`` are those of its file."""
+    """Return a finding with the content of its line; ``lines`` are those of its file."""
     text = lines[finding.line - 1] if 1 <= finding.line <= len(lines) else ""
     return Located(finding, plain_content(text) or finding.message)

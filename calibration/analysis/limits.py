@@ -1,4 +1,4 @@
-"""How many findings there may be: ``error=0``, ``security=3``, ``all=100``."""
+"""Limits of the number of findings: ``error=0``, ``security=3``, ``all=100``."""
 
 import re
 from collections.abc import Sequence
@@ -16,24 +16,24 @@ _KINDS = (EVERY, *SEVERITIES, *CATEGORIES)
 
 @dataclass(frozen=True)
 class Limit:
-    """A largest number of findings of a kind."""
+    """Limit of the number of findings of a kind."""
 
     kind: str
     """A severity, a category, or all."""
     most: int
 
     def check(self, findings: Sequence[Finding], what: str) -> Check:
-        """Hold findings to it; ``what`` they are is for the message: new, all."""
+        """Check the number of findings; ``what`` describes them in the message: new, all."""
         count = sum(self.kind in (EVERY, finding.severity, finding.category) for finding in findings)
         kind = "" if self.kind == EVERY else f" ({self.kind})"
         return at_most(f"{what} findings{kind}", count, self.most)
 
 
 def parse_limits(texts: Sequence[str], option: str) -> list[Limit]:
-    """Read limits as the options have them.
+    """Parse limits from options.
 
     Raises:
-        InputError: one is no limit, or of no kind that there is.
+        InputError: a limit is invalid, or of an unknown kind.
     """
     limits = []
     for text in texts:

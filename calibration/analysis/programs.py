@@ -1,4 +1,4 @@
-"""The analysers' programs: found beside this Python, started without a shell, bounded in time, told no secrets."""
+"""External programs of the analysers: run without a shell, with a time limit and without secrets."""
 
 import os
 import shutil
@@ -14,12 +14,12 @@ from calibration.errors import InfrastructureError
 from calibration.workflow.text import one_line, shorten
 
 MAX_OUTPUT = 200_000_000
-"""Bytes that a program may say."""
+"""Limit of a program's output in bytes."""
 
 
 @dataclass(frozen=True)
 class Said:
-    """What a program said."""
+    """Output of a program."""
 
     code: int
     output: str
@@ -27,10 +27,10 @@ class Said:
 
 
 def program(name: str) -> str:
-    """The path of a program that came with the packages of this Python, else of one on PATH.
+    """Return the path of a program from the packages of this Python, else of one on PATH.
 
     Raises:
-        InfrastructureError: there is none.
+        InfrastructureError: it is not installed.
     """
     beside = Path(sys.executable).with_name(name)
     found = str(beside) if os.access(beside, os.X_OK) else shutil.which(name)
@@ -40,19 +40,19 @@ def program(name: str) -> str:
 
 
 def module(name: str) -> list[str]:
-    """The beginning of a command that runs a Python package, with nothing of the folder that it runs in."""
+    """Return the beginning of a command that runs a Python package, isolated from its working directory."""
     return [sys.executable, "-I", "-m", name]
 
 
 def say(name: str, command: Sequence[str], folder: Path, seconds: float, codes: Collection[int]) -> Said:
-    """Run a program in a folder, and return what it said.
+    """Run a program in a folder, and return its output.
 
     Args:
         name: of the analyser, for messages.
         command: the program and its arguments.
-        folder: that it runs in.
-        seconds: that it may take; its whole process group is ended then.
-        codes: exit codes that mean that it did its work.
+        folder: its working directory.
+        seconds: time limit; at its end the whole process group is killed.
+        codes: exit codes of success.
 
     Raises:
         InfrastructureError: it cannot be started, takes too long, or fails.

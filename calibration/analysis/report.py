@@ -1,4 +1,4 @@
-"""The report of ``static-analysis``."""
+"""Report of ``static-analysis``."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -23,7 +23,7 @@ def report(results: Results, sarif: str, root: Path, folder: Path | None) -> Rep
     """Return the report.
 
     Args:
-        results: what was found.
+        results: the results.
         sarif: the same as SARIF.
         root: of the repository, for annotations.
         folder: of the files, if they are written.
@@ -70,7 +70,7 @@ def report(results: Results, sarif: str, root: Path, folder: Path | None) -> Rep
 
 
 def gravest_first(findings: Sequence[Finding]) -> list[Finding]:
-    """Findings in the order in which a reader wants them: errors first, security before other warnings."""
+    """Sort findings for a report: errors first, security before other warnings."""
     return sorted(findings, key=lambda each: (SEVERITIES.index(each.severity), each.category != "security", each.place))
 
 

@@ -1,4 +1,4 @@
-"""Results of ``static-analysis``, and the document of them."""
+"""Results of ``static-analysis``, and their document."""
 
 from collections import Counter
 from collections.abc import Mapping
@@ -43,24 +43,24 @@ class Results:
 
     @property
     def findings(self) -> tuple[Finding, ...]:
-        """All that count, the new ones first."""
+        """All findings that are not accepted, the new ones first."""
         return self.new + self.unchanged
 
     @property
     @computed()
     def by_category(self) -> dict[str, int]:
-        """How many findings there are of each category."""
+        """Number of findings of each category."""
         counts = Counter(finding.category for finding in self.findings)
         return {category: counts[category] for category in CATEGORIES}
 
     @property
     @computed()
     def per_thousand_lines(self) -> float | None:
-        """How many findings there are in a thousand lines; null where there is no line."""
+        """Number of findings per thousand lines; null if there are no lines."""
         return round(1000 * len(self.findings) / self.code_lines, 2) if self.code_lines else None
 
     @property
     @computed()
     def problems(self) -> list[str]:
-        """Why the verdict is fail, one line each; none if it is pass."""
+        """Reasons of a fail verdict, one line each; empty if it is pass."""
         return [str(check) for check in self.checks if not check.passed]

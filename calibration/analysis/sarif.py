@@ -1,4 +1,4 @@
-"""Findings as SARIF 2.1.0, which GitHub's code scanning and editors read."""
+"""Findings as SARIF 2.1.0, for GitHub's code scanning and editors."""
 
 import hashlib
 import json
@@ -16,7 +16,7 @@ _LEVELS = {"error": "error", "warning": "warning", "note": "note"}
 
 
 def fingerprints(findings: Iterable[Located]) -> list[str]:
-    """Fingerprints that stay when code moves: of the rule, the file and the line's content, and which of such it is."""
+    """Return fingerprints that do not change when code moves: of rule, file, content, and index among equal ones."""
     seen: Counter[tuple[str, str, str]] = Counter()
     prints = []
     for each in findings:
@@ -37,9 +37,9 @@ def sarif(
 
     Args:
         findings: all of them.
-        versions: of each analyser that ran, by its name.
-        new: those that are new; None where there is nothing to compare with.
-        suppressed: why those are accepted that are.
+        versions: version of each analyser that ran, by name.
+        new: the new ones; None if there is nothing to compare with.
+        suppressed: reasons of the accepted ones.
     """
     entries = list(zip(findings, fingerprints(findings), strict=True))
     runs = [

@@ -1,4 +1,4 @@
-"""Findings that a team has accepted: a file with a reason for each, and a date when it ends."""
+"""Accepted findings: a file with a reason for each, and an optional end date."""
 
 import re
 from collections.abc import Sequence
@@ -13,14 +13,14 @@ from calibration.errors import InputError
 from calibration.records import Converted, field, length, read, record
 
 FILE = ".static-analysis.yml"
-"""In the root of the repository, where no other is named."""
+"""Default path, in the root of the repository."""
 
 
 def parse_date(value: str, place: object) -> date:
-    """Read a date, YYYY-MM-DD.
+    """Parse a date, YYYY-MM-DD.
 
     Raises:
-        InputError: it is none.
+        InputError: it is not a date.
     """
     try:
         if re.fullmatch(r"[0-9]{4}-[0-9]{2}-[0-9]{2}", value):
@@ -42,7 +42,7 @@ class Suppression:
     )
 
     def covers(self, finding: Finding) -> bool:
-        """Whether a finding is one of these."""
+        """Whether it applies to a finding."""
         return fnmatchcase(finding.rule, self.rule) and fnmatchcase(finding.path, self.path)
 
 
@@ -55,12 +55,12 @@ class SuppressionFile:
 
 @dataclass(frozen=True)
 class Sifted:
-    """Findings with and without those that are accepted."""
+    """Findings separated into accepted and others."""
 
     kept: tuple[Finding, ...]
     suppressed: tuple[tuple[Finding, Suppression], ...]
     remarks: tuple[str, ...]
-    """What is to be said of suppressions: that they have ended, or cover nothing."""
+    """Remarks on suppressions that have ended, or match nothing."""
 
 
 def read_suppressions(path: Path) -> tuple[Suppression, ...]:
@@ -74,13 +74,13 @@ def read_suppressions(path: Path) -> tuple[Suppression, ...]:
     document = read_yaml(path, "a file of suppressions")
     entries = document.get("suppressions") if isinstance(document, dict) else None
     for entry in entries if isinstance(entries, list) else ():
-        if isinstance(entry, dict) and isinstance(entry.get("until"), date):  # YAML reads a date as one
+        if isinstance(entry, dict) and isinstance(entry.get("until"), date):  # YAML parses dates
             entry["until"] = entry["until"].isoformat()[:10]
     return read(SuppressionFile, document, str(path)).suppressions
 
 
 def sift(findings: Sequence[Finding], suppressions: Sequence[Suppression], today: date) -> Sifted:
-    """Take out what is accepted today."""
+    """Separate the findings that are accepted today."""
     kept, suppressed, used, ended = [], [], set(), []
     for finding in findings:
         covering = [each for each in suppressions if each.covers(finding)]

@@ -1,10 +1,10 @@
-"""Checks of a calibration that need no ground truth: what is wrong, by how much, and what it does to the sensors.
+"""Checks of a calibration that need no ground truth: findings with their cause, size and effect on the sensors.
 
-- ``finding``: what a check has found; ``limits``: how far off a result may be;
-- ``check_data`` and what it calls (``copies``, ``units``, ``board_order``): data that are refused unsolved;
-- ``what_does_not_fit``: suspects (`calibration.estimation.suspects`) in words; ``too_few``: too few views to tell;
+- ``finding``: the finding of a check; ``limits``: limits of the errors of a result;
+- ``check_data`` and what it calls (``copies``, ``units``, ``board_order``): data that are refused without a solution;
+- ``what_does_not_fit``: suspects (`calibration.estimation.suspects`) as findings; ``too_few``: too few views;
 - ``precision``, ``description``, ``exchanged_labels``, ``mirrored``, ``wrong_views``, ``rejected_labels``,
-  ``repeated``, ``residuals``: one each;
-- ``diagnose``: all of them, in a reader's order;
-- ``same_labels``, ``against_optimum``, ``table_follows``: what the team's own software has left.
+  ``repeated``, ``residuals``: one check each;
+- ``diagnose``: all of them, in the order of the report;
+- ``same_labels``, ``against_optimum``, ``table_follows``: checks of the output of other software.
 """

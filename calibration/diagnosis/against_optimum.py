@@ -1,13 +1,13 @@
-"""A calibration that other software has made, held against our optimum of the same labels.
+"""Comparison of another software's calibration with the optimum of the same labels.
 
-Both explain the same labels, so the noise of the labels is no excuse for a difference: two programs that minimise the
-same errors agree to a small part of a standard deviation. The distance is told in three ways:
+Both explain the same labels, so the noise of the labels does not explain a difference: two programs that minimise the
+same errors agree to a small fraction of a standard deviation. The distance is reported in three ways:
 
-- the cost of the labels at the other calibration, the patterns' poses being optimised for it, above the cost at ours.
+- the cost of the labels at the other calibration, minimised over the patterns' poses, minus the cost at the optimum.
   Near the optimum it is ``d^T S d``, with d the difference of the shared parameters and S their information (the Schur
-  complement of the normal equations), so its root is the distance in standard deviations (that of Mahalanobis, 1936) by
-  the noise of the labels alone. What labels cannot tell, the gauge, costs nothing;
-- each sensor, or each pair where only their relative pose is determined, in mm and degrees;
+  complement of the normal equations), so its root is the Mahalanobis distance (1936), in standard deviations by
+  the noise of the labels alone. Directions that labels do not determine, the gauge, add no cost;
+- mm and degrees of each sensor, or of each pair if only relative poses are determined;
 - the parameters of joints.
 """
 
@@ -33,31 +33,31 @@ from calibration.geometry.cameras import Camera
 
 KIND = "against-optimum"
 UNCHANGED = 1e-3
-"""A result that is nearer than this to its start (mm, deg) is the start."""
+"""mm, degrees: a result closer than this to its initial guess is unchanged."""
 SAME_INTRINSICS = 1e-6
-"""Intrinsics that differ by less, as a share of themselves or absolutely, were only rounded."""
+"""Relative or absolute tolerance of intrinsics: smaller differences are due to rounding."""
 RARE = 1e-3
-"""Where the labels' noise alone moves the optimum farther as rarely as this, another calibration is another one."""
+"""Significance level: a distance from the optimum that the labels' noise exceeds less often than this is noticeable."""
 NAMED = 3
-"""How many sensors a message names."""
+"""Number of sensors that a message names."""
 
 
 @dataclass(frozen=True, eq=False)
 class OurOptimum:
-    """Our calibration of a dataset, and what others are held against."""
+    """Optimum of a dataset, the reference for other calibrations."""
 
     given: Dataset
-    """What was calibrated."""
+    """The dataset that was calibrated."""
     options: Options
     calibration: Calibration
     relative: bool
-    """Whether the labels determine the sensors' poses relative to each other alone."""
+    """Whether the labels determine only the relative poses of the sensors."""
     parameters: int
-    """How many the labels determine, of those that all collections share."""
+    """Number of shared parameters that the labels determine."""
 
     @property
     def noticeable(self) -> float:
-        """The cost above the optimum from which on the labels tell the difference: a quantile of chi-square.
+        """Cost above the optimum that is significant: a quantile of chi-squared.
 
         By the approximation of E. B. Wilson and M. M. Hilferty ("The distribution of chi-square", 1931).
         """
@@ -66,20 +66,20 @@ class OurOptimum:
 
     @cached_property
     def cost(self) -> float:
-        """The cost of its labels."""
+        """Cost of the labels at the optimum."""
         return self.cost_of(self.calibration.dataset)
 
     def cost_of(self, dataset: Dataset) -> float:
-        """The cost of the same labels (but for views that ours leaves out) and weights at other transforms."""
+        """Return the cost at other transforms, with the same labels (but rejected views) and weights."""
         kept = without(dataset, self.calibration.dropped_views)
         return cost_of(kept, self.options, self.calibration.noise_levels)
 
 
 def find_optimum(dataset: Dataset, options: Options) -> OurOptimum:
-    """Calibrate a dataset from the linear start.
+    """Calibrate a dataset from the linear initial guess and return the optimum.
 
     Raises:
-        UndeterminedError: the data do not determine what is asked, or there is no optimum.
+        UndeterminedError: the data do not determine the parameters, or there is no optimum.
         InputError: the labels cannot be used.
     """
     calibration = calibrate(dataset, replace(options, start="linear"))
@@ -92,9 +92,9 @@ def find_optimum(dataset: Dataset, options: Options) -> OurOptimum:
 
 
 def optimum_for(optimum: OurOptimum, found: Dataset) -> OurOptimum:
-    """Our optimum with the intrinsics of a calibrated dataset, if the labels fit better with them; else as it is.
+    """Return the optimum with the intrinsics of a calibrated dataset, if the labels fit better with these.
 
-    Software may calibrate intrinsics too: then it is to be held against what can be reached with these.
+    Software may calibrate intrinsics too: then it is compared with the optimum for its intrinsics.
 
     Args:
         optimum: of the same labels.
@@ -111,12 +111,12 @@ def optimum_for(optimum: OurOptimum, found: Dataset) -> OurOptimum:
 
 
 def against_optimum(optimum: OurOptimum, found: Dataset, start: Dataset, limits: Limits) -> tuple[Finding, ...]:
-    """How far a calibrated dataset is from our optimum; red where it is farther than the limits.
+    """Report the distance of a calibrated dataset from the optimum; a failure if it exceeds the limits.
 
     Args:
         optimum: of the same labels.
         found: the calibrated dataset.
-        start: the guess that it was made from.
+        start: the initial guess of the calibration.
         limits: of the system.
 
     Raises:
@@ -144,9 +144,9 @@ def against_optimum(optimum: OurOptimum, found: Dataset, start: Dataset, limits:
 def _far(
     optimum: OurOptimum, error: TruthError, limits: Limits, noticeable: bool
 ) -> Iterator[tuple[float, str, tuple[str, ...]]]:
-    """What is farther than the tolerance: how many times as far, in words, and the sensors.
+    """Yield each distance beyond its limit: the ratio to the limit, a description, and the sensors.
 
-    A limit that is not set counts only where the labels tell the difference.
+    A limit that the user has not set counts only if the distance is significant.
     """
     mm, deg = limits.sensor
     count_mm, count_deg = (
@@ -165,7 +165,7 @@ def _far(
         calibrated = optimum.calibration.joints.get(joint.joint)
         length = joint.unit == "m"
         if calibrated is None or joint.parameter not in calibrated.parameters:
-            continue  # held by ours
+            continue  # fixed in the optimum
         if not noticeable and (limits.joint_mm if length else limits.joint_deg) is None:
             continue
         off, limit_of_joint = (
@@ -181,7 +181,7 @@ def _far(
 
 
 def _told(mm: float, deg: float) -> str:
-    """A displacement and a turn, to the micrometre and as little."""
+    """Format a displacement and a rotation, rounded to the micrometre and similarly small angles."""
     return f"{round(mm, 3 if mm < 1 else 2):g} mm and {round(deg, 4 if deg < 0.1 else 2):g} deg"
 
 
@@ -190,13 +190,13 @@ def _ratio(off: float, limit: float) -> float:
 
 
 def _sensors(dataset: Dataset, pose: PoseError) -> tuple[str, ...]:
-    """The sensors of an error: one, or the two of a pair."""
+    """Return the sensors of an error: one, or the two of a pair."""
     pairs = {f"{a}/{b}": (a, b) for a in dataset.sensors for b in dataset.sensors}
     return (pose.name,) if pose.name in dataset.sensors else pairs[pose.name]
 
 
 def _other_cameras(found: Dataset, given: Dataset) -> dict[str, Camera]:
-    """The cameras whose intrinsics are other ones than in the dataset that was given."""
+    """Return the cameras whose intrinsics differ from those of the given dataset."""
     other = {}
     for name, sensor in found.sensors.items():
         one, two = sensor.camera, given.sensors[name].camera
@@ -210,15 +210,15 @@ def _other_cameras(found: Dataset, given: Dataset) -> dict[str, Camera]:
 
 
 def _cost(away: float | None, excess: float) -> str:
-    """The cost above the optimum in words."""
+    """Describe the cost above the optimum."""
     if away is None:
         return "no pose of the pattern fits the labels there"
     return f"{away:.3g} standard deviations of the labels' noise away (cost {max(excess, 0.0):.3g} above the optimum)"
 
 
 def _hint(optimum: OurOptimum, found: Dataset, start: Dataset) -> str:
-    """What is known of why."""
-    for guess in (start, optimum.given):  # software that makes its own noise begins there
+    """Return a hint to the cause of the distance."""
+    for guess in (start, optimum.given):  # software that adds its own noise starts at the given dataset
         moved = error_against(found, guess, optimum.relative)
         joints = max(moved.joint_mm or 0.0, moved.joint_deg or 0.0)
         if max(moved.translation_mm, moved.rotation_deg, joints) < UNCHANGED:

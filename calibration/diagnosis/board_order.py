@@ -1,4 +1,4 @@
-"""Patterns whose corners are numbered otherwise than the dataset says, told by the ids that cameras saw."""
+"""Check of the corner numbering of patterns, from the corner ids that cameras detected."""
 
 from collections.abc import Sequence
 
@@ -12,30 +12,30 @@ from calibration.estimation.median import median
 from calibration.geometry.types import Array, IntArray
 
 LEAST_CORNERS = 12
-"""Views with fewer corners do not tell: another layout would fit them as well."""
+"""Minimum of corners of a view: with fewer, another layout would fit as well."""
 VIEWS = 9
-"""Views of each camera that are looked at, those with the most corners; their median decides."""
+"""Number of views per camera that are tested, those with the most corners; their median decides."""
 MISFIT = 0.1
-"""Views that miss a flat pattern by more, as a share of their extent, are not of this pattern."""
+"""Misfit of a flat pattern, relative to the view's extent, above which the numbering is wrong."""
 BETTER = 0.2
-"""A layout that misses by less than this share of the other's is the right one."""
+"""A layout is right if its misfit is below this fraction of the other's."""
 SCRAMBLED = 0.3
-"""Views that miss every layout by more are not numbered by rows at all; less may be a lens without its distortion."""
+"""Misfit above which no layout by rows fits; a smaller one may be due to unmodelled distortion."""
 LONGEST_ROW = 60
-"""The largest number of corners, or of an aprilgrid's tags, in a row that is tried."""
+"""Limit of the number of corners, or of an aprilgrid's tags, in a row that is tried."""
 
 View = tuple[IntArray, Array]
-"""Ids (K,) and normalised image coordinates (K, 2) of the corners that a camera saw."""
+"""Ids (K,) and normalised image coordinates (K, 2) of the corners in a camera's view."""
 
 
 def check_board_order(dataset: Dataset) -> None:
-    """Refuse a pattern whose corners are numbered by rows of another length, such as one with x for y in ``dimension``.
+    """Refuse a pattern whose corners are numbered by rows of other length, as with x and y of ``dimension`` swapped.
 
-    Whatever the pose and the focal length, a camera sees a flat pattern by a homography, and all see the same side.
+    For any pose and focal length, the image of a flat pattern is a homography, and all cameras see the same side.
 
     Raises:
-        InputError: the ids that a camera saw fit no homography; the message names the layout that they fit. Or they
-            are mirrored for some cameras, and not for others; where they are for all, it does no harm.
+        InputError: the ids from a camera fit no homography; the message names the layout that they fit. Or they
+            are mirrored for some cameras, and not for others; if they are for all, it is harmless.
     """
     for name, pattern in dataset.patterns.items():
         columns = int((abs(pattern.corners[:, 1] - pattern.corners[0, 1]) < 1e-9).sum())
@@ -76,9 +76,9 @@ def check_board_order(dataset: Dataset) -> None:
 
 
 def _side(plane: Array, image: Array) -> float:
-    """Positive where an image (K, 2) shows the front of a plane's points (K, 2), negative for its back, or a mirror.
+    """Return a positive number if an image (K, 2) shows the front of points (K, 2), negative for back or mirrored.
 
-    The sign of the determinant of the best affine map.
+    It is the determinant of the best affine map.
     """
     p, q = plane - plane.mean(0), image - image.mean(0)
     return float(np.sign(np.linalg.det(p.T @ q)))
@@ -91,20 +91,20 @@ def _views(dataset: Dataset, pattern: str, sensor: str) -> list[View]:
     views = []
     for each in most:
         rays = camera.normalise(each.pixels) if camera else np.empty((0, 2))
-        seen = np.isfinite(rays).all(-1)  # where the lens folds the image over there is no ray
+        seen = np.isfinite(rays).all(-1)  # no ray where a strong distortion folds the image over
         if np.count_nonzero(seen) >= LEAST_CORNERS:
             views.append((each.ids[seen], rays[seen]))
     return views
 
 
 def _row(pattern: Pattern, views: Sequence[View]) -> int:
-    """The length of the rows by which the views' ids fit best."""
+    """Return the length of rows that fits the views' ids best."""
     each = 2 if pattern.kind == "aprilgrid" else 1
     return min(range(2, each * LONGEST_ROW + 1, each), key=lambda row: _median_misfit(_numbered(pattern, row), views))
 
 
 def _numbered(pattern: Pattern, row: int) -> Array:
-    """(K, 3): the corners by id if a row had so many."""
+    """Return the corners (K, 3) by id, for rows of this length."""
     if pattern.kind == "aprilgrid":
         tag, gap = (abs(float(pattern.corners[i + 1, 0] - pattern.corners[i, 0])) for i in (0, 1))
         spacing = min(gap / max(tag, MIN_SIZE), MAX_SPACING)
@@ -113,15 +113,15 @@ def _numbered(pattern: Pattern, row: int) -> Array:
 
 
 def _median_misfit(corners: Array, views: Sequence[View]) -> float:
-    """Of views that tell something; 0 where none does."""
+    """Return the median misfit of the views with enough corners; 0 if there are none."""
     misfits = [_misfit(corners[ids, :2], xy) for ids, xy in views]
     return median(np.array(misfits)) if misfits else 0.0
 
 
 def _misfit(plane: Array, image: Array) -> float:
-    """How far points (K, 2) of a plane lie from their images (K, 2) under the best homography, by the images' extent.
+    """Return the misfit of a plane's points (K, 2) and pixels (K, 2) under the best homography, by the view's extent.
 
-    The linear solution, normalised: R. Hartley, A. Zisserman, Multiple View Geometry, 2nd edition, 4.1 and 4.4.
+    By the normalised DLT: R. Hartley, A. Zisserman, Multiple View Geometry, 2nd edition, 4.1 and 4.4.
     """
     if not np.isfinite(image).all():
         return 0.0

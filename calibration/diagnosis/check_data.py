@@ -1,4 +1,4 @@
-"""Checks of a dataset that need no calibration: what no least squares should be asked."""
+"""Checks of a dataset before any calibration, for faults that would make the least squares meaningless."""
 
 from calibration.dataset.model import Dataset
 from calibration.diagnosis.board_order import check_board_order
@@ -7,7 +7,7 @@ from calibration.diagnosis.units import check_units
 
 
 def check_data(dataset: Dataset) -> None:
-    """Refuse data that would calibrate to nonsense; `calibration.dataset.reading` has refused what is no dataset.
+    """Refuse data that would calibrate to nonsense; `calibration.dataset.reading` has checked the form.
 
     Raises:
         InputError: lengths look like millimetres, angles like degrees, the corners are numbered otherwise than the

@@ -1,4 +1,4 @@
-"""Labels that stand twice in a dataset: no information, but twice the weight and too small an error bar."""
+"""Check for duplicated labels: they add no information, but double the weight and make the covariance too small."""
 
 from collections.abc import Iterable
 
@@ -9,22 +9,22 @@ from calibration.errors import InputError
 from calibration.geometry.transforms import distance
 
 STILL = 1e-6
-"""Transforms that differ by less (m, rad) are of a robot that has not moved."""
+"""m, rad: transforms that differ by less are of a robot at standstill."""
 STILL_PIXELS = 1.0
-"""Corners of another camera that differ by less (px, root mean square) are of a pattern that has not moved."""
+"""px, root mean square: corners of another camera that differ by less are of a pattern at standstill."""
 NAMED = 8
-"""Pairs that a message names."""
+"""Number of pairs that a message names."""
 
 
 def check_copies(dataset: Dataset) -> None:
-    """Refuse collections with the same labels as another one, to the last digit.
+    """Refuse collections with labels that equal those of another one exactly.
 
-    So are single views with the same labels, where the pattern has moved before the sensor meanwhile, as the
-    transforms say, or another camera. A sensor that sees a fixed pattern from a fixed place may see the same
-    whenever nothing is noisy: that is no copy.
+    Single views with equal labels are refused too if the pattern has moved relative to the sensor meanwhile, by the
+    transforms or by another camera. A sensor that sees a fixed pattern from a fixed pose may have equal labels
+    if there is no noise: that is not a copy.
 
     Raises:
-        InputError: names which equal which.
+        InputError: names the equal ones.
     """
     prints = [{key: _print(label) for key, label in c.labels.items()} for c in dataset.collections]
     whole: dict[frozenset[tuple[tuple[str, str], int]], list[int]] = {}
@@ -51,7 +51,7 @@ def check_copies(dataset: Dataset) -> None:
 
 
 def _print(label: Labels) -> int:
-    """A number that differs, but for chance, where labels do."""
+    """Return a hash of a label's values."""
     return hash(tuple(array.tobytes() for array in label_arrays(label)))
 
 
@@ -61,7 +61,7 @@ def _pairs(dataset: Dataset, groups: Iterable[list[int]]) -> str:
 
 
 def _moved(dataset: Dataset, pattern: str, sensor: str, i: int, j: int) -> bool:
-    """Whether a pattern has moved before a sensor between two collections, by the transforms or by another camera."""
+    """Whether a pattern has moved relative to a sensor between two collections, by transforms or by another camera."""
     board = dataset.patterns[pattern]
     if board.fixed:
         T = dataset.with_collections([i, j]).transform(dataset.sensors[sensor].frame, board.parent_link)
@@ -72,7 +72,7 @@ def _moved(dataset: Dataset, pattern: str, sensor: str, i: int, j: int) -> bool:
 
 
 def _differ(a: Labels, b: Labels) -> bool:
-    """Whether the corners of two views are not in the same place."""
+    """Whether the corners of two views differ by more than the tolerance."""
     if not (isinstance(a, CornerLabels) and isinstance(b, CornerLabels)):
         return False
     common, first, second = np.intersect1d(a.ids, b.ids, return_indices=True)

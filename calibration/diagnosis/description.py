@@ -1,7 +1,7 @@
-"""The result against what the robot's description says: where sensors are, how far apart, which is which.
+"""Comparison of a result with the robot's description: positions, distances and identities of sensors.
 
-The description is the dataset's own transforms, such as those of a URDF. Where it has the identity in the place of a
-sensor's transform, it says nothing about that sensor.
+The description is the dataset's original transforms, such as those of a URDF. If it has the identity as a sensor's
+transform, it contains no information about that sensor.
 """
 
 from collections.abc import Mapping
@@ -18,35 +18,35 @@ from calibration.geometry.transforms import distance, inverse
 from calibration.geometry.types import Array
 
 FAR_AWAY = "far-from-description"
-"""The kind of a finding about one sensor; those of other kinds explain where all are."""
+"""Kind of a finding about one sensor; findings of other kinds explain the whole difference."""
 FAR = (0.25, 0.25)
-"""A sensor farther than this from where the description puts it (m, rad) is not the robot that is described."""
+"""m, rad: a sensor farther than this from the description's pose is not of the robot described."""
 IDENTITY = 1e-6
-"""A transform nearer to the identity (m, rad) says nothing."""
+"""m, rad: a transform closer to the identity carries no information."""
 SCALE = 0.05
-"""A scale nearer to one is left to the description's own errors."""
+"""Relative tolerance of the scale: a smaller deviation from 1 may be an error of the description."""
 LEAST_SCALED = 0.01
-"""As are distances that are off by less, m."""
+"""m: distances that differ by less may be errors of the description too."""
 BY_CHANCE = 0.003
-"""A scale that errors in random directions would give as well, in this share of cases, is none."""
+"""Significance level of a scale: errors in random directions would yield as good a fit in this share of cases."""
 EXCHANGED = 0.2
-"""Sensors are exchanged where that leaves less than this of the distance from the description."""
+"""Sensors are exchanged if that reduces the distance from the description to less than this fraction."""
 LEAST_EXCHANGED = (0.02, 0.05)
-"""Sensors that are nearer to each other (m, rad) cannot be told by their places."""
+"""m, rad: sensors closer to each other cannot be distinguished by their poses."""
 
 RelativePoses = Mapping[tuple[str, str], Array]
 
 
 def far_from_description(calibration: Calibration, description: Dataset, options: Options) -> tuple[Finding, ...]:
-    """What differs too much from the description: red, unless it is declared rough.
+    """Report what differs too much from the description: a failure, unless it is declared rough.
 
-    The best explanation is given alone: two sensors whose labels are exchanged; distances between sensors that are all
+    Only the best explanation is reported: two sensors with exchanged labels; distances between sensors that are all
     off by one factor, that of the pattern's size; else each sensor that is far away.
 
     Args:
         calibration: the result.
-        description: the dataset without the noise of a start.
-        options: how it was calibrated, and whether the description is rough.
+        description: the dataset without the noise of an initial guess.
+        options: options of the calibration, and whether the description is rough.
     """
     severity: Severity = "note" if options.description == "rough" else "red"
     described = _described(calibration, description)
@@ -60,7 +60,7 @@ def far_from_description(calibration: Calibration, description: Dataset, options
 
 
 def _described(calibration: Calibration, description: Dataset) -> tuple[Sensor, ...]:
-    """The sensors of whose places the description says something; one that is held says where the others are."""
+    """Return the sensors that the description has a pose for, including a fixed one."""
     held = (calibration.gauge, description.anchored)
     return tuple(
         sensor
@@ -74,7 +74,7 @@ def _is_identity(T: Array) -> bool:
 
 
 def _relative(dataset: Dataset, sensors: tuple[Sensor, ...]) -> RelativePoses:
-    """``T_a_b`` between the frames of every two sensors, both ways, that are fixed to each other."""
+    """Return ``T_a_b`` between the frames of any two sensors, both ways, that are rigidly connected."""
     found = {}
     for a, b in combinations(sensors, 2):
         T = dataset.transform(a.frame, b.frame)
@@ -84,7 +84,7 @@ def _relative(dataset: Dataset, sensors: tuple[Sensor, ...]) -> RelativePoses:
 
 
 def _misfit(expected: RelativePoses, found: RelativePoses, names: Mapping[str, str]) -> float:
-    """The distance (root of the sum of squares, m and rad alike) of poses, sensors taken for others by ``names``."""
+    """Distance (root of the sum of squares, m and rad alike) between poses, with sensors renamed by ``names``."""
     apart = [
         np.hypot(*distance(expected[names.get(a, a), names.get(b, b)], T))
         for (a, b), T in found.items()
@@ -96,7 +96,7 @@ def _misfit(expected: RelativePoses, found: RelativePoses, names: Mapping[str, s
 def _exchanged(
     sensors: tuple[Sensor, ...], expected: RelativePoses, found: RelativePoses, severity: Severity
 ) -> tuple[Finding, ...]:
-    """Two sensors of a kind that fit the description far better in each other's place."""
+    """Find two sensors of a modality that fit the description far better when exchanged."""
     pairs = [
         (a.name, b.name)
         for a, b in combinations(sensors, 2)
@@ -126,11 +126,11 @@ def _scaled(
     found: RelativePoses,
     severity: Severity,
 ) -> tuple[Finding, ...]:
-    """All distances between sensors off by one factor: that of the pattern's size, where nothing else gives a scale.
+    """Find a common scale of all distances between sensors: the pattern's size, if nothing else fixes the scale.
 
-    The factor is that of least squares over the positions, seen from the first sensor. Errors of the description in
-    random directions leave an angle between all positions and those expected; the share of directions within such an
-    angle, of d dimensions, is the integral of sin^(d-2).
+    The factor is the least-squares one over the positions relative to the first sensor. Errors of the description in
+    random directions cause an angle between the vectors of all positions, found and expected; the share of directions
+    within such an angle, in d dimensions, is the integral of sin^(d-2).
     """
     names = [sensor.name for sensor in sensors]
     ways = [(names[0], other) for other in names[1:] if (names[0], other) in expected and (names[0], other) in found]
@@ -167,7 +167,7 @@ def _far(
     expected: RelativePoses,
     found: RelativePoses,
 ) -> tuple[Finding, ...]:
-    """Each sensor that is far from its place, seen from the one that is held where only relative poses are known."""
+    """Find sensors far from their described pose, relative to the fixed one if only relative poses are known."""
     findings = []
     held_at = calibration.gauge
     for sensor in sensors:

@@ -1,4 +1,4 @@
-"""All checks of a calibration that need no ground truth, in the order in which a reader wants to hear of them."""
+"""All checks of a calibration that need no ground truth, in the order of the report."""
 
 from calibration.dataset.model import Dataset
 from calibration.diagnosis.description import FAR_AWAY, far_from_description
@@ -18,20 +18,20 @@ from calibration.estimation.options import Options
 from calibration.estimation.result import Calibration
 
 UNEXPLAINED = (NOTHING, UNTESTED)
-"""What is said of a calibration without suspects."""
+"""Findings on a calibration without suspects."""
 
 
 def diagnose(
     calibration: Calibration, description: Dataset, options: Options, limits: Limits, truth_known: bool = False
 ) -> tuple[Finding, ...]:
-    """What speaks for and against a calibration.
+    """Run all checks of a calibration and return their findings.
 
     Args:
         calibration: the result.
-        description: the dataset as the robot's description has it, without the noise of a start.
-        options: how it was calibrated.
-        limits: how far off it may be.
-        truth_known: whether it is compared with a truth, which then says how far off it is.
+        description: the dataset with the robot's description, without the noise of an initial guess.
+        options: options of the calibration.
+        limits: limits of its errors.
+        truth_known: whether it is also compared with ground truth, which measures its error.
     """
     if not calibration.converged:
         return (
@@ -43,7 +43,7 @@ def diagnose(
         )
     far, rejected = far_from_description(calibration, description, options), rejected_labels(calibration)
     useless = any(each.severity == "red" for each in rejected) and not far
-    explained = any(each.kind != FAR_AWAY for each in far)  # by one mistake, which says more than its consequences
+    explained = any(each.kind != FAR_AWAY for each in far)  # a single cause is reported instead of its consequences
     suspected = what_does_not_fit(calibration, limits)
     hopeless = useless or any(each.kind == "contradiction" and each.severity == "red" for each in suspected) or far
     flipped = mirrored(calibration, description, options) if hopeless and not explained else ()
@@ -66,7 +66,7 @@ def diagnose(
 
 
 def _not_determined(calibration: Calibration) -> tuple[Finding, ...]:
-    """What is left out of the result because the data cannot tell it."""
+    """Report what is left out of the result because the data do not determine it."""
     if not calibration.not_determined:
         return ()
     text = (
@@ -78,7 +78,7 @@ def _not_determined(calibration: Calibration) -> tuple[Finding, ...]:
 
 
 def _said_by_the_engine(calibration: Calibration) -> tuple[Finding, ...]:
-    """What the least squares itself has noticed."""
+    """Report warnings of the least-squares solver."""
     return (
         *(Finding("contradicted-prior", "warning", text) for text in calibration.warnings),
         *(Finding("weak-direction", "note", f"weakly determined: {text}") for text in calibration.weak_directions),

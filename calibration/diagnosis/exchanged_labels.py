@@ -1,4 +1,4 @@
-"""Two cameras with each other's labels, told by what the corners say once they are given back."""
+"""Check for two cameras with exchanged labels, by a calibration with the labels exchanged back."""
 
 from dataclasses import replace
 from itertools import combinations
@@ -11,16 +11,16 @@ from calibration.estimation.options import Options
 from calibration.estimation.result import Calibration
 
 CHEAPER = 0.5
-"""Corners that are off by less than this share of what they were, once exchanged, belong to the other camera."""
+"""Labels are exchanged if the residuals, once exchanged back, are below this fraction of the original ones."""
 PAIRS = 3
-"""Pairs of cameras that are tried: each is a calibration."""
+"""Number of pairs of cameras that are tried: each takes a calibration."""
 
 
 def exchanged_labels(calibration: Calibration, description: Dataset, options: Options) -> tuple[Finding, ...]:
-    """Calibrate again with the labels of two cameras exchanged: for results that are of no use as they are.
+    """Calibrate again with the labels of two cameras exchanged: for results that are unusable.
 
-    On a rigid rig an exchange fits as well as the truth, and only the description tells
-    (`calibration.diagnosis.description`); cameras on different bodies, or of different lenses, tell it themselves.
+    On a rigid rig an exchange fits as well as the truth, and only the description reveals it
+    (`calibration.diagnosis.description`); with cameras on different bodies, or of different lenses, the residuals do.
     """
     if options.start != "linear":
         return ()
@@ -41,7 +41,7 @@ def exchanged_labels(calibration: Calibration, description: Dataset, options: Op
 
 
 def with_exchanged(dataset: Dataset, a: str, b: str) -> Dataset:
-    """The dataset with what one sensor saw as what another did."""
+    """Return the dataset with the labels of two sensors exchanged."""
     names = {a: b, b: a}
     return replace(
         dataset,

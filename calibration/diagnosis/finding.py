@@ -1,4 +1,4 @@
-"""What a check of a calibration has found."""
+"""Finding of a check of a calibration."""
 
 from typing import Literal
 
@@ -9,7 +9,7 @@ Severity = Literal["red", "warning", "note"]
 
 @result
 class Finding:
-    """One observation about a calibration or its data, in words and in numbers."""
+    """Observation about a calibration or its data, as text and numbers."""
 
     kind: str = field("The check that made it, such as suspect, duplicate or description.")
     severity: Severity = field("red: a reason to fail. warning: worth a look. note: a line of the report.")

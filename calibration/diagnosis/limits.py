@@ -1,4 +1,4 @@
-"""How far off a result may be, with or without a truth to compare it with."""
+"""Limits of the errors of a result, with or without ground truth."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,17 +13,17 @@ from calibration.records import at_least, between, field, one_of, record
 Limit = Annotated[float, at_least(0)]
 _LIMITS = ("rms-px", "translation-mm", "rotation-deg", "joint-mm", "joint-deg")
 UNSET = 3.0
-"""Without a limit, so many standard deviations of a robot whose collections agree are one,"""
+"""Default limit, in standard deviations of a calibration whose collections agree,"""
 SMALLEST = (1.0, 0.05)
-"""and never less than this, mm and degrees."""
+"""but at least this, mm and degrees."""
 UNITS = ("m", "rad")
 TWIST = ("m",) * 3 + ("rad",) * 3
-"""Of the parameters of a transform."""
+"""Units of a transform's parameters."""
 
 
 @record(rules=(one_of(*_LIMITS, why=f"expected a limit: {', '.join(_LIMITS)}"),))
 class Limits:
-    """The largest values that pass, in every cell; None where there is no limit."""
+    """Limits that every cell must meet; None for no limit."""
 
     rms_px: Limit | None = field("Root mean square of the table's errors.", default=None, unit="px")
     translation_mm: Limit | None = field(
@@ -40,17 +40,17 @@ class Limits:
 
     @property
     def sensor(self) -> tuple[float, float]:
-        """The largest displacement (mm) and turn (degrees) of a sensor, set or not."""
+        """Limits of a sensor's displacement (mm) and rotation (degrees), set or default."""
         return _or(self.translation_mm, SMALLEST[0]), _or(self.rotation_deg, SMALLEST[1])
 
     @property
     def joint(self) -> tuple[float, float]:
-        """The largest change of a joint's length (mm) and angle (degrees), set or not."""
+        """Limits of a joint's length (mm) and angle (degrees), set or default."""
         return _or(self.joint_mm, SMALLEST[0]), _or(self.joint_deg, SMALLEST[1])
 
     @property
     def guard(self) -> float:
-        """Standard deviations of the guard band."""
+        """Width of the guard band, in standard deviations."""
         return 2.0 if self.guard_band is None else self.guard_band
 
 
@@ -60,15 +60,15 @@ def _or(limit: float | None, least: float) -> float:
 
 @dataclass(frozen=True)
 class Allowed:
-    """How far a sensor or a joint may be off."""
+    """Allowed displacement and rotation of a sensor or a joint."""
 
     translation_mm: float
     rotation_deg: float
     set: bool
-    """Whether a user has set any of it."""
+    """Whether the user has set any of the limits."""
 
     def exceeded(self, translation_mm: float, rotation_deg: float) -> bool:
-        """Whether a motion is larger."""
+        """Whether a displacement or a rotation exceeds the limits."""
         return translation_mm > self.translation_mm or rotation_deg > self.rotation_deg
 
     def __str__(self) -> str:
@@ -76,7 +76,7 @@ class Allowed:
 
 
 def allowed(calibration: Calibration, limits: Limits, name: str) -> Allowed:
-    """How far a calibrated sensor or joint may be off: the limits, or what `UNSET` and `SMALLEST` say."""
+    """Return the allowed error of a calibrated sensor or joint: the user's limits, or defaults."""
     joint, dataset = calibration.joints.get(name), calibration.dataset
     edge = dataset.joints[name].edge if joint else dataset.sensors[name].edge
     given = limits_of(calibration, limits, name)
@@ -92,20 +92,20 @@ def allowed(calibration: Calibration, limits: Limits, name: str) -> Allowed:
 
 
 def limits_of(calibration: Calibration, limits: Limits, name: str) -> tuple[float | None, float | None]:
-    """The limits that a user has set for a sensor or a joint, mm and degrees."""
+    """Return the limits that the user has set for a sensor or a joint, mm and degrees."""
     if name in calibration.joints:
         return limits.joint_mm, limits.joint_deg
     return limits.translation_mm, limits.rotation_deg
 
 
 def sizes(parameters: Array, units: Sequence[str]) -> tuple[float, float]:
-    """The norm of those of the parameters (k,) that are lengths, mm, and of those that are angles, degrees."""
+    """Return the norms of the parameters (k,) that are lengths, mm, and that are angles, degrees."""
     m, rad = (np.linalg.norm([v for v, each in zip(parameters, units, strict=True) if each == unit]) for unit in UNITS)
     return 1e3 * float(m), float(np.degrees(rad))
 
 
 def stated(calibration: Calibration) -> dict[str, tuple[float, float]]:
-    """The standard deviations in all of each calibrated sensor and joint: the norms in mm and degrees."""
+    """Return the total standard deviations of each calibrated sensor and joint: norms in mm and degrees."""
     sensors = {
         sensor.name: (calibration.sigma_mm(sensor.edge), float(np.degrees(calibration.sigma_mrad(sensor.edge) / 1e3)))
         for sensor in calibration.dataset.sensors.values()

@@ -1,8 +1,7 @@
-"""A sensor whose data are mirrored, told by what they say once they are mirrored back.
+"""Check for a sensor with mirrored data, by a calibration with the data mirrored back.
 
-Images that were flipped, or a LiDAR's axes of the wrong hand (y to the right, two axes exchanged), are of a world that
-no pose of the sensor shows. Any reflection brings them back: what is left of the difference is a rotation, which the
-calibration finds.
+Flipped images, or a LiDAR's left-handed axes (y to the right, or two axes exchanged), fit no pose of the sensor. Any
+reflection corrects them: it differs from the right one by a rotation, which the calibration finds.
 """
 
 from dataclasses import replace
@@ -18,11 +17,11 @@ from calibration.estimation.result import Calibration
 from calibration.estimation.suspects import disagreement
 
 BETTER = 0.05
-"""Collections that disagree by less than this share of what they did, once mirrored back, were mirrored."""
+"""Data are mirrored if mirroring reduces the disagreement of the collections below this fraction."""
 NONE = 100.0
-"""What counts as their disagreement where the data cannot be calibrated as they are."""
+"""Assumed disagreement if the data cannot be calibrated as they are."""
 SENSORS = 3
-"""Sensors that are tried: each is a calibration."""
+"""Number of sensors that are tried: each takes a calibration."""
 WHY = {
     "images": "does a driver flip the images, or a detector number the corners from the other side?",
     "points": "does an axis of the points' frame point the wrong way, or are two exchanged (a left-handed frame)?",
@@ -30,12 +29,12 @@ WHY = {
 
 
 def mirrored(calibration: Calibration | None, description: Dataset, options: Options) -> tuple[Finding, ...]:
-    """Calibrate again with one sensor's data mirrored back: for results that are of no use as they are.
+    """Calibrate again with one sensor's data mirrored: for results that are unusable.
 
     Args:
-        calibration: None where the data cannot be calibrated as they are.
-        description: the dataset as the robot's description has it.
-        options: how it was calibrated; from a start that is given nothing is told, as that too may be wrong.
+        calibration: None if the data cannot be calibrated as they are.
+        description: the dataset with the robot's description.
+        options: options of the calibration; with a given initial guess nothing is reported, as it may be wrong too.
     """
     if options.start != "linear":
         return ()
@@ -52,7 +51,7 @@ def mirrored(calibration: Calibration | None, description: Dataset, options: Opt
 
 
 def _then(description: Dataset, sensor: str, options: Options) -> float:
-    """How far collections disagree once a sensor's data are mirrored back; without bound where there is no result."""
+    """Return the disagreement of the collections with a sensor's data mirrored; infinite if there is no result."""
     try:
         calibration = calibrate(with_mirrored(description, sensor), options)
     except CalibrationError:
@@ -61,7 +60,7 @@ def _then(description: Dataset, sensor: str, options: Options) -> float:
 
 
 def with_mirrored(dataset: Dataset, sensor: str) -> Dataset:
-    """The dataset with left for right in a camera's images, and with y the other way in the points of a sensor."""
+    """Return the dataset with a camera's images mirrored left to right, or a sensor's points in y."""
     camera = dataset.sensors[sensor].camera
 
     def reflected(label: Labels) -> Labels:

@@ -1,11 +1,11 @@
-"""Point clouds and depth images that a dataset names and that are not there."""
+"""Report of missing point clouds and depth images."""
 
 from calibration.dataset.model import Dataset
 from calibration.diagnosis.finding import Finding
 
 
 def missing_files(dataset: Dataset) -> tuple[Finding, ...]:
-    """What was left out of a calibration because its files are missing, a sensor at a time."""
+    """Report the labels that are left out because their files are missing, by sensor."""
     return tuple(
         Finding(
             "missing-files",

@@ -1,4 +1,4 @@
-"""Whether the data determine a result well enough for the limits that it has to hold."""
+"""Check that the standard deviations of a result are small enough for its limits."""
 
 import math
 
@@ -10,15 +10,15 @@ from calibration.estimation.result import Calibration
 from calibration.geometry.types import Array
 
 DISAGREEING = 1.4
-"""What makes an error bar this many times as wide is more than half of its variance."""
+"""Collections disagree if that widens the standard deviation by this factor: it is more than half of the variance."""
 
 
 def precision(calibration: Calibration, limits: Limits) -> tuple[Finding, ...]:
-    """Red where a limit does not hold with the guard band of the stated standard deviation.
+    """Report a failure if a limit does not hold with the guard band of the reported standard deviation.
 
     Args:
         calibration: a calibration that has converged.
-        limits: those that a user has set; without one nothing is asked.
+        limits: those that the user has set; without any, nothing is checked.
     """
     findings = []
     for name, sigmas in stated(calibration).items():
@@ -35,7 +35,7 @@ def precision(calibration: Calibration, limits: Limits) -> tuple[Finding, ...]:
 
 
 def _remedy(calibration: Calibration, name: str) -> str:
-    """What would narrow the error bar most."""
+    """Return advice on the largest contribution to the standard deviation."""
     dataset = calibration.dataset
     edge = (dataset.sensors.get(name) or dataset.joints[name]).edge
     block, bars = calibration.solution.setup.block(edge), calibration.error_bars
@@ -50,12 +50,12 @@ def _remedy(calibration: Calibration, name: str) -> str:
 
 
 def _wider(C: Array, D: Array) -> float:
-    """How many times as wide an error bar of covariance C is as one of D, whatever their units."""
+    """Return the ratio of the standard deviations of covariances C and D, independent of units."""
     return float(np.sqrt(np.trace(np.linalg.solve(D, C)) / len(C)))
 
 
 def worst_false_accept(calibration: Calibration, limits: Limits) -> float | None:
-    """The probability that the least known sensor or joint is off by more than its limits; None without limits."""
+    """Return the probability that the least precise sensor or joint exceeds its limits; None without limits."""
     found = [
         false_accept(sigma, limit)
         for name, sigmas in stated(calibration).items()
@@ -66,13 +66,13 @@ def worst_false_accept(calibration: Calibration, limits: Limits) -> float | None
 
 
 def false_accept(sigma: float, limit: float) -> float:
-    """The probability that a result is off by more than a limit, in the worst direction of three.
+    """Return the probability that a three-dimensional error exceeds a limit.
 
     Args:
-        sigma: the norm of the standard deviations of the three axes.
+        sigma: norm of the standard deviations of the three axes.
         limit: of the norm of the error, in the same unit.
 
-    Maxwell's distribution with the same mean square: ``P(|e| > l) = erfc(x) + 2 x exp(-x^2) / sqrt(pi)`` with
+    By Maxwell's distribution with the same mean square: ``P(|e| > l) = erfc(x) + 2 x exp(-x^2) / sqrt(pi)`` with
     ``x = l / (sqrt(2) s)``, s the standard deviation of one axis.
     """
     if sigma <= 0:

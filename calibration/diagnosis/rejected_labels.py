@@ -1,4 +1,4 @@
-"""Labels that do not fit the result: a few are a detector's errors, many are another problem."""
+"""Check of the labels that do not fit the result: a few are errors of the detector, many have another cause."""
 
 from collections import Counter
 from collections.abc import Mapping
@@ -14,20 +14,21 @@ WARNING, RED = 0.01, 0.05
 VIEW = 0.2
 """Share of the labels of one view."""
 FEW = 3
-"""No fewer labels make a view suspicious: one of its four corners is no share of anything."""
+"""Minimum of rejected labels in a suspicious view: one of four corners is not significant."""
 GROSS_PIXELS, GROSS_METRES = 2.5, 0.1
-"""Labels that are nearer to the result (px, m) do not count: real images and LiDARs have tails beyond five standard
-deviations of the rest, which the robust loss takes care of."""
+"""px, m: labels with smaller residuals are not counted: the noise of real images and LiDARs has tails beyond five
+standard deviations, which the robust loss handles.
+"""
 NAMED = 5
-"""Collections that a message names."""
+"""Number of collections that a message names."""
 
 
 def rejected_labels(calibration: Calibration) -> tuple[Finding, ...]:
-    """How many labels do not fit, in all and in single views.
+    """Report the labels that do not fit, in total and in single views.
 
-    A label is rejected where Huber's loss gives it less than half its weight, beyond five standard deviations: of
-    normal noise, 4e-6 of the corners. It counts where it is also off by more than `GROSS_PIXELS` or `GROSS_METRES`.
-    A robust loss may have found what few labels say, so more than half of them rejected, gross or not, are red too.
+    A label is rejected if Huber's loss gives it less than half its weight, beyond five standard deviations: for
+    normal noise, 4e-6 of the corners. It is counted if its residual also exceeds `GROSS_PIXELS` or `GROSS_METRES`.
+    The robust loss may have followed a minority, so more than half of them rejected, gross or not, is a failure too.
     """
     total = sum(int(np.isfinite(view.magnitudes).sum()) for view in calibration.residuals)
     rejected = calibration.rejected
@@ -59,7 +60,7 @@ def rejected_labels(calibration: Calibration) -> tuple[Finding, ...]:
 
 
 def _views(calibration: Calibration, gross: Mapping[tuple[str, str, str, NoiseKind], int]) -> tuple[Finding, ...]:
-    """A warning of the views that have more than their share of the labels that do not fit."""
+    """Return a warning on views with too large a share of labels that do not fit."""
     bad: list[tuple[float, str, str]] = []
     for view in calibration.residuals:
         counts = np.isfinite(view.magnitudes).sum(-1)

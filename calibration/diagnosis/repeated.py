@@ -1,4 +1,4 @@
-"""Collections that say what others have said already."""
+"""Check for collections that repeat the poses of others."""
 
 import numpy as np
 
@@ -9,7 +9,7 @@ NAMED = 8
 
 
 def repeated(calibration: Calibration) -> tuple[Finding, ...]:
-    """How many collections are shots of the same poses."""
+    """Report the number of collections that repeat the poses of others."""
     keys, clusters = calibration.solution.dataset.keys, calibration.solution.clusters
     again = np.flatnonzero(clusters != np.arange(len(clusters))).tolist()
     if not again:

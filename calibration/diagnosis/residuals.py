@@ -1,7 +1,7 @@
-"""How residuals are distributed: notes on what noise alone would not do, for results that nothing else explains.
+"""Statistical tests of the residuals, for results without another explanation: notes on deviations from pure noise.
 
-Noise is independent from label to label, equal all over the image and the range, and as small as a detector's. The
-tests have views as clusters, so that what differs from view to view (an arm, a sway) is no pattern.
+Pure noise is independent between labels, equal over the image and the range, and as small as a detector's. The
+tests treat views as clusters, so that differences between views (of an arm, or a sway) are not taken for a pattern.
 """
 
 from collections.abc import Sequence
@@ -17,25 +17,25 @@ from calibration.estimation.significance import score_of_f, threshold
 from calibration.geometry.types import Array
 
 DETECTOR = 0.35
-"""px: no good detector of corners in sharp images scatters by more."""
+"""px: limit of a good corner detector's noise in sharp images."""
 CELLS = (4, 3)
-"""An image is divided into so many columns and rows."""
+"""Number of columns and rows that an image is divided into."""
 RANGES = 6
-"""A LiDAR's points are divided into so many equal parts by their range."""
+"""Number of equal parts that a LiDAR's points are divided into by range."""
 LEAST_VIEWS = 8
-"""Fewer views of a part tell nothing about it."""
+"""Minimum of views of a part."""
 SMALL = {"pixel": 0.1, "range": 0.005}
-"""Smaller errors (px, m) are no pattern worth a line,"""
+"""Smaller errors (px, m) are not reported,"""
 OF_NOISE = 0.5
-"""nor are smaller ones than this part of the noise."""
+"""nor are those smaller than this fraction of the noise."""
 ALIKE = 0.5
-"""Neighbouring corners whose errors correlate by more than this err alike."""
+"""Correlation of neighbouring corners' errors above which it is reported."""
 NOISIER = 1.5
-"""A sensor whose labels scatter so many times as much as those of all others of its kind is noisier."""
+"""Ratio of a sensor's noise to that of all others of its modality above which it is reported."""
 
 
 def residuals(calibration: Calibration) -> tuple[Finding, ...]:
-    """Notes on errors that are alike in a part of the image or of the range, alike in neighbours, or large.
+    """Report errors that are systematic in a part of the image or of the range, correlated in neighbours, or large.
 
     Args:
         calibration: a calibration that has converged.
@@ -50,7 +50,7 @@ def residuals(calibration: Calibration) -> tuple[Finding, ...]:
 
 
 def _pattern(calibration: Calibration, labels: LabelErrors, limit: float) -> list[Finding]:
-    """Errors that are alike in all views, in a part of the image or of the range: the largest."""
+    """Find the largest systematic error over all views, in a part of the image or of the range."""
     part, names = _parts(calibration, labels)
     least = max(SMALL[labels.kind], OF_NOISE * _level(labels))
     worst: tuple[float, str] = (least, "")
@@ -63,7 +63,7 @@ def _pattern(calibration: Calibration, labels: LabelErrors, limit: float) -> lis
             continue
         mean = sums.mean(0)
         covariance = np.cov(sums.T).reshape(d, d) / V
-        T2 = float(mean @ np.linalg.lstsq(covariance, mean, rcond=None)[0])  # Hotelling, views as clusters
+        T2 = float(mean @ np.linalg.lstsq(covariance, mean, rcond=None)[0])  # Hotelling's T^2, with views as clusters
         size = float(np.linalg.norm(sums.sum(0)) / counts.sum())
         if size > worst[0] and score_of_f(T2 * (V - d) / (d * (V - 1)), d, V - d) > limit:
             worst = size, name
@@ -83,7 +83,7 @@ def _pattern(calibration: Calibration, labels: LabelErrors, limit: float) -> lis
 
 
 def _parts(calibration: Calibration, labels: LabelErrors) -> tuple[Array, list[str]]:
-    """The part (V, L) of the image or the range that each label is in, and what the parts are called."""
+    """Return the part (V, L) of the image or the range of each label, and the descriptions of the parts."""
     sensor = calibration.dataset.sensors[labels.sensor]
     if labels.kind == "pixel" and sensor.camera:
         columns, rows = CELLS
@@ -105,7 +105,7 @@ def _parts(calibration: Calibration, labels: LabelErrors) -> tuple[Array, list[s
 
 
 def _neighbours(calibration: Calibration, labels: LabelErrors) -> list[Finding]:
-    """Corners of one view that err as their neighbours do."""
+    """Find correlated errors of neighbouring corners in the same view."""
     corners = calibration.dataset.patterns[labels.pattern].corners
     if labels.kind != "pixel" or len(corners) != labels.errors.shape[-1]:
         return []
@@ -127,7 +127,7 @@ def _neighbours(calibration: Calibration, labels: LabelErrors) -> list[Finding]:
 
 
 def _scatter(calibration: Calibration, labels: Sequence[LabelErrors]) -> list[Finding]:
-    """Sensors that scatter by more than a detector should, or than others of their kind."""
+    """Find sensors with more noise than a detector should have, or than others of their modality."""
     levels = {(each.sensor, each.pattern, each.kind): _level(each) for each in labels if each.seen.any()}
     notes = []
     for (sensor, pattern, kind), level in levels.items():
@@ -148,7 +148,7 @@ def _scatter(calibration: Calibration, labels: Sequence[LabelErrors]) -> list[Fi
 
 
 def _level(labels: LabelErrors) -> float:
-    """The root of the median squared error of each axis, px or m: a few wrong labels do not count."""
+    """Return the root of the median squared error per axis, px or m: robust to a few wrong labels."""
     return float(np.sqrt(median((labels.errors**2).mean(1)[labels.seen])))
 
 

@@ -1,4 +1,4 @@
-"""Whether a calibrated dataset is that of the labels that it was to be made from."""
+"""Check that a calibrated dataset has the same labels as the given one."""
 
 from collections.abc import Iterator, Mapping
 
@@ -11,17 +11,17 @@ from calibration.geometry.transforms import distance
 from calibration.geometry.types import Array
 
 PIXELS, METRES = 0.01, 1e-4
-"""Labels and patterns that differ by less (px, m) were only rounded."""
+"""px, m: tolerance of labels and patterns for rounding."""
 NAMED = 3
-"""How many differences a message names."""
+"""Number of differences that a message names."""
 
 
 def same_labels(found: Dataset, given: Dataset) -> tuple[Finding, ...]:
-    """What says that a calibrated dataset was made from other labels, or for another robot; red.
+    """Report a failure if a calibrated dataset was made from other labels, or for another robot.
 
     Args:
         found: the calibrated dataset.
-        given: the dataset that was to be calibrated.
+        given: the dataset to calibrate.
     """
     differences = list(_of_frames(found, given)) or list(_of_labels(found, given))
     if not differences:
@@ -34,7 +34,7 @@ def same_labels(found: Dataset, given: Dataset) -> tuple[Finding, ...]:
 
 
 def _of_frames(found: Dataset, given: Dataset) -> Iterator[str]:
-    """Other collections, sensors, patterns, joints or calibrated transforms: nothing can be compared then."""
+    """Yield differing collections, sensors, patterns, joints or calibrated transforms, which exclude a comparison."""
     if found.keys != given.keys:
         other = set(found.keys) ^ set(given.keys)
         which = f" (not in both: {', '.join(sorted(other)[:NAMED])}{', ...' if len(other) > NAMED else ''})"
@@ -71,7 +71,7 @@ def _of_labels(found: Dataset, given: Dataset) -> Iterator[str]:
 
 
 def _difference(one: Labels, two: Labels) -> str:
-    """How the labels of a view differ, or nothing."""
+    """Describe the difference of a view's labels; empty if they are equal."""
     if isinstance(one, CornerLabels) and isinstance(two, CornerLabels):
         a, b = np.argsort(one.ids), np.argsort(two.ids)
         if not np.array_equal(one.ids[a], two.ids[b]):
@@ -90,11 +90,11 @@ def _difference(one: Labels, two: Labels) -> str:
 
 
 def moved_frames(found: Dataset, given: Dataset, limits: Limits) -> tuple[Finding, ...]:
-    """Transforms that are not to be calibrated and have been changed by more than the tolerance; red.
+    """Report a failure if transforms that are not calibrated have changed by more than the tolerance.
 
     Args:
         found: the calibrated dataset; of the same labels.
-        given: the dataset that was to be calibrated.
+        given: the dataset to calibrate.
         limits: of the system.
     """
     most_mm, most_deg = limits.sensor
@@ -115,14 +115,14 @@ def moved_frames(found: Dataset, given: Dataset, limits: Limits) -> tuple[Findin
 
 
 def _calibrated(given: Dataset) -> set[Edge]:
-    """The transforms that a calibration may change."""
+    """Return the transforms that a calibration may change."""
     sensors = (sensor.edge for sensor in given.sensors.values() if sensor.name != given.anchored)
     patterns = ((pattern.parent_link, pattern.link) for pattern in given.patterns.values())
     return {*sensors, *patterns, *given.additional_transforms, *(joint.edge for joint in given.joints.values())}
 
 
 def _apart(found: Mapping[Edge, Array], given: Mapping[Edge, Array], edge: Edge) -> tuple[float, float]:
-    """How far a transform lies from the one that was given, mm and deg, in the worst collection."""
+    """Return the distance of a transform from the given one, mm and deg, in the worst collection."""
     both = np.isfinite(found[edge]).all((1, 2)) & np.isfinite(given[edge]).all((1, 2))
     translation, angle = distance(given[edge][both], found[edge][both])
     return float(1e3 * translation.max(initial=0)), float(np.degrees(angle.max(initial=0)))

@@ -1,4 +1,4 @@
-"""Whether a table that software left follows from its calibrated dataset."""
+"""Check that another software's table of errors agrees with its calibrated dataset."""
 
 from collections.abc import Iterator
 
@@ -13,20 +13,22 @@ from calibration.introspection.table import Table as Csv
 
 KIND = "table"
 ROW, AVERAGE = 0.1, 0.05
-"""How far a value may be from ours, as a share of it: of one collection, and of all of them. Both evaluate the same
-transforms, but a view's own pose of the pattern, or the border in an image, depends a little on who finds it."""
+"""Relative tolerance of a value: of one collection, and of an average. Both tables evaluate the same transforms, but
+the pose of a pattern estimated from a view, or the border found in an image, depends slightly on the implementation.
+"""
 COARSE = 0.1
-"""A unit of the last digit counts up to this, so that zeros without a digit are not what something was rounded to; of
-an average, which a verdict depends on, up to the share."""
+"""Limit of the unit of the last digit as a tolerance, so that "0" is not taken for any value rounded to it; averages,
+which a verdict depends on, have their relative tolerance as the limit.
+"""
 NO_NOISE = 0.1
-"""No calibration leaves a smaller share of what ours leaves of the same labels."""
+"""No calibration has a smaller RMS than this fraction of the optimum's on the same labels."""
 
 
 def table_follows(said: Csv, made: Table) -> tuple[Finding, ...]:
-    """The first value of a table that is not what our evaluation makes of the same dataset; red.
+    """Report a failure for the first value of a table that differs from our evaluation of the same dataset.
 
-    Compared are the columns and rows that both have, and the averages: software may leave out a collection, but then
-    the averages tell.
+    Columns and rows that both have are compared, and the averages: software may leave out a collection, but then
+    the averages reveal it.
 
     Args:
         said: the table that the software left.
@@ -53,12 +55,12 @@ def table_follows(said: Csv, made: Table) -> tuple[Finding, ...]:
 
 
 def _values(made: Table) -> Array:
-    """The numbers of a table; NaN where nothing was seen."""
+    """Return the numbers of a table; NaN for empty cells."""
     return made.values if made.missing is None else np.where(made.missing, np.nan, made.values)
 
 
 def _wrong(keyed: KeyedTable, columns: list[str], made: Table, of_label: dict[str, Array]) -> Iterator[str]:
-    """Each value that is not ours, in words."""
+    """Describe each value that differs."""
     places = [(column, keyed.table.column(column), made.columns.index(column)) for column in columns]
     for row in keyed.table.rows:
         label = _label(keyed.label(row))
@@ -73,7 +75,7 @@ def _wrong(keyed: KeyedTable, columns: list[str], made: Table, of_label: dict[st
 
 
 def _near(text: str, ours: float, share: float) -> bool:
-    """Whether a printed number is ours, up to a share, and a unit of its last digit where that is small."""
+    """Whether a printed number equals ours within a relative tolerance, and a unit of its last digit if small."""
     number = parse_number(text)
     if number is None:
         return False
@@ -84,16 +86,16 @@ def _near(text: str, ours: float, share: float) -> bool:
 
 
 def _label(label: str) -> str:
-    """A row's label without leading zeros: "7" and "007" are one collection, "0-1" and "000-001" one pair."""
+    """Return a row's label without leading zeros: "7" and "007" are one collection, "0-1" and "000-001" one pair."""
     return "-".join(part.lstrip("0") or "0" if part.isdigit() else part for part in label.split("-"))
 
 
 def not_evaluated(rms_px: float | None, noise_px: float) -> tuple[Finding, ...]:
-    """What can be said of a table where nothing tells how it is made: red where the labels' noise alone leaves more.
+    """Check a table of unknown kind: a failure if its RMS is below the labels' noise.
 
     Args:
         rms_px: the average of the table; None where it has none.
-        noise_px: root mean square of the reprojection errors at our optimum; NaN where there is no camera.
+        noise_px: root mean square of the reprojection errors at our optimum; NaN if there is no camera.
     """
     if rms_px is not None and rms_px < NO_NOISE * noise_px:
         text = (

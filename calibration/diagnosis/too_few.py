@@ -1,21 +1,21 @@
-"""Whether there are enough collections to judge an arm whose views disagree."""
+"""Check that there are enough collections to judge an arm with contradicting views."""
 
 from calibration.diagnosis.finding import Finding
 from calibration.estimation.result import Calibration
 from calibration.estimation.suspects import CONTRADICTION, disagreement
 
 ENOUGH = 7
-"""From so many independent collections on, suspects and error bars tell what disagreement means."""
+"""Minimum of independent collections for suspects and standard deviations to explain a disagreement."""
 BETTER = 8
-"""What a message asks for."""
+"""Number that a message recommends."""
 ALONE = 0.7
-"""One collection decides a direction of which it alone tells more than this part."""
+"""A direction depends on one collection if that contributes more than this fraction of its information."""
 
 
 def too_few(calibration: Calibration) -> tuple[Finding, ...]:
-    """Red where few views disagree by more than their noise and single ones decide the result.
+    """Report a failure if few views disagree by more than their noise and single ones decide the result.
 
-    The result follows such a view, whose residual then hides its error: no stated standard deviation covers that.
+    The result follows such a view, so that its residual is small despite its error: no standard deviation covers that.
     """
     model, bars = calibration.solution.model, calibration.error_bars
     count = len(model.G)

@@ -1,4 +1,4 @@
-"""Millimetres for metres, degrees for radians: lengths and angles that nothing in the data can be."""
+"""Check for wrong units: millimetres in place of metres, degrees in place of radians."""
 
 from collections.abc import Iterator, Mapping
 from itertools import combinations
@@ -17,21 +17,22 @@ from calibration.geometry.types import Array
 MM = 1000.0
 UNITS = {"millimetres": 1 / MM, "centimetres": 0.01, "inches": 0.0254}
 LARGEST_SQUARE = 1.0
-"""No square of a pattern, and no border around it, is larger, m."""
+"""m: limit of the squares of a pattern, and of the border around it."""
 FARTHEST_POINT = 200.0
-"""No pattern is labelled in points farther away, m."""
+"""m: limit of the range of labelled points."""
 TOO_FAR, MOVES_TOO_FAR = 10.0, 5.0
-"""Two sensors, or two places of one, from which the same board is seen, are at most the sum of their distances to it
-apart. What puts sensors, or the places of one, farther apart than so many times that is in other units; how sensors
-stand to each other may be a bad guess."""
+"""Two sensors, or two poses of one, that see the same board are at most the sum of their distances to it apart.
+Transforms that separate sensors, or the poses of one, by more than this multiple are in other units; relative poses
+of sensors have a larger factor, as they may be a bad initial guess.
+"""
 COLLECTIONS = 30
-"""Collections that are looked at."""
+"""Number of collections that are checked."""
 LEAST_CORNERS = 6
-"""Fewer corners tell a distance badly."""
+"""Minimum of corners: with fewer, a distance is imprecise."""
 TURNS = 4 * np.pi
-"""No joint turns farther from its zero, rad."""
+"""rad: limit of a joint's position."""
 FITS, DIFFERS = 0.02, 0.2
-"""A joint fits its transform within the first, and does not beyond the second, m or rad."""
+"""m or rad: a joint agrees with its transform within the first, and disagrees beyond the second."""
 
 
 def check_units(dataset: Dataset) -> None:
@@ -67,7 +68,7 @@ def _check_pattern(dataset: Dataset, name: str, pattern: Pattern) -> None:
 
 
 def square(pattern: Pattern) -> float:
-    """The side of a pattern's squares, m."""
+    """Side of a pattern's squares, m."""
     return float(np.linalg.norm(pattern.corners[1] - pattern.corners[0]))
 
 
@@ -87,7 +88,7 @@ def _check_points(dataset: Dataset) -> None:
 
 
 def _check_joint(dataset: Dataset, name: str, joint: Joint) -> None:
-    """Refuse a joint whose transform fits its parameters only once they are taken for degrees or millimetres."""
+    """Refuse a joint whose transform agrees with its parameters only if they are in degrees or millimetres."""
     if not joint.model.prismatic and (far := float(np.abs(joint.positions).max())) > TURNS:
         raise InputError(
             f"{dataset.path}: joint '{name}': found a position of {far:.4g} rad, expected two turns at most; this "
@@ -118,12 +119,12 @@ def _check_joint(dataset: Dataset, name: str, joint: Joint) -> None:
 
 
 def _off(joint: Joint, values: Array, positions: Array, T: Array) -> float:
-    """How far the first transform of a joint is from what parameters and positions say, m or rad."""
+    """Distance of a joint's first transform from that of its parameters and positions, m or rad."""
     return max(float(d) for d in distance(T[0], joint.model.pose(values) @ joint.model.motion(positions)[0]))
 
 
 def _check_transforms(dataset: Dataset) -> None:
-    """Refuse transforms that put what sees the same pattern much farther apart than from the pattern."""
+    """Refuse transforms by which sensors that see the same pattern are much farther apart than from the pattern."""
     some = sorted({round(i) for i in np.linspace(0, len(dataset.collections) - 1, COLLECTIONS).tolist()})
     dataset = dataset.with_collections(some)
     seen = _distances(dataset)
@@ -140,7 +141,7 @@ def _check_transforms(dataset: Dataset) -> None:
 
 
 def _distances(dataset: Dataset) -> Mapping[tuple[str, str], Array]:
-    """The distance (N,) of each sensor from each pattern, by what it sees of it alone, m; NaN where it does not."""
+    """Distance (N,) of each sensor from each pattern, from its own view, m; NaN without a view."""
     N = len(dataset.collections)
     found = {}
     for pattern, board in dataset.patterns.items():
@@ -166,7 +167,7 @@ def _distances(dataset: Dataset) -> Mapping[tuple[str, str], Array]:
 def _places(
     dataset: Dataset, seen: Mapping[tuple[str, str], Array]
 ) -> Iterator[tuple[str, str, str, Array, Array, tuple[Edge, ...]]]:
-    """Two places from which a pattern was seen: sensors, pattern, how far apart (n,), at most how far (n,), the way."""
+    """Yield pairs of poses that see the same pattern: sensors, pattern, distance (n,), its limit (n,), and edges."""
     for pattern, board in dataset.patterns.items():
         for a, b in combinations(dataset.sensors, 2):
             both = np.isfinite(seen[pattern, a] + seen[pattern, b])
@@ -194,7 +195,7 @@ def _edges(dataset: Dataset, start: str, end: str) -> tuple[Edge, ...]:
 
 
 def _largest(dataset: Dataset, path: tuple[Edge, ...], moving: bool) -> tuple[Edge, float, bool]:
-    """The transform on a way that moves farthest, or else the longest; its size, m; and whether it is how it moves."""
+    """Return the transform with the largest motion in a chain, or the longest one; its size, m; whether it moves."""
     t = {edge: dataset.transforms[edge][:, :3, 3] for edge in path}
     moves = {edge: float(np.linalg.norm(each - each.mean(0), axis=-1).max()) for edge, each in t.items()}
     lengths = {edge: float(np.linalg.norm(each, axis=-1).max()) for edge, each in t.items()}

@@ -1,4 +1,4 @@
-"""Suspects in words: what does not fit, by how much, what it does to the sensors, and what to do about it."""
+"""Suspects as findings: the parameter that does not fit, its deviation, its effect on the sensors, and advice."""
 
 from collections.abc import Mapping, Sequence
 
@@ -15,7 +15,7 @@ KIND = "suspect"
 NOTHING = "nothing-suspicious"
 UNTESTED = "untested"
 GROSS: Mapping[str, float] = {"focal length": 0.025, "image scale": 0.025, "principal point": 15.0}
-"""A camera_info that is off by so much (relative, px) is red whatever it moves: it belongs to another camera."""
+"""Deviation of camera_info (relative, px) that is a failure regardless of its effect: it belongs to another camera."""
 ADVICE: Mapping[str, str] = {
     "focal length": "calibrate the intrinsics, or take the camera_info that belongs to this lens and resolution",
     "aspect": "calibrate the intrinsics; were the images scaled?",
@@ -49,11 +49,11 @@ _UNITS = {"1": (100.0, "%"), "m": (1e3, "mm"), "rad": (180 / np.pi, "deg"), "px"
 
 
 def what_does_not_fit(calibration: Calibration, limits: Limits) -> tuple[Finding, ...]:
-    """Suspects: red where one moves a sensor by more than allowed, else a note; and what nothing explains.
+    """Report suspects: a failure if one displaces a sensor by more than allowed, else a note.
 
     Args:
         calibration: a calibration that has converged.
-        limits: how far a sensor may be off.
+        limits: allowed errors of the sensors.
     """
     explanation = explain(calibration.solution.model)
     if explanation is None:
@@ -107,9 +107,9 @@ def _finding(calibration: Calibration, limits: Limits, suspect: Suspect) -> Find
 def _together(
     calibration: Calibration, limits: Limits, suspects: Sequence[Suspect], findings: Sequence[Finding]
 ) -> list[Finding]:
-    """Red where no suspect moves anything by more than allowed, and all of them do.
+    """Report a failure if no suspect exceeds the limits by itself, but all of them together do.
 
-    Each has been tested with those before it free, so that what they move adds up.
+    Each was tested with the previous ones free, so that their effects add up.
     """
     if len(suspects) < 2 or any(each.severity == "red" for each in findings):
         return []
@@ -131,7 +131,7 @@ def _name(cause: Cause) -> str:
 
 
 def _size(cause: Cause, value: Array, sigma: Array) -> str:
-    """What a cause is off by, with its standard deviation, in a user's units."""
+    """Describe the deviation of a cause, with its standard deviation, in the user's units."""
     if cause.size == 6:  # a twist: translation and rotation
         return (
             f"{1e3 * np.linalg.norm(value[:3]):.3g} +- {1e3 * np.linalg.norm(sigma[:3]):.1g} mm, "
@@ -147,7 +147,7 @@ def _size(cause: Cause, value: Array, sigma: Array) -> str:
 
 
 def _moved(calibration: Calibration, moves: Array) -> dict[str, tuple[float, float]]:
-    """How far each calibrated sensor and joint moves, mm and degrees."""
+    """Return the displacements of each calibrated sensor and joint, mm and degrees."""
     setup = calibration.solution.setup
     at = setup.problem.shared_parameters
     sensors = {sensor.name: setup.block(sensor.edge) for sensor in setup.dataset.sensors.values()}
@@ -158,7 +158,7 @@ def _moved(calibration: Calibration, moves: Array) -> dict[str, tuple[float, flo
 
 
 def _keys(calibration: Calibration, since: int) -> tuple[str, ...]:
-    """The collections of the clusters from one on."""
+    """Return the collections of the clusters from an index on."""
     solution = calibration.solution
     return tuple(
         key for key, at in zip(solution.dataset.keys, solution.model.clusters.tolist(), strict=True) if at >= since
@@ -166,7 +166,7 @@ def _keys(calibration: Calibration, since: int) -> tuple[str, ...]:
 
 
 def _contradiction(calibration: Calibration, limits: Limits, explanation: Explanation) -> list[Finding]:
-    """Views that contradict each other by more than the noise, an arm and what is held explain."""
+    """Report views that contradict each other by more than the noise, an arm and fixed parameters explain."""
     found = explanation.disagreement
     if not found.contradicts:
         return []
@@ -188,7 +188,7 @@ def _contradiction(calibration: Calibration, limits: Limits, explanation: Explan
 
 
 def _nothing(calibration: Calibration) -> Finding:
-    """The line of a calibration without suspects: what its error bar is made of."""
+    """Return the note for a calibration without suspects: the contributions to its standard deviations."""
     text = "nothing suspicious"
     bars = calibration.error_bars
     worth = bars.worth if bars else {}

@@ -1,4 +1,4 @@
-"""Views that contradict the majority of the others left out: image and pose of different moments."""
+"""Report of rejected views that contradict the majority: image and pose from different moments."""
 
 from collections import Counter, defaultdict
 
@@ -6,15 +6,15 @@ from calibration.diagnosis.finding import Finding, Severity
 from calibration.estimation.result import Calibration, DroppedView
 
 RED = 0.05
-"""Share of a sensor's views: so many are no accident, and fewer are left to outvote them."""
+"""Share of a sensor's views that is a failure: the majority is no longer reliable."""
 NAMED = 20
-"""Collections that a message names."""
+"""Number of collections that a message names."""
 
 
 def wrong_views(calibration: Calibration) -> tuple[Finding, ...]:
-    """The views that were left out, by the sensors that contradict each other.
+    """Report the rejected views, by the sensors that contradict each other.
 
-    Where two sensors contradict each other and no third one decides, both views are left out and both named.
+    If two sensors contradict each other and no third one decides, both views are rejected and both are named.
     """
     views = Counter(sensor for c in calibration.dataset.collections for _, sensor in c.labels)
     by_collection: dict[str, list[DroppedView]] = defaultdict(list)

@@ -1,7 +1,7 @@
-"""The corners of aprilgrids, the boards of tags that Kalibr prints, from whole or partial views.
+"""Detection of aprilgrids, the boards of tags that Kalibr prints, in whole or partial views.
 
-OpenCV reads the tags; they lead to the corners (`calibration.labelling.board_corners`). Corners of the tags as OpenCV
-finds them are some 3 px off, because the squares at the corners touch the tags.
+OpenCV reads the tags; the corners are found from them (`calibration.labelling.board_corners`). OpenCV's own corners
+of tags are about 3 px off, because the squares at the corners touch the tags.
 
 Ids are Kalibr's (`calibration.dataset.pattern.tag_grid`).
 """
@@ -17,22 +17,23 @@ from calibration.labelling.printed_corners import PrintedPatches
 from calibration.labelling.tags import BORDER, MODULES, corner_ids, corner_places, drawn, tag_dictionary, unit
 
 LEAST_TAGS = 2
-"""One alone may be what noise looks like."""
+"""Minimum of tags: a single one may be a false detection in noise."""
 LEAST_AGREEING = 0.5
-"""A larger share of all tags lies as on the board; else it is another one, of which a few tags fit this by chance."""
+"""Minimum share of all tags that match the board; with less it is another board, and a few match by chance."""
 LEAST_FREE = 3.0
-"""Corners of smaller tags (of less than 15 px, by the usual spacing) are not looked for: what is printed beside them
-pulls them away. By measurement they err by 0.05 px where they are wider than 20 px, by 0.2 px and more at 14 px."""
+"""Corners of smaller tags (below 15 px, by the usual spacing) are skipped: the print next to them biases them. Measured
+errors are 0.05 px for squares wider than 20 px, 0.2 px and more at 14 px.
+"""
 
 
 class AprilgridDetector:
-    """Finds the corners of one aprilgrid; see `calibration.labelling.detection.CornerDetector`."""
+    """Corner detector of one aprilgrid; see `calibration.labelling.detection.CornerDetector`."""
 
     def __init__(self, pattern: PatternConfiguration) -> None:
-        """For a pattern as it is printed.
+        """Create the detector for a printed pattern.
 
         Raises:
-            InputError: no such board can be printed.
+            InputError: such a board cannot be printed.
         """
         columns, rows = pattern.dimension
         if columns * rows > TAG_COUNT:
@@ -45,10 +46,10 @@ class AprilgridDetector:
         self._layout = Layout(self._corners[corner_ids(columns, rows)], patches)
 
     def detect(self, image: Image) -> CornerLabels | NotDetected:
-        """The corners in an image (H, W) or (H, W, 3) of 8 bits, blue first; pixel (0, 0) is a centre.
+        """Detect corners in an 8-bit image (H, W) or (H, W, 3), BGR; pixel (0, 0) is a centre.
 
         Raises:
-            InputError: it is no such image.
+            InputError: it is not such an image.
         """
         image = grey(image)
         if min(image.shape) < 2 * MarkerFinder.LEAST_SIDE:
@@ -61,9 +62,9 @@ class AprilgridDetector:
         return enough(self._corners, *find_corners(image, reading, self._corners, self._clearance, LEAST_FREE))
 
     def _read(self, image: Image) -> tuple[Reading | None, int]:
-        """The tags that lie as on the board, and how many there are in all.
+        """Return the tags that match the board, and the number of all tags.
 
-        Looked for again, finer, where many should be and are not.
+        The search is repeated at a finer scale if many expected tags are missing.
         """
         found, seen = self._lying(self._finder.find(image))
         if found is not None and found.share(*image.shape) >= 0.5:
@@ -72,7 +73,7 @@ class AprilgridDetector:
         return max((found, seen), finer, key=lambda each: len(each[0].markers) if each[0] else 0)
 
     def _lying(self, tags: Markers) -> tuple[Reading | None, int]:
-        """Those of the tags that lie as on the board, and how many they are."""
+        """Return the tags that match the board, and their number."""
         own = tags.ids < self._count
         lying = readings([self._layout], Markers(tags.ids[own], tags.corners[own]))
         return (lying[0] if lying else None), len(tags)

@@ -1,10 +1,10 @@
-"""The corners of a board whose markers were read, from whole or partial views.
+"""Corners of a board from its markers, in whole or partial views.
 
-The small boards, strong perspectives and hidden parts of real data need more than the markers: these tell roughly
-where the corners are, then every corner that is found helps to tell where its neighbours are, and a corner counts when
-it looks as printed and lies where its neighbours say. So corners are found whose own markers are too small to be read.
+The small boards, strong perspectives and occlusions of real data need more than the markers: these predict the corners
+roughly, then every found corner improves the prediction of its neighbours, and a corner is accepted if it looks like
+the print and agrees with its neighbours. So corners are found even if the markers next to them are too small to read.
 
-Places are in the board's unit: the side of a square, or of a tag.
+Positions are in the board's unit: the side of a square, or of a tag.
 """
 
 import numpy as np
@@ -18,28 +18,28 @@ from calibration.labelling.layouts import Reading
 from calibration.labelling.printed_corners import refine, shortest
 
 DECIMALS = 4
-"""Of the corners' pixels."""
+"""Decimals of the corners' pixels."""
 LIKENESS = 0.8
-"""The least correlation of what is seen around a corner with what is printed there."""
+"""Minimum correlation of the image around a corner with the print."""
 SUPPORT = 1.0
-"""A corner is looked for where at least so much speaks for it; see `Prediction.support`."""
+"""Minimum support of a predicted corner; see `Prediction.support`."""
 ROUNDS = 5
-"""How often corners that are found may lead to others."""
+"""Limit of the number of rounds in which found corners predict others."""
 LEAST_SHARE = 0.25
-"""A larger share of the corners makes a detection (ATOM's rule)."""
+"""Minimum share of corners for a detection (ATOM's rule)."""
 
 
 def find_corners(
     image: Image, reading: Reading, corners: Array, clearance: float, least: float = 0.0
 ) -> tuple[IntArray, Array]:
-    """The corners of a board that has so far been read by its markers: from these, and then from each other.
+    """Find the corners of a board, first from its markers, and then from each other.
 
     Args:
         image: (H, W), grey.
-        reading: the markers, and the layout that they speak for.
-        corners: (C, 2), places of all corners by id.
-        clearance: how far nothing else is printed around a corner, along x and y.
-        least: corners are not looked for where that is seen shorter, px.
+        reading: the markers, and the board's layout by them.
+        corners: (C, 2), positions of all corners by id.
+        clearance: distance around a corner without other print, along x and y.
+        least: corners are skipped if this distance is shorter in the image, px.
 
     Returns:
         The ids (K,) and the pixels (K, 2).
@@ -66,12 +66,12 @@ def find_corners(
 
 
 def enough(corners: Array, ids: IntArray, pixels: Array) -> CornerLabels | NotDetected:
-    """The labels that corners make, if they are enough of a board's (C, 2) and tell its pose.
+    """Return the labels of corners, if they are enough of a board's (C, 2) and determine its pose.
 
     Args:
-        corners: (C, 2), places of all corners by id.
-        ids: (K,), of those that were found.
-        pixels: (K, 2), where.
+        corners: (C, 2), positions of all corners by id.
+        ids: (K,), of the found corners.
+        pixels: (K, 2), their positions in the image.
     """
     if len(ids) <= LEAST_SHARE * len(corners):
         return NotDetected(f"{len(ids)} of {len(corners)} corners, more than {100 * LEAST_SHARE:g} % are needed")
@@ -81,6 +81,6 @@ def enough(corners: Array, ids: IntArray, pixels: Array) -> CornerLabels | NotDe
 
 
 def _open_pose(corners: Array) -> bool:
-    """Whether corners (K, 2), all but at most one on a line, leave the pose of the board open."""
+    """Whether the pose of the board is ambiguous by corners (K, 2): all but at most one are on a line."""
     flat = np.column_stack([corners, np.zeros(len(corners))])
     return bool(np.isnan(planar_poses(corners.T[None], flat)[0, 0, 0]))

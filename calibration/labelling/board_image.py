@@ -1,10 +1,10 @@
-"""The image of a flat board: a smooth map from its plane to pixels, known at some points.
+"""Image of a flat board: a smooth map from its plane to pixels, interpolated from known points.
 
-For a camera without distortion the map is a homography; distortion bends it a little, everywhere
-smoothly. So near any place it is the homography of the whole board plus a quadratic, fitted to what
-the homography leaves over at the points around. No camera intrinsics are needed.
+Without distortion the map is a homography; distortion changes it smoothly. So near any position it is the
+homography of the whole board plus a quadratic, fitted to the homography's residuals at the surrounding points.
+No camera intrinsics are needed.
 
-Places on the board are in squares: one unit is the side of a square.
+Positions on the board are in squares: one unit is the side of a square.
 """
 
 from dataclasses import dataclass
@@ -15,37 +15,37 @@ from calibration.estimation.median import median
 from calibration.geometry.types import Array, BoolArray
 
 REACH = 1.5
-"""A point at this distance (squares) weighs 1/e of one beside the place that is asked for."""
+"""Distance (squares) at which the weight of a point is 1/e of that at the requested position."""
 RIDGE = 1e-3
-"""What holds the quadratic still where the points do not determine it; in weights of a point."""
+"""Regularisation of the quadratic in directions that the points do not determine; in weights of a point."""
 LEAST_MISFIT, LEAST_SHARE = 0.15, 0.005
-"""Corners that fit their neighbours this well are never in doubt: px, and of the side of a square there.
+"""Misfits below these are never rejected: px, and fraction of a square's side in the image.
 
-The share is what strong distortion leaves over near the border of a board, where neighbours are on one side only.
+The fraction allows for strong distortion near the border of a board, where neighbours are on one side only.
 """
 DOUBTFUL = 5.0
-"""A corner is in doubt when it misfits its neighbours by so many medians of all misfits."""
+"""A corner is an outlier if its misfit exceeds this multiple of the median."""
 
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
-    """Where places of the board lie in the image, by the points around them."""
+    """Predicted positions in the image, by the surrounding points."""
 
     pixels: Array
     """(M, 2)."""
     jacobians: Array
-    """(M, 2, 2): what one square along the board's x and y (columns) is in pixels along the image's x and y (rows)."""
+    """(M, 2, 2): Jacobians of the image's x and y, px (rows), by the board's x and y, squares (columns)."""
     support: Array
-    """(M,): the summed weights of the points around; below 1 there are not two beside it."""
+    """(M,): the summed weights of the surrounding points; below 1 there are fewer than two close ones."""
     spread: Array
     """(M,): the standard deviation of `pixels` for points whose standard deviation is 1."""
 
 
 def homography(places: Array, pixels: Array) -> Array:
-    """The homography (3, 3) from places (N, 2) to pixels (N, 2), linear least squares on normalised points.
+    """Estimate the homography (3, 3) from positions (N, 2) to pixels (N, 2) by the normalised DLT.
 
-    R. Hartley and A. Zisserman, "Multiple View Geometry", 2nd edition, algorithm 4.2. It needs 4
-    points of which no 3 lie on a line; otherwise it is one of many through them.
+    R. Hartley and A. Zisserman, "Multiple View Geometry", 2nd edition, algorithm 4.2. Requires 4
+    points of which no 3 are collinear; otherwise it returns one of many solutions.
     """
     A, B = _normalisation(places), _normalisation(pixels)
     x, y = (places @ A[:2, :2].T + A[:2, 2]).T
@@ -62,14 +62,14 @@ def homography(places: Array, pixels: Array) -> Array:
 
 
 def _normalisation(points: Array) -> Array:
-    """The similarity (3, 3) that brings points to their centre, sqrt(2) away from it on average."""
+    """Return the similarity (3, 3) that moves points to zero mean and a mean distance of sqrt(2)."""
     centre = points.mean(axis=0)
     scale = np.sqrt(2) / (float(np.sqrt(((points - centre) ** 2).sum(-1).mean())) or 1.0)
     return np.array([[scale, 0, -scale * centre[0]], [0, scale, -scale * centre[1]], [0, 0, 1]])
 
 
 def project(H: Array, places: Array) -> tuple[Array, Array]:
-    """Places (..., 2) to pixels (..., 2) by a homography, and its Jacobians (..., 2, 2); NaN on its horizon."""
+    """Map positions (..., 2) to pixels (..., 2) by a homography, with Jacobians (..., 2, 2); NaN on its horizon."""
     h = places @ H[:, :2].T + H[:, 2]
     depth = np.where(h[..., 2] == 0, np.nan, h[..., 2])[..., None]
     pixels = h[..., :2] / depth
@@ -78,11 +78,11 @@ def project(H: Array, places: Array) -> tuple[Array, Array]:
 
 
 def predict(places: Array, pixels: Array, wanted: Array) -> Prediction:
-    """Where the wanted places lie.
+    """Predict the pixels of wanted positions.
 
     Args:
-        places: (N, 2), the points that are known, in squares.
-        pixels: (N, 2), where they lie.
+        places: (N, 2), positions of known points, in squares.
+        pixels: (N, 2), their pixels.
         wanted: (M, 2), in squares.
     """
     around = _Around(places, wanted)
@@ -90,18 +90,18 @@ def predict(places: Array, pixels: Array, wanted: Array) -> Prediction:
 
 
 class _Around:
-    """The known points around each wanted place."""
+    """Weights and quadratic basis of the known points around each wanted position."""
 
     def __init__(self, places: Array, wanted: Array) -> None:
         self._places, self._wanted = places, wanted
         offset = (places - wanted[:, None]) / REACH  # (M, N, 2)
         x, y = offset[..., 0], offset[..., 1]
         self.near: Array = np.exp(-x * x - y * y)
-        """(M, N): how near each known point is to each wanted place, 0 to 1."""
+        """(M, N): weight of each known point for each wanted position, 0 to 1."""
         self._basis = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], -1)  # (M, N, 6)
 
     def predict(self, pixels: Array, weights: Array) -> Prediction:
-        """Where the wanted places lie, for known points at pixels (N, 2) with weights (M, N)."""
+        """Predict the wanted positions from known points at pixels (N, 2) with weights (M, N)."""
         trusted = weights.sum(axis=0) > 0.3 * self.near.sum(axis=0)
         trusted = trusted if trusted.sum() >= 4 else np.ones(len(pixels), bool)
         H = homography(self._places[trusted], pixels[trusted])
@@ -109,8 +109,8 @@ class _Around:
         left_over = pixels - project(H, self._places)[0]
         weighted = np.swapaxes(self._basis * weights[..., None], 1, 2)
         moments = weighted @ self._basis + RIDGE * np.eye(6)
-        fit = np.linalg.inv(moments)[:, :3] @ weighted  # (M, 3, N): what each point adds to the value and the slopes
-        bend = fit @ left_over  # (M, 3, 2): the quadratic's value and slopes at the wanted place
+        fit = np.linalg.inv(moments)[:, :3] @ weighted  # (M, 3, N): contribution of each point to value and slopes
+        bend = fit @ left_over  # (M, 3, 2): value and slopes of the quadratic at the wanted position
         return Prediction(
             pixels=about + bend[:, 0],
             jacobians=jacobians + np.swapaxes(bend[:, 1:], 1, 2) / REACH,
@@ -120,19 +120,19 @@ class _Around:
 
 
 def fits_neighbours(places: Array, pixels: Array) -> BoolArray:
-    """Which points (N,) lie where the others say.
+    """Return a mask (N,) of the points that agree with the prediction from the others.
 
-    The misfit of a point is its distance from where the others predict it, in standard deviations of
-    that difference, up to a factor common to all. Points that misfit lose their say in a few rounds.
-    Lens distortion is no misfit, and noise is judged by the noise of the image itself.
+    The misfit of a point is its distance from the prediction by the others, in standard deviations of
+    that difference, up to a common factor. Outliers lose their weight over a few rounds.
+    Lens distortion does not cause misfits, and the noise is estimated from the image itself.
     """
     around = _Around(places, places)
-    others = around.near - np.eye(len(places))  # none speaks for itself
+    others = around.near - np.eye(len(places))  # without each point itself
     weights = np.ones(len(places))
     for _ in range(4):
         predicted = around.predict(pixels, weights * others)
         misfit = np.linalg.norm(predicted.pixels - pixels, axis=-1) / np.sqrt(1 + predicted.spread**2)
-        with np.errstate(invalid="ignore"):  # where points tell no homography all is NaN, and nothing fits
+        with np.errstate(invalid="ignore"):  # if the points determine no homography all is NaN, and no point agrees
             side = np.sqrt(np.abs(np.linalg.det(predicted.jacobians)))
         limit = np.maximum(LEAST_SHARE * side, max(LEAST_MISFIT, DOUBTFUL * median(misfit)))
         weights = 1 / (1 + (2 * misfit / limit) ** 4)

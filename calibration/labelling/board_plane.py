@@ -1,7 +1,7 @@
-"""The plane of a board among measured points, and the board's place in it, from a rough idea of both.
+"""Fit of a board's plane and pose to measured points, from an expected pose.
 
-Nothing is drawn at random: the search starts from planes parallel to the expected one and narrows
-down on the points that agree, so the same points give the same plane.
+The search is deterministic: it starts from planes parallel to the expected one and converges
+on the points that agree, so the same points always give the same plane.
 """
 
 from dataclasses import dataclass
@@ -15,58 +15,58 @@ from calibration.geometry.types import Array, BoolArray
 from calibration.labelling.detection import NotDetected
 
 LEAST_POINTS = 10
-"""Of a sensor on a pattern (ATOM's rule)."""
+"""Minimum of a sensor's points on a pattern (ATOM's rule)."""
 INLIER = 3.5
-"""A point lies on the plane when it is nearer than so many standard deviations."""
+"""Distance of inliers from the plane, in standard deviations."""
 LEAST_SIGMA = 0.001
-"""Of points about the plane (m), however exact they seem: boards are not flat to less."""
+"""m: lower limit of the points' standard deviation about the plane: boards are not flatter."""
 CLEAR = 0.02
-"""What is off the plane by more than its points' noise and this is something else, m."""
+"""m: distance from the plane, beyond the noise, from which on a point is on another object."""
 SEE_THROUGH = 0.2
-"""The share of rays that may come back from behind a board; more, and it does not stand there."""
+"""Limit of the share of rays that end behind a board; with more, there is no board."""
 HIDDEN = 0.75
-"""The share of rays that may come back from in front of a board; more, and it is hidden."""
+"""Limit of the share of rays that end in front of a board; with more, it is occluded."""
 SLACK = 0.01
-"""A point belongs to the board up to so far beyond where its border is found, m."""
+"""m: points up to this distance beyond the estimated border belong to the board."""
 END = 0.03
-"""What ends at most so far within where the border is found, and two steps of the sensor, ends on the border, m."""
+"""m: what ends within this distance inside of the estimated border, plus two steps of the sensor, ends on it."""
 BLOCK = 128
-"""Points that are counted at once."""
+"""Number of points that are counted at once."""
 TURN = np.radians(6)
-"""How far a board is turned in its plane, at most, against what is expected."""
+"""Limit of the rotation in the plane from the expected pose."""
 
 
 @dataclass(frozen=True, eq=False)
 class BoardPlane:
-    """Where a board is found."""
+    """Fitted plane and pose of a board."""
 
     T_sensor_board: Array
-    """(4, 4): the pattern's frame as the points have it; along its plane only as well as its border tells."""
+    """(4, 4): pose of the pattern's frame; in the plane only as accurate as the border determines it."""
     sigma: float
-    """The standard deviation of points about the plane, m."""
+    """Standard deviation of points about the plane, m."""
     outline: Array
     """(4, 2): `calibration.dataset.pattern.Pattern.outline`."""
 
     @property
     def middle(self) -> Array:
-        """(3,): the middle of the board in the sensor's frame."""
+        """Centre of the board in the sensor's frame (3,)."""
         middle: Array = apply(self.T_sensor_board, np.array([[*self.outline.mean(axis=0), 0.0]]))[0]
         return middle
 
     def behind(self, points: Array) -> Array:
-        """How far points (..., N, 3) in the sensor's frame lie behind the plane, seen from the sensor, m."""
+        """Distance of points (..., N, 3) in the sensor's frame behind the plane, seen from the sensor, m."""
         normal = self.T_sensor_board[:3, 2]
         offset = normal @ self.T_sensor_board[:3, 3]
         away: Array = (points @ normal - offset) * (1.0 if offset > 0 else -1.0)
         return away
 
     def on_plane(self, points: Array) -> BoolArray:
-        """Which points (..., N, 3) lie on the plane, NaN excluded."""
+        """Return a mask of the points (..., N, 3) on the plane; False for NaN."""
         on: BoolArray = np.abs(self.behind(points)) <= INLIER * self.sigma
         return on
 
     def crossing(self, points: Array) -> Array:
-        """Where the rays to points (N, 3) cross the plane, (N, 2) in the board's frame; NaN where they do not."""
+        """Return where the rays to points (N, 3) intersect the plane (N, 2), in the board's frame; NaN if nowhere."""
         T_board_sensor = inverse(self.T_sensor_board)
         origin = T_board_sensor[:3, 3]
         direction = points @ T_board_sensor[:3, :3].T
@@ -76,20 +76,20 @@ class BoardPlane:
         return crossing
 
     def in_front(self, behind: Array) -> BoolArray:
-        """Which points end clearly before the plane, by how far `behind` it they are."""
+        """Return a mask of the points clearly in front of the plane, by their distance `behind` it."""
         return behind < -(CLEAR + INLIER * self.sigma)
 
     def passed(self, behind: Array) -> BoolArray:
-        """Which points end clearly beyond the plane, by how far `behind` it they are."""
+        """Return a mask of the points clearly behind the plane, by their distance `behind` it."""
         return behind > CLEAR + INLIER * self.sigma
 
     def absent(self, behind: Array, inside: Array, sure: float) -> str:
-        """Why the rays that cross the board say that it is not there, or nothing.
+        """Return the reason why the board is not visible, by the rays that cross it; empty if it is.
 
         Args:
-            behind: (N,), how far behind the plane they end, m.
-            inside: (N,), how far within the border they cross it, m.
-            sure: how far within the border a ray crosses that surely meets the board, m.
+            behind: (N,), distance of their ends behind the plane, m.
+            inside: (N,), distance of their intersections inside of the border, m.
+            sure: distance inside of the border from which on a ray surely hits the board, m.
         """
         crossing = behind[inside > sure]
         if self.passed(crossing).sum() > SEE_THROUGH * len(crossing):
@@ -99,20 +99,20 @@ class BoardPlane:
         return ""
 
     def inside(self, places: Array) -> Array:
-        """How far places (..., 2) of the plane lie within the border, m; negative outside."""
+        """Return the distance of positions (..., 2) in the plane inside of the border, m; negative outside."""
         low, high = self.outline.min(axis=0), self.outline.max(axis=0)
         within: Array = np.minimum(places - low, high - places).min(-1)
         return within
 
 
 def find_board(points: Array, outline: Array, T_sensor_pattern: Array, tolerance: float) -> BoardPlane | NotDetected:
-    """The board's plane and place.
+    """Find the plane and the pose of a board.
 
     Args:
-        points: (N, 3) in the sensor's frame, m; NaN where nothing came back.
+        points: (N, 3) in the sensor's frame, m; NaN without a return.
         outline: (4, 2), the board's border in the pattern's frame.
-        T_sensor_pattern: (4, 4), where the board is expected.
-        tolerance: how far, at most, any place of the board is from where it is expected, m.
+        T_sensor_pattern: (4, 4), expected pose of the board.
+        tolerance: limit of the distance of any point of the board from its expected position, m.
     """
     local = apply(inverse(T_sensor_pattern), points)
     low, high = outline.min(axis=0), outline.max(axis=0)
@@ -137,12 +137,12 @@ def find_board(points: Array, outline: Array, T_sensor_pattern: Array, tolerance
 
 
 def _plane(points: Array, centre: Array, tolerance: float) -> tuple[Array, float] | None:
-    """The plane with most points that is nearly z = 0, and the standard deviation of its points about it.
+    """Find the plane near z = 0 with most points, and the standard deviation of its points about it.
 
-    Tukey's weights with a width that shrinks, from several heights at once.
+    Iterated weighted least squares with Tukey's weights of decreasing width, from several initial heights.
 
     Returns:
-        A frame (4, 4) whose z = 0 is the plane, turned and moved no more than needed; or None.
+        A frame (4, 4) whose z = 0 is the plane, rotated and moved as little as possible; or None.
     """
     x, y = (points[:, :2] - centre).T
     scale = max(np.abs(x).max(), np.abs(y).max())
@@ -150,7 +150,7 @@ def _plane(points: Array, centre: Array, tolerance: float) -> tuple[Array, float
     products = (basis[:, :, None] * basis[:, None]).reshape(-1, 9)
     planes = np.zeros((9, 3))  # height at the centre, and slopes
     planes[:, 0] = np.linspace(-0.8, 0.8, 9) * tolerance
-    hold = np.diag([1e-9, 1e-3, 1e-3])  # slopes stay as they are where points on a line leave them open
+    hold = np.diag([1e-9, 1e-3, 1e-3])  # regularises slopes that collinear points do not determine
     width = tolerance / 2
     for _ in range(12):
         residual = points[:, 2] - planes @ basis.T  # (9, N)
@@ -178,7 +178,7 @@ def _plane(points: Array, centre: Array, tolerance: float) -> tuple[Array, float
 
 
 def _frame(normal: Array, point: Array, centre: Array) -> Array:
-    """The frame of a plane: turned as little as possible, its origin such that the centre stays above itself."""
+    """Return the frame of a plane: rotated as little as possible, with its origin below the given centre."""
     n = normal / np.linalg.norm(normal)
     axis = np.array([-n[1], n[0], 0.0])  # z cross n
     sine = np.linalg.norm(axis)
@@ -188,11 +188,11 @@ def _frame(normal: Array, point: Array, centre: Array) -> Array:
 
 
 def _placed(on: Array, beyond: Array, outline: Array, tolerance: float) -> Array:
-    """The motion (4, 4) in the plane that puts the board where it explains the rays best.
+    """Find the motion (4, 4) in the plane that explains the rays best.
 
-    Best is where most points on the plane (N, 2) lie within its border, less the places (M, 2) where
-    rays cross the plane that end beyond it. What is hidden says nothing. Where several motions are
-    best, as all between one ray and the next, the one in the middle. Coarse steps, then fine ones.
+    The score is the number of points on the plane (N, 2) inside of the border, minus the number of intersections
+    (M, 2) of rays that end behind it. Occluded rays are ignored. If several motions have the best score, as all between
+    one ray and the next, it is the one in the middle. First in coarse steps, then in fine ones.
     """
     points = np.concatenate([on, beyond])
     votes = np.repeat([1.0, -1.0], [len(on), len(beyond)])
@@ -201,7 +201,7 @@ def _placed(on: Array, beyond: Array, outline: Array, tolerance: float) -> Array
     turn = min(TURN, tolerance / float(np.linalg.norm(half)))
     angle, shift = 0.0, np.zeros(2)
     for reach in (1.0, 0.5, 0.25, 0.1, 0.04):
-        # only what is so near to the border can come in or go out
+        # only points this close to the border can enter or leave it
         away = np.abs(np.abs((points - middle) @ _rotation(angle) - shift) - half)
         near = away.min(axis=-1) < reach * (tolerance + turn * float(np.linalg.norm(half)))
         angles = angle + np.linspace(-turn, turn, 17) * reach
@@ -209,7 +209,7 @@ def _placed(on: Array, beyond: Array, outline: Array, tolerance: float) -> Array
         counts = np.stack([_counts(points[near] - middle, votes[near], each, shift, half, steps) for each in angles])
         best = np.argwhere(counts >= counts.max() - 0.5)
         scatter = (best - best.mean(axis=0)) / counts.shape
-        i, j, k = best[(scatter**2).sum(axis=-1).argmin()]  # in the middle, and one of them
+        i, j, k = best[(scatter**2).sum(axis=-1).argmin()]  # the solution closest to their mean
         angle, shift = float(angles[i]), shift + steps[[j, k]]
     R = _rotation(angle)
     T = np.eye(4)
@@ -218,7 +218,7 @@ def _placed(on: Array, beyond: Array, outline: Array, tolerance: float) -> Array
 
 
 def _counts(points: Array, votes: Array, angle: float, shift: Array, half: Array, steps: Array) -> Array:
-    """The sum of votes within the border (A, A), for each further shift along x and each along y."""
+    """Return the sum of votes inside of the border (A, A), for each shift along x and each along y."""
     turned = points @ _rotation(angle) - shift
     x, y = (np.abs(turned[:, k, None] - steps) < half[k] for k in (0, 1))
     blocks = len(points) // BLOCK + 1

@@ -1,11 +1,11 @@
-"""The corners of charuco boards, from whole or partial views.
+"""Detection of charuco boards, in whole or partial views.
 
-OpenCV reads the markers; they lead to the corners (`calibration.labelling.board_corners`).
+OpenCV reads the markers; the corners are found from them (`calibration.labelling.board_corners`).
 
 Ids are ATOM's: ``row * columns + column`` in the pattern's frame, x along a row, y along a column, z
-away from the camera, as OpenCV's board has them since 4.6; labels that ATOM made with OpenCV 4.6 have
-the same ids (held by a test on real data). They are half a pixel to the right and below ours: that
-version took the corner of the top-left pixel as the origin; here its centre is (0, 0).
+away from the camera, as in OpenCV's board since 4.6; labels by ATOM with OpenCV 4.6 have the same ids
+(tested on real data). Their pixels are half a pixel larger in x and y: that version has its
+origin at the corner of the top-left pixel; here the pixel's centre is (0, 0).
 """
 
 import cv2
@@ -20,20 +20,20 @@ from calibration.labelling.layouts import Reading, board_layouts, readings
 from calibration.labelling.markers import MarkerFinder
 
 LEAST_MARKERS = 8
-"""More markers than that, and enough corners, make a detection (ATOM's rule).
+"""A detection takes more markers than this, and enough corners (ATOM's rule).
 
-A board with fewer than 33 markers needs more than a quarter of them.
+A board with fewer than 33 markers takes more than a quarter of them.
 """
 
 
 class CharucoDetector:
-    """Finds the corners of one charuco board; see `calibration.labelling.detection.CornerDetector`."""
+    """Corner detector of one charuco board; see `calibration.labelling.detection.CornerDetector`."""
 
     def __init__(self, pattern: PatternConfiguration) -> None:
-        """For a pattern as it is printed; whether in OpenCV's modern or legacy layout, each image tells.
+        """Create the detector for a printed pattern; OpenCV's modern or legacy layout is detected in each image.
 
         Raises:
-            InputError: no such board can be printed.
+            InputError: such a board cannot be printed.
         """
         dictionary = _dictionary(pattern)
         columns, rows = pattern.dimension
@@ -55,10 +55,10 @@ class CharucoDetector:
         self._layouts = board_layouts(columns + 1, rows + 1, marker, dictionary, self._corners)
 
     def detect(self, image: Image) -> CornerLabels | NotDetected:
-        """The corners in an image (H, W) or (H, W, 3) of 8 bits, blue first; pixel (0, 0) is a centre.
+        """Detect corners in an 8-bit image (H, W) or (H, W, 3), BGR; pixel (0, 0) is a centre.
 
         Raises:
-            InputError: it is no such image.
+            InputError: it is not such an image.
         """
         image = grey(image)
         if min(image.shape) < 2 * MarkerFinder.LEAST_SIDE:
@@ -76,7 +76,7 @@ class CharucoDetector:
         return labels
 
     def _read(self, image: Image) -> list[Reading]:
-        """The markers as the likeliest layouts have them; looked for again, finer, where many should be and are not."""
+        """Read the markers by the likeliest layouts; repeated at a finer scale if many expected ones are missing."""
         found = readings(self._layouts, self._finder.find(image))
         if found and found[0].share(*image.shape) >= 0.5:
             return found

@@ -1,13 +1,13 @@
-"""The corners of chessboards: OpenCV finds all of them or none, and those that are no good are left out.
+"""Detection of chessboards: OpenCV finds all corners or none; bad corners are removed afterwards.
 
-A chessboard has no marker that says where it begins, so corner 0 is chosen by a rule. Of the ways to
-number the corners as a grid that is seen from the front (x along a row, y down a column, never
-mirrored), those count that have a black square beyond corner 0, at the corner of the board. Where
-several are left, the one that stands most upright does: x nearest to the right of the image.
+A chessboard has no marker for its origin, so corner 0 is chosen by a rule. Candidates are the numberings of the
+corners as a grid seen from the front (x along a row, y down a column, never mirrored) with a black square beyond
+corner 0, at the corner of the board. Among several, the most upright one is chosen: x closest to the right of the
+image.
 
-So a board with an even number of squares one way and an odd number the other way keeps its ids however
-it is turned. Others jump when they are turned by more than 90 degrees from upright (square boards with
-an odd number of squares: by 45), so a motion should not turn them as far.
+So a board with an even number of squares in one direction and an odd number in the other keeps its ids at any
+rotation. With others, corner 0 changes when the board is rotated by more than 90 degrees from upright (square boards
+with an odd number of squares: by 45), so a motion should not rotate them as far.
 """
 
 from collections.abc import Iterator
@@ -24,27 +24,27 @@ from calibration.labelling.detection import Image, NotDetected, grey
 from calibration.labelling.printed_corners import refine
 
 DECIMALS = 4
-"""Of the corners' pixels."""
+"""Decimals of the corners' pixels."""
 CLEARANCE = 0.4
-"""How far around a corner refinement looks (squares); the next corners are at 1."""
+"""Radius (squares) of the refinement around a corner; the next corners are at 1."""
 LEAST_SHARE = 0.75
-"""A smaller share of corners that look like corners of a board is none; what the others hide is left out."""
+"""Minimum share of good corners for a detection; bad ones are removed, such as occluded ones."""
 LEAST_CORNERS = 3
-"""Along each side of a board, for OpenCV to find it."""
+"""Minimum along each side of a board, required by OpenCV."""
 LARGE = 800
-"""The longer side of an image that is searched at half its size first (px)."""
+"""Longer side (px) from which on an image is first searched at half its size."""
 MARGIN = 4
-"""An image has at least so many pixels for each square of a board in it."""
+"""Minimum of an image's pixels per square of a board in it."""
 
 
 class ChessboardDetector:
-    """Finds the corners of one chessboard; see `calibration.labelling.detection.CornerDetector`."""
+    """Corner detector of one chessboard; see `calibration.labelling.detection.CornerDetector`."""
 
     def __init__(self, pattern: PatternConfiguration) -> None:
-        """For a pattern as it is printed.
+        """Create the detector for a printed pattern.
 
         Raises:
-            InputError: OpenCV finds no board with so few corners.
+            InputError: the board has fewer corners than OpenCV requires.
         """
         if min(pattern.dimension) < LEAST_CORNERS:
             raise InputError(
@@ -56,10 +56,10 @@ class ChessboardDetector:
         self._places = np.stack([column, row], -1).astype(float)
 
     def detect(self, image: Image) -> CornerLabels | NotDetected:
-        """The corners in an image (H, W) or (H, W, 3) of 8 bits, blue first; pixel (0, 0) is a centre.
+        """Detect corners in an 8-bit image (H, W) or (H, W, 3), BGR; pixel (0, 0) is a centre.
 
         Raises:
-            InputError: it is no such image.
+            InputError: it is not such an image.
         """
         image = grey(image)
         if max(image.shape) < MARGIN * max(self._columns, self._rows) or min(image.shape) < MARGIN * 3:
@@ -76,11 +76,11 @@ class ChessboardDetector:
         return CornerLabels(np.flatnonzero(found), np.round(refined[found], DECIMALS))
 
     def _find(self, image: Image) -> Array | None:
-        """The corners (rows, columns, 2) in some order along rows and columns; None where there are none.
+        """Find the corners (rows, columns, 2) in some order along rows and columns; None if there are none.
 
-        Large images are searched at half their size first: a quarter of the time, and the corners are
-        refined in the whole image afterwards. OpenCV's older detector is faster where it finds a
-        board, takes a second where there is none, and sees boards in charuco boards.
+        Large images are first searched at half their size: in a quarter of the time, and the corners are then
+        refined in the full image. OpenCV's older detector is faster if there is a board, takes a second if
+        there is none, and detects boards in charuco boards.
         """
         sizes = (2, 1) if max(image.shape) > LARGE else (1,)
         for reduced in sizes:
@@ -94,21 +94,21 @@ class ChessboardDetector:
         return None
 
     def _numbered(self, image: Image, corners: Array) -> Array:
-        """The corners in the order of their ids, (rows, columns, 2)."""
+        """Sort the corners by their ids, (rows, columns, 2)."""
         ways = [way for way in _ways(corners) if _seen_from_the_front(way)]
         black = [way for way in ways if _begins_black(image, way)]
         return max(black or ways, key=_upright)
 
 
 def _ways(corners: Array) -> Iterator[Array]:
-    """All ways to number a grid along its rows and columns."""
+    """Iterate over all numberings of a grid along its rows and columns."""
     square = corners.shape[0] == corners.shape[1]
     for grid in (corners, corners.swapaxes(0, 1)) if square else (corners,):
         yield from (grid, grid[::-1], grid[:, ::-1], grid[::-1, ::-1])
 
 
 def _axes(grid: Array) -> tuple[Array, Array]:
-    """The mean steps along x and along y, px."""
+    """Return the mean steps along x and along y, px."""
     return np.diff(grid, axis=1).mean(axis=(0, 1)), np.diff(grid, axis=0).mean(axis=(0, 1))
 
 
@@ -118,13 +118,13 @@ def _seen_from_the_front(grid: Array) -> bool:
 
 
 def _upright(grid: Array) -> float:
-    """The cosine of the angle from the right of the image to x."""
+    """Return the cosine of the angle between x and the right of the image."""
     x, _ = _axes(grid)
     return float(x[0] / np.linalg.norm(x))
 
 
 def _begins_black(image: Image, grid: Array) -> bool:
-    """Whether the square beyond corner 0 is black: it is as the one between corners 0 and 0 + (1, 1)."""
+    """Whether the square beyond corner 0 is black: it has the colour of the one between corners 0 and 0 + (1, 1)."""
     centres = (grid[:-1, :-1] + grid[1:, :-1] + grid[:-1, 1:] + grid[1:, 1:]) / 4
     x, y = np.moveaxis(np.round(centres).astype(int), -1, 0)
     shades = image[y.clip(0, image.shape[0] - 1), x.clip(0, image.shape[1] - 1)].astype(float)

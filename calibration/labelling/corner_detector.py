@@ -1,4 +1,4 @@
-"""The detector of corners for a pattern, by its kind."""
+"""Corner detectors by the kind of the pattern."""
 
 from collections.abc import Callable, Mapping
 
@@ -14,13 +14,13 @@ DETECTORS: Mapping[PatternKind, Callable[[PatternConfiguration], CornerDetector]
     "chessboard": ChessboardDetector,
     "aprilgrid": AprilgridDetector,
 }
-"""By the kind of a pattern."""
+"""Constructors of detectors, by the kind of the pattern."""
 
 
 def corner_detector(pattern: PatternConfiguration) -> CornerDetector:
-    """The detector for a pattern.
+    """Create the corner detector of a pattern.
 
     Raises:
-        InputError: no such board can be printed; the message says why.
+        InputError: such a board cannot be printed; the message has the reason.
     """
     return DETECTORS[pattern.kind](pattern)

@@ -1,4 +1,4 @@
-"""The pixels of a depth image that lie on a pattern, and those on its border."""
+"""Detection of a pattern in a depth image: its pixels on the pattern, and those on its border."""
 
 import cv2
 import numpy as np
@@ -13,11 +13,11 @@ from calibration.labelling.detection import DepthImage, NotDetected
 from calibration.labelling.points import TOLERANCE, PatternPoints
 
 SEARCHED = 5000
-"""Pixels among which the plane is searched, about."""
+"""Approximate number of pixels that the plane is searched in."""
 EDGE = 0.025
-"""So near to the image's edge, as a share of its width and height, nothing is on a border (ATOM's rule)."""
+"""Margin of the image, as a fraction of width and height, in which no pixel is on a border (ATOM's rule)."""
 AROUND = 0.1
-"""So far around the place where the pattern may be, pixels are looked at, m."""
+"""m: margin of the searched region around the pattern's expected position."""
 
 
 def label_depth(
@@ -28,19 +28,19 @@ def label_depth(
     tolerance: float = TOLERANCE,
     most: int | None = 5000,
 ) -> PatternPoints | NotDetected:
-    """The pixels of a depth image that lie on a pattern: the largest connected region on its plane and place.
+    """Find the pixels of a depth image on a pattern: the largest connected region on its plane, at its position.
 
-    A pixel of the region is on the border when the pixel beside it goes past the board or sees
-    nothing, it does not lie well inside of where the other points put the border, and it is not
-    near the edge of the image. Where something nearer hides the rest there is no border.
+    A pixel of the region is on the border if the neighbouring pixel is behind the board or has no depth, it is
+    not well inside of the estimated border, and it is not near the edge of the image. An occluded part has no
+    border.
 
     Args:
-        depth: (H, W), tenths of a millimetre along the optical axis; 65535 (and 0) where nothing came back.
+        depth: (H, W), tenths of a millimetre along the optical axis; 65535 (and 0) without a return.
         camera: its intrinsics.
         pattern: its geometry.
-        T_sensor_pattern: (4, 4), where the pattern is expected, as from another camera and a first guess.
-        tolerance: how far, at most, any place of the board is from where it is expected, m.
-        most: how many pixels of the region, and of the border, are given; evenly thinned. None for all.
+        T_sensor_pattern: (4, 4), expected pose of the pattern, such as from another camera and an initial guess.
+        tolerance: limit of the distance of any point of the board from its expected position, m.
+        most: limit of the number of pixels of the region, and of the border, evenly thinned. None for all.
 
     Returns:
         Linear indices ``y * width + x``.
@@ -71,7 +71,7 @@ def label_depth(
 def _window(
     shape: tuple[int, ...], camera: Camera, pattern: Pattern, T_sensor_pattern: Array, tolerance: float
 ) -> tuple[slice, slice]:
-    """The part of the image in which the pattern can be; all of it when that reaches behind the camera."""
+    """Return the part of the image in which the pattern may be; the whole image if it may be behind the camera."""
     reach = tolerance + AROUND
     low, high = pattern.outline.min(axis=0) - reach, pattern.outline.max(axis=0) + reach
     corners = np.stack(np.meshgrid([low[0], high[0]], [low[1], high[1]], [-tolerance, tolerance]), -1).reshape(-1, 3)
@@ -85,18 +85,18 @@ def _window(
 
 
 def _rays(camera: Camera, part: tuple[slice, slice]) -> Array:
-    """(h, w, 3): the directions (x, y, 1) of the pixels of a part of the image."""
+    """Directions (h, w, 3) of the pixels of a part of the image, (x, y, 1)."""
     v, u = np.mgrid[part].astype(float)
     return np.concatenate([camera.normalise(np.stack([u, v], -1)), np.ones((*u.shape, 1))], -1)
 
 
 def _metres(depth: DepthImage) -> Array:
-    """Depths in metres; NaN where nothing came back."""
+    """Convert depths to metres; NaN without a return."""
     return np.where((depth == NO_RETURN) | (depth == 0), np.nan, depth * UNIT)
 
 
 def _largest(region: BoolArray) -> BoolArray:
-    """The largest part of a region (h, w) whose pixels are connected by their sides."""
+    """Return the largest part of a region (h, w) that is connected by the pixels' sides."""
     count, parts, stats, _ = cv2.connectedComponentsWithStats(region.astype(np.uint8), connectivity=4)
     if count < 2:
         return region
@@ -105,7 +105,7 @@ def _largest(region: BoolArray) -> BoolArray:
 
 
 def _beside(region: BoolArray) -> BoolArray:
-    """The pixels (h, w) that have one of a region above, below, left or right of them."""
+    """Return the pixels (h, w) with a neighbour (above, below, left or right) in a region."""
     beside = np.zeros_like(region)
     beside[1:] |= region[:-1]
     beside[:-1] |= region[1:]
@@ -115,7 +115,7 @@ def _beside(region: BoolArray) -> BoolArray:
 
 
 def _spacing(crossing: Array, shape: tuple[int, int]) -> Array:
-    """How far apart (h * w,) the rays of neighbouring pixels cross the plane, m."""
+    """Distance (h * w,) between the intersections of neighbouring pixels' rays with the plane, m."""
     grid = crossing.reshape(*shape, 2)
     down = np.linalg.norm(np.diff(grid, axis=0, append=grid[-1:]), axis=-1)
     right = np.linalg.norm(np.diff(grid, axis=1, append=grid[:, -1:]), axis=-1)
@@ -124,7 +124,7 @@ def _spacing(crossing: Array, shape: tuple[int, int]) -> Array:
 
 
 def _within(shape: tuple[int, ...], part: tuple[slice, slice]) -> BoolArray:
-    """Which pixels of a part of an image are not near its edge."""
+    """Return a mask of the pixels of a part of an image that are not near the image's edge."""
     v, u = np.mgrid[part]
     near = (np.minimum(v, shape[0] - 1 - v) < EDGE * shape[0]) | (np.minimum(u, shape[1] - 1 - u) < EDGE * shape[1])
     away: BoolArray = ~near
@@ -132,7 +132,7 @@ def _within(shape: tuple[int, ...], part: tuple[slice, slice]) -> BoolArray:
 
 
 def _thinned(region: BoolArray, most: int | None) -> BoolArray:
-    """At most so many pixels of a region (h, w), evenly spread over them."""
+    """Thin a region (h, w) evenly to at most this number of pixels."""
     chosen = np.flatnonzero(region)
     step = 1 if most is None else max(1, -(-len(chosen) // most))
     thinned = np.zeros(region.size, bool)

@@ -1,4 +1,4 @@
-"""What detectors take and answer, whatever the sensor; and the detector of corners for a pattern."""
+"""Types of the detectors: images, results, and the protocol of corner detectors."""
 
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -11,7 +11,7 @@ from calibration.dataset.model import CornerLabels
 from calibration.errors import InputError
 
 Image = NDArray[np.uint8]
-"""Grey (H, W) or colour (H, W, 3), blue first, as OpenCV has them."""
+"""Grey (H, W) or BGR (H, W, 3), as in OpenCV."""
 
 DepthImage = NDArray[np.uint16]
 """(H, W): the depth along the optical axis as in `calibration.dataset.depth_image`."""
@@ -19,14 +19,14 @@ DepthImage = NDArray[np.uint16]
 
 @dataclass(frozen=True)
 class NotDetected:
-    """A sensor does not see a pattern."""
+    """Result of a detector if the pattern is not detected."""
 
     reason: str
-    """Why, in a few words for a user, such as "7 markers, more than 8 are needed"."""
+    """Short reason for a user, such as "7 markers, more than 8 are needed"."""
 
 
 def grey(image: NDArray[Any]) -> Image:
-    """The image in grey, (H, W).
+    """Convert an image to grey, (H, W).
 
     Raises:
         InputError: it is neither grey nor colour, or not of 8 bits.
@@ -43,17 +43,17 @@ def grey(image: NDArray[Any]) -> Image:
 
 
 class CornerDetector(Protocol):
-    """Finds the corners of one pattern in images.
+    """Corner detector of one pattern.
 
-    Made once and used for many images: what it finds in one does not depend on those before, nor on
+    Created once and used for many images: the result for an image does not depend on previous ones, nor on
     the process. Ids are those of `calibration.dataset.pattern.grid`: ``row * columns + column``, x
     along a row, y along a column, z away from the camera.
     """
 
     def detect(self, image: Image) -> CornerLabels | NotDetected:
-        """The corners in an image (H, W) or (H, W, 3) of 8 bits, blue first; pixel (0, 0) is a centre.
+        """Detect corners in an 8-bit image (H, W) or (H, W, 3), BGR; pixel (0, 0) is a centre.
 
         Raises:
-            InputError: it is no such image.
+            InputError: it is not such an image.
         """
         ...

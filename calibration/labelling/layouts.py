@@ -1,13 +1,13 @@
-"""How a charuco board is laid out, and which layout the markers of an image speak for.
+"""Layouts of charuco boards, and the layout that matches the markers of an image.
 
 OpenCV 4.6 changed the layout of boards with an even number of rows of squares: the square at the top
 left was white and is black since ("legacy pattern"). The corners and their ids are the same, the
-markers lie elsewhere. With an odd number of rows both layouts are one.
+markers are elsewhere. With an odd number of rows both layouts are equal.
 
 In the wrong layout every second row of markers is one square too far to the left and the others too
 far to the right, so no homography of the board agrees with both.
 
-Places on the board are in squares, from its top left corner; x to the right, y down.
+Positions on the board are in squares, from its top left corner; x to the right, y down.
 """
 
 from collections.abc import Sequence
@@ -22,32 +22,32 @@ from calibration.labelling.markers import Markers
 from calibration.labelling.printed_corners import PrintedPatches
 
 TEXELS = 32
-"""Of the drawn board along the side of a square."""
+"""Texels of the drawn board per side of a square."""
 AGREEMENT = 0.3
-"""A marker agrees with a homography of the board when its corners are nearer than that (squares)."""
+"""Limit of a marker's misfit of a homography of the board, at its corners (squares)."""
 
 
 @dataclass(frozen=True, eq=False)
 class Layout:
-    """One layout of a board."""
+    """Layout of a board."""
 
     markers: Array
     """(M, 4, 2): the corners of each marker, by id, clockwise from its top left."""
     patches: PrintedPatches
-    """What is printed around each corner."""
+    """Print around each corner."""
 
 
 @dataclass(frozen=True, eq=False)
 class Reading:
-    """The markers of an image that agree with one layout."""
+    """Markers of an image that agree with one layout."""
 
     layout: Layout
     markers: Markers
     H: Array
-    """(3, 3): roughly, places on the board to pixels."""
+    """(3, 3): approximate homography from positions on the board to pixels."""
 
     def share(self, height: int, width: int) -> float:
-        """How many of the markers that should be in the image are read, 0 to 1."""
+        """Share of the markers expected in the image that are read, 0 to 1."""
         centres, _ = project(self.H, self.layout.markers.mean(axis=1))
         expected = ((centres > 0) & (centres < np.array([width, height]) - 1)).all(-1).sum()
         return len(self.markers) / max(int(expected), len(self.markers), 1)
@@ -56,13 +56,13 @@ class Reading:
 def board_layouts(
     columns: int, rows: int, marker: float, dictionary: "cv2.aruco.Dictionary", corners: Array
 ) -> list[Layout]:
-    """The layouts that a board may have: one, or the modern and the legacy one.
+    """Return the possible layouts of a board: one, or the modern and the legacy one.
 
     Args:
-        columns: of squares.
-        rows: of squares.
+        columns: number of columns of squares.
+        rows: number of rows of squares.
         marker: the side of a marker, in squares.
-        dictionary: of the markers.
+        dictionary: the markers' dictionary.
         corners: (K, 2), the inner corners by id.
     """
     layouts = []
@@ -78,19 +78,19 @@ def board_layouts(
 
 
 def readings(layouts: Sequence[Layout], markers: Markers) -> list[Reading]:
-    """The layouts with which most markers agree, and those markers; more than one where the markers do not tell."""
+    """Return the layouts with which most markers agree, and those markers; several if it is ambiguous."""
     found = [reading for layout in layouts if (reading := _read(layout, markers)) is not None]
     most = max((len(reading.markers) for reading in found), default=0)
     return [reading for reading in found if len(reading.markers) == most]
 
 
 def _read(layout: Layout, markers: Markers) -> Reading | None:
-    """The largest group of markers that one homography explains; None where there is none."""
+    """Find the largest group of markers that fit one homography; None if there is none."""
     if not len(markers):
         return None
     places = layout.markers[markers.ids]
-    # Measured on the board, so that what counts as near does not depend on how large it is in the image.
-    # OpenCV draws its samples from a generator that it seeds itself, the same each time.
+    # Measured on the board, so that the tolerance does not depend on the board's size in the image.
+    # OpenCV's RANSAC seeds its own generator, always the same.
     found, _ = cv2.findHomography(markers.corners.reshape(-1, 2), places.reshape(-1, 2), cv2.RANSAC, AGREEMENT)
     if found is None or abs(np.linalg.det(np.asarray(found))) < 1e-12:
         return None

@@ -1,4 +1,4 @@
-"""ArUco markers in an image."""
+"""Detection of ArUco markers in an image."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -10,12 +10,12 @@ from calibration.geometry.types import Array, IntArray
 from calibration.labelling.detection import Image
 
 ENLARGED = 2
-"""How often an image is enlarged for small markers."""
+"""Factor by which an image is enlarged for small markers."""
 
 
 @dataclass(frozen=True, eq=False)
 class Markers:
-    """The markers found, sorted by id, each id once."""
+    """Detected markers, sorted by id, each id once."""
 
     ids: IntArray
     """(M,)."""
@@ -27,23 +27,23 @@ class Markers:
 
 
 class MarkerFinder:
-    """Finds the first `count` markers of a dictionary."""
+    """Detector of the first `count` markers of a dictionary."""
 
     LEAST_SIDE = 8
-    """No smaller marker is found (px)."""
+    """Minimum side of a marker (px)."""
 
     def __init__(self, dictionary: "cv2.aruco.Dictionary", count: int, border: int = 1) -> None:
-        """For markers with so many black modules around their bits."""
+        """Create the detector; `border` is the width of the black border around a marker's bits, in modules."""
         self._plain = cv2.aruco.ArucoDetector(dictionary, _parameters((9, 9), border))
         self._fine = cv2.aruco.ArucoDetector(dictionary, _parameters((7, 17), border))
         self._count = count
 
     def find(self, image: Image) -> Markers:
-        """The markers in a grey image; small ones are missed."""
+        """Detect the markers in a grey image; small ones are missed."""
         return self._markers(self._plain.detectMarkers(image), 1)
 
     def find_small(self, image: Image) -> Markers:
-        """The same, but slower and down to some 9 pixels: looked for in the image enlarged."""
+        """Detect also small markers, down to about 9 pixels, in the enlarged image; slower."""
         larger = cv2.resize(image, None, fx=ENLARGED, fy=ENLARGED, interpolation=cv2.INTER_CUBIC)
         return self._markers(self._fine.detectMarkers(larger), ENLARGED)
 
@@ -59,7 +59,7 @@ class MarkerFinder:
 
 
 def _parameters(windows: tuple[int, int], border: int) -> "cv2.aruco.DetectorParameters":
-    """What finds most markers in a given time, by measurement.
+    """Return the detector parameters with the best measured trade-off between found markers and time.
 
     A low threshold constant finds dark boards; much lower ones trace the noise of the image.
     """

@@ -1,7 +1,7 @@
-"""The points of a LiDAR's cloud that lie on a pattern, and those on its border.
+"""Detection of a pattern in a LiDAR's cloud: its points on the pattern, and those on its border.
 
-The LiDAR turns about the z axis of its frame: the points of one ring have the same polar angle, and
-lie side by side in azimuth.
+The LiDAR rotates about the z axis of its frame: the points of one ring have the same polar angle, and
+are adjacent in azimuth.
 """
 
 from dataclasses import dataclass
@@ -16,18 +16,18 @@ from calibration.labelling.board_plane import END, LEAST_POINTS, SLACK, find_boa
 from calibration.labelling.detection import NotDetected
 
 LEAST_RINGS = 2
-"""The points of one ring lie on a line, through which no plane is determined."""
+"""The points of one ring are collinear and determine no plane."""
 BESIDE = 1.5
-"""Rays of a ring are neighbours when they are nearer than so many of its steps."""
+"""Rays of a ring are neighbours if they are closer than this multiple of its step."""
 AROUND = 0.3
-"""Rays that cross the board's plane so far beyond its border are looked at too, m."""
+"""m: rays that intersect the board's plane up to this distance beyond its border are included."""
 TOLERANCE = 0.1
-"""How far a board may be from where it is expected, m."""
+"""m: default limit of a board's distance from its expected position."""
 
 
 @dataclass(frozen=True, eq=False)
 class PatternPoints:
-    """What a LiDAR or a depth camera sees of a pattern.
+    """Points of a LiDAR or a depth camera on a pattern.
 
     Indices into the cloud's points; for a depth image the linear index ``y * width + x`` of pixels.
     Ascending, each once.
@@ -36,26 +36,26 @@ class PatternPoints:
     on_pattern: IntArray
     """(N,)."""
     on_border: IntArray
-    """(L,): those of `on_pattern` that lie on the pattern's physical border."""
+    """(L,): those of `on_pattern` on the pattern's physical border."""
 
 
 def label_points(
     points: Array, pattern: Pattern, T_sensor_pattern: Array, tolerance: float = TOLERANCE
 ) -> PatternPoints | NotDetected:
-    """The points of a cloud that lie on a pattern, found by a search for its plane.
+    """Find the points of a cloud on a pattern, by a search for its plane.
 
-    Walls, ground or boxes that cross the plane are left out: only the part counts that a board of
-    this size covers, placed so that it explains best which rays end on the plane and which go past.
+    Walls, ground or boxes that intersect the plane are excluded: only the part that a board of this size covers counts,
+    at the position that explains best which rays end on the plane and which pass.
 
-    The first and the last point of each ring there are on the border (ATOM's rule), unless something
-    nearer hides what comes beyond, the ring goes on along the plane, or the point lies well inside of
-    where the other points put the border.
+    The first and the last point of each ring there are on the border (ATOM's rule), unless a nearer object
+    occludes what is beyond, the ring continues in the plane, or the point is well inside of the
+    border estimated from the other points.
 
     Args:
-        points: (N, 3) in the sensor's frame, m, in any order; NaN where nothing came back.
+        points: (N, 3) in the sensor's frame, m, in any order; NaN without a return.
         pattern: its geometry.
-        T_sensor_pattern: (4, 4), where the pattern is expected, as from a camera and a first guess.
-        tolerance: how far, at most, any place of the board is from where it is expected, m.
+        T_sensor_pattern: (4, 4), expected pose of the pattern, such as from a camera and an initial guess.
+        tolerance: limit of the distance of any point of the board from its expected position, m.
     """
     points = np.asarray(points, float)
     board = find_board(points, pattern.outline, T_sensor_pattern, tolerance)
@@ -86,7 +86,7 @@ def label_points(
 
 
 def _rings(points: Array, middle: Array) -> list[tuple[IntArray, Array]]:
-    """The points of each ring in the order of their azimuth, and that azimuth from behind the board's middle (3,)."""
+    """Return the points of each ring sorted by azimuth, and that azimuth, from behind the board's centre (3,)."""
     polar = np.arctan2(np.hypot(points[:, 0], points[:, 1]), points[:, 2])
     order = np.argsort(polar, kind="stable")
     seam = np.arctan2(-middle[1], -middle[0])
@@ -99,7 +99,7 @@ def _rings(points: Array, middle: Array) -> list[tuple[IntArray, Array]]:
 def _border(
     part: IntArray, azimuth: Array, crossing: Array, inside: Array, passed: BoolArray, beside: float
 ) -> list[int]:
-    """Which of the two ends of the part of a ring that is on the board are on the border: see `label_points`."""
+    """Return those ends of a ring's part on the board that are on the border: see `label_points`."""
     spacing = median(np.linalg.norm(np.diff(crossing[part], axis=0), axis=-1)) if len(part) > 1 else 0.0
     ends = []
     for end, beyond in ((part[0], part[0] - 1), (part[-1], part[-1] + 1)):

@@ -1,4 +1,4 @@
-"""Corners of black and white squares in an image: exactly where, and whether what is printed there is seen."""
+"""Corners of black and white squares in an image: sub-pixel refinement, and comparison with the print."""
 
 import cv2
 import numpy as np
@@ -7,39 +7,39 @@ from calibration.geometry.types import Array, BoolArray
 from calibration.labelling.detection import Image
 
 WINDOWS = (2, 6)
-"""The least and greatest half-width of the window in which a corner is refined (px)."""
+"""Limits of the half-width of the refinement window (px)."""
 QUICK_STOP = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 40, 1e-4)
-"""Where OpenCV's refinement ends: steps, and a step in pixels."""
+"""Termination of OpenCV's refinement: iterations, and step in pixels."""
 STEPS, STOP = 40, 1e-7
-"""Ours has failed after so many steps more; it has ended at a step so small (px)."""
+"""Termination of the refinement here: iterations after which it has failed, and step (px) at which it has converged."""
 FLAT = 1e-4
-"""Where gradients all point one way there is no corner: determinant of their moments over the squared trace."""
+"""Corners need gradients in several directions: minimum determinant of their moments over the squared trace."""
 PATCH = 0.35
-"""Half the side of what is compared around a corner (squares)."""
+"""Half the side of the patch that is compared around a corner (squares)."""
 SAMPLES = 8
-"""Of a patch, along each side."""
+"""Samples of a patch, along each side."""
 
 
 def refine(image: Image, pixels: Array, jacobians: Array, clearance: float) -> tuple[Array, BoolArray]:
-    """Move corners to where all gradients around them point past them.
+    """Refine corners to sub-pixel accuracy.
 
     The corner c solves ``sum w g g' (p - c) = 0`` over the pixels p of a window about c, with g the
     gradient there and w a Gaussian weight (W. Foerstner and E. Guelch, "A fast operator for detection
     and precise location of distinct points", 1987; OpenCV's ``cornerSubPix``, whose weights these are).
-    It is computed here in double precision to the last digits of what is stored, because OpenCV's
+    It is computed here in double precision to all stored digits, because OpenCV's
     result depends on the machine in the fourth decimal.
 
-    The window is as wide as the squares allow: smaller ones see more noise, larger ones other
-    corners. By measurement the best half-width is the free distance, seen at its shortest.
+    The window is as wide as the squares allow: smaller ones have more noise, larger ones contain other
+    corners. By measurement the best half-width is the clearance, at its shortest in the image.
 
     Args:
         image: (H, W), grey.
-        pixels: (K, 2), roughly where the corners are.
+        pixels: (K, 2), approximate corners.
         jacobians: (K, 2, 2), pixels per square there.
-        clearance: how far nothing else is printed around a corner, along x and y (squares).
+        clearance: distance around a corner without other print, along x and y (squares).
 
     Returns:
-        The corners (K, 2), and which of them (K,) are found: within their window, and that in the image.
+        The corners (K, 2), and a mask (K,) of the successful ones: within their window, and that in the image.
     """
     known: BoolArray = np.logical_and(np.isfinite(jacobians).all(axis=(1, 2)), np.isfinite(pixels).all(axis=-1))
     half = np.clip(np.floor(clearance * shortest(jacobians)), *WINDOWS).astype(int)
@@ -51,19 +51,19 @@ def refine(image: Image, pixels: Array, jacobians: Array, clearance: float) -> t
 
 
 def shortest(jacobians: Array) -> Array:
-    """(K,): how long a unit on the board is in the image where it is seen at its shortest, px; 0 where nobody knows."""
+    """Length (K,) of a unit of the board in the image, in the direction in which it is shortest, px; 0 if unknown."""
     known = np.isfinite(jacobians.sum(axis=(1, 2)))
     lengths: Array = np.linalg.svd(np.where(known[:, None, None], jacobians, 0.0), compute_uv=False)[:, 1]
     return lengths
 
 
 def _refined(image: Image, start: Array, half: int) -> tuple[Array, BoolArray]:
-    """`refine` for corners (K, 2) with windows of one size; those that are not found stay anywhere."""
+    """Refine corners (K, 2) with windows of one size; failed ones have arbitrary values."""
     height, width = image.shape
     ticks = np.arange(-half, half + 1)
     weights = np.exp(-((ticks / half) ** 2))
     weights = weights[:, None] * weights
-    patch = np.arange(-half - 1, half + 3)  # one more on each side for the gradients, and one to interpolate
+    patch = np.arange(-half - 1, half + 3)  # a margin of one on each side for the gradients, and one to interpolate
     corners, found = _nearly(image, start, half), np.zeros(len(start), bool)
     active = np.arange(len(start))
     for _ in range(STEPS):
@@ -96,7 +96,7 @@ def _refined(image: Image, start: Array, half: int) -> tuple[Array, BoolArray]:
 
 
 def _nearly(image: Image, start: Array, half: int) -> Array:
-    """What OpenCV's quick refinement makes of corners (K, 2), for a start."""
+    """Refine corners (K, 2) approximately by OpenCV, as an initial guess."""
     inside = ((start >= 0) & (start <= np.array(image.shape[::-1]) - 1)).all(axis=-1)
     corners = start.copy()
     if inside.any():
@@ -106,10 +106,10 @@ def _nearly(image: Image, start: Array, half: int) -> Array:
 
 
 class PrintedPatches:
-    """What is printed around the corners of a board, to be recognised in images."""
+    """Print around the corners of a board, to be recognised in images."""
 
     def __init__(self, drawing: Image, texels: int, corners: Array) -> None:
-        """From the board's drawing, its texels along a square, and its corners (K, 2) in squares."""
+        """Cut the patches from the board's drawing; `texels` is the side of a square, corners (K, 2) are in squares."""
         step = 2 * PATCH / SAMPLES
         ticks = step * (np.arange(SAMPLES) - (SAMPLES - 1) / 2)
         self._offsets = np.stack(np.meshgrid(ticks, ticks), -1).reshape(-1, 2)
@@ -118,10 +118,10 @@ class PrintedPatches:
         self._printed = _sampled(np.asarray(cv2.blur(drawing, (side, side)), np.uint8), at)
 
     def likeness(self, image: Image, pixels: Array, jacobians: Array) -> Array:
-        """How much what is seen around each corner is like what is printed there, (K,).
+        """Return the correlation of the image around each corner with the print, (K,).
 
-        The normalised correlation, 1 for the same up to brightness and contrast; of a patch that the
-        image's edge cuts, what is in the image.
+        Normalised: 1 if equal up to brightness and contrast; of a patch that the
+        image's edge cuts, the part in the image is compared.
 
         Args:
             image: (H, W), grey.
@@ -144,7 +144,7 @@ def _sampled(image: Image, at: Array) -> Array:
 
 
 def _normalised(patches: Array, inside: BoolArray) -> Array:
-    """Patches (K, P) of mean 0 and norm 1 over what is inside; 0 where there is no contrast."""
+    """Normalise patches (K, P) to mean 0 and norm 1 over the mask; 0 without contrast."""
     mean = (patches * inside).sum(-1, keepdims=True) / np.maximum(inside.sum(-1, keepdims=True), 1)
     contrast = (patches - mean) * inside
     normalised: Array = contrast / np.maximum(np.linalg.norm(contrast, axis=-1, keepdims=True), 1e-9)
@@ -152,7 +152,7 @@ def _normalised(patches: Array, inside: BoolArray) -> Array:
 
 
 def _inside(at: Array, width: int, height: int) -> BoolArray:
-    """Which pixels (..., 2) lie on the image."""
+    """Return a mask of the pixels (..., 2) inside the image."""
     x, y = at[..., 0], at[..., 1]
     inside: BoolArray = (x > -0.5) & (x < width - 0.5) & (y > -0.5) & (y < height - 0.5)
     return inside

@@ -1,4 +1,4 @@
-"""The rays of a 2D LiDAR that end on a pattern, and those at the ends of the cut through it."""
+"""Detection of a pattern in a 2D LiDAR's scan: the rays on the pattern, and the ends of its scan line."""
 
 import numpy as np
 
@@ -12,19 +12,19 @@ from calibration.labelling.points import TOLERANCE, PatternPoints
 
 
 def cut_ends(pattern: Pattern, T_sensor_pattern: Array) -> Array:
-    """The two places (..., 2, 2) in the plane z = 0 of the sensor between which it cuts a pattern, x and y.
+    """Return the ends (..., 2, 2), x and y, of a pattern's scan line: its intersection with the sensor's plane z = 0.
 
     Args:
-        pattern: its outline is what is cut.
+        pattern: its outline is intersected.
         T_sensor_pattern: (..., 4, 4).
 
     Returns:
-        NaN where it does not cut it.
+        NaN if they do not intersect.
     """
     corners = apply(T_sensor_pattern, np.append(pattern.outline, np.zeros((4, 1)), -1))  # (..., 4, 3)
     following = np.roll(corners, -1, axis=-2)
     z0, z1 = corners[..., 2], following[..., 2]
-    crosses = (z0 < 0) != (z1 < 0)  # of a convex outline, no side or two
+    crosses = (z0 < 0) != (z1 < 0)  # a convex outline is crossed at no side or at two
     with np.errstate(divide="ignore", invalid="ignore"):
         places = corners + (z0 / (z0 - z1))[..., None] * (following - corners)
     order = np.argsort(~crosses, axis=-1, kind="stable")[..., :2]
@@ -34,26 +34,26 @@ def cut_ends(pattern: Pattern, T_sensor_pattern: Array) -> Array:
 
 
 LEAST_POINTS = 5
-"""On a pattern."""
+"""Minimum of points on a pattern."""
 LEAST_LENGTH = 0.1
-"""Of a cut, m: a shorter one may be gone at the pattern's true place."""
+"""m: minimum length of a scan line: a shorter one may not exist at the pattern's true pose."""
 GAP = 3
-"""The points on a pattern are those of one run of rays, of which fewer than so many in a row are missing."""
+"""The points on a pattern are one run of rays with fewer missing ones in a row than this."""
 
 
 def label_scan_line(
     points: Array, pattern: Pattern, T_sensor_pattern: Array, tolerance: float = TOLERANCE
 ) -> PatternPoints | NotDetected:
-    """The rays of a scan that end on a pattern, found by a search for its line.
+    """Find the rays of a scan on a pattern, by a search for its line.
 
-    The first and the last of them are the ends of the cut, unless the scan ends there, something nearer hides what
-    comes beyond, or the line goes on.
+    The first and the last of them are the ends of the scan line, unless the scan ends there, a nearer object occludes
+    what is beyond, or the line continues.
 
     Args:
-        points: (N, 3) in the sensor's frame, m, in the order of the rays; NaN where nothing came back.
+        points: (N, 3) in the sensor's frame, m, in the order of the rays; NaN without a return.
         pattern: its geometry.
-        T_sensor_pattern: (4, 4), where the pattern is expected.
-        tolerance: how far, at most, any place of the pattern is from where it is expected, m.
+        T_sensor_pattern: (4, 4), expected pose of the pattern.
+        tolerance: limit of the distance of any point of the pattern from its expected position, m.
     """
     ends = cut_ends(pattern, T_sensor_pattern)
     length = float(np.linalg.norm(ends[1] - ends[0]))
@@ -71,7 +71,7 @@ def label_scan_line(
     behind = (height - offset - slope * place) / np.hypot(1.0, slope)
     with np.errstate(invalid="ignore"):
         on = (np.abs(behind) <= INLIER * sigma) & (np.abs(place) < length / 2 + tolerance)
-        past = ~(behind <= CLEAR + INLIER * sigma)  # a ray that does not come back has gone past
+        past = ~(behind <= CLEAR + INLIER * sigma)  # a ray without a return has passed the pattern
         inner = np.abs(_crossing(points, ends.mean(0), along, away, offset, slope)) < length / 2 - tolerance
     run = _longest_run(on)
     if len(run) < LEAST_POINTS:
@@ -85,9 +85,9 @@ def label_scan_line(
 
 
 def _line(place: Array, height: Array, length: float, tolerance: float) -> tuple[float, float, float]:
-    """The line ``height = offset + slope * place`` with most points, and the standard deviation of those about it.
+    """Fit the line ``height = offset + slope * place`` with most points, and their standard deviation about it.
 
-    Tukey's weights with a width that shrinks, from several heights at once, as for planes.
+    Iterated weighted least squares with Tukey's weights of decreasing width, from several initial heights.
     """
     scale = length / 2
     basis = np.stack([np.ones_like(place), place / scale], -1)
@@ -115,9 +115,9 @@ def _line(place: Array, height: Array, length: float, tolerance: float) -> tuple
 
 
 def _crossing(points: Array, middle: Array, along: Array, away: Array, offset: float, slope: float) -> Array:
-    """Where along the line the rays to points cross it (N,); NaN where nothing came back, or none does."""
+    """Return the intersections (N,) of the rays with a line, along it; NaN without a return or an intersection."""
     x, y = points[:, :2] @ along, points[:, :2] @ away
-    x0, y0 = -middle @ along, -middle @ away  # the sensor
+    x0, y0 = -middle @ along, -middle @ away  # origin of the sensor
     with np.errstate(divide="ignore", invalid="ignore"):
         reach = (offset + slope * x0 - y0) / (y - slope * x)
         crossing: Array = np.where(reach > 0, x0 + reach * x, np.nan)
@@ -125,6 +125,6 @@ def _crossing(points: Array, middle: Array, along: Array, away: Array, offset: f
 
 
 def _longest_run(on: BoolArray) -> IntArray:
-    """The indices that are set, of the run with most of them; see `GAP`."""
+    """Return the set indices of the run that has most of them; see `GAP`."""
     index = np.flatnonzero(on)
     return max(np.split(index, np.flatnonzero(np.diff(index) > GAP) + 1), key=len)

@@ -1,11 +1,11 @@
-"""What is printed on an aprilgrid, as Kalibr prints it.
+"""Print of an aprilgrid, as Kalibr prints it.
 
-Tags of AprilTag's family 36h11 with a border of two modules, half a turn from how OpenCV draws them, and a
-black square wherever gaps cross, so that four quarters of black and white meet in every corner of a tag. The print is
-made of cells: a gap, the modules of a tag, a gap, and so on.
+Tags of AprilTag's family 36h11 with a border of two modules, rotated by 180 degrees from OpenCV's drawing, and a
+black square at each crossing of gaps, so that four quarters of black and white meet in every corner of a tag. The
+print consists of cells: a gap, the modules of a tag, a gap, and so on.
 
-Places are from the top left corner of the print; x to the right, y down. The unit is about the mean distance of
-corners in a row, so that detectors look as far as on a board of squares.
+Positions are from the top left corner of the print; x to the right, y down. The unit is about the mean distance of
+corners in a row, so that detectors search as far as on a board of squares.
 """
 
 from functools import lru_cache
@@ -19,21 +19,21 @@ from calibration.geometry.types import Array, BoolArray, IntArray
 from calibration.labelling.detection import Image
 
 BORDER = 2
-"""The black modules around the bits of a tag."""
+"""Width of the black border around the bits of a tag, in modules."""
 MODULES = 6 + 2 * BORDER
-"""Along the side of a tag."""
+"""Modules along the side of a tag."""
 STRETCH = 1.15
-"""A unit is so many mean distances of corners in a row: at 1 and at 1.3 fewer corners are found."""
+"""Unit in mean distances of corners in a row: at 1 and at 1.3 fewer corners are found."""
 
 
 def tag_dictionary() -> "cv2.aruco.Dictionary":
-    """OpenCV's dictionary of the tags."""
+    """Return OpenCV's dictionary of the tags."""
     return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, TAGS))
 
 
 @lru_cache(maxsize=8)
 def tag_cells(columns: int, rows: int) -> BoolArray:
-    """Which cells (rows * (MODULES + 1) + 1, columns * (MODULES + 1) + 1) are black, for so many tags."""
+    """Return a mask (rows * (MODULES + 1) + 1, columns * (MODULES + 1) + 1) of the black cells, for a grid of tags."""
     step, dictionary = MODULES + 1, tag_dictionary()
     black = np.zeros((rows * step + 1, columns * step + 1), bool)
     black[::step, ::step] = True
@@ -47,12 +47,12 @@ def tag_cells(columns: int, rows: int) -> BoolArray:
 
 
 def unit(spacing: float) -> float:
-    """Sides of a tag."""
+    """Length of the unit, in sides of a tag."""
     return STRETCH * (1 + spacing) / 2
 
 
 def cell_ends(columns: int, rows: int, spacing: float) -> tuple[Array, Array]:
-    """Where cells begin and end, in sides of a tag from 0 on: along x and along y."""
+    """Return the boundaries of the cells, in sides of a tag from 0: along x and along y."""
     return _ends(columns, spacing), _ends(rows, spacing)
 
 
@@ -63,7 +63,7 @@ def _ends(count: int, spacing: float) -> Array:
 
 
 def corner_places(columns: int, rows: int, spacing: float) -> Array:
-    """(4 * columns * rows, 2): the corners of the tags, by id, in units."""
+    """Return the corners of the tags (4 * columns * rows, 2), by id, in units."""
     side = 1 / unit(spacing)
     top_left = tag_outline(columns, rows, side, spacing, (0.0, 0.0))[0]
     places: Array = tag_grid(columns, rows, side, spacing)[:, :2] - top_left
@@ -71,9 +71,9 @@ def corner_places(columns: int, rows: int, spacing: float) -> Array:
 
 
 def corner_ids(columns: int, rows: int) -> IntArray:
-    """(columns * rows, 4): the ids of the corners of each tag, in the order in which OpenCV finds them.
+    """Return the ids (columns * rows, 4) of the corners of each tag, in OpenCV's order of detection.
 
-    Clockwise from what is the top left as OpenCV draws a tag: here the bottom right.
+    Clockwise from the top left of OpenCV's drawing of a tag: here the bottom right.
     """
     row, column = np.divmod(np.arange(columns * rows), columns)
     bottom_left = 4 * columns * row + 2 * column
@@ -82,7 +82,7 @@ def corner_ids(columns: int, rows: int) -> IntArray:
 
 
 def drawn(columns: int, rows: int, spacing: float, texels: int) -> Image:
-    """The print, black and white, with so many texels along a unit."""
+    """Draw the print, black and white; `texels` is the number of texels per unit."""
     tag = texels / unit(spacing)
     across, down = (
         np.searchsorted(ends, (np.arange(int(ends[-1] * tag)) + 0.5) / tag) - 1

@@ -1,4 +1,4 @@
-"""The analysers: which files each looks at, how it is started, and its findings in the one form."""
+"""Registry of the analysers: their files, their programs, and their findings in a common form."""
 
 from calibration.analysis.analysers.analyser import Analyser
 from calibration.analysis.analysers.complexity import Lizard
@@ -13,6 +13,6 @@ from calibration.analysis.analysers.yaml_files import Yamllint
 ANALYSERS: dict[str, Analyser] = {
     each.name: each for each in (Ruff(), Cppcheck(), Shellcheck(), Yamllint(), Zizmor(), Lizard(), XmlFiles(), Urdf())
 }
-"""Every analyser by its name; a new one is a module and an entry here."""
+"""Analysers by name; a new one is a module and an entry here."""
 
 __all__ = ["ANALYSERS", "Analyser"]

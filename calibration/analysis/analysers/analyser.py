@@ -1,4 +1,4 @@
-"""What an analyser is."""
+"""Base class of the analysers."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
@@ -9,26 +9,26 @@ from calibration.analysis.finding import Finding
 
 
 class Analyser(ABC):
-    """One analyser."""
+    """Analyser of files."""
 
     name: ClassVar[str]
     at_once: ClassVar[int] = 200
-    """Files that one process is given."""
+    """Limit of the number of files per process."""
     settings: ClassVar[tuple[str, ...]] = ()
-    """Names of files with the team's settings of it."""
+    """Names of files with the team's settings for it."""
 
     @abstractmethod
     def wants(self, path: str, copy: Copy) -> bool:
-        """Whether it looks at a file."""
+        """Whether it analyses a file."""
 
     @abstractmethod
     def findings(self, copy: Copy, files: Sequence[str], seconds: float) -> list[Finding]:
-        """Look at files.
+        """Analyse files.
 
         Args:
-            copy: the folder that the files are in, with the team's settings.
+            copy: the folder of the files, with the team's settings.
             files: not empty, at most ``at_once``.
-            seconds: that it may take.
+            seconds: time limit.
 
         Raises:
             InfrastructureError: the program is missing, fails or takes too long.
@@ -36,10 +36,10 @@ class Analyser(ABC):
 
 
 def arguments(files: Sequence[str]) -> list[str]:
-    """Files as arguments that no program takes for options."""
+    """Return file names as arguments that are never parsed as options."""
     return [f"./{file}" for file in files]
 
 
 def in_repository(path: str, copy: Copy) -> str:
-    """The path in the repository of a file that a program names."""
+    """Return the path in the repository of a file named in a program's output."""
     return path.removeprefix(f"{copy.root}/").removeprefix("./")

@@ -1,4 +1,4 @@
-"""lizard: functions that are too complex, in Python, C and C++."""
+"""Analyser lizard: functions that are too complex, in Python, C and C++."""
 
 import csv
 import io
@@ -12,7 +12,7 @@ from calibration.analysis.finding import Finding
 from calibration.analysis.programs import module, say
 
 MOST_PATHS = 15
-"""Cyclomatic complexity that a function may have, which is lizard's own limit."""
+"""Limit of a function's cyclomatic complexity, lizard's default."""
 
 
 class Lizard(Analyser):
@@ -21,11 +21,11 @@ class Lizard(Analyser):
     name = "lizard"
 
     def wants(self, path: str, copy: Copy) -> bool:
-        """Take Python, C and C++ by the suffix."""
+        """Select Python, C and C++ files by suffix."""
         return PurePosixPath(path).suffix.lower() in (*SUFFIXES, ".py")
 
     def findings(self, copy: Copy, files: Sequence[str], seconds: float) -> list[Finding]:
-        """Run lizard."""
+        """Run lizard and parse its output."""
         said = say(self.name, [*module("lizard"), "--csv", *arguments(files)], copy.root, seconds, (0,))
         found = []
         for row in csv.reader(io.StringIO(said.output)):

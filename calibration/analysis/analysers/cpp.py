@@ -1,4 +1,4 @@
-"""cppcheck: C and C++."""
+"""Analyser cppcheck: C and C++."""
 
 from collections.abc import Sequence
 from pathlib import PurePosixPath
@@ -10,7 +10,7 @@ from calibration.analysis.programs import program, say
 
 SUFFIXES = (".c", ".cc", ".cpp", ".cxx", ".h", ".hh", ".hpp", ".hxx")
 _UNRESOLVED = ("unknownMacro", "syntaxError", "internalAstError", "preprocessorErrorDirective")
-"""What cppcheck says where it lacks headers: it could not read the code, which need not be wrong."""
+"""Errors of cppcheck due to missing headers: the code itself need not be wrong."""
 _UNUSED = ("unreadVariable", "unusedVariable", "unusedFunction", "unusedPrivateFunction", "unusedStructMember")
 _CATEGORIES: dict[str, Category] = {"performance": "performance", "portability": "compatibility", "style": "style"}
 
@@ -22,11 +22,11 @@ class Cppcheck(Analyser):
     at_once = 20
 
     def wants(self, path: str, copy: Copy) -> bool:
-        """Take C and C++ by the suffix."""
+        """Select C and C++ files by suffix."""
         return PurePosixPath(path).suffix.lower() in SUFFIXES
 
     def findings(self, copy: Copy, files: Sequence[str], seconds: float) -> list[Finding]:
-        """Run cppcheck; what it finds comes on its standard error, a line each."""
+        """Run cppcheck and parse its standard error, one finding per line."""
         command = [program("cppcheck"), "--quiet", "--enable=warning,performance,portability", "--inline-suppr"]
         command += ["--max-configs=2", r"--template={file}\t{line}\t{severity}\t{id}\t{message}"]
         said = say(self.name, [*command, *arguments(files)], copy.root, seconds, (0,))

@@ -1,4 +1,4 @@
-"""ruff: Python."""
+"""Analyser ruff: Python."""
 
 import json
 from collections.abc import Sequence
@@ -11,7 +11,7 @@ from calibration.analysis.programs import module, say
 
 _RULES = "E,W,F,B,S,PERF,C4,ARG,UP"
 _NOT = "S101,E501"
-"""Asserts, which tests are made of; the length of lines, which a formatter decides."""
+"""Ignored rules: asserts, which tests need; line length, which a formatter decides."""
 _CATEGORIES: tuple[tuple[tuple[str, ...], Category], ...] = (
     (("S",), "security"),
     (("F401", "F811", "F841", "F842", "ARG", "ERA"), "unused code"),
@@ -22,24 +22,24 @@ _CATEGORIES: tuple[tuple[tuple[str, ...], Category], ...] = (
     (("D",), "documentation"),
     (("UP", "FA", "YTT"), "compatibility"),
 )
-"""The category of the rules that begin so; the first that fits, else style."""
+"""Categories by prefix of the rule; the first match counts, else style."""
 _ERRORS = ("E9", "F5", "F63", "F7", "F82", "PLE", "invalid-syntax")
 
 
 class Ruff(Analyser):
-    """Lint, security and bugs of Python; the team's settings say which rules, where there are any."""
+    """Lint, security and bugs of Python; the team's settings select the rules, if there are any."""
 
     name = "ruff"
     settings = ("ruff.toml", ".ruff.toml", "pyproject.toml")
 
     def wants(self, path: str, copy: Copy) -> bool:
-        """Take Python by its suffix, or by the first line of a script."""
+        """Select Python files by suffix, or by the first line of a script."""
         if path.endswith((".py", ".pyi")):
             return True
         return not PurePosixPath(path).suffix and "python" in copy.first_line(path)
 
     def findings(self, copy: Copy, files: Sequence[str], seconds: float) -> list[Finding]:
-        """Run ``ruff check``."""
+        """Run ``ruff check`` and parse its output."""
         command = [*module("ruff"), "check", "--no-cache", "--no-fix", "--exit-zero", "--force-exclude"]
         command += ["--output-format", "json"]
         if not _has_settings(copy):

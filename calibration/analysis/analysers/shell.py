@@ -1,4 +1,4 @@
-"""shellcheck: shell scripts."""
+"""Analyser shellcheck: shell scripts."""
 
 import json
 import re
@@ -21,12 +21,12 @@ class Shellcheck(Analyser):
     settings = (".shellcheckrc", "shellcheckrc")
 
     def wants(self, path: str, copy: Copy) -> bool:
-        """Take shell by its suffix, or by the first line of a script."""
+        """Select shell scripts by suffix, or by their first line."""
         suffix = PurePosixPath(path).suffix
         return suffix in (".sh", ".bash") or (not suffix and bool(_SHELL.match(copy.first_line(path))))
 
     def findings(self, copy: Copy, files: Sequence[str], seconds: float) -> list[Finding]:
-        """Run shellcheck; files without a first line that names a shell are read as bash."""
+        """Run shellcheck; files whose first line names no shell are checked as bash."""
         named = [file for file in files if copy.first_line(file).startswith("#!")]
         found = []
         for options, group in (([], named), (["--shell=bash"], [file for file in files if file not in named])):

@@ -1,4 +1,4 @@
-"""URDF: whether a robot description is a tree of links that a reader and a simulator can use."""
+"""Analyser of URDF: whether a robot description is a tree of links that a reader and a simulator can use."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -13,15 +13,15 @@ from calibration.analysis.finding import Finding, Severity
 from calibration.workflow.text import did_you_mean, shorten
 
 _LINE = "{calibration}line"
-"""An attribute, which no document can have, for the line of an element."""
+"""Key of an element's line, which cannot be an attribute of a document."""
 _LIMITED = ("revolute", "prismatic")
 _INERTIA = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 _Found = tuple[Element, str, Severity, str]
-"""Where, the rule, how grave, what."""
+"""Element, rule, severity, message."""
 
 
 class _Parser(XMLParser):
-    """Keeps the line of every element."""
+    """XML parser that stores the line of every element."""
 
     def _start(self, tag: str, attributes: Sequence[str]) -> Element:
         element: Element = super()._start(tag, attributes)  # type: ignore[misc]
@@ -30,16 +30,16 @@ class _Parser(XMLParser):
 
 
 class Urdf(Analyser):
-    """Links, joints, limits and inertias of URDF; xacro is not expanded, so it is not judged."""
+    """Links, joints, limits and inertias of URDF; xacro is not expanded, so it is not checked."""
 
     name = "urdf"
 
     def wants(self, path: str, copy: Copy) -> bool:
-        """Take URDF by its suffix."""
+        """Select URDF files by suffix."""
         return path.endswith(".urdf")
 
     def findings(self, copy: Copy, files: Sequence[str], seconds: float) -> list[Finding]:
-        """Judge each file; what is no XML is reported by the analyser xml."""
+        """Check each file; invalid XML is reported by the analyser xml."""
         found = []
         for path in files:
             try:
@@ -127,7 +127,7 @@ def _inertia_faults(inertial: Element, link: str) -> Iterator[_Found]:
 
 
 def _is_positive_definite(values: Sequence[float | None]) -> bool:
-    """Whether the leading minors of a symmetric matrix are above 0; of its six numbers, row by row."""
+    """Whether a symmetric matrix is positive definite by its leading minors; from its six numbers, row by row."""
     numbers = [value for value in values if value is not None]
     if len(numbers) < len(_INERTIA):
         return False

@@ -1,4 +1,4 @@
-"""zizmor: workflows and actions of GitHub."""
+"""Analyser zizmor: workflows and actions of GitHub."""
 
 import json
 import re
@@ -17,17 +17,17 @@ _SEVERITIES: dict[str, Severity] = {"High": "error", "Medium": "warning"}
 
 
 class Zizmor(Analyser):
-    """Security of workflows and composite actions, without the network."""
+    """Security of workflows and composite actions, offline."""
 
     name = "zizmor"
     settings = ("zizmor.yml", "zizmor.yaml")
 
     def wants(self, path: str, copy: Copy) -> bool:
-        """Take workflows and actions; those that are no YAML are yamllint's to report."""
+        """Select workflows and actions; invalid YAML is reported by yamllint."""
         return bool(_FILES.fullmatch(path)) and _is_mapping(copy.text(path))
 
     def findings(self, copy: Copy, files: Sequence[str], seconds: float) -> list[Finding]:
-        """Run zizmor."""
+        """Run zizmor and parse its output."""
         command = [program("zizmor"), "--offline", "--no-exit-codes", "--no-progress", "--quiet", "--format", "json-v1"]
         said = say(self.name, [*command, "--", *arguments(files)], copy.root, seconds, (0,))
         return [_finding(entry, copy) for entry in json.loads(said.output or "[]") if not entry.get("ignored")]
@@ -35,7 +35,7 @@ class Zizmor(Analyser):
 
 def _is_mapping(text: str) -> bool:
     try:
-        events = yaml.parse(text, Loader=getattr(yaml, "CSafeLoader", yaml.SafeLoader))  # the other takes minutes
+        events = yaml.parse(text, Loader=getattr(yaml, "CSafeLoader", yaml.SafeLoader))  # the other one takes minutes
         return any(isinstance(event, yaml.MappingStartEvent) for event in list(events)[:3])
     except (yaml.YAMLError, RecursionError):
         return False

@@ -1,4 +1,4 @@
-"""XML of robots (launch files, URDF, xacro, package.xml): whether it is XML, and safe to read."""
+"""Analyser of XML files of robots (launch files, URDF, xacro, package.xml): valid and safe to read."""
 
 from collections.abc import Sequence
 
@@ -14,12 +14,12 @@ _SUFFIXES = (".xml", ".launch", ".urdf", ".xacro", ".sdf", ".srdf")
 
 
 class XmlFiles(Analyser):
-    """Whether XML can be parsed; no program, but a parser that refuses entities."""
+    """Validity of XML, by a parser that refuses entities; runs no program."""
 
     name = "xml"
 
     def wants(self, path: str, copy: Copy) -> bool:
-        """Take XML by its suffix."""
+        """Select XML files by suffix."""
         return path.endswith(_SUFFIXES)
 
     def findings(self, copy: Copy, files: Sequence[str], seconds: float) -> list[Finding]:
@@ -37,7 +37,7 @@ def _check(copy: Copy, path: str) -> Finding | None:
     except ParseError as error:
         message = f"this is not valid XML: {shorten(one_line(str(error)), 200)}"
         return Finding(path, max(error.position[0], 1), "xml/syntax", "error-prone", "error", message)
-    except (ValueError, LookupError) as error:  # an encoding that there is not
+    except (ValueError, LookupError) as error:  # an unknown encoding
         message = f"this is not valid XML: {shorten(one_line(str(error)), 200)}"
         return Finding(path, 1, "xml/syntax", "error-prone", "error", message)
     return None

@@ -1,4 +1,4 @@
-"""yamllint: YAML."""
+"""Analyser yamllint: YAML."""
 
 import re
 from collections.abc import Sequence
@@ -11,24 +11,24 @@ from calibration.analysis.programs import module, say
 _LINE = re.compile(r"(.+?):(\d+):(\d+): \[(error|warning)\] (.*?)(?: \(([a-z-]+)\))?")
 _RULES = "{extends: relaxed, rules: {line-length: disable, new-line-at-end-of-file: disable}}"
 _WRONG = ("syntax", "key-duplicates", "anchors")
-"""Rules of what a reader would misread; the others are of style."""
+"""Rules of errors that change the meaning; the others are style."""
 
 
 class Yamllint(Analyser):
-    """Syntax, keys that stand twice, and style of YAML; the team's settings say which, where there are any."""
+    """Syntax, duplicate keys, and style of YAML; the team's settings select the rules, if there are any."""
 
     name = "yamllint"
     settings = (".yamllint", ".yamllint.yml", ".yamllint.yaml")
 
     def wants(self, path: str, copy: Copy) -> bool:
-        """Take YAML by its suffix, where it is UTF-8."""
+        """Select YAML files by suffix, if they are UTF-8."""
         return path.endswith((".yml", ".yaml")) and copy.is_utf8(path)
 
     def findings(self, copy: Copy, files: Sequence[str], seconds: float) -> list[Finding]:
-        """Run yamllint."""
+        """Run yamllint and parse its output."""
         own = any((copy.root / name).is_file() for name in self.settings)
         command = [*module("yamllint"), "--format", "parsable", *([] if own else ["--config-data", _RULES])]
-        # 1 is also the exit code of a Python program that breaks off: then there is a traceback
+        # 1 is also the exit code of a Python program that crashes: then there is a traceback
         said = say(self.name, [*command, "--", *arguments(files)], copy.root, seconds, (0, 1))
         if "Traceback" in said.errors:
             say(self.name, [*command, "--", *arguments(files)], copy.root, seconds, (0,))
