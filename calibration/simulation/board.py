@@ -1,4 +1,4 @@
-"""Patterns that stand in the simulated world: what is printed on them, where they are, how flat they are."""
+"""Patterns as objects of the scene: print, pose and flatness."""
 
 from dataclasses import dataclass
 
@@ -13,49 +13,49 @@ from calibration.simulation.scene import turned
 
 @dataclass(frozen=True, eq=False)
 class Board:
-    """A pattern as a thing: a sheet without thickness inside its rectangular border.
+    """Pattern as an object: a sheet of zero thickness inside its rectangular border.
 
-    The sheet is ``z = -bow_x (1 - X^2) - bow_y (1 - Y^2)`` in the pattern frame, where X and Y run from
-    -1 to 1 across the border. A corner at (x, y, 0) of a flat board is at (x, y, z) of a bowed one: so
-    small a bow leaves lengths along the sheet as they are.
+    The sheet is ``z = -bow_x (1 - X^2) - bow_y (1 - Y^2)`` in the pattern frame, where X and Y range from
+    -1 to 1 across the border. A corner (x, y, 0) of a flat board becomes (x, y, z) on a bowed one: the bow is so
+    small that lengths along the sheet are unchanged.
     """
 
     configuration: PatternConfiguration
-    """What is printed on it."""
+    """Description of its print."""
     pattern: Pattern
-    """Its geometry, were it flat."""
+    """Geometry of the flat pattern."""
     T_world_pattern: Array
     """(4, 4)."""
     bow: tuple[float, float] = (0.0, 0.0)
-    """How far the middle stands out towards who looks at it, along x and along y, m; 0 is flat."""
+    """Height of the centre towards the viewer, along x and along y, m; 0 is flat."""
     legacy_layout: bool = False
-    """Whether a charuco board is laid out as OpenCV did before 4.6."""
+    """Whether a charuco board has OpenCV's layout of before 4.6."""
 
     @property
     def limits(self) -> tuple[Array, Array]:
-        """The least and the greatest x and y on the board, (2,) each."""
+        """Minimum and maximum of x and y on the board, (2,) each."""
         return self.pattern.outline.min(axis=0), self.pattern.outline.max(axis=0)
 
     def surface(self, points: Array) -> Array:
-        """The points (..., 3) of the sheet at (x, y), (..., 2); all in the pattern frame."""
+        """Return the points (..., 3) of the sheet at (x, y), (..., 2); all in the pattern frame."""
         low, high = self.limits
         across = (points - (low + high) / 2) / ((high - low) / 2)
         z = -self.bow[0] * (1 - across[..., 0] ** 2) - self.bow[1] * (1 - across[..., 1] ** 2)
         return np.concatenate([points, z[..., None]], -1)
 
     def corners(self) -> Array:
-        """(4, 3): the corners of the border in the world frame."""
+        """Corners (4, 3) of the border in the world frame."""
         return apply(self.T_world_pattern, self.surface(self.pattern.outline))
 
     def meet(self, start: Array, directions: Array) -> Array:
-        """The distances (...) at which rays meet the sheet, continued beyond the border; NaN where they do not.
+        """Intersect rays with the sheet, continued beyond the border: distances (...); NaN without an intersection.
 
-        A bowed sheet may be met twice: the nearer meeting on the board counts, and where none is on the
-        board the one that a flat sheet has too.
+        A bowed sheet may be intersected twice: the nearer intersection on the board is returned, and if none is on the
+        board, the one that exists for a flat sheet too.
 
         Args:
             start: (3,) in the pattern frame.
-            directions: (3, ...) in the pattern frame, of any length but 0; distances count in it.
+            directions: (3, ...) in the pattern frame, of any length but 0, which is the unit of the distances.
         """
         x, y, z = directions
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
@@ -76,7 +76,7 @@ class Board:
             return np.where(np.isfinite(t), t, np.nan)
 
     def shows_print(self, start: Array, directions: Array, t: Array) -> BoolArray:
-        """Which rays (...), that meet the sheet at distances t, see its printed side; arguments as in `meet`."""
+        """Return a mask (...) of the rays that hit the printed side at distances t; arguments as in `meet`."""
         low, high = self.limits
         slope_x = 2 * self.bow[0] / ((high[0] - low[0]) / 2) ** 2
         slope_y = 2 * self.bow[1] / ((high[1] - low[1]) / 2) ** 2
@@ -89,11 +89,11 @@ class Board:
         return printed
 
     def cast(self, origin: Array, directions: Array) -> Array:
-        """The distances (...) along rays from one point (3,); infinite where they miss. See `Scene.cast`."""
+        """Return the distances (...) along rays from one point (3,); infinite for rays that miss. See `Scene.cast`."""
         return self.cast_in(translation(-origin) @ self.T_world_pattern, np.moveaxis(directions, -1, 0))
 
     def cast_in(self, T_frame_pattern: Array, directions: Array) -> Array:
-        """The distances (...) along rays (3, ...) from the origin of a frame; infinite where they miss."""
+        """Return the distances (...) along rays (3, ...) from the origin of a frame; infinite for rays that miss."""
         T_pattern_frame = inverse(T_frame_pattern)
         start, rays = T_pattern_frame[:3, 3], turned(T_pattern_frame, directions)
         t = self.meet(start, rays)

@@ -1,4 +1,4 @@
-"""Values in the description of a system: vectors, poses, intervals, and angles in degrees."""
+"""Types of values in a system's description: vectors, poses, intervals, and angles in degrees."""
 
 import math
 from collections.abc import Callable
@@ -11,29 +11,29 @@ from calibration.geometry.types import Array
 from calibration.records import Constraint, Converted, between, field, record
 
 MAX_BYTES = 10_000_000
-"""No description of a robot, of a system or of a motion comes near it."""
+"""Limit of a file's size: far above that of any robot, system or motion."""
 
 
 def listed(count: int, expected: str, holds: Callable[[Any], bool] = lambda _: True) -> Constraint:
-    """Lists of so many numbers that meet a condition as a whole."""
+    """Constraint to lists of this many numbers that meet a condition."""
     return Constraint(
         lambda numbers: len(numbers) == count and holds(numbers), expected, {"length": (count, count)}, whole=True
     )
 
 
 def rising(least: float = -math.inf, most: float = math.inf) -> Constraint:
-    """Intervals [low, high] within limits that are both included."""
+    """Constraint to intervals [low, high] within inclusive limits."""
     limits = f"from {least:g} to {most:g}" if math.isfinite(most) else f"of at least {least:g}"
     return listed(2, f"two rising numbers {limits}", lambda ends: least <= ends[0] <= ends[1] <= most)
 
 
 def degrees(least: float, most: float) -> Converted:
-    """An angle that stands in degrees in the document and is in radians in the record."""
+    """Angle in degrees in the document and in radians in the record."""
     return Converted(Annotated[float, between(least, most)], lambda angle, _: math.radians(angle))
 
 
 def array(constraint: Constraint) -> Converted:
-    """A list of numbers as an array."""
+    """List of numbers, as an array."""
     return Converted(Annotated[tuple[float, ...], constraint], lambda numbers, _: np.array(numbers))
 
 
@@ -50,5 +50,5 @@ class Pose:
 
     @property
     def transform(self) -> Array:
-        """(4, 4)."""
+        """Return the transform (4, 4)."""
         return from_xyz_rpy(self.xyz, self.rpy)

@@ -1,4 +1,4 @@
-"""Joint positions that bring one frame of a robot to a pose in another."""
+"""Inverse kinematics: joint positions that move one frame of a robot to a pose in another."""
 
 from dataclasses import dataclass
 
@@ -9,29 +9,29 @@ from calibration.geometry.types import Array, BoolArray
 from calibration.simulation.robot import Joint, Robot
 
 _ITERATIONS = 20
-_LONGEST_STEP = 0.5  # rad or m: a linearisation says nothing about more
+_LONGEST_STEP = 0.5  # rad or m: limit of a step, for which the linearisation is valid
 _REACHED = 1e-8  # m and rad
-_SETTLED = 1e-11  # m and rad: the step just made leaves about its square
+_SETTLED = 1e-11  # m and rad: convergence is quadratic, so the remaining error is about the square of the last step
 
 
 def joints_between(robot: Robot, start: str, end: str) -> list[Joint]:
-    """The joints with a position on the way between two frames, in the order of the way."""
+    """Return the movable joints between two frames, in the order of the chain."""
     return [step.joint for step in _way(robot, start, end) if step.joint is not None]
 
 
 def reach(
     robot: Robot, start: str, end: str, targets: Array, random: np.random.Generator
 ) -> tuple[dict[str, Array], BoolArray]:
-    """Joint positions for which ``T_start_end`` is each of the targets (N, 4, 4).
+    """Solve for joint positions with ``T_start_end`` equal to each of the targets (N, 4, 4).
 
-    Least squares on the twist between pose and target, from one random start for each target, all
-    at once; damping in proportion to the squared error makes the last steps Gauss-Newton's (J. Fan
+    Least squares on the twist between pose and target, from one random initial guess per target, all
+    at once. The damping is proportional to the squared error, so that the last steps are Gauss-Newton steps (J. Fan
     and Y. Yuan, "On the quadratic convergence of the Levenberg-Marquardt method", 2005).
 
     Returns:
-        The positions (N,) of the joints between the two frames, by name; and which targets (N,)
-        are reached within the joints' limits. A target that is not may be out of reach, or only
-        out of reach from its start.
+        The positions (N,) of the joints between the two frames, by name; and a mask (N,) of the targets
+        reached within the joints' limits. Others may be out of reach, or only not reached from this
+        initial guess.
     """
     way = _way(robot, start, end)
     joints = joints_between(robot, start, end)
@@ -52,7 +52,7 @@ def reach(
 
 
 def _step(error: Array, J: Array) -> Array:
-    """The damped step (N, J), none of its parts longer than a linearisation holds."""
+    """Return the damped step (N, J), with each component limited to the linearisation's range."""
     transposed = J.swapaxes(-1, -2)
     damping = 0.1 * (error * error).sum(-1) + 1e-12
     normal = transposed @ J + damping[:, None, None] * np.eye(J.shape[-1])
@@ -64,16 +64,16 @@ def _step(error: Array, J: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class _Step:
-    """A part of the way between two frames: a joint that moves, or a constant."""
+    """Part of the chain between two frames: a movable joint, or a constant."""
 
     constant: Array
-    """(4, 4); what does not move, multiplied out. Not used where a joint moves."""
+    """(4, 4): the product of fixed transforms. Unused for a movable joint."""
     joint: Joint | None = None
     inverted: bool = False
 
 
 def _way(robot: Robot, start: str, end: str) -> list[_Step]:
-    """The parts of the way, neighbouring constants multiplied out."""
+    """Return the parts of the chain, with neighbouring constants multiplied."""
     by_edge = {joint.edge: joint for joint in robot.joints}
     way: list[_Step] = []
     for step in robot.tree.path(start, end):
@@ -90,9 +90,9 @@ def _way(robot: Robot, start: str, end: str) -> list[_Step]:
 
 
 def _linearise(way: list[_Step], targets: Array, q: Array) -> tuple[Array, Array]:
-    """The twist (N, 6) from the pose to the target, and how the joints (J,) move the pose: (N, 6, J)."""
+    """Return the twist (N, 6) from the pose to the target, and the Jacobian (N, 6, J) of the pose by the joints."""
     T = np.broadcast_to(np.eye(4), targets.shape)
-    moved: list[tuple[Array, Array]] = []  # each joint's frame from the start, and its twist there
+    moved: list[tuple[Array, Array]] = []  # each joint's frame relative to the start, and its twist there
     for step in way:
         if step.joint is None:
             T = T @ step.constant

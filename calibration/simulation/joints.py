@@ -1,4 +1,4 @@
-"""The joints of a robot by ATOM's parameters: as its description has them, and as the true robot has them."""
+"""Joints of a robot in ATOM's parameters, nominal (of the description) and true."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -14,19 +14,19 @@ from calibration.records import between
 from calibration.simulation.robot import Joint, Robot
 
 MAX_ERROR = 1.0
-"""m and rad: a joint that is further off is another robot's."""
+"""m and rad: limit of a parameter's error."""
 JointErrors = Mapping[str, Mapping[JointParameter, Annotated[float, between(-MAX_ERROR, MAX_ERROR)]]]
-"""By the name of a joint: what its parameters have on top of the description's, m and rad."""
+"""By the name of a joint: errors of its parameters, to be added to the description's values, m and rad."""
 
 
 def joint_model(joint: Joint) -> JointModel:
-    """What moves when the joint's position changes."""
+    """Return the kinematic model of a joint."""
     x, y, z = joint.axis.tolist()
     return JointModel(joint.kind == "prismatic", (x, y, z))
 
 
 def joint_values(joint: Joint, errors: Mapping[JointParameter, float] | None = None) -> Array:
-    """All parameters (7,) of a joint in the order of `JOINT_PARAMETERS`, those of its description and the errors."""
+    """Return all parameters (7,) of a joint in the order of `JOINT_PARAMETERS`: the description's plus the errors."""
     origin, rpy = joint.T_parent_joint[:3, 3], rotations.to_rpy(joint.T_parent_joint[:3, :3])
     values = np.concatenate([origin, rpy, [0.0]])
     for parameter, error in (errors or {}).items():
@@ -35,9 +35,9 @@ def joint_values(joint: Joint, errors: Mapping[JointParameter, float] | None = N
 
 
 def with_errors(robot: Robot, errors: JointErrors) -> Robot:
-    """The robot whose joints have errors; the same object where there are none.
+    """Return the robot with erroneous joints; the same object if there are no errors.
 
-    The bias of a joint's position goes into its origin: both stand before what the position moves.
+    The bias of a joint's position is added to its origin: both precede the motion by the position.
     """
 
     def moved(joint: Joint) -> Joint:
@@ -48,10 +48,10 @@ def with_errors(robot: Robot, errors: JointErrors) -> Robot:
 
 
 def check_calibrated_joints(joints: Mapping[str, tuple[str, ...]], robot: Robot, where: str) -> None:
-    """Check that the joints and parameters that a configuration calibrates are the robot's.
+    """Check that the calibrated joints and parameters of a configuration exist in the robot.
 
     Raises:
-        InputError: beginning with ``where``; a joint is not one that moves, a parameter is unknown, or there is none.
+        InputError: begins with ``where``; a joint is not movable, or a parameter is unknown or missing.
     """
     for name, parameters in joints.items():
         if name not in robot.movable:

@@ -1,4 +1,4 @@
-"""Where the sensors and the patterns stand while a motion is played, as the robot is and as it was designed."""
+"""Poses of sensors and patterns while a motion is played, true and nominal."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -18,30 +18,30 @@ from calibration.simulation.system import System
 
 @dataclass(frozen=True, eq=False)
 class Placement:
-    """The true poses at each of N poses of a motion; arrays are (N, 4, 4) where nothing else is said."""
+    """True poses at each of N poses of a motion; arrays are (N, 4, 4) unless stated otherwise."""
 
     transforms: Mapping[Edge, Array]
-    """The robot's, by (parent, child)."""
+    """Transforms of the robot, by (parent, child)."""
     sensors: Mapping[str, Array]
     """``T_world_sensor``, to the frame of the sensor's data."""
     patterns: Mapping[str, Array]
     """``T_world_pattern``."""
     joints: Mapping[str, Array]
-    """The positions (N,) of the joints that move, by name, rad or m."""
+    """Positions (N,) of the movable joints, by name, rad or m."""
 
     def pattern_in(self, sensor: str, pattern: str) -> Array:
-        """``T_sensor_pattern``."""
+        """Return ``T_sensor_pattern``."""
         return inverse(self.sensors[sensor]) @ self.patterns[pattern]
 
     def sensors_are_free(self, scene: Scene) -> BoolArray:
-        """At which poses (N,) no sensor is in a box or under the ground."""
+        """Return a mask (N,) of the poses at which no sensor is in a box or under the ground."""
         origins = np.stack([T_world_sensor[:, :3, 3] for T_world_sensor in self.sensors.values()], 1)
         free: BoolArray = ~np.any(scene.contains(origins), axis=-1)
         return free
 
 
 def views(system: System, placement: Placement, sensor: str, pattern: str) -> Views:
-    """A pattern of a system before one of its sensors, at the poses of a placement."""
+    """Return the views of a pattern by a sensor, at the poses of a placement."""
     return Views(
         system.configuration.patterns[pattern],
         system.patterns[pattern],
@@ -55,7 +55,7 @@ def place(system: System, motion: Motion) -> Placement:
     """Play a motion.
 
     Raises:
-        InputError: the motion lacks what the system moves or moves what the system has not, a joint
+        InputError: the motion lacks something that the system moves, or moves something unknown, or a joint
             is outside its limits.
     """
     moved = system.moved_pattern
@@ -88,22 +88,22 @@ def place(system: System, motion: Motion) -> Placement:
 
 @dataclass(frozen=True, eq=False)
 class Play:
-    """What a collection at any of N poses depends on."""
+    """Played motion: all that a collection at any of its N poses depends on."""
 
     system: System
     motion: Motion
     seed: int
     true: Placement
-    """Where everything is."""
+    """True poses."""
     nominal: Placement
-    """Where it would be if the robot were as it was designed."""
+    """Poses of the nominal robot."""
 
     def __len__(self) -> int:
         return len(self.motion)
 
 
 def play(system: System, motion: Motion, seed: int) -> Play:
-    """Place a system at the poses of a motion.
+    """Play a motion with a system.
 
     Raises:
         InputError: the motion does not fit the system (see `place`), or brings a sensor into a box

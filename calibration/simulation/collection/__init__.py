@@ -1,1 +1,1 @@
-"""Collections: a motion is played, every sensor's data labelled and checked, and a dataset written."""
+"""Collection of datasets: play a motion, label and check every sensor's data, write the dataset."""

@@ -1,4 +1,4 @@
-"""What the sensors see at one pose of a motion, what is detected in it, and whether that is worth keeping."""
+"""Capture of one pose of a motion: the sensors' data, the detected labels, and the checks for keeping it."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -25,30 +25,30 @@ Key = tuple[str, str]
 
 @dataclass(frozen=True, eq=False)
 class Capture:
-    """The data of every sensor at one pose, and the labels of every pattern in it."""
+    """Data of every sensor at one pose, and the labels of every pattern in them."""
 
     number: int
-    """Of the pose, from 0."""
+    """Index of the pose, from 0."""
     boards: Mapping[str, Sequence[Board]]
-    """The patterns as each sensor saw them, in the order of the configuration; a swaying one is elsewhere for each."""
+    """Patterns as each sensor saw them, in the order of the configuration; a swaying one differs between them."""
     data: Mapping[str, Data]
-    """By sensor: what `SimulatedSensor.render` gave."""
+    """By sensor: the result of `SimulatedSensor.render`."""
     labels: Mapping[Key, Found]
-    """Of every pattern and sensor."""
+    """Labels of every pattern and sensor."""
     estimates: Mapping[Key, Array]
     """``T_camera_pattern`` (4, 4) of the detected patterns, each from the labels of that one view."""
 
     def found_by(self, sensor: str) -> dict[str, Found]:
-        """What a sensor found, by pattern."""
+        """Return the labels of a sensor, by pattern."""
         return {pattern: found for (pattern, name), found in self.labels.items() if name == sensor}
 
     def corners(self, camera: str) -> dict[str, CornerLabels]:
-        """The corners that a camera found, by pattern; only those that it detects."""
+        """Return the corners detected by a camera, by pattern."""
         return {pattern: found for pattern, found in self.found_by(camera).items() if isinstance(found, CornerLabels)}
 
     @property
     def movement(self) -> float:
-        """How far a pattern was from where another sensor saw it, at most, m."""
+        """Largest distance of a pattern between its poses for two sensors, m."""
         pairs = combinations(self.boards.values(), 2)
         places = (
             (a.T_world_pattern, b.T_world_pattern) for one, other in pairs for a, b in zip(one, other, strict=True)
@@ -57,10 +57,10 @@ class Capture:
 
 
 def capture(play: Play, number: int) -> Capture:
-    """Let every sensor see one pose, and label what it saw.
+    """Render and label the data of every sensor at one pose.
 
-    It depends on the play's seed, the number of the pose and the names of the sensors alone, so
-    any part of a motion's collections is a part of the whole.
+    The result depends only on the play's seed, the index of the pose and the names of the sensors, so
+    any subset of a motion's poses gives a subset of the collections.
     """
     system = play.system
     boards = {name: _boards(play, number, name) for name in system.sensors}
@@ -93,7 +93,7 @@ def capture(play: Play, number: int) -> Capture:
 
 
 def _boards(play: Play, number: int, sensor: str) -> list[Board]:
-    """The patterns where one sensor sees them: the one that is moved may sway."""
+    """Return the patterns at their poses for one sensor: the moved one may sway."""
     system = play.system
     boards = system.boards({name: T[number] for name, T in play.true.patterns.items()})
     if system.sway and system.moved_pattern:
@@ -115,9 +115,9 @@ def _guess(
     labels: Mapping[Key, Found],
     estimates: Mapping[Key, Array],
 ) -> Array:
-    """``T_world_pattern`` by the camera that sees most of it; where it was to be if none does.
+    """Estimate ``T_world_pattern`` from the camera that sees most of it; the commanded pose if none does.
 
-    As a collector knows it: through the robot as it was designed.
+    As a data collector knows it: by the nominal robot.
     """
     counts = {
         camera: len(found.ids)
@@ -133,7 +133,7 @@ def _guess(
 
 
 def estimate_pose(camera: Camera, pattern: Pattern, labels: CornerLabels) -> Array:
-    """``T_camera_pattern`` (4, 4) by the labels of one view; NaN where they give none."""
+    """Estimate ``T_camera_pattern`` (4, 4) from the labels of one view; NaN if they do not determine it."""
     T_camera_centre, _ = fitted_poses(corner_term(camera, pattern, [labels]))
     T_camera_pattern: Array = T_camera_centre[0] @ inverse(translation(pattern.centre))
     return T_camera_pattern
@@ -141,16 +141,16 @@ def estimate_pose(camera: Camera, pattern: Pattern, labels: CornerLabels) -> Arr
 
 @dataclass(frozen=True)
 class Requirements:
-    """What a collection has to keep to."""
+    """Requirements of a collection."""
 
     stillness: float = 0.002
-    """How far a pattern may move while the sensors look, m."""
+    """Limit of a pattern's motion while the sensors measure, m."""
     image_share: float = 0.005
-    """The share of an image that the detected corners span, at least."""
+    """Minimum share of an image that the detected corners span."""
 
 
 def reasons_to_lose(system: System, capture: Capture, requirements: Requirements) -> tuple[str, ...]:
-    """Why a collection is not kept; nothing where it is."""
+    """Return the reasons why a collection is not kept; empty if it is."""
     reasons = [reason for sensor in system.sensors if (reason := _undetected(capture, sensor))]
     if capture.movement > requirements.stillness:
         limit = 1000 * requirements.stillness
@@ -164,7 +164,7 @@ def reasons_to_lose(system: System, capture: Capture, requirements: Requirements
 
 
 def _undetected(capture: Capture, sensor: str) -> str:
-    """Why a sensor detects none of the patterns; empty where it detects one."""
+    """Return the reason why a sensor detects none of the patterns; empty if it detects one."""
     found = capture.found_by(sensor)
     if not all(isinstance(answer, NotDetected) for answer in found.values()):
         return ""
@@ -178,6 +178,6 @@ def _undetected(capture: Capture, sensor: str) -> str:
 
 
 def image_share(camera: Camera, labels: CornerLabels) -> float:
-    """The share of the image that the box around the corners covers."""
+    """Share of the image covered by the bounding box of the corners."""
     width, height = np.ptp(labels.pixels, axis=0)
     return float(width * height / (camera.width * camera.height))

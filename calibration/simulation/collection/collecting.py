@@ -1,4 +1,4 @@
-"""All poses of a motion: each is captured, labelled and checked, and leaves its record."""
+"""Collection of all poses of a motion: each is captured, labelled and checked, and its record is stored."""
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -13,22 +13,22 @@ from calibration.simulation.collection.record import Record, data_file, record
 from calibration.simulation.placement import Play
 
 Done = Callable[[int, int, Record], None]
-"""Called after each pose with how many are done, how many there are, and its record."""
+"""Callback after each pose: number of finished poses, number of all poses, record."""
 
 
 def collect_pose(
     play: Play, number: int, requirements: Requirements, images: bool = True
 ) -> tuple[Record, dict[str, bytes]]:
-    """Collect at one pose.
+    """Collect one pose.
 
     Args:
         play: the motion.
-        number: of the pose, from 0.
-        requirements: what the collection has to keep to.
-        images: whether files of images are made too; point clouds always are, as labels refer to them.
+        number: index of the pose, from 0.
+        requirements: requirements of the collection.
+        images: whether images are written too; point clouds always are, as labels refer to them.
 
     Returns:
-        The record, and the content of its files by their names.
+        The record, and the contents of its files by name.
     """
     seen = capture(play, number)
     files = {
@@ -46,14 +46,14 @@ def collect(
     jobs: int | None = None,
     done: Done = lambda *_: None,
 ) -> list[Record]:
-    """Collect at every pose that the workspace has no record of.
+    """Collect every pose without a record in the workspace.
 
     Args:
         play: the motion.
-        requirements: what each collection has to keep to.
-        workspace: where records and files go; those that are there are not made again.
-        jobs: processes; None for one a core.
-        done: called after each pose; first for those that were done before.
+        requirements: requirements of each collection.
+        workspace: folder of records and files; existing ones are not made again.
+        jobs: number of processes; None for one per core.
+        done: called after each pose; first for those already finished.
 
     Returns:
         All records, in the order of the poses.
@@ -73,7 +73,7 @@ def collect(
 
 @contextmanager
 def single_threaded_opencv() -> Iterator[None]:
-    """Keep OpenCV to one thread: the processes are the parallel ones, and its threads do not survive a fork."""
+    """Limit OpenCV to one thread: the parallelism is by processes, and its threads do not survive a fork."""
     threads = cv2.getNumThreads()
     cv2.setNumThreads(1)
     try:
@@ -83,5 +83,5 @@ def single_threaded_opencv() -> Iterator[None]:
 
 
 def kept(records: Sequence[Record]) -> list[Record]:
-    """The records that make the dataset."""
+    """Return the records that are part of the dataset."""
     return [record for record in records if record.kept]

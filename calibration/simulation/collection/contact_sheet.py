@@ -1,4 +1,4 @@
-"""A picture of all poses: what each sensor saw with what was detected in it, and what was lost and why."""
+"""Contact sheet of all poses: the data and detections of each sensor, and the reasons of rejected poses."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -14,21 +14,21 @@ from calibration.simulation.system import System
 
 FILE = "contact_sheet.png"
 WIDTH = 1600
-"""About how wide the sheet is, px."""
+"""Approximate width of the sheet, px."""
 MOST_POSES = 120
-"""More are not shown."""
+"""Limit of the number of poses shown."""
 _GAP, _LINE = 6, 16
 _PAPER, _INK, _RED = (250, 250, 250), (60, 60, 60), (40, 40, 200)
 _FONT, _TEXT_SIZE = cv2.FONT_HERSHEY_SIMPLEX, 0.38
 
 
 def write_contact_sheet(folder: Path, system: System, records: Sequence[Record], files: Path) -> None:
-    """Write the sheet.
+    """Write the contact sheet.
 
     Args:
-        folder: where the sheet goes.
-        system: whose sensors look.
-        records: of every pose, lost ones too.
+        folder: folder of the sheet.
+        system: the system.
+        records: of every pose, including rejected ones.
         files: the folder with the images, depth images and clouds of the records.
 
     Raises:
@@ -45,7 +45,7 @@ def write_contact_sheet(folder: Path, system: System, records: Sequence[Record],
 
 
 def _tile(system: System, record: Record, files: Path) -> Image:
-    """One pose: its pictures side by side, each under a line that says what it shows; what was lost is framed."""
+    """Draw one pose: its pictures side by side, each with a title; a rejected pose has a frame."""
     labels, parts = record.collection["labels"], []
     for name, sensor in system.by_modality:
         own = [by_sensor[name] for by_sensor in labels.values()]
@@ -63,7 +63,7 @@ def _tile(system: System, record: Record, files: Path) -> Image:
 
 
 def _line(text: str, width: int, colour: tuple[int, int, int]) -> Image:
-    """A line of text as a picture; what is too long is cut."""
+    """Draw a line of text, truncated to the width."""
     picture = np.full((_LINE, width, 3), _PAPER, np.uint8)
     cv2.putText(picture, text, (2, _LINE - 5), _FONT, _TEXT_SIZE, colour, 1, cv2.LINE_AA)
     return picture

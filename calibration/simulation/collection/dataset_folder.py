@@ -1,4 +1,4 @@
-"""A dataset's folder, which gets a whole dataset or stays as it was."""
+"""Folder of a dataset, which is replaced completely or not at all."""
 
 import filecmp
 import json
@@ -20,13 +20,13 @@ from calibration.simulation.system import MOTION_FILE
 
 
 def write_dataset(new: Path, play: Play, kept: Sequence[Record], files: Path) -> None:
-    """Write a collected dataset into a new folder: JSON, truth, motion, and the files that describe the system.
+    """Write a collected dataset into a new folder: JSON, truth, motion, and the system's description.
 
-    So the folder is a system's folder too, from which the dataset can be collected again.
+    So it is also the folder of a system, from which the dataset can be collected again.
 
     Args:
-        new: the folder, which exists.
-        play: what was collected.
+        new: the folder, which must exist.
+        play: the played motion.
         kept: the collections, at least one.
         files: the folder with the images and clouds that their records name; they are linked or copied.
 
@@ -37,7 +37,7 @@ def write_dataset(new: Path, play: Play, kept: Sequence[Record], files: Path) ->
         write_atomically(new / name, content)
     for record in kept:
         for message in record.collection["data"].values():
-            name = message.get("data_file")  # a 2D LiDAR's ranges stand in the dataset itself
+            name = message.get("data_file")  # the ranges of a 2D LiDAR are in the dataset itself
             if name and (files / name).exists():
                 place(files / name, new / name)
     write_document(motion_document(play.motion), new / MOTION_FILE)
@@ -49,7 +49,7 @@ def refuse_existing(folder: Path, overwrite: bool) -> None:
     """Check that a dataset may be written into a folder, which need not exist.
 
     Raises:
-        InputError: it has a dataset and may not be overwritten, or is no folder.
+        InputError: it has a dataset and must not be overwritten, or is not a folder.
     """
     if folder.exists() and not folder.is_dir():
         raise InputError(f"{folder}: is a file, expected a folder for the dataset")
@@ -61,9 +61,9 @@ def refuse_existing(folder: Path, overwrite: bool) -> None:
 def replacing_dataset(folder: Path, overwrite: bool) -> Iterator[Path]:
     """A temporary folder for a new dataset, whose files move to ``folder`` when all are written.
 
-    The dataset's JSON comes last, and an old one goes first, with the files that it names: so
-    whoever looks in between finds the old dataset, none, or the new one. After any failure, an
-    interruption too, the folder is as it was. It lies inside the folder, which may be a volume of
+    The dataset's JSON is moved last, and an old one is removed first, with the files that it names: so
+    a reader finds the old dataset, none, or the new one at any time. After any failure, an
+    interruption too, the folder is unchanged. The temporary one is inside it, as it may be a volume of
     its own.
     """
     refuse_existing(folder, overwrite)
@@ -81,12 +81,12 @@ def replacing_dataset(folder: Path, overwrite: bool) -> Iterator[Path]:
         raise InfrastructureError(f"{folder}: cannot be written: {error.strerror or error}") from error
     finally:
         for path in created:
-            with suppress(OSError):  # it is not empty: something was written
+            with suppress(OSError):  # not empty: something was written meanwhile
                 path.rmdir()
 
 
 def _make(folder: Path) -> list[Path]:
-    """Make a folder and those above it; the ones that were made, the innermost first."""
+    """Make a folder and its parents; return the new ones, innermost first."""
     missing = [path for path in (folder, *folder.parents) if not path.exists()]
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -96,7 +96,7 @@ def _make(folder: Path) -> list[Path]:
 
 
 def _refuse_other_files(folder: Path, new: Path) -> None:
-    """Refuse to replace what is not part of a dataset, such as a motion that somebody recorded."""
+    """Refuse to replace files that are not part of a dataset, such as a recorded motion."""
     for path in sorted(new.iterdir()):
         old = folder / path.name
         if old.exists() and not (old.is_file() and filecmp.cmp(path, old, shallow=False)):
@@ -104,7 +104,7 @@ def _refuse_other_files(folder: Path, new: Path) -> None:
 
 
 def _swap(folder: Path, new: Path, old: Path) -> None:
-    """Move the old dataset out and the new one in; all or nothing."""
+    """Exchange the old dataset for the new one; all or nothing."""
     arriving = sorted((path.name for path in new.iterdir()), key=lambda name: name == FILE_NAME)
     leaving = [FILE_NAME, *sorted({*arriving, *_payload(folder / FILE_NAME)} - {FILE_NAME})]
     try:
@@ -123,7 +123,7 @@ def _swap(folder: Path, new: Path, old: Path) -> None:
 
 
 def _payload(dataset: Path) -> set[str]:
-    """The files beside a dataset that its collections name; none where it cannot be read."""
+    """Return the data files that a dataset's collections name; empty if it cannot be read."""
     try:
         collections = json.loads(dataset.read_bytes())["collections"].values()
         named = {data["data_file"] for c in collections for data in c["data"].values() if "data_file" in data}

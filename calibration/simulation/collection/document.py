@@ -1,8 +1,8 @@
-"""The documents of a simulated dataset: ATOM's ``dataset.json``, version 3.0, and the truth beside it.
+"""Documents of a simulated dataset: ATOM's ``dataset.json``, version 3.0, and its ground truth.
 
 Numbers are rounded (poses to a nanometre and a nanoradian, estimated ones to 10 micrometres and
-microradians, labels to a ten-thousandth of a pixel), so that the last bits of a machine's arithmetic
-do not show.
+microradians, labels to a ten-thousandth of a pixel), so that the rounding errors of a machine's
+arithmetic have no effect.
 """
 
 from collections.abc import Sequence
@@ -24,11 +24,11 @@ from calibration.simulation.system import System
 USER = "calibration-ci"
 DATE = "Thu Jan  1 00:00:00 1970"
 TIMESTAMP = "0.0"
-"""A simulated dataset is of no day: the same input gives the same bytes."""
+"""Constant, so that the same input gives the same bytes."""
 
 
 def dataset_document(system: System, kept: Sequence[Record]) -> dict[str, Any]:
-    """The content of ``dataset.json``. The transforms in it are those of the robot as it was designed."""
+    """Return the content of ``dataset.json``, with the transforms of the nominal robot."""
     configuration = system.configuration
     return {
         "_metadata": {
@@ -53,7 +53,7 @@ def dataset_document(system: System, kept: Sequence[Record]) -> dict[str, Any]:
 
 
 def truth_document(play: Play, kept: Sequence[Record]) -> dict[str, Any]:
-    """The content of ``ground_truth.json``: what a calibration of the dataset should find."""
+    """Return the content of ``ground_truth.json``: the values that a calibration of the dataset should find."""
     system = play.system
     config = system.configuration
 
@@ -78,7 +78,7 @@ def truth_document(play: Play, kept: Sequence[Record]) -> dict[str, Any]:
 
 
 def _true_joints(system: System) -> dict[str, dict[str, float]]:
-    """What the parameters under calibration are in truth, m and rad."""
+    """Return the true values of the calibrated parameters of joints, m and rad."""
     joints = {}
     for name, parameters in system.configuration.joints.items():
         values = joint_values(system.nominal.movable[name], system.joint_errors.get(name)).tolist()
@@ -119,7 +119,7 @@ def _camera_info(camera: Camera, frame: str) -> dict[str, Any]:
 
 
 def _transforms(system: System) -> dict[str, Any]:
-    """What is known of every edge of the tree; "multiple" means that it differs between collections."""
+    """Return the attributes of every edge of the tree; "multiple" if it differs between collections."""
     calibrated = {(s.parent_link, s.child_link) for s in system.configuration.sensors.values()}
     calibrated |= set(system.configuration.additional_tfs.values())
     return {

@@ -1,4 +1,4 @@
-"""The proof of a dataset: does it calibrate, and to the truth?"""
+"""Proof of a dataset: it is calibrated and the result is compared with the ground truth."""
 
 import math
 from collections.abc import Iterator, Mapping
@@ -28,7 +28,7 @@ class SensorSigma:
 
 @result
 class JointProof:
-    """Result of a calibration for one parameter of a joint, m or rad."""
+    """Calibrated parameter of a joint, m or rad."""
 
     joint: str = field("Its name.")
     parameter: str = field("Which of its parameters.")
@@ -40,7 +40,7 @@ class JointProof:
 
 @result
 class Proof:
-    """Result of a calibration of a dataset. Numbers are null where there is none."""
+    """Calibration of a dataset, compared with the truth. Numbers are null if there is no result."""
 
     converged: bool = field("Whether an optimum was found.")
     reason: str = field("Why it did not converge; empty where it did.")
@@ -55,13 +55,13 @@ class Proof:
 
     @property
     def joint_mm(self) -> float | None:
-        """The worst error of the joints' parameters that are lengths."""
+        """Largest error of the joints' parameters that are lengths."""
         worst = self._worst("m")
         return None if worst is None else round(1e3 * worst, 4)
 
     @property
     def joint_deg(self) -> float | None:
-        """The worst error of those that are angles."""
+        """Largest error of the joints' parameters that are angles."""
         worst = self._worst("rad")
         return None if worst is None else round(math.degrees(worst), 6)
 
@@ -71,18 +71,18 @@ class Proof:
 
 
 def prove(folder: Path, truth: str | None = None) -> Proof:
-    """Calibrate the dataset in a folder from its linear start, and compare with a truth (see `choose_truth`).
+    """Calibrate the dataset in a folder from the linear initial guess, and compare with a truth (see `choose_truth`).
 
-    A dataset that cannot be calibrated is an answer, not an error.
+    A dataset that cannot be calibrated is a result, not an error.
     """
     try:
         return prove_dataset(read_dataset(folder), truth)
     except CalibrationError as error:
-        return Proof(False, str(error).replace(f"{folder}/", ""))  # it will be elsewhere when this is read
+        return Proof(False, str(error).replace(f"{folder}/", ""))  # the folder is temporary
 
 
 def prove_dataset(dataset: Dataset, choice: str | None = None) -> Proof:
-    """`prove` for a dataset that was read.
+    """Calibrate a dataset like `prove`.
 
     Raises:
         CalibrationError: it cannot be calibrated.

@@ -1,6 +1,6 @@
-"""What a pose leaves: its part of the dataset, or why it was lost, and how well it was labelled.
+"""Record of a pose: its part of the dataset, or the reasons for its rejection, and the quality of its labels.
 
-A record is plain JSON, so that an interrupted collection can go on from the records on disk.
+A record is plain JSON, so that an interrupted collection can be continued from the records on disk.
 """
 
 import json
@@ -24,48 +24,48 @@ from calibration.simulation.robot import Joint, compose
 from calibration.simulation.sensors.sensor import Found, SimulatedSensor
 
 ESTIMATE_DECIMALS = 5
-"""Of estimated poses: 10 micrometres and microradians."""
+"""Decimals of estimated poses: 10 micrometres and microradians."""
 
 
 @dataclass(frozen=True)
 class CornerErrors:
-    """Detected corners against the projected true ones, of one camera at one pose, px."""
+    """Errors of detected corners against the true projections, for one camera at one pose, px."""
 
     count: int
     mean: tuple[float, float]
     rms: float
-    """Of the distances."""
+    """Root mean square of the distances."""
     largest: float
 
 
 @dataclass(frozen=True)
 class Record:
-    """What came of one pose. Kept when there is no reason to lose it."""
+    """Result of one pose. It is kept if there is no reason to reject it."""
 
     number: int
-    """Of the pose, from 0."""
+    """Index of the pose, from 0."""
     lost: tuple[str, ...]
-    """Why it is not part of the dataset; empty where it is."""
+    """Reasons why it is not part of the dataset; empty if it is."""
     labels: Mapping[str, int]
-    """How many corners or points each sensor labelled, on all patterns together; 0 where it detects none."""
+    """Number of corners or points that each sensor labelled, on all patterns together; 0 without a detection."""
     complete: Mapping[str, bool]
-    """Of each camera, whether it sees every corner of a pattern that it detects."""
+    """By camera, whether it sees every corner of a pattern that it detects."""
     errors: Mapping[str, CornerErrors]
-    """Of each camera that detects a pattern."""
+    """By camera that detects a pattern."""
     cells: Mapping[str, tuple[int, ...]]
-    """Which cells of a grid over each camera's image have a corner (`COLUMNS` x `ROWS`, row by row)."""
+    """By camera, the cells of a grid over its image with a corner (`COLUMNS` x `ROWS`, row by row)."""
     collection: Mapping[str, Any]
     """The entry of ``collections`` in the dataset."""
     initial: Mapping[str, Mapping[str, Any]]
     """By pattern: the entry of its ``transforms_initial``."""
     truth: tuple[Mapping[str, Any], ...]
-    """The true poses of the patterns in the world, and the transforms that each collection has its own of."""
+    """True poses of the patterns in the world, and the transforms that differ between collections."""
     named: str | None = None
-    """The collection's key where others than we have given it one."""
+    """Key of the collection, if it was not numbered by this program."""
 
     @property
     def key(self) -> str:
-        """The collection's key: the number of its pose, so a lost one leaves a gap."""
+        """Key of the collection: the index of its pose, so a rejected one leaves a gap."""
         return collection_key(self.number) if self.named is None else self.named
 
     @property
@@ -74,15 +74,15 @@ class Record:
         return not self.lost
 
     def to_json(self) -> str:
-        """The record as text."""
+        """Format the record as JSON."""
         return json.dumps(asdict(self))
 
     @classmethod
     def from_json(cls, text: str | bytes) -> "Record":
-        """The record of `to_json`.
+        """Parse the record from JSON.
 
         Raises:
-            ValueError, TypeError, KeyError: it is none.
+            ValueError, TypeError, KeyError: it is not a record.
         """
         fields = json.loads(text)
         return cls(
@@ -100,16 +100,16 @@ class Record:
 
 
 COLUMNS, ROWS = 4, 3
-"""The grid over an image that tells how much of it has been covered."""
+"""Size of the grid over an image for its coverage."""
 
 
 def collection_key(number: int) -> str:
-    """Such as "000"."""
+    """Return the key of a collection, such as "000"."""
     return f"{number:03d}"
 
 
 def record(play: Play, capture: Capture, lost: tuple[str, ...]) -> Record:
-    """The record of a capture."""
+    """Return the record of a capture."""
     system, number = play.system, capture.number
     return Record(
         number=number,
@@ -153,7 +153,7 @@ def _sees_all(play: Play, capture: Capture, camera: str) -> bool:
 
 
 def _corner_errors(play: Play, capture: Capture, camera: str) -> CornerErrors | None:
-    """Labels against the true corners as this camera saw them: of a pattern that may sway and be bent."""
+    """Compare labels with the true corners as this camera saw them: of a pattern that may sway and be bowed."""
     T_camera_world = inverse(play.true.sensors[camera][capture.number])
     boards = {board.pattern.name: board for board in capture.boards[camera]}
     differences = []
@@ -176,7 +176,7 @@ def _corner_errors(play: Play, capture: Capture, camera: str) -> CornerErrors | 
 
 
 def image_cells(camera: Camera, detected: Iterable[CornerLabels]) -> tuple[int, ...]:
-    """Which cells of the grid over a camera's image have a corner."""
+    """Return the cells of the grid over a camera's image with a corner."""
     size = np.array([camera.width / COLUMNS, camera.height / ROWS])
     found = set()
     for labels in detected:
@@ -203,13 +203,13 @@ def _collection(play: Play, capture: Capture) -> dict[str, Any]:
 
 
 def _joints(play: Play, number: int) -> dict[str, Any]:
-    """The joints under calibration, as the robot was designed."""
+    """Return the calibrated joints of the nominal robot."""
     joints = {name: play.system.nominal.movable[name] for name in play.system.configuration.joints}
     return {name: joint_document(joint, float(play.nominal.joints[name][number])) for name, joint in joints.items()}
 
 
 def _message(play: Play, capture: Capture, name: str) -> dict[str, Any]:
-    """The ROS message of a sensor; its data stand in a file beside the dataset, or in the message itself."""
+    """Return the ROS message of a sensor; its data are in a separate file or in the message itself."""
     sensor = play.system.sensors[name]
     header = message_header(play.system.configuration.sensors[name].link, capture.number)
     file = {"data_file": data_file(name, sensor, capture.number)} if sensor.file_ending else {}
@@ -217,14 +217,14 @@ def _message(play: Play, capture: Capture, name: str) -> dict[str, Any]:
 
 
 def data_file(name: str, sensor: SimulatedSensor, number: int) -> str:
-    """The name of the file with a sensor's data in a collection."""
+    """Return the name of the file with a sensor's data in a collection."""
     return f"{name}_{collection_key(number)}.{sensor.file_ending}"
 
 
 def _initial(play: Play, capture: Capture, pattern: str) -> dict[str, Any]:
-    """Where the pattern stands by the labels of the first camera that detects it.
+    """Return the pose of a pattern by the labels of the first camera that detects it.
 
-    Estimated through the robot as it was designed, as ATOM does when it collects.
+    It is estimated by the nominal robot, as ATOM does when it collects.
     """
     geometry = play.system.patterns[pattern]
     for camera in play.system.cameras:
@@ -238,7 +238,7 @@ def _initial(play: Play, capture: Capture, pattern: str) -> dict[str, Any]:
 
 
 def _nominal(play: Play, frame: str, camera: str, number: int) -> Array:
-    """``T_frame_camera`` (4, 4) as it was designed."""
+    """Return the nominal ``T_frame_camera`` (4, 4)."""
     transforms = {edge: T[number : number + 1] for edge, T in play.nominal.transforms.items()}
     link = play.system.configuration.sensors[camera].link
     T: Array = compose(play.system.nominal.tree, transforms, frame, link)[0]
@@ -246,11 +246,11 @@ def _nominal(play: Play, frame: str, camera: str, number: int) -> Array:
 
 
 POSE_DECIMALS = 9
-"""Of exact poses: a nanometre and a nanoradian, so that the last bits of a machine's arithmetic do not show."""
+"""Decimals of exact poses: a nanometre and a nanoradian, so that rounding errors of the arithmetic have no effect."""
 
 
 def pose_document(edge: Edge, T: Array, decimals: int = POSE_DECIMALS) -> dict[str, Any]:
-    """A transform (4, 4); of the two quaternions of a rotation the one whose last component is positive."""
+    """Return the document of a transform (4, 4); its quaternion is the one with a positive last component."""
     quaternion = np.round(rotations.to_quaternion(T[:3, :3]), decimals)
     last = quaternion[np.flatnonzero(quaternion)[-1]]
     return {
@@ -262,7 +262,7 @@ def pose_document(edge: Edge, T: Array, decimals: int = POSE_DECIMALS) -> dict[s
 
 
 def joint_document(joint: Joint, position: float) -> dict[str, Any]:
-    """The entry of a collection's ``joints``: the description's parameters, and the encoder's position in rad or m."""
+    """Return a joint's entry in a collection: the description's parameters, and the encoder's position in rad or m."""
     values = dict(zip(JOINT_PARAMETERS[:6], joint_values(joint).tolist(), strict=False))
     return {
         "transform_key": f"{joint.parent}-{joint.child}",
@@ -276,5 +276,5 @@ def joint_document(joint: Joint, position: float) -> dict[str, Any]:
 
 
 def message_header(frame: str, number: int) -> dict[str, Any]:
-    """The header of a ROS message: ten seconds from pose to pose."""
+    """Return the header of a ROS message: poses are ten seconds apart."""
     return {"frame_id": frame, "seq": number, "stamp": {"secs": 10 * number, "nsecs": 0}}

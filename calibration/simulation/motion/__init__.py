@@ -1,1 +1,1 @@
-"""Motion sequences: read and written as ATOM's recorder does, and generated from a seed."""
+"""Motion sequences: read and written in the format of ATOM's recorder, and generated from a seed."""

@@ -1,4 +1,4 @@
-"""The poses that a motion may choose from: every sensor sees them, and they run into nothing."""
+"""Candidate poses of a motion: visible to every sensor, and without collisions."""
 
 import math
 from dataclasses import dataclass, replace
@@ -15,15 +15,15 @@ from calibration.simulation.random_streams import stream
 from calibration.simulation.robot import Joint, compose
 from calibration.simulation.system import System
 
-_PATTERN_CLEARANCE = 0.05  # m, from the pattern to the boxes and the ground
-_LINK_CLEARANCE = 0.1  # m, from the origins of moving links: about the half width of an arm
-_LEVEL = 1e-6  # of an axis of length 1
+_PATTERN_CLEARANCE = 0.05  # m, between the pattern and the boxes or the ground
+_LINK_CLEARANCE = 0.1  # m, from the origins of moving links: about half the width of an arm
+_LEVEL = 1e-6  # tolerance of an axis of length 1
 
 
 def is_clear(system: System, pattern: Pattern, placement: Placement) -> BoolArray:
-    """Which poses (N,) keep the pattern, the sensors and the links that move out of the boxes and the ground.
+    """Return a mask (N,) of the poses at which pattern, sensors and moving links are clear of the boxes and the ground.
 
-    A link that keeps its height, as those of a base that drives, may be as near to the ground as it was built.
+    A link that keeps its height, as those of a mobile base, may be as close to the ground as in the description.
     """
     border = np.column_stack([pattern.outline, np.zeros(4)])
     board = apply(placement.patterns[pattern.name], np.concatenate([border, pattern.corners]))
@@ -43,45 +43,45 @@ def is_clear(system: System, pattern: Pattern, placement: Placement) -> BoolArra
 
 
 def _keeps_height(joint: Joint, axis: Array) -> bool:
-    """Whether a joint with this axis (3,) in the world moves level, as those do that a base drives and turns by."""
+    """Whether a joint with this axis (3,) in the world moves horizontally, like the drive and turn of a mobile base."""
     along = float(np.abs(axis[2]))
     return along < _LEVEL if joint.kind == "prismatic" else along > 1 - _LEVEL
 
 
-_FOR_EACH = 12  # candidates for each pose of the motion
-_AT_LEAST = 120  # candidates for a short motion
-_DRAWN = 20  # poses in a round for each pose of the motion; most have a sensor that does not see them
-_ROUNDS = 20  # after which a system that seldom sees enough of its pattern makes do
+_FOR_EACH = 12  # candidates per pose of the motion
+_AT_LEAST = 120  # minimum of candidates, for a short motion
+_DRAWN = 20  # drawn poses in a round per pose of the motion; most are not visible to some sensor
+_ROUNDS = 20  # limit of rounds; then fewer candidates have to do
 
 
 @dataclass(frozen=True, eq=False)
 class Candidates:
-    """N poses, and what the cameras see at each."""
+    """N candidate poses, with their visibility in the cameras."""
 
     motion: Motion
-    """Through all of them."""
+    """The motion through all of them."""
     partial: Array
-    """(N,): the share of the cameras that see only a part of a pattern."""
+    """(N,): share of the cameras with only a partial view of a pattern."""
     cells: BoolArray
-    """(N, C): in which cells of the cameras' images, one camera's after the other's, there are corners."""
+    """(N, C): mask of the cells of all cameras' images, concatenated, that have corners."""
 
     def __len__(self) -> int:
         return len(self.partial)
 
 
 def find_candidates(system: System, count: int, seed: int) -> Candidates:
-    """Poses for a motion of so many to choose from, of those seen whole and of those seen in part as it needs them.
+    """Find candidates for a motion of this many poses, with enough complete and enough partial views.
 
     Poses are drawn in rounds until there are enough. There may be fewer, or none.
 
     Raises:
-        InputError: nothing moves the pattern before a camera.
+        InputError: nothing moves the pattern in front of a camera.
     """
     wanted = max(_FOR_EACH * count, _AT_LEAST)
-    whole = all(pattern.kind == "chessboard" for pattern in system.patterns.values())  # or not found at all
+    whole = all(pattern.kind == "chessboard" for pattern in system.patterns.values())  # or not detected at all
     share = 0.0 if whole else system.motion.partial
     found: list[Candidates] = []
-    missing = {True: math.ceil(share * wanted), False: math.ceil((1 - share) * wanted)}  # seen in part, or not
+    missing = {True: math.ceil(share * wanted), False: math.ceil((1 - share) * wanted)}  # partial views, or not
     for number in range(_ROUNDS):
         seen = _seen(system, _drawn(system, max(_DRAWN * count, _AT_LEAST), seed, number))
         kept: list[int] = []
@@ -100,7 +100,7 @@ def find_candidates(system: System, count: int, seed: int) -> Candidates:
 
 
 def _drawn(system: System, count: int, seed: int, number: int) -> Motion:
-    """A round of poses, as many before the cameras of each pattern that may be looked at: the moved one, or all."""
+    """Draw a round of poses, equally many in front of the cameras of each pattern: the moved one, or all."""
     patterns = [system.moved_pattern] if system.moved_pattern else list(system.patterns.values())
     each = -(-count // len(patterns))
     streams = [stream(seed, "motion", number, *([pattern.name] if k else [])) for k, pattern in enumerate(patterns)]
@@ -108,9 +108,9 @@ def _drawn(system: System, count: int, seed: int, number: int) -> Motion:
 
 
 def _seen(system: System, motion: Motion) -> Candidates:
-    """The poses of a motion at which every sensor sees a pattern and nothing runs into anything.
+    """Return the poses of a motion at which every sensor sees a pattern and nothing collides.
 
-    What is quick to tell goes first.
+    The fastest checks come first.
     """
     motion, placement = _only(system, motion, _centred(system, place(system, motion)))
     for pattern in system.patterns.values():
@@ -125,7 +125,7 @@ def _seen(system: System, motion: Motion) -> Candidates:
 
 
 def _centred(system: System, placement: Placement) -> BoolArray:
-    """At which poses (N,) a pattern's centre is on every camera's image and turned to it: few others are seen."""
+    """Return a mask (N,) of poses with a pattern's centre in every image, facing the camera: others are rarely seen."""
 
     def shown(name: str, pattern: str) -> BoolArray:
         return system.cameras[name].shows_centre(views(system, placement, name, pattern))
@@ -136,7 +136,7 @@ def _centred(system: System, placement: Placement) -> BoolArray:
 
 
 def _image(system: System, camera: str, placement: Placement) -> tuple[BoolArray, BoolArray, BoolArray]:
-    """At which poses (N,) a camera detects a pattern, and one of which it sees only a part; and the cells (N, C)."""
+    """Return masks (N,) of the poses with a detection in a camera, and with a partial view; and the cells (N, C)."""
     sensor = system.cameras[camera]
     seen = [sensor.corner_views(views(system, placement, camera, pattern)) for pattern in system.patterns]
     detected = np.stack([view.detectable for view in seen])
@@ -146,7 +146,7 @@ def _image(system: System, camera: str, placement: Placement) -> tuple[BoolArray
 
 
 def _only(system: System, motion: Motion, which: BoolArray) -> tuple[Motion, Placement]:
-    """Some of the poses of a motion, and where everything stands there."""
+    """Return a subset of the poses of a motion, and their placement."""
     some = motion.take(np.flatnonzero(which))
     return some, place(system, some)
 

@@ -1,8 +1,8 @@
-"""Random poses of a pattern in front of the cameras, reached by the model that moves or by the joints.
+"""Random poses of a pattern in front of the cameras, by a moved model or by joints.
 
-Where fewer than six joints lie between a camera and the pattern, as in a mobile base or a SCARA arm, they
-reach next to none of these poses: there the joints themselves are drawn, and what shows the camera
-the pattern is kept.
+With fewer than six joints between a camera and the pattern, as in a mobile base or a SCARA arm, nearly none of
+these poses can be reached: then the joint positions are drawn, and those with the pattern in the camera's
+view are kept.
 """
 
 from collections.abc import Sequence
@@ -20,15 +20,15 @@ from calibration.simulation.motion.sequence import Motion, moving_joints, moving
 from calibration.simulation.robot import Joint, compose
 from calibration.simulation.system import MotionRanges, System
 
-_REACH_ANY_POSE = 6  # joints
-_TRIES = 20  # positions of fewer joints for each pose that is asked for
+_REACH_ANY_POSE = 6  # joints between camera and pattern
+_TRIES = 20  # drawn positions per requested pose, with fewer joints
 
 
 def draw_motion(system: System, pattern: Pattern, count: int, random: np.random.Generator) -> Motion:
-    """A motion through random poses, about as many in front of each camera; joints reach some of them only.
+    """Draw a motion through random poses, about as many in front of each camera; with joints only some are reachable.
 
     Raises:
-        InputError: nothing moves the pattern before a camera.
+        InputError: nothing moves the pattern in front of a camera.
     """
     at_rest = system.robot.transforms({})
     each = -(-count // len(system.cameras))
@@ -62,21 +62,21 @@ def draw_motion(system: System, pattern: Pattern, count: int, random: np.random.
 
 
 def _draw_positions(joints: Sequence[Joint], count: int, random: np.random.Generator) -> dict[str, Array]:
-    """Positions (count,) of joints between their limits, at most half a turn."""
+    """Draw positions (count,) of joints between their limits, at most half a turn."""
     low = {joint.name: max(joint.lower, -np.pi) if joint.kind != "prismatic" else joint.lower for joint in joints}
     high = {joint.name: min(joint.upper, np.pi) if joint.kind != "prismatic" else joint.upper for joint in joints}
     return {name: low[name] + (high[name] - low[name]) * random.random(count) for name in low}
 
 
 def within_ranges(T_camera_pattern: Array, camera: Camera, pattern: Pattern, ranges: MotionRanges) -> BoolArray:
-    """Which poses (N, 4, 4) are such as `draw_poses` draws: on the image, as near, tilted and turned."""
+    """Return a mask of the poses (N, 4, 4) within the ranges of `draw_poses`: image, distance, tilt and roll."""
     low, high = ranges.distance or filling_distances(camera, pattern)
     centre = apply(T_camera_pattern, pattern.centre[None])[:, 0]
     distance = np.linalg.norm(centre, axis=-1)
     pixels, ahead = camera.project_visible(centre)
     ahead &= camera.contains(pixels) & (distance >= low) & (distance <= high)
     sight = np.where(ahead[:, None], centre / np.maximum(distance, 1e-300)[:, None], [0.0, 0.0, 1.0])
-    # tilt and roll, the one after the other: R = tilt about an axis in the image * roll about the line of sight
+    # tilt and roll, in this order: R = tilt about an axis in the image * roll about the line of sight
     R = np.swapaxes(_towards(sight), -1, -2) @ T_camera_pattern[:, :3, :3]
     tilt = np.arccos(np.clip(R[:, 2, 2], -1.0, 1.0))
     roll = np.arctan2(R[:, 1, 0] - R[:, 0, 1], R[:, 0, 0] + R[:, 1, 1])
@@ -87,7 +87,7 @@ def within_ranges(T_camera_pattern: Array, camera: Camera, pattern: Pattern, ran
 def draw_poses(
     camera: Camera, pattern: Pattern, ranges: MotionRanges, count: int, random: np.random.Generator
 ) -> Array:
-    """Poses ``T_camera_pattern`` (count, 4, 4) whose centre is on the image, turned towards the camera."""
+    """Draw poses ``T_camera_pattern`` (count, 4, 4) with the centre in the image, facing the camera."""
     low, high = ranges.distance or filling_distances(camera, pattern)
     corner = np.array([camera.width, camera.height])
     rays = camera.normalise(corner * random.random((count, 2)) - 0.5)
@@ -104,14 +104,14 @@ def draw_poses(
 
 
 def filling_distances(camera: Camera, pattern: Pattern) -> tuple[float, float]:
-    """From where the pattern's diagonal is nine tenths of the image's shorter side to where it is a third."""
+    """Return the distances at which the pattern's diagonal is nine tenths and one third of the image's shorter side."""
     diagonal = float(np.linalg.norm(pattern.outline[2] - pattern.outline[0]))
     full = max(camera.fx, camera.fy) * diagonal / min(camera.width, camera.height)
     return full / 0.9, full * 3
 
 
 def _towards(sight: Array) -> Array:
-    """The least rotations (N, 3, 3) that turn the z axis to unit vectors (N, 3) in front of the camera."""
+    """Return the smallest rotations (N, 3, 3) that map the z axis to unit vectors (N, 3) in front of the camera."""
     x, y, z = sight.T
     angle = np.arctan2(np.hypot(x, y), z)
     length = np.maximum(np.hypot(x, y), 1e-300)

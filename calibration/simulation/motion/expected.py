@@ -1,4 +1,4 @@
-"""The dataset that a motion would give if nothing erred: every sensor's exact labels at every pose."""
+"""Expected dataset of a motion without noise: every sensor's exact labels at every pose."""
 
 from pathlib import Path
 
@@ -11,9 +11,9 @@ from calibration.simulation.system import System
 
 
 def expected_dataset(system: System, placement: Placement) -> Dataset:
-    """The exact labels of all views that a detector would find, one collection for each of N poses.
+    """Return the exact labels of all views that a detector would find, one collection for each of N poses.
 
-    The transforms and joints are the true ones. The collections' keys are the numbers of the poses, from "0".
+    The transforms and joints are the true ones. The collections' keys are the indices of the poses, from "0".
     """
     config = system.configuration
     poses = next(iter(placement.transforms.values()))

@@ -1,9 +1,9 @@
-"""Motions that calibrate well: every sensor sees every pose, the images are covered, some views partial, from a seed.
+"""Generation of motions that calibrate well, from a seed: every sensor sees every pose, and the images are covered.
 
-Poses are drawn in front of the cameras; those that every sensor sees and that run into nothing are
-candidates; of them the motion takes one after the other the one that leaves the calibrated transforms
-the least uncertain, as the engine's own covariance tells. A motion is written with few digits and
-played from those, so that the last bits of a machine's arithmetic do not show.
+Poses are drawn in front of the cameras; those that every sensor sees without collisions are candidates. The
+motion is chosen greedily: the next pose is the candidate that reduces the uncertainty of the calibrated
+transforms most, by the engine's own covariance. A motion is written with few digits and
+played from these, so that rounding errors of the arithmetic have no effect.
 """
 
 from pathlib import Path
@@ -21,7 +21,7 @@ from calibration.simulation.system import System
 
 
 def generate_motion(system: System, count: int, seed: int) -> Motion:
-    """A motion of so many poses, each seen by every sensor.
+    """Generate a motion of this many poses, each seen by every sensor.
 
     Raises:
         InputError: the system has no camera, nothing in it moves, or too few poses were found.
@@ -39,9 +39,9 @@ def generate_motion(system: System, count: int, seed: int) -> Motion:
 
 
 def _best(system: System, candidates: Candidates, count: int) -> list[int]:
-    """The indices of the candidates that make the motion.
+    """Return the indices of the candidates that make the motion.
 
-    Where the engine can calibrate nothing of the system, they cover the images and are random otherwise.
+    If the engine can calibrate nothing of the system, they cover the images and are random otherwise.
     """
     placement = place(system, candidates.motion)
     try:
@@ -63,7 +63,7 @@ def _best(system: System, candidates: Candidates, count: int) -> list[int]:
 
 
 def _distance(system: System, placement: Placement) -> float:
-    """The mean distance of patterns from the cameras, m: what an angle moves by its sine, a translation moves."""
+    """Return the mean distance of patterns from the cameras, m: it relates rotations to translations."""
     distances: list[Array] = [
         np.linalg.norm(placement.pattern_in(camera, pattern)[:, :3, 3], axis=-1)
         for pattern in system.patterns
@@ -73,7 +73,7 @@ def _distance(system: System, placement: Placement) -> float:
 
 
 def named_motion(name: str, system: System | None, seed: int) -> Motion:
-    """The motion of a file, or a generated one where the name is ``generate:N`` and there is a system.
+    """Read a motion from a file, or generate one if the name is ``generate:N`` and there is a system.
 
     Raises:
         InputError: the file cannot be read, or too few poses are seen by every sensor.

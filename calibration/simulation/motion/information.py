@@ -1,8 +1,8 @@
-"""What each pose of a motion tells about the calibrated transforms, as the engine would find it.
+"""Fisher information of each pose of a motion on the calibrated transforms, as in the engine.
 
-The engine's own terms are linearised at the truth on the labels that are expected there
-(`calibration.simulation.motion.expected`): so what is predicted here is what
-`calibration.estimation.observability` reports once the dataset is collected.
+The engine's own terms are linearised at the truth, for the expected labels
+(`calibration.simulation.motion.expected`): so the prediction here equals the report of
+`calibration.estimation.observability` on the collected dataset.
 """
 
 from collections.abc import Mapping
@@ -30,12 +30,12 @@ _USUAL_DISTANCE = 2.0  # m, to the pattern: the noise of a depth grows with it
 
 @dataclass(frozen=True, eq=False)
 class Information:
-    """What each of N poses tells about S parameters that all poses share."""
+    """Information of each of N poses on S parameters that all poses share."""
 
     setup: Setup
-    """What is calibrated."""
+    """Problem of the calibration."""
     poses: IntArray
-    """(N,): the poses of the motion that tell anything."""
+    """(N,): the poses of the motion with any information."""
     each: Array
     """(N, S, S): the information matrices on the parameters of `Problem.shared` (twists, translation in m and
     rotation in rad, each in its child frame; or what is free of a joint), what each pose has its own of eliminated.
@@ -43,20 +43,20 @@ class Information:
 
     @property
     def calibrated(self) -> int:
-        """How many of the S parameters belong to what is calibrated; a fixed pattern's own come after them."""
+        """Number of the S parameters that are calibrated; those of a fixed pattern come after them."""
         problem, patterns = self.setup.problem, self.setup.dataset.patterns
         return sum(problem.blocks[i].dimension for i in problem.shared if problem.blocks[i].name not in patterns)
 
     def units(self, length: float) -> Array:
-        """(S,): what each parameter is measured in so that all compare: lengths in ``length`` (m), angles in rad."""
+        """Units (S,) that make the parameters comparable: lengths in ``length`` (m), angles in rad."""
         return self.setup.problem.units(length)
 
 
 def information(system: System, placement: Placement) -> Information:
-    """What the poses of a placement tell.
+    """Compute the information of the poses of a placement.
 
     Raises:
-        UndeterminedError: no poses can calibrate the system, or these show too little (see
+        UndeterminedError: no poses can calibrate the system, or they have too few views (see
             `calibration.estimation.build.build`).
         InputError: a sensor detects no pattern at any of the poses.
     """
@@ -67,7 +67,7 @@ def information(system: System, placement: Placement) -> Information:
 
 
 def expected_noise(system: System) -> Weighting:
-    """The standard deviations that the labels of a system's sensors will have."""
+    """Return the expected standard deviations of the labels of a system's sensors."""
     distance = float(np.mean(system.motion.distance or _USUAL_DISTANCE))
     scales: dict[NoiseKind, float] = {}
     for sensor in system.sensors.values():
@@ -77,7 +77,7 @@ def expected_noise(system: System) -> Weighting:
 
 
 def _truth(system: System, setup: Setup, placement: Placement, poses: IntArray) -> Values:
-    """The true value of every block; patterns at the centre of their corners, as the engine has them."""
+    """Return the true value of every block; patterns at the centre of their corners, as in the engine."""
     joints = {joint.edge: joint.values for joint in setup.dataset.joints.values()}
     patterns = {setup.pattern_edge(name): pattern for name, pattern in setup.dataset.patterns.items()}
     world, tree = system.configuration.world_link, system.robot.tree
@@ -98,11 +98,11 @@ def _truth(system: System, setup: Setup, placement: Placement, poses: IntArray) 
     return tuple(values)
 
 
-_PART = 1e-6  # of a direction of length 1: below it rounding has made it
+_PART = 1e-6  # component of a direction of length 1: smaller ones are rounding errors
 
 
 def predicted_sigmas(system: System, motion: Motion) -> Mapping[str, tuple[float, float]]:
-    """The standard deviations that a calibration of this motion's dataset would state.
+    """Predict the standard deviations of a calibration of this motion's dataset.
 
     With the labels that are expected of the sensors, with the noise that they are given there;
     outliers, errors of the model and poses that a detector loses are left out.
@@ -119,7 +119,7 @@ def predicted_sigmas(system: System, motion: Motion) -> Mapping[str, tuple[float
     placement = place(system, motion)
     try:
         found = information(system, placement)
-    except InputError:  # poses that calibrate nothing
+    except InputError:  # poses that determine nothing
         return {sensor.name: (np.inf, np.inf) for sensor in sensors}
     sigmas = _sigmas(found, system)
     setup, held = found.setup, (0.0, 0.0)
@@ -128,7 +128,7 @@ def predicted_sigmas(system: System, motion: Motion) -> Mapping[str, tuple[float
 
 
 def _sigmas(found: Information, system: System) -> dict[int, tuple[float, float]]:
-    """Translation (m) and rotation (rad) of each shared block that is a pose."""
+    """Return the translation (m) and rotation (rad) standard deviations of each shared block that is a pose."""
     problem = found.setup.problem
     unit = found.units(max(pattern.size for pattern in system.patterns.values()))
     variance = _variances(unit[:, None] * found.each.sum(0) * unit) * unit**2
@@ -141,7 +141,7 @@ def _sigmas(found: Information, system: System) -> dict[int, tuple[float, float]
 
 
 def _variances(information: Array) -> Array:
-    """The variance (D,) of each parameter from the information (D, D) on all; infinite where it leaves it open."""
+    """Return the variance (D,) of each parameter from the information (D, D); infinite if it is not determined."""
     values, directions = np.linalg.eigh(information)
     open_ = values <= SINGULAR * values[-1]
     variance: Array = (directions[:, ~open_] ** 2 / values[~open_]).sum(-1)

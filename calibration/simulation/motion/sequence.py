@@ -1,6 +1,6 @@
-"""Motion sequences: what is played, one pose after the other.
+"""Motion sequences: poses that are played one after the other.
 
-The file is ATOM's, as its motion recorder writes it: a JSON object with keys "1" to "N", each with a `Pose`.
+The file format is that of ATOM's motion recorder: a JSON object with keys "1" to "N", each with a `Pose`.
 """
 
 import math
@@ -21,11 +21,11 @@ from calibration.records import Misfit, Place, field, length, matching, needs, r
 
 MAX_POSES = 10_000
 GENERATE = "generate:"
-"""What the name of a motion begins with that is generated: ``generate:22`` has 22 poses."""
+"""Prefix of the name of a generated motion: ``generate:22`` has 22 poses."""
 MAX_GENERATED = 1000
-"""Poses of a motion that is generated."""
+"""Limit of the poses of a generated motion."""
 DECIMALS = 6
-"""Positions and quaternions are written to a micrometre and a microradian."""
+"""Decimals of positions and quaternions: a micrometre and a microradian."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,13 +33,13 @@ class Motion:
     """A sequence of N poses of a pattern's model, of joints, or of both."""
 
     positions: Array | None
-    """(N, 3): of the moved model, in the frame that the pattern's pose is relative to, m; None if none moves."""
+    """(N, 3): position of the moved model, m, in the frame that the pattern's pose is relative to; None without one."""
     orientations: Array | None
-    """(N, 4): quaternions [x, y, z, w], of length 1 as nearly as they were written."""
+    """(N, 4): quaternions [x, y, z, w], of norm 1 up to rounding."""
     joints: Mapping[str, Array]
-    """The positions (N,) of joints, rad or m, by name."""
+    """Positions (N,) of joints, rad or m, by name."""
     source: str = "a generated motion"
-    """What messages call it: the file that it was read from."""
+    """Name in messages: the file that it was read from."""
 
     def __len__(self) -> int:
         if self.positions is not None:
@@ -48,13 +48,13 @@ class Motion:
 
     @property
     def model_poses(self) -> Array | None:
-        """(N, 4, 4), or None."""
+        """Poses of the moved model (N, 4, 4), or None."""
         if self.positions is None or self.orientations is None:
             return None
         return from_quaternion(self.positions, self.orientations)
 
     def take(self, index: Sequence[int] | IntArray) -> "Motion":
-        """The motion through only the poses of these indices, in this order."""
+        """Return the motion through only the poses of these indices, in this order."""
         index = np.asarray(index, int)
         return replace(
             self,
@@ -65,17 +65,17 @@ class Motion:
 
 
 def moving_model(model_poses: Array) -> Motion:
-    """The motion of a model through the poses (N, 4, 4), as finely as a file holds it."""
+    """Return the motion of a model through the poses (N, 4, 4), rounded as in a file."""
     return Motion(_rounded(model_poses[:, :3, 3]), _rounded(rotations.to_quaternion(model_poses[:, :3, :3])), {})
 
 
 def moving_joints(joints: Mapping[str, Array]) -> Motion:
-    """The motion of joints through positions (N,), as finely as a file holds it."""
+    """Return the motion of joints through positions (N,), rounded as in a file."""
     return Motion(None, None, {name: _rounded(positions) for name, positions in joints.items()})
 
 
 def joined(motions: Sequence[Motion]) -> Motion:
-    """One motion through the poses of several, which all move the same."""
+    """Concatenate motions, which all move the same."""
     first = motions[0]
     if first.positions is None or first.orientations is None:
         positions = orientations = None
@@ -88,7 +88,7 @@ def joined(motions: Sequence[Motion]) -> Motion:
 
 @record
 class Position:
-    """Of the moved model, in the frame that the pattern's pose is relative to, m."""
+    """Position of the moved model, in the frame that the pattern's pose is relative to, m."""
 
     x: float = field("Along x, m.")
     y: float = field("Along y, m.")
@@ -97,7 +97,7 @@ class Position:
 
 @record
 class Orientation:
-    """A quaternion of length 1."""
+    """Unit quaternion."""
 
     x: float = field("Of the axis of the turn, times the sine of half its angle.")
     y: float = field("Of the axis of the turn, times the sine of half its angle.")
@@ -105,7 +105,7 @@ class Orientation:
     w: float = field("Cosine of half the angle.")
 
     def __post_init__(self) -> None:
-        """Check the length."""
+        """Check the norm."""
         length = math.hypot(self.x, self.y, self.z, self.w)
         if abs(length - 1) > QUATERNION_TOLERANCE:
             raise Misfit(f"found a quaternion of length {length:.6g}, expected length 1")
@@ -140,7 +140,7 @@ class Pose:
 MotionFile = Annotated[
     Mapping[Annotated[str, matching("[1-9][0-9]*", "the number of a pose")], Pose], length(1, MAX_POSES)
 ]
-"""A motion as a file has it; every pose has what the first one has."""
+"""Content of a motion file; every pose has the same keys as the first one."""
 
 
 def read_motion(path: Path) -> Motion:
@@ -148,7 +148,7 @@ def read_motion(path: Path) -> Motion:
 
     Raises:
         InputError: not JSON, no pose, a gap in the keys, a missing or non-finite number, a
-            quaternion of length 0, poses that differ in what they have.
+            quaternion of length 0, poses with different keys.
     """
     place, document = Place(str(path)), read_json(path).mapping()
     count = len(document)
@@ -171,7 +171,7 @@ def read_motion(path: Path) -> Motion:
 
 
 def _check_same(first: Pose, pose: Pose, place: Place) -> None:
-    """Check that a pose has what the first one has."""
+    """Check that a pose has the same keys as the first one."""
     if (pose.position is None) != (first.position is None):
         with_it, without = ("1", place.keys[-1]) if pose.position is None else (place.keys[-1], "1")
         raise place.fault(f"every pose has what the first one has: '{with_it}' has a position, '{without}' has none")
@@ -184,10 +184,10 @@ def _check_same(first: Pose, pose: Pose, place: Place) -> None:
 
 
 def pose_count(motion: str) -> int:
-    """The number of poses of a motion that is generated: N of ``generate:N``.
+    """Return the number of poses of a generated motion: N of ``generate:N``.
 
     Raises:
-        InputError: it is no number from 1 to `MAX_GENERATED`.
+        InputError: it is not a number from 1 to `MAX_GENERATED`.
     """
     count = motion.removeprefix(GENERATE)
     if not (count.isascii() and count.isdigit() and len(count) < 10 and 1 <= int(count) <= MAX_GENERATED):
@@ -196,7 +196,7 @@ def pose_count(motion: str) -> int:
 
 
 def motion_document(motion: Motion) -> dict[str, Any]:
-    """The JSON document of a motion, which reads back equal."""
+    """Return the JSON document of a motion, which reads back equal."""
     document: dict[str, Any] = {str(i + 1): {} for i in range(len(motion))}
     for i, entry in enumerate(document.values()):
         if motion.positions is not None and motion.orientations is not None:

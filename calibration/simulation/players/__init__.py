@@ -1,7 +1,7 @@
-"""Players: what moves the pattern of the team's own simulation, and has the robot save what it sees.
+"""Players: move the pattern in a team's own simulation, and request the robot to save each pose.
 
-A player is one file that runs in the team's image, without this package: `player_file`. `check_motion` says
-whether it can play a motion.
+A player is one file that runs in the team's image, without this package: `player_file`. `check_motion` checks
+that it can play a motion.
 """
 
 from collections.abc import Mapping
@@ -14,11 +14,11 @@ if TYPE_CHECKING:
     from calibration.simulation.motion.sequence import Motion
 
 PLAYERS: Mapping[str, str] = {"ros1": "ros1.py"}
-"""The file of each player, by name."""
+"""File of each player, by name."""
 
 
 def player_file(name: str = "ros1") -> Path:
-    """The file of a player, which needs no other.
+    """Return the path of a player, a single file without dependencies.
 
     Raises:
         InputError: there is no such player.
@@ -29,10 +29,10 @@ def player_file(name: str = "ros1") -> Path:
 
 
 def check_motion(motion: "Motion") -> None:
-    """Check that a player can play a motion, which it reads as the file that `motion_document` makes.
+    """Check that a player can play a motion, which it reads from the file of `motion_document`.
 
     Raises:
-        InputError: it moves joints, or nothing: a player moves a pattern that is free.
+        InputError: it moves joints, or nothing: a player only moves a free pattern.
     """
     if motion.joints:
         joints = ", ".join(list(motion.joints)[:3])

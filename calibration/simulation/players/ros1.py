@@ -1,10 +1,10 @@
 #!/usr/bin/env python3
-"""Plays a motion of a calibration pattern to a ROS 1 system, and has each pose saved.
+"""Play a motion of a calibration pattern in a ROS 1 system, and request that each pose is saved.
 
 For each pose: publish it on a topic, wait until everything has settled, call the service that saves a collection.
-Ends with 0 when all poses are played and one was saved at least, and with 1 when something fails.
+Exits with 0 if all poses are played and at least one was saved, and with 1 on any failure.
 
-This file runs alone in the team's image, with rospy and the messages that are there, from Python 3.6 on.
+This file runs alone in the team's image, with its rospy and messages, from Python 3.6 on.
 """
 
 # Python 3.6 does not know the newer forms of types:
@@ -26,15 +26,15 @@ from typing import Any, Callable, Dict, List, Optional, Tuple
 Pose = Tuple[float, ...]
 """Position x, y, z and quaternion x, y, z, w."""
 LONGEST = 300
-"""A longer message is cut, in the log."""
+"""Limit of a logged message's length."""
 
 
 class PlayError(Exception):
-    """Why the motion cannot be played; one line."""
+    """The motion cannot be played; one line."""
 
 
 class Answer:
-    """What the service said to one request."""
+    """Response of the service to one request."""
 
     def __init__(self, saved: bool, message: str) -> None:
         self.saved = saved
@@ -42,10 +42,10 @@ class Answer:
 
 
 class Report:
-    """What came of each pose, in a file that is whole at any time."""
+    """Report on each pose, written atomically after every pose."""
 
     def __init__(self, path: Optional[str], count: int) -> None:
-        """For a motion of so many poses; no file where there is no path."""
+        """Create the report of a motion with this many poses; without a path no file is written."""
         self.path = Path(path) if path else None
         self.count = count
         self.poses: List[Dict[str, Any]] = []
@@ -61,7 +61,7 @@ class Report:
         log(f"pose {number}/{self.count}: {verdict}{detail} ({seconds:.1f} s)")
 
     def write(self) -> None:
-        """Replace the file."""
+        """Write the file atomically."""
         if self.path is not None:
             new = self.path.with_name(self.path.name + ".new")
             new.write_text(json.dumps(self.poses, indent=2))
@@ -69,15 +69,15 @@ class Report:
 
     @property
     def saved(self) -> int:
-        """How many poses were saved."""
+        """Number of saved poses."""
         return sum(pose["saved"] for pose in self.poses)
 
 
 def read_poses(path: str) -> List[Pose]:
-    """The poses of a motion sequence, in their order.
+    """Read the poses of a motion sequence, in order.
 
     Raises:
-        PlayError: the file cannot be read, or is none.
+        PlayError: the file cannot be read, or is not a motion.
     """
     try:
         document = json.loads(Path(path).read_text(encoding="utf-8"))
@@ -100,7 +100,7 @@ def _pose(entry: Any) -> Pose:
 
 
 def play(poses: List[Pose], ros: "Ros", settle: float, report: Report) -> None:
-    """Play all poses, each `settle` seconds before it is saved."""
+    """Play all poses; each settles for `settle` seconds before it is saved."""
     for pose in poses:
         began = time.time()
         ros.move(pose)
@@ -109,28 +109,28 @@ def play(poses: List[Pose], ros: "Ros", settle: float, report: Report) -> None:
 
 
 def as_answer(response: Any) -> Answer:
-    """What a service's response says: its ``success`` and ``message``; saved if it has no such field."""
+    """Convert a service's response by its ``success`` and ``message``; without these fields it counts as saved."""
     return Answer(bool(getattr(response, "success", True)), one_line(str(getattr(response, "message", ""))))
 
 
 def one_line(text: str) -> str:
-    """Text of others without line ends or control characters, cut where it is long."""
+    """Return foreign text without line ends and control characters, shortened."""
     printable = "".join(c if c.isprintable() else " " for c in text)
     return printable if len(printable) <= LONGEST else printable[: LONGEST - 3] + "..."
 
 
 def within(seconds: float, call: Callable[[], Any], what: str, go_on: Callable[[], None] = lambda: None) -> Any:
-    """What a call returns, which may hang.
+    """Call a function that may hang, with a time limit.
 
     Raises:
-        PlayError: it does not return in time; or what ``go_on`` raises, which is asked again and again.
+        PlayError: it does not return in time; or whatever ``go_on`` raises, which is called repeatedly.
     """
     outcome: List[Tuple[Optional[BaseException], Any]] = []
 
     def run() -> None:
         try:
             outcome.append((None, call()))
-        except BaseException as error:  # it belongs to the caller
+        except BaseException as error:  # re-raised in the caller
             outcome.append((error, None))
 
     thread = threading.Thread(target=run)
@@ -149,13 +149,13 @@ def within(seconds: float, call: Callable[[], Any], what: str, go_on: Callable[[
 
 
 class Ros:  # pragma: no cover (runs where ROS is: tests/integration/simulation/players)
-    """A ROS 1 system: the pattern's topic and the service that saves."""
+    """ROS 1 system: the pattern's topic and the service that saves."""
 
     def __init__(self, arguments: argparse.Namespace) -> None:
-        """Wait until everything is there.
+        """Connect, and wait for topic and service.
 
         Raises:
-            PlayError: something is not, or the service is not what is expected.
+            PlayError: one of them is missing, or the service has an unexpected type.
         """
         self.rospy: Any = importlib.import_module("rospy")
         self.rosgraph: Any = importlib.import_module("rosgraph")
@@ -165,7 +165,7 @@ class Ros:  # pragma: no cover (runs where ROS is: tests/integration/simulation/
         self.stopped_by = 0
         uri = self.rosgraph.get_master_uri()
         self._until(self.rosgraph.is_master_online, f"no ROS master answers at {uri}")
-        # rospy's own handler may wait for ever for a lock that the code which it interrupts holds
+        # rospy's own handler may deadlock on a lock that the interrupted code holds
         for number in (signal.SIGTERM, signal.SIGINT):
             signal.signal(number, self._stop)
         self.rospy.init_node("calibration_player", anonymous=True, disable_signals=True)
@@ -179,7 +179,7 @@ class Ros:  # pragma: no cover (runs where ROS is: tests/integration/simulation/
         self.call = self.rospy.ServiceProxy(self.service, self._service_class(service_type))
 
     def _until(self, holds: Callable[[], Any], otherwise: str) -> Any:
-        """Wait until something holds, and return it."""
+        """Wait until a function returns a true value, and return it."""
         while True:
             value = holds()
             if value:
@@ -189,7 +189,7 @@ class Ros:  # pragma: no cover (runs where ROS is: tests/integration/simulation/
             self.wait(0.05)
 
     def _service_type(self) -> str:
-        """The type of the service, as its server tells; empty where none answers."""
+        """Return the type of the service, from its server; empty if there is no response."""
         network: Any = importlib.import_module("rosgraph.network")
         try:
             uri = self.rosgraph.Master(self.rospy.get_name()).lookupService(self.service)
@@ -201,7 +201,7 @@ class Ros:  # pragma: no cover (runs where ROS is: tests/integration/simulation/
             return ""
 
     def _service_class(self, name: str) -> Any:
-        """The class of a service type, whose request must be empty."""
+        """Return the class of a service type, whose request must be empty."""
         found = importlib.import_module("roslib.message").get_service_class(name)
         if found is None:
             raise PlayError(f"{self.service} is a {name}, which is not installed in this image")
@@ -221,14 +221,14 @@ class Ros:  # pragma: no cover (runs where ROS is: tests/integration/simulation/
             self.go_on()
             raise PlayError(f"{self.topic}: the pose cannot be published: {error}") from error
         if not self.publisher.get_num_connections():
-            self.go_on()  # a shutdown ends the connections too
+            self.go_on()  # a shutdown closes the connections too
             raise PlayError(f"nobody listens to {self.topic} any more: the simulation has ended")
 
     def _stop(self, number: int, _: Any) -> None:
         self.stopped_by = number
 
     def go_on(self) -> None:
-        """Do nothing, unless a signal has come, or ROS shuts down."""
+        """Raise if a signal has been received, or ROS shuts down."""
         if self.stopped_by:
             name = signal.Signals(self.stopped_by).name
             raise PlayError(f"stopped by {name} before the motion was played")
@@ -236,7 +236,7 @@ class Ros:  # pragma: no cover (runs where ROS is: tests/integration/simulation/
             raise PlayError("ROS shut down before the motion was played")
 
     def wait(self, seconds: float) -> None:
-        """Wait, unless ROS shuts down."""
+        """Sleep, unless ROS shuts down."""
         end = time.time() + seconds
         while time.time() < end:
             self.go_on()
@@ -252,7 +252,7 @@ class Ros:  # pragma: no cover (runs where ROS is: tests/integration/simulation/
 
 
 def arguments_of(argv: Optional[List[str]]) -> argparse.Namespace:
-    """The command line; that of the process for None."""
+    """Parse the command line; that of the process for None."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--motion", required=True, help="motion sequence (JSON)")
     parser.add_argument("--report", help="file for what came of each pose (JSON)")
@@ -274,12 +274,12 @@ def _seconds(text: str) -> float:
 
 
 def log(text: str) -> None:
-    """Print a line at once."""
+    """Print a line and flush."""
     print(text, flush=True)
 
 
 def main(argv: Optional[List[str]] = None, connect: Callable[[argparse.Namespace], Any] = Ros) -> int:
-    """Play; 0 where a pose was saved at least."""
+    """Play a motion; return 0 if at least one pose was saved."""
     arguments = arguments_of(argv)
     began = time.time()
     try:
@@ -288,7 +288,7 @@ def main(argv: Optional[List[str]] = None, connect: Callable[[argparse.Namespace
         play(poses, connect(arguments), arguments.settle, report)
         if not report.saved:
             raise PlayError(f"none of the {len(poses)} poses was saved")
-    except Exception as error:  # whatever it is: the job has to know that it failed, in one line
+    except Exception as error:  # of any kind: the job needs a one-line failure
         what = str(error) if isinstance(error, PlayError) else f"{type(error).__name__}: {error}"
         print(f"player: {one_line(what)}", file=sys.stderr, flush=True)
         return 1

@@ -1,1 +1,1 @@
-"""What sensors see of the simulated world: camera images, depth images, LiDAR scans."""
+"""Rendering of sensor data: camera images, depth images, LiDAR scans."""

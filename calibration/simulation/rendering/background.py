@@ -1,4 +1,4 @@
-"""What a camera sees of a scene without its patterns: the ground, boxes, the sky.
+"""Background of a camera's image, without patterns: ground, boxes and sky.
 
 Colours are blue, green, red, in grey levels before the camera's exposure.
 """
@@ -17,31 +17,31 @@ from calibration.simulation.rendering.rays import SAMPLES, rays, sample_rays
 from calibration.simulation.scene import GROUND, NOTHING, Box, Scene, turned
 
 STEPS = 64
-"""Of radiance in a grey level: images are kept in 16 bits until the camera takes them."""
+"""Radiance steps per grey level: images have 16 bits until the camera's exposure."""
 
 _TILE = 0.5
-"""The ground's tiles, m."""
+"""Size of the ground's tiles, m."""
 _TILE_CONTRAST = 0.05
 _GROUND = (124.0, 128.0, 130.0)
 _HORIZON, _ZENITH = np.array([196.0, 192.0, 188.0]), np.array([188.0, 170.0, 152.0])
 _EDGE = 6
-"""Neighbours that differ by more grey levels are sampled more finely."""
+"""Pixels that differ from a neighbour by more grey levels are supersampled."""
 _PART = 16_000
-"""So many rays are followed at a time: they stay in the cache."""
+"""Number of rays per batch, which fit into the cache."""
 
 
 @dataclass(frozen=True, eq=False)
 class Background:
-    """A scene, drawn."""
+    """Rendered background."""
 
     radiance: NDArray[np.uint16]
     """(height, width, 3): blue, green, red, in `STEPS` of a grey level."""
     depth: Array
-    """(height, width): of what each pixel's centre sees, m along the optical axis; infinite for the sky."""
+    """(height, width): depth along the optical axis at each pixel's centre, m; infinite for the sky."""
 
 
 def background(camera: Camera, T_world_camera: Array, scene: Scene) -> Background:
-    """A scene as a camera sees it; drawn once for a camera that stands still."""
+    """Render the scene for a camera; cached for a camera at rest."""
     return _background(camera, np.ascontiguousarray(T_world_camera, float).tobytes(), scene)
 
 
@@ -66,13 +66,13 @@ def _background(camera: Camera, pose: bytes, scene: Scene) -> Background:
 
 
 def in_steps(levels: Array | NDArray[np.float32]) -> NDArray[np.uint16]:
-    """Grey levels in `STEPS` of one, rounded."""
+    """Convert grey levels to `STEPS` per level, rounded."""
     steps: NDArray[np.uint16] = np.rint(np.clip(levels * STEPS, 0, 65535)).astype(np.uint16)
     return steps
 
 
 def _uneven(colour: NDArray[np.float32]) -> BoolArray:
-    """The pixels (H, W) that differ from one of the eight around them."""
+    """Return a mask (H, W) of the pixels that differ from one of their eight neighbours."""
     image, square = np.clip(colour, 0, 255).astype(np.uint8), np.ones((3, 3), np.uint8)
     differences = np.asarray(cv2.morphologyEx(image, cv2.MORPH_GRADIENT, square))
     return np.asarray((differences > _EDGE).any(axis=-1))
@@ -85,13 +85,13 @@ def _seen(scene: Scene, T_world_camera: Array, directions: Array) -> tuple[Array
 
 
 def colours(scene: Scene, origin: Array, directions: Array, distance: Array, surface: IntArray) -> Array:
-    """The colours (..., 3) that rays bring back.
+    """Return the colours (..., 3) seen along rays.
 
     Args:
-        scene: what they hit.
-        origin: (3,), where they start, in the world frame.
+        scene: the scene.
+        origin: (3,), origin of the rays, in the world frame.
         directions: (3, ...), in the world frame; those with NaN are black.
-        distance: (...), and ``surface`` (...): what `Scene.hit` says of them.
+        distance: (...), and ``surface`` (...): the result of `Scene.hit`.
         surface: see distance.
     """
     seen = np.empty((*surface.shape, 3))
@@ -108,7 +108,7 @@ def colours(scene: Scene, origin: Array, directions: Array, distance: Array, sur
 
 
 def _sky(scene: Scene, directions: Array) -> Array:
-    """Lighter at the horizon; as bright as the light is."""
+    """Return the sky's colour: lighter at the horizon, scaled by the light."""
     x, y, z = directions
     height = np.clip(z / np.sqrt(x * x + y * y + z * z), 0, 1)[..., None]
     brightness = (scene.light.ambient + scene.light.intensity / 2) / 0.925  # 1 for the usual light
@@ -117,9 +117,9 @@ def _sky(scene: Scene, directions: Array) -> Array:
 
 
 def _ground(scene: Scene, points: Array, distance: Array) -> Array:
-    """Tiles, each a little lighter or darker; all the same where they are far."""
+    """Return the ground's colour: tiles of slightly different brightness, uniform at a distance."""
     column, row = np.floor(np.clip(points[:2] / _TILE, -1e6, 1e6)).astype(np.int64)
-    mixed = ((column * 73856093) ^ (row * 19349663)) * 2654435761  # an arbitrary but fixed number for each tile
+    mixed = ((column * 73856093) ^ (row * 19349663)) * 2654435761  # hash of the tile's indices
     shade = (mixed >> 20) % 251 / 125 - 1
     brightness = 1 + _TILE_CONTRAST * shade / (1 + (distance / 10) ** 2)
     colour: Array = (brightness * scene.light.on(np.array([0.0, 0.0, 1.0])))[..., None] * np.array(_GROUND)
@@ -127,7 +127,7 @@ def _ground(scene: Scene, points: Array, distance: Array) -> Array:
 
 
 def _box(scene: Scene, box: Box, origin: Array, distance: Array, directions: Array) -> Array:
-    """One colour a face. The face that is hit is the one whose plane the point is nearest to."""
+    """Return a box's colour, one per face. The face that is hit is the one whose plane is closest to the point."""
     T_box_world = inverse(box.T_world_box)
     along = turned(T_box_world, directions)
     points = apply(T_box_world, origin[None]).T + distance * along

@@ -1,8 +1,8 @@
-"""The light that falls into a camera: patterns in front of the background.
+"""Radiance of a camera's image: patterns in front of the background.
 
-Where a pixel sees one pattern alone, `calibration.simulation.rendering.pattern_view` says how bright
-it is. Where surfaces meet, at the border of a pattern or of what hides it, every sample of a pixel is
-cast by itself to see how much of the pixel each surface has.
+The brightness of pixels that see only one pattern is computed by `calibration.simulation.rendering.pattern_view`. At
+edges, of a pattern or of an occluder, every sample of a pixel is cast separately to find the share of each
+surface in the pixel.
 """
 
 from collections.abc import Sequence
@@ -21,12 +21,12 @@ from calibration.simulation.scene import Scene, turned
 
 
 def radiance(camera: Camera, T_world_camera: Array, scene: Scene, boards: Sequence[Board]) -> NDArray[np.uint16]:
-    """What a camera sees: (height, width, 3) in blue, green, red, in `STEPS` of a grey level.
+    """Render the image of a camera: (height, width, 3) in blue, green, red, in `STEPS` of a grey level.
 
     Args:
-        camera: its lens.
+        camera: its intrinsics.
         T_world_camera: (4, 4), to its optical frame.
-        scene: what stands around, and the light.
+        scene: the surroundings, and the light.
         boards: the patterns.
 
     Raises:
@@ -41,7 +41,7 @@ def radiance(camera: Camera, T_world_camera: Array, scene: Scene, boards: Sequen
 def _composed(
     camera: Camera, T_world_camera: Array, scene: Scene, behind: Background, views: list[PatternView]
 ) -> NDArray[np.uint16]:
-    """The radiance (height, width, 3) of all together."""
+    """Combine background and patterns to the radiance (height, width, 3)."""
     light, nearest = behind.radiance.copy(), behind.depth.copy()
     owner = np.zeros(nearest.shape, np.uint16)  # 0 for the background
     several = np.zeros(nearest.shape, bool)
@@ -52,7 +52,7 @@ def _composed(
     for i, view in enumerate(views):
         np.copyto(light[view.part], view.radiance[..., None], where=(owner[view.part] == i + 1)[..., None])
     if views:
-        # where an edge crosses a pixel, that pixel and one of the four beside it have different owners
+        # a pixel that is crossed by an edge has another owner than one of its four neighbours
         cross = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
         several |= cv2.dilate(owner, cross) != cv2.erode(owner, cross)
         rows, columns = np.nonzero(several)
@@ -64,7 +64,7 @@ def _composed(
 def _mixed(
     camera: Camera, T_world_camera: Array, scene: Scene, views: list[PatternView], rows: IntArray, columns: IntArray
 ) -> NDArray[np.uint16]:
-    """The radiance (N, 3) of pixels that see several surfaces."""
+    """Return the radiance (N, 3) of pixels that see several surfaces."""
     directions, origin = sample_rays(camera, rows, columns), T_world_camera[:3, 3]
     world = turned(T_world_camera, directions)
     nearest, surface = scene.hit(origin, world)

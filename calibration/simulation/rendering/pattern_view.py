@@ -1,7 +1,7 @@
-"""A pattern on an image: which pixels it has, how far away it is there, and how bright.
+"""View of a pattern in an image: the pixels that it covers, their depth and brightness.
 
-The coordinates on the print change so evenly from pixel to pixel that they are found once for each, and
-continued to the samples inside it by their differences to the neighbours.
+The coordinates on the print vary smoothly from pixel to pixel, so they are computed once per pixel, and
+extrapolated to its samples by the differences to the neighbours.
 """
 
 from dataclasses import dataclass
@@ -21,39 +21,39 @@ from calibration.simulation.rendering.texture import texture
 from calibration.simulation.scene import Light, turned
 
 BACK = 150.0
-"""What the back of a board reflects, in grey levels under a light of 1."""
+"""Reflectance of the back of a board, in grey levels under a light of 1."""
 _GRID = 4
-"""The samples of a pixel along each side: of texels about as wide as they are apart, so that they leave no gaps."""
+"""Samples of a pixel along each side: texels are about as wide as their distance, so that they leave no gaps."""
 _OFFSETS = tuple(product((np.arange(_GRID, dtype=np.float32) + np.float32(0.5)) / _GRID - np.float32(0.5), repeat=2))
 """(y, x) of the samples from the pixel's centre, px."""
 _REACH = 0.55
-"""How far a pixel reaches from its centre, in pixels; a little more than half, because surfaces bend."""
+"""Reach of a pixel from its centre, in pixels; slightly more than half, because surfaces are curved."""
 _PART = 16_000
-"""About so many pixels are worked on at a time: they stay in the cache."""
+"""Approximate number of pixels per batch, which fit into the cache."""
 _COARSE = 16
-"""The resolution is chosen by so many rows or columns of pixels."""
+"""Number of rows or columns of pixels that share a resolution."""
 _FAR = 16_000.0
-"""Texels: beyond it lies no texture, and twice as far still fits into 16 bits."""
+"""Limit of texel coordinates: beyond it there is no texture, and twice the value still fits into 16 bits."""
 
 
 @dataclass(frozen=True, eq=False)
 class PatternView:
-    """A pattern in the part of an image around it, (h, w)."""
+    """View of a pattern in a part of an image, (h, w)."""
 
     board: Board
     T_camera_pattern: Array
     part: tuple[slice, slice]
-    """The rows and columns of the image."""
+    """Rows and columns of the image."""
     depth: Array
-    """At the pixels' centres, m along the optical axis; infinite beside the pattern."""
+    """Depth at the pixels' centres, m along the optical axis; infinite outside of the pattern."""
     border: BoolArray
-    """The pixels of which the pattern has a part only."""
+    """Mask of the pixels that the pattern covers partially."""
     radiance: NDArray[np.uint16]
     """In steps of a grey level, as if the pattern filled every pixel."""
 
 
 def pattern_view(camera: Camera, T_world_camera: Array, board: Board, light: Light) -> PatternView | None:
-    """A pattern as a camera sees it; None where it is not on the image. A bowed board is lit as a flat one."""
+    """Render a pattern for a camera; None if it is not in the image. A bowed board is lit like a flat one."""
     T_camera_pattern = inverse(T_world_camera) @ rounded(board.T_world_pattern)
     part = _part(camera, T_camera_pattern, board)
     if part is None:
@@ -82,7 +82,7 @@ def pattern_view(camera: Camera, T_world_camera: Array, board: Board, light: Lig
 
 
 def _part(camera: Camera, T_camera_pattern: Array, board: Board) -> tuple[slice, slice] | None:
-    """The rows and columns around a pattern: all of them where it comes near the camera's plane or the lens's end."""
+    """Return the rows and columns around a pattern: all if it is near the camera's plane or the limit of the lens."""
     low, high = board.limits
     grid = np.stack(np.meshgrid(*np.linspace(low, high, 9).T), -1).reshape(-1, 2)
     points = apply(T_camera_pattern, board.surface(grid))
@@ -91,7 +91,7 @@ def _part(camera: Camera, T_camera_pattern: Array, board: Board) -> tuple[slice,
     pixels, visible = camera.project_visible(points)
     first, last = np.zeros(2), np.array([camera.width, camera.height]) - 1.0
     if visible.all():
-        margin = 2 + 0.02 * np.ptp(pixels, axis=0)  # its border bends a little between the points
+        margin = 2 + 0.02 * np.ptp(pixels, axis=0)  # the border is slightly curved between the points
         first = np.maximum(first, np.floor(pixels.min(axis=0) - margin))
         last = np.minimum(last, np.ceil(pixels.max(axis=0) + margin))
     if (first > last).any():
@@ -102,22 +102,22 @@ def _part(camera: Camera, T_camera_pattern: Array, board: Board) -> tuple[slice,
 
 @dataclass(frozen=True, eq=False)
 class _Pixels:
-    """What pixels (h, w) see of the endless sheet that a board is cut from; NaN where they do not see it."""
+    """Intersections of pixels (h, w) with the infinite sheet of a board; NaN without an intersection."""
 
     depth: Array
-    """Of their centres, m; below 0 behind the camera."""
+    """Depth of their centres, m; below 0 behind the camera."""
     xy: Array
-    """(2, h, w): of their centres, in the pattern frame."""
+    """(2, h, w): intersections of their centres, in the pattern frame."""
     to_right: Array
-    """(2, h, w): how much x and y grow to the next pixel on the right."""
+    """(2, h, w): difference of x and y to the next pixel on the right."""
     down: Array
-    """(2, h, w): and to the next one below."""
+    """(2, h, w): difference to the next pixel below."""
     shows_print: BoolArray
-    """Whether they look at the printed side."""
+    """Whether the printed side is visible."""
 
     @classmethod
     def of(cls, board: Board, T_pattern_camera: Array, around: Array) -> "_Pixels":
-        """From the rays (3, h + 2, w + 2) of the pixels and of one more on each side."""
+        """Intersect the rays (3, h + 2, w + 2) of the pixels and of a margin of one on each side."""
         start, directions = T_pattern_camera[:3, 3], turned(T_pattern_camera, around)
         depth = board.meet(start, directions)
         with np.errstate(invalid="ignore", over="ignore"):
@@ -127,17 +127,17 @@ class _Pixels:
         return cls(depth, xy[:, 1:-1, 1:-1], to_right, down, board.shows_print(start, directions, depth))
 
     def columns(self, some: slice) -> "_Pixels":
-        """Some columns of them."""
+        """Return a range of columns."""
         cut = (self.depth[:, some], self.xy[..., some], self.to_right[..., some], self.down[..., some])
         return _Pixels(*cut, self.shows_print[:, some])
 
     def on(self, board: Board) -> tuple[BoolArray, BoolArray, BoolArray]:
-        """Which of them (h, w) have their centre on the board, have a part on it, lie wholly on it."""
+        """Return masks (h, w) of pixels with their centre on the board, partially on it, completely on it."""
         low, high = (limit[:, None, None] for limit in board.limits)
         with np.errstate(invalid="ignore", over="ignore"):
             reach = _REACH * (np.abs(self.to_right) + np.abs(self.down))
             reach[np.isnan(reach)] = np.inf
-            beyond = np.maximum(low - self.xy, self.xy - high)  # how far beyond the nearer side
+            beyond = np.maximum(low - self.xy, self.xy - high)  # distance beyond the nearer side
             in_front = self.depth > 0
             inside: BoolArray = (beyond <= 0).all(axis=0) & in_front
             touched: BoolArray = (beyond <= reach).all(axis=0) & in_front
@@ -145,7 +145,7 @@ class _Pixels:
         return inside, touched, whole
 
     def spacing(self, board: Board) -> float:
-        """How far apart on the board two pixels are along the steeper axis of the image, the median on it, m."""
+        """Return the median distance of neighbouring pixels on the board, along the steeper axis of the image, m."""
         _, touched, _ = self.on(board)
         with np.errstate(over="ignore"):
             squares = np.maximum((self.to_right**2).sum(axis=0), (self.down**2).sum(axis=0))[touched]
@@ -154,12 +154,12 @@ class _Pixels:
 
 
 def _print(board: Board, pixels: _Pixels, spacing: float) -> NDArray[np.float32]:
-    """The print (h, w) averaged over the samples of each pixel, in grey levels under a light of 1.
+    """Return the print (h, w) averaged over the samples of each pixel, in grey levels under a light of 1.
 
     Args:
         board: the board.
-        pixels: where they look.
-        spacing: between two pixels on the board, m: the samples of all pixels are of one resolution.
+        pixels: their intersections with the board.
+        spacing: distance of two pixels on the board, m: the samples of all pixels have the same resolution.
     """
     ink, size = texture(board.configuration, board.legacy_layout), board.configuration.size
     level = ink.level(spacing / _GRID / size * ink.texels)
@@ -172,7 +172,7 @@ def _print(board: Board, pixels: _Pixels, spacing: float) -> NDArray[np.float32]
     total = np.zeros(pixels.depth.shape, np.uint16)
     for y, x in _OFFSETS:
         places = centre + y * below + x * right
-        # from here on whole numbers, which every machine computes alike
+        # integers from here on, so that all machines compute the same
         whole, fraction = cv2.convertMaps(places, np.empty(0), cv2.CV_16SC2)
         sample = cv2.remap(ink.levels[level], whole, fraction, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         total += np.asarray(sample, np.uint8)
@@ -180,7 +180,7 @@ def _print(board: Board, pixels: _Pixels, spacing: float) -> NDArray[np.float32]
 
 
 def _texels(values: Array, scale: float, offset: Array | None = None) -> NDArray[np.float32]:
-    """Lengths on the board (2, h, w), m, in texels (h, w, 2); 0 where they are unknown."""
+    """Convert lengths on the board (2, h, w), m, to texels (h, w, 2); 0 if they are unknown."""
     texels = np.empty((*values.shape[1:], 2), np.float32)
     with np.errstate(over="ignore"):
         for axis in range(2):

@@ -1,4 +1,4 @@
-"""The rays of a camera's pixels, and where the samples of a pixel lie."""
+"""Rays of a camera's pixels, and the samples of a pixel."""
 
 from functools import lru_cache
 
@@ -8,7 +8,7 @@ from calibration.geometry.cameras import Camera
 from calibration.geometry.types import Array, IntArray
 
 SAMPLES = 16
-"""Of a pixel that sees several surfaces."""
+"""Number of samples of a pixel that sees several surfaces."""
 _OFFSETS = [((i + 0.5) / SAMPLES - 0.5, (int(f"{i:04b}"[::-1], 2) + 0.5) / SAMPLES - 0.5) for i in range(SAMPLES)]
 """(y, x) of the samples from the pixel's centre, px: J. M. Hammersley's points (1960). No two share one of 16 rows
 or columns, so an edge along an axis is found to 1/16 px."""
@@ -16,10 +16,10 @@ or columns, so an edge along an axis is found to 1/16 px."""
 
 @lru_cache(maxsize=8)
 def rays(camera: Camera) -> Array:
-    """(3, height + 2, width + 2): (x, y, 1) for each pixel and for one more beyond every side.
+    """Return the rays (3, height + 2, width + 2): (x, y, 1) for each pixel, with a margin of one on every side.
 
-    So the differences to both neighbours exist for every pixel of the image. NaN where the lens
-    shows nothing. The distance along such a ray is the depth along the optical axis.
+    With the margin every pixel of the image has differences to both neighbours. NaN where the distortion has no
+    inverse. The distance along such a ray is the depth along the optical axis.
     """
     v, u = np.mgrid[-1 : camera.height + 1, -1 : camera.width + 1].astype(float)
     found = _rays(camera, u, v)
@@ -28,7 +28,7 @@ def rays(camera: Camera) -> Array:
 
 
 def sample_rays(camera: Camera, rows: IntArray, columns: IntArray) -> Array:
-    """(3, N, SAMPLES): the rays of the samples of N pixels."""
+    """Return the rays (3, N, SAMPLES) of the samples of N pixels."""
     dv, du = np.array(_OFFSETS).T
     return _rays(camera, columns[:, None] + du, rows[:, None] + dv)
 
@@ -39,5 +39,5 @@ def _rays(camera: Camera, u: Array, v: Array) -> Array:
 
 
 def rounded(T: Array) -> Array:
-    """A pose (4, 4) to a picometre, so that the last bits of a machine's arithmetic do not show in an image."""
+    """Round a pose (4, 4) to a picometre, so that rounding errors of the arithmetic have no effect on an image."""
     return np.round(T, 12)

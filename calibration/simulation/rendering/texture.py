@@ -1,6 +1,6 @@
-"""What is printed on a pattern, as grey images of halving resolution.
+"""Prints of patterns, as grey images of halving resolution (mipmaps).
 
-A unit is the side of a square, of an aprilgrid the side of a tag.
+A unit is the side of a square, or the side of a tag of an aprilgrid.
 
 Both charuco layouts and their history: OpenCV 4.6 put a black square into the first corner of every
 board; before, a board with an even number of rows of squares began with a white one
@@ -25,39 +25,39 @@ from calibration.labelling.tags import cell_ends, tag_cells
 Grey = NDArray[np.uint8]
 
 TEXELS = 256
-"""Along a unit; a power of two, so that halves of it stay whole."""
+"""Texels per unit; a power of two, so that its halves are integers."""
 MAX_TEXELS = 8192
-"""Along the side of a board: one of more units has fewer texels for each."""
+"""Limit of texels along the side of a board: one of more units has fewer texels per unit."""
 BLACK, WHITE = 27, 230
-"""What ink and paper reflect, in grey levels under a light of 1."""
+"""Reflectance of ink and paper, in grey levels under a light of 1."""
 
 
 @dataclass(frozen=True, eq=False)
 class Texture:
-    """The print of a pattern. Level k has ``texels / 2^k`` texels a unit; beyond an image its last texels go on."""
+    """Print of a pattern. Level k has ``texels / 2^k`` texels per unit; an image is continued by its border texels."""
 
     levels: tuple[Grey, ...]
     texels: int
-    """Along a unit at level 0."""
+    """Texels per unit at level 0."""
     margin: tuple[int, int]
-    """The texels of border, along x and along y, that every level has on each side of the print."""
+    """Width of the border, in texels along x and along y, that every level has on each side of the print."""
     size: tuple[float, float]
-    """Of the print, along x and along y, units; an image may have more white to the right and below."""
+    """Size of the print, along x and along y, units; an image may have more white to the right and below."""
     before: tuple[float, float]
-    """How far the print reaches to the left and up from corner 0, units."""
+    """Extent of the print to the left of and above corner 0, units."""
 
     def place(self, pattern: Pattern, size: float, level: int) -> tuple[Array, float]:
-        """From the pattern frame to the texels' centres: ``texel = offset + scale * (x, y)``.
+        """Return the map from the pattern frame to the texels' centres: ``texel = offset + scale * (x, y)``.
 
         Returns:
-            The offset (2,) and the scale, texels a metre.
+            The offset (2,) and the scale, texels per metre.
         """
         scale = self.texels / 2**level / size
         first = pattern.corners[0, :2] - np.array(self.before) * size
         return np.array(self.margin) - 0.5 - scale * first, scale
 
     def level(self, density: float) -> int:
-        """The level of about one texel a sample, for samples of this many level 0 texels."""
+        """Return the level with about one texel per sample, for samples of this many level 0 texels."""
         if not density > 1:
             return 0
         return min(math.floor(math.log2(density) + 0.5), len(self.levels) - 1)
@@ -65,7 +65,7 @@ class Texture:
 
 @lru_cache(maxsize=16)
 def texture(pattern: PatternConfiguration, legacy_layout: bool = False) -> Texture:
-    """The print of a pattern.
+    """Return the print of a pattern.
 
     Raises:
         InputError: a charuco board without a marker size, with an unknown dictionary, or one that
@@ -76,7 +76,7 @@ def texture(pattern: PatternConfiguration, legacy_layout: bool = False) -> Textu
     while texels > 1 and texels * max(size) > MAX_TEXELS:
         texels //= 2
     levels = [draw(texels)]
-    while texels >> len(levels):  # until a unit is one texel
+    while texels >> len(levels):  # down to one texel per unit
         height, width = levels[-1].shape
         levels.append(np.asarray(cv2.resize(levels[-1], (width // 2, height // 2), interpolation=cv2.INTER_AREA)))
     margin = (int(pattern.border_size[0] > 0), int(pattern.border_size[1] > 0))
@@ -84,11 +84,11 @@ def texture(pattern: PatternConfiguration, legacy_layout: bool = False) -> Textu
 
 
 _Sketch = tuple[tuple[float, float], tuple[float, float], Callable[[int], Grey]]
-"""The size of a print, what of it lies before corner 0, and what draws it with so many texels a unit."""
+"""Size of a print, its extent before corner 0, and the function that draws it with this many texels per unit."""
 
 
 def _squares(pattern: PatternConfiguration, legacy_layout: bool) -> _Sketch:
-    """White and black squares, with or without markers."""
+    """Draw white and black squares, with or without markers."""
     columns, rows = pattern.dimension[0] + 1, pattern.dimension[1] + 1
     row, column = np.mgrid[:rows, :columns]
     black = (row + column) % 2 == int(pattern.kind == "charuco" and legacy_layout and rows % 2 == 0)
@@ -105,7 +105,7 @@ def _squares(pattern: PatternConfiguration, legacy_layout: bool) -> _Sketch:
 
 
 def _tags(pattern: PatternConfiguration, _: bool) -> _Sketch:
-    """An aprilgrid; an image has whole units, white beyond the print."""
+    """Draw an aprilgrid; the image has whole units, white beyond the print."""
     black, ends = tag_cells(*pattern.dimension).astype(float), cell_ends(*pattern.dimension, pattern.spacing)
     size = tuple(float(each[-1]) for each in ends)
 
@@ -119,11 +119,11 @@ def _tags(pattern: PatternConfiguration, _: bool) -> _Sketch:
 
 
 KINDS = {"charuco": _squares, "chessboard": _squares, "aprilgrid": _tags}
-"""What draws a pattern, by its kind."""
+"""Functions that draw a pattern, by its kind."""
 
 
 def _cover(texels: int, ends: Array) -> Array:
-    """(texels, N - 1): how much of each texel is covered by what lies between one of the ends (N,) and the next."""
+    """Return the coverage (texels, N - 1) of each texel by the intervals between consecutive ends (N,)."""
     texel = np.arange(texels)[:, None]
     cover: Array = np.clip(np.minimum(texel + 1, ends[1:]) - np.maximum(texel, ends[:-1]), 0, None)
     return cover
@@ -135,7 +135,7 @@ def _with_border(image: Grey, margin: tuple[int, int]) -> Grey:
 
 
 def _square_with_marker(pattern: PatternConfiguration, bits: Array, texels: int) -> Array:
-    """The share of white (texels, texels) of a white square with a marker in its middle, exact to the texel."""
+    """Return the share of white (texels, texels) of a white square with a marker in its centre, exact to the texel."""
     assert pattern.inner_size is not None  # noqa: S101 (checked with the markers)
     side = texels * pattern.inner_size / pattern.size
     ends = (texels - side) / 2 + side * np.linspace(0, 1, len(bits) + 1)
@@ -145,7 +145,7 @@ def _square_with_marker(pattern: PatternConfiguration, bits: Array, texels: int)
 
 
 def _markers(pattern: PatternConfiguration, count: int) -> list[Array]:
-    """The modules of the markers 0 to count - 1, their black border included: 1 for white."""
+    """Return the modules of the markers 0 to count - 1, with their black border: 1 for white."""
     if pattern.inner_size is None:
         raise InputError(
             f"pattern '{pattern.name}': found no inner_size; a charuco board needs the side of its markers"
