@@ -31,7 +31,7 @@ NOISE = {"translation": "translation-noise", "rotation": "rotation-noise"}
 """Options for the noise that are not called as its keys."""
 OF_SOFTWARE = {
     "image": "Image with the team's own calibration, which takes the place of our engine.",
-    "command": "What it runs, without a shell: calibrate {start} {output} --seed {seed}; see README.",
+    "command": "What it runs, without a shell: calibrate {start} {output} --seed {seed}.",
     "artifacts": "Files to bring out of it, with wildcards ({output}/*).",
     "table": "Which of them is the table to judge (*.csv).",
     "calibrated": "Which of them is the calibrated dataset to judge (*.json); none: its table is believed.",

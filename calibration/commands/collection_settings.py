@@ -48,7 +48,7 @@ class Settings:
     max_translation_mm: Tolerance | None = field("Largest error against the truth, mm (5).", default=None)
     max_rotation_deg: Tolerance | None = field("Largest error against the truth, degrees (0.3).", default=None)
     stillness_mm: Tolerance | None = field("How far the pattern may move while the sensors look (2).", default=None)
-    backend: str | None = field("Where: embedded, or in containers with docker or aws-batch (README).", default=None)
+    backend: str | None = field("Where: embedded, or in containers with docker or aws-batch.", default=None)
     aws_batch: Path | None = field("YAML file with the section aws-batch (calibration.yml).", default=None)
     run: str | None = field("Name of the run in containers or the cloud; a new one unless given.", default=None)
     resume: bool = field("Run only what is missing of an earlier run into this folder, or of this name.", default=False)

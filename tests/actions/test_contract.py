@@ -19,7 +19,7 @@ from calibration.simulation.sensors import SimulatedCamera, SimulatedDepthCamera
 from calibration.simulation.system import Simulation
 from tests.lint.documents import made_whole, yaml_blocks
 
-from .write_inputs import COMMENT, FILES, README, options, with_inputs, with_tables
+from .write_inputs import COMMENT, FILES, PAGES, SHOWN, options, with_inputs, with_parts
 
 PROJECT = Path(__file__).resolve().parents[2]
 LOCKS = {path.name: path.read_text() for path in (PROJECT / "requirements").glob("*.txt")}
@@ -50,10 +50,18 @@ def test_inputs_are_those_of_the_command(name: str, bootstrap: ModuleType) -> No
     assert text == with_inputs(text, name, lock), "run `make actions`"
 
 
-def test_the_readme_shows_every_input_and_output() -> None:
-    text = README.read_text()
-    assert sorted(re.findall(r"<!-- inputs: (\S+) -->", text)) == sorted(FILES)
-    assert text == with_tables(text), "run `make actions`"
+def test_pages_show_every_input_and_output() -> None:
+    texts = [page.read_text() for page in PAGES]
+    assert sorted(name for text in texts for name in re.findall(r"<!-- inputs: (\S+) -->", text)) == sorted(SHOWN)
+    assert [page.name for page, text in zip(PAGES, texts, strict=True) if text != with_parts(text)] == [], (
+        "run `make actions`"
+    )
+
+
+def test_pages_show_the_keys_of_every_result_and_of_the_configuration() -> None:
+    shown = [name for page in PAGES for name in re.findall(r"<!-- keys: (\S+) -->", page.read_text())]
+    assert len(shown) == len(set(shown))
+    assert {"calibration.yml", "results", "convergence", "collection", "coverage", "introspection"} <= set(shown)
 
 
 def test_every_input_reaches_its_option(name: str, action: dict[str, Any], step: dict[str, Any]) -> None:
@@ -196,20 +204,21 @@ def test_an_interpreter_of_ones_own_is_asked_for_all_modules(
 
 @pytest.fixture
 def examples() -> list[Any]:
-    """What the README shows in YAML."""
-    return [yaml.safe_load(text) for _, text in yaml_blocks(README.read_text())]
+    """What the README and the pages show in YAML."""
+    return [yaml.safe_load(text) for page in PAGES for _, text in yaml_blocks(page.read_text())]
 
 
-def test_the_readmes_tokens_are_used(examples: list[Any]) -> None:
+def test_tokens_in_examples_are_used(examples: list[Any]) -> None:
     """Both say who is told of the coverage; without that a token is an error, or is not used."""
     jobs = [job for example in examples if "jobs" in example for job in example["jobs"].values() if "secrets" in job]
     steps = [each for example in examples if isinstance(example, list) for each in example]
     uploads = [step["with"] for step in steps if "coverage-upload" in step.get("uses", "")]
-    assert len(jobs) == len(uploads) == 1
-    assert jobs[0]["with"]["coverage-service"] == uploads[0]["service"] == "codacy"
+    assert jobs
+    assert uploads
+    assert {job["with"]["coverage-service"] for job in jobs} == {step["service"] for step in uploads} == {"codacy"}
 
 
-def test_the_readmes_steps_have_what_their_actions_require(examples: list[Any]) -> None:
+def test_steps_in_examples_have_what_their_actions_require(examples: list[Any]) -> None:
     """GitHub does not ask for it: the action would, after it has installed its packages."""
     jobs = [job for example in examples if isinstance(example, dict) for job in example.get("jobs", {}).values()]
     steps = [step for job in jobs for step in job.get("steps", [])]
@@ -226,7 +235,7 @@ def test_the_readmes_steps_have_what_their_actions_require(examples: list[Any]) 
         assert {key for key, entry in inputs.items() if entry.get("required")} <= given.keys(), name
 
 
-def test_the_readme_calls_the_reusable_workflow_right(examples: list[Any]) -> None:
+def test_examples_call_the_reusable_workflow_right(examples: list[Any]) -> None:
     called = yaml.safe_load((PROJECT / ".github" / "workflows" / "pipeline.yml").read_text())[True]["workflow_call"]
     jobs = [job for example in examples if "jobs" in example for job in example["jobs"].values() if "uses" in job]
     assert jobs
@@ -236,7 +245,7 @@ def test_the_readme_calls_the_reusable_workflow_right(examples: list[Any]) -> No
         assert set(job.get("secrets", {})) <= set(called["secrets"])
 
 
-def test_the_readme_has_an_example_of_every_action_and_each_is_right(examples: list[Any]) -> None:
+def test_every_action_has_an_example_and_each_is_right(examples: list[Any]) -> None:
     steps = [step for example in examples if isinstance(example, list) for step in example]
     steps += [s for e in examples if "jobs" in e for job in e["jobs"].values() for s in job.get("steps", [])]
     used = set()
@@ -245,20 +254,21 @@ def test_the_readme_has_an_example_of_every_action_and_each_is_right(examples: l
             path, _, tag = step["uses"].partition("@")
             name = path.partition("/actions/")[2] or "run"
             assert (path, tag) == ("OWNER/calibration-ci" + (f"/actions/{name}" if name != "run" else ""), "v1")
-            assert set(step.get("with", {})) <= set(options(name))
+            assert set(step.get("with", {})) <= {*options(name), *(COMMENT if name == "run" else ())}
             used.add(name)
     assert used == set(FILES)
 
 
-def test_the_configurations_in_the_readme_are_right(examples: list[Any]) -> None:
+def test_configurations_in_examples_are_right(examples: list[Any]) -> None:
     schema = json.loads((PROJECT / "calibration/pipeline/calibration.schema.json").read_text())
     kinds = [(*made_whole(example), example) for example in examples]
     configurations = [document for kind, document, _ in kinds if kind == "calibration.yml"]
     assert len(configurations) >= 3
     for document in configurations:
         jsonschema.validate(document, schema)
-    [simulation] = [example for example in examples if "sensors" in example]
-    described = read(Simulation, simulation, "README.md")
+    page = PROJECT / "docs" / "collect-data-sim.md"
+    [simulation] = [part for _, text in yaml_blocks(page.read_text()) if "sensors" in (part := yaml.safe_load(text))]
+    described = read(Simulation, simulation, page.name)
     sensors = described.sensors
     assert read(SimulatedCamera, sensors["left_camera"], "left_camera").camera.distortion.k1 == -0.1
     assert read(SimulatedDepthCamera, sensors["depth"], "depth").most_range == 6.5

@@ -1,12 +1,15 @@
 """Writes what is declared once where it is shown: `make actions`.
 
-The inputs that the commands declare go into every action.yml and the README, the records into the JSON Schemas that
-ship. `test_contract.py` holds the files to them.
+The inputs that the commands declare go into every action.yml and its page in docs/, the records into the JSON
+Schemas that ship and the pages of the files, the headings of a page into its contents. `test_contract.py` holds the
+files to them.
 """
 
 import json
 import re
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import click
 import yaml
@@ -16,7 +19,10 @@ from calibration.commands.schema import SCHEMAS, generated
 
 PROJECT = Path(__file__).resolve().parents[2]
 README = PROJECT / "README.md"
+PAGES = [README, *sorted(PROJECT.glob("docs/*.md"))]
 FILES = {"run": PROJECT / "action.yml"} | {path.parent.name: path for path in PROJECT.glob("actions/*/action.yml")}
+SHOWN = FILES | {"pipeline": PROJECT / ".github" / "workflows" / "pipeline.yml"}
+"""Of what pages show the inputs."""
 COMMENT = {
     "comment": "keep: one comment on the pull request is kept up to date; delete: it is removed (no comment).",
     "token": "For the comment: github.token of a job with permissions: pull-requests: write.",
@@ -46,24 +52,63 @@ def with_inputs(text: str, name: str, lock: str) -> str:
     return re.sub(r"(?<=^      env:\n)(?: {8}.*\n)+", lambda _: env, text, count=1, flags=re.MULTILINE)
 
 
-def with_tables(readme: str) -> str:
-    """Return the README with a table of inputs and one of outputs for each action between its marks."""
+def with_parts(page: str) -> str:
+    """Return a page of Markdown with what is generated between its marks: inputs, keys of a document, contents."""
+    made = {"inputs": tables, "keys": keys, "contents": lambda _: contents(page)}
     return re.sub(
-        r"(?<=<!-- inputs: )(\S+)( -->\n).*?(?=<!-- end -->)",
-        lambda found: f"{found[1]}{found[2]}{tables(found[1])}",
-        readme,
+        r"(?<=<!-- )(inputs|keys|contents)((?:: \S+)?) -->\n.*?(?=<!-- end -->)",
+        lambda found: f"{found[1]}{found[2]} -->\n{made[found[1]](found[2].removeprefix(': '))}",
+        page,
         flags=re.DOTALL,
     )
 
 
+def contents(page: str) -> str:
+    """Return the contents of a page: a link to each of its headings of the second level."""
+    text = re.sub(r"^```.*?^```", "", page, flags=re.DOTALL | re.MULTILINE)
+    return "".join(f"- [{title}](#{anchor(title)})\n" for title in re.findall(r"^## (.*)$", text, re.MULTILINE))
+
+
+def anchor(title: str) -> str:
+    """Return the anchor that GitHub gives a heading."""
+    return re.sub(r"[^\w\- ]", "", title.lower()).replace(" ", "-")
+
+
+def keys(name: str) -> str:
+    """Return a table of the keys of a document, as its JSON Schema describes them."""
+    schema = json.loads(generated(name))
+    text = "| key | |\n| --- | --- |\n"
+    for path, description in dict(_described(schema, schema, "", ())).items():
+        text += f"| `{path}` | {description.replace('|', '&#124;').replace('*', '&#42;')} |\n"
+    return text
+
+
+def _described(schema: Any, whole: Any, path: str, opened: tuple[str, ...]) -> Iterator[tuple[str, str]]:
+    """Each key below a part of a schema, as `a.b`, `a[].b` in a list, `a.NAME.b` under names of your own."""
+    if (reference := schema.get("$ref")) and reference not in opened:
+        of = whole["$defs"][reference.rpartition("/")[2]]
+        yield from _described(of, whole, path, (*opened, reference))
+    for key, value in schema.get("properties", {}).items():
+        below = f"{path}.{key}" if path else key
+        yield below, value.get("description", "")
+        yield from _described(value, whole, below, opened)
+    for part in (*schema.get("anyOf", []), *schema.get("allOf", [])):
+        yield from _described(part, whole, path, opened)
+    if isinstance(of_list := schema.get("items"), dict):
+        yield from _described(of_list, whole, f"{path}[]", opened)
+    if isinstance(of_names := schema.get("additionalProperties"), dict):
+        yield from _described(of_names, whole, f"{path}.NAME", opened)
+
+
 def tables(name: str) -> str:
     """Return what an action takes and gives, as its action.yml says."""
-    action = yaml.safe_load(FILES[name].read_text())
+    action = yaml.safe_load(SHOWN[name].read_text())
+    action = action if "inputs" in action else action[True]["workflow_call"]  # YAML 1.1 reads `on` as true
     text = ""
-    for kind in ("inputs", "outputs"):
+    for kind in (each for each in ("inputs", "secrets", "outputs") if each in action):
         text += f"| {kind[:-1]} | |\n| --- | --- |\n"
         for key, entry in action[kind].items():
-            text += f"| `{key}` | {entry['description'].replace('*', '&#42;')} |\n"
+            text += f"| `{key}` | {entry['description'].strip().replace('*', '&#42;').replace('|', '&#124;')} |\n"
         text += "\n"
     return text
 
@@ -96,4 +141,5 @@ if __name__ == "__main__":
         schema_file(schema).write_text(generated(schema))
     for name, path in FILES.items():
         path.write_text(with_inputs(path.read_text(), name, lock_of(name)))
-    README.write_text(with_tables(README.read_text()))
+    for page in PAGES:
+        page.write_text(with_parts(page.read_text()))

@@ -86,6 +86,6 @@ class Caller:
         """Git's settings that turn GitHub's address of the suite into its folder here."""
         path = self.artifacts.with_name("gitconfig")
         settings = (f"url.{self.repository.suite}.insteadOf", "https://github.com/me/suite"), ("safe.directory", "*")
-        for setting in settings:  # the first is what the README tells users of act
+        for setting in settings:  # the first is what docs/under-act.md tells
             subprocess.run([tool("git"), "config", "--file", path, *setting], check=True)
         return path

@@ -257,8 +257,8 @@ class Robot(unittest.TestCase):
 def test_unit_tests_alone(still: bool, caller: Caller, tmp_path: Path) -> None:
     """Their own job; a fork has no token for the coverage, which is no reason to be red: nor is its upload, skipped."""
     event = tmp_path / "event.json"
-    [shown] = re.findall(r'`(\{"pull_request": .*?\}\})`', (PROJECT / "README.md").read_text(), re.DOTALL)
-    event.write_text(shown)  # as the README has it, for act
+    [shown] = re.findall(r'`(\{"pull_request": .*?\}\})`', (PROJECT / "docs/under-act.md").read_text(), re.DOTALL)
+    event.write_text(shown)  # as docs/under-act.md has it
     inputs = {
         "tests": "python3 -m unittest -q",
         "tests-setup": 'echo "set up" >calibrated.txt',

@@ -1,5 +1,6 @@
 """The README's picture is of a real run, and what the READMEs point to is there."""
 
+import json
 import re
 import xml.etree.ElementTree as ET
 from pathlib import Path
@@ -9,9 +10,12 @@ import yaml
 
 from benchmarks.run_picture import LINE, PICTURE, drawing, tables
 from calibration.__main__ import main
+from calibration.dataset.reading import read_dataset
+from calibration.errors import InputError
 from calibration.estimation.assumptions import Assumptions
 from calibration.execution.batch.settings import BatchSettings
 from calibration.records import flat_fields
+from tests.actions.write_inputs import anchor
 
 from .documents import READMES
 from .yaml_lines import PROJECT
@@ -88,11 +92,39 @@ def test_what_does_not_fit_into_a_picture_as_it_is_is_escaped() -> None:
 
 
 @pytest.mark.parametrize("readme", READMES, ids=lambda path: str(path.relative_to(PROJECT)))
-def test_what_a_readme_points_to_is_there(readme: Path) -> None:
-    links = re.findall(r"\]\(([^)#]+)\)", readme.read_text())
-    assert links
-    for link in links:
-        assert "://" in link or (readme.parent / link).exists(), link
+def test_what_a_page_points_to_is_there(readme: Path) -> None:
+    for link, _, at in re.findall(r"\]\(([^)#]*)(#([^)]*))?\)", readme.read_text()):
+        if "://" not in link:
+            page = readme.parent / link if link else readme
+            assert page.exists(), link
+            assert not at or at in anchors(page), f"{link}#{at}"
+
+
+def anchors(page: Path) -> set[str]:
+    """The anchors of a page's headings."""
+    return {anchor(title) for title in re.findall(r"^#+ (.*)$", page.read_text(), re.MULTILINE)}
+
+
+def test_every_page_is_in_the_index() -> None:
+    index = (PROJECT / "docs" / "README.md").read_text()
+    pages = [page.name for page in PROJECT.glob("docs/*.md") if page.name != "README.md"]
+    assert [name for name in pages if f"({name})" not in index] == []
+
+
+def test_the_readme_is_short() -> None:
+    assert len((PROJECT / "README.md").read_text().splitlines()) < 180
+
+
+def test_the_smallest_dataset_is_one(tmp_path: Path) -> None:
+    [shown] = re.findall(r"^```json\n(.*?)^```", (PROJECT / "docs/dataset.md").read_text(), re.DOTALL | re.MULTILINE)
+    (tmp_path / "dataset.json").write_text(shown)
+    dataset = read_dataset(tmp_path)
+    assert list(dataset.sensors) == ["left", "right"]
+    document = json.loads(shown)
+    for name in ("_metadata", "calibration_config", "sensors", "collections"):
+        (tmp_path / "dataset.json").write_text(json.dumps({k: v for k, v in document.items() if k != name}))
+        with pytest.raises(InputError, match=name):
+            read_dataset(tmp_path)
 
 
 def test_every_assumption_is_described() -> None:
