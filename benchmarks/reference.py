@@ -9,12 +9,14 @@ from benchmarks.shared_data import ROOT
 
 COMMIT = "51bef2e"
 """Before the work on speed began; its package runs with today's dependencies."""
+SIMULATION = "82e9c42"
+"""The same for simulated sensors, which had another interface at `COMMIT`."""
 
 
 @cache
-def folder() -> Path | None:
-    """A folder with the package of that commit; None where the repository's history is not there."""
-    archive = subprocess.run(["git", "archive", COMMIT, "calibration"], cwd=ROOT, capture_output=True)
+def folder(commit: str = COMMIT) -> Path | None:
+    """A folder with the package of a commit; None where the repository's history is not there."""
+    archive = subprocess.run(["git", "archive", commit, "calibration"], cwd=ROOT, capture_output=True)
     if archive.returncode:
         return None
     place = Path(mkdtemp(prefix="calibration-before-"))

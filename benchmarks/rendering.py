@@ -8,59 +8,25 @@ the issue; a machine with other cores has other numbers.
 import statistics
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
 
+from benchmarks import reference
+from benchmarks.room import LARGE, PATTERN, ROOM, SMALL, T_WORLD_CAMERA, Size, poses
 from benchmarks.rows import Bar, Row
-from calibration.dataset.configuration import PatternConfiguration
+from benchmarks.sensors import RAYS, measured
 from calibration.execution.embedded import Embedded
-from calibration.geometry import rotations
 from calibration.geometry.cameras import Camera
-from calibration.geometry.distortion import PlumbBob
-from calibration.geometry.transforms import apply, from_xyz_rpy, transform
+from calibration.geometry.transforms import apply, from_xyz_rpy
 from calibration.geometry.types import Array
 from calibration.labelling.detection import NotDetected
 from calibration.simulation.board import Board
 from calibration.simulation.random_streams import stream
-from calibration.simulation.scene import Box, Scene
 from calibration.simulation.sensors import SimulatedCamera, SimulatedDepthCamera, SimulatedLidar
 
 PROCESSES = 2
-PATTERN = PatternConfiguration(
-    "pattern_1", "charuco", "pattern", "world", False, (11, 8), 0.06, 0.045, (0.04, 0.03), "DICT_5X5_100"
-)
-DISTORTION = PlumbBob(-0.25, 0.08, 0.0008, -0.0005, 0.0)
-T_WORLD_CAMERA = from_xyz_rpy([0, 0, 1.2], [-np.pi / 2, 0, -np.pi / 2])
-ROOM = Scene(
-    ground=0.0,
-    boxes=(
-        Box(from_xyz_rpy([6.0, 0.0, 1.5], [0, 0, 0]), np.array([0.2, 9.0, 3.0])),
-        Box(from_xyz_rpy([2.0, 4.5, 1.5], [0, 0, 0]), np.array([8.0, 0.2, 3.0])),
-        Box(from_xyz_rpy([4.6, -1.6, 0.5], [0, 0, 0.4]), np.array([0.8, 0.6, 1.0]), (150.0, 90.0, 60.0)),
-        Box(from_xyz_rpy([4.2, 1.9, 0.3], [0, 0, -0.7]), np.array([0.6, 0.6, 0.6]), (170.0, 130.0, 80.0)),
-    ),
-)
-
-
-@dataclass(frozen=True)
-class Size:
-    """A camera's size and focal length, px, and how many images a second it should give."""
-
-    width: int
-    height: int
-    focal: float
-    least: float
-
-    def camera(self, distorted: bool = False) -> Camera:
-        """The camera, its axis through the middle."""
-        cx, cy = self.width / 2 - 0.5, self.height / 2 - 0.5
-        lens = DISTORTION if distorted else PlumbBob()
-        return Camera(self.focal, self.focal, cx, cy, self.width, self.height, lens)
-
-
-SMALL, LARGE = Size(640, 480, 550.0, 60.0), Size(1280, 720, 900.0, 20.0)
 
 
 def measure(quick: bool) -> Iterator[Row]:
@@ -78,21 +44,9 @@ def measure(quick: bool) -> Iterator[Row]:
     yield _moving(SMALL, count // 2)
     yield _depth_images(SMALL, count)
     yield _rays(5 if quick else 20)
+    yield from _beside_before(20 if quick else 60)
     for distorted in (False, True):
         yield from _corners(LARGE.camera(distorted), 12 if quick else 40, Bar(high=0.08 if distorted else 0.06))
-
-
-def poses(count: int) -> list[Array]:
-    """``T_camera_pattern`` 1 to 2 m away, tilted up to 40 degrees, turned up to 30."""
-    random, found = np.random.default_rng(0), []
-    for _ in range(count):
-        azimuth, tilt, roll = random.uniform(-1, 1, 3) * [np.pi, np.radians(40), np.radians(30)]
-        axis = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
-        R = rotations.exp(tilt * axis) @ rotations.exp(np.array([0, 0, roll]))
-        x, y, z = random.uniform([-0.15, -0.1, 1.0], [0.15, 0.1, 2.0])
-        centre = np.array([x * z, y * z, z])
-        found.append(transform(R, centre - R @ PATTERN.pattern().centre))
-    return found
 
 
 def _boards(T_camera_pattern: Array) -> list[Board]:
@@ -167,6 +121,20 @@ def _rays(count: int) -> Row:
         work(number)
     rate = count * 32 * 1800 / (time.perf_counter() - start)
     return Row("rendering/LiDAR", rate / 1e6, "million rays/s", Bar(low=2), "one process, noise included")
+
+
+def _beside_before(count: int) -> Iterator[Row]:
+    """A camera in the hand and a LiDAR as collections have them, in CPU time, here and at the kept commit."""
+    now, place = measured(count), reference.folder(reference.SIMULATION)
+    before = measured(count, place) if place else dict.fromkeys(now, float("nan"))
+    ratio, earlier = (each["in_hand"] / each["stands"] for each in (now, before))
+    note = (
+        f"CPU time of one image: {1e3 * now['in_hand']:.0f} ms; before {1e3 * before['in_hand']:.0f} ms, {earlier:.2f}"
+    )
+    yield Row("rendering/camera in the hand", ratio, "x one that stands", Bar(high=1.3), note)
+    rate, earlier = (PROCESSES * RAYS / each["scan"] / 1e6 for each in (now, before))
+    note = f"{PROCESSES} cores, rays of whole revolutions, cast and kept, not yet labelled; before {earlier:.1f}"
+    yield Row("rendering/LiDAR in a collection", rate, "million rays/s", Bar(low=20), note)
 
 
 def _corners(camera: Camera, count: int, bar: Bar) -> Iterator[Row]:

@@ -19,7 +19,7 @@ DECIMALS = 6
 
 @dataclass(frozen=True, eq=False)
 class Scan:
-    """One revolution; every array is (rings, azimuths), of a 2D LiDAR (1, rays)."""
+    """One revolution or a part of it; every array is (rings, azimuths), of a 2D LiDAR (1, rays)."""
 
     ranges: Array
     """As measured, m; NaN where nothing comes back."""
@@ -54,16 +54,33 @@ class RaySensor(RangeSensor):
         del pattern, T_sensor_pattern
         return self.directions()
 
-    def scan(self, T_world_sensor: Array, scene: Scene, boards: Sequence[Board], random: np.random.Generator) -> Scan:
-        """Cast every ray; the nearest surface comes back, with Gaussian noise along the ray.
+    def scan(
+        self,
+        T_world_sensor: Array,
+        scene: Scene,
+        boards: Sequence[Board],
+        random: np.random.Generator,
+        columns: BoolArray | None = None,
+    ) -> Scan:
+        """Cast rays; the nearest surface comes back, with Gaussian noise along the ray.
 
-        The generator gives one number for every ray, so that what is hit does not change the noise of others.
+        The generator gives one number for every ray of the sensor, so that what is hit or cast does not change the
+        noise of other rays.
+
+        Args:
+            T_world_sensor: (4, 4).
+            scene: the surroundings.
+            boards: the patterns.
+            random: source of the noise.
+            columns: (rays,), which rays of each ring are cast; the scan has only these. All by default.
         """
         rays = self.directions()
         noise = self.noise * random.standard_normal(rays.shape[:-1])
         directions, origin = rays @ T_world_sensor[:3, :3].T, T_world_sensor[:3, 3]
-        nearest_board = np.full(rays.shape[:-1], np.inf)
-        crossed = np.full(rays.shape[:-1], -1)
+        if columns is not None:
+            noise, directions = noise[:, columns], directions[:, columns]
+        nearest_board = np.full(noise.shape, np.inf)
+        crossed = np.full(noise.shape, -1)
         for i, board in enumerate(boards):
             distance = board.cast(origin, directions)
             nearer = distance < nearest_board

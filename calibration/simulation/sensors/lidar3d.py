@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
+from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
@@ -110,30 +111,29 @@ class SimulatedLidar(RaySensor):
 
     def directions(self) -> Array:
         """(rings, azimuths, 3): unit vectors in the sensor's frame."""
-        return self._directions(self._azimuths())
+        return _directions(self.elevations, self.azimuths)
 
     def directions_towards(self, pattern: Pattern, T_sensor_pattern: Array) -> Array:
         """(rings, A, 3): those whose azimuth is that of some part of the pattern."""
         corners = apply(T_sensor_pattern, np.column_stack([pattern.outline, np.zeros(4)]))
         middle, beside = _azimuths_of(corners)
         first, last = (middle + np.array([beside.min(), beside.max()]) + np.pi) / self.step
-        return self._directions(self.step * np.arange(np.ceil(first), np.floor(last) + 1) - np.pi)
+        return _unit_vectors(self.elevations, self.step * np.arange(np.ceil(first), np.floor(last) + 1) - np.pi)
 
     def _azimuths(self) -> Array:
-        return np.asarray(-np.pi + self.step * np.arange(self.azimuths), float)
-
-    def _directions(self, azimuth: Array) -> Array:
-        elevation = np.array(self.elevations)[:, None]
-        x, y = np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth)
-        return np.stack([x, y, np.broadcast_to(np.sin(elevation), x.shape)], -1)
+        return _evenly(self.azimuths)
 
     def render(
         self, T_world_sensor: Array, scene: Scene, boards: Sequence[Board], random: np.random.Generator
     ) -> Array:
         """The points (N, 3) of the returns up to the margin beside a board, in the sensor's frame, m, ring by ring."""
-        scan = self.scan(T_world_sensor, scene, boards, random)
-        stored = scan.returns & np.any([self._sector(board, T_world_sensor) for board in boards], axis=0)
-        points: Array = np.round(scan.ranges[stored, None] * self.directions()[stored], DECIMALS) + 0.0
+        sector = np.zeros(self.azimuths, bool)
+        for board in boards:
+            sector |= self._sector(board, T_world_sensor)
+        scan = self.scan(T_world_sensor, scene, boards, random, sector)
+        stored = scan.returns
+        rays = self.directions()[:, sector][stored]
+        points: Array = np.round(scan.ranges[stored, None] * rays, DECIMALS) + 0.0
         return points
 
     def _sector(self, board: Board, T_world_sensor: Array) -> BoolArray:
@@ -208,6 +208,26 @@ class SimulatedLidar(RaySensor):
             place = np.column_stack([_spread(-azimuth, 2 * HEIGHT), _spread(-elevation, HEIGHT)])
             draw_points(picture, place, range(len(points)), labels)
         return picture
+
+
+def _evenly(azimuths: int) -> Array:
+    """Azimuths (azimuths,) of the rays of a ring, rad."""
+    return np.asarray(-np.pi + 2 * math.pi / azimuths * np.arange(azimuths), float)
+
+
+@lru_cache(maxsize=2)
+def _directions(elevations: tuple[float, ...], azimuths: int) -> Array:
+    """Unit vectors (rings, azimuths, 3) of a revolution."""
+    found = _unit_vectors(elevations, _evenly(azimuths))
+    found.flags.writeable = False
+    return found
+
+
+def _unit_vectors(elevations: tuple[float, ...], azimuth: Array) -> Array:
+    """Unit vectors (rings, A, 3) of elevations and azimuths (A,)."""
+    elevation = np.array(elevations)[:, None]
+    x, y = np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth)
+    return np.stack([x, y, np.broadcast_to(np.sin(elevation), x.shape)], -1)
 
 
 def _azimuths_of(points: Array) -> tuple[float, Array]:
