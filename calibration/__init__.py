@@ -5,8 +5,8 @@
 >>> result.converged
 True
 
-The rooms, from the bottom up (imports only point downwards): ``geometry``, ``dataset``,
-``estimation``, ``evaluation``, ``comparison``, ``simulation``; beside them, knowing nothing of
+The packages, from the bottom up (imports only point downwards): ``geometry``, ``dataset``,
+``estimation``, ``evaluation``, ``comparison``, ``simulation``; beside them, independent of
 calibration, ``introspection`` and ``workflow``; on top ``pipeline`` and ``commands``.
 """
 
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from calibration.estimation.result import Calibration as Calibration
     from calibration.estimation.starting_noise import StartingNoise as StartingNoise
 
-# Imported when they are first used, so that a command pays only for what it needs.
+# Imported at first use, so that a command loads only the modules that it needs.
 _HOMES = {
     "Calibration": "calibration.estimation.result",
     "CalibrationError": "calibration.errors",

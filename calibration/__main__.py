@@ -1,7 +1,7 @@
-"""The command ``calibration``, and the way in for the actions.
+"""Command line ``calibration``, and entry point of the actions.
 
 Exit codes are those of :class:`calibration.errors.ExitCode`; a command that is stopped by SIGINT
-or SIGTERM cleans up and answers 130 or 143 (128 and the signal's number), as shells do.
+or SIGTERM cleans up and returns 130 or 143 (128 plus the number of the signal), as shells do.
 """
 
 import errno
@@ -26,12 +26,12 @@ from calibration.workflow.text import did_you_mean
 
 
 class LazyCommand(NamedTuple):
-    """A command that is imported when it is called."""
+    """A command whose module is imported when it is called."""
 
     target: str
     """``module:attribute`` of the click command."""
     help: str
-    """The line in the list of commands, kept here so that ``--help`` imports nothing."""
+    """One-line description for the list of commands, kept here so that ``--help`` imports no command."""
 
 
 COMMANDS: Mapping[str, LazyCommand] = {
@@ -83,29 +83,29 @@ COMMANDS: Mapping[str, LazyCommand] = {
     "schema": LazyCommand("calibration.commands.schema:command", "Print the JSON Schema of a file."),
     "version": LazyCommand("calibration.commands.version:command", "Print the versions in use."),
 }
-"""Every command by its name, in the order of ``--help``."""
+"""Commands by name, in the order of ``--help``."""
 COMPLETION = "_CALIBRATION_COMPLETE"
 IMPORTED = 100 << 20
-"""Bytes: more than numpy takes of the address space when it is imported, most of it for OpenBLAS."""
+"""Bytes of address space required before a command starts: more than the import of numpy maps, mostly for OpenBLAS."""
 _PACKAGES = {"cv2": "opencv-python-headless", "yaml": "pyyaml"}
-"""What modules are called where they are installed from, if not the same."""
+"""PyPI names of packages whose module has another name."""
 
 
 class LazyGroup(click.Group):
     """A group whose commands are imported only when they are called."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        """List the commands whose module is installed."""
+        """Return the names of the commands whose module is installed."""
         return [name for name, command in COMMANDS.items() if find_spec(command.target.partition(":")[0])]
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        """Import a command; None for a name that is not in the list."""
+        """Import a command; None for an unknown name."""
         return load_command(cmd_name) if cmd_name in self.list_commands(ctx) else None
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
-        """Find the command that the arguments name; a usage error proposes the nearest name."""
+        """Find the command that the arguments name; a usage error suggests the nearest name."""
         known = self.list_commands(ctx)
         if args[0] not in known and not args[0].startswith("-"):
             ctx.fail(f"there is no command {args[0]!r}{did_you_mean(args[0], known)}")
@@ -118,7 +118,7 @@ class LazyGroup(click.Group):
 
 
 def load_command(name: str) -> click.Command:
-    """Import the command of that name."""
+    """Import a command by its name."""
     module, attribute = COMMANDS[name].target.split(":")
     command = getattr(importlib.import_module(module), attribute)
     if not isinstance(command, click.Command):
@@ -136,10 +136,10 @@ def group() -> None:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line (``sys.argv`` unless arguments are given) and return its exit code.
+    """Run the command line (``sys.argv`` by default) and return its exit code.
 
-    Only the arguments count: variables ``INPUT_*`` are not read. A shell that completes the line, or asks how, says so
-    by a variable, as click has it.
+    Options are read from the arguments only, not from variables ``INPUT_*``. If ``_CALIBRATION_COMPLETE`` is set,
+    click's shell completion is run instead.
     """
     if arguments is None and (asked := os.environ.get(COMPLETION)):
         from click.shell_completion import shell_complete
@@ -151,38 +151,38 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def run_action(name: str) -> int:
     """Run a command as an action and return its exit code.
 
-    Its options come from variables ``INPUT_<OPTION>`` (``--every-min`` from ``INPUT_EVERY_MIN``);
+    Its options are read from variables ``INPUT_<OPTION>`` (``--every-min`` from ``INPUT_EVERY_MIN``);
     an empty variable counts as not given.
     """
     return _execute(name, name, [], auto_envvar_prefix="INPUT", help_option_names=[])
 
 
 def _execute(command: click.Command | str, name: str, arguments: Sequence[str], **settings: Any) -> int:
-    """Run a command, turn what it raises into one line for the user, and return the exit code."""
-    # Processes are the parallelism; and one thread gives the same bytes on every machine.
+    """Run a command, report its exceptions in one line, and return the exit code."""
+    # Work is parallelised over processes; and results of one thread are the same bytes on every machine.
     for variable in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
         os.environ.setdefault(variable, "1")
     _open_closed_streams()
     for stream in (sys.stdout, sys.stderr):
-        if hasattr(stream, "reconfigure"):  # a test may have put another stream there
+        if hasattr(stream, "reconfigure"):  # a test may have replaced the stream
             stream.reconfigure(errors="backslashreplace", line_buffering=True)
     runner = Runner.from_environment(os.environ)
     try:
         return _answer(runner, command, name, arguments, **settings)
     except MemoryError:
-        report_error(runner, "there is not enough memory: give it more, or take fewer collections or processes")
+        report_error(runner, "there is not enough memory: use fewer collections or processes, or more memory")
         return ExitCode.INFRASTRUCTURE
-    except OSError:  # of what was to be said: nobody can be told
+    except OSError:  # raised while an error was printed: nothing more can be reported
         return ExitCode.INFRASTRUCTURE
     finally:
         _flush()
 
 
 def _answer(runner: Runner, command: click.Command | str, name: str, arguments: Sequence[str], **settings: Any) -> int:
-    """Run a command and say what went wrong; see `_execute`."""
+    """Run a command and report its errors; see `_execute`."""
     try:
         _require_memory()
-        # Warnings of packages are for us: what is wrong with the data is said in an error.
+        # Warnings of packages are for developers: problems with the data are reported as errors.
         with terminate_cleanly(), warnings.catch_warnings(record=not runner.debug), solvable("the data"):
             loaded = load_command(command) if isinstance(command, str) else command
             with loaded.make_context(name, list(arguments), **settings) as context:
@@ -203,7 +203,7 @@ def _answer(runner: Runner, command: click.Command | str, name: str, arguments: 
         report_error(runner, "stopped by SIGINT")
         return 130
     except BrokenPipeError:
-        return ExitCode.INFRASTRUCTURE  # nobody reads what would be said
+        return ExitCode.INFRASTRUCTURE  # the reader of the output has closed the pipe
     except OSError as error:
         report_error(runner, _failure(error))
         return ExitCode.INFRASTRUCTURE
@@ -214,34 +214,34 @@ def _answer(runner: Runner, command: click.Command | str, name: str, arguments: 
         report_error(runner, f"the package {module} is not installed: pip install {_PACKAGES.get(module, module)}")
         return ExitCode.INFRASTRUCTURE
     except ImportError as error:
-        if "failed to map segment" in str(error):  # of a library for which there is no room
+        if "failed to map segment" in str(error):  # of a shared library, for which there is not enough memory
             raise MemoryError from None
         return _report_bug(runner)
     except MemoryError:
-        raise  # said where its traceback, and with it the memory, is gone
-    except Exception:  # whatever was not foreseen is our bug: the traceback is for us
+        raise  # reported by the caller, where the traceback, and the memory that it references, is freed
+    except Exception:  # unexpected, hence a bug: print the traceback
         return _report_bug(runner)
 
 
 def _open_closed_streams() -> None:
-    """Open standard streams that the caller has closed (``>&-``) on nothing.
+    """Open standard streams that the caller has closed (``>&-``) on the null device.
 
-    Or what is printed is an error, and the next file that is opened takes the place of the log.
+    Otherwise printing would fail, and the next file that is opened would receive the log.
     """
     for descriptor, name in enumerate(("stdin", "stdout", "stderr")):
         try:
             os.fstat(descriptor)
         except OSError:
-            os.open(os.devnull, os.O_RDWR)  # takes the lowest number that is free: this one
+            os.open(os.devnull, os.O_RDWR)  # uses the lowest free descriptor: this one
         if getattr(sys, name) is None:
             setattr(sys, name, Path(os.devnull).open("r" if descriptor == 0 else "w"))  # noqa: SIM115 (until the end)
 
 
 def _require_memory() -> None:
-    """Refuse to begin where OpenBLAS would find no memory for itself: it ends the process with exit code 1.
+    """Check the free memory before numpy is imported: without enough, OpenBLAS ends the process with exit code 1.
 
     Raises:
-        MemoryError: there is less than numpy takes when it is imported.
+        MemoryError: less than `IMPORTED` bytes can be mapped.
     """
     try:
         mmap.mmap(-1, IMPORTED).close()
@@ -250,7 +250,7 @@ def _require_memory() -> None:
 
 
 def _flush() -> None:
-    """Write out what is printed, or drop it where that fails: else Python ends with an exit code of its own."""
+    """Flush the output streams; discard their content if that fails, because Python would change the exit code."""
     for stream in (sys.stdout, sys.stderr):
         try:
             stream.flush()
@@ -268,12 +268,12 @@ def _usage_message(error: click.ClickException, is_action: bool) -> str:
 
 
 def _failure(error: OSError) -> str:
-    """Message about an error of the operating system: what failed, at which path, what to do."""
+    """Return the message of an operating system error: path, reason, advice."""
     if error.filename is None or error.strerror is None:
         return str(error)
     advice = {
-        errno.EACCES: ": let this user read and write it, or name another place",
-        errno.ENOSPC: ": make room, or name another place",
+        errno.EACCES: ": give this user read and write access, or choose another path",
+        errno.ENOSPC: ": free disk space, or choose another path",
     }
     return f"{os.fsdecode(error.filename)}: {error.strerror}{advice.get(error.errno or 0, '')}"
 

@@ -1,4 +1,4 @@
-"""What AWS's errors mean, in one line each: who has to do what, or that the same call may succeed later."""
+"""Errors of AWS as one-line messages: who has to do what, or that a retry may succeed."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -53,23 +53,23 @@ _ACTIONS = {
     "DescribeImages": "ecr:DescribeImages",
     "AssumeRoleWithWebIdentity": "sts:AssumeRoleWithWebIdentity",
 }
-"""What a policy calls the operations whose action is not their own name in the service that is asked."""
+"""IAM actions of operations whose action has another name or service than the operation."""
 
 
 class AwsLostError(InfrastructureError):
-    """AWS does not answer, or not now: the same call may well succeed later."""
+    """AWS is unreachable, throttles or fails temporarily: a retry may succeed."""
 
 
 @contextmanager
 def aws_errors(where: str, service: str = "batch") -> Iterator[None]:
-    """Turn what boto3 raises into one line.
+    """Convert exceptions of boto3 to errors with a one-line message.
 
     Args:
-        where: what messages begin with.
-        service: that is asked, as policies call it; those of `_ACTIONS` say it by their operations.
+        where: prefix of the messages.
+        service: IAM prefix of the service that is called; operations in `_ACTIONS` have their own.
 
     Raises:
-        InputError: there are no credentials, they are expired or unknown, may not do this, or it makes no sense.
+        InputError: credentials are missing, expired, unknown or lack a permission, or the request is invalid.
         AwsLostError: AWS cannot be reached, throttles, or fails.
     """
     try:
@@ -97,17 +97,17 @@ def aws_errors(where: str, service: str = "batch") -> Iterator[None]:
         raise AwsLostError(f"{where}: AWS: {_short(error)}: check the network, and the region's name") from None
     except (aws.ConnectionError, aws.HTTPClientError, aws.IncompleteReadError) as error:
         raise AwsLostError(f"{where}: AWS: {_short(error)}") from None
-    except (aws.BotoCoreError, Boto3Error, ValueError) as error:  # ValueError: no URL, no timestamp
+    except (aws.BotoCoreError, Boto3Error, ValueError) as error:  # ValueError: an invalid URL or timestamp
         raise InfrastructureError(f"{where}: AWS: {_short(error)}") from None
 
 
 def error_code(error: aws.ClientError) -> str:
-    """The code of what AWS answered: ``NoSuchKey``; of a HEAD it is but a number."""
+    """Return the error code of AWS's answer: ``NoSuchKey``; for HEAD requests only the HTTP status."""
     return str(error.response.get("Error", {}).get("Code", "")) or "unknown error"
 
 
 def _answered(where: str, service: str, error: aws.ClientError) -> CalibrationError:
-    """What AWS itself answered."""
+    """Return the error to raise for an answer of AWS."""
     code = error_code(error)
     action = _ACTIONS.get(error.operation_name, f"{service}:{error.operation_name}")
     said = f"{where}: AWS: {action}: {one_line(code)}"

@@ -1,4 +1,4 @@
-"""The errors that a user sees: one line each, and the exit code that goes with it."""
+"""Errors shown to users, in one line each, with their exit codes."""
 
 import enum
 import re
@@ -7,21 +7,21 @@ from contextlib import contextmanager
 
 LONGEST_MESSAGE = 2000
 _LONG_WORD = re.compile(r"([^\s/]{60})[^\s/]{180,}([^\s/]{16})")
-"""Longer than a name of a file can be."""
+"""A word longer than any file name."""
 
 
 def brief(message: str) -> str:
-    """Cut the middle of what a message quotes too long, and of a message that is still too long."""
+    """Shorten a message: cut the middle of long words, and of the message if it is still too long."""
     message = _LONG_WORD.sub(r"\1…\2", message)
     end = LONGEST_MESSAGE // 4
     return message if len(message) <= LONGEST_MESSAGE else f"{message[: LONGEST_MESSAGE - end]}…{message[-end:]}"
 
 
 class ExitCode(enum.IntEnum):
-    """What every command of the suite answers to its caller."""
+    """Exit codes of all commands."""
 
     PASS = 0
-    """The verdict is pass (or there was nothing to judge and the work is done)."""
+    """The verdict is pass, or there is no verdict and the work is done."""
     FAIL = 1
     """The verdict is fail."""
     BAD_INPUT = 2
@@ -31,14 +31,14 @@ class ExitCode(enum.IntEnum):
 
 
 def exit_code_of(passed: bool, errors: Iterable[ExitCode | None]) -> ExitCode:
-    """The worst of the errors, 2 or 3, where something could not be done at all; else what the verdict says."""
+    """Return the highest code of the errors (2 or 3) if there are any, else that of the verdict."""
     return max((error for error in errors if error is not None), default=ExitCode.PASS if passed else ExitCode.FAIL)
 
 
 class CalibrationError(Exception):
-    """An error whose message is meant for the user: one line that says where, what was found, what to do.
+    """Base class of errors whose message is shown to the user: one line with where, what was found, what to do.
 
-    Messages quote what others wrote; what does not print, line ends among it, is escaped, and what is long is cut.
+    Messages may quote untrusted text: non-printable characters, including line ends, are escaped, long parts are cut.
     """
 
     exit_code: ExitCode = ExitCode.INFRASTRUCTURE
@@ -51,33 +51,33 @@ class CalibrationError(Exception):
 
 
 class InputError(CalibrationError):
-    """Something that the user gave is wrong: an input, a configuration, a dataset (exit code 2)."""
+    """The user's input, configuration or dataset is wrong (exit code 2)."""
 
     exit_code = ExitCode.BAD_INPUT
 
 
 class UndeterminedError(InputError):
-    """The data cannot determine what was asked; the message names what is missing (exit code 2)."""
+    """The data cannot determine the requested parameters; the message names what is missing (exit code 2)."""
 
 
 class InfrastructureError(CalibrationError):
-    """Infrastructure (engine, network, disk, timeout) failed; no change of input repairs it (exit code 3)."""
+    """Infrastructure (engine, network, disk, timeout) failed; no change of the input helps (exit code 3)."""
 
 
 @contextmanager
 def solvable(where: object) -> Iterator[None]:
-    """Take numbers that linear algebra cannot solve for what they are: wrong data, never a bug.
+    """Convert numpy's LinAlgError to an error in the data: the numbers are wrong, not the program.
 
     Args:
-        where: whose numbers they are, for the message.
+        where: origin of the numbers, for the message.
 
     Raises:
-        UndeterminedError: in place of numpy's LinAlgError.
+        UndeterminedError: instead of LinAlgError.
     """
     try:
         yield
     except ValueError as error:
-        if type(error).__name__ != "LinAlgError":  # by its name: few commands need numpy
+        if type(error).__name__ != "LinAlgError":  # compared by name, because few commands import numpy
             raise
         raise UndeterminedError(
             f"{where}: found numbers that cannot be solved ({error}), expected labels and transforms of like size; "

@@ -1,4 +1,4 @@
-"""Files: read up to a size, written as a whole or not at all."""
+"""Files: reading with a size limit, and atomic writing."""
 
 import os
 import shutil
@@ -13,15 +13,15 @@ from calibration.errors import InfrastructureError, InputError
 
 
 def read_bytes(path: Path | str, limit: int, what: str) -> bytes:
-    """The bytes of a regular file; ``what`` it should be is for messages ("a CSV file").
+    """Return the content of a regular file; ``what`` describes it in messages ("a CSV file").
 
     Raises:
-        InputError: there is no such file, it may not be read, is no regular file, or has more than
+        InputError: the file does not exist, is not readable, is not a regular file, or has more than
             ``limit`` bytes.
         InfrastructureError: reading fails.
     """
     try:
-        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK)  # a named pipe must not make it wait
+        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK)  # non-blocking, because opening a named pipe would wait
     except (OSError, ValueError) as error:  # ValueError: a NUL or a lone surrogate in the name
         reason = error.strerror if isinstance(error, OSError) and error.strerror else error
         raise InputError(f"{path}: {what} was expected, but it cannot be read: {reason}") from None
@@ -40,7 +40,7 @@ def read_bytes(path: Path | str, limit: int, what: str) -> bytes:
 
 
 def matching(patterns: Iterable[str]) -> list[str]:
-    """Return the files that paths and patterns (``results/**/*.csv``) name, each once, those of a pattern in order.
+    """Return the files that match paths and patterns (``results/**/*.csv``), without duplicates, sorted by pattern.
 
     Raises:
         InputError: a pattern matches no file, or would search the whole machine.
@@ -64,9 +64,9 @@ def matching(patterns: Iterable[str]) -> list[str]:
 
 
 def write_atomically(path: Path | str, content: bytes | str) -> None:
-    """Write a file so that a reader sees the old content or the new, never a part; folders are made.
+    """Write a file so that readers see the old content or the new, never a part; creates missing folders.
 
-    Text is written as UTF-8; half a surrogate pair, which UTF-8 cannot hold, as an escape.
+    Text is written as UTF-8; lone surrogates, which UTF-8 cannot encode, are written as escapes.
 
     Raises:
         InfrastructureError: the file cannot be written.
@@ -76,14 +76,13 @@ def write_atomically(path: Path | str, content: bytes | str) -> None:
         temporary.write_bytes(data)
 
 
-def place(source: Path | str, target: Path | str) -> None:
-    """Make ``target`` the same file as ``source``: a hard link, or a copy where links are not possible.
+def link_or_copy(source: Path | str, target: Path | str) -> None:
+    """Hard-link ``target`` to ``source``, or copy it where links are not possible; creates missing folders.
 
-    Folders are made. Whoever rewrites one of the two by renaming (as `write_atomically` does)
-    leaves the other as it is.
+    Replacing one of the two by renaming (as `write_atomically` does) leaves the other unchanged.
 
     Raises:
-        InfrastructureError: the file cannot be written, or the source not read.
+        InfrastructureError: the target cannot be written, or the source cannot be read.
     """
     with _replacing(Path(target)) as temporary:
         try:
@@ -94,7 +93,7 @@ def place(source: Path | str, target: Path | str) -> None:
 
 @contextmanager
 def _replacing(path: Path) -> Iterator[Path]:
-    """A name beside the file for its new content, which replaces the file if nothing goes wrong."""
+    """Yield a temporary path beside a file, which replaces the file if the block succeeds."""
     temporary = path.with_name(f".{os.urandom(8).hex()}.tmp")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)

@@ -1,4 +1,4 @@
-"""JSON that others wrote, in which no key may stand twice."""
+"""Strict parsing of untrusted JSON: repeated keys are errors."""
 
 import json
 from typing import Any, NoReturn
@@ -7,7 +7,7 @@ from calibration.workflow.text import shorten
 
 
 class RepeatedKeyError(ValueError):
-    """An object has a key twice, and one of the two values would be lost."""
+    """An object has a repeated key, of which one value would be lost."""
 
 
 def parse_json(text: str | bytes, *, finite: bool = True) -> Any:
@@ -15,10 +15,10 @@ def parse_json(text: str | bytes, *, finite: bool = True) -> Any:
 
     Args:
         text: the whole document.
-        finite: whether NaN and Infinity, which are no JSON, are refused; else they are numbers.
+        finite: refuse NaN and Infinity, which are not valid JSON; otherwise they are parsed as numbers.
 
     Raises:
-        ValueError: it is no JSON.
+        ValueError: it is not valid JSON.
         RecursionError: it is nested too deeply.
     """
     return json.loads(text, object_pairs_hook=_object, parse_constant=_refuse if finite else None)
@@ -29,7 +29,7 @@ def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     if len(found) != len(pairs):
         keys = [key for key, _ in pairs]
         repeated = next(key for key in keys if keys.count(key) > 1)
-        raise RepeatedKeyError(f"the key {shorten(repr(repeated))} stands twice")
+        raise RepeatedKeyError(f"the key {shorten(repr(repeated))} occurs twice")
     return found
 
 

@@ -1,4 +1,4 @@
-"""Programs of others: started in a session of their own, ended with all that they have started, told no secrets."""
+"""External programs: each started in its own session, ended with its whole process group, without our secrets."""
 
 import ctypes
 import os
@@ -14,18 +14,18 @@ from typing import IO
 from calibration.workflow.signals import held_back
 
 GRACE = 4.0
-"""Seconds to end after SIGTERM; a runner that cancels gives us 7.5."""
+"""Seconds between SIGTERM and SIGKILL; a runner that cancels allows 7.5."""
 _PR_SET_DUMPABLE = 4
 _WATCHER = "import os, sys\nif not os.read(0, 1): os.killpg(int(sys.argv[1]), 9)"
-"""Kills a process group when its standard input closes and nothing was written there."""
+"""Kills a process group when its standard input closes before anything was written to it."""
 
 
 def hide(variables: Iterable[str]) -> None:
-    """Take variables out of the environment, and close this process to the programs that it starts.
+    """Remove variables from the environment, and protect this process from the programs that it starts.
 
-    What a process was started with stays readable in ``/proc/PID/environ`` after a variable is unset: so it is
-    overwritten where it lies. On Linux no other process of this user may read this one's memory and open files from
-    now on, except with CAP_SYS_PTRACE (root outside of a container). Processes above this one are not touched.
+    ``/proc/PID/environ`` shows the initial environment even after a variable is unset, so its memory is
+    overwritten. On Linux no other process of this user can read this one's memory and open files from
+    now on, except with CAP_SYS_PTRACE (root outside of a container). Parent processes are not changed.
     """
     libc = ctypes.CDLL(None)
     libc.getenv.restype = ctypes.c_void_p
@@ -44,10 +44,10 @@ def started(
     directory: Path | None = None,
     stdin: IO[bytes] | int = subprocess.DEVNULL,
 ) -> "Iterator[subprocess.Popen[bytes]]":
-    """A program that has ended, with its process group, when the block is left; then it has its exit code.
+    """Run a program during the block; at its end the program has exited, and its process group is empty.
 
-    The group is killed too when this process is killed and can clean up nothing. Its output and its errors are one
-    stream, so that the order of the lines stays.
+    The group is also killed if this process is killed and cannot clean up. Output and errors share one
+    stream, to preserve the order of the lines.
 
     Raises:
         OSError, ValueError: it cannot be started.
@@ -62,7 +62,7 @@ def started(
                 stdin=stdin,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.STDOUT,
-                start_new_session=True,  # a Ctrl-C reaches us alone, and we stop it
+                start_new_session=True,  # a Ctrl-C reaches only this process, which stops the program
             )
             watcher = _watcher(process.pid)
         yield process
@@ -76,7 +76,7 @@ def started(
 
 
 def _watcher(group: int) -> "subprocess.Popen[bytes]":
-    """A process that outlives this one if it is killed, to kill a process group then; any input ends it."""
+    """Start a process that kills a process group if this process dies; any input ends it."""
     return subprocess.Popen(
         [sys.executable, "-I", "-S", "-c", _WATCHER, str(group)],
         env={},
@@ -88,20 +88,20 @@ def _watcher(group: int) -> "subprocess.Popen[bytes]":
 
 
 def has_ended(process: "subprocess.Popen[bytes]", *, wait: bool = False) -> bool:
-    """Whether it has ended; its number stays taken until it is waited for, so that its group can be ended."""
+    """Return whether a process has ended, without reaping it: its pid stays reserved, so its group can be ended."""
     options = os.WEXITED | os.WNOWAIT | (0 if wait else os.WNOHANG)
     return os.waitid(os.P_PID, process.pid, options) is not None
 
 
 def _end(process: "subprocess.Popen[bytes]") -> None:
-    """End the process group: asked first, then killed; killed at once where another signal interrupts this."""
+    """End the process group: SIGTERM, then SIGKILL; SIGKILL at once if another signal interrupts this."""
     try:
         for number in (signal.SIGTERM, signal.SIGKILL):
             deadline = time.monotonic() + GRACE
             if not _signal_group(process, number):
                 break
             while time.monotonic() < deadline and _signal_group(process, 0):
-                process.poll()  # or it would stay in its group when it has ended
+                process.poll()  # reap it, otherwise it stays in its group as a zombie
                 time.sleep(0.01)
     except BaseException:
         _signal_group(process, signal.SIGKILL)
@@ -110,9 +110,9 @@ def _end(process: "subprocess.Popen[bytes]") -> None:
 
 
 def _signal_group(process: "subprocess.Popen[bytes]", number: int) -> bool:
-    """Send a signal to the group; whether there was anyone in it."""
+    """Send a signal to the group; return False if it is empty."""
     try:
         os.killpg(process.pid, number)
-    except (ProcessLookupError, PermissionError):  # the latter where macOS has only zombies in it
+    except (ProcessLookupError, PermissionError):  # PermissionError: macOS, if only zombies are left in it
         return False
     return True

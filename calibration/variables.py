@@ -1,4 +1,4 @@
-"""``${NAME}`` in what users write: the environment variable of that name."""
+"""Environment variables ``${NAME}`` in the user's documents."""
 
 import math
 import os
@@ -12,15 +12,15 @@ _VARIABLE = re.compile(r"\$\{([A-Za-z_][A-Za-z0-9_]*)\}")
 
 
 def with_variables(value: object, where: str, environment: Mapping[str, str] | None = None) -> Any:
-    """A document with ``${NAME}`` replaced in every text; nothing else is replaced.
+    """Return a document with ``${NAME}`` replaced in every string; other syntax is left unchanged.
 
     Args:
-        value: what a YAML file holds.
-        where: the file, and the key in it, for messages.
-        environment: that of the process where None.
+        value: content of a YAML file.
+        where: file, and key in it, for messages.
+        environment: variables; by default those of the process.
 
     Raises:
-        InputError: a variable is not set, or a number is not finite; names the key.
+        InputError: a variable is not set, or a number is not finite; the message names the key.
     """
     variables = os.environ if environment is None else environment
 

@@ -1,4 +1,4 @@
-"""YAML that others wrote, read safely."""
+"""Safe reading of untrusted YAML."""
 
 from collections.abc import Hashable, Iterator, Sequence
 from pathlib import Path
@@ -11,15 +11,15 @@ from calibration.files import read_bytes
 from calibration.workflow.text import shorten
 
 MAX_BYTES = 1024 * 1024
-"""The largest YAML file that is read; more would take minutes to parse."""
+"""Size limit of a YAML file; parsing a larger one would take minutes."""
 
 
 MAX_ALIASED = 100_000
-"""So many values may aliases add; a few lines of aliases of aliases would stand for billions."""
+"""Limit of values that aliases add, because a few nested aliases can expand to billions."""
 
 
 class _Loader(yaml.SafeLoader):
-    """Safe YAML in which no key may stand twice in a mapping, and ``!!python/tuple`` is a list."""
+    """Safe loader that refuses repeated keys in a mapping, and reads ``!!python/tuple`` as a list."""
 
     def construct_document(self, node: yaml.Node) -> Any:
         sizes: dict[int, int] = {}
@@ -34,7 +34,7 @@ class _Loader(yaml.SafeLoader):
         for key, _ in node.value:
             if isinstance(key, yaml.ScalarNode):
                 if key.value in seen:
-                    problem = f"the key {shorten(repr(key.value))} stands twice"
+                    problem = f"the key {shorten(repr(key.value))} occurs twice"
                     raise yaml.constructor.ConstructorError(None, None, problem, key.start_mark)
                 seen.add(key.value)
         return super().construct_mapping(node, deep)
@@ -47,10 +47,10 @@ _Loader.add_constructor("tag:yaml.org,2002:python/tuple", _Loader.construct_tupl
 
 
 def _unfolded(node: yaml.Node, sizes: dict[int, int]) -> int:
-    """How many values a node holds when every alias is replaced by what it stands for."""
+    """Count the values of a node with all aliases expanded."""
     if (known := sizes.get(id(node))) is not None:
         return known
-    sizes[id(node)] = 2 * MAX_ALIASED  # while it is counted: what holds itself would have no end
+    sizes[id(node)] = 2 * MAX_ALIASED  # during the count, so that a node that contains itself exceeds the limit
     children = node.value if isinstance(node, yaml.SequenceNode) else ()
     if isinstance(node, yaml.MappingNode):
         children = [part for pair in node.value for part in pair]
@@ -63,10 +63,10 @@ def read_yaml(path: Path | str, what: str) -> object:
 
     Args:
         path: the file.
-        what: what it should be, for the messages: "a pipeline configuration".
+        what: description of the expected content for messages: "a pipeline configuration".
 
     Raises:
-        InputError: there is no such file, it is too large, or not YAML; names file and line.
+        InputError: the file does not exist, is too large, or is not YAML; the message names file and line.
     """
     path = Path(path)
     data = read_bytes(path, MAX_BYTES, what)
@@ -82,12 +82,12 @@ def read_yaml(path: Path | str, what: str) -> object:
 
 
 def line_of(path: Path | str, keys: Sequence[str], value: str | None = None) -> int | None:
-    """The line of a key in a YAML file, the first is 1; of the last that is there, on the way to it; None without any.
+    """Return the line number of a key in a YAML file, from 1; of its last existing parent if it is missing, or None.
 
     Args:
         path: a file that `read_yaml` reads.
-        keys: the keys from the top on.
-        value: a text below the key; its line where it is there.
+        keys: path of keys from the top.
+        value: a string below the key; if it is found, its line is returned.
     """
     try:
         node = yaml.compose(read_bytes(path, MAX_BYTES, "YAML"), yaml.SafeLoader)
@@ -106,7 +106,7 @@ def line_of(path: Path | str, keys: Sequence[str], value: str | None = None) -> 
 
 
 def _below(node: yaml.Node | None, seen: set[int]) -> Iterator[yaml.Node]:
-    """A node, if there is one, and all below it, each once."""
+    """Yield a node and all nodes below it, each once."""
     if node is None or id(node) in seen:
         return
     seen.add(id(node))

@@ -47,9 +47,9 @@ def test_a_long_list_without_aliases_is_read(tmp_path: Path, monkeypatch: pytest
 
 @pytest.mark.parametrize("text", ['{"a": 1, "a": 1}', '{"b": [{"a": 1, "c": 2, "a": 3}]}'])
 def test_a_key_that_stands_twice_is_refused(tmp_path: Path, text: str) -> None:
-    with pytest.raises(ValueError, match="the key 'a' stands twice"):
+    with pytest.raises(ValueError, match="the key 'a' occurs twice"):
         parse_json(text)
-    with pytest.raises(InputError, match=r"dataset\.json: the key 'a' stands twice"):
+    with pytest.raises(InputError, match=r"dataset\.json: the key 'a' occurs twice"):
         read_json(written(tmp_path / "dataset.json", text))
 
 
@@ -61,6 +61,6 @@ def test_no_number_is_refused_unless_it_is_wanted() -> None:
 
 def test_the_key_is_cut_to_a_short_line() -> None:
     key = "k" * 100_000
-    with pytest.raises(ValueError, match="stands twice") as caught:
+    with pytest.raises(ValueError, match="occurs twice") as caught:
         parse_json(f'{{"{key}": 1, "{key}": 2}}')
     assert len(str(caught.value)) < 200

@@ -23,7 +23,7 @@ WIDTH = 100
 class Baseline:
     """Accepted calibration of each system."""
 
-    version: Literal[1] = field("Number of this form.")
+    version: Literal[1] = field("Version of this format.")
     systems: Annotated[Mapping[str, Snapshot], length(0, 10_000)] = field("The systems by name.")
 
 

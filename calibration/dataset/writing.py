@@ -18,7 +18,7 @@ from calibration.dataset.payload import locate
 from calibration.dataset.reading import FILE_NAME
 from calibration.dataset.sensors import camera_document, read_camera
 from calibration.errors import InputError
-from calibration.files import place, write_atomically
+from calibration.files import link_or_copy, write_atomically
 from calibration.json_text import Shared, json_text
 
 
@@ -241,4 +241,4 @@ def _bring_payload(dataset: Dataset, folder: Path, images: bool) -> None:
 def _bring(name: Node, folder: Path) -> None:
     source, target = Path(locate(name)).resolve(), folder / name.text()
     if source.is_file() and source != target.resolve():
-        place(source, target)
+        link_or_copy(source, target)

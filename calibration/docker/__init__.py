@@ -1,1 +1,1 @@
-"""The Docker Engine: the client, and its errors in words for users."""
+"""Docker Engine: client, and conversion of its errors to messages for users."""

@@ -1,7 +1,7 @@
-"""The Docker Engine: how to reach it, what it has, and what its errors mean.
+"""Connection to the Docker Engine, its properties, and its errors.
 
-The engine is the one that ``DOCKER_HOST`` names, or the current context of the ``docker`` command
-(Docker Desktop has one; the SDK knows contexts from 7.2 on), or that of this machine.
+The engine is the one in ``DOCKER_HOST``, or in the current context of the ``docker`` command
+(Docker Desktop has one; the SDK supports contexts since 7.2), or the one of this machine.
 """
 
 import os
@@ -23,11 +23,11 @@ from calibration.errors import InfrastructureError, InputError
 from calibration.workflow.text import one_line, shorten
 
 SECONDS = 60
-"""How long the engine may take for an answer."""
+"""Timeout of a request to the engine."""
 _UNIX = "unix://"
 DEFAULT_ADDRESS = f"{_UNIX}/var/run/docker.sock"
 _BY_SOCKET = "http+docker://localhost"
-"""The SDK's address of every engine behind a socket of this machine."""
+"""The SDK's base URL for engines at a local socket."""
 _OUR_FAULT = (
     "unable to find user",
     "no matching entries in",
@@ -38,40 +38,40 @@ _OUR_FAULT = (
     "no command specified",
     "invalid ",
 )
-"""What the engine says, whatever the status of its answer, where the job asks for what there is not."""
+"""Parts of error messages that mean that the request was wrong, whatever the HTTP status."""
 
 
 class EngineLostError(InfrastructureError):
-    """The engine does not answer any more."""
+    """The connection to the engine is lost."""
 
 
 @dataclass(frozen=True)
 class Engine:
-    """An engine that has answered. Each thread makes a client of its own."""
+    """A reachable engine. Each thread creates its own client."""
 
     address: str
     version: str
-    """Of its API; a client that is told needs not ask."""
+    """Version of its API; a client that knows it does not have to ask."""
     cores: int
     memory: int
     """Bytes."""
     local: bool
-    """Whether it sees the files that we see: it runs on this machine, and we are in no container of it."""
+    """Whether it uses our file system: it runs on this machine, and this process is not in a container."""
 
     def client(self, seconds: int = SECONDS) -> DockerClient:
-        """Make a client; nothing is asked of the engine."""
+        """Create a client, without a request to the engine."""
         return _client(self.version, seconds)
 
 
 def connect(seconds: int = SECONDS) -> DockerClient:
-    """Make a client of the engine, which has answered.
+    """Create a client of the engine and check that it answers.
 
     Raises:
         InfrastructureError: no engine answers.
     """
     try:
         if os.environ.get("DOCKER_HOST", "").startswith(_UNIX):
-            _peer(address().removeprefix(_UNIX))  # the SDK leaves a socket open where nobody listens
+            _peer(address().removeprefix(_UNIX))  # the SDK leaks the socket if nobody listens
         client = _client(None, seconds)
         client.ping()
     except (docker.errors.DockerException, requests.RequestException, OSError, ValueError) as error:
@@ -82,7 +82,7 @@ def connect(seconds: int = SECONDS) -> DockerClient:
 
 
 def engine_available() -> bool:
-    """Whether an engine answers."""
+    """Return whether an engine answers."""
     try:
         connect(5).close()
     except InfrastructureError:
@@ -91,10 +91,10 @@ def engine_available() -> bool:
 
 
 def find_engine() -> Engine:
-    """Find the engine, and what it has.
+    """Connect to the engine and read its properties.
 
     Raises:
-        InfrastructureError: there is none, or it runs no Linux containers.
+        InfrastructureError: no engine answers, or it runs no Linux containers.
     """
     client = connect()
     try:
@@ -114,20 +114,20 @@ def find_engine() -> Engine:
 
 
 def address() -> str:
-    """Where the engine is."""
+    """Return the address of the engine."""
     return os.environ.get("DOCKER_HOST") or DEFAULT_ADDRESS
 
 
 @contextmanager
 def engine_errors(where: str = "") -> Iterator[None]:
-    """Turn what goes wrong between us and the engine into errors for users.
+    """Convert exceptions of the Docker SDK to errors for users.
 
     Args:
-        where: what messages begin with.
+        where: prefix of the messages.
 
     Raises:
         EngineLostError: the connection broke, or the engine did not answer in time.
-        InputError: the engine says that what was asked makes no sense.
+        InputError: the engine refused the request as invalid.
         InfrastructureError: the engine failed.
     """
     try:
@@ -142,18 +142,18 @@ def engine_errors(where: str = "") -> Iterator[None]:
 
 
 def lost(error: Exception | None = None) -> EngineLostError:
-    """The error for an engine that does not answer any more."""
+    """Return the error for a lost connection to the engine."""
     cause = f": {_cause(error)}" if error is not None else ""
     return EngineLostError(f"the Docker Engine at {address()} does not answer any more{cause}")
 
 
 def engine_message(error: APIError) -> str:
-    """What the engine says, on one line."""
+    """Return the engine's error message on one line."""
     return shorten(one_line(f"the Docker Engine says: {error.explanation or error}"), 400)
 
 
 def is_our_fault(error: APIError) -> bool:
-    """Whether the engine refused what was asked of it, and did not fail itself."""
+    """Return whether the engine refused an invalid request, as opposed to a failure of its own."""
     said = engine_message(error).lower()
     return error.is_client_error() or any(sentence in said for sentence in _OUR_FAULT)
 
@@ -163,9 +163,9 @@ def _client(version: str | None, seconds: int) -> DockerClient:
 
 
 def _sees_our_files(base_url: str) -> bool:
-    """Whether the engine behind a socket of this machine sees the same files as we do.
+    """Return whether the engine behind a local socket has the same file system as this process.
 
-    In a container that was given the engine's socket we do not: there the engine is a process that we cannot see.
+    Not in a container into which the engine's socket is mounted: there the pid of the engine is not visible.
     """
     if base_url != _BY_SOCKET:
         return False
@@ -174,7 +174,7 @@ def _sees_our_files(base_url: str) -> bool:
 
 
 def _peer(path: str) -> int:
-    """The process that listens at a socket, as far as the system tells; 0 for one that we cannot see."""
+    """Return the pid of the process that listens at a socket; 0 if it is not visible, -1 where unknown (not Linux)."""
     with socket.socket(socket.AF_UNIX) as connection:
         connection.settimeout(SECONDS)
         connection.connect(path)
@@ -185,7 +185,7 @@ def _peer(path: str) -> int:
 
 
 def _cause(error: Exception) -> str:
-    """The innermost reason of an error of many layers, in a few words."""
+    """Return the message of the innermost cause of an error, shortened."""
     reason: BaseException = error
     for _ in range(10):
         inner = (
@@ -193,7 +193,7 @@ def _cause(error: Exception) -> str:
             or reason.__context__
             or next((part for part in getattr(reason, "args", ()) if isinstance(part, BaseException)), None)
         )
-        if inner is None or isinstance(inner, NameError):  # NameError: how the SDK finds out what is not installed
+        if inner is None or isinstance(inner, NameError):  # NameError: the SDK's probe for optional packages
             break
         reason = inner
     text = reason.strerror if isinstance(reason, OSError) and reason.strerror else str(reason)

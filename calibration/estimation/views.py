@@ -34,7 +34,7 @@ class Link:
 
 @dataclass(frozen=True, eq=False)
 class Chain:
-    """``T_sensor_pattern`` as ``before * link * link ...``, each link a block and a constant; no block stands twice."""
+    """``T_sensor_pattern`` as ``before * link * link ...``, each link a block and a constant; no block occurs twice."""
 
     before: Array | None
     links: tuple[Link, ...]

@@ -1,1 +1,1 @@
-"""The git repository that a run is about, and the commits that it compares."""
+"""The git repository of a run, and the commits that are compared."""

@@ -1,4 +1,4 @@
-"""What a change touched: the commit it set out from, and the lines it adds, from the output of ``git diff``."""
+"""Extent of a change: its base commit, and the lines that it adds, from the output of ``git diff``."""
 
 import re
 from collections.abc import Iterable
@@ -15,7 +15,7 @@ def changed_lines(difference: bytes) -> dict[str, set[int]]:
     """Return the numbers of the added or altered lines of each file, by its path.
 
     Args:
-        difference: of git, with the prefixes ``a/`` and ``b/``.
+        difference: output of git, with the prefixes ``a/`` and ``b/``.
     """
     found: dict[str, set[int]] = {}
     file: str | None = None
@@ -38,8 +38,8 @@ def find_base(repository: Repository, named: str | None, candidates: Iterable[st
 
     Args:
         repository: the checkout.
-        named: what the user compares with; None to take the first of the candidates.
-        candidates: what the event says, the best first.
+        named: commit given by the user; None to use the first existing candidate.
+        candidates: commits suggested by the event, in order of preference.
 
     Raises:
         InputError: there is nothing to compare with, or this checkout lacks it.

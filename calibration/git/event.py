@@ -1,4 +1,4 @@
-"""What started the workflow, from what GitHub tells of the event."""
+"""The GitHub event that started the workflow."""
 
 import json
 from collections.abc import Mapping
@@ -16,7 +16,7 @@ _DEPENDABOT = "dependabot[bot]"
 
 @dataclass(frozen=True)
 class Event:
-    """What started the workflow; empty outside of GitHub."""
+    """Event that started the workflow; empty outside of GitHub."""
 
     name: str = ""
     sha: str = ""
@@ -28,10 +28,10 @@ class Event:
 
     @classmethod
     def from_environment(cls, environment: Mapping[str, str]) -> Self:
-        """Read the event.
+        """Read the event from the runner's variables and its event file.
 
         Raises:
-            InputError: the runner's file of it cannot be read.
+            InputError: the event file cannot be read.
         """
         if environment.get("GITHUB_ACTIONS") != "true":
             return cls()
@@ -50,7 +50,7 @@ class Event:
         )
 
     def at(self, *keys: str) -> Any:
-        """A part of the event; None where there is none."""
+        """Return a part of the event by its path of keys; None if it is missing."""
         part: Any = self.body
         for key in keys:
             part = part.get(key) if isinstance(part, dict) else None
@@ -58,31 +58,31 @@ class Event:
 
     @property
     def by_stranger(self) -> str | None:
-        """Why GitHub gives the run neither secrets nor a token that may write; None when it does.
+        """Reason why GitHub gives the run neither secrets nor a write token; None if it does.
 
-        A pull request is a stranger's where its branch is in another repository. That its repository is a fork says
-        nothing: a team's own may be one.
+        A pull request is from a stranger if its branch is in another repository. That the repository itself is a fork
+        does not matter: a team may work in a fork of its own.
         """
         if self.actor == _DEPENDABOT or self.at("pull_request", "user", "login") == _DEPENDABOT:
             return "Dependabot started it, which is given no secrets of Actions"
         if self.name.startswith("pull_request") and self.name != "pull_request_target" and self.at("pull_request"):
             ours = self.at("pull_request", "base", "repo", "full_name") or self.repository
-            if self.at("pull_request", "head", "repo", "full_name") != ours:  # none at all when the fork was deleted
+            if self.at("pull_request", "head", "repo", "full_name") != ours:  # missing if the fork was deleted
                 return "it is a pull request from a fork, which is given no secrets"
         return None
 
     @property
     def without_secrets(self) -> str | None:
-        """Why the event's workflow has no secrets of the team; None when it has."""
+        """Reason why the workflow of the event has no access to the team's secrets; None if it has."""
         if self.by_stranger is None and self.at("repository", "fork") is True:
             return "it runs in a fork, which has no secrets of the original"
         return self.by_stranger
 
     @property
     def bases(self) -> list[str]:
-        """Names of commits that a change may be compared with, the best first.
+        """Candidates for the commit that a change is compared with, in order of preference.
 
-        Where the pull request goes, what was there before the push, else the repository's main branch.
+        Target of the pull request, commit before the push, main branch of the repository.
         """
         hashes = [self.at("pull_request", "base", "sha"), self.at("merge_group", "base_sha")]
         if self.name == "push":

@@ -1,4 +1,4 @@
-"""The git repository whose coverage it is: which files it tracks, its commits, what a change touched."""
+"""A git checkout: tracked files, commits, and changes."""
 
 import os
 import re
@@ -12,22 +12,22 @@ from calibration.errors import InfrastructureError, InputError
 from calibration.workflow.text import one_line, shorten
 
 SECONDS = 120
-"""That one command of git may take."""
+"""Timeout of a git command."""
 _SETTINGS = ("core.fsmonitor=false", "core.quotePath=true")
 _CONFIGURATION = Path(__file__).with_name("git.config")
 _REGULAR = ("100644", "100755")
-"""Modes of files; neither links, which may point anywhere, nor submodules."""
+"""Modes of regular files, without symbolic links, which may point anywhere, and submodules."""
 _COMMIT = re.compile(r"[0-9a-f]{40}|[0-9a-f]{64}")
 
 
 def is_commit(text: str) -> bool:
-    """Whether it is the whole hash of a commit."""
+    """Return whether a text is the full hash of a commit."""
     return _COMMIT.fullmatch(text) is not None
 
 
 @dataclass(frozen=True)
 class Commit:
-    """A commit in a history."""
+    """A commit of the history."""
 
     hash: str
     date: str
@@ -40,17 +40,17 @@ class Commit:
 
 @dataclass(frozen=True)
 class Repository:
-    """A checkout."""
+    """A checkout of a git repository."""
 
     root: Path
-    """Without links in its path."""
+    """Resolved path, without symbolic links."""
 
     @classmethod
     def around(cls, directory: Path) -> Self:
-        """The checkout that a folder lies in.
+        """Return the checkout that contains a folder.
 
         Raises:
-            InputError: there is none.
+            InputError: the folder is not in a checkout.
         """
         code, output, problem = _git(directory, "rev-parse", "--show-toplevel")
         if code:
@@ -60,15 +60,15 @@ class Repository:
         return cls(Path(output.decode("utf-8", "surrogateescape").rstrip("\n")).resolve())
 
     def path(self, path: Path) -> str | None:
-        """A file's or a folder's path in the repository, with ``/``; None outside of it."""
+        """Return the path of a file or folder relative to the root, with ``/``; None outside of the repository."""
         whole = Path(os.path.realpath(path))
         return whole.relative_to(self.root).as_posix() if whole.is_relative_to(self.root) else None
 
     def tracked(self, exclude: Iterable[str] = ()) -> list[str]:
-        """The tracked files that are on the disk, relative to the root and with ``/``, in order.
+        """Return the tracked files that exist on disk, sorted, relative to the root with ``/``.
 
         Args:
-            exclude: patterns of files and folders that are left out, as git has them (``**/tests``).
+            exclude: patterns of files and folders to omit, in git's syntax (``**/tests``).
 
         Raises:
             InfrastructureError: git fails.
@@ -85,30 +85,30 @@ class Repository:
         return sorted(files)
 
     def head(self) -> str | None:
-        """The commit that is checked out; None where there is none yet."""
+        """Return the hash of the checked-out commit; None if the repository has no commit."""
         return self.commit("HEAD")
 
     def commit(self, name: str) -> str | None:
-        """The hash of a commit, by any name for it; None where it is not there."""
+        """Return the hash of a commit given by any name; None if it does not exist."""
         code, output, _ = _git(self.root, "rev-parse", "--verify", "--quiet", "--end-of-options", f"{name}^{{commit}}")
         return None if code else output.decode("ascii").strip()
 
     def parents(self, commit: str) -> list[str]:
-        """The hashes of a commit's parents, those too that a shallow checkout does not have."""
+        """Return the hashes of a commit's parents, including those missing in a shallow checkout."""
         code, output, _ = _git(self.root, "cat-file", "commit", commit)
         header = output.partition(b"\n\n")[0].decode("utf-8", "replace")
         return [] if code else re.findall(r"^parent ([0-9a-f]+)$", header, re.MULTILINE)
 
     def merge_base(self, one: str, other: str) -> str | None:
-        """The last commit that two have in common; None where there is none, or a shallow checkout lacks it."""
+        """Return the merge base of two commits; None if there is none, or a shallow checkout lacks it."""
         code, output, _ = _git(self.root, "merge-base", one, other)
         return None if code else output.decode("ascii").strip()
 
     def content(self, commit: str, path: str, most: int) -> bytes | None:
-        """What a file holds in a commit; None where it is not there.
+        """Return the content of a file in a commit; None if it does not exist there.
 
         Raises:
-            InputError: it is no regular file there, or is larger than ``most`` bytes.
+            InputError: it is not a regular file, or larger than ``most`` bytes.
             InfrastructureError: git fails.
         """
         code, output, _ = _git(self.root, "ls-tree", "-l", "-z", "--full-tree", commit, "--", path)
@@ -125,7 +125,7 @@ class Repository:
         return output
 
     def contents(self, commits: Sequence[str], path: str, most: int) -> Iterator[tuple[str, bytes | None]]:
-        """What a file held in each of many commits, by one process; None where it is no file, or is too large.
+        """Yield a file's content in each commit, read by one process; None if it is not a file or is too large.
 
         Raises:
             InfrastructureError: git fails.
@@ -147,27 +147,27 @@ class Repository:
             at += size + 1
 
     def fetched(self, commit: str) -> str:
-        """Bring one commit from where a shallow checkout came from, and return its hash.
+        """Fetch one commit from the origin of a shallow checkout, and return its hash.
 
         Raises:
-            InputError: it cannot be brought.
+            InputError: it cannot be fetched.
         """
         code, _, problem = _git(self.root, "fetch", "--quiet", "--no-tags", "--depth=1", "origin", commit)
         found = None if code else self.commit(commit)
         if found is None:
             raise InputError(
-                f"the commit {shorten(commit, 40)} is not in this checkout (fetch-depth: 2 brings it), and cannot be "
+                f"the commit {shorten(commit, 40)} is not in this checkout (fetch-depth: 2 fetches it), and cannot be "
                 f"fetched: {_said(problem)}"
             )
         return found
 
     def changes_of(self, path: str, since: str | None = None, newest: int | None = None) -> list[Commit]:
-        """The commits on the way to HEAD that changed a file, the latest first.
+        """Return the first-parent commits up to HEAD that changed a file, the latest first.
 
         Args:
-            path: of the file in the repository.
-            since: a date or a commit that they come after.
-            newest: at most so many.
+            path: file in the repository.
+            since: date or commit after which the history starts.
+            newest: maximum number of commits.
 
         Raises:
             InputError: there is no such commit.
@@ -188,7 +188,7 @@ class Repository:
         return [Commit(*row) for row in rows]
 
     def difference(self, commit: str) -> bytes:
-        """What the files on the disk have and the commit has not, as ``git diff`` without context.
+        """Return the changes of the working tree since a commit, as ``git diff`` without context.
 
         Raises:
             InfrastructureError: git fails.
@@ -203,7 +203,7 @@ class Repository:
         return output
 
     def changed(self, commit: str) -> list[str]:
-        """The files that the disk and a commit do not have alike, in order; both names of one that was renamed.
+        """Return the files that differ between the working tree and a commit, sorted; both names of a renamed file.
 
         Raises:
             InfrastructureError: git fails.
@@ -217,7 +217,7 @@ class Repository:
 
 
 def _git(directory: Path, *arguments: str, given: bytes = b"") -> tuple[int, bytes, bytes]:
-    """Run git; its exit code, output and errors. Nothing is started that a configuration may ask it to start."""
+    """Run git and return exit code, output and errors; hooks and programs in git's configuration are disabled."""
     settings = [part for setting in _SETTINGS for part in ("-c", setting)]
     variables = {name: value for name, value in os.environ.items() if not name.startswith("GIT_")}
     variables |= {"GIT_CONFIG_GLOBAL": str(_CONFIGURATION), "GIT_CONFIG_NOSYSTEM": "1", "LC_ALL": "C"}

@@ -1,1 +1,1 @@
-"""GitHub's API: pull requests, and one comment on them that is kept up to date. Knows nothing of calibration."""
+"""GitHub's API: pull requests, and one comment on them that is kept up to date. Independent of calibration."""

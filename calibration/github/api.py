@@ -1,4 +1,4 @@
-"""GitHub's REST API: requests of JSON, lists page by page, and errors in words for users.
+"""GitHub's REST API: JSON requests, paginated lists, and error messages for users.
 
 https://docs.github.com/en/rest
 """
@@ -15,18 +15,18 @@ from calibration.http import Answer, Http, is_loopback
 
 API_URL = "https://api.github.com"
 MOST_BYTES = 64 * 1024**2
-"""Of an answer: a page of the longest comments has some 25 MiB."""
+"""Maximum size of an answer: a page of the longest comments has about 25 MiB."""
 PAGE = 100
 MOST_PAGES = 100
 
 
 class MissingError(Exception):
-    """What a request is about is not there (any more), or the token may not know of it."""
+    """The requested object does not exist, or the token has no access to it."""
 
 
 @dataclass(frozen=True)
 class GitHubApi:
-    """The API with a token."""
+    """Session with the API, authenticated by a token."""
 
     token: str = field(repr=False)
     url: str = API_URL
@@ -37,12 +37,12 @@ class GitHubApi:
         """Open a session.
 
         Args:
-            token: of a job, a user or an app.
-            url: the address of the API.
-            pause: waits for so many seconds before a request is repeated.
+            token: token of a workflow job, a user or an app.
+            url: base URL of the API.
+            pause: sleeps for a number of seconds before a request is repeated.
 
         Raises:
-            InputError: the address is no address, or a token sent there could be read on the way.
+            InputError: the URL is invalid, or not encrypted.
         """
         parts = urlsplit(url)
         if not parts.netloc or parts.scheme not in ("https", "http" if is_loopback(parts.netloc) else "https"):
@@ -51,17 +51,17 @@ class GitHubApi:
         return cls(token, url.rstrip("/"), http=http)
 
     def request(self, method: str, path: str, body: object = None) -> Any:
-        """Send a request, and return the JSON that is answered; None where the answer is empty.
+        """Send a request and return the JSON answer; None if the answer is empty.
 
         Args:
-            method: of HTTP.
-            path: below the address, with ``/`` first.
-            body: is sent as JSON; None for none.
+            method: HTTP method.
+            path: path below the base URL, starting with ``/``.
+            body: content, sent as JSON; None for an empty body.
 
         Raises:
-            MissingError: 404, 410.
-            InputError: the token is refused, or may not do this.
-            InfrastructureError: GitHub cannot be reached, has had too many requests, or answers something unexpected.
+            MissingError: status 404 or 410.
+            InputError: the token is refused, or lacks a permission.
+            InfrastructureError: GitHub is unreachable, limits the rate, or gives an unexpected answer.
         """
         headers = {
             "Accept": "application/vnd.github+json",
@@ -78,16 +78,16 @@ class GitHubApi:
         if answer.status == 401:
             raise InputError(f"{said}: the token is wrong or has expired")
         if answer.status == 403 and _has_had_too_many(answer):
-            raise InfrastructureError(f"{said}: it has had too many requests of this token: run it again later")
+            raise InfrastructureError(f"{said}: the rate limit of this token is exceeded: run it again later")
         if answer.status == 403:
-            raise InputError(f"{said}: the token may not: the job needs permissions: pull-requests: write")
-        raise InfrastructureError(f"{said}: this was not expected of {method} {path}")
+            raise InputError(f"{said}: the token lacks a permission: the job needs permissions: pull-requests: write")
+        raise InfrastructureError(f"{said}: unexpected answer to {method} {path}")
 
     def pages(self, path: str) -> Iterator[dict[str, Any]]:
-        """Yield the entries of a list, whose path ends in its query (``?...&``) or in ``?``.
+        """Yield the entries of a paginated list, whose path ends in its query (``?...&``) or in ``?``.
 
         Raises:
-            InfrastructureError: as `request`, or the answer is no list.
+            InfrastructureError: as `request`, or the answer is not a list.
         """
         for page in range(1, MOST_PAGES + 1):
             entries = self.request("GET", f"{path}per_page={PAGE}&page={page}")
@@ -105,17 +105,20 @@ class GitHubApi:
         except (ValueError, RecursionError):
             host = urlsplit(self.url).netloc
             raise InfrastructureError(
-                f"{host}: answered something else than JSON: is GITHUB_API_URL the address of an API?"
+                f"{host}: the answer is not JSON: is GITHUB_API_URL the address of an API?"
             ) from None
 
 
 def _has_had_too_many(answer: Answer) -> bool:
-    """Whether a 403 is a rate limit: https://docs.github.com/en/rest/using-the-rest-api/rate-limits-for-the-rest-api."""
+    """Whether a 403 is a rate limit.
+
+    https://docs.github.com/en/rest/using-the-rest-api/rate-limits-for-the-rest-api
+    """
     return answer.headers.get("X-RateLimit-Remaining") == "0" or "Retry-After" in answer.headers
 
 
 def _message(body: bytes) -> str:
-    """What an answer of GitHub says went wrong."""
+    """Return the error message in an answer of GitHub; empty if there is none."""
     try:
         document = json.loads(body)
     except (ValueError, RecursionError):

@@ -1,4 +1,4 @@
-"""The text of a comment on a pull request: Markdown in which nothing that others wrote is active."""
+"""Markdown of a comment on a pull request, without active mentions, references or links from untrusted text."""
 
 import re
 from collections.abc import Mapping
@@ -11,24 +11,24 @@ from calibration.workflow.summary import escape_markdown, markdown_table
 REASONS_SHOWN = 10
 ROWS_SHOWN = 40
 LONGEST_TEXT = LONGEST - 4096
-"""Characters; the rest is for the marker and what counts differently on GitHub's side."""
-_CUT = "\n\n*Cut here: the whole is on the page of the run.*\n"
+"""Characters; leaves room for the marker, and for characters that GitHub counts differently."""
+_CUT = "\n\n*Truncated: the full report is on the page of the run.*\n"
 _SAFE = "/:?&=#%~"
-"""In an address, beside letters and digits."""
+"""Characters that are not escaped in an address, beside letters and digits."""
 _APART = "\u200b"
-"""A space without width."""
+"""Zero-width space."""
 _ACTIVE = re.compile(r"(?<=@)|(?<=\\#)|(?<=:)(?=//)|(?<=[wW]{3})(?=\.)|(?<=[Gg][Hh])(?=-[0-9])")
-"""Where GitHub makes a mention, a reference or a link, which is taken apart."""
+"""Positions in mentions, references and links where `_APART` deactivates them."""
 
 
 def comment_text(brief: Brief, name: str, links: Mapping[str, str], commit: str | None = None) -> str:
-    """Return a comment: verdict, reasons, tables, links.
+    """Return the Markdown of a comment: verdict, reasons, tables, links.
 
     Args:
-        brief: what the run found; its texts may be a stranger's.
-        name: what tells the comment from others, for its heading; may be empty.
-        links: addresses, which are ours, by what they are called.
-        commit: that was tested.
+        brief: results of the run, which may contain untrusted text.
+        name: name of the comment for its heading, which distinguishes it from others; may be empty.
+        links: trusted addresses by their title.
+        commit: hash of the tested commit.
     """
     mark = "✅" if brief.verdict == "pass" else "❌"
     title = f"Calibration{f' ({name})' if name else ''}: {brief.verdict}"
@@ -52,10 +52,10 @@ def comment_text(brief: Brief, name: str, links: Mapping[str, str], commit: str 
 
 
 def _inactive(text: str) -> str:
-    """Return a text as Markdown that shows it as it is, on one line."""
+    """Escape a text to one line of Markdown that shows it literally."""
     return _apart(escape_markdown(text))
 
 
 def _apart(markdown: str) -> str:
-    """Return Markdown in which nobody is mentioned, nothing referred to, and no address becomes a link."""
+    """Deactivate mentions, references and automatic links in Markdown."""
     return _ACTIVE.sub(_APART, markdown)

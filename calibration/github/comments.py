@@ -1,4 +1,4 @@
-"""One comment on a pull request, found again by a hidden marker: written anew by each run, never a second one."""
+"""One comment on a pull request, identified by a hidden marker, and updated by every run."""
 
 import re
 from collections.abc import Iterator
@@ -10,8 +10,8 @@ from calibration.errors import InputError
 from calibration.github.api import GitHubApi, MissingError
 
 LONGEST = 65_536
-"""Characters that GitHub takes in a comment."""
-_UNKNOWN = "the token may not know of this pull request, or it is gone"
+"""GitHub's limit of characters in a comment."""
+_UNKNOWN = "the token has no access to this pull request, or it does not exist"
 _MARKER = re.compile(r"<!-- calibration-ci (?P<key>[\w.~/%-]*) run (?P<run>[0-9]{1,18})\.(?P<attempt>[0-9]{1,9}) -->\n")
 
 Kept = Literal["created", "updated", "left: a later run has written it"]
@@ -19,22 +19,22 @@ Kept = Literal["created", "updated", "left: a later run has written it"]
 
 @dataclass(frozen=True)
 class Marker:
-    """What a comment begins with: which one it is, and which run has written it."""
+    """First line of a comment: identifies the comment, and the run that has written it."""
 
     key: str
-    """Which comment: the workflow, and a name in it."""
+    """Identity of the comment: workflow, and a name in it."""
     run: tuple[int, int]
-    """Number of the run, and of its attempt: a later run's are larger."""
+    """Numbers of the run and its attempt: larger for a later run."""
 
     @property
     def text(self) -> str:
-        """The line, which GitHub does not show."""
+        """Marker as an HTML comment, which GitHub does not show."""
         return f"<!-- calibration-ci {quote(self.key, safe='/')} run {self.run[0]}.{self.run[1]} -->\n"
 
 
 @dataclass(frozen=True)
 class Comment:
-    """A comment of this token's user with a marker."""
+    """A comment with a marker, by the token's user."""
 
     id: int
     body: str
@@ -43,7 +43,7 @@ class Comment:
 
 @dataclass(frozen=True)
 class Comments:
-    """The comments on one pull request."""
+    """Comments on one pull request."""
 
     api: GitHubApi
     repository: str
@@ -51,12 +51,12 @@ class Comments:
     number: int
 
     def keep(self, marker: Marker, text: str) -> Kept:
-        """Write a text into the comment with a marker's key; make the comment where there is none.
+        """Update the comment with the marker's key, or create it.
 
-        Of two runs at once each may make one: both then keep the older comment, with the text of the later run.
+        Two concurrent runs may each create one: both then keep the older comment, with the text of the later run.
 
         Raises:
-            InputError: the token may not.
+            InputError: the token lacks a permission.
             InfrastructureError: GitHub cannot be reached, or has had too many requests.
         """
         body = (marker.text + text)[:LONGEST]
@@ -75,7 +75,7 @@ class Comments:
         return "created"
 
     def remove(self, key: str) -> int:
-        """Delete the comments with a key, and return how many there were.
+        """Delete the comments with a key, and return their number.
 
         Raises:
             InputError, InfrastructureError: as `keep`.
@@ -90,11 +90,11 @@ class Comments:
         return f"/repos/{self.repository}/issues/{self.number}/comments"
 
     def _marked(self, key: str) -> list[Comment]:
-        """Comments with a key, the oldest first."""
+        """Return the comments with a key, the oldest first."""
         return sorted(self._of_this_token(key), key=lambda each: each.id)
 
     def _of_this_token(self, key: str) -> Iterator[Comment]:
-        """Comments with a key that this token's user has written: anybody can write a marker."""
+        """Yield the comments with a key that the token's user has written, because anybody can write a marker."""
         login = self._login()
         for found in self._all():
             user, body, number = found.get("user"), found.get("body"), found.get("id")
@@ -106,14 +106,14 @@ class Comments:
                 yield Comment(number, body, (int(marker["run"]), int(marker["attempt"])))
 
     def _all(self) -> Iterator[dict[str, Any]]:
-        """All comments on the pull request, anybody's."""
+        """Yield all comments on the pull request, of any author."""
         try:
             yield from self.api.pages(f"{self._list}?")
         except MissingError as error:
             raise InputError(f"{error}: {_UNKNOWN}") from None
 
     def _login(self) -> str | None:
-        """Name of the token's user; None for the token of a workflow, which may not ask: it is a bot's."""
+        """Return the login of the token's user; None for a workflow's token, which may not read it (a bot)."""
         try:
             user = self.api.request("GET", "/user")
         except (InputError, MissingError):
@@ -122,7 +122,7 @@ class Comments:
         return login if isinstance(login, str) else None
 
     def _settle(self, key: str) -> None:
-        """Where there are several comments with a key, keep the oldest, with the text of the latest run."""
+        """Remove duplicates of a comment: keep the oldest, with the text of the latest run."""
         found = self._marked(key)
         if len(found) < 2:
             return
@@ -133,7 +133,7 @@ class Comments:
             self._delete(each.id)
 
     def _write(self, comment: int, body: str) -> bool:
-        """Replace the text of a comment; False where it has been deleted meanwhile."""
+        """Replace the text of a comment; return False if it has been deleted meanwhile."""
         try:
             self.api.request("PATCH", f"/repos/{self.repository}/issues/comments/{comment}", {"body": body})
         except MissingError:
@@ -143,5 +143,5 @@ class Comments:
     def _delete(self, comment: int) -> None:
         try:
             self.api.request("DELETE", f"/repos/{self.repository}/issues/comments/{comment}")
-        except MissingError:  # another run was faster
+        except MissingError:  # another run has deleted it already
             return

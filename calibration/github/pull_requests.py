@@ -1,4 +1,4 @@
-"""The pull request that an event is about."""
+"""The pull request of an event."""
 
 from urllib.parse import quote
 
@@ -7,10 +7,10 @@ from calibration.github.api import GitHubApi
 
 
 def pull_request_of(event: Event, api: GitHubApi) -> int | None:
-    """Return the number of an event's pull request; None where there is none, or it is closed or has gone on since.
+    """Return the number of an event's pull request; None if there is none, or it is closed or has newer commits.
 
-    After a run of another workflow (``workflow_run``), it is found by the branch and the commit of that run, which
-    GitHub tells: never by what the run left, which a stranger may have written.
+    For an event ``workflow_run`` it is found by that run's branch and commit as GitHub reports them, never by
+    the artifacts of that run, which may be untrusted.
 
     Raises:
         InputError, InfrastructureError: as `GitHubApi.request`.

@@ -1,4 +1,4 @@
-"""The run of a workflow that a comment is about: this one, or the one after which this one was started."""
+"""The workflow run that a comment reports: the current run, or the one that triggered it."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -13,20 +13,20 @@ class WorkflowRun:
     """A run of a workflow."""
 
     workflow: str
-    """Its name."""
+    """Name of the workflow."""
     number: tuple[int, int]
-    """Of the run and of its attempt."""
+    """Numbers of the run and its attempt."""
     url: str
-    """Of its page."""
+    """URL of the run's page."""
     commit: str | None
-    """That is tested, as the pull request has it."""
+    """Hash of the tested commit, the head of the pull request."""
 
 
 def tested_run(event: Event, environment: Mapping[str, str]) -> WorkflowRun:
-    """Return the run that an event is about.
+    """Return the run that an event reports.
 
     Raises:
-        InputError: the runner does not tell which run this is.
+        InputError: the runner does not provide the number of the run.
     """
     if event.name == "workflow_run":
         keys = ("id", "run_attempt", "name", "html_url", "head_sha")

@@ -310,7 +310,7 @@ class ImageSpecification:
             object.__setattr__(self, "tags", () if self.promote else ("latest",))
         ids = [secret.id for secret in self.secrets]
         if twice := [each for each in ids if ids.count(each) > 1]:
-            raise Misfit(f"the id {twice[0]!r} stands twice", "secrets")
+            raise Misfit(f"the id {twice[0]!r} occurs twice", "secrets")
         if isinstance(self.source, Recipe) and self.source.workspace and not self.ssh:
             for repository in self.source.workspace.repositories:
                 if repository.by_ssh:

@@ -18,7 +18,7 @@ from calibration.dataset.writing import write_document
 from calibration.errors import InputError
 from calibration.execution.tasks import Task, run_tasks
 from calibration.execution.workspace import identity, workspace
-from calibration.files import place, write_atomically
+from calibration.files import link_or_copy, write_atomically
 from calibration.geometry.cameras import Camera
 from calibration.geometry.frames import FrameTree
 from calibration.geometry.types import Array
@@ -113,11 +113,11 @@ def import_data(
         with replacing_dataset(output, overwrite) as new:
             for key, moment in zip(imported.keys, imported.moments, strict=True):
                 for name, view in moment.views.items():
-                    place(Path(view.file), new / data_file(name, key, view.file))
+                    link_or_copy(Path(view.file), new / data_file(name, key, view.file))
             for key, ranges in zip(imported.keys, imported.ranges, strict=True):
                 for name, each in ranges.items():
                     if each.view.file is not None:
-                        place(each.view.file, new / data_file(name, key, each.view.file.name))
+                        link_or_copy(each.view.file, new / data_file(name, key, each.view.file.name))
             views = [
                 (f"{key} {name}", view)
                 for key, moment in zip(imported.keys, imported.moments, strict=True)

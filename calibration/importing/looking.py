@@ -120,7 +120,7 @@ def check_sizes(sensor: str, views: Sequence[View]) -> None:
 
 
 def check_copies(sensor: str, views: Sequence[View]) -> None:
-    """Refuse an image that stands twice: it would count as two.
+    """Refuse an image that occurs twice: it would count as two.
 
     Raises:
         InputError: names both files.

@@ -19,7 +19,7 @@ from calibration.dataset.writing import write_document
 from calibration.errors import InputError
 from calibration.execution.tasks import Task, run_tasks
 from calibration.execution.workspace import identity, workspace
-from calibration.files import place, write_atomically
+from calibration.files import link_or_copy, write_atomically
 from calibration.importing.contact_sheet import FILE as SHEET
 from calibration.importing.contact_sheet import contact_sheet
 from calibration.importing.document import label_document
@@ -162,7 +162,7 @@ def _bring(root: Node, new: Path) -> None:
             if name := message.get("data_file"):
                 source = Path(locate(name))
                 if source.is_file():
-                    place(source, new / name.text())
+                    link_or_copy(source, new / name.text())
 
 
 def _results(

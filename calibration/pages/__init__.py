@@ -1,1 +1,1 @@
-"""One page that opens offline: HTML, tables and figures as inline SVG; knows nothing of calibration."""
+"""HTML pages that open offline, with tables and figures as inline SVG; independent of calibration."""

@@ -1,4 +1,4 @@
-"""Error ellipses of a position, seen along each axis."""
+"""Error ellipses of a position, projected along each axis."""
 
 import numpy as np
 
@@ -11,12 +11,12 @@ PLANES = ((0, 1), (0, 2), (1, 2))
 
 
 def ellipses(name: str, covariance: Array, limit: float | None) -> Html:
-    """Return the figure: two standard deviations, and the limit as a circle.
+    """Return the figure: ellipses of two standard deviations, and the limit as a circle.
 
     Args:
-        name: of what has the position.
+        name: name of the object at the position.
         covariance: (3, 3), mm^2.
-        limit: mm; None for none.
+        limit: mm; None for no limit.
     """
     largest = 2 * float(np.sqrt(np.linalg.eigvalsh(covariance).max()))
     span = 1.15 * max(largest, limit or 0.0, 1e-9)

@@ -1,4 +1,4 @@
-"""A heat map: rows of sensors, columns of collections, the stronger the larger."""
+"""Heat map: rows of sensors, columns of collections, stronger colour for larger values."""
 
 import math
 from collections.abc import Sequence
@@ -9,18 +9,18 @@ from calibration.pages.svg import drawing, text
 
 LEFT, TOP, CELL, HIGH = 150.0, 8.0, 22.0, 24.0
 LARGEST = 120
-"""Columns; of more, the largest of neighbours stands for them."""
+"""Maximum number of columns; above it, neighbours are merged into one that shows their maximum."""
 
 
 def heat_map(title: str, rows: Sequence[str], columns: Sequence[str], values: Array, unit: str) -> Html:
     """Return the figure.
 
     Args:
-        title: of the figure.
+        title: title of the figure.
         rows: names, R of them.
         columns: names, C of them.
-        values: (R, C); NaN where there is nothing.
-        unit: of the values.
+        values: (R, C); NaN for missing values.
+        unit: unit of the values.
     """
     step = math.ceil(len(columns) / LARGEST)
     groups = [list(range(i, min(i + step, len(columns)))) for i in range(0, len(columns), step)]

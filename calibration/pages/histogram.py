@@ -1,4 +1,4 @@
-"""A histogram beside the normal distribution that is stated for it."""
+"""Histogram with the density of the stated normal distribution."""
 
 import math
 
@@ -11,17 +11,17 @@ from calibration.pages.svg import Axis, drawing, path, text
 WIDTH, HEIGHT, MARGIN = 420.0, 200.0, 34.0
 BINS = 48
 SPAN = 5.0
-"""Standard deviations on either side."""
+"""Half the width of the histogram, in standard deviations."""
 
 
 def histogram(name: str, values: Array, sigma: float, unit: str) -> Html:
     """Return the figure.
 
     Args:
-        name: of what is counted.
+        name: name of the counted quantity.
         values: (n,).
-        sigma: the standard deviation that is stated.
-        unit: of both.
+        sigma: stated standard deviation.
+        unit: unit of both.
     """
     if not sigma > 0:
         sigma = float(np.std(values)) or 1.0

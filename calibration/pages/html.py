@@ -1,4 +1,4 @@
-"""HTML elements; texts are escaped unless they are markup already."""
+"""HTML elements; strings are escaped unless they are markup."""
 
 from collections.abc import Sequence
 from html import escape
@@ -8,7 +8,7 @@ VOID = frozenset(("br", "img", "meta", "line", "rect", "circle", "path", "polyli
 
 
 class Html(str):
-    """Markup, as opposed to a text, which may hold anything."""
+    """Markup, as opposed to plain text, which is escaped."""
 
     __slots__ = ()
 
@@ -17,9 +17,9 @@ def element(tag: str, *children: str, **attributes: str | float | None) -> Html:
     """Return an element.
 
     Args:
-        tag: its name.
-        children: markup as it is, and texts, which are escaped.
-        attributes: by name, with ``_`` for ``-`` and one at the end dropped (``class_``); None leaves one out.
+        tag: name of the element.
+        children: markup, inserted unchanged, and texts, which are escaped.
+        attributes: by name, with ``_`` for ``-`` and a trailing ``_`` removed (``class_``); None omits an attribute.
     """
     given = "".join(
         f' {name.rstrip("_").replace("_", "-")}="{escape(number(value))}"'
@@ -32,10 +32,10 @@ def element(tag: str, *children: str, **attributes: str | float | None) -> Html:
 
 
 def join(parts: Sequence[str]) -> Html:
-    """Return texts and markup one after the other."""
+    """Concatenate markup and texts, which are escaped."""
     return Html("".join(part if isinstance(part, Html) else escape(part) for part in parts))
 
 
 def number(value: str | float) -> str:
-    """Return an attribute's value; numbers with the digits that a picture can show."""
+    """Format an attribute's value; numbers with the precision of a picture."""
     return value if isinstance(value, str) else f"{value:.6g}" if isinstance(value, int) else f"{round(value, 2):g}"

@@ -1,4 +1,4 @@
-"""An image with what was seen in it, and where it should have been."""
+"""Image with detected points and their expected positions."""
 
 from base64 import b64encode
 
@@ -7,20 +7,20 @@ from calibration.pages.html import Html, element
 from calibration.pages.svg import drawing
 
 WIDTH = 430.0
-"""Of the figure, px."""
+"""Width of the figure, px."""
 ARM = 3.0
-"""Of a cross, px of the figure."""
+"""Half the size of a cross, px of the figure."""
 
 
 def overlay(title: str, jpeg: bytes | None, size: tuple[int, int], seen: Array, expected: Array) -> Html:
     """Return the figure.
 
     Args:
-        title: what it shows.
+        title: title of the figure.
         jpeg: the image, of any size; None for an empty frame.
-        size: width and height of the image in which the pixels count.
-        seen: (n, 2), px: crosses.
-        expected: (n, 2), px: circles.
+        size: width and height of the image to which the pixel coordinates refer.
+        seen: (n, 2), px, drawn as crosses.
+        expected: (n, 2), px, drawn as circles.
     """
     scale = WIDTH / size[0]
     height = size[1] * scale

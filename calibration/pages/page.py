@@ -1,4 +1,4 @@
-"""The whole page: head, style, sections, and a script for what is more than reading."""
+"""The HTML page: head, style, sections, and a script for interaction."""
 
 from collections.abc import Sequence
 from importlib.resources import files
@@ -6,11 +6,11 @@ from importlib.resources import files
 from calibration.pages.html import Html, element, join
 
 _POLICY = "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; img-src data:"
-"""Nothing is loaded from anywhere."""
+"""Content security policy: no external resources."""
 
 
 def page(title: str, sections: list[Html]) -> str:
-    """Return a page that stands alone: the same bytes for the same sections."""
+    """Return a self-contained page: the same bytes for the same sections."""
     style, script = (files(__package__).joinpath(name).read_text(encoding="utf-8") for name in ("page.css", "page.js"))
     head = join(
         [
@@ -26,25 +26,25 @@ def page(title: str, sections: list[Html]) -> str:
 
 
 def section(title: str, *content: str, level: int = 2, anchor: str | None = None) -> Html:
-    """Return a part of the page with its heading."""
+    """Return a section with its heading."""
     return element("section", element(f"h{level}", title), *content, id_=anchor)
 
 
 def figure(drawing: Html, caption: str) -> Html:
-    """Return a figure with what it shows in words."""
+    """Return a figure with its caption."""
     return element("figure", drawing, element("figcaption", caption))
 
 
 def folded(title: str, *content: str, opened: bool = False) -> Html:
-    """Return a part that a reader opens."""
+    """Return a section that a reader can open."""
     return element("details", element("summary", title), *content, open_="open" if opened else None)
 
 
 def verdict_line(verdict: str, sentence: str) -> Html:
-    """Return a verdict, which stands out, with its numbers."""
+    """Return a paragraph with the highlighted verdict and its numbers."""
     return element("p", element("span", verdict, class_=f"verdict {verdict}"), f" {sentence}")
 
 
 def bullets(lines: Sequence[str]) -> Html:
-    """Return a list; empty where there are no lines."""
+    """Return a list; empty if there are no lines."""
     return element("ul", *(element("li", line) for line in lines), class_="reasons") if lines else Html("")

@@ -1,4 +1,4 @@
-"""Residuals on a camera's image plane, as enlarged vectors; where the image is not covered is empty."""
+"""Residuals on a camera's image plane, as enlarged vectors; empty areas have no labels."""
 
 import numpy as np
 
@@ -8,19 +8,19 @@ from calibration.pages.svg import drawing, text, thinned
 
 MOST_VECTORS = 3000
 WIDTH = 560.0
-"""Of the figure, px."""
+"""Width of the figure, px."""
 LENGTH = 18.0
-"""Of the vector of a residual of three times the RMS, px of the figure."""
+"""Length of the vector of a residual of three times the RMS, px of the figure."""
 
 
 def residual_plane(name: str, size: tuple[int, int], pixels: Array, residuals: Array) -> Html:
     """Return the figure.
 
     Args:
-        name: of the camera.
+        name: name of the camera.
         size: width and height of the image, px.
-        pixels: (n, 2), of the labels.
-        residuals: (n, 2), reprojection less label, px.
+        pixels: (n, 2), positions of the labels.
+        residuals: (n, 2), reprojection minus label, px.
     """
     scale = WIDTH / size[0]
     height = size[1] * scale

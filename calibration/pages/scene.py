@@ -1,4 +1,4 @@
-"""A scene of lines in space: drawn from one side as SVG, and turned by the reader where scripts run."""
+"""3D scene of lines: drawn from one side as SVG, and rotatable where scripts run."""
 
 import json
 import math
@@ -13,29 +13,29 @@ from calibration.pages.svg import drawing, path
 
 WIDTH, HEIGHT = 900.0, 520.0
 FILLED = 0.92
-"""Of the figure's height or width, as it is seen at first."""
+"""Initial size of the scene as a fraction of the figure."""
 TURN, TILT = math.radians(-35), math.radians(28)
-"""From where it is seen at first."""
+"""Initial direction of view."""
 
 
 @dataclass(frozen=True, eq=False)
 class Line:
-    """A polyline with its meaning."""
+    """A polyline with a style."""
 
     points: Array
     """(N, 3), m."""
     class_: str
-    """What it shows: its colour."""
+    """CSS class, which sets its colour."""
     label: str = ""
-    """Written at its first point."""
+    """Text at its first point."""
 
 
 def scene(lines: Sequence[Line], title: str) -> Html:
-    """Return the figure; the script of the page makes it turn.
+    """Return the figure; the script of the page makes it rotatable.
 
     Args:
-        lines: in the frame of the world, z up.
-        title: what it shows.
+        lines: lines in the world frame, z up.
+        title: title of the figure.
     """
     everything = np.concatenate([line.points for line in lines]) if lines else np.zeros((1, 3))
     low, high = everything.min(axis=0), everything.max(axis=0)
@@ -63,7 +63,7 @@ def scene(lines: Sequence[Line], title: str) -> Html:
 
 
 def _seen(points: Array) -> Array:
-    """Where points (N, 3) are drawn, (N, 2), px: in parallel perspective, from the front, right and above."""
+    """Project points (N, 3) to the figure, (N, 2), px: parallel projection, from the front, right and above."""
     x = math.cos(TURN) * points[:, 0] - math.sin(TURN) * points[:, 1]
     y = math.sin(TURN) * points[:, 0] + math.cos(TURN) * points[:, 1]
     up = math.cos(TILT) * points[:, 2] + math.sin(TILT) * y

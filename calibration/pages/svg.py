@@ -1,4 +1,4 @@
-"""What the figures share: the drawing's frame, axes and ticks, and how many points are drawn."""
+"""Common parts of the figures: SVG root, axes and ticks, thinning of points."""
 
 import math
 from collections.abc import Sequence
@@ -11,7 +11,7 @@ from calibration.pages.html import Html, element
 
 
 def drawing(width: float, height: float, title: str, *children: str) -> Html:
-    """Return an SVG of so many pixels that shrinks with the page; the title is for those who do not see it."""
+    """Return an SVG element of a size in pixels that shrinks with the page; the title is for screen readers."""
     return element(
         "svg",
         element("title", title),
@@ -24,7 +24,7 @@ def drawing(width: float, height: float, title: str, *children: str) -> Html:
 
 
 def ticks(low: float, high: float, most: int = 6) -> list[float]:
-    """Return round numbers inside of an interval."""
+    """Return at most ``most`` round numbers within an interval."""
     if not high > low:
         return [low]
     step = 10.0 ** math.floor(math.log10((high - low) / most))
@@ -35,30 +35,30 @@ def ticks(low: float, high: float, most: int = 6) -> list[float]:
 
 @dataclass(frozen=True)
 class Axis:
-    """How values lie along a side of a figure."""
+    """Linear scale from values to positions along a side of a figure."""
 
     low: float
     high: float
     start: float
-    """Where the lowest stands, px."""
+    """Position of the lowest value, px."""
     end: float
 
     def __call__(self, value: float) -> float:
-        """Return where a value stands, px."""
+        """Return the position of a value, px."""
         return self.start + (value - self.low) / ((self.high - self.low) or 1.0) * (self.end - self.start)
 
     def marks(self, most: int = 6) -> list[tuple[float, str]]:
-        """Return where ticks stand, and their labels."""
+        """Return the positions of ticks, and their labels."""
         return [(self(value), f"{value:g}") for value in ticks(self.low, self.high, most)]
 
 
 def text(x: float, y: float, content: str, anchor: str = "middle", class_: str | None = None) -> Html:
-    """Return a text at a place."""
+    """Return a text element at a position."""
     return element("text", content, x=x, y=y, text_anchor=anchor, class_=class_)
 
 
 def thinned(count: int, most: int) -> IntArray:
-    """Return indices of evenly spaced entries, at most so many, of so many."""
+    """Return at most ``most`` evenly spaced indices below ``count``."""
     return np.arange(count) if count <= most else np.linspace(0, count - 1, most).astype(np.int64)
 
 

@@ -1,4 +1,4 @@
-"""Tables of a report as HTML; a click on a header sorts them."""
+"""Tables of a report as HTML, sorted by a click on a header."""
 
 from collections.abc import Sequence
 
@@ -8,7 +8,7 @@ MOST_ROWS = 500
 
 
 def table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> Html:
-    """Return a table whose first column names the rows; empty where there are none."""
+    """Return a table whose first column names the rows; empty if there are no rows."""
     if not rows:
         return Html("")
     head = element("tr", *(element("th", name, scope="col") for name in columns))

@@ -1,4 +1,4 @@
-"""A value over commits, with its error bars."""
+"""Chart of a value over commits, with error bars."""
 
 from collections.abc import Sequence
 
@@ -8,7 +8,7 @@ from calibration.pages.html import Html, element
 from calibration.pages.svg import Axis, drawing, path, text
 
 LONGEST = 18
-"""Characters of a label that stand below."""
+"""Maximum number of characters of a label below the chart."""
 WIDTH, HEIGHT, LEFT, MARGIN = 420.0, 170.0, 44.0, 26.0
 
 
@@ -16,11 +16,11 @@ def trend(name: str, labels: Sequence[str], values: Sequence[float], sigmas: Seq
     """Return the figure.
 
     Args:
-        name: of what changes.
-        labels: of the commits, n of them; the first and the last stand below.
-        values: n.
+        name: name of the quantity.
+        labels: names of the commits, n of them; the first and the last are shown.
+        values: n values.
         sigmas: their standard deviations, n.
-        unit: of both.
+        unit: unit of both.
     """
     low = min(v - s for v, s in zip(values, sigmas, strict=True))
     high = max(v + s for v, s in zip(values, sigmas, strict=True))

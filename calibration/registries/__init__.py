@@ -1,1 +1,1 @@
-"""Registries: what images are called there, who may see them, push, and promotion."""
+"""Container registries: image names, credentials, push, and promotion."""

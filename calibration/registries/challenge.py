@@ -1,4 +1,4 @@
-"""How a registry asks who one is (``WWW-Authenticate``), and the token that answers it."""
+"""Authentication at a registry: its challenge (``WWW-Authenticate``), and the token to answer it."""
 
 import base64
 import json
@@ -17,18 +17,18 @@ _PARAMETER = re.compile(r'([a-z_]+)\s*=\s*(?:"([^"]*)"|([^\s,"]+))', re.IGNORECA
 
 @dataclass(frozen=True)
 class Challenge:
-    """A registry's question."""
+    """Authentication that a registry requests."""
 
     bearer: bool
-    """Whether a token answers it; else user and password themselves."""
+    """Whether it requests a bearer token; otherwise basic authentication."""
     realm: str = ""
-    """Where the token is."""
+    """URL that issues the token."""
     service: str = ""
     scope: str = ""
 
 
 def parse_challenge(header: str) -> Challenge | None:
-    """Read the header ``WWW-Authenticate``; None where it asks for nothing that we know."""
+    """Parse the header ``WWW-Authenticate``; None if it names no supported scheme."""
     found = list(_SCHEME.finditer(header))
     for number, scheme in enumerate(found):
         end = found[number + 1].start() if number + 1 < len(found) else len(header)
@@ -41,7 +41,7 @@ def parse_challenge(header: str) -> Challenge | None:
 
 
 def basic(credentials: Credentials) -> str:
-    """The header ``Authorization`` that says user and password."""
+    """Return the header ``Authorization`` for basic authentication."""
     pair = f"{credentials.username}:{credentials.password}".encode()
     return f"Basic {base64.b64encode(pair).decode('ascii')}"
 
@@ -49,17 +49,17 @@ def basic(credentials: Credentials) -> str:
 def fetch_token(
     http: Http, challenge: Challenge, credentials: Credentials | None, scope: str, registry: str
 ) -> str | None:
-    """Get a token where the registry says it is; None where that is denied.
+    """Request a token from the registry's realm; None if it is denied.
 
     Args:
-        http: the session.
-        challenge: the registry's question.
-        credentials: None for what anyone may do.
-        scope: what is asked for, where the registry does not say it.
-        registry: for messages.
+        http: session.
+        challenge: challenge of the registry.
+        credentials: None for anonymous access.
+        scope: scope of the token if the challenge contains none.
+        registry: name of the registry, for messages.
 
     Raises:
-        InfrastructureError: the place is not safe, cannot be reached, or answers with something else.
+        InfrastructureError: the realm is not encrypted, cannot be reached, or gives an invalid answer.
     """
     try:
         realm = urlsplit(challenge.realm)
@@ -68,9 +68,7 @@ def fetch_token(
     insecure = is_loopback(realm.netloc) or (credentials is not None and credentials.insecure)
     if realm.scheme != "https" and not (realm.scheme == "http" and insecure):
         shown = shorten(one_line(challenge.realm))
-        raise InfrastructureError(
-            f"{registry}: wants passwords sent to {shown!r}, which is not safe: https was expected"
-        )
+        raise InfrastructureError(f"{registry}: wants passwords sent unencrypted to {shown!r}, expected https")
     asked = {"service": challenge.service, "scope": challenge.scope or scope}
     query = urlencode({name: value for name, value in asked.items() if value})
     url = challenge.realm + ("&" if realm.query else "?") + query
@@ -90,5 +88,5 @@ def fetch_token(
     except (ValueError, AttributeError, RecursionError):
         token = None
     if answer.status != 200 or not isinstance(token, str) or not (token.isascii() and token.isprintable()):
-        raise InfrastructureError(f"{realm.netloc}: answered {answer.status} where a token for {registry} was expected")
+        raise InfrastructureError(f"{realm.netloc}: answered {answer.status} instead of a token for {registry}")
     return token

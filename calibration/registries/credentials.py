@@ -1,4 +1,4 @@
-"""Who one is to a registry, and how the settings say it."""
+"""Credentials of a registry, and the settings that refer to them."""
 
 import base64
 from dataclasses import dataclass, field
@@ -13,44 +13,44 @@ _TOGETHER = "username and password-variable go together: found one of them"
 
 @record(rules=(needs("username", "password-variable", _TOGETHER), needs("password-variable", "username", _TOGETHER)))
 class RegistrySettings:
-    """How to log in to a registry. A password is never in it."""
+    """How to log in to a registry. It never contains a password."""
 
     username: Annotated[str, length(1)] | None = declared("The user.", default=None)
     password_variable: VariableName | None = declared(
         "The environment variable that holds the password or token.", default=None
     )
     kind: Literal["ecr"] | None = declared(
-        "ecr: AWS gives the password; recognised by the registry's host too.", default=None
+        "ecr: the password comes from AWS; the default for hosts of AWS's registries.", default=None
     )
-    create_repository: bool = declared("Make a repository that ECR does not have.", default=False)
-    insecure: bool = declared("HTTP without TLS; one on this machine does so without being told.", default=False)
+    create_repository: bool = declared("Create a missing repository on ECR.", default=False)
+    insecure: bool = declared("HTTP without TLS; the default for a registry on this machine.", default=False)
 
 
 @dataclass(frozen=True)
 class Credentials:
-    """A user and a password, or a token, for one registry and no other."""
+    """User and password, or a token, valid for one registry only."""
 
     registry: str
     username: str = ""
     password: str = field(default="", repr=False)
     identity_token: str = field(default="", repr=False)
-    """In the place of a password, where a credential helper has one."""
+    """Token instead of a password, if a credential helper provides one."""
     insecure: bool = False
     """As in the settings: HTTP without TLS."""
 
     @property
     def secrets(self) -> tuple[str, ...]:
-        """What must be in no message: also the two as a header has them."""
+        """Strings to redact in messages, including the base64 form of a header."""
         pair = base64.b64encode(f"{self.username}:{self.password}".encode()).decode("ascii") if self.password else ""
         return tuple(filter(None, (self.password, self.identity_token, pair)))
 
     @property
     def anonymous(self) -> bool:
-        """Whether there is no login: only the registry's address."""
+        """Whether there is no login, only the registry's address."""
         return not self.secrets
 
     def auth_config(self) -> dict[str, str]:
-        """As docker-py takes it, call by call, so that no login is written to a file."""
+        """Return the login for docker-py, which is passed with each call, so that it is not written to a file."""
         if self.identity_token:
             return {"identitytoken": self.identity_token, "serveraddress": self.registry}
         if self.anonymous:

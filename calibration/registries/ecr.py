@@ -1,4 +1,4 @@
-"""AWS's registry (ECR): a password for some hours, and a repository where there is none."""
+"""Credentials for AWS's registry ECR, and creation of a missing repository."""
 
 import base64
 from typing import Any
@@ -13,23 +13,23 @@ from calibration.registries.reference import ECR_PUBLIC, Reference, ecr_host, pa
 from calibration.workflow import Runner, add_mask
 
 PUBLIC_REGION = "us-east-1"
-"""Where the public registry has its only interface."""
+"""The only region of the public registry's API."""
 
 
 def ecr_credentials(name: str, runner: Runner, create_repository: bool = False, insecure: bool = False) -> Credentials:
-    """Get the password for an image's registry from AWS, and its repository where that is asked for.
+    """Get the password of an image's registry from AWS, and create its repository on request.
 
-    boto3 finds who one is as AWS's own tools do: variables, profile, role, OIDC; ``AWS_ENDPOINT_URL`` leads it
-    elsewhere. A registry that is none of AWS's by its host is taken for one in the region of the environment.
+    boto3 finds the AWS credentials as usual: variables, profile, role, OIDC; ``AWS_ENDPOINT_URL`` replaces the address.
+    A registry whose host is not of AWS is taken for one in the region of the environment.
 
     Args:
-        name: of the image.
-        runner: where what is secret is masked.
-        create_repository: whether a repository that is missing is made.
+        name: name of the image.
+        runner: runner that masks the secrets.
+        create_repository: whether a missing repository is created.
         insecure: as in the settings.
 
     Raises:
-        InputError: there are no credentials, they are expired or unknown, or may not do this.
+        InputError: there are no credentials, they are expired or unknown, or lack a permission.
         InfrastructureError: AWS cannot be reached, throttles, or fails.
     """
     reference = parse_reference(name)
@@ -74,5 +74,5 @@ def _create_repository(client: Any, reference: Reference, runner: Runner) -> Non
         try:
             client.create_repository(repositoryName=repository, **account)
         except client.exceptions.RepositoryAlreadyExistsException:
-            return  # somebody else was faster
+            return  # created meanwhile by another process
         runner.log(f"created the repository {reference.name}")

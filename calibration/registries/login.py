@@ -1,4 +1,4 @@
-"""Who one is to a registry: from the settings, from AWS, or from what the user's docker is logged in to."""
+"""Registry credentials from the settings, from AWS, or from ``docker login``."""
 
 import os
 from collections.abc import Mapping
@@ -15,21 +15,21 @@ from calibration.workflow.text import one_line, shorten
 def registry_login(
     settings: RegistrySettings | None, name: str, runner: Runner, environment: Mapping[str, str] | None = None
 ) -> Credentials:
-    """Find the credentials for an image's registry, and mask what is secret of them.
+    """Find the credentials of an image's registry, and mask their secrets.
 
-    In this order: the user and the variable of the settings; AWS, where the settings say so; what docker is
-    logged in to (``docker login`` and its helpers); AWS, where the registry is one of AWS's; nobody.
-    Nothing is written anywhere: the credentials go with each call.
+    Sources, in this order: user and variable in the settings; AWS, if the settings name it;
+    docker's configuration (``docker login`` and credential helpers); AWS, if the registry is one of AWS's; none.
+    The credentials are passed with each call, never written to a file.
 
     Args:
-        settings: None where there are none.
-        name: of the image, with or without tag.
-        runner: where the secrets are masked.
-        environment: the variables; those of the process unless given.
+        settings: settings of the registry; None for the defaults.
+        name: name of the image, with or without tag.
+        runner: runner that masks the secrets.
+        environment: environment variables; by default those of the process.
 
     Raises:
         InputError: the settings are not complete, the variable is not set, or AWS denies it.
-        InfrastructureError: AWS cannot be reached, or docker's own helper fails.
+        InfrastructureError: AWS cannot be reached, or docker's credential helper fails.
     """
     settings = settings or RegistrySettings()
     registry = parse_reference(name).registry
@@ -49,7 +49,7 @@ def _credentials(
         if found is not None:
             return found
     if settings.kind == "ecr" or is_ecr(registry):
-        from calibration.registries.ecr import ecr_credentials  # boto3, which others do not need
+        from calibration.registries.ecr import ecr_credentials  # boto3 is needed only here
 
         return ecr_credentials(name, runner, settings.create_repository, settings.insecure)
     return Credentials(registry, insecure=settings.insecure)
@@ -70,7 +70,7 @@ def _from_settings(settings: RegistrySettings, registry: str, environment: Mappi
 
 
 def _from_docker(registry: str, insecure: bool) -> Credentials | None:
-    """What ``docker login`` has left for a registry."""
+    """Return the credentials for a registry in docker's configuration; None if it has none."""
     try:
         found = auth.load_config().resolve_authconfig(None if registry == DOCKER_HUB else registry)
     except errors.DockerException as error:

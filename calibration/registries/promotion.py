@@ -1,4 +1,4 @@
-"""Promotion: the image that was tested gets the tags of a release, with nothing pulled and nothing built."""
+"""Promotion: tag a tested image for release in the registry, without pulling or building."""
 
 from collections.abc import Sequence
 
@@ -12,23 +12,23 @@ from calibration.workflow import Runner
 def promote(
     name: str, digest_or_key: str, tags: Sequence[str], credentials: Credentials | None, runner: Runner
 ) -> list[str]:
-    """Give an image in a registry more tags; the digest stays what it is, for several platforms too.
+    """Add tags to an image in a registry; its digest is unchanged, also for several platforms.
 
-    A tag that is there already is left alone, so that it can be done again. A tag that somebody else moves
-    meanwhile is theirs.
+    Tags that already refer to the image are skipped, so a promotion can be repeated. If another process moves
+    a tag at the same time, its change is kept.
 
     Args:
-        name: of the image; tag and digest in it say nothing.
-        digest_or_key: which image: ``sha256:...``, or one of its tags.
-        tags: what it gets.
-        credentials: for the registry.
-        runner: where it says what it did.
+        name: name of the image; a tag or digest in it is ignored.
+        digest_or_key: the image: ``sha256:...``, or one of its tags.
+        tags: tags to add.
+        credentials: credentials of the registry.
+        runner: runner whose log reports the changes.
 
     Returns:
-        The names that now stand for the image: ``ghcr.io/team/robot:stable``.
+        Names that now refer to the image: ``ghcr.io/team/robot:stable``.
 
     Raises:
-        InputError: the image is not there, a tag is none, or it is denied.
+        InputError: the image is not there, a tag is invalid, or it is denied.
         InfrastructureError: the registry cannot be reached, or fails.
     """
     image = parse_reference(name)
@@ -37,7 +37,7 @@ def promote(
     with RegistryClient(credentials) as client:
         manifest = client.read_manifest(source)
         if manifest is None:
-            hint = "push it first, and log in where not everyone may see it"
+            hint = "push it first, and log in if it is private"
             raise InputError(f"{source}: there is no such image to promote: {hint}")
         for reference in wanted:
             runner.log(f"{reference}: {tag_image(client, reference, manifest)} {manifest.digest}")
@@ -45,7 +45,7 @@ def promote(
 
 
 def tag_image(client: RegistryClient, reference: Reference, manifest: Manifest) -> str:
-    """Make a tag stand for an image of its repository; returns what was done, to be said before the digest.
+    """Set a tag in the repository of an image; return what was done, as words to put before the digest.
 
     Raises:
         InputError: that is denied.
@@ -57,5 +57,5 @@ def tag_image(client: RegistryClient, reference: Reference, manifest: Manifest) 
     client.put_manifest(reference, manifest)
     after = client.find_manifest(reference)
     if after != manifest.digest:
-        return f"was moved by somebody else, to {after}, after it was"
+        return f"was moved to {after} by another process after it was"
     return "is now" if before is None else f"is no longer {before} but"

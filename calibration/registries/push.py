@@ -1,4 +1,4 @@
-"""An image from the engine to a registry."""
+"""Push of an image from the Docker Engine to a registry."""
 
 import re
 import time
@@ -21,12 +21,12 @@ if TYPE_CHECKING:
     from docker import DockerClient
 
 LARGE = 50_000_000
-"""Bytes; a larger layer says how far it is at each quarter."""
+"""Bytes; the upload of larger layers is reported at each quarter."""
 _DONE = {"Pushed": "pushed", "Layer already exists": "is there already"}
 
 
 class PushProgress:
-    """Turns the engine's events into steps."""
+    """Converts the engine's events to progress messages."""
 
     def __init__(self, advance: Advance | None) -> None:
         self._advance = advance
@@ -35,7 +35,7 @@ class PushProgress:
         self._quarters: dict[str, int] = {}
 
     def event(self, event: Mapping[str, Any]) -> None:
-        """Take in what the engine says; what is of another form is passed over."""
+        """Process an event of the engine; events of unknown form are ignored."""
         layer, status = str(event.get("id", "")), str(event.get("status", ""))
         if self._advance is None or not layer:
             return
@@ -71,7 +71,7 @@ class PushProgress:
 
 
 def megabytes(size: int) -> str:
-    """A size for people: ``12.3 MB``."""
+    """Format a size: ``12.3 MB``."""
     return f"{size / 1e6:.1f} MB"
 
 
@@ -102,22 +102,22 @@ def push_image(
 ) -> str:
     """Push an image under its own tag, and give it further tags in the registry.
 
-    Tried again where that may help. The layers are sent once; the other tags are names for the same manifest.
+    Temporary failures are retried. The layers are uploaded once; further tags are set on the same manifest.
 
     Args:
-        client: of the engine that has the image.
-        reference: the image with its tag: ``ghcr.io/team/robot:key-0123456789abcdef``.
-        tags: further ones.
-        credentials: for the registry.
-        advance: told of each layer.
-        pause: waits for so many seconds between two attempts.
+        client: client of the engine that has the image.
+        reference: name of the image with its tag: ``ghcr.io/team/robot:key-0123456789abcdef``.
+        tags: further tags.
+        credentials: credentials of the registry.
+        advance: receives the progress of each layer.
+        pause: sleeps for a number of seconds between two attempts.
 
     Returns:
-        The image's digest in the registry, which the registry itself has confirmed.
+        Digest of the image, confirmed by the registry.
 
     Raises:
         InputError: there is no such image or repository, or it is denied.
-        InfrastructureError: the engine or the registry cannot be reached, fails, or has something else afterwards.
+        InfrastructureError: the engine or the registry cannot be reached, fails, or has another image afterwards.
     """
     image = parse_reference(reference)
     wanted = [image.with_tag(tag) for tag in dict.fromkeys(tags) if tag != image.tag]
@@ -152,7 +152,7 @@ def _push_once(
     client: "DockerClient", image: Reference, credentials: Credentials | None, advance: Advance | None
 ) -> str:
     shown, digest, problem = PushProgress(advance), "", ""
-    for event in _events(client, image, credentials):  # to its end, so that the connection is free again
+    for event in _events(client, image, credentials):  # read to the end, to free the connection
         detail = event.get("errorDetail")
         if detail is not None or "error" in event:
             said = (detail.get("message") if isinstance(detail, Mapping) else None) or event.get("error")
@@ -169,8 +169,8 @@ def _push_once(
 
 
 def _events(client: "DockerClient", image: Reference, credentials: Credentials | None) -> Iterator[Mapping[str, Any]]:
-    """What the engine tells while it pushes."""
-    # Given even where it is empty: without it docker-py would look for a login of its own.
+    """Yield the engine's events during the push."""
+    # Passed even if empty: otherwise docker-py would search for a login itself.
     login = {} if credentials is None else credentials.auth_config()
     try:
         stream = client.api.push(image.name, image.tag, stream=True, decode=True, auth_config=login)
@@ -186,17 +186,17 @@ def _events(client: "DockerClient", image: Reference, credentials: Credentials |
 
 
 class _PassingError(Exception):
-    """What may go well the next time."""
+    """A temporary failure, to be retried."""
 
 
 def _error(message: str, image: Reference, credentials: Credentials | None) -> CalibrationError | _PassingError:
-    """What the engine says went wrong, as the error to raise."""
+    """Return the error to raise for an error message of the engine."""
     message = shorten(one_line(redact(message, credentials.secrets if credentials else ())), 300)
     text = message.lower()
     if _NOT_LOCAL.search(text):
         return InputError(f"{image}: the engine has no such image to push")
     if _UNKNOWN.search(text):
-        hint = "check image.name; ECR makes one where registry.create-repository is true"
+        hint = "check image.name; registry.create-repository: true creates it on ECR"
         return InputError(f"{image}: {image.registry} has no such repository ({message}): {hint}")
     if _DENIED.search(text):
         return denied(image, credentials, message)

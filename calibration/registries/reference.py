@@ -1,4 +1,4 @@
-"""Names of images: ``host:port/name:tag@digest``, and Docker Hub's short forms."""
+"""Image names: ``host:port/name:tag@digest``, and the short forms of Docker Hub."""
 
 import re
 from dataclasses import dataclass, replace
@@ -7,9 +7,9 @@ from calibration.errors import InputError
 from calibration.workflow.text import shorten
 
 DOCKER_HUB = "docker.io"
-"""The registry of a name that has none."""
+"""Registry of names without one."""
 MAX_LENGTH = 255
-"""Of registry and repository together, as the engine has it."""
+"""Maximum length of registry and repository together, as in the Docker Engine."""
 
 _PART = r"[a-z0-9]+(?:(?:\.|__?|-+)[a-z0-9]+)*"
 _REPOSITORY = re.compile(rf"{_PART}(?:/{_PART})*")
@@ -21,7 +21,7 @@ _DIGEST = re.compile(r"sha256:[0-9a-f]{64}|sha512:[0-9a-f]{128}")
 
 @dataclass(frozen=True)
 class Reference:
-    """Where an image is, and which one."""
+    """Name of an image: registry, repository, tag and digest."""
 
     registry: str
     """``docker.io``, ``ghcr.io``, ``127.0.0.1:5000``."""
@@ -29,28 +29,28 @@ class Reference:
     """``library/debian``, ``team/robot``."""
     tag: str | None = None
     digest: str | None = None
-    """``sha256:...``; where it is given, the tag says nothing."""
+    """``sha256:...``; takes precedence over the tag."""
 
     @property
     def name(self) -> str:
-        """Without tag and digest, as the engine writes it: ``debian``, ``ghcr.io/team/robot``."""
+        """Name without tag and digest, in the engine's form: ``debian``, ``ghcr.io/team/robot``."""
         if self.registry != DOCKER_HUB:
             return f"{self.registry}/{self.repository}"
         return self.repository.removeprefix("library/")
 
     def with_tag(self, tag: str) -> "Reference":
-        """The same repository under a tag.
+        """Return a reference to the same repository with a tag.
 
         Raises:
-            InputError: no registry takes such a tag.
+            InputError: the tag is invalid.
         """
         return replace(self, tag=check_tag(tag), digest=None)
 
     def with_digest(self, digest: str) -> "Reference":
-        """The same repository at a digest.
+        """Return a reference to the same repository with a digest.
 
         Raises:
-            InputError: it is no digest.
+            InputError: the digest is invalid.
         """
         if not is_digest(digest):
             raise InputError(f"found {shorten(digest)!r}, a digest such as sha256:<64 hexadecimal digits> was expected")
@@ -62,10 +62,10 @@ class Reference:
 
 
 def parse_reference(text: str) -> Reference:
-    """Read the name of an image; what stands before the first slash is a registry if it looks like a host.
+    """Parse an image name; the part before the first slash is a registry if it looks like a host.
 
     Raises:
-        InputError: it is no name of an image; says which part of it.
+        InputError: the name is invalid; the message names the wrong part.
     """
     rest, at, digest = text.partition("@")
     if at and not _DIGEST.fullmatch(digest):
@@ -91,10 +91,10 @@ def parse_reference(text: str) -> Reference:
 
 
 def check_tag(tag: str) -> str:
-    """Return a tag that a registry takes.
+    """Return a tag if it is valid.
 
     Raises:
-        InputError: it takes none such.
+        InputError: the tag is invalid.
     """
     if not _TAG.fullmatch(tag):
         expected = "1 to 128 letters, digits, _ . -, the first no . or -"
@@ -103,7 +103,7 @@ def check_tag(tag: str) -> str:
 
 
 def is_digest(text: str) -> bool:
-    """Whether a text is a digest: ``sha256:`` and 64 hexadecimal digits."""
+    """Whether a text is a digest: ``sha256:`` and 64 hexadecimal digits, or the same of sha512."""
     return _DIGEST.fullmatch(text) is not None
 
 
@@ -120,18 +120,18 @@ _ECR_HOST = re.compile(
 
 @dataclass(frozen=True)
 class EcrHost:
-    """What the host of a private registry says."""
+    """Account and region in the host name of a private registry of AWS."""
 
     account: str
     region: str
 
 
 def ecr_host(registry: str) -> EcrHost | None:
-    """Read ``<account>.dkr.ecr.<region>.amazonaws.com``, also of China, FIPS and dual stack; None for any other."""
+    """Parse ``<account>.dkr.ecr.<region>.amazonaws.com``, also of China, FIPS and dual stack; None for other hosts."""
     found = _ECR_HOST.fullmatch(registry)
     return None if found is None else EcrHost(found["account"], found["region"])
 
 
 def is_ecr(registry: str) -> bool:
-    """Whether a registry is one of AWS's, private or public."""
+    """Whether a registry is AWS's ECR, private or public."""
     return registry == ECR_PUBLIC or ecr_host(registry) is not None

@@ -1,9 +1,9 @@
-"""Client of a registry (OCI distribution): which manifest a name stands for, and other tags for it.
+"""Client of a registry (OCI distribution API): manifests and tags.
 
-Why it is our own. oras-py 0.2.43 returns a manifest parsed, so that its bytes, of which the digest is, are lost; it
-compares no digest, reads any number of bytes, has no time limit, does not repeat after 429 or 503, and sends the
-password to whatever realm the registry names. ``docker buildx imagetools`` does not come with every Docker Engine that
-we support, has no structured errors, and takes passwords from a file alone.
+It is our own, because oras-py 0.2.43 returns parsed manifests, so that the bytes for the digest are lost; it does
+not verify digests, has no limits of size or time, does not retry after 429 or 503, and sends the
+password to any realm that the registry names. ``docker buildx imagetools`` is missing in some Docker Engines that
+we support, has no structured errors, and reads passwords only from a file.
 """
 
 import hashlib
@@ -15,7 +15,7 @@ from typing import Self
 from urllib.parse import quote
 
 from calibration.errors import InfrastructureError, InputError
-from calibration.http import Answer, Http, Limits, is_loopback
+from calibration.http import Answer, Http, Timeouts, is_loopback
 from calibration.registries.challenge import basic, fetch_token, parse_challenge
 from calibration.registries.credentials import Credentials
 from calibration.registries.reference import DOCKER_HUB, Reference, is_digest, parse_reference
@@ -27,25 +27,25 @@ MEDIA_TYPES = (
     "application/vnd.oci.image.manifest.v1+json",
     "application/vnd.docker.distribution.manifest.v2+json",
 )
-"""Manifests of one image, and of the images for several platforms."""
+"""Manifests of images for one platform, and indexes of images for several platforms."""
 MAX_TAGS = 10_000
 _DENIED = (401, 403)
 
 
 @dataclass(frozen=True)
 class Manifest:
-    """What a registry keeps of an image: the list of its parts."""
+    """Manifest of an image: the list of its layers, or of its platforms."""
 
     digest: str
     media_type: str
     content: bytes
-    """Byte for byte: the digest is of these."""
+    """Original bytes, to which the digest applies."""
 
 
 class RegistryClient:
-    """A session with registries; a context manager.
+    """Session with registries, as a context manager.
 
-    Whoever asks says who he is to the one registry that his credentials are for; to every other he is nobody.
+    Credentials are sent only to the registry they belong to; other requests are anonymous.
     """
 
     def __init__(
@@ -53,11 +53,11 @@ class RegistryClient:
         credentials: Credentials | None = None,
         *,
         pause: Callable[[float], None] = time.sleep,
-        limits: Limits | None = None,
+        timeouts: Timeouts | None = None,
     ) -> None:
-        """Open a session; ``pause`` and ``limits`` are those of `Http`."""
+        """Open a session; ``pause`` and ``timeouts`` are those of `Http`."""
         secrets = credentials.secrets if credentials else ()
-        self._http = Http(secrets, address="the image's name", explain=_errors, pause=pause, limits=limits)
+        self._http = Http(secrets, address="the image's name", explain=_errors, pause=pause, timeouts=timeouts)
         self._credentials = credentials
         self._authorizations: dict[tuple[str, str, bool], str] = {}
 
@@ -68,13 +68,13 @@ class RegistryClient:
         self._http.close()
 
     def find_manifest(self, reference: Reference | str) -> str | None:
-        """The digest of an image; None where there is none of that name.
+        """Return the digest of an image; None if it does not exist.
 
-        None too where nobody is logged in and the registry denies it: it does not tell the one from the other.
+        None also if the registry denies anonymous access, because it does not distinguish this from a missing image.
 
         Raises:
-            InputError: whoever is logged in may not see it.
-            InfrastructureError: the registry cannot be reached, or answers with something else.
+            InputError: the user has no access.
+            InfrastructureError: the registry cannot be reached, or gives an invalid answer.
         """
         reference = _parsed(reference)
         answer = self._request(
@@ -83,7 +83,7 @@ class RegistryClient:
         if self._is_missing(answer, reference):
             return None
         digest = answer.headers.get("Docker-Content-Digest", "").strip()
-        if not is_digest(digest):  # a registry need not say it
+        if not is_digest(digest):  # the header is optional
             manifest = self.read_manifest(reference)
             return None if manifest is None else manifest.digest
         if reference.digest not in (None, digest):
@@ -91,11 +91,11 @@ class RegistryClient:
         return digest
 
     def read_manifest(self, reference: Reference | str) -> Manifest | None:
-        """The manifest of an image; None as :meth:`find_manifest` has it.
+        """Return the manifest of an image; None as in :meth:`find_manifest`.
 
         Raises:
-            InputError: whoever is logged in may not see it, or it is of a kind that is no longer used.
-            InfrastructureError: the registry cannot be reached, or what it sends is not what its digest says.
+            InputError: the user has no access, or the manifest has an obsolete format.
+            InfrastructureError: the registry cannot be reached, or the manifest does not match its digest.
         """
         reference = _parsed(reference)
         answer = self._request("GET", reference, f"manifests/{_version(reference)}", {"Accept": ", ".join(MEDIA_TYPES)})
@@ -110,16 +110,16 @@ class RegistryClient:
         for other in said:
             if other is not None and other.startswith("sha256:") and other.strip() != digest:
                 raise InfrastructureError(
-                    f"{reference}: what the registry sends has the digest {digest}, not {one_line(other)}"
+                    f"{reference}: the registry's answer has the digest {digest}, not {one_line(other)}"
                 )
         return Manifest(reference.digest or digest, media_type, answer.body)
 
     def put_manifest(self, reference: Reference | str, manifest: Manifest) -> None:
-        """Give an image that the repository has the tag of the reference.
+        """Upload a manifest of the repository under the tag of the reference.
 
         Raises:
-            InputError: that is denied, or the registry does not take it.
-            InfrastructureError: the registry cannot be reached, or keeps something else.
+            InputError: access is denied, or the registry refuses the manifest.
+            InfrastructureError: the registry cannot be reached, or stores another digest.
         """
         reference = _parsed(reference)
         headers = {"Content-Type": manifest.media_type}
@@ -127,18 +127,18 @@ class RegistryClient:
         if answer.status in _DENIED:
             raise self._denied(answer, reference)
         if answer.status not in (200, 201):
-            message = f"{reference}: the registry does not take it: {answer.status}{self._http.quote(answer.body)}"
+            message = f"{reference}: the registry refuses it: {answer.status}{self._http.quote(answer.body)}"
             raise InputError(message) if 400 <= answer.status < 500 else InfrastructureError(message)
         kept = answer.headers.get("Docker-Content-Digest", manifest.digest).strip()
         if kept != manifest.digest:
             raise InfrastructureError(f"{reference}: the registry keeps {one_line(kept)}, not {manifest.digest}")
 
     def tags(self, reference: Reference | str) -> list[str]:
-        """The tags of a repository, in the registry's order; none where there is no repository.
+        """Return the tags of a repository, in the registry's order; empty if the repository does not exist.
 
         Raises:
-            InputError: whoever is logged in may not see it, or there are more than :data:`MAX_TAGS`.
-            InfrastructureError: the registry cannot be reached, or answers with something else.
+            InputError: the user has no access, or there are more than :data:`MAX_TAGS`.
+            InfrastructureError: the registry cannot be reached, or gives an invalid answer.
         """
         reference = replace(_parsed(reference), tag=None, digest=None)
         found: list[str] = []
@@ -161,7 +161,7 @@ class RegistryClient:
     def _request(
         self, method: str, reference: Reference, path: str, headers: dict[str, str], body: bytes | None = None
     ) -> Answer:
-        """Send a request, and answer the registry's question who one is."""
+        """Send a request, and repeat it with credentials if the registry asks for them."""
         host = "registry-1.docker.io" if reference.registry == DOCKER_HUB else reference.registry
         own = self._credentials if self._credentials and self._credentials.registry == reference.registry else None
         insecure = is_loopback(host) or (own is not None and own.insecure)
@@ -187,11 +187,11 @@ class RegistryClient:
         return self._http.send(method, url, headers | {"Authorization": authorization}, body)
 
     def _is_missing(self, answer: Answer, reference: Reference) -> bool:
-        """Whether there is no such image.
+        """Return whether the image does not exist.
 
         Raises:
-            InputError: it is denied to whoever is logged in.
-            InfrastructureError: the answer says neither.
+            InputError: the user has no access.
+            InfrastructureError: the status is unexpected.
         """
         if answer.status == 200:
             return False
@@ -212,16 +212,16 @@ class RegistryClient:
 
 
 def denied(reference: Reference, credentials: Credentials | None, said: str) -> InputError:
-    """The error of a registry that denies something; ``said`` is its own word, without secrets."""
+    """Return the error for denied access; ``said`` is the registry's message, without secrets."""
     if credentials is None or credentials.anonymous or credentials.registry != reference.registry:
-        who = "nobody is logged in: give registry.username and registry.password-variable, or log in with docker"
+        who = "not logged in: set registry.username and registry.password-variable, or run docker login"
     else:
         who = f"check the password of {credentials.username or 'the token'}, and what it may do to this name"
     return InputError(f"{reference}: {reference.registry} denies access ({said}); {who}")
 
 
 def _errors(body: bytes) -> str:
-    """What a registry says went wrong; empty where it says it in no known form."""
+    """Return the error messages in a registry's answer; empty if it has another form."""
     try:
         return "; ".join(f"{error['code']}: {error.get('message') or ''}" for error in json.loads(body)["errors"][:3])
     except (ValueError, TypeError, KeyError, AttributeError, RecursionError):

@@ -1,7 +1,7 @@
-"""Results of any work as people and programs read them; knows nothing of calibration.
+"""Results of a command for people and programs, independent of calibration.
 
-A command says what it found in a :class:`Report`: its verdict, the :class:`Check` of each limit, the
-:class:`Outcome` of each unit of work, tables and notes. :func:`publish` writes and shows all of it.
+A command describes its results in a :class:`Report`: its verdict, a :class:`Check` for each limit, an
+:class:`Outcome` for each unit of work, tables and notes. :func:`publish` writes and shows all of it.
 """
 
 from calibration.report.blocks import Block, Code, Lines, Text

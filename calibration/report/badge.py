@@ -1,4 +1,4 @@
-"""A badge: an image for a README, made without a service."""
+"""Badge: an SVG image for a README, made without an online service."""
 
 from html import escape
 
@@ -6,11 +6,11 @@ from calibration.report.verdict import Verdict
 
 FILE = "badge.svg"
 GOOD, FAIR, BAD, NONE = "#3a7d1e", "#946200", "#b3261e", "#6b6b6b"
-"""Dark enough for white text to be read on them (a contrast of 4.5 and more)."""
+"""Dark enough for white text (contrast ratio at least 4.5)."""
 
 
 def drawn_badge(label: str, text: str, colour: str) -> str:
-    """Draw a badge as SVG: a label and a text on a colour."""
+    """Return a badge as SVG: a label, and a text on a coloured background."""
     left, right = _width(label), _width(text)
     whole, label, text = left + right, escape(label), escape(text)
     return f"""<svg xmlns="http://www.w3.org/2000/svg" width="{whole}" height="20" role="img">
@@ -25,7 +25,7 @@ def drawn_badge(label: str, text: str, colour: str) -> str:
 
 
 def verdict_badge(label: str, verdict: Verdict) -> str:
-    """Draw a verdict as SVG: green or red."""
+    """Return the badge of a verdict as SVG: green for pass, red for fail."""
     return drawn_badge(label, verdict, GOOD if verdict == "pass" else BAD)
 
 

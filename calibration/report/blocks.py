@@ -1,4 +1,4 @@
-"""Parts of a report's text, each of which can be written for the log and as Markdown."""
+"""Blocks of a report, each of which can be formatted for the log and as Markdown."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
@@ -9,33 +9,33 @@ from calibration.workflow.summary import code_block, escape_markdown
 from calibration.workflow.text import one_line
 
 MOST_LINES = 1000
-"""Lines or rows that a part shows unless it says otherwise; files of results have all."""
+"""Default limit of lines or rows of a block; files of results contain all."""
 
 
 def cut(lines: Sequence[str], most: int, rest: str) -> tuple[str, ...]:
-    """Return the first lines, and one that says how many more there are and where."""
+    """Return the first lines, and one with the number of the remaining lines and the file that contains them."""
     return tuple(lines) if len(lines) <= most else (*lines[:most], f"and {len(lines) - most} more, see {rest}")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Block(ABC):
-    """One part of a report."""
+    """One block of a report."""
 
     title: str = ""
     folded: bool = False
-    """Whether the summary shows the title only, until a reader opens it."""
+    """Whether the summary shows only the title until a reader opens it."""
     only: Literal["log", "summary"] | None = None
-    """Where it is shown; None for everywhere."""
+    """Where it is shown; None for both."""
     brief: bool = False
-    """Whether a comment on a pull request shows it too: of a table only."""
+    """Whether a comment on a pull request shows it too; tables only."""
 
     @abstractmethod
     def plain(self) -> str:
-        """Return it as lines for the log, without the title; empty where there is nothing to show."""
+        """Return it as lines for the log, without the title; empty if there is nothing to show."""
 
     @abstractmethod
     def markdown(self) -> str:
-        """Return it as Markdown, without the title; empty where there is nothing to show."""
+        """Return it as Markdown, without the title; empty if there is nothing to show."""
 
 
 @dataclass(frozen=True)
@@ -59,9 +59,9 @@ class Lines(Block):
 
     lines: tuple[str, ...]
     most: int = MOST_LINES
-    """Number of lines that are shown."""
+    """Maximum number of lines that are shown."""
     rest: str = "results.json"
-    """Where a reader finds the lines that are not shown."""
+    """File that contains the remaining lines."""
 
     def plain(self) -> str:
         """Return the lines, each safe to print."""
@@ -74,14 +74,14 @@ class Lines(Block):
 
 @dataclass(frozen=True)
 class Code(Block):
-    """Output of a program, or commands to paste."""
+    """Output of a program, or commands to copy."""
 
     text: str
 
     def plain(self) -> str:
-        """Return the text, each of its lines safe to print."""
+        """Return the text, with each line safe to print."""
         return "\n".join(map(one_line, self.text.splitlines()))
 
     def markdown(self) -> str:
-        """Return a fenced block."""
+        """Return a fenced code block."""
         return code_block(self.text) if self.text else ""

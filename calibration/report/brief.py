@@ -1,4 +1,4 @@
-"""A report in brief, ``comment.json``: what a comment on a pull request shows, to be written where a token is."""
+"""Brief report, ``comment.json``: content of a comment on a pull request, which a job with a token writes later."""
 
 import json
 from pathlib import Path
@@ -16,33 +16,33 @@ _MOST_BYTES = 4 * 1024**2
 
 @result
 class BriefTable:
-    """A table of texts."""
+    """A table of strings."""
 
     columns: tuple[str, ...] = field("The header.")
-    rows: tuple[tuple[str, ...], ...] = field("As many texts each as the header.", default=())
+    rows: tuple[tuple[str, ...], ...] = field("Rows with as many cells as the header.", default=())
 
 
 @result(kw_only=True)
 class Brief:
-    """What a command has found, in brief."""
+    """Brief results of a command."""
 
-    schema: Literal[1] = field("Number of this form.", default=1)
-    verdict: Verdict = field("Whether everything that was asked for holds.")
+    schema: Literal[1] = field("Version of this format.", default=1)
+    verdict: Verdict = field("Whether all requirements are met.")
     sentence: str = field("The verdict's numbers in one line.")
     reasons: tuple[str, ...] = field("Why the verdict is fail.", default=())
-    tables: tuple[BriefTable, ...] = field("The tables that matter.", default=())
+    tables: tuple[BriefTable, ...] = field("Tables of the comment.", default=())
 
     @property
     def text(self) -> str:
-        """The content of the file."""
+        """Content of the file."""
         return json.dumps(value_of(self), indent=1) + "\n"
 
 
 def read_brief(path: Path) -> Brief:
-    """Read a report in brief, which may be a stranger's.
+    """Read a brief report, which may be untrusted.
 
     Raises:
-        InputError: it cannot be read, is too large, or is none.
+        InputError: it cannot be read, is too large, or is not a brief report.
     """
     try:
         document = parse_json(read_bytes(path, _MOST_BYTES, "a report in brief"))

@@ -1,4 +1,4 @@
-"""Checks: a value that was found, compared with what was expected."""
+"""Checks: comparisons of a value with its expectation."""
 
 import math
 
@@ -7,14 +7,14 @@ from calibration.records import field, result
 
 @result(kw_only=True)
 class Check:
-    """One comparison. Of a number, made by :func:`at_most` or :func:`at_least`; results.json has those."""
+    """One comparison; :func:`at_most` and :func:`at_least` make those of numbers, which results.json contains."""
 
-    subject: str = field("What was compared: ``RMS``, ``detection rate of left``.", key="name")
-    value: float | None = field("The number that was found, if it was one.", default=None)
-    limit: float | None = field("The smallest or the largest number that passes.", default=None)
-    minimum: bool = field("Whether the limit is the smallest number that passes.", key="at_least", default=False)
-    unit: str = field("Of both numbers.", default="")
-    passed: bool = field("Whether the number passes.")
+    subject: str = field("Compared quantity: ``RMS``, ``detection rate of left``.", key="name")
+    value: float | None = field("Value found, if it is a number.", default=None)
+    limit: float | None = field("Smallest or largest value that passes.", default=None)
+    minimum: bool = field("Whether the limit is the smallest value that passes.", key="at_least", default=False)
+    unit: str = field("Unit of value and limit.", default="")
+    passed: bool = field("Whether the value passes.")
     found: str
     expected: str
 
@@ -23,17 +23,17 @@ class Check:
 
 
 def at_most(subject: str, value: float | None, limit: float, unit: str = "") -> Check:
-    """Compare a number with the largest that passes; one that is missing or not finite does not."""
+    """Compare a number with the largest that passes; None and NaN or infinity fail."""
     return _limit_check(subject, value, limit, minimum=False, unit=unit)
 
 
 def at_least(subject: str, value: float | None, limit: float, unit: str = "") -> Check:
-    """Compare a number with the smallest that passes; one that is missing or not finite does not."""
+    """Compare a number with the smallest that passes; None and NaN or infinity fail."""
     return _limit_check(subject, value, limit, minimum=True, unit=unit)
 
 
 def expectation(subject: str, found: str, expected: str) -> str:
-    """Return the one wording for a value that is compared: ``RMS: found 0.9 px, expected at most 0.8 px``."""
+    """Return the common wording of a comparison: ``RMS: found 0.9 px, expected at most 0.8 px``."""
     return f"{subject}: found {found}, expected {expected}"
 
 

@@ -1,4 +1,4 @@
-"""JUnit XML, which test reports of every CI system read."""
+"""JUnit XML, the format of test reports that CI systems read."""
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
@@ -13,10 +13,10 @@ _INVALID = re.compile(r"[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 
 def junit_xml(suites: Mapping[str, Sequence[Outcome]]) -> str:
-    """Return outcomes, in suites by name, as JUnit XML; characters that XML cannot hold are left out.
+    """Return outcomes, in suites by name, as JUnit XML; characters that are invalid in XML are removed.
 
-    An outcome with an error has no verdict, so it is an ``error`` and not a ``failure``. The first
-    of its reasons is the message.
+    An outcome with an error has no verdict, so it is an ``error`` and not a ``failure``. Its first
+    reason is the message.
     """
     root = ET.Element("testsuites", _counts(outcome for outcomes in suites.values() for outcome in outcomes))
     for name, outcomes in suites.items():
@@ -45,7 +45,7 @@ def _add_case(parent: ET.Element, outcome: Outcome) -> None:
 
 
 def _result(outcome: Outcome) -> str | None:
-    """Return the name of the element that says that a case did not pass; None if it passed."""
+    """Return the tag of the element for a case that did not pass; None if it passed."""
     if outcome.verdict == "fail":
         return "failure" if outcome.error is None else "error"
     return None if outcome.skipped is None else "skipped"

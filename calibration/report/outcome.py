@@ -9,7 +9,7 @@ from calibration.report.check import Check
 from calibration.report.verdict import Verdict, verdict_of
 
 ErrorCode = Annotated[ExitCode, Converted(Literal[2, 3], lambda code, _place: ExitCode(code))]
-"""Exit code of what could not be done because of bad input (2) or an infrastructure failure (3), in results.json."""
+"""Exit code of work that failed because of bad input (2) or infrastructure (3), in results.json."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -18,19 +18,19 @@ class Outcome:
 
     name: str
     group: str = ""
-    """Name that reports group outcomes by, such as a system."""
+    """Group in reports, such as a system."""
     reasons: tuple[str, ...] = ()
-    """Why the verdict is fail, one line each."""
+    """Reasons of a failure, one line each."""
     error: ErrorCode | None = None
-    """Set if the work could not be done because of bad input (2) or an infrastructure failure (3)."""
+    """Exit code if the work failed because of bad input (2) or infrastructure (3)."""
     skipped: str | None = None
-    """Why the work was not done, if that is no failure."""
+    """Reason why the work was skipped, if that is not a failure."""
     seconds: float | None = None
     """Duration; None if it was not measured."""
     file: str | None = None
-    """File of the user's that the outcome is about."""
+    """The user's file to which the outcome refers."""
     line: int | None = None
-    """Line of this file; the first is 1."""
+    """Line in this file, from 1."""
 
     @property
     def verdict(self) -> Verdict:
@@ -39,7 +39,7 @@ class Outcome:
 
 
 def outcome_of_check(check: Check, group: str) -> Outcome:
-    """Return a check as the outcome that JUnit shows."""
+    """Convert a check to an outcome, for JUnit."""
     return Outcome(name=check.subject, group=group, reasons=() if check.passed else (str(check),))
 
 

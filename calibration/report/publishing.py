@@ -1,4 +1,4 @@
-"""Publishing a report: files, log, annotations, the step's summary and its outputs."""
+"""Publishing a report: files, log, annotations, summary and outputs of the step."""
 
 import json
 from collections.abc import Iterable, Mapping
@@ -17,15 +17,15 @@ from calibration.workflow.summary import add_summary
 from calibration.workflow.text import one_line
 
 MOST_CHARACTERS = 100_000
-"""Of an output that is a list or a mapping: as an environment variable of a later step it may have 128 KiB."""
+"""Limit of an output that is a list or a mapping: as an environment variable of a later step it may have 128 KiB."""
 _PATHS = {"results": RESULTS_FILE, "summary": SUMMARY_FILE}
-"""Outputs that are paths of files, empty where none are written."""
+"""Outputs that are paths of files, empty if no files are written."""
 
 
 def publish(report: Report, runner: Runner, folder: Path | None = None) -> None:
     """Write the files of a report into a folder if one is given, then show the report on the runner.
 
-    The verdict is the last line of the log. Raises :class:`InfrastructureError` when something cannot be written.
+    The verdict is the last line of the log. Raises :class:`InfrastructureError` if something cannot be written.
     """
     if folder is not None:
         report.write(folder)
@@ -33,11 +33,11 @@ def publish(report: Report, runner: Runner, folder: Path | None = None) -> None:
 
 
 def show(report: Report, runner: Runner, folder: Path | None = None) -> None:
-    """Show a report whose files are written already, as :func:`publish` does."""
+    """Show a report whose files are already written, as :func:`publish` does."""
     outputs, notes = _bounded(report.outputs)
     report = replace(report, notes=(*report.notes, *notes))
     if text := report.log():
-        with stop_commands(runner):  # names and cells are text of others
+        with stop_commands(runner):  # names and cells are untrusted text
             runner.log(f"{text}\n")
     annotate(runner, report.all_annotations())
     add_summary(runner, report.markdown())
@@ -48,7 +48,7 @@ def show(report: Report, runner: Runner, folder: Path | None = None) -> None:
 
 
 def _bounded(outputs: Mapping[str, OutputValue | None]) -> tuple[dict[str, OutputValue], list[str]]:
-    """Return outputs of which each list or mapping has as many entries as fit, and a line for each that is cut."""
+    """Truncate outputs that are lists or mappings to the limit; return them, and a note for each truncated one."""
     bounded: dict[str, OutputValue] = {name: "" if value is None else value for name, value in outputs.items()}
     notes = []
     for name, value in bounded.items():
@@ -64,9 +64,9 @@ def _bounded(outputs: Mapping[str, OutputValue | None]) -> tuple[dict[str, Outpu
 
 
 def remove_results(folder: Path, names: Iterable[str]) -> None:
-    """Remove files that an earlier run left in a folder, so that none is mistaken for this one's.
+    """Remove files of an earlier run from a folder, so that they are not mistaken for current results.
 
-    Raises :class:`InfrastructureError` when one cannot be removed.
+    Raises :class:`InfrastructureError` if one cannot be removed.
     """
     for name in names:
         try:

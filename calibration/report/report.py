@@ -1,4 +1,4 @@
-"""Everything that a command has to say about its results."""
+"""Report: verdict, results, outputs, annotations and text of a command."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -20,7 +20,7 @@ from calibration.workflow.text import one_line
 
 SUMMARY_FILE, JUNIT_FILE = "summary.md", "junit.xml"
 FILES = (RESULTS_FILE, SUMMARY_FILE, JUNIT_FILE)
-"""Written for every report."""
+"""Files of every report."""
 REASONS_SHOWN = 50
 
 
@@ -32,29 +32,29 @@ class Report:
     """Heading: ``introspect-csv``."""
     verdict: Verdict
     sentence: str
-    """Rest of the line that begins with the verdict: ``2 violations in 4 checks of 1 table``."""
+    """Text after the verdict in the last line: ``2 violations in 4 checks of 1 table``."""
     results: Any
     """Content of results.json beside schema, verdict and reasons: a record, or a mapping."""
     suites: Mapping[str, Sequence[Outcome]]
     """Outcomes for JUnit, by suite."""
     outputs: Mapping[str, OutputValue | None]
-    """Outputs of the step, beside the verdict and the paths of the files; an empty text for None."""
+    """Outputs of the step, beside the verdict and the paths of the files; None becomes an empty text."""
     reasons: tuple[str, ...] = ()
-    """Why the verdict is fail, one line each: listed first, and annotated as errors."""
+    """Reasons of a failure, one line each: listed first, and annotated as errors."""
     error: ExitCode | None = None
-    """Exit code where it is not that of the verdict, 0 or 1."""
+    """Exit code if it differs from that of the verdict, 0 or 1."""
     warnings: tuple[str, ...] = ()
     """Annotated as warnings."""
     notes: tuple[str, ...] = ()
     """Annotated as notices."""
     places: Mapping[str, tuple[Path, int]] = field(default_factory=dict)
-    """Where what a reason is about stands, file and line, by the reason."""
+    """File and line to which a reason refers, by the reason."""
     annotations: tuple[Annotation, ...] = ()
-    """Further annotations, at a file and line or with a title of their own."""
+    """Further annotations, with a file and line or a title of their own."""
     blocks: tuple[Block, ...] = ()
-    """Tables and lists, in their order."""
+    """Tables and lists, in order."""
     files: Mapping[str, str | bytes] = field(default_factory=dict)
-    """Further files, such as tables as CSV and figures: their content by their name."""
+    """Content of further files by name, such as tables as CSV and figures."""
 
     @property
     def exit_code(self) -> ExitCode:
@@ -70,7 +70,7 @@ class Report:
 
     @property
     def brief(self) -> Brief | None:
-        """What a comment on a pull request shows; None for a command whose results are none of its matters."""
+        """Content of a comment on a pull request; None if the report has no tables for comments."""
         tables = [block for block in self.blocks if isinstance(block, Table) and block.brief]
         if not tables:
             return None
@@ -87,7 +87,7 @@ class Report:
         return f"{self.verdict}: {self.sentence}"
 
     def log(self) -> str:
-        """Return what the log shows above the verdict."""
+        """Return the text of the log above the verdict."""
         return "\n\n".join(
             f"{one_line(block.title)}\n{text}" if block.title else text
             for block in self.blocks
@@ -111,14 +111,14 @@ class Report:
         return "\n".join(parts)
 
     def all_annotations(self) -> list[Annotation]:
-        """Return annotations of everything that has some: first what failed."""
+        """Return all annotations, failures first."""
         listed = ((self.reasons, Level.ERROR), (self.warnings, Level.WARNING), (self.notes, Level.NOTICE))
         own = [Annotation(line, level, *self.places.get(line, ())) for lines, level in listed for line in lines]
         return [replace(each, title=each.title or self.title) for each in (*self.annotations, *own)]
 
     def written(self) -> dict[str, str | bytes]:
         """Return the content of all files by their names."""
-        from calibration.report.junit import junit_xml  # XML is slow to import
+        from calibration.report.junit import junit_xml  # slow to import
 
         texts = {
             RESULTS_FILE: results_text(self.verdict, self.results, self.reasons),

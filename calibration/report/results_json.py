@@ -1,4 +1,4 @@
-"""results.json, which has the same head for every command: schema, verdict and reasons."""
+"""results.json, which begins with the same keys for every command: schema, verdict and reasons."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -14,41 +14,41 @@ from calibration.report.verdict import Verdict
 _Record = TypeVar("_Record")
 RESULTS_FILE = "results.json"
 SCHEMA_NUMBER: Literal[1] = 1
-"""Number of the form of results.json. Keys may be added; none is renamed without a new number."""
+"""Version of the format of results.json. Keys may be added; renaming one requires a new number."""
 MOST_BYTES = 64 * 1024**2
-"""Size of the largest results file that is read."""
+"""Size limit of a results file that is read."""
 
 
 @result
 class Head:
-    """The keys with which every results.json begins."""
+    """Keys at the beginning of every results.json."""
 
-    schema: Literal[1] = field("Number of this form; keys may be added, none is renamed without a new number.")
-    verdict: Verdict = field("Whether everything that was asked for holds.")
+    schema: Literal[1] = field("Version of this format; keys may be added, renaming one requires a new version.")
+    verdict: Verdict = field("Whether all requirements are met.")
     reasons: tuple[str, ...] = field("Why the verdict is fail, one line each.", default=())
 
 
 def results_document(verdict: Verdict, results: Any, reasons: Sequence[str] = ()) -> dict[str, Any]:
-    """Return the document of results, a record or a mapping, with the head; reasons among the results stay there."""
+    """Return the document of results, a record or a mapping, with the head; keys of the results take precedence."""
     head, document = value_of(Head(SCHEMA_NUMBER, verdict, tuple(reasons))), value_of(results)
     return {**{key: value for key, value in head.items() if key not in document}, **document}
 
 
 def results_text(verdict: Verdict, results: Any, reasons: Sequence[str] = ()) -> str:
-    """Return results.json; raises ``ValueError`` for a number that is not finite."""
+    """Return the text of results.json; raises ``ValueError`` for a number that is not finite."""
     return json_text(results_document(verdict, results, reasons), width=1, sort_keys=False, allow_nan=False) + "\n"
 
 
 def read_results_file(kind: type[_Record], path: Path, command: str) -> tuple[_Record, dict[str, Any]]:
-    """Read a results.json of this version or an older one: as a record, and as it stands in the file.
+    """Read a results.json of this version or an older one: as a record, and as the parsed document.
 
     Args:
-        kind: the record.
-        path: the file.
-        command: what writes it, for messages.
+        kind: type of the record.
+        path: path of the file.
+        command: command that writes the file, for messages.
 
     Raises:
-        InputError: it cannot be read, is of another schema number, or a value is of another type.
+        InputError: it cannot be read, has another schema number, or a value has a wrong type.
     """
     try:
         document = parse_json(read_bytes(path, MOST_BYTES, f"results of {command}"))
@@ -61,7 +61,7 @@ def read_results_file(kind: type[_Record], path: Path, command: str) -> tuple[_R
 
 
 def reasons_in(folder: Path) -> tuple[str, ...]:
-    """Return the reasons in the results of any command; none if it left no results, or not in this form."""
+    """Return the reasons in the results of any command; empty if there are no valid results."""
     try:
         return read_results_file(Head, folder / RESULTS_FILE, "a command")[0].reasons
     except CalibrationError:

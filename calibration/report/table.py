@@ -1,4 +1,4 @@
-"""Tables of a report: for the log, Markdown and CSV."""
+"""Tables of a report: for the log, as Markdown and as CSV."""
 
 import csv
 import io
@@ -12,18 +12,18 @@ from calibration.workflow.text import aligned
 
 @dataclass(frozen=True)
 class Table(Block):
-    """A header and rows of texts."""
+    """A table of strings with a header."""
 
     columns: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
     most_rows: int = MOST_LINES
-    """Number of rows that the log and the summary show; CSV has all."""
+    """Maximum number of rows in the log and the summary; CSV contains all."""
     rest: str = "results.json"
-    """Where a reader finds the rows that are not shown."""
+    """File that contains the remaining rows."""
     most_columns: int | None = None
-    """Number of columns beside the first that stand side by side in the log; the others follow below."""
+    """Maximum number of columns beside the first in the log; the remaining ones follow below."""
     empty: str = "-"
-    """What stands in the place of a missing value; rows of nothing else are left out where the log splits columns."""
+    """Text for a missing value; when the log splits columns, rows of missing values are omitted."""
 
     def plain(self) -> str:
         """Return the table with aligned columns."""
@@ -38,7 +38,7 @@ class Table(Block):
         return csv_text(self.columns, self.rows)
 
     def parts(self) -> "list[Table]":
-        """Return the table split into some that are narrow enough for the log, each with the first column."""
+        """Split the table into parts that are narrow enough for the log, each with the first column."""
         if self.most_columns is None:
             return [self]
         parts = []

@@ -6,5 +6,5 @@ Verdict: TypeAlias = Literal["pass", "fail"]
 
 
 def verdict_of(passed: bool) -> Verdict:
-    """Return the word for it."""
+    """Convert a truth value to a verdict."""
     return "pass" if passed else "fail"

@@ -68,7 +68,7 @@ def test_what_was_edited_into_nonsense_is_refused_with_its_place(
         (b"[]", "found an empty list"),
         (b"\xff\xfe", "this is not a baseline"),
         (b'{"version": 1, "systems": {"a": {"rms-px": NaN}}}', "found NaN, a finite number was expected"),
-        (b'{"version": 1, "version": 1, "systems": {}}', "stands twice"),
+        (b'{"version": 1, "version": 1, "systems": {}}', "occurs twice"),
         (b"[" * 100_000, "this is not a baseline"),
         (b'<<<<<<< HEAD\n{"version": 1}\n=======\n', "merge conflict"),
         (b" " * (LARGEST + 1), "a baseline has at most"),

@@ -146,7 +146,7 @@ def test_the_exit_code_is_what_the_command_returns(ends_with: list[object], end:
         (InputError("a.csv: is\nwrong"), 2, "error: a.csv: is\\nwrong\n"),
         (UndeterminedError("one axis"), 2, "error: one axis\n"),
         (InfrastructureError("disk full"), 3, "error: disk full\n"),
-        (OSError(28, "No space left", "/x"), 3, "error: /x: No space left: make room, or name another place\n"),
+        (OSError(28, "No space left", "/x"), 3, "error: /x: No space left: free disk space, or choose another path\n"),
         (KeyboardInterrupt(), 130, "error: stopped by SIGINT\n"),
         (
             ModuleNotFoundError("No module named 'cv2'", name="cv2.x"),
@@ -282,7 +282,7 @@ def test_a_bug_shows_its_traceback(
 @pytest.mark.parametrize(
     ("error", "code", "line"),
     [
-        (MemoryError(), 3, "error: there is not enough memory: give it more, or take fewer collections or processes"),
+        (MemoryError(), 3, "error: there is not enough memory: use fewer collections or processes, or more memory"),
         (np.linalg.LinAlgError("Singular matrix"), 2, "error: the data: found numbers that cannot be solved (Singular"),
     ],
 )

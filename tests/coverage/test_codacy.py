@@ -13,7 +13,7 @@ import pytest
 from calibration.coverage.codacy import API_URL, Account, Codacy, Upload, parse_account, parse_api_url, report_body
 from calibration.coverage.lines import FileCoverage, Rate
 from calibration.errors import InfrastructureError, InputError
-from calibration.http import ATTEMPTS, FIRST_PAUSE, MAX_BYTES, Http, Limits
+from calibration.http import ATTEMPTS, FIRST_PAUSE, MAX_BYTES, Http, Timeouts
 from tests.engine import wait_until
 
 from . import projects
@@ -40,8 +40,8 @@ def server() -> Iterator[projects.Codacy]:
 def client(url: str, account: Account | None = None, **limits: float) -> tuple[Codacy, list[float]]:
     """A client that records its pauses instead of sleeping, with a time limit of a minute."""
     pauses: list[float] = []
-    waits = Limits(**{"connect": 60, "silence": 60, "whole": 60} | limits)
-    http = Http([TOKEN], address="the address (api-url)", limits=waits, pause=pauses.append)
+    waits = Timeouts(**{"connect": 60, "silence": 60, "whole": 60} | limits)
+    http = Http([TOKEN], address="the address (api-url)", timeouts=waits, pause=pauses.append)
     return Codacy(account or Account(TOKEN), url, http=http), pauses
 
 
@@ -142,9 +142,9 @@ HTML = "<!DOCTYPE html><html><body>Sign in</body></html>"
             302,
             "",
             {"Location": "https://user:pw@login.example.org/x"},
-            "sends a POST on to https://login.example.org, which is not followed: check the address (api-url)",
+            "redirects a POST to https://login.example.org, which is not followed: check the address (api-url)",
         ),
-        (302, "", {"Location": "/x"}, "answered 302: sends a POST on to http://127.0.0.1, which is not followed"),
+        (302, "", {"Location": "/x"}, "answered 302: redirects a POST to http://127.0.0.1, which is not followed"),
         (200, b"\xff\xfe", {}, "with a body that is not JSON"),
         (200, '{"error": "\\u001b[2J::add-mask::x\\n\\n"}', {}, "answered 200 (\\x1b[2J::add-mask::x): check"),
         (200, json.dumps({"error": f"token {TOKEN} is wrong"}), {}, "answered 200 (token *** is wrong)"),
@@ -185,9 +185,9 @@ def test_what_passes_is_tried_again(server: projects.Codacy, status: int) -> Non
 @pytest.mark.parametrize(
     ("status", "body", "said"),
     [
-        (503, HTML, "answered 503 (4 attempts): the fault is on its side: run it again later"),
-        (500, '{"error": "boom"}', 'answered 500 ({"error": "boom"}) (4 attempts): the fault is on its side'),
-        (429, "slow down", "answered 429 (slow down) (4 attempts): it has had too many requests"),
+        (503, HTML, "answered 503 (4 attempts): the server failed: run it again later"),
+        (500, '{"error": "boom"}', 'answered 500 ({"error": "boom"}) (4 attempts): the server failed'),
+        (429, "slow down", "answered 429 (slow down) (4 attempts): too many requests"),
     ],
 )
 def test_what_does_not_pass(server: projects.Codacy, status: int, body: str, said: str) -> None:
@@ -310,7 +310,7 @@ def test_the_token_stays_with_this_server(
     monkeypatch.setenv("http_proxy", "http://127.0.0.1:9")
     with projects.codacy() as other:
         server.answer(307, "", Location=other.url)
-        with pytest.raises(InfrastructureError, match="sends a POST on"):
+        with pytest.raises(InfrastructureError, match="redirects a POST"):
             tell(client(server.url)[0])
         assert other.asked == []
     assert "Authorization" not in server.asked[0].headers

@@ -327,7 +327,7 @@ def test_a_byte_order_mark_is_accepted_and_a_repeated_key_is_not(tmp_path):
     path.write_bytes(b"\xef\xbb\xbf" + text)
     assert read_dataset(path).version == "3.0"
     path.write_bytes(text.replace(b'{"_metadata"', b'{"_metadata": 5, "_metadata"', 1))
-    with pytest.raises(InputError, match="the key '_metadata' stands twice"):
+    with pytest.raises(InputError, match="the key '_metadata' occurs twice"):
         read_dataset(path)
 
 

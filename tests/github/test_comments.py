@@ -123,7 +123,7 @@ def test_a_text_is_cut_to_what_github_takes(service: GitHub) -> None:
 @pytest.mark.parametrize(
     ("answers", "kind", "expected"),
     [
-        ([FORBIDDEN], InputError, "the token may not: the job needs permissions: pull-requests: write"),
+        ([FORBIDDEN], InputError, "the token lacks a permission: the job needs permissions: pull-requests: write"),
         (
             [(403, {"message": "API rate limit exceeded"}, {"X-RateLimit-Remaining": "0"})],
             InfrastructureError,
@@ -135,7 +135,7 @@ def test_a_text_is_cut_to_what_github_takes(service: GitHub) -> None:
             "too many",
         ),
         ([(502, {"message": "Bad Gateway"}, {})] * 4, InfrastructureError, "answered 502 (Bad Gateway) (4 attempts)"),
-        ([(404, {"message": "Not Found"}, {})], InputError, "the token may not know of this pull request"),
+        ([(404, {"message": "Not Found"}, {})], InputError, "the token has no access to this pull request"),
         ([(422, {"message": "Validation Failed"}, {})], InfrastructureError, "answered 422 (Validation Failed)"),
         ([(429, {}, {"Retry-After": "3600"})], InfrastructureError, "3600 s"),
     ],

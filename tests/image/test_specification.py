@@ -145,7 +145,7 @@ def test_the_key_image_of_a_pipeline_with_variables(tmp_path: Path) -> None:
         ({"base": "debian", "secrets": [{"id": "a", "variable": "B", "file": "c"}]}, "either variable or file"),
         (
             {"base": "debian", "secrets": [{"id": "a", "variable": "B"}, {"id": "a", "variable": "C"}]},
-            "the id 'a' stands twice",
+            "the id 'a' occurs twice",
         ),
         ({"base": "debian", "registry": {"username": "a"}}, "username and password-variable go together"),
         ({"base": "debian", "registry": {"username": "a", "password": "hunter2"}}, "unknown key 'password'"),

@@ -114,7 +114,7 @@ def test_wrong_rules_in_a_rigelfile(path: Path, limits: str, message: str) -> No
         ("jobs: {a: {plugin: x}}", "unknown key 'jobs'"),
         ("", "found null, expected keys: rules, key-column"),
         ("rules: [", "this is not valid YAML"),
-        ("a: 1\nb: 2\na: 3\n", "the key 'a' stands twice"),
+        ("a: 1\nb: 2\na: 3\n", "the key 'a' occurs twice"),
         ("a: &x [*x]", "its aliases stand for more than"),
         ("rules: !!python/object/apply:os.system [echo]", "this is not valid YAML: could not determine a constructor"),
         ("rules: !!python/tuple 3", "this is not valid YAML"),
@@ -135,7 +135,7 @@ def test_files_that_hold_no_rules(path: Path, document: str, message: str) -> No
 
 def test_a_repeated_key_is_named_with_its_line(path: Path) -> None:
     path.write_text("rules:\n  - column: x\n    max: 1\n    max: 2\n")
-    with pytest.raises(InputError, match=r"rules\.yml:4: this is not valid YAML: the key 'max' stands twice"):
+    with pytest.raises(InputError, match=r"rules\.yml:4: this is not valid YAML: the key 'max' occurs twice"):
         read_rules(path)
 
 

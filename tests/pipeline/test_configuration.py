@@ -141,7 +141,7 @@ def test_limits_for_all_systems_yield_to_a_system_s_own(tmp_path: Path) -> None:
         ("systems: {a: {dataset: a, rules: [{column: RMS, min: 2, max: 1}]}}", "systems.a.rules"),
         ("systems: {a: {dataset: a, limits: {}}}", "systems.a.limits"),
         ("systems: {a: {dataset: '${NO_SUCH}'}}", "NO_SUCH is not set"),
-        ("systems: {a: {dataset: a}, a: {dataset: b}}", "stands twice"),
+        ("systems: {a: {dataset: a}, a: {dataset: b}}", "occurs twice"),
         ("systems: [", "not valid YAML"),
         ("!!python/object/apply:os.system [true]", "not valid YAML"),
         ("a: &a [x, x]\nb: &b [*a, *a]\nsystems: *b", "systems"),

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from calibration.errors import CalibrationError, InfrastructureError, InputError
-from calibration.http import Limits
+from calibration.http import Timeouts
 from calibration.registries.credentials import Credentials
 from calibration.registries.registry import MEDIA_TYPES, Manifest, RegistryClient
 from tests.registries.server import Reply, Request, Server, serve
@@ -34,7 +34,7 @@ def pauses() -> list[float]:
 
 @pytest.fixture
 def client(pauses: list[float]) -> Iterator[RegistryClient]:
-    with RegistryClient(pause=pauses.append, limits=Limits(connect=2, silence=0.2)) as client:
+    with RegistryClient(pause=pauses.append, timeouts=Timeouts(connect=2, silence=0.2)) as client:
         yield client
 
 
@@ -374,7 +374,7 @@ def test_tls_that_nobody_vouches_for(certificate: Path, monkeypatch: pytest.Monk
         ("http://203.0.113.7/x", "on to http://203.0.113.7, which is not safe"),
         ("http://user:secret@127.0.0.1:1/x", "on to http://127.0.0.1, which is not safe"),
         ("file:///etc/passwd", "on to file://, which is not safe"),
-        ("/again", "sends on and on"),
+        ("/again", "redirects more than 5 times"),
         ("http://[", "failed"),
     ],
 )
@@ -390,7 +390,7 @@ def test_redirects_that_are_not_followed(client: RegistryClient, location: str, 
 def test_a_manifest_is_not_sent_on(client: RegistryClient) -> None:
     with (
         serve(lambda _: Reply(307, headers={"Location": "/x"})) as server,
-        pytest.raises(InfrastructureError, match="sends a PUT on to"),
+        pytest.raises(InfrastructureError, match="redirects a PUT to"),
     ):
         client.put_manifest(f"{server.address}/robot:v1", Manifest(DIGEST, DOCKER, CONTENT))
 
@@ -501,7 +501,9 @@ def test_a_proxy_of_the_environment_is_not_asked_for_this_machine(
         for name in ("no_proxy", "NO_PROXY"):
             monkeypatch.delenv(name, raising=False)
         assert client.find_manifest(f"{server.address}/robot") == DIGEST
-        with RegistryClient(Credentials("registry.test", insecure=True), limits=Limits(connect=2, silence=2)) as other:
+        with RegistryClient(
+            Credentials("registry.test", insecure=True), timeouts=Timeouts(connect=2, silence=2)
+        ) as other:
             assert other.find_manifest("registry.test/robot") is None  # the proxy's own answer
     assert proxy.paths() == ["HEAD http://registry.test/v2/robot/manifests/latest"]
 

@@ -336,7 +336,7 @@ sequences:
         ("jobs: {a: {plugin: x.BuildXPlugin, with: {push: 3}}}", "push: found 3, true or false was expected"),
         ("jobs: {}\nproviders: {p: {provider: x.y, with: pl4nted}}", "a mapping was expected"),
         ("jobs: {'a!': {plugin: x.ComposePlugin, with: &c {components: {command: x, artifacts: [/t.csv]}}}, 'a?': {plugin: x.ComposePlugin, with: *c}}", "jobs: two are called 'a'"),
-        ("jobs: {a: {plugin: x.y}, 'a': {plugin: x.y}}", "the key 'a' stands twice"),
+        ("jobs: {a: {plugin: x.y}, 'a': {plugin: x.y}}", "the key 'a' occurs twice"),
         ("application: {~: a, None: b}", "the same as texts"),
         ("colour: red", "found colour, the keys application and jobs were expected"),
         ("[]", "a Rigelfile was expected"),

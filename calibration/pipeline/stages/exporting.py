@@ -25,7 +25,7 @@ CALIBRATION = "calibration.json"
 class CalibrationDocument:
     """All that is known of the calibration of a system: for programs."""
 
-    schema: Literal[1] = field("Number of this form.")
+    schema: Literal[1] = field("Version of this format.")
     system: str = field("The system.")
     verdict: Verdict = field("Of its first cell that passed.")
     truth_mm: float | None = field("The worst error of a sensor against the truth, where that is known.", unit="mm")

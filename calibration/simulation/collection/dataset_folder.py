@@ -11,7 +11,7 @@ from calibration.dataset import truth
 from calibration.dataset.reading import FILE_NAME
 from calibration.dataset.writing import write_document
 from calibration.errors import InfrastructureError, InputError
-from calibration.files import place, write_atomically
+from calibration.files import link_or_copy, write_atomically
 from calibration.simulation.collection.document import dataset_document, truth_document
 from calibration.simulation.collection.record import Record
 from calibration.simulation.motion.sequence import motion_document
@@ -39,7 +39,7 @@ def write_dataset(new: Path, play: Play, kept: Sequence[Record], files: Path) ->
         for message in record.collection["data"].values():
             name = message.get("data_file")  # the ranges of a 2D LiDAR are in the dataset itself
             if name and (files / name).exists():
-                place(files / name, new / name)
+                link_or_copy(files / name, new / name)
     write_document(motion_document(play.motion), new / MOTION_FILE)
     write_document(truth_document(play, kept), new / truth.FILE_NAME)
     write_document(dataset_document(play.system, kept), new / FILE_NAME)

@@ -162,7 +162,7 @@ def test_the_set_that_ships_fits_every_system(systems: dict[str, System]) -> Non
             "light: {brightness: 1}",
             "light: unknown key 'brightness' (known: ambient, intensity, elevation_deg, azimuth_deg)",
         ),
-        ("light: {ambient: 1, ambient: 2}", "the key 'ambient' stands twice"),
+        ("light: {ambient: 1, ambient: 2}", "the key 'ambient' occurs twice"),
         ("light: {ambient: {uniform: [0, .inf]}}", "light.ambient.uniform.1: found inf, expected a number"),
         ("light: {ambient: -1}", "light.ambient: found values from -1 to -1, expected them from 0 to 10"),
         ("light: {elevation_deg: 10}", "light: elevation_deg needs azimuth_deg: say azimuth_deg too"),
