@@ -41,7 +41,9 @@ COMMANDS: Mapping[str, LazyCommand] = {
     ),
     "accept": LazyCommand("calibration.commands.accept:command", "Keep a run's results as the baseline of later ones."),
     "history": LazyCommand("calibration.commands.history:command", "Follow the accepted calibrations through git."),
-    "convergence": LazyCommand("calibration.commands.convergence:command", "Map how far a starting guess may be off."),
+    "convergence": LazyCommand(
+        "calibration.commands.convergence:command", "Map how large errors of the starting guess may be."
+    ),
     "introspect-csv": LazyCommand("calibration.commands.introspect_csv:command", "Check tables against rules."),
     "collect-data-sim": LazyCommand(
         "calibration.commands.collect_data_sim:command", "Collect a dataset in simulation."
@@ -50,21 +52,21 @@ COMMANDS: Mapping[str, LazyCommand] = {
         "calibration.commands.build_image:command", "Build the image with the team's software, if anything changed."
     ),
     "coverage-upload": LazyCommand(
-        "calibration.commands.coverage_upload:command", "Run tests, judge their coverage, and upload it."
+        "calibration.commands.coverage_upload:command", "Run tests, check their coverage, and upload it."
     ),
     "static-analysis": LazyCommand(
-        "calibration.commands.static_analysis:command", "Look for errors in the code; red for what a change brings in."
+        "calibration.commands.static_analysis:command", "Check the code for errors; fail for those that a change adds."
     ),
     "record-motion": LazyCommand(
         "calibration.commands.record_motion:command", "Record a motion sequence on a page in the browser."
     ),
     "plan-matrix": LazyCommand("calibration.commands.plan_matrix:command", "Plan the jobs of a workflow."),
     "gather-results": LazyCommand(
-        "calibration.commands.gather_results:command", "Gather what the jobs of a workflow found."
+        "calibration.commands.gather_results:command", "Merge the results of a workflow's jobs."
     ),
     "comment": LazyCommand("calibration.commands.comment:command", "Keep one comment on a pull request up to date."),
     "import-data": LazyCommand(
-        "calibration.commands.import_data:command", "Make a dataset of images and poses that were recorded."
+        "calibration.commands.import_data:command", "Make a dataset of recorded images and poses."
     ),
     "label": LazyCommand("calibration.commands.label:command", "Find the patterns in the images of a dataset."),
     "init": LazyCommand("calibration.commands.init:command", "Write a first calibration.yml and workflow."),
@@ -129,7 +131,7 @@ def load_command(name: str) -> click.Command:
 @click.group("calibration", cls=LazyGroup, no_args_is_help=False)
 @click.version_option(__version__, prog_name="calibration-ci", message="%(prog)s %(version)s")
 def group() -> None:
-    """Tell whether the robot still calibrates.
+    """Check whether the robot still calibrates.
 
     Exit codes: 0 pass, 1 the verdict is fail, 2 bad input, 3 infrastructure failed (disk, network, engine).
     """

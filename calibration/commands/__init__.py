@@ -1,5 +1,5 @@
-"""The commands: one module per action and verb, each from inputs to an exit code.
+"""Commands of the command line and the actions: one module each, from options to an exit code.
 
-`calibration.__main__` imports a module when its command is called, so that what it needs stands at its head. Each
-module has a click command named ``command`` whose callback returns an exit code.
+`calibration.__main__` imports a module only when its command is called, so modules may import what they need. Each
+has a click command named ``command`` whose callback returns an exit code.
 """

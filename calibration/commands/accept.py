@@ -1,4 +1,4 @@
-"""``accept``: the results of a run become the accepted calibration that later ones are compared with."""
+"""``accept``: make the results of a run the accepted baseline of later runs."""
 
 import os
 from pathlib import Path
@@ -19,12 +19,12 @@ from calibration.workflow.text import one_line
 @click.option("--config", type=path, default=DEFAULT_FILE, show_default=True, help="The configuration.")
 @click.option("--output", type=path, default="output", show_default=True, help="Folder of the run's results.")
 @click.option("--systems", type=TEXT_LIST, help="Only these systems (all of the results).")
-@click.option("--although", type=text, help="Why a system that has failed is accepted; kept in the file.")
+@click.option("--although", type=text, help="Reason to accept a failed system; saved in the file.")
 def command(config: Path, output: Path, systems: tuple[str, ...] | None, although: str | None) -> ExitCode:
     """Keep the results of a run in calibration-baseline.json, to be committed.
 
-    Later runs are compared with it. What has failed, for other reasons than a change against the baseline, is refused
-    unless --although says why it is accepted.
+    Later runs are compared with it. Results that failed, except by a change from the baseline, are refused
+    unless --although gives a reason to accept them.
     """
     runner = Runner.from_environment(os.environ)
     if although is not None and not although.strip():

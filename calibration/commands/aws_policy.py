@@ -1,4 +1,4 @@
-"""``aws-policy``: what whoever runs jobs on AWS Batch has to be allowed, and no more."""
+"""``aws-policy``: print the least permissions for jobs on AWS Batch."""
 
 import json
 import sys
@@ -22,12 +22,12 @@ _HOLDERS = ("caller", "job", "execution", "trust")
     type=click.Choice(_HOLDERS),
     default="caller",
     show_default=True,
-    help="caller: who runs calibration. job, execution: the roles of that name. trust: who may take these two.",
+    help="caller: user of calibration. job, execution: roles of these names. trust: who may assume them.",
 )
 def command(config: Path, holder: str) -> ExitCode:
-    """Print an IAM policy with the least rights that jobs on AWS Batch need.
+    """Print an IAM policy with the least permissions that jobs on AWS Batch need.
 
-    Nothing is asked of AWS, and nothing changed there.
+    No request is sent to AWS.
     """
     settings = read_sections(AWS_BATCH, config).of(AWS_BATCH)
     found = {each: policy(each, settings) for each in HOLDERS} | {"trust": trust()}

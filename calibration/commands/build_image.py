@@ -1,4 +1,4 @@
-"""``build-image``: a specification or a Dockerfile to an image, in a registry where one is wanted."""
+"""``build-image``: build an image from a specification or a Dockerfile, and push it to a registry on request."""
 
 import os
 import time
@@ -34,57 +34,55 @@ SPECIFICATION = Path("calibration.yml")
 
 
 @record
-class Settings:
-    """The inputs of ``build-image``; what is None is as the specification says."""
+class BuildSettings:
+    """Inputs of ``build-image``; None means as in the specification."""
 
     spec: Path | None = field(
-        "YAML file of what the image is made of, or one that has a key image (calibration.yml).", default=None
+        "YAML file with the specification of the image, or with a key image (calibration.yml).", default=None
     )
-    dockerfile: Path | None = field("A Dockerfile of your own, in the place of a specification.", default=None)
-    context: Path | None = field("The folder that this Dockerfile copies from (the working directory).", default=None)
+    dockerfile: Path | None = field("Your own Dockerfile, instead of a specification.", default=None)
+    context: Path | None = field("Build context of this Dockerfile (the working directory).", default=None)
     name: str | None = field("Registry and repository without a tag: ghcr.io/team/robot.", default=None)
-    tags: tuple[str, ...] | None = field("Tags beside the one made of the content.", default=None)
+    tags: tuple[str, ...] | None = field("Tags beside the content key.", default=None)
     push: bool | None = field("Push the image to its registry.", default=None)
-    load: bool | None = field(
-        "The image has to be on this machine's engine (it need not if it is pushed).", default=None
-    )
+    load: bool | None = field("Load the image into this machine's engine (not if it is pushed).", default=None)
     promote: tuple[str, ...] = field(
         "Tags that the image gets in its registry, such as stable; it is pushed.", default=()
     )
-    digest: str | None = field("The image to promote (sha256:...), with nothing built.", default=None)
-    builder: BuilderName = field("auto (BuildKit where a docker does it), engine or buildkit (auto).", default="auto")
-    force: bool = field("Build anew, though nothing has changed, and without a cache.", default=False)
-    pull: bool = field("Ask the registry whether there is a newer base.", default=False)
+    digest: str | None = field("Digest of an image to promote (sha256:...), without a build.", default=None)
+    builder: BuilderName = field("auto (BuildKit if docker supports it), engine or buildkit (auto).", default="auto")
+    force: bool = field("Build even if nothing has changed, without a cache.", default=False)
+    pull: bool = field("Look for a newer base image in its registry.", default=False)
     render: Path | None = field(
-        "Write the Dockerfile and all it copies into this folder, and build nothing.", default=None
+        "Write the Dockerfile and its context into this folder, without building.", default=None
     )
     registry_username: str | None = field("User of the registry.", default=None)
     password_variable: str | None = None
     output: Path | None = field("Folder for results.json, junit.xml and summary.md.", default=None)
 
 
-_OPTIONS = option_keys(Settings)
+_OPTIONS = option_keys(BuildSettings)
 
 
 @click.command(TITLE)
-@record_options(Settings, *_OPTIONS[:-1])
+@record_options(BuildSettings, *_OPTIONS[:-1])
 @registry_password_option
-@record_options(Settings, _OPTIONS[-1])
+@record_options(BuildSettings, _OPTIONS[-1])
 @click.pass_context
 def command(click_context: click.Context, /, **options: Any) -> ExitCode:
-    """Build an image from a specification or a Dockerfile; nothing is built where nothing has changed."""
+    """Build an image from a specification or a Dockerfile, unless nothing has changed."""
     runner = Runner.from_environment(os.environ)
     password = password_variable(click_context, options.pop("registry_password"), runner)
-    return build(chosen(Settings, options, password_variable=password), runner)
+    return build(chosen(BuildSettings, options, password_variable=password), runner)
 
 
-def build(settings: Settings, runner: Runner) -> ExitCode:
-    """Build or find the image, push and promote it as asked, and report.
+def build(settings: BuildSettings, runner: Runner) -> ExitCode:
+    """Build or find the image, push and promote it on request, and report.
 
     Raises:
-        InputError: an input, a file or a base is wrong or missing, or access denied.
-        InfrastructureError: the engine, a registry or the network failed. A result of an earlier run is removed
-            first, so that none is mistaken for this one's.
+        InputError: an input, a file or a base is wrong or missing, or access is denied.
+        InfrastructureError: the engine, a registry or the network failed. Results of an earlier run are removed
+            first, so that they are not mistaken for current ones.
     """
     if settings.output is not None:
         remove_results(settings.output, FILES)
@@ -104,7 +102,7 @@ def build(settings: Settings, runner: Runner) -> ExitCode:
     return found.exit_code
 
 
-def _built(settings: Settings, specification: ImageSpecification, runner: Runner) -> BuildResult:
+def _built(settings: BuildSettings, specification: ImageSpecification, runner: Runner) -> BuildResult:
     push = bool(settings.promote) or (specification.push if settings.push is None else settings.push)
     image = build_image(
         specification,
@@ -120,27 +118,29 @@ def _built(settings: Settings, specification: ImageSpecification, runner: Runner
         return BuildResult(**vars(image))
     if image.digest is None:
         raise InfrastructureError(
-            f"{image.reference}: pushed, but nothing told its digest, which the tags of promote need"
+            f"{image.reference}: pushed, but its digest is unknown, which the tags of promote need"
         )
     return BuildResult(**vars(image), promoted=_promote(specification, image.digest, settings, runner))
 
 
-def _promoted(settings: Settings, specification: ImageSpecification, runner: Runner) -> BuildResult:
+def _promoted(settings: BuildSettings, specification: ImageSpecification, runner: Runner) -> BuildResult:
     if not settings.promote or settings.digest is None:
-        raise InputError("digest is given without promote: say which tags the image gets")
+        raise InputError("digest is given without promote: give the tags of the image")
     reference = f"{specification.name}@{settings.digest}"
     names = _promote(specification, settings.digest, settings, runner)
     return BuildResult(reference=reference, digest=settings.digest, promoted=names)
 
 
-def _promote(specification: ImageSpecification, digest: str, settings: Settings, runner: Runner) -> tuple[str, ...]:
+def _promote(
+    specification: ImageSpecification, digest: str, settings: BuildSettings, runner: Runner
+) -> tuple[str, ...]:
 
     credentials = registry_login(specification.registry, specification.name, runner)
     return tuple(promote(specification.name, digest, settings.promote, credentials, runner))
 
 
-def _specification(settings: Settings) -> ImageSpecification:
-    """Read what the image is made of, with what the options say in the place of what the file says."""
+def _specification(settings: BuildSettings) -> ImageSpecification:
+    """Read the specification, and replace its keys by those given as options."""
     if settings.dockerfile is not None and settings.spec is not None:
         raise InputError("spec and dockerfile are both given: a specification can name a Dockerfile of your own")
     if settings.context is not None and settings.dockerfile is None:
@@ -171,7 +171,7 @@ def _specification(settings: Settings) -> ImageSpecification:
 def _render(specification: ImageSpecification, folder: Path, runner: Runner) -> ExitCode:
 
     if isinstance(specification.source, OwnDockerfile):
-        raise InputError("render: a Dockerfile of your own is there already; there is nothing to generate")
+        raise InputError("render: your own Dockerfile exists already; there is nothing to generate")
     context = Context()
     rendered = add_recipe(specification, context)
     context.write_folder(folder)

@@ -1,4 +1,4 @@
-"""``calibrate-matrix``: every system from every noisy start, with a verdict."""
+"""``calibrate-matrix``: calibrate every system from every noisy start, with a verdict."""
 
 import os
 from collections.abc import Mapping
@@ -28,33 +28,33 @@ TITLE = "calibrate-matrix"
 
 
 NOISE = {"translation": "translation-noise", "rotation": "rotation-noise"}
-"""Options for the noise that are not called as its keys."""
+"""Options of the noise whose names differ from its keys."""
 OF_SOFTWARE = {
-    "image": "Image with the team's own calibration, which takes the place of our engine.",
-    "command": "What it runs, without a shell: calibrate {start} {output} --seed {seed}.",
-    "artifacts": "Files to bring out of it, with wildcards ({output}/*).",
-    "table": "Which of them is the table to judge (*.csv).",
-    "calibrated": "Which of them is the calibrated dataset to judge (*.json); none: its table is believed.",
+    "image": "Image with the team's own calibration, used instead of our engine.",
+    "command": "Command, without a shell: calibrate {start} {output} --seed {seed}.",
+    "artifacts": "Files to copy out of the container, with wildcards ({output}/*).",
+    "table": "The table among them to check (*.csv).",
+    "calibrated": "The calibrated dataset among them to evaluate (*.json); none: only its table is used.",
     "ros": "1 starts a ROS master beside it (none).",
-    "memory": "The most memory it may use, such as 2g (no limit).",
-    "timeout": "How long it may take, such as 10m (1h).",
+    "memory": "Memory limit, such as 2g (no limit).",
+    "timeout": "Time limit, such as 10m (1h).",
 }
-"""The keys of the team's software that are options, and what the options say."""
+"""Keys of the team's software that are options, with their help."""
 
 
 @record(kw_only=True)
-class Settings:
-    """The inputs of ``calibrate-matrix``; where one is empty or None, the configuration or its default decides."""
+class MatrixSettings:
+    """Inputs of ``calibrate-matrix``; for empty ones and None the configuration or its default applies."""
 
     dataset: Path | None = field("A dataset's folder, or its JSON file; instead of config.", default=None)
     config: Path | None = field("A calibration.yml with the systems; instead of dataset.", default=None)
     systems: tuple[str, ...] = field("Only these systems of the configuration.", default=())
     noise: Noise = Noise()
     of_systems: Mapping[str, Any] = dataclass_field(default_factory=dict)
-    """Keys of a system that take the place of the configuration's."""
+    """Keys of systems that replace those of the configuration."""
     rules: Path | None = field("YAML file of rules for the table of every cell.", default=None)
     software: Mapping[str, Any] = dataclass_field(default_factory=dict)
-    """Keys of the team's software, which calibrates in the place of our engine, likewise."""
+    """Keys of the team's software that replace those of the configuration."""
     registry_username: str | None = field("User of the registry of image, where it is private.", default=None)
     password_variable: str | None = None
     backend: str | None = field("Where its containers run: docker (this machine), or aws-batch (docker).", default=None)
@@ -68,8 +68,8 @@ class Settings:
     output: Path = field("Folder for results, tables and datasets (output).", default=Path("output"))
 
     @classmethod
-    def of_options(cls, options: Mapping[str, Any]) -> "Settings":
-        """The settings that the options of a command make."""
+    def of_options(cls, options: Mapping[str, Any]) -> "MatrixSettings":
+        """Create the settings from the options of a command."""
         return chosen(
             cls,
             options,
@@ -81,28 +81,28 @@ class Settings:
 
 
 @click.command(TITLE)
-@record_options(Settings, "dataset", "config", "systems")
+@record_options(MatrixSettings, "dataset", "config", "systems")
 @record_options(Noise, names=NOISE)
 @record_options(System)
-@record_options(Settings, "rules")
+@record_options(MatrixSettings, "rules")
 @record_options(Software, *OF_SOFTWARE, helps=OF_SOFTWARE)
-@record_options(Settings, "registry-username")
+@record_options(MatrixSettings, "registry-username")
 @registry_password_option
-@record_options(Settings, "backend", "aws-batch", "run", "resume", "jobs", "fail-fast", "output")
+@record_options(MatrixSettings, "backend", "aws-batch", "run", "resume", "jobs", "fail-fast", "output")
 @click.pass_context
 def command(click_context: click.Context, /, **options: Any) -> ExitCode:
-    """Calibrate systems from every noisy start; the verdict is fail when one of them is."""
+    """Calibrate systems from every noisy start; the verdict is fail if one of them fails."""
     runner = Runner.from_environment(os.environ)
     options["password_variable"] = password_variable(click_context, options.pop("registry_password"), runner)
-    settings = Settings.of_options(options)
+    settings = MatrixSettings.of_options(options)
     return calibrate_matrix(settings, runner)
 
 
-def calibrate_matrix(settings: Settings, runner: Runner) -> ExitCode:
+def calibrate_matrix(settings: MatrixSettings, runner: Runner) -> ExitCode:
     """Run the matrix and report it.
 
     Raises:
-        InputError: the settings contradict each other, or the data are wrong.
+        InputError: the settings are inconsistent, or the data are wrong.
         InfrastructureError: a result cannot be written.
     """
     configuration = configuration_of(settings)
@@ -124,11 +124,11 @@ def calibrate_matrix(settings: Settings, runner: Runner) -> ExitCode:
     return run_stages(run, ("calibrate", "introspect", "export")).exit_code
 
 
-def place_of(settings: Settings, configuration: Configuration, matrix: Matrix, runner: Runner) -> Place:
-    """Where the team's software runs.
+def place_of(settings: MatrixSettings, configuration: Configuration, matrix: Matrix, runner: Runner) -> Place:
+    """Return the execution target of the team's software.
 
     Raises:
-        InputError: there is no such backend, no software to run in it, or nothing says where in the cloud.
+        InputError: unknown backend, a cloud backend without software to run, or without its section of settings.
     """
     backend = settings.backend or configuration.backend
     check_backend(backend, CONTAINERS)
@@ -150,10 +150,10 @@ def place_of(settings: Settings, configuration: Configuration, matrix: Matrix, r
     )
 
 
-def pull(settings: Settings, runner: Runner) -> None:
-    """Pull the image that is given with a login; the backend then finds it on the engine."""
+def pull(settings: MatrixSettings, runner: Runner) -> None:
+    """Pull the image if a login for it is given; the backend then finds it on the engine."""
     if settings.registry_username is None and settings.password_variable in (None, EVERYWHERE):
-        return  # nothing was asked: that variable may be there for other commands
+        return  # the variable may be set for other commands
     if settings.registry_username is None or settings.password_variable is None:
         missing = "registry-username" if settings.registry_username is None else "registry-password"
         raise InputError(f"{missing} is not given: user and password go together")
@@ -161,26 +161,26 @@ def pull(settings: Settings, runner: Runner) -> None:
         raise InputError("registry-username is given without the image that it is for")
 
     login = RegistrySettings(username=settings.registry_username, password_variable=settings.password_variable)
-    from calibration.image.bases import pull_image  # the engine's SDK
+    from calibration.image.bases import pull_image  # imports the engine's SDK
 
     pull_image(image, login, runner, TITLE)
 
 
-def matrix_of(settings: Settings, configuration: Configuration) -> Matrix:
-    """What is to be calibrated, from the configuration with the other settings in front.
+def matrix_of(settings: MatrixSettings, configuration: Configuration) -> Matrix:
+    """Return the matrix of calibrations: the configuration's, with the settings taking precedence.
 
     Raises:
-        InputError: the configuration has no such system, or the settings are wrong.
+        InputError: the configuration lacks a selected system, or the settings are wrong.
     """
     systems = tuple(_adjusted(system, settings) for system in configuration.only(settings.systems))
     return Matrix(systems, settings.noise.grid(configuration.noise))
 
 
-def configuration_of(settings: Settings) -> Configuration:
-    """The configuration that is given, or the one of a dataset alone.
+def configuration_of(settings: MatrixSettings) -> Configuration:
+    """Read the configuration, or create one for a single dataset.
 
     Raises:
-        InputError: both are given, or none; or the configuration is wrong.
+        InputError: both or none are given, or the configuration is wrong.
     """
     if settings.config is not None and settings.dataset is None:
         return read_configuration(settings.config)
@@ -191,8 +191,8 @@ def configuration_of(settings: Settings) -> Configuration:
     return Configuration(systems=(System(name, settings.dataset),))
 
 
-def _adjusted(system: System, settings: Settings) -> System:
-    """A system with what the settings say in the place of what the configuration says."""
+def _adjusted(system: System, settings: MatrixSettings) -> System:
+    """Return a system with the keys given as options replaced."""
     system = changed(system, settings.of_systems, "options")
     if settings.rules is not None:
         system = replace(system, rules=read_rules(settings.rules))

@@ -1,4 +1,4 @@
-"""``cleanup``: what runs left on the Docker Engine, or in the cloud, because they were killed."""
+"""``cleanup``: remove objects of killed runs from the Docker Engine or the cloud."""
 
 import os
 from typing import Any
@@ -14,18 +14,18 @@ from calibration.workflow.text import aligned
 
 
 @click.command("cleanup")
-@click.option("--run", type=text, help="Everything of this run, whether it still goes on or not.")
-@boolean_option("--all", help="Everything of every run, also of those that still go on.")
-@boolean_option("--dry-run", help="Only say what would be removed.")
-@boolean_option("--cloud", help="In AWS Batch: jobs that still wait or run are ended.")
+@click.option("--run", type=text, help="Remove everything of this run, even if it is still running.")
+@boolean_option("--all", help="Remove everything of all runs, even of those still running.")
+@boolean_option("--dry-run", help="Only print what would be removed.")
+@boolean_option("--cloud", help="In AWS Batch: end waiting and running jobs.")
 @boolean_option("--definitions", help="With cloud: deregister old revisions of job definitions, and do nothing else.")
 @click.option("--config", type=path, help="With cloud: the file with the key aws-batch (calibration.yml).")
-@click.option("--queue", type=text, help="With cloud: the job queue, in the place of config's.")
-@click.option("--region", type=text, help="With cloud: where the queue is, in the place of config's.")
+@click.option("--queue", type=text, help="With cloud: job queue, instead of config's.")
+@click.option("--region", type=text, help="With cloud: region of the queue, instead of config's.")
 def command(**options: Any) -> ExitCode:
-    """Remove what killed runs have left: containers, networks and volumes on the Docker Engine, or jobs in AWS Batch.
+    """Remove objects of killed runs: containers, networks and volumes on the Docker Engine, or jobs in AWS Batch.
 
-    Unless told otherwise: those of processes that ran on this machine and are dead.
+    By default those of processes that ran on this machine and are dead.
     """
     runner = Runner.from_environment(os.environ)
     for name in ("config", "queue", "region", "definitions"):
@@ -41,7 +41,7 @@ def command(**options: Any) -> ExitCode:
     else:
         where = (options["config"] or DEFAULT_FILE, options["queue"], options["region"], options["definitions"])
         leftovers = imported(KINDS[AWS_BATCH].leftovers)(*where)
-        everything |= options["definitions"]  # which no run owns
+        everything |= options["definitions"]  # definitions belong to no run
     return clean_up(leftovers, run, everything, options["dry_run"], runner)
 
 
@@ -49,14 +49,14 @@ def clean_up(leftovers: Leftovers[Any], run: str | None, everything: bool, dry_r
     """Remove leftovers, and print them.
 
     Args:
-        leftovers: of a backend.
-        run: only those of this run, dead or alive; None for those of dead processes.
-        everything: those of all runs.
+        leftovers: leftovers of a backend.
+        run: name of a run, dead or alive, to restrict the search; None for those of dead processes.
+        everything: include all runs.
         dry_run: only print them.
-        runner: where to print.
+        runner: runner whose log shows them.
 
     Raises:
-        InputError: they cannot be asked for.
+        InputError: the search is refused.
         InfrastructureError: the backend does not answer, or something cannot be removed.
     """
     with leftovers as place:
@@ -65,7 +65,7 @@ def clean_up(leftovers: Leftovers[Any], run: str | None, everything: bool, dry_r
         chosen = found if everything or run is not None else dead
         if not dry_run:
             place.remove(chosen)
-    with stop_commands(runner):  # names that others chose
+    with stop_commands(runner):  # names are untrusted
         if chosen:
             runner.log(aligned(leftovers.header, [each.row for each in chosen]))
     runner.log(leftovers.told(chosen, dry_run))

@@ -1,4 +1,4 @@
-"""``collect-data-sim``: a system and a motion to a dataset, in simulation, proven by calibrating it."""
+"""``collect-data-sim``: collect a dataset of a system and a motion in simulation, and check it by calibrating it."""
 
 import os
 from contextlib import nullcontext
@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from calibration.commands.collection_settings import (
-    Settings,
+    CollectionSettings,
     application_options,
     application_request,
     applications_entry,
@@ -43,24 +43,24 @@ from calibration.workflow.progress import progress
 from calibration.workflow.streams import LogDisplay
 
 MOST_SHOWN = 16
-"""The most scenarios whose containers' logs are shown; the logs of more are in files only."""
+"""Limit of scenarios whose containers' logs are shown; with more, the logs are only in files."""
 
 
 @click.command("collect-data-sim")
-@record_options(Settings, required=True)
+@record_options(CollectionSettings, required=True)
 def command(**options: Any) -> ExitCode:
-    """Collect a dataset in simulation: images, point clouds, labels and the truth; and calibrate it."""
-    settings = chosen(Settings, options)
+    """Collect a dataset in simulation: images, point clouds, labels and ground truth; and calibrate it."""
+    settings = chosen(CollectionSettings, options)
     runner = Runner.from_environment(os.environ)
     return collect_data_sim(settings, runner)
 
 
-def collect_data_sim(settings: Settings, runner: Runner) -> ExitCode:
-    """Collect a dataset, calibrate it, and report both; or do so in many scenarios.
+def collect_data_sim(settings: CollectionSettings, runner: Runner) -> ExitCode:
+    """Collect a dataset, or datasets of many scenarios; calibrate and report them.
 
     Raises:
-        InputError: an input is missing or wrong, or the folder has a dataset already.
-        InfrastructureError: the folder cannot be written, or a process died; its dataset is as before.
+        InputError: an input is missing or wrong, or the folder already contains a dataset.
+        InfrastructureError: the folder cannot be written, or a process died; an existing dataset is unchanged.
     """
     entry = applications_entry(settings)
     backend = settings.backend or (str(entry.get("backend", DOCKER)) if entry else EMBEDDED)
@@ -72,11 +72,11 @@ def collect_data_sim(settings: Settings, runner: Runner) -> ExitCode:
     return _one_scenario(settings, collection, backend, runner)
 
 
-def _check(settings: Settings, backend: str, applications: bool) -> None:
-    """Refuse settings that do not go together.
+def _check(settings: CollectionSettings, backend: str, applications: bool) -> None:
+    """Refuse inconsistent settings.
 
     Raises:
-        InputError: says which, and what to do.
+        InputError: names the settings, and what to do.
     """
     containers = " or ".join(CONTAINERS)
     if settings.scenarios is not None and settings.checks.minimum_coverage is not None:
@@ -100,7 +100,7 @@ def _check(settings: Settings, backend: str, applications: bool) -> None:
         return
     scenarios = [asked for asked in (settings.scenarios, settings.scenario) if asked is not None]
     if settings.scenario_set is None and scenarios:
-        raise InputError("scenarios and scenario need a scenario-set: a YAML file of what varies between scenarios")
+        raise InputError("scenarios and scenario need a scenario-set: a YAML file of the parameters that vary")
     if settings.scenario_set is not None and len(scenarios) != 1:
         raise InputError("scenario-set: give either scenarios (how many scenarios) or scenario (the id of one) with it")
     if backend != EMBEDDED:
@@ -121,7 +121,7 @@ def _check(settings: Settings, backend: str, applications: bool) -> None:
 
 
 def _one_scenario(
-    settings: Settings, request: CollectionRequest | ContainerRequest, backend: str, runner: Runner
+    settings: CollectionSettings, request: CollectionRequest | ContainerRequest, backend: str, runner: Runner
 ) -> ExitCode:
     """Collect one dataset."""
 
@@ -134,12 +134,12 @@ def _one_scenario(
 
     place, embedded = _place(settings, backend, runner), backend == EMBEDDED
     with (
-        stop_commands(runner) if embedded else nullcontext(),  # names in files that others wrote
+        stop_commands(runner) if embedded else nullcontext(),  # names in files are untrusted
         progress(runner, TITLE, bar=embedded, kept="poses") as advance,
     ):
         results = collect_dataset(request, settings.output, settings.overwrite, settings.jobs, place, begin, done)
     found = report.report(results, settings.output)
-    if settings.scenario is None:  # one of many scenarios has the same files wherever it is made
+    if settings.scenario is None:  # a scenario of many must have the same files wherever it is collected
         sheet = settings.output / report.CONTACT_SHEET if results.contact_sheet else None
         write_atomically(settings.output / PAGE_FILE, collection_page(found, sheet))
         found = replace(found, outputs={**found.outputs, "report": settings.output / PAGE_FILE})
@@ -148,9 +148,13 @@ def _one_scenario(
 
 
 def _many_scenarios(
-    settings: Settings, count: int, collection: CollectionRequest | ContainerRequest, backend: str, runner: Runner
+    settings: CollectionSettings,
+    count: int,
+    collection: CollectionRequest | ContainerRequest,
+    backend: str,
+    runner: Runner,
 ) -> ExitCode:
-    """Collect many datasets, with one report over all."""
+    """Collect many datasets, with one report."""
     applications = isinstance(collection, ContainerRequest)
     embedded = backend == EMBEDDED
     request = ScenarioRequest(
@@ -183,12 +187,12 @@ def _many_scenarios(
     return found.exit_code
 
 
-def _place(settings: Settings, backend: str, runner: Runner) -> Place:
-    """Where containers run.
+def _place(settings: CollectionSettings, backend: str, runner: Runner) -> Place:
+    """Return the execution target of containers.
 
     Raises:
-        InputError: nothing says where in the cloud, or which run is to be resumed.
-        InfrastructureError: the name of the run cannot be kept.
+        InputError: the section of the cloud's settings is missing, or the name of the run to resume.
+        InfrastructureError: the name of the run cannot be saved.
     """
     if backend == EMBEDDED:
         return Place()

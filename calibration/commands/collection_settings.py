@@ -1,4 +1,4 @@
-"""The options of ``collect-data-sim``, and the requests that are made of them."""
+"""Options of ``collect-data-sim``, and their conversion to requests."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -25,8 +25,8 @@ Tolerance = Annotated[float, at_least(0)]
 
 
 @record(kw_only=True)
-class Settings:
-    """The inputs of ``collect-data-sim``."""
+class CollectionSettings:
+    """Inputs of ``collect-data-sim``."""
 
     system: str = field("Name of a system in datasets/, or the folder of one.")
     robot: Path | None = field("URDF file, in place of the system's robot.urdf.", default=None)
@@ -35,45 +35,49 @@ class Settings:
         "Motion sequence (JSON), or generate:N; the system's motion.json unless given.", default=None
     )
     scenarios: Annotated[int, at_least(1)] | None = field(
-        "How many scenarios of the set, or datasets of the applications.", default=None
+        "Number of scenarios of the set, or of datasets of the applications.", default=None
     )
-    scenario_set: Path | None = field("YAML file of what varies between scenarios.", default=None)
+    scenario_set: Path | None = field("YAML file of the parameters that vary between scenarios.", default=None)
     scenario: str | None = field("Only this scenario, with its images: s1-00017 (seed 1, number 17).", default=None)
     minimum_success_rate: Share = field("Share of the scenarios that has to pass, 0 to 1 (1).", default=1.0)
     seed: Annotated[int, at_least(0)] = field(
         "Seed of the noise, of a generated motion, of the scenarios (1).", default=1
     )
     checks: CollectionChecks = field(flat=True, default_factory=CollectionChecks)
-    """What a dataset has to keep to, where the two limits that follow say nothing else."""
+    """Limits of a dataset; the following two limits take precedence."""
     max_translation_mm: Tolerance | None = field("Largest error against the truth, mm (5).", default=None)
     max_rotation_deg: Tolerance | None = field("Largest error against the truth, degrees (0.3).", default=None)
-    stillness_mm: Tolerance | None = field("How far the pattern may move while the sensors look (2).", default=None)
-    backend: str | None = field("Where: embedded, or in containers with docker or aws-batch.", default=None)
+    stillness_mm: Tolerance | None = field("Largest movement of the pattern during a collection, mm (2).", default=None)
+    backend: str | None = field("embedded, or containers on docker or aws-batch.", default=None)
     aws_batch: Path | None = field("YAML file with the section aws-batch (calibration.yml).", default=None)
     run: str | None = field("Name of the run in containers or the cloud; a new one unless given.", default=None)
     resume: bool = field("Run only what is missing of an earlier run into this folder, or of this name.", default=False)
     applications: Path | None = field("YAML file of the team's applications, each in a container.", default=None)
     image: str | None = field(
-        "Of applications that name none; or, with calibration-ci in it, of scenarios.", default=None
+        "Default image of the applications; or image with calibration-ci for scenarios.", default=None
     )
-    simulation_command: str | None = field("What the simulation application runs, without a file for it.", default=None)
-    robot_command: str | None = field("What the robot application runs, which labels and saves.", default=None)
+    simulation_command: str | None = field(
+        "Command of the simulation application, instead of a file of applications.", default=None
+    )
+    robot_command: str | None = field("Command of the robot application, which labels and saves.", default=None)
     player: Literal["ros1"] | None = field("ros1: our player moves the pattern and asks for collections.", default=None)
     ros: Literal["none", "1", "2"] | None = field("1 starts a ROS master beside the applications.", default=None)
-    truth: str | None = field("Of the applications' dataset: a file, dataset or none (the system's).", default=None)
+    truth: str | None = field(
+        "Ground truth of the applications' dataset: a file, dataset or none (the system's).", default=None
+    )
     timeout: str | None = field(
-        "How long the applications, or a scenario in a container, may take: 10m (1h).", default=None
+        "Time limit of the applications, or of a scenario in a container: 10m (1h).", default=None
     )
     jobs: Annotated[int, at_least(1)] | None = field("Processes, or containers at once (one a core).", default=None)
     output: Path = field("Folder for the dataset, or for the report on the scenarios.")
     overwrite: bool = field("Replace a dataset that the folder has.", default=False)
 
 
-def collection_request(settings: Settings) -> CollectionRequest:
-    """The collection by our own simulation.
+def collection_request(settings: CollectionSettings) -> CollectionRequest:
+    """Return the request for a collection by our own simulation.
 
     Raises:
-        InputError: there is no such system.
+        InputError: the system does not exist.
     """
     scenario = None
     if settings.scenario_set is not None and settings.scenario is not None:
@@ -90,12 +94,12 @@ def collection_request(settings: Settings) -> CollectionRequest:
     )
 
 
-def application_request(settings: Settings, entry: dict[str, Any]) -> ContainerRequest:
-    """The collection by the team's applications.
+def application_request(settings: CollectionSettings, entry: dict[str, Any]) -> ContainerRequest:
+    """Return the request for a collection by the team's applications.
 
     Args:
-        settings: of the command.
-        entry: what they say of applications (`applications_entry`), not empty.
+        settings: settings of the command.
+        entry: description of the applications (`applications_entry`), not empty.
 
     Raises:
         InputError: the description is wrong, or a container has no image.
@@ -127,8 +131,8 @@ def application_request(settings: Settings, entry: dict[str, Any]) -> ContainerR
     )
 
 
-def applications_entry(settings: Settings) -> dict[str, Any]:
-    """What the settings say of applications, as an entry ``simulation`` of calibration.yml; nothing where they do not.
+def applications_entry(settings: CollectionSettings) -> dict[str, Any]:
+    """Return the description of applications in the settings, as an entry ``simulation`` of calibration.yml, or empty.
 
     Raises:
         InputError: the file of the applications is wrong.
@@ -155,18 +159,18 @@ def applications_entry(settings: Settings) -> dict[str, Any]:
     return {**entry, **given} if entry else {}
 
 
-def application_options(settings: Settings) -> tuple[str, ...]:
-    """The options that say what the applications are, for the command that collects one dataset again."""
+def application_options(settings: CollectionSettings) -> tuple[str, ...]:
+    """Return the options of the applications, for the command that reproduces one dataset."""
     names = ("applications", "image", "simulation_command", "robot_command", "player", "ros", "truth", "timeout")
     given = [(name.replace("_", "-"), getattr(settings, name)) for name in names]
     return tuple(word for name, value in given if value is not None for word in (f"--{name}", str(value)))
 
 
-def scenario_image(settings: Settings, backend: str) -> ScenarioImage:
-    """The image of scenarios of our own simulation.
+def scenario_image(settings: CollectionSettings, backend: str) -> ScenarioImage:
+    """Return the image of scenarios of our own simulation.
 
     Raises:
-        InputError: there is none, or the time is none.
+        InputError: the image is missing, or the time-out is invalid.
     """
     if settings.image is None:
         raise InputError(f"image: missing: {backend} runs every scenario in an image that has calibration-ci")
@@ -175,7 +179,7 @@ def scenario_image(settings: Settings, backend: str) -> ScenarioImage:
     )
 
 
-def collection_checks(settings: Settings) -> CollectionChecks:
-    """What a dataset has to keep to."""
+def collection_checks(settings: CollectionSettings) -> CollectionChecks:
+    """Return the limits of a dataset."""
     limits = {name: getattr(settings, name) for name in ("max_translation_mm", "max_rotation_deg")}
     return replace(settings.checks, **{name: limit for name, limit in limits.items() if limit is not None})

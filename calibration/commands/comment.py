@@ -1,4 +1,4 @@
-"""``comment``: one comment on the pull request that shows what the last run found."""
+"""``comment``: keep one comment on the pull request with the results of the last run."""
 
 import os
 from pathlib import Path
@@ -23,18 +23,18 @@ from calibration.workflow.outputs import set_outputs
 
 TITLE = "comment"
 VARIABLE = "GITHUB_TOKEN"
-NOTHING = Brief(verdict="fail", sentence="The run has ended before it had results: see its log.")
+NOTHING = Brief(verdict="fail", sentence="The run ended without results: see its log.")
 
 
 @record
-class Settings:
-    """The inputs of ``comment``."""
+class CommentSettings:
+    """Inputs of ``comment``."""
 
     results: Path = field("Folder with the results of run, calibrate-matrix or the workflow.", default=Path("output"))
     mode: Literal["keep", "delete"] = field("keep one comment up to date, or delete it (keep).", default="keep")
-    name: str | None = field("What tells it from other comments of the same workflow.", default=None)
+    name: str | None = field("Name, to distinguish several comments of a workflow.", default=None)
     report_url: str | None = field("Address of the report, for a link.", default=None)
-    api_url: str | None = field("Address of GitHub's API (what the runner says).", default=None)
+    api_url: str | None = field("Address of GitHub's API (the runner's).", default=None)
     token: str | None = field(
         "Token that may write comments (permissions: pull-requests: write); locally by GITHUB_TOKEN.",
         default=None,
@@ -43,10 +43,10 @@ class Settings:
 
 
 @click.command(TITLE)
-@record_options(Settings)
+@record_options(CommentSettings)
 @click.pass_context
 def command(click_context: click.Context, /, **options: Any) -> ExitCode:
-    """Keep one comment on the pull request up to date, with the verdict and what has changed.
+    """Keep one comment on the pull request up to date, with the verdict and the changes.
 
     For pull requests (events pull_request and workflow_run). Outside of GitHub the comment is printed.
     """
@@ -56,20 +56,20 @@ def command(click_context: click.Context, /, **options: Any) -> ExitCode:
     options["token"] = options["token"] or os.environ.get(VARIABLE, "").strip() or None
     if options["token"]:
         add_mask(runner, options["token"])
-    return comment(chosen(Settings, options), runner, Event.from_environment(os.environ))
+    return comment(chosen(CommentSettings, options), runner, Event.from_environment(os.environ))
 
 
-def comment(settings: Settings, runner: Runner, event: Event) -> ExitCode:
-    """Write, or delete, the comment on an event's pull request.
+def comment(settings: CommentSettings, runner: Runner, event: Event) -> ExitCode:
+    """Write or delete the comment on an event's pull request.
 
     Raises:
-        InputError: the results are none, or the token may not.
+        InputError: the results are invalid, or the token lacks a permission.
         InfrastructureError: GitHub cannot be reached.
     """
     if not event.name:
         runner.log(comment_text(_found(settings.results), settings.name or "", {}))
         return ExitCode.PASS
-    if event.name != "workflow_run" and (reason := event.by_stranger):  # after a stranger's run, the token is ours
+    if event.name != "workflow_run" and (reason := event.by_stranger):  # a workflow_run has a token
         return _without(runner, f"no comment: {reason}; a workflow of your own can write it (docs/comment.md)")
     if settings.token is None:
         raise InputError("token: found none, expected ${{ github.token }} (on a command line: GITHUB_TOKEN)")
@@ -88,8 +88,8 @@ def comment(settings: Settings, runner: Runner, event: Event) -> ExitCode:
     return ExitCode.PASS
 
 
-def _text(settings: Settings, run: WorkflowRun) -> str:
-    """What the comment says; where a run has left no results, that: the comment of an earlier run would mislead."""
+def _text(settings: CommentSettings, run: WorkflowRun) -> str:
+    """Return the text; a run without results replaces the comment too, because that of an earlier run would mislead."""
     found = _found(settings.results) if (settings.results / BRIEF_FILE).exists() else NOTHING
     links = {"run": run.url} | ({"report": settings.report_url} if settings.report_url else {})
     return comment_text(found, settings.name or "", links, run.commit)

@@ -1,4 +1,4 @@
-"""``convergence``: how far a starting guess may be off, by a sweep of the matrix over start noise."""
+"""``convergence``: map how large errors of the starting guess may be, by a sweep over the start noise."""
 
 import os
 import shlex
@@ -8,8 +8,14 @@ from typing import Any, cast
 
 import click
 
-from calibration.commands.calibrate_matrix import OF_SOFTWARE, configuration_of, matrix_of, place_of, pull
-from calibration.commands.calibrate_matrix import Settings as MatrixSettings
+from calibration.commands.calibrate_matrix import (
+    OF_SOFTWARE,
+    MatrixSettings,
+    configuration_of,
+    matrix_of,
+    place_of,
+    pull,
+)
 from calibration.commands.calibrate_matrix import command as calibrate_matrix
 from calibration.commands.parameters import (
     INTEGER_LIST,
@@ -39,9 +45,9 @@ from calibration.workflow.text import did_you_mean
 STARTS = ("given", "linear")
 SEEDS = 10
 MOST_LEVELS = 50
-"""Of one axis: more cannot be read in a table or a picture."""
+"""Limit of levels of an axis, to keep tables and figures readable."""
 MOST_STARTS = 1_000_000
-"""Of one map."""
+"""Limit of starts of one map."""
 SHARED = frozenset(
     {
         *(key.replace("-", "_") for key in (*option_keys(System), *OF_SOFTWARE) if key not in ("start", "compare")),
@@ -49,11 +55,11 @@ SHARED = frozenset(
         *("registry_username", "registry_password", "backend", "aws_batch", "run", "resume"),
     }
 )
-"""The options of ``calibrate-matrix`` that mean the same here."""
+"""Options of ``calibrate-matrix`` with the same meaning here."""
 
 
 def levels(value: str) -> tuple[float, ...]:
-    """Read noise levels: numbers, and ranges FIRST:LAST:COUNT, separated by commas; they come back sorted, with 0."""
+    """Parse noise levels: numbers, and ranges FIRST:LAST:COUNT, separated by commas; returned sorted, including 0."""
     found = {0.0, *(level for part in TEXT_LIST(value) for level in _levels(part))}
     if len(found) > MOST_LEVELS:
         raise click.BadParameter(f"{len(found)} levels with 0, at most {MOST_LEVELS} were expected")
@@ -79,7 +85,7 @@ def _levels(part: str) -> tuple[float, ...]:
 
 
 def starts(value: str) -> tuple[str, ...]:
-    """Read kinds of start, each once."""
+    """Parse kinds of start, without duplicates."""
     found = tuple(dict.fromkeys(TEXT_LIST(value)))
     for start in found:
         if start not in STARTS:
@@ -88,11 +94,11 @@ def starts(value: str) -> tuple[str, ...]:
 
 
 @dataclass(frozen=True)
-class Settings:
-    """What ``convergence`` is asked."""
+class ConvergenceSettings:
+    """Inputs of ``convergence``."""
 
     matrix: MatrixSettings
-    """With the levels of the noise, and the seeds."""
+    """Inputs of the matrix, including the levels of the noise, and the seeds."""
     start: tuple[str, ...] = STARTS
     minimum_translation_noise: float | None = None
     minimum_rotation_noise: float | None = None
@@ -113,9 +119,7 @@ class Settings:
 )
 @click.option("--seeds", type=count, help="How many seeds for each pair of noises (10).")
 @click.option("--seed-list", type=INTEGER_LIST, help="The seeds themselves, instead of their number: 3,7.")
-@click.option(
-    "--start", type=starts, default=",".join(STARTS), help="The noisy guess, own linear start, or both (both)."
-)
+@click.option("--start", type=starts, default=",".join(STARTS), help="given (the noisy guess), linear, or both (both).")
 @click.option(
     "--minimum-translation-noise",
     type=non_negative,
@@ -129,21 +133,24 @@ class Settings:
 @click.option("--output", type=path, default=Path("output"), help="Folder for results, tables and figures (output).")
 @click.pass_context
 def command(click_context: click.Context, /, **options: Any) -> ExitCode:
-    """Sweep the noise of the start, and map the share of starts that converges.
+    """Sweep the noise of the start, and map the share of starts that converge.
 
-    The verdict is fail where the start without noise does not converge, or a minimum is not reached.
+    The verdict is fail if the start without noise does not converge, or a minimum is not reached.
     """
     runner = Runner.from_environment(os.environ)
     options["password_variable"] = password_variable(click_context, options.pop("registry_password"), runner)
-    own = {each.name: options.pop(each.name) for each in fields(Settings) if options.get(each.name) is not None}
-    return convergence(Settings(MatrixSettings.of_options(options), **own), runner)
+    own = {
+        each.name: options.pop(each.name) for each in fields(ConvergenceSettings) if options.get(each.name) is not None
+    }
+    return convergence(ConvergenceSettings(MatrixSettings.of_options(options), **own), runner)
 
 
-def convergence(settings: Settings, runner: Runner) -> ExitCode:
-    """Sweep, write and report.
+def convergence(settings: ConvergenceSettings, runner: Runner) -> ExitCode:
+    """Run the sweep, and write and report the results.
 
     Raises:
-        InputError: the settings contradict each other, or the data are wrong.
+        InputError: the settings are inconsistent, or the data are wrong.
+        InfrastructureError: a result cannot be written, a process died, or there is no engine.
         InfrastructureError: a result cannot be written, a process died, or there is no engine.
     """
     asked = _with_seeds(settings)
@@ -177,11 +184,11 @@ def convergence(settings: Settings, runner: Runner) -> ExitCode:
     return found.exit_code
 
 
-def _with_seeds(settings: Settings) -> MatrixSettings:
-    """What the matrix is asked, complete: the noise of a configuration is of its own matrix.
+def _with_seeds(settings: ConvergenceSettings) -> MatrixSettings:
+    """Return the inputs of the matrix with its noise; the noise of a configuration is not used for sweeps.
 
     Raises:
-        InputError: the sweep is too large, or ends before a minimum.
+        InputError: the sweep is too large, or ends below a minimum.
     """
     asked = settings.matrix
     for axis in ("translation", "rotation"):

@@ -1,4 +1,4 @@
-"""``coverage-upload``: tests to coverage to a verdict, and to a service that keeps it."""
+"""``coverage-upload``: run tests, check their coverage, and upload it to a service."""
 
 import os
 from typing import Any
@@ -13,30 +13,30 @@ from calibration.programs import hide
 from calibration.workflow import Runner, add_mask
 
 TOKENS = {"project_token": "CODACY_PROJECT_TOKEN", "api_token": "CODACY_API_TOKEN"}
-"""Where a token comes from on a command line."""
+"""Environment variables of tokens."""
 VARIABLES = {
     "api_url": "CODACY_API_BASE_URL",
     "provider": "CODACY_ORGANIZATION_PROVIDER",
     "organisation": "CODACY_USERNAME",
     "repository": "CODACY_PROJECT_NAME",
 }
-"""Codacy's own variables, for what is not given."""
+"""Codacy's own variables, as defaults of options."""
 
 
 @click.command(TITLE)
 @record_options(Settings)
 @click.pass_context
 def command(click_context: click.Context, /, **options: Any) -> ExitCode:
-    """Run tests, judge their coverage, and upload it.
+    """Run tests, check their coverage, and upload it.
 
-    The verdict is fail when a test fails, when none ran, or when a limit is broken.
+    The verdict is fail if a test fails, no test runs, or a limit is broken.
     """
     runner = Runner.from_environment(os.environ)
     return upload(settings_from(options, click_context, runner), runner)
 
 
 def settings_from(options: dict[str, Any], click_context: click.Context, runner: Runner) -> Settings:
-    """Make the settings of the options and of Codacy's own variables; a token is hidden at once.
+    """Create the settings from the options and Codacy's variables; tokens are masked immediately.
 
     Raises:
         InputError: a token is on the command line.
@@ -47,7 +47,7 @@ def settings_from(options: dict[str, Any], click_context: click.Context, runner:
         if options[name]:
             add_mask(runner, options[name])
     if any(options[name] for name in TOKENS):
-        hide([*TOKENS.values(), *(f"INPUT_{name.upper()}" for name in TOKENS)])  # the tests are programs of others
+        hide([*TOKENS.values(), *(f"INPUT_{name.upper()}" for name in TOKENS)])  # the tests are untrusted programs
     for name, variable in TOKENS.items():
         if click_context.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE:
             raise InputError(

@@ -1,4 +1,4 @@
-"""``export``: a calibrated dataset in the forms that a robot takes."""
+"""``export``: write a calibrated dataset in the file formats of robots."""
 
 import os
 from pathlib import Path
@@ -23,7 +23,7 @@ from calibration.workflow.text import did_you_mean, one_line
 def command(dataset: Path, robot_description: Path | None, formats: tuple[str, ...] | None, output: Path) -> ExitCode:
     """Write a calibration as URDF, launch files, camera_info, Kalibr's camchain and OpenCV's storage.
 
-    The URDF is the robot's own file: only calibrated origins change in it, every other byte stays.
+    In the URDF only calibrated origins are changed; every other byte of the robot's file is kept.
     """
     return export(dataset, robot_description, formats or (), output, Runner.from_environment(os.environ))
 
@@ -32,14 +32,14 @@ def export(dataset: Path, description: Path | None, formats: tuple[str, ...], ou
     """Write the files of the formats.
 
     Args:
-        dataset: the calibrated one.
-        description: the robot's URDF; None for none.
-        formats: their names; none for all, but those that these data cannot have.
-        output: the folder.
-        runner: where lines go.
+        dataset: the calibrated dataset.
+        description: URDF of the robot, or None.
+        formats: names of formats; empty for all that are possible with these data.
+        output: folder to write.
+        runner: runner for the log.
 
     Raises:
-        InputError: an unknown format, a dataset that is not calibrated, a URDF that does not fit it.
+        InputError: unknown format, a dataset that is not calibrated, or a URDF that does not match it.
         InfrastructureError: a file cannot be written.
     """
     known = (URDF, *FORMATS)

@@ -1,4 +1,4 @@
-"""``gather-results``: what the jobs of a workflow found, as one table and one verdict; its last job runs this."""
+"""``gather-results``: merge the results of a workflow's jobs into one table and one verdict, in its last job."""
 
 import os
 import re
@@ -23,31 +23,36 @@ TITLE = "gather-results"
 
 
 @dataclass(frozen=True)
-class Settings:
-    """What ``gather-results`` is asked."""
+class GatherSettings:
+    """Inputs of ``gather-results``."""
 
     needs: str
     folder: Path
     output: Path = Path("output")
     began: str | None = None
-    """A text, since a time that is none is no reason to be red."""
+    """A text, because an invalid time must not fail the command."""
 
 
 @click.command(TITLE)
-@click.option("--needs", required=True, help="What became of the jobs: ${{ toJSON(needs) }}.")
-@click.option("--folder", type=path, required=True, help="What the jobs left, each in a folder with its slug.")
+@click.option("--needs", required=True, help="Results of the jobs: ${{ toJSON(needs) }}.")
+@click.option(
+    "--folder",
+    type=path,
+    required=True,
+    help="Folder with the artifacts of the jobs, each in a folder named by its slug.",
+)
 @click.option("--output", type=path, default=Path("output"), help="Folder for the results of all (output).")
-@click.option("--began", type=text, help="When the job that gathers began, in seconds since 1970: date +%s.")
+@click.option("--began", type=text, help="Start time of this job, in seconds since 1970: date +%s.")
 def command(**options: Any) -> ExitCode:
-    """Gather what the jobs of a plan found; the verdict is fail when one failed, or left nothing."""
-    return gather_results(Settings(**options), Runner.from_environment(os.environ))
+    """Merge the results of a plan's jobs; the verdict is fail if one failed, or has no results."""
+    return gather_results(GatherSettings(**options), Runner.from_environment(os.environ))
 
 
-def gather_results(settings: Settings, runner: Runner) -> ExitCode:
-    """Gather, write the results of all, and report them.
+def gather_results(settings: GatherSettings, runner: Runner) -> ExitCode:
+    """Merge the results, write and report them.
 
     Raises:
-        InputError: the jobs left something else than what was planned.
+        InputError: the results do not match the plan.
         InfrastructureError: a result cannot be written.
     """
     clear_results(settings.output)
@@ -64,7 +69,7 @@ def gather_results(settings: Settings, runner: Runner) -> ExitCode:
 
 
 def _seconds_since(began: str | None) -> int | None:
-    """Seconds from a time as ``date +%s`` tells it until now; None where it is none, or lies ahead."""
+    """Return the seconds since a time in the form of ``date +%s``; None if it is invalid or in the future."""
     if began is None or not re.fullmatch("[0-9]{1,12}", began):
         return None
     return parse_seconds(str(int(time.time()) - int(began)))

@@ -1,4 +1,4 @@
-"""``history``: the accepted calibrations through the commits of a repository."""
+"""``history``: accepted calibrations over the commits of a repository."""
 
 import os
 from collections.abc import Iterator
@@ -25,9 +25,9 @@ STEPS_SHOWN = 200
 @click.option("--since", type=text, help="Only commits after this one, or after this date (2026-11-02).")
 @click.option("--output", type=path, default="output/history", show_default=True, help="Folder for results and figure.")
 def command(config: Path, systems: tuple[str, ...] | None, since: str | None, output: Path) -> ExitCode:
-    """Follow calibration-baseline.json through git: where sensors moved, and which creep.
+    """Follow calibration-baseline.json through git: movements of sensors, sudden or gradual.
 
-    Nothing is checked out. The verdict is always pass: what a commit has changed was accepted.
+    Nothing is checked out. The verdict is always pass: changes in commits were accepted.
     """
     runner = Runner.from_environment(os.environ)
     file = read_configuration(config).baseline.file
@@ -42,11 +42,11 @@ def command(config: Path, systems: tuple[str, ...] | None, since: str | None, ou
 
 
 def report(found: History, drawing: bytes | None) -> Report:
-    """The report of a history.
+    """Return the report of a history.
 
     Args:
-        found: it.
-        drawing: its figure, SVG; None where there is none.
+        found: the history.
+        drawing: its figure as SVG, or None.
     """
     steps = [(trend, step) for trend in found.trends for step in trend.steps]
     creeping = [trend for trend in found.trends if trend.crept_mm is not None]

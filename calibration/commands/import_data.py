@@ -1,4 +1,4 @@
-"""``import-data``: what a team has recorded becomes a dataset."""
+"""``import-data``: convert recorded images and poses to a dataset."""
 
 import os
 from pathlib import Path
@@ -19,20 +19,20 @@ from calibration.workflow.progress import progress
 
 
 @record(kw_only=True)
-class Settings:
-    """The inputs of ``import-data``."""
+class ImportSettings:
+    """Inputs of ``import-data``."""
 
-    config: Path = field("What was recorded, and what is calibrated with it: import.yml.")
+    config: Path = field("Description of the recordings and of the system to calibrate: import.yml.")
     output: Path = field("Folder for the dataset.")
     overwrite: bool = field("Replace a dataset that the folder has.", default=False)
     jobs: Annotated[int, at_least(1)] | None = field("Processes (one a core).", default=None)
 
 
 @click.command("import-data")
-@record_options(Settings, required=True)
+@record_options(ImportSettings, required=True)
 def command(**options: Any) -> ExitCode:
-    """Make a dataset of what was recorded: images are paired, patterns found in them, poses and intrinsics read."""
-    settings = chosen(Settings, options)
+    """Make a dataset of recordings: pair the images, detect the patterns in them, read poses and intrinsics."""
+    settings = chosen(ImportSettings, options)
     runner = Runner.from_environment(os.environ)
 
     def done(count: int, total: int, part: LabelledMoment | SeenImages) -> None:

@@ -1,4 +1,4 @@
-"""``import-rigelfile``: a Rigelfile written anew as ``calibration.yml``."""
+"""``import-rigelfile``: convert a Rigelfile to ``calibration.yml``."""
 
 import os
 from pathlib import Path
@@ -23,20 +23,19 @@ from calibration.workflow.text import one_line
 @click.option("--output", type=path, default="calibration.yml", show_default=True, help="File to write.")
 @boolean_option("--overwrite", help="Replace the file to write, where there is one.")
 def command(file: Path, output: Path, overwrite: bool) -> ExitCode:
-    """Write a calibration.yml from a Rigelfile, and name what could not be carried over.
+    """Write a calibration.yml from a Rigelfile, and list what could not be converted.
 
-    A request of RoboMaker's CreateSimulationJob or StartSimulationJobBatch, as JSON or YAML, is read too.
-    Nothing in the file is executed. Secrets are not copied: variables take their place.
+    A request of RoboMaker's CreateSimulationJob or StartSimulationJobBatch, as JSON or YAML, is converted too.
+    Nothing in the file is executed. Secrets are replaced by variables.
     """
     return import_rigelfile(file, output, Runner.from_environment(os.environ), overwrite=overwrite)
 
 
 def import_rigelfile(file: Path, output: Path, runner: Runner, *, overwrite: bool = False) -> ExitCode:
-    """Convert a Rigelfile; what it does not carry over is a warning, and a comment in the new file.
+    """Convert a Rigelfile; each part that is not converted is a warning, and a comment in the new file.
 
     Raises:
-        InputError: there is no Rigelfile, it is none, nothing in it has a place here, or the file to write is there.
-        InfrastructureError: the file cannot be written.
+        InputError: the Rigelfile is missing, invalid or has nothing to convert, or the output file exists.
     """
     if output.exists() and (not overwrite or output.samefile(file)):
         hint = "name another file" if overwrite else "name another file, or add --overwrite"
@@ -46,7 +45,7 @@ def import_rigelfile(file: Path, output: Path, runner: Runner, *, overwrite: boo
         conversion.notes.to_do("paths", f"they are relative to calibration.yml here: move it beside {file.name}")
     if conversion.is_empty:
         reasons = "; ".join(map(str, conversion.notes)) or "it has no jobs"
-        raise InputError(f"{file}: nothing in it has a place in calibration.yml: {reasons}")
+        raise InputError(f"{file}: nothing in it can be converted to calibration.yml: {reasons}")
     write_atomically(output, written(conversion, file.name))
     levels = {Kind.LOST: Level.WARNING, Kind.TO_DO: Level.WARNING, Kind.CHANGED: Level.NOTICE}
     annotate(runner, [Annotation(f"{n.kind}: {n}", levels[n.kind], file=file) for n in conversion.notes])
@@ -69,12 +68,12 @@ def _counted(what: str, number: int) -> str:
 
 
 def _complaint(output: Path) -> str:
-    """What our own reader says of the new file; nothing where it takes it."""
+    """Return the error of our own reader for the new file; empty if there is none."""
     try:
         from calibration.pipeline.configuration import read_configuration  # needs the extra calibrate
 
         read_configuration(output)
-    except ModuleNotFoundError:  # a small installation, without the engine
+    except ModuleNotFoundError:  # installed without the engine
         return ""
     except InputError as error:
         return str(error)

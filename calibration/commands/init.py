@@ -1,4 +1,4 @@
-"""``init``: a first calibration.yml and workflow for a dataset."""
+"""``init``: create calibration.yml and a workflow for a dataset."""
 
 import os
 from pathlib import Path
@@ -40,13 +40,13 @@ def command(dataset: Path, output: Path, suite: str, overwrite: bool) -> ExitCod
 
 
 def init(dataset: Path, output: Path, suite: str, runner: Runner, *, overwrite: bool = False) -> ExitCode:
-    """Calibrate a dataset, and write what it is held to from now on.
+    """Calibrate a dataset, and write its limits for later runs.
 
     Returns:
-        FAIL where the dataset does not pass what was written, for reasons that the log has.
+        FAIL if the dataset does not pass the new configuration; the log has the reasons.
 
     Raises:
-        InputError: a file is there already, or the dataset is wrong or cannot be calibrated.
+        InputError: a file exists, or the dataset is wrong or cannot be calibrated.
         InfrastructureError: a file cannot be written.
     """
     repository, at, version = suite.partition("@")

@@ -1,4 +1,4 @@
-"""``introspect-csv``: tables and rules to a verdict."""
+"""``introspect-csv``: check tables against rules."""
 
 import os
 from dataclasses import dataclass, replace
@@ -21,8 +21,8 @@ from calibration.workflow import Runner
 
 
 @dataclass(frozen=True)
-class Settings:
-    """What ``introspect-csv`` is asked."""
+class IntrospectionSettings:
+    """Inputs of ``introspect-csv``."""
 
     files: tuple[str, ...]
     """Paths and patterns of the tables."""
@@ -52,17 +52,17 @@ class Settings:
 @click.option("--encoding", type=text, help="Text encoding (recognised unless given).")
 @click.option("--output", type=path, help="Folder for results.json, junit.xml and summary.md.")
 def command(**options: Any) -> ExitCode:
-    """Check tables against rules; the verdict is fail when a value breaks one.
+    """Check tables against rules; the verdict is fail if a value breaks one.
 
-    Rules come from a file, from the options (one column), or both.
+    Rules are read from a file, from the options (one column), or both.
     """
     return introspect(settings_from(options), Runner.from_environment(os.environ))
 
 
-def settings_from(options: dict[str, Any]) -> Settings:
-    """Make the settings of the options, with the rules of the file and of the options together.
+def settings_from(options: dict[str, Any]) -> IntrospectionSettings:
+    """Create the settings from the options, with the rules of the file and of the options.
 
-    Raises :class:`InputError` when there is no rule or no file, or one of them is wrong.
+    Raises :class:`InputError` if there is no rule or no file, or one of them is wrong.
     """
     given = {name.replace("_", "-"): value for name, value in options.items() if value not in (None, ())}
     rules = _rules(given)
@@ -73,7 +73,7 @@ def settings_from(options: dict[str, Any]) -> Settings:
         raise InputError("baseline is not given: max-increase and max-decrease need one to compare with")
     if not rules.compares and "baseline" in given:
         raise InputError("baseline is given but no max-increase or max-decrease, so nothing would be compared with it")
-    return Settings(
+    return IntrospectionSettings(
         files,
         rules,
         baseline=given.get("baseline"),
@@ -83,12 +83,12 @@ def settings_from(options: dict[str, Any]) -> Settings:
     )
 
 
-def introspect(settings: Settings, runner: Runner) -> ExitCode:
-    """Judge the tables, report every violation, and return pass or fail.
+def introspect(settings: IntrospectionSettings, runner: Runner) -> ExitCode:
+    """Check the tables, report every violation, and return the exit code.
 
-    Raises :class:`InputError` when a file, a column or a labelled row is missing or a file is no
-    table, and :class:`calibration.errors.InfrastructureError` when a result cannot be written. A result of
-    an earlier run is removed first, so that none is mistaken for this one's.
+    Raises :class:`InputError` if a file, a column or a labelled row is missing or a file is not a
+    table, and :class:`calibration.errors.InfrastructureError` if a result cannot be written. Results of
+    an earlier run are removed first, so that they are not mistaken for current ones.
     """
     if settings.output is not None:
         remove_results(settings.output, FILES)
@@ -102,7 +102,7 @@ def introspect(settings: Settings, runner: Runner) -> ExitCode:
 
 
 def _rules(given: dict[str, Any]) -> RuleSet:
-    """The rules of the options (one column), after those of the file."""
+    """Return the rules of the file, followed by those of the options (one column)."""
     said = {key: list(value) if isinstance(value, tuple) else value for key, value in given.items()}
     rule = {key: said[key] for key in flat_fields(RuleEntry) if said.get(key, False) is not False}
     table = {key: said[key] for key in flat_fields(RuleSet) if key in said and key not in ("rules", "file")}
@@ -113,6 +113,6 @@ def _rules(given: dict[str, Any]) -> RuleSet:
         options = replace(options, rules=read(RuleEntry, rule, "options").rules)
     if "rules" not in given:
         return checked(options, "options")
-    from calibration.introspection.rulesfile import read_rules  # YAML is slow to import
+    from calibration.introspection.rulesfile import read_rules  # slow to import
 
     return checked(read_rules(given["rules"]).overridden_by(options), f"{given['rules']} and options")

@@ -1,4 +1,4 @@
-"""``label``: the images of a dataset, labelled by our detectors."""
+"""``label``: label the images of a dataset with our detectors."""
 
 import os
 from pathlib import Path
@@ -18,11 +18,11 @@ from calibration.workflow.progress import progress
 @click.command("label")
 @click.option("--dataset", type=path, required=True, help="Dataset with images: its folder.")
 @click.option("--output", type=path, required=True, help="Folder for the labelled dataset.")
-@boolean_option("--again", help="Label images anew that have labels.")
+@boolean_option("--again", help="Label images again that already have labels.")
 @boolean_option("--overwrite", help="Replace a dataset that the output has.")
 @click.option("--jobs", type=count, help="Processes (one a core).")
 def command(dataset: Path, output: Path, again: bool, overwrite: bool, jobs: int | None) -> ExitCode:
-    """Find the patterns in the images of a dataset's cameras; labels of other sensors stay."""
+    """Detect the patterns in the images of a dataset's cameras; labels of other sensors are kept."""
     runner = Runner.from_environment(os.environ)
 
     def done(number: int, total: int, moment: LabelledMoment) -> None:

@@ -1,7 +1,7 @@
-"""Types and options that the commands share: ``click.option("--min", type=number)``.
+"""Types and options that commands share: ``click.option("--min", type=number)``.
 
-A value comes from the command line or, in an action, from an environment variable, where
-everything is text: so lists are one value with separators, and truth values can be written out.
+A value comes from the command line or, in an action, from an environment variable, which is always a string:
+so lists are single values with separators, and booleans can be written out.
 """
 
 import math
@@ -17,9 +17,9 @@ from calibration.errors import InputError
 from calibration.workflow import Runner, add_mask
 
 SYSTEMS = Path("datasets")
-"""Where the name of a system is looked up, from the working directory."""
+"""Folder of named systems, relative to the working directory."""
 EVERYWHERE, IN_ACTIONS = "CALIBRATION_REGISTRY_PASSWORD", "INPUT_REGISTRY_PASSWORD"
-"""The variables that a password is read from, the first of them on the command line too."""
+"""Variables with a registry password; the first is also read by the command line."""
 _TRUTH = {"true": True, "yes": True, "1": True, "false": False, "no": False, "0": False}
 _SEPARATOR = re.compile(r"[,\r\n]")
 _Item = TypeVar("_Item")
@@ -27,7 +27,7 @@ _Callback = TypeVar("_Callback", bound=Callable[..., Any])
 
 
 def boolean(value: str | bool) -> bool:
-    """Read true, false, yes, no, 1 or 0 in any case; a usage error for anything else."""
+    """Parse true, false, yes, no, 1 or 0 in any case; a usage error for anything else."""
     truth = _TRUTH.get(str(value).strip().lower())
     if truth is None:
         raise click.BadParameter(f"{value!r} is neither true nor false")
@@ -35,7 +35,7 @@ def boolean(value: str | bool) -> bool:
 
 
 def number(value: str | float) -> float:
-    """Read a finite number; a usage error for text, NaN and infinity."""
+    """Parse a finite number; a usage error for text, NaN and infinity."""
     try:
         result = float(value)
     except ValueError:
@@ -46,7 +46,7 @@ def number(value: str | float) -> float:
 
 
 def non_negative(value: str | float) -> float:
-    """Read a finite number that is not below 0; a usage error for anything else."""
+    """Parse a finite number that is not below 0; a usage error for anything else."""
     result = number(value)
     if result < 0:
         raise click.BadParameter(f"{value!r} is below 0")
@@ -54,7 +54,7 @@ def non_negative(value: str | float) -> float:
 
 
 def share(value: str | float) -> float:
-    """Read a number from 0 to 1; a usage error for anything else."""
+    """Parse a number from 0 to 1; a usage error for anything else."""
     result = non_negative(value)
     if result > 1:
         raise click.BadParameter(f"{value!r} is above 1")
@@ -62,7 +62,7 @@ def share(value: str | float) -> float:
 
 
 def integer(value: str | int) -> int:
-    """Read a whole number; a usage error for anything else."""
+    """Parse an integer; a usage error for anything else."""
     try:
         return int(value)
     except ValueError:
@@ -70,7 +70,7 @@ def integer(value: str | int) -> int:
 
 
 def count(value: str | int) -> int:
-    """Read a whole number that is not below 1; a usage error for anything else."""
+    """Parse a positive integer; a usage error for anything else."""
     result = integer(value)
     if result < 1:
         raise click.BadParameter(f"{value!r} is below 1")
@@ -78,19 +78,19 @@ def count(value: str | int) -> int:
 
 
 def text(value: str) -> str:
-    """Read a text without the white space around it."""
+    """Strip white space from a text."""
     return value.strip()
 
 
 def path(value: str | Path) -> Path:
-    """Read a path, which need not exist: the command says what it needs there."""
+    """Convert to a path, which need not exist: commands check what they need."""
     return Path(value)
 
 
 def list_of(item: Callable[[str], _Item]) -> Callable[[str | Sequence[_Item]], tuple[_Item, ...]]:
-    """Make a type for items separated by commas or new lines; empty ones are dropped.
+    """Return a type for lists of items separated by commas or new lines; empty items are dropped.
 
-    White space around an item does not belong to it. What ``item`` refuses is a usage error.
+    White space around items is stripped. Values that ``item`` refuses are usage errors.
     """
 
     def items(value: str | Sequence[_Item]) -> tuple[_Item, ...]:
@@ -99,7 +99,7 @@ def list_of(item: Callable[[str], _Item]) -> Callable[[str | Sequence[_Item]], t
         texts = (part.strip() for part in _SEPARATOR.split(value))
         return tuple(item(part) for part in texts if part)
 
-    items.__name__ = f"{item.__name__},..."  # what --help shows
+    items.__name__ = f"{item.__name__},..."  # shown by --help
     return items
 
 
@@ -120,20 +120,20 @@ def boolean_option(
     def or_default(_context: click.Context, _option: click.Parameter, value: bool | None) -> bool | None:
         return default if value is None else value
 
-    # Not click's own default: with one, click 8.3.0 and 8.3.1 want a value after the flag.
+    # Not with click's default parameter: with it, click 8.3.0 and 8.3.1 require a value after the flag.
     return click.option(*names, type=boolean, is_flag=False, flag_value="true", callback=or_default, help=help)
 
 
 def find_system(system: str) -> Path | None:
-    """The folder of a system, by its name in `SYSTEMS` or by its path; None where there is none."""
+    """Return the folder of a system by its name in `SYSTEMS` or by its path; None if it does not exist."""
     return next((folder for folder in (SYSTEMS / system, Path(system)) if system and folder.is_dir()), None)
 
 
 def system_folder(system: str) -> Path:
-    """The folder of a system, as `find_system` finds it.
+    """Return the folder of a system, as `find_system` does.
 
     Raises:
-        InputError: there is none.
+        InputError: it does not exist.
     """
     if (folder := find_system(system)) is not None:
         return folder
@@ -148,14 +148,14 @@ registry_password_option = click.option(
     envvar=EVERYWHERE,
     help="Password or token of this user; on a command line by the variable CALIBRATION_REGISTRY_PASSWORD instead.",
 )
-"""Declares the option; `password_variable` takes its value."""
+"""Option for a registry password, to be passed to `password_variable`."""
 
 
 def password_variable(context: click.Context, password: str | None, runner: Runner) -> str | None:
-    """Mask a password, and return the variable that holds it; None where there is no password.
+    """Mask a password, and return the name of its environment variable; None if there is no password.
 
     Raises:
-        InputError: it stands on the command line.
+        InputError: it is on the command line, where other processes can read it.
     """
     if not password or not password.strip():
         return None

@@ -1,4 +1,4 @@
-"""Where a command runs its containers, by its options ``backend``, ``aws-batch``, ``run`` and ``resume``."""
+"""Execution target of a command, by its options ``backend``, ``aws-batch``, ``run`` and ``resume``."""
 
 from pathlib import Path
 
@@ -8,9 +8,9 @@ from calibration.files import read_bytes, write_atomically
 from calibration.workflow import Runner
 
 DEFAULT_FILE = Path("calibration.yml")
-"""Where the section aws-batch is looked for."""
+"""Default file with the section aws-batch."""
 RUN_FILE = "run.txt"
-"""Keeps the name of a run in the output folder, so that the run can be resumed."""
+"""File in the output folder with the name of the run, to resume it."""
 _MOST_BYTES = 1000
 
 
@@ -23,20 +23,20 @@ def place(
     runner: Runner,
     sections: Sections | None = None,
 ) -> Place:
-    """Say where containers run.
+    """Return the execution target of containers.
 
     Args:
         backend: docker or aws-batch.
-        file: with the section aws-batch; `DEFAULT_FILE` unless given.
-        output: the folder of the results, where the name of the run is kept.
-        run: the name of the run.
+        file: file with the section aws-batch; by default `DEFAULT_FILE`.
+        output: folder of the results, where the name of the run is saved.
+        run: name of the run.
         resume: whether an earlier run is resumed.
-        runner: where the name of the run is told.
-        sections: of the configuration, where it has been read already; a file that is given goes first.
+        runner: runner whose log reports the name of the run.
+        sections: sections of the configuration, if it has been read; a file that is given takes precedence.
 
     Raises:
-        InputError: the section is missing or wrong, or nothing says which run is to be resumed.
-        InfrastructureError: the name of the run cannot be kept.
+        InputError: the section is missing or wrong, or the run to resume is unknown.
+        InfrastructureError: the name of the run cannot be saved.
     """
     if not KINDS[backend].settings:
         return Place(backend, run=run)
@@ -48,12 +48,12 @@ def place(
 
 
 def name_of_run(output: Path, given: str | None, resume: bool) -> str:
-    """The name that is given; else, to resume, that of the earlier run of an output folder; else a new one.
+    """Return the given name of a run; to resume, the name saved in the output folder; otherwise a new name.
 
-    It stands in the output folder afterwards.
+    The name is saved in the output folder.
 
     Raises:
-        InputError: an earlier run is to be resumed, and nothing says which.
+        InputError: a run is to be resumed, and no name is given or saved.
         InfrastructureError: the file cannot be written.
     """
     path = output / RUN_FILE

@@ -1,4 +1,4 @@
-"""``plan-matrix``: the pipeline as jobs of a workflow; what the reusable workflow's first job runs."""
+"""``plan-matrix``: plan the jobs of the reusable workflow, in its first job."""
 
 import os
 import re
@@ -28,12 +28,12 @@ from calibration.workflow import Runner, set_outputs, stop_commands
 
 NOISE = {"translation": "translation-noise", "rotation": "rotation-noise"}
 HIGHEST_RATE = 1000.0
-"""Of a minute, in any currency: more is a slip of the pen."""
+"""Limit of the price of a minute, in any currency, to find typing errors."""
 
 
 @dataclass(frozen=True)
-class Settings:
-    """What ``plan-matrix`` is asked; None where the configuration, or its default, decides."""
+class PlanSettings:
+    """Inputs of ``plan-matrix``; for None the configuration or its default applies."""
 
     config: Path | None = None
     datasets: tuple[Path, ...] = ()
@@ -50,9 +50,9 @@ class Settings:
 
 
 def artifact_name(value: str) -> str:
-    """Read the name that all artifacts of a run begin with; a usage error for one that another run's could begin with.
+    """Parse the prefix of all artifact names of a run; a usage error if it could match artifacts of another run.
 
-    The workflow puts a tilde behind it, and asks for NAME~*: no name has one, and none has what a pattern understands.
+    The workflow appends a tilde, and downloads NAME~*: so names contain neither a tilde nor wildcards.
     """
     if not re.fullmatch(r"[A-Za-z0-9._-]{1,100}", value):
         raise click.BadParameter(f"{value!r}: expected up to 100 letters, digits, dots, dashes and underscores")
@@ -60,7 +60,7 @@ def artifact_name(value: str) -> str:
 
 
 def minute_rate(value: str | float) -> float:
-    """Read what a minute costs; a usage error for what is no price."""
+    """Parse the price of a minute; a usage error if it is not a price."""
     rate = non_negative(value)
     if rate > HIGHEST_RATE:
         raise click.BadParameter(f"{value!r} is above {HIGHEST_RATE:g}")
@@ -78,21 +78,21 @@ def minute_rate(value: str | float) -> float:
     help="One job calibrates a system from all its noises (where that takes about a minute).",
 )
 @click.option("--image", type=text, help="Image with the team's own calibration.")
-@click.option("--command", type=text, help="What it runs.")
+@click.option("--command", type=text, help="Command of this image.")
 @click.option("--tests", type=text, help="The command that runs the unit tests.")
 @click.option("--jobs", type=TEXT_LIST, help="Only these jobs: calibrate, collect-data, unit-tests.")
 @boolean_option("--promote", default=True, help="An image that passes may get its release tags (yes).")
-@click.option("--minute-rate", type=minute_rate, help="What a minute of a job costs, in your currency: 0.006.")
-@click.option("--artifact-name", type=artifact_name, help="What the names of the artifacts begin with (calibration).")
+@click.option("--minute-rate", type=minute_rate, help="Price of a minute of a job, in your currency: 0.006.")
+@click.option("--artifact-name", type=artifact_name, help="Prefix of the artifact names (calibration).")
 def command(**options: Any) -> ExitCode:
     """Plan the jobs of a workflow: one for each system and pair of noises, as the matrix of a GitHub job."""
-    own = {each.name: value for each in fields(Settings) if (value := options.get(each.name)) is not None}
-    settings = Settings(**own, noise=read(Noise, given(Noise, options, names=NOISE), "options"))
+    own = {each.name: value for each in fields(PlanSettings) if (value := options.get(each.name)) is not None}
+    settings = PlanSettings(**own, noise=read(Noise, given(Noise, options, names=NOISE), "options"))
     return plan_matrix(settings, Runner.from_environment(os.environ))
 
 
-def plan_matrix(settings: Settings, runner: Runner) -> ExitCode:
-    """Plan, show the plan, and set the outputs that the other jobs read.
+def plan_matrix(settings: PlanSettings, runner: Runner) -> ExitCode:
+    """Plan the jobs, print the plan, and set the outputs for the other jobs.
 
     Raises:
         InputError: the configuration is wrong, there is nothing to do, or the matrix is too large.
@@ -100,7 +100,7 @@ def plan_matrix(settings: Settings, runner: Runner) -> ExitCode:
     """
     plan = plan_of(settings, Event.from_environment(os.environ))
     outputs = plan_outputs(plan)
-    with stop_commands(runner):  # names of systems are the user's
+    with stop_commands(runner):  # names of systems are untrusted
         for job, runs in plan.jobs.items():
             runner.log(f"{job}: {'yes' if runs else 'no'}")
         runner.log(f"promote: {', '.join(plan.promote) or 'no'}")
@@ -111,8 +111,8 @@ def plan_matrix(settings: Settings, runner: Runner) -> ExitCode:
     return ExitCode.PASS
 
 
-def plan_of(settings: Settings, event: Event) -> Plan:
-    """The plan of these settings; a stranger's change pushes no image.
+def plan_of(settings: PlanSettings, event: Event) -> Plan:
+    """Return the plan; changes of strangers push no image.
 
     Raises:
         InputError: the configuration is wrong, there is nothing to do, or the matrix is too large.
@@ -135,7 +135,7 @@ def plan_of(settings: Settings, event: Event) -> Plan:
     return plan_jobs(configuration, systems, noise, wishes, by_path=bool(settings.datasets))
 
 
-def _configuration(settings: Settings) -> Configuration | None:
+def _configuration(settings: PlanSettings) -> Configuration | None:
 
     if settings.datasets:
         return datasets_as_configuration(settings.datasets)

@@ -1,4 +1,4 @@
-"""``record-motion``: a page in the browser where a motion sequence is made by hand."""
+"""``record-motion``: record a motion sequence by hand on a page in the browser."""
 
 import os
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ MAX_PORT = 65535
 
 
 def port_number(value: str | int) -> int:
-    """Read a port, 0 for any that is free; a usage error for anything else."""
+    """Parse a port, 0 for any free one; a usage error for anything else."""
     port = integer(value)
     if not 0 <= port <= MAX_PORT:
         raise click.BadParameter(f"{value!r} is not a port from 0 to {MAX_PORT}")
@@ -24,15 +24,15 @@ def port_number(value: str | int) -> int:
 
 
 @dataclass(frozen=True)
-class Settings:
-    """What ``record-motion`` is asked."""
+class RecorderSettings:
+    """Inputs of ``record-motion``."""
 
     system: str
-    """The name of a system in ``datasets/``, or a folder."""
+    """Name of a system in ``datasets/``, or its folder."""
     robot: Path | None = None
     config: Path | None = None
     motion: Path | None = None
-    """A sequence to begin with."""
+    """Initial motion sequence."""
     output: Path = Path("motion.json")
     host: str = "127.0.0.1"
     port: int = 8080
@@ -54,16 +54,16 @@ class Settings:
 @boolean_option("--open", help="Open the page in the browser.")
 def command(**options: Any) -> ExitCode:
     """Record a motion sequence on a page in the browser: drag the pattern, see what the cameras see, save."""
-    settings = Settings(**{name: value for name, value in options.items() if value is not None})
+    settings = RecorderSettings(**{name: value for name, value in options.items() if value is not None})
     return record_motion(settings, Runner.from_environment(os.environ))
 
 
-def record_motion(settings: Settings, runner: Runner) -> ExitCode:
-    """Serve the page until the command is stopped; poses that are in no file then go into one beside the output.
+def record_motion(settings: RecorderSettings, runner: Runner) -> ExitCode:
+    """Serve the page until the command is stopped; then save poses that are not in a file beside the output.
 
     Raises:
         InputError: an input is missing or wrong.
-        InfrastructureError: viser is not installed, the port is taken, or a file cannot be written.
+        InfrastructureError: viser is not installed, the port is in use, or a file cannot be written.
     """
     if find_spec("viser") is None:
         raise InfrastructureError("record-motion needs viser: pip install viser")

@@ -1,4 +1,4 @@
-"""Options of commands that are the fields of a record: type, limits and help stand there."""
+"""Command line options generated from the fields of a record: name, type, limits and help."""
 
 import typing
 from collections.abc import Callable, Mapping
@@ -26,7 +26,7 @@ _Callback = TypeVar("_Callback", bound=Callable[..., Any])
 
 
 def option_keys(kind: type) -> tuple[str, ...]:
-    """The keys of a record, and of flat records in it, that are options of commands."""
+    """Return the keys of a record, including its flat records, that are command line options."""
     return tuple(key for key, each in flat_fields(kind).items() if each.option is not False)
 
 
@@ -37,13 +37,13 @@ def record_options(
     helps: Mapping[str, str] | None = None,
     required: bool = False,
 ) -> Callable[[_Callback], _Callback]:
-    """Declare options for fields of a record; a truth value is a flag.
+    """Decorate a command with options for fields of a record; booleans become flags.
 
     Args:
-        kind: the record.
-        keys: of the fields, in the order of the options; all of `option_keys` unless given.
-        names: of options that are not called as their keys.
-        helps: the sentences of options that need others than the record has, by key.
+        kind: type of the record.
+        keys: keys of the fields, in the order of the options; by default all of `option_keys`.
+        names: names of options that differ from their keys, by key.
+        helps: help of options that differs from the field's, by key.
         required: whether the options of required fields are required.
     """
     fields = flat_fields(kind)
@@ -64,7 +64,7 @@ def record_options(
 
 
 def given(kind: type, options: Mapping[str, Any], *keys: str, names: Mapping[str, str] | None = None) -> dict[str, Any]:
-    """The document that the options of `record_options` make; an option that is not given, or empty, has no key."""
+    """Convert values of options of `record_options` to a document; empty and missing options are omitted."""
     document = {}
     for key in keys or option_keys(kind):
         value = options.get((names or {}).get(key, key).replace("-", "_"))
@@ -74,21 +74,21 @@ def given(kind: type, options: Mapping[str, Any], *keys: str, names: Mapping[str
 
 
 def chosen(kind: type[_Record], options: Mapping[str, Any], **more: Any) -> _Record:
-    """The record that the options of a command make: its inputs, which no document has.
+    """Convert the options of a command to a record of its inputs.
 
     Args:
-        kind: the record, all of whose fields are options.
-        options: of the command.
-        more: fields that are no options.
+        kind: type of the record, all of whose fields are options.
+        options: options of the command.
+        more: values of fields that are not options.
 
     Raises:
-        InputError: an option is missing, or its value wrong.
+        InputError: an option is missing, or its value is wrong.
     """
     return read(kind, given(kind, options), "options", **more)
 
 
 def _type_of(kind: Any, limits: tuple[Constraint, ...] = ()) -> Any:
-    """The type of click's that reads a value of a field's type."""
+    """Return click's type for values of a field's type."""
     origin, arguments = typing.get_origin(kind), typing.get_args(kind)
     if origin is typing.Annotated:
         special = next((each for each in arguments if isinstance(each, Converted)), None)

@@ -1,4 +1,4 @@
-"""``run``: the whole pipeline of ``calibration.yml``, with one verdict."""
+"""``run``: run the whole pipeline of ``calibration.yml``, with one verdict."""
 
 import os
 from dataclasses import dataclass, replace
@@ -17,16 +17,16 @@ from calibration.workflow import Runner, set_outputs
 
 
 @dataclass(frozen=True)
-class Settings:
-    """What ``run`` is asked."""
+class RunSettings:
+    """Inputs of ``run``."""
 
     config: Path = Path("calibration.yml")
     output: Path = Path("output")
     only: tuple[str, ...] = ()
-    """The stages; empty for all of them."""
+    """Stages to run; empty for all."""
     jobs: int | None = None
     push: bool | None = None
-    """Whether the image goes to its registry; what the configuration says where None."""
+    """Whether to push the image; None as in the configuration."""
 
 
 @click.command("run")
@@ -34,15 +34,15 @@ class Settings:
 @click.option("--output", type=path, help="Folder for results, tables and datasets (output).")
 @click.option("--only", type=TEXT_LIST, help=f"Only these stages: {', '.join(STAGES)}.")
 @click.option("--jobs", type=count, help="Processes, or containers at once (one a core).")
-@boolean_option("--push", default=None, help="Push the image; without, it is not promoted (what config says).")
+@boolean_option("--push", default=None, help="Push the image; if false, it is not promoted either (as in config).")
 def command(**options: Any) -> ExitCode:
-    """Run the pipeline of calibration.yml, stage by stage; the verdict is fail when one of them is."""
-    settings = Settings(**{name: value for name, value in options.items() if value is not None})
+    """Run the pipeline of calibration.yml, stage by stage; the verdict is fail if one of them fails."""
+    settings = RunSettings(**{name: value for name, value in options.items() if value is not None})
     return run(settings, Runner.from_environment(os.environ))
 
 
-def run(settings: Settings, runner: Runner) -> ExitCode:
-    """Run the stages and report them.
+def run(settings: RunSettings, runner: Runner) -> ExitCode:
+    """Run the stages and report their results.
 
     Raises:
         InputError: the configuration or the data are wrong.

@@ -1,4 +1,4 @@
-"""``schema``: the JSON Schemas that ship, for editors and other programs."""
+"""``schema``: print the JSON Schemas of files, for editors and other programs."""
 
 import sys
 from importlib import import_module
@@ -13,14 +13,14 @@ from calibration.report import Head
 
 
 class Shipped(NamedTuple):
-    """A schema, and what it is written from (`make actions`)."""
+    """A JSON Schema in the package, and the record that generates it (`make actions`)."""
 
     package: str
     file: str
     record: str
-    """``module:class``; the module is in the package."""
+    """``module:class``; the module is relative to the package."""
     command: str = ""
-    """The command of whose results.json it is."""
+    """Command whose results.json it describes."""
 
 
 _PIPELINE, _COLLECTION = "calibration.pipeline", "calibration.pipeline.collection"
@@ -45,20 +45,20 @@ SCHEMAS = {
     "analysis": Shipped("calibration.analysis", _RESULTS, "results:Results", "static-analysis"),
     "introspection": Shipped("calibration.introspection", _RESULTS, "result:Results", "introspect-csv"),
 }
-"""What there is a schema of."""
+"""JSON Schemas by name."""
 
 
 @click.command("schema")
 @click.argument("name", type=click.Choice(list(SCHEMAS)), default="calibration.yml")
 def command(name: str) -> ExitCode:
-    """Print a JSON Schema: of calibration.yml, of another file that is read, or of the results of a command."""
+    """Print a JSON Schema: of calibration.yml, of another input file, or of the results of a command."""
     shipped = SCHEMAS[name]
     sys.stdout.write(files(shipped.package).joinpath(shipped.file).read_text(encoding="utf-8"))
     return ExitCode.PASS
 
 
 def generated(name: str) -> str:
-    """The text of a schema, written from its record."""
+    """Return the text of a schema, generated from its record."""
     shipped = SCHEMAS[name]
     module, _, kind = shipped.record.partition(":")
     record = getattr(import_module(f"{shipped.package}.{module}"), kind)

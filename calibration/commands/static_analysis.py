@@ -1,4 +1,4 @@
-"""``static-analysis``: a repository's files to findings to a verdict."""
+"""``static-analysis``: check the files of a repository with analysers."""
 
 import os
 from typing import Any
@@ -15,8 +15,8 @@ from calibration.workflow import Runner
 @click.command(TITLE)
 @record_options(Settings)
 def command(**options: Any) -> ExitCode:
-    """Look for errors in the repository's code; the verdict is fail when a change brings in too many.
+    """Check the repository's code for errors; the verdict is fail if a change adds too many.
 
-    Analysers run on a copy of the files that git tracks; nothing of the repository is run.
+    Analysers run on a copy of the files that git tracks; code of the repository is not run.
     """
     return analyse(chosen(Settings, options), Runner.from_environment(os.environ))

@@ -1,4 +1,4 @@
-"""``calibration version``: what a bug report needs to know."""
+"""``calibration version``: print the versions needed for a bug report."""
 
 import platform
 from importlib.metadata import PackageNotFoundError, version
@@ -10,7 +10,7 @@ from calibration.errors import ExitCode
 from calibration.workflow import Runner
 
 PACKAGES = ("click", "pyyaml", "numpy", "defusedxml", "rich", "opencv-python-headless", "docker", "boto3")
-"""The distributions that the suite uses, needed or not."""
+"""Distributions that the suite uses, required or optional."""
 
 
 @click.command("version")

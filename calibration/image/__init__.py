@@ -1,9 +1,9 @@
-"""A specification to a Dockerfile, an image, a registry. Knows nothing of calibration.
+"""Container images: from a specification to a Dockerfile, an image and a registry. Independent of calibration.
 
-- ``specification``: what an image is made of;
-- ``recipe``: that as a Dockerfile;
-- ``context``, ``bases``, ``plan``, ``content_key``: what goes in, and its hash;
-- ``building``: found by the hash, or built, and pushed;
-- ``builders``: the engine's own, and BuildKit;
+- ``specification``: content of an image, as the user declares it;
+- ``recipe``: conversion to a Dockerfile;
+- ``context``, ``bases``, ``plan``, ``content_key``: input of the build, and its hash;
+- ``building``: search by the hash, build, and push;
+- ``builders``: the engine's classic builder, and BuildKit;
 - ``registries``: references, login, push, promotion.
 """

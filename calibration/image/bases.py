@@ -1,4 +1,4 @@
-"""The image that a build starts from: what its name stands for just now, and how it gets to the engine."""
+"""Base images: resolving their names to digests, and pulling them."""
 
 import re
 from collections.abc import Callable
@@ -24,32 +24,32 @@ if TYPE_CHECKING:
     from docker.models.images import Image
 
 Login = Callable[[str], Credentials]
-"""Finds the credentials for the registry of an image."""
+"""Returns the credentials for the registry of an image."""
 
 _MISSING = re.compile(r"not found|manifest unknown|does not exist|denied|unauthorized|name unknown|no such image")
 
 
 @dataclass(frozen=True)
 class Base:
-    """What the name of a base stands for."""
+    """A base image and its current digest."""
 
     name: str
     identity: str
-    """Its digest; the engine's id where it is known to no registry."""
+    """Its digest; the engine's image id if it is in no registry."""
     digest: str | None = None
 
 
 def find_base(client: "DockerClient", name: str, login: Login, *, ask_registry: bool = False) -> Base:
-    """Find out what a base is: the engine's own where it has one, else its registry's.
+    """Resolve the name of a base: to the engine's image if it has one, else in its registry.
 
     Args:
-        client: of the engine.
-        name: of the image.
-        login: finds the credentials for a registry.
-        ask_registry: the registry first, although the engine has one.
+        client: client of the engine.
+        name: name of the image.
+        login: returns the credentials for a registry.
+        ask_registry: resolve the name in the registry, even if the engine has an image.
 
     Raises:
-        InputError: neither has such an image.
+        InputError: neither has the image.
         InfrastructureError: the registry cannot be reached.
     """
     reference = parse_reference(name)
@@ -63,14 +63,14 @@ def find_base(client: "DockerClient", name: str, login: Login, *, ask_registry: 
         found = registry.find_manifest(reference)
     if found is None:
         raise InputError(
-            f"base image {name}: neither this machine nor {reference.registry} has it, or it may not be seen: "
+            f"base image {name}: found neither on this machine nor in {reference.registry}, or access is denied: "
             "check the name, or log in"
         )
     return Base(name, found, found)
 
 
 def local_image(client: "DockerClient", name: str) -> "Image | None":
-    """The engine's image of that name, or None."""
+    """Return the engine's image with a name, or None."""
     try:
         return client.images.get(name)
     except docker.errors.ImageNotFound:
@@ -78,11 +78,11 @@ def local_image(client: "DockerClient", name: str) -> "Image | None":
 
 
 def fetch(client: "DockerClient", name: str, login: Login, platform: str | None, log: BuildLog) -> None:
-    """Bring an image to the engine, where it has none such.
+    """Pull an image unless the engine has it.
 
     Raises:
-        InputError: there is no such image, or it may not be seen.
-        InfrastructureError: it cannot be fetched.
+        InputError: the image does not exist, or access is denied.
+        InfrastructureError: the pull fails.
     """
     if local_image(client, name) is not None:
         return
@@ -100,7 +100,7 @@ def fetch(client: "DockerClient", name: str, login: Login, platform: str | None,
         for event in events:
             if "error" in event:
                 raise _failed(name, str(event["error"]), log)
-            if not event.get("progressDetail"):  # not each of the hundreds of a layer
+            if not event.get("progressDetail"):  # skip progress events, hundreds per layer
                 log.output(f"{event.get('id', '')} {event.get('status', '')}\n")
     except docker.errors.APIError as error:
         raise _failed(name, str(error.explanation or error), log) from None
@@ -114,7 +114,7 @@ def _failed(name: str, message: str, log: BuildLog) -> InputError | Infrastructu
 
 
 def _digest(image: "Image", reference: Reference) -> str | None:
-    """The digest that a registry knows an image by, where the engine has noted it for this name."""
+    """Return the digest of an image in its registry, if the engine has recorded it for this name."""
     for text in image.attrs.get("RepoDigests") or ():
         known = parse_reference(one_line(text))
         if known.name == reference.name:
@@ -123,16 +123,16 @@ def _digest(image: "Image", reference: Reference) -> str | None:
 
 
 def pull_image(name: str, settings: RegistrySettings, runner: Runner, title: str) -> None:
-    """Pull an image as the user of the settings, unless the engine has it.
+    """Pull an image with the login in the settings, unless the engine has it.
 
     Args:
-        name: of the image; the login is for its registry, and for no other.
-        settings: who one is there.
-        runner: takes the log.
-        title: of the progress.
+        name: name of the image; the login is used only for its registry.
+        settings: login to the registry.
+        runner: runner whose log shows the pull.
+        title: title of the progress.
 
     Raises:
-        InputError: there is no such image, or it may not be seen.
+        InputError: the image does not exist, or access is denied.
         InfrastructureError: the engine or the registry cannot be reached.
     """
     credentials = registry_login(settings, name, runner)

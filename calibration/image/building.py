@@ -1,4 +1,4 @@
-"""From a specification to an image: found where nothing has changed, else built."""
+"""Build of an image from a specification, unless an unchanged image is found."""
 
 import hashlib
 import os
@@ -40,21 +40,21 @@ TITLE = "build-image"
 
 @dataclass(frozen=True)
 class BuiltImage:
-    """An image that can be run, or is in its registry."""
+    """An image that was built, or found on the engine or in its registry."""
 
     reference: str
-    """What to run: ``name:key-<hash>``."""
+    """Name to run: ``name:key-<hash>``."""
     key: str
-    """The content key, 64 hexadecimal digits."""
+    """Content key, 64 hexadecimal digits."""
     built: bool
-    """Whether it was built now; else it was there."""
+    """Whether it was built now; otherwise it was found."""
     id: str | None = None
-    """On the engine; None where the engine does not have it."""
+    """Image id on the engine; None if the engine does not have it."""
     digest: str | None = None
-    """In the registry; None where it is in none."""
+    """Digest in the registry; None if it is in no registry."""
     found_in: Literal["local", "registry"] | None = None
     tags: tuple[str, ...] = ()
-    """The other names that it has now: ``name:latest``."""
+    """Its other current names: ``name:latest``."""
     seconds: float = 0.0
 
 
@@ -69,23 +69,23 @@ def build_image(
     pull: bool = False,
     leave_out: Sequence[Path] = (),
 ) -> BuiltImage:
-    """Bring about the image of a specification.
+    """Find or build the image of a specification, tag it, and push it on request.
 
-    It is looked up by its content key, on the engine and then in its registry, and built only where
-    neither has it. A tag in the registry is set without pulling or pushing what is there already.
+    It is searched by its content key, on the engine and then in its registry, and built only if
+    neither has it. Tags of an image in the registry are set without pulling or pushing it.
 
     Args:
-        specification: of the image.
-        runner: takes the log.
-        push: whether it goes to its registry; what the specification says where None.
-        load: whether it has to be on the engine, so that it can be run here.
-        builder: auto takes BuildKit where a docker program on PATH does it, else the engine's own builder.
-        force: build anew, without any cache.
-        pull: ask the registries of the bases whether there are newer ones.
-        leave_out: folders that are never part of the context: where results are written, which change each time.
+        specification: specification of the image.
+        runner: runner whose log shows the build.
+        push: whether to push; by default as in the specification.
+        load: whether the image must be on the engine, to be run here.
+        builder: auto uses BuildKit if a docker command on PATH supports it, else the engine's classic builder.
+        force: build without any cache.
+        pull: resolve the bases in their registries, for newer versions.
+        leave_out: folders that are excluded from the context: folders for results, which change in every run.
 
     Raises:
-        InputError: a file, base, secret or builder is missing, or access denied.
+        InputError: a file, base, secret or builder is missing, or access is denied.
         BuildFailedError: a step of the Dockerfile failed.
         InfrastructureError: the engine, a registry or the network failed.
     """
@@ -100,7 +100,7 @@ def build_image(
 
 
 class _Work:
-    """One call of :func:`build_image`."""
+    """State of one call of :func:`build_image`."""
 
     def __init__(
         self,
@@ -120,11 +120,11 @@ class _Work:
         self._logins: dict[str, Credentials] = {}
 
     def bring_about(self, plan: Plan, builder: BuilderName, force: bool) -> BuiltImage:
-        """Find the image of a plan, or build it; tag it, and push it."""
+        """Find the image of a plan, or build it; then tag it, and push it on request."""
         specification, runner = self._specification, self._runner
         self._refuse_secrets(plan)
         for note in plan.notes:
-            runner.log(f"not seen by the content key: {note}")
+            runner.log(f"not covered by the content key: {note}")
         reference = f"{specification.name}:{key_tag(plan.key)}"
         found = None if force else self._find(reference, plan.key)
         if found is not None:
@@ -133,7 +133,7 @@ class _Work:
         return self._tagged(image)
 
     def login(self, name: str) -> Credentials:
-        """Who one is to the registry of an image; the settings are for the registry of this one."""
+        """Return the credentials for an image's registry; the settings are for that of the built image."""
         registry = parse_reference(name).registry
         if registry not in self._logins:
             own = registry == parse_reference(self._specification.name).registry
@@ -151,7 +151,7 @@ class _Work:
         refuse_secrets_in(self._secrets, places)
 
     def _find(self, reference: str, key: str) -> BuiltImage | None:
-        """The image of a key, where somebody has it."""
+        """Return the image of a key from the engine or the registry; None if it is missing."""
         local = local_image(self._client, reference) if len(self._specification.platforms) < 2 else None
         if local is not None and local.labels.get(KEY_LABEL) == key:
             return BuiltImage(reference, key, built=False, id=local.id, found_in="local")
@@ -165,24 +165,24 @@ class _Work:
             fetch(self._client, name, self.login, None, log)
         image = self._client.images.get(name)
         if image.labels.get(KEY_LABEL) != key:
-            self._runner.log(f"{reference}: what the registry has under this tag was not built for this key")
+            self._runner.log(f"{reference}: the image with this tag in the registry was built for another key")
             return None
         image.tag(*reference.rsplit(":", 1))
         return BuiltImage(reference, key, built=False, id=image.id, digest=digest, found_in="registry")
 
     def _digest_in_registry(self, reference: str) -> str | None:
-        """The digest of an image in its registry; a registry that fails is no reason not to build."""
+        """Return the digest of an image in its registry; a failing registry does not prevent a build, only a push."""
         registry = parse_reference(reference).registry
         settings = self._specification.registry
         if registry == DOCKER_HUB and not self._push and settings is None:
-            return None  # a name without a host may be meant for this machine alone, and anybody's on Docker Hub
+            return None  # a name without a host may be local, and belong to a stranger on Docker Hub
         try:
             with RegistryClient(self.login(reference)) as client:
                 return client.find_manifest(reference)
         except CalibrationError as error:
             if self._push:
                 raise
-            self._runner.log(f"the registry was not asked: {error}")
+            self._runner.log(f"the registry was not searched: {error}")
             return None
 
     def _build(self, plan: Plan, reference: str, builder: BuilderName, force: bool) -> BuiltImage:
@@ -226,7 +226,7 @@ class _Work:
         return BuiltImage(reference, plan.key, built=True, id=image.id)
 
     def _fetch_base(self, base: Base, log: BuildLog) -> None:
-        """Bring a base to the engine, and let its name mean there what the key was made with."""
+        """Pull a base at the digest in the content key, and tag it with the name that the Dockerfile uses."""
         reference = parse_reference(base.name)
         pinned = f"{reference.name}@{base.digest}" if base.digest else base.name
         fetch(self._client, pinned, self.login, next(iter(self._specification.platforms), None), log)
@@ -242,10 +242,10 @@ class _Work:
         return BuiltImage(reference, plan.key, built=True, digest=digest)
 
     def _builder(self, plan: Plan, builder: BuilderName) -> "Program | None":
-        """The program to build with; None for the engine's own builder.
+        """Return the command to build with; None for the engine's classic builder.
 
         Raises:
-            InputError: BuildKit is needed or asked for, and there is none.
+            InputError: BuildKit is needed or requested, and not installed.
         """
         if builder == "engine":
             if plan.needs_buildkit:
@@ -253,13 +253,13 @@ class _Work:
             return None
         program = find_buildkit(os.environ.get("PATH", os.defpath))
         if program is None and (builder == "buildkit" or plan.needs_buildkit):
-            why = f"{_BUILDKIT_ONLY} need BuildKit" if plan.needs_buildkit else "builder: buildkit is asked for"
-            raise InputError(f"{why}, and no docker on PATH does it: install docker's plugin buildx")
+            why = f"{_BUILDKIT_ONLY} need BuildKit" if plan.needs_buildkit else "builder: buildkit is requested"
+            raise InputError(f"{why}, and no docker on PATH supports it: install docker's plugin buildx")
         return program
 
     @contextmanager
     def _shown(self, title: str) -> Iterator[BuildLog]:
-        """Show what happens inside, in a group of its own; what others print is no command to the runner."""
+        """Log the block in a group, with workflow commands disabled and secrets redacted."""
         values = [secret.text for secret in self._secrets]
         values += [value for login in self._logins.values() for value in login.secrets]
         with group(self._runner, title), stop_commands(self._runner), progress(self._runner, TITLE) as advance:
@@ -270,7 +270,7 @@ class _Work:
                 log.end_line()
 
     def _tagged(self, image: BuiltImage) -> BuiltImage:
-        """Give an image its other tags, on the engine and in the registry."""
+        """Set the other tags of an image, on the engine and in the registry."""
         specification = self._specification
         if image.id is not None:
             local = self._client.images.get(image.id)
@@ -281,7 +281,7 @@ class _Work:
         return replace(image, tags=tuple(f"{specification.name}:{tag}" for tag in specification.tags))
 
     def _pushed(self, image: BuiltImage) -> str:
-        """Bring an image and its tags to the registry; returns its digest there."""
+        """Push an image and its tags; return its digest in the registry."""
         specification = self._specification
         credentials = self.login(image.reference)
         digest = image.digest

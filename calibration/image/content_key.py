@@ -1,4 +1,4 @@
-"""The content key: the same for two images exactly if they are made of the same."""
+"""Content key: a hash of all input of a build, equal exactly for images with the same content."""
 
 import hashlib
 import json
@@ -7,9 +7,9 @@ from collections.abc import Mapping, Sequence
 from calibration.image.context import Context
 
 FORM = 1
-"""Of what is hashed; a new form finds no image of an older one."""
+"""Version of the hashed format; images of older versions are not found."""
 TAG_DIGITS = 24
-"""Hexadecimal digits of the key in a tag: 96 bits."""
+"""Number of hexadecimal digits of the key in a tag: 96 bits."""
 KEY_LABEL = "ci.calibration.key"
 SPECIFICATION_LABEL = "ci.calibration.specification"
 
@@ -23,16 +23,16 @@ def content_key(
     target: str | None,
     labels: Mapping[str, str],
 ) -> str:
-    """Hash all that an image is made of; times, tags and the commit are no part of it.
+    """Return the hash of all input of an image, without times, tags and the commit.
 
     Args:
-        context: every file of the build, by name, mode and content; the Dockerfile is one of them.
-        dockerfile: its name there.
-        bases: what each base is just now, a digest or an id, by its name.
-        platforms: what it is built for.
-        build_arguments: the values of ARG.
-        target: the stage that is built; None for the last.
-        labels: the user's.
+        context: files of the build, hashed by path, mode and content, including the Dockerfile.
+        dockerfile: path of the Dockerfile in the context.
+        bases: current digest or id of each base, by name.
+        platforms: platforms to build for.
+        build_arguments: values of ARG.
+        target: stage to build; None for the last one.
+        labels: labels of the user.
 
     Raises:
         InfrastructureError: a file cannot be read.
@@ -51,5 +51,5 @@ def content_key(
 
 
 def key_tag(key: str) -> str:
-    """The tag by which a registry and an engine find the image of a key."""
+    """Return the tag that identifies the image of a key."""
     return f"key-{key[:TAG_DIGITS]}"

@@ -1,4 +1,4 @@
-"""The build context: what a build may copy, as a tar archive whose bytes depend on nothing but the contents."""
+"""Build context as a tar archive, whose bytes depend only on the content of the files."""
 
 import hashlib
 import os
@@ -16,28 +16,28 @@ from calibration.errors import InfrastructureError, InputError
 from calibration.files import read_bytes, write_atomically
 
 MAX_BYTES = 2 * 1024**3
-"""More than this is hardly meant; it would be hashed on every push and sent to the engine on every build."""
+"""Limit of the size, because the context is hashed on every push and sent to the engine for every build."""
 MAX_FILES = 100_000
 MTIME = 315_619_200
-"""1980-01-02: of every file, so that it is no part of the result. A zip file, as a Python wheel is, has no earlier."""
+"""1980-01-02: modification time of every file, for reproducible bytes. Zip files, such as wheels, allow no earlier."""
 NO_SOURCES = ("**/.git", "**/.hg", "**/.svn", "**/__pycache__")
-"""What is left out of sources without being told."""
+"""Excluded from sources by default."""
 _MAX_IGNORE_BYTES = 1024 * 1024
 
 
 @dataclass(frozen=True)
 class Entry:
-    """A file, folder or link of the context."""
+    """A file, folder or symbolic link of the context."""
 
     mode: int
-    """644 or 755: git keeps no more, so neither do we."""
+    """644 or 755, as in git."""
     size: int = 0
     source: Path | None = None
-    """The file that has the content, or"""
+    """Path of the file with the content, or"""
     content: bytes | None = None
     """the content itself."""
     link: str | None = None
-    """Where a symbolic link points."""
+    """Target of a symbolic link."""
 
     @property
     def is_folder(self) -> bool:
@@ -46,15 +46,15 @@ class Entry:
 
 
 class Ignored:
-    """What patterns as in a ``.dockerignore`` leave out."""
+    """Set of paths that are excluded by patterns of a ``.dockerignore``."""
 
     def __init__(self, patterns: Iterable[str] = ()) -> None:
         self._rules = [rule for rule in map(Pattern, patterns) if rule.dirs]
         self.has_exceptions = any(rule.exclusion for rule in self._rules)
-        """Whether a folder that is left out may have something in it that is not."""
+        """Whether an excluded folder may contain included files."""
 
     def __contains__(self, path: str) -> bool:
-        """Whether a path is left out: the last rule counts that speaks of it, or of a folder that it is in."""
+        """Whether a path is excluded, by the last rule that matches it or one of its parents."""
         parts = path.split("/")
         paths = ["/".join(parts[:count]) for count in range(1, len(parts) + 1)]
         for rule in reversed(self._rules):
@@ -64,15 +64,15 @@ class Ignored:
 
 
 class Context:
-    """Files under the names that the Dockerfile copies them by."""
+    """Files by their path in the context, which the Dockerfile copies."""
 
     def __init__(self, leave_out: Iterable[Path] = (), max_bytes: int = MAX_BYTES, max_files: int = MAX_FILES) -> None:
-        """Make an empty context.
+        """Create an empty context.
 
         Args:
-            leave_out: folders that are never part of it, such as the one that results are written to.
-            max_bytes: of all files.
-            max_files: of files, folders and links.
+            leave_out: folders that are always excluded, such as the folder for results.
+            max_bytes: limit of the size of all files.
+            max_files: limit of the number of files, folders and links.
         """
         self.entries: dict[str, Entry] = {}
         self._leave_out = frozenset(folder.resolve() for folder in leave_out)
@@ -81,14 +81,14 @@ class Context:
         self._bytes = 0
 
     def add_bytes(self, path: str, content: bytes, *, executable: bool = False) -> None:
-        """Add a file that we have written."""
+        """Add a generated file."""
         self._put(path, Entry(0o755 if executable else 0o644, len(content), content=content))
 
     def add_file(self, path: str, source: Path, what: str) -> None:
-        """Add a file; ``what`` it is for is for messages ("files: robot.yml").
+        """Add a file; ``what`` describes its purpose in messages ("files: robot.yml").
 
         Raises:
-            InputError: there is no such file, or the context gets too large.
+            InputError: the file does not exist, or the context gets too large.
         """
         status = _status(source, what)
         if not stat.S_ISREG(status.st_mode):
@@ -98,18 +98,18 @@ class Context:
     def add_folder(
         self, path: str, source: Path, what: str, ignored: Ignored, only: frozenset[str] | None = None
     ) -> None:
-        """Add a folder with all that is in it and not ignored.
+        """Add a folder with its content, except for ignored paths.
 
         Args:
-            path: its name in the context; empty for the context itself.
+            path: path in the context; empty for the root of the context.
             source: the folder.
-            what: what it is for, for messages.
-            ignored: the paths in the folder that are left out.
-            only: where it is given, the only names of files that are added.
+            what: its purpose, for messages.
+            ignored: excluded paths of the folder.
+            only: names of the files to add; None for all.
 
         Raises:
-            InputError: there is no such folder; a link leaves it; something in it is neither file,
-                folder nor link, or cannot be read; or the context gets too large.
+            InputError: the folder does not exist; a link points out of it; it contains something that is neither
+                file, folder nor link, or is not readable; or the context gets too large.
         """
         if not stat.S_ISDIR(_status(source, what).st_mode):
             raise InputError(f"{what}: {source} is no folder")
@@ -130,7 +130,7 @@ class Context:
                 raise InputError(f"{what}: {found} is neither file, folder nor link: leave it out with a .dockerignore")
 
     def digests(self) -> Iterator[tuple[str, int, str]]:
-        """Yield path, mode and what identifies the content of every entry, sorted by path.
+        """Yield path, mode and a digest of the content of every entry, sorted by path.
 
         Raises:
             InfrastructureError: a file cannot be read.
@@ -166,14 +166,14 @@ class Context:
                         _add(archive, info, file)
 
     def write_folder(self, folder: Path) -> None:
-        """Write the context as a folder that ``docker build`` takes.
+        """Write the context as a folder for ``docker build``.
 
         Raises:
-            InputError: the folder has something in it.
+            InputError: the folder is not empty.
             InfrastructureError: it cannot be written.
         """
         if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-            raise InputError(f"{folder}: an empty folder was expected: what is there would get mixed with the context")
+            raise InputError(f"{folder}: an empty folder was expected: existing files would be mixed with the context")
         try:
             folder.mkdir(parents=True, exist_ok=True)
             for path, entry in sorted(self.entries.items()):
@@ -210,10 +210,10 @@ class Context:
 
 
 def read_ignore_file(path: Path) -> list[str]:
-    """Read the patterns of a ``.dockerignore``; none where there is no such file.
+    """Read the patterns of a ``.dockerignore``; empty if the file does not exist.
 
     Raises:
-        InputError: it cannot be read, or is no text.
+        InputError: it cannot be read, or is not a text.
     """
     if not path.exists():
         return []
@@ -225,7 +225,7 @@ def read_ignore_file(path: Path) -> list[str]:
 
 
 def _walk(root: Path, ignored: Ignored, leave_out: frozenset[Path], what: str) -> Iterator[tuple[str, Path]]:
-    """What is in a folder and not ignored, by its path there; links are not followed."""
+    """Yield the relative and full paths of a folder's content that is not ignored; links are not followed."""
     folders = [""]
     while folders:
         folder = folders.pop()
@@ -277,7 +277,7 @@ def _opened(path: str, entry: Entry) -> BytesIO | BufferedReader:
 def _add(archive: tarfile.TarFile, info: tarfile.TarInfo, file: IO[bytes]) -> None:
     try:
         archive.addfile(info, file)
-    except OSError as error:  # tarfile's own, too, for a file that has become shorter
+    except OSError as error:  # also raised by tarfile for a file that was truncated meanwhile
         raise InfrastructureError(
             f"{info.name}: the build context cannot be written: {error.strerror or error}"
         ) from error

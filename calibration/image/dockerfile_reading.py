@@ -1,4 +1,4 @@
-"""What has to be known of a Dockerfile that the user wrote: what it is built from, and with what."""
+"""Analysis of a user's Dockerfile: its base images, and whether it needs BuildKit."""
 
 import re
 from collections.abc import Iterator, Mapping
@@ -16,20 +16,20 @@ _BUILDKIT = re.compile(
 
 @dataclass(frozen=True)
 class Bases:
-    """What a Dockerfile starts from and copies from."""
+    """Images of a Dockerfile's FROM and COPY --from."""
 
     images: tuple[str, ...]
     unresolved: tuple[str, ...] = ()
-    """Those whose name has a variable that only the builder knows."""
+    """Names with variables that only the builder knows."""
 
 
 def needs_buildkit(dockerfile: str) -> bool:
-    """Whether the classic builder does not read a Dockerfile."""
+    """Return whether a Dockerfile needs BuildKit, as opposed to the classic builder."""
     return _BUILDKIT.search(dockerfile) is not None
 
 
 def bases_of(dockerfile: str, arguments: Mapping[str, str]) -> Bases:
-    """Find the images of ``FROM`` and ``COPY --from``, with ``ARG`` of the Dockerfile and of the build filled in."""
+    """Return the images of ``FROM`` and ``COPY --from``, with values of ``ARG`` substituted."""
     values: dict[str, str] = {}
     stages: list[str] = []
     images: list[str] = []
@@ -53,7 +53,7 @@ def bases_of(dockerfile: str, arguments: Mapping[str, str]) -> Bases:
 
 
 def _instructions(dockerfile: str) -> Iterator[tuple[str, str]]:
-    """Yield each instruction and what follows it, on one line, without comments and here-documents."""
+    """Yield instructions and their arguments on one line, without comments and here-documents."""
     lines = iter(dockerfile.lstrip("\ufeff").split("\n"))
     escape = "\\"
     part = ""

@@ -1,4 +1,4 @@
-"""Labels that say where an image comes from."""
+"""Labels of the origin of an image."""
 
 import os
 import subprocess
@@ -12,16 +12,16 @@ from calibration.workflow.text import one_line
 SOURCE = "org.opencontainers.image.source"
 REVISION = "org.opencontainers.image.revision"
 SECONDS = 10
-"""More than git needs for a question."""
+"""Timeout of a git command."""
 
 
 def build_labels(
     key: str, specification: str, user: Mapping[str, str], folder: Path, environment: Mapping[str, str] | None = None
 ) -> dict[str, str]:
-    """The labels of an image that is built now: the user's, the keys, and the commit where it is known.
+    """Return the labels of an image that is built now: the user's, the keys, and the commit if it is known.
 
-    An image that is found later, unchanged, keeps the commit that it was built from. There is no date:
-    the image's own says when it was built.
+    An image that is found later, unchanged, keeps the commit of its build. There is no date, because
+    images have a date of creation.
     """
     variables = os.environ if environment is None else environment
     server, repository = variables.get("GITHUB_SERVER_URL"), variables.get("GITHUB_REPOSITORY")
@@ -33,7 +33,7 @@ def build_labels(
 
 
 def _git(folder: Path, *arguments: str) -> str:
-    """What git answers about a folder; nothing where there is no git or no repository."""
+    """Run git in a folder and return its output; empty if git or the repository is missing."""
     try:
         done = subprocess.run(
             ["git", "-C", str(folder), *arguments],
@@ -50,7 +50,7 @@ def _git(folder: Path, *arguments: str) -> str:
 
 
 def _without_login(url: str) -> str:
-    """An address without the user and password that may stand in it."""
+    """Remove user and password from a URL."""
     try:
         parts = urlsplit(url)
         if "@" not in parts.netloc:

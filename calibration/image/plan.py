@@ -1,4 +1,4 @@
-"""What a build would do, before anything is built: the context, the Dockerfile in it, and the content key."""
+"""Plan of a build: context, Dockerfile and content key, determined before the build."""
 
 import platform
 from collections.abc import Iterable, Sequence
@@ -21,24 +21,24 @@ if TYPE_CHECKING:
     from docker import DockerClient
 
 MANIFESTS = frozenset({"package.xml", "CATKIN_IGNORE", "COLCON_IGNORE", "AMENT_IGNORE"})
-"""Files that say what a workspace has; rosdep reads no others."""
+"""Files that describe the packages of a workspace; rosdep reads no others."""
 MAX_DOCKERFILE = 1024 * 1024
 
 
 @dataclass(frozen=True)
 class Plan:
-    """A build that could be done."""
+    """Input of a build."""
 
     context: Context
     dockerfile: str
-    """Its name in the context."""
+    """Path of the Dockerfile in the context."""
     text: str
-    """What stands in it."""
+    """Content of the Dockerfile."""
     key: str
     bases: tuple[Base, ...]
     needs_buildkit: bool = False
     notes: tuple[str, ...] = ()
-    """What the key cannot see: changes of it make no new image."""
+    """Inputs that the key does not cover: their changes cause no new build."""
 
 
 def make_plan(
@@ -49,18 +49,18 @@ def make_plan(
     ask_registry: bool = False,
     leave_out: Iterable[Path] = (),
 ) -> Plan:
-    """Find out what an image would be made of.
+    """Determine the input of an image.
 
     Args:
-        client: of the engine.
-        specification: of the image.
-        login: finds the credentials for the registry of a base.
-        ask_registry: whether a registry says what a base is, although the engine has one of that name.
-        leave_out: folders that are never part of the context.
+        client: client of the engine.
+        specification: specification of the image.
+        login: returns the credentials for the registry of a base.
+        ask_registry: resolve the bases in their registries, even if the engine has images of these names.
+        leave_out: folders that are excluded from the context.
 
     Raises:
         InputError: a file, a folder or a base is missing, or the context is too large.
-        InfrastructureError: a file cannot be read, or a base's registry not reached.
+        InfrastructureError: a file cannot be read, or the registry of a base cannot be reached.
     """
     source = specification.source
     context = Context(leave_out)
@@ -69,7 +69,7 @@ def make_plan(
         name, text = _own(source, context)
         found = bases_of(text, source.build_arguments)
         bases = tuple(find_base(client, base, login, ask_registry=ask_registry) for base in found.images)
-        notes = tuple(f"what {base} stands for is known only to the builder" for base in found.unresolved)
+        notes = tuple(f"only the builder can resolve {base}" for base in found.unresolved)
         buildkit = needs_buildkit(text) or bool(specification.secrets) or specification.ssh
         arguments, target = dict(source.build_arguments), source.target
     else:
@@ -84,7 +84,7 @@ def make_plan(
 
 
 def add_recipe(specification: ImageSpecification, context: Context, base_digest: str | None = None) -> Rendered:
-    """Render a recipe, and put all that its Dockerfile copies into the context.
+    """Render a recipe, and add all files that its Dockerfile copies to the context.
 
     Raises:
         InputError: a file or folder is missing, or the context is too large.
@@ -111,7 +111,7 @@ def add_recipe(specification: ImageSpecification, context: Context, base_digest:
 
 
 def _own(source: OwnDockerfile, context: Context) -> tuple[str, str]:
-    """Put a Dockerfile and its context into ours; returns its name there, and what stands in it."""
+    """Add a user's Dockerfile and its context; return its path in the context, and its content."""
     data = read_bytes(source.file, MAX_DOCKERFILE, "a Dockerfile")
     try:
         text = data.decode("utf-8-sig")

@@ -1,4 +1,4 @@
-"""What ``build-image`` did, and its report."""
+"""Results of ``build-image``, and their report."""
 
 from pathlib import Path
 from typing import Literal
@@ -13,35 +13,35 @@ _PLACES = {"local": "on the engine", "registry": "in the registry", None: ""}
 
 @result
 class Failure:
-    """A step of the Dockerfile that failed."""
+    """A failed step of the Dockerfile."""
 
-    message: str = field("What failed.")
-    lines: tuple[str, ...] = field("The last lines of the step's output.")
+    message: str = field("Reason of the failure.")
+    lines: tuple[str, ...] = field("Last lines of the step's output.")
 
 
 @result(kw_only=True)
 class BuildResult:
-    """Results of build-image: an image built, found or only promoted, or a failure."""
+    """Results of build-image: an image that was built, found or only promoted, or a failure."""
 
     reference: str | None = field(
-        "What to run: name:key-..., or name@digest where an image was only promoted.", default=None
+        "Name to run: name:key-..., or name@digest if an image was only promoted.", default=None
     )
-    id: str | None = field("On the engine, where it is there.", default=None)
-    digest: str | None = field("In the registry, where it is there: sha256:...", default=None)
-    key: str | None = field(
-        "The content key: two images have the same exactly if they are made of the same.", default=None
+    id: str | None = field("Image id on the engine, if the engine has it.", default=None)
+    digest: str | None = field("Digest in the registry, if it is there: sha256:...", default=None)
+    key: str | None = field("Content key: equal exactly for images with the same content.", default=None)
+    built: bool = field("Whether it was built now; otherwise nothing had changed.", default=False)
+    found_in: Literal["local", "registry"] | None = field(
+        "Where an image that was not built now was found.", default=None
     )
-    built: bool = field("Whether it was built now; else nothing had changed.", default=False)
-    found_in: Literal["local", "registry"] | None = field("Where an image was that is not built now.", default=None)
-    tags: tuple[str, ...] = field("Its other names now: name:latest.", default=())
-    promoted: tuple[str, ...] = field("The names that it was promoted to.", default=())
-    seconds: float = field("Of everything.", default=0.0)
-    failure: Failure | None = field("What failed.", default=None)
+    tags: tuple[str, ...] = field("Its other current names: name:latest.", default=())
+    promoted: tuple[str, ...] = field("Names that it was promoted to.", default=())
+    seconds: float = field("Duration of the whole command.", default=0.0)
+    failure: Failure | None = field("Reason of the failure.", default=None)
 
     @property
     @computed()
     def reasons(self) -> tuple[str, ...]:
-        """Why the verdict is fail."""
+        """Reasons of the failure."""
         return (self.failure.message,) if self.failure else ()
 
 
@@ -49,9 +49,9 @@ def report(result: BuildResult, source: Path, runner: Runner) -> Report:
     """Return the report of ``build-image``.
 
     Args:
-        result: what was done.
-        source: the specification or Dockerfile, at which a failure is annotated.
-        runner: where the report will be shown; the log of a terminal has not shown the output of a step.
+        result: results of the command.
+        source: specification or Dockerfile, for the annotation of a failure.
+        runner: runner of the report; the log of a terminal has not shown the output of the steps.
     """
     failure = result.failure
     lines = failure.lines if failure else ()

@@ -1,4 +1,4 @@
-"""The secrets of a build: read where the specification says, hidden from the log, given to BuildKit as files."""
+"""Secrets of a build: read, masked in the log, and passed to BuildKit as files."""
 
 import os
 import tempfile
@@ -13,31 +13,31 @@ from calibration.image.specification import Secret
 from calibration.workflow import Runner, add_mask
 
 MAX_BYTES = 500 * 1024
-"""As much as BuildKit takes."""
+"""BuildKit's limit."""
 SHORTEST = 6
-"""Characters; a shorter one may stand in a text by chance."""
+"""Minimum length in characters to search for; a shorter secret may occur in a text by chance."""
 
 
 @dataclass(frozen=True)
 class SecretValue:
-    """A secret that has been read."""
+    """A secret with its value."""
 
     id: str
     value: bytes = field(repr=False)
 
     @property
     def text(self) -> str:
-        """As it may appear in a text."""
+        """The value as text."""
         return self.value.decode("utf-8", "surrogateescape")
 
 
 def read_secrets(
     secrets: Iterable[Secret], runner: Runner, environment: Mapping[str, str] | None = None
 ) -> tuple[SecretValue, ...]:
-    """Read the secrets, and mask each before anything else is printed.
+    """Read the secrets, and mask them before any other output.
 
     Raises:
-        InputError: a variable is not set or empty, or a file cannot be read; names it.
+        InputError: a variable is unset or empty, or a file cannot be read; the message names it.
     """
     variables = os.environ if environment is None else environment
     values = []
@@ -55,24 +55,24 @@ def read_secrets(
 
 
 def refuse_secrets_in(secrets: Iterable[SecretValue], places: Mapping[str, str]) -> None:
-    """Make sure that no secret stands where the image would show it.
+    """Check that no secret occurs in texts that become part of the image.
 
     Raises:
-        InputError: one does; names the secret and the place, not the value.
+        InputError: one does; the message names the secret and the place, not the value.
     """
     for secret in secrets:
         text = secret.text.strip()
         for place, content in places.items():
             if len(text) >= SHORTEST and text in content:
                 raise InputError(
-                    f"secrets: {secret.id}: its value stands in {place}, where everyone who has the image reads it: "
-                    f"take it out, and let the command read /run/secrets/{secret.id}"
+                    f"secrets: {secret.id}: its value occurs in {place}, which everyone with the image can read: "
+                    f"remove it, and let the command read /run/secrets/{secret.id}"
                 )
 
 
 @contextmanager
 def secret_files(secrets: Iterable[SecretValue]) -> Iterator[dict[str, Path]]:
-    """Give each secret as a file that only this user can read, gone afterwards."""
+    """Write each secret to a file that only this user can read, removed at the end of the block."""
     with tempfile.TemporaryDirectory(prefix="calibration-") as folder:  # mode 0700
         files = {}
         for number, secret in enumerate(secrets):

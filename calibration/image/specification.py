@@ -1,6 +1,6 @@
-"""What an image is made of.
+"""Specification of an image.
 
-Where the fields of Rigel's plugins have their place:
+Correspondence to the fields of Rigel's plugins:
 
 =====================  ==================================================================================
 ``dockerfile`` plugin
@@ -58,13 +58,13 @@ from calibration.variables import with_variables
 from calibration.yaml_file import read_yaml
 
 DEFAULT_NAME = "calibration-image"
-"""Of an image that is not for a registry."""
+"""Name of images that are not for a registry."""
 LABELS = "ci.calibration."
-"""Our own labels begin so."""
+"""Prefix of our own labels."""
 
 
 def _text(check: Callable[[str, str], str], least: int = 0) -> Converted:
-    """Text that one of the checks of `user_text` lets pass."""
+    """Convert a text by a check of `user_text`."""
     return Converted(Annotated[str, length(least)] if least else str, lambda text, place: check(text, str(place)))
 
 
@@ -109,7 +109,7 @@ def _base(text: str, place: Place) -> str:
 
 
 def _value(value: object, place: Place) -> str:
-    """A value as text: a number as it is written, a truth value as ``true`` or ``false``."""
+    """Convert a value to text: numbers as written, booleans as ``true`` or ``false``."""
     text = {True: "true", False: "false"}[value] if isinstance(value, bool) else str(value)
     return check_line(text, str(place))
 
@@ -153,9 +153,9 @@ class CopiedFile:
 class Workspace:
     """A ROS workspace that is built into the image."""
 
-    tool: Literal["catkin_make", "colcon"] = field("What builds it.")
+    tool: Literal["catkin_make", "colcon"] = field("Build tool.")
     sources: Annotated[tuple[File, ...], length(1), UNIQUE] = field(
-        "Folders with packages, each copied to src/<its name>; .dockerignore in them counts, .git is left out (the "
+        "Folders with packages, each copied to src/<its name>; .dockerignore in them applies, .git is excluded (the "
         "folder of this file).",
         implied=["."],
     )
@@ -166,37 +166,37 @@ class Workspace:
             lambda files, _: tuple(repository for file in files for repository in read_repositories(file)),
         ),
     ] = field(
-        ".repos or .rosinstall files of git repositories to clone into src. Pin commits: a branch that moves makes no "
-        "new image.",
+        ".repos or .rosinstall files of git repositories to clone into src. Pin commits: new commits on a branch cause "
+        "no new build.",
         default=(),
     )
-    rosdep: bool = field("Whether rosdep installs what the package.xml files name.", default=True)
-    rosdep_skip: tuple[RosdepKey, ...] = field("Keys that rosdep leaves alone.", default=())
+    rosdep: bool = field("Whether rosdep installs the dependencies in the package.xml files.", default=True)
+    rosdep_skip: tuple[RosdepKey, ...] = field("Keys that rosdep skips.", default=())
     cmake_arguments: Mapping[VariableName, Value] = field(
-        "-D of CMake: {CMAKE_BUILD_TYPE: Release}.", default_factory=dict
+        "Options -D of CMake: {CMAKE_BUILD_TYPE: Release}.", default_factory=dict
     )
     packages: Annotated[tuple[RosPackage, ...], length(1)] = field(
         "Build only these packages and what they need.", default=()
     )
-    path: PathInImage = field("Where it is in the image.", default="/workspace")
+    path: PathInImage = field("Path in the image.", default="/workspace")
 
     def __post_init__(self) -> None:
-        """Refuse two folders of one name."""
+        """Refuse two folders with the same name."""
         names = [source.resolve().name for source in self.sources]
         if twice := [name for name in names if names.count(name) > 1]:
-            raise Misfit(f"two folders are called {twice[0]!r}, and would be one in the workspace", "sources")
+            raise Misfit(f"two folders have the same name {twice[0]!r} in the workspace", "sources")
 
 
 @record
 class Recipe:
-    """What comes on top of a base; a Dockerfile is generated from it."""
+    """Additions to a base image, from which a Dockerfile is generated."""
 
     base: Annotated[str, Converted(Annotated[str, length(1)], _base)] = field(
-        "The image to start from, of Debian or Ubuntu; ros alone means ros:<distro>.", default=""
+        "Base image, of Debian or Ubuntu; by default ros:<distro> if ros is given.", default=""
     )
     ros: Distro | None = field("A ROS distribution in /opt/ros that is sourced: noetic, humble, ...", default=None)
     apt: tuple[Annotated[str, _text(package_name, 1)], ...] = field(
-        "Debian packages, with =version where it matters.", default=()
+        "Debian packages, optionally with =version.", default=()
     )
     pip_items: tuple[Annotated[str | Path, Converted(Annotated[str, length(1)], _pip_item)], ...] = field(
         "Python packages as pip takes them; '-r FILE' for a file of requirements.", key="pip", default=()
@@ -216,11 +216,11 @@ class Recipe:
     command: Annotated[
         tuple[str, ...],
         Converted(Annotated[str, length(1)] | Annotated[tuple[str, ...], length(1)], _words),
-    ] = field("What a container runs unless told: arguments, or a line for the shell.", default=())
-    user: User = field("Who runs containers; made where the base has no such user.", default="robot")
+    ] = field("Default command of a container: arguments, or a line for the shell.", default=())
+    user: User = field("User that runs containers; created if the base does not have it.", default="robot")
 
     def __post_init__(self) -> None:
-        """Start from the image of the ROS distribution where no base is named."""
+        """Set the default base: the image of the ROS distribution."""
         if not self.base:
             if self.ros is None:
                 raise Misfit("found none of base, ros and dockerfile: name the image to start from, in base")
@@ -228,25 +228,25 @@ class Recipe:
 
     @property
     def pip(self) -> tuple[str, ...]:
-        """The packages that pip installs by name."""
+        """Packages for pip, by name."""
         return tuple(item for item in self.pip_items if isinstance(item, str))
 
     @property
     def requirements(self) -> tuple[Path, ...]:
-        """The files of requirements for pip."""
+        """Requirements files for pip."""
         return tuple(item for item in self.pip_items if isinstance(item, Path))
 
 
 @record
 class OwnDockerfile:
-    """A Dockerfile that the user wrote, as it is."""
+    """A Dockerfile of the user."""
 
     file: File = field(
-        "A Dockerfile of your own, relative to this file, in the place of base and all that goes on top of it.",
+        "Your own Dockerfile, relative to this file, instead of base and the keys of a recipe.",
         key="dockerfile",
     )
     context: File = field(
-        "The folder that your Dockerfile copies from; its .dockerignore counts (this file's folder).", implied="."
+        "Build context of your Dockerfile; its .dockerignore applies (this file's folder).", implied="."
     )
     build_arguments: Mapping[VariableName, Value] = field(
         "Values for ARG in your Dockerfile. They can be read in the image: never a secret.", default_factory=dict
@@ -256,32 +256,33 @@ class OwnDockerfile:
 
 @record
 class Secret:
-    """What the build may read and the image must not hold; here only where it is."""
+    """A secret for the build that must not reach the image; contains only its source."""
 
-    id: Stage = field("Its name: the build finds it in /run/secrets/<id>.")
-    variable: VariableName | None = field("The environment variable that holds it.", default=None)
-    file: File | None = field("The file that holds it.", default=None)
-    host: Host | None = field("The host whose git repositories it is the password of: github.com.", default=None)
+    id: Stage = field("Name: the build reads it in /run/secrets/<id>.")
+    variable: VariableName | None = field("Environment variable that contains it.", default=None)
+    file: File | None = field("File that contains it.", default=None)
+    host: Host | None = field("Host of git repositories for which it is the password: github.com.", default=None)
     username: Annotated[str, matching("[A-Za-z0-9_.@+-]+", "the name of a user")] = field(
-        "The user that goes with it there.", default="x-access-token"
+        "User name on this host.", default="x-access-token"
     )
 
     def __post_init__(self) -> None:
-        """Refuse a secret that is nowhere, or in two places."""
+        """Require exactly one source of the secret."""
         if (self.variable is None) == (self.file is None):
-            raise Misfit(f"{self.id}: expected either variable or file, which say where it is")
+            raise Misfit(f"{self.id}: expected either variable or file")
 
 
 @record
 class ImageSpecification:
-    """An image, where it belongs and how it gets there."""
+    """An image, its registry, and how it is built."""
 
     source: Recipe | OwnDockerfile
     name: Annotated[str, Converted(Annotated[str, length(1)], _name)] = field(
-        "Where the image belongs, without a tag: ghcr.io/team/robot. Needed to push.", default=DEFAULT_NAME
+        "Name of the image with its registry, without a tag: ghcr.io/team/robot. Required to push.",
+        default=DEFAULT_NAME,
     )
     tags: Annotated[tuple[Tag, ...], UNIQUE] = field(
-        "Tags beside the one made of the content (latest; none where promote says what a green verdict brings).",
+        "Tags beside the content key (latest; none if promote is given).",
         default=None,
     )
     labels: Mapping[Label, Line] = field("Labels of the image.", default_factory=dict)
@@ -296,16 +297,12 @@ class ImageSpecification:
     platforms: Annotated[tuple[Platform, ...], UNIQUE] = field(
         "linux/amd64, linux/arm64, ... (the engine's own). Several need buildx, and push.", default=()
     )
-    registry: RegistrySettings | None = field(
-        "How to log in; where there is none, what `docker login` left.", default=None
-    )
+    registry: RegistrySettings | None = field("Login to the registry; by default that of `docker login`.", default=None)
     push: bool = field("Whether the image goes to its registry.", default=False)
-    promote: Annotated[tuple[Tag, ...], UNIQUE] = field(
-        "Tags that the same image gets after a green verdict.", default=()
-    )
+    promote: Annotated[tuple[Tag, ...], UNIQUE] = field("Tags that the image gets after the verdict pass.", default=())
 
     def __post_init__(self) -> None:
-        """Name the image latest where nothing else is said; refuse values that are right alone and wrong together."""
+        """Set the default tag latest, unless the image is promoted; refuse inconsistent combinations."""
         if cast("object", self.tags) is None:
             object.__setattr__(self, "tags", () if self.promote else ("latest",))
         ids = [secret.id for secret in self.secrets]
@@ -319,56 +316,56 @@ class ImageSpecification:
 
 @record
 class RecipeImage(ImageSpecification):
-    """An image of a base and what comes on top of it."""
+    """An image that is generated from a recipe."""
 
     source: Recipe = field(flat=True)
 
 
 @record
 class DockerfileImage(ImageSpecification):
-    """An image of a Dockerfile of your own."""
+    """An image that is built from the user's Dockerfile."""
 
     source: OwnDockerfile = field(flat=True)
 
 
 ImageDocument = RecipeImage | DockerfileImage
-"""What a specification says."""
+"""Document of a specification."""
 
 
 def read_image_specification(path: Path, environment: Mapping[str, str] | None = None) -> ImageSpecification:
-    """Read a specification from a file of its own, or from the key ``image`` of a ``calibration.yml``.
+    """Read a specification from its own file, or from the key ``image`` of a ``calibration.yml``.
 
     ``${NAME}`` in a text is replaced by the environment variable of that name. Paths are relative to
     the file.
 
     Raises:
-        InputError: the file is missing, is no YAML, or is no specification; names file and key.
+        InputError: the file is missing, is not YAML, or has invalid keys; the message names file and key.
     """
     document = read_yaml(path, "an image specification")
     where = str(path)
     if isinstance(document, dict) and "image" in document:
         document, where = document["image"], f"{path}: image"
     elif isinstance(document, dict) and "systems" in document:
-        raise InputError(f"{path}: found no key 'image', which says what the image is made of")
+        raise InputError(f"{path}: found no key 'image', the specification of the image")
     return parse_image_specification(with_variables(document, where, environment), path.parent, where)
 
 
 def parse_image_specification(entry: object, folder: Path, where: str) -> ImageSpecification:
-    """Make a specification of the mapping that stands in a file.
+    """Convert the mapping in a file to a specification.
 
     Args:
-        entry: the mapping, with variables replaced.
-        folder: what paths are relative to.
-        where: the file, and the key in it, for messages.
+        entry: mapping with variables replaced.
+        folder: folder to which paths are relative.
+        where: file, and key in it, for messages.
 
     Raises:
-        InputError: it is no specification, or keys exclude each other; names the key.
+        InputError: a key is invalid, or keys exclude each other; the message names the key.
     """
     if not isinstance(entry, dict) or "dockerfile" not in entry:
         _refuse(entry, OwnDockerfile, f"{where}: {{}} needs dockerfile: it is for a Dockerfile of your own")
         specification: ImageSpecification = read(RecipeImage, entry, where, folder)
     else:
-        _refuse(entry, Recipe, f"{where}: {{}} excludes dockerfile: a Dockerfile of your own says it itself")
+        _refuse(entry, Recipe, f"{where}: {{}} excludes dockerfile: write it in your Dockerfile")
         specification = read(DockerfileImage, entry, where, folder)
     if specification.name == DEFAULT_NAME and (specification.push or specification.promote):
         raise InputError(f"{where}: name is not given: a registry's image needs one, such as ghcr.io/team/robot")

@@ -17,7 +17,7 @@ class RegistrySettings:
 
     username: Annotated[str, length(1)] | None = declared("The user.", default=None)
     password_variable: VariableName | None = declared(
-        "The environment variable that holds the password or token.", default=None
+        "Environment variable that contains the password or token.", default=None
     )
     kind: Literal["ecr"] | None = declared(
         "ecr: the password comes from AWS; the default for hosts of AWS's registries.", default=None

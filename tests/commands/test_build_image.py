@@ -179,7 +179,7 @@ def test_a_password_by_the_environment(asked: list[Any], monkeypatch: pytest.Mon
         ("--name a:b", "a name without a tag was expected"),
         ("--tags a:b", "found the tag 'a:b'"),
         ("--registry-username bot", "registry-password is not given"),
-        ("--render x --dockerfile Dockerfile", "render: a Dockerfile of your own is there already"),
+        ("--render x --dockerfile Dockerfile", "render: your own Dockerfile exists already"),
     ],
 )
 def test_errors(arguments: str, message: str, capsys: pytest.CaptureFixture[str]) -> None:

@@ -89,7 +89,7 @@ def test_a_run_without_results_takes_the_pass_of_an_earlier_one_back(service: Gi
     Path("output", BRIEF_FILE).unlink()
     assert run_action("comment") == 0
     [body] = service.bodies()
-    assert "❌ Calibration: fail\n\nThe run has ended before it had results" in body
+    assert "❌ Calibration: fail\n\nThe run ended without results" in body
 
 
 def test_it_is_deleted_when_the_input_says_so(

@@ -80,10 +80,10 @@ def test_a_rigelfile_does_not_replace_itself(folder: Path, capsys: pytest.Captur
     [
         (None, "Rigelfile: a Rigelfile was expected, but it cannot be read"),
         ("a: [", "Rigelfile:1: this is not valid YAML"),
-        ("jobs: {}", "Rigelfile: nothing in it has a place in calibration.yml: it has no jobs"),
+        ("jobs: {}", "Rigelfile: nothing in it can be converted to calibration.yml: it has no jobs"),
         (
             "jobs: {a: {plugin: x.y}}",
-            "nothing in it has a place in calibration.yml: jobs.a: there is nothing like x.y here",
+            "nothing in it can be converted to calibration.yml: jobs.a: there is nothing like x.y here",
         ),
         ("jobs: 3", "Rigelfile: jobs: found 3, a mapping was expected"),
     ],

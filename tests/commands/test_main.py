@@ -243,7 +243,7 @@ def without_the_rights_of_root() -> None:
         ("introspect-csv --file locked/x.csv --column a --max 1", 2, "locked/x.csv: a CSV file was expected, but it"),
         ("introspect-csv --file locked/*.csv --column a --max 1", 2, "locked/*.csv: the folder locked cannot be read"),
         ("coverage-upload --service none --reports x --directory locked", 2, "locked: this folder cannot be entered:"),
-        ("record-motion --system system --output locked/x.json", 3, "locked/x.json: Permission denied: let this user"),
+        ("record-motion --system system --output locked/x.json", 3, "locked/x.json: Permission denied: give this user"),
     ],
 )
 def test_a_folder_that_may_not_be_read_is_named(tmp_path: Path, arguments: str, code: int, line: str) -> None:

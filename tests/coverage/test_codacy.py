@@ -204,7 +204,7 @@ def test_what_does_not_pass(server: projects.Codacy, status: int, body: str, sai
 def test_a_long_wait_is_not_waited_for(server: projects.Codacy) -> None:
     codacy, pauses = client(server.url)
     server.answer(429, "", Retry_After="3600")
-    with pytest.raises(InfrastructureError, match=r"answered 429 and asks to come back in 3600 s \(1 attempt\)"):
+    with pytest.raises(InfrastructureError, match=r"answered 429 and asks for a pause of 3600 s \(1 attempt\)"):
         tell(codacy)
     assert pauses == []
     server.answer(503, "", Retry_After="Wed, 21 Oct 2026 07:28:00 GMT")  # a date is not understood

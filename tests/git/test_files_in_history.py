@@ -76,7 +76,7 @@ def test_a_commit_that_cannot_be_fetched_is_said(checkout: Path, tmp_path: Path)
     git(tmp_path, "clone", "--quiet", "--depth=1", f"file://{checkout}", "shallow")
     (tmp_path / "origin").rename(tmp_path / "gone")
     with pytest.raises(
-        InputError, match=r"is not in this checkout \(fetch-depth: 2 brings it\), and cannot be"
+        InputError, match=r"is not in this checkout \(fetch-depth: 2 fetches it\), and cannot be"
     ) as error:
         Repository.around(tmp_path / "shallow").fetched("a" * 40)
     assert "\n" not in str(error.value)

@@ -71,7 +71,7 @@ def test_what_is_too_long_says_what_is_missing() -> None:
     huge = BriefTable(("c",) * 30, (("y" * 200,) * 30,) * 40)
     text = comment_text(Brief(verdict="fail", sentence="", tables=(huge,)), "", LINKS)
     assert len(text) < LONGEST_TEXT + 300
-    assert "*Cut here" in text
+    assert "*Truncated" in text
     assert text.endswith("[run](https://github.com/me/robot/actions/runs/1)\n")
 
 

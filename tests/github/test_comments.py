@@ -127,12 +127,12 @@ def test_a_text_is_cut_to_what_github_takes(service: GitHub) -> None:
         (
             [(403, {"message": "API rate limit exceeded"}, {"X-RateLimit-Remaining": "0"})],
             InfrastructureError,
-            "too many requests",
+            "the rate limit of this token is exceeded",
         ),
         (
             [(403, {"message": "You have exceeded a secondary rate limit"}, {"Retry-After": "60"})],
             InfrastructureError,
-            "too many",
+            "the rate limit of this token is exceeded",
         ),
         ([(502, {"message": "Bad Gateway"}, {})] * 4, InfrastructureError, "answered 502 (Bad Gateway) (4 attempts)"),
         ([(404, {"message": "Not Found"}, {})], InputError, "the token has no access to this pull request"),

@@ -49,6 +49,6 @@ def test_files_for_this_user_alone_and_not_for_long() -> None:
 def test_a_secret_that_the_image_would_show() -> None:
     secrets = read_secrets([Secret("a", "A"), Secret("short", "B")], Runner(), {"A": VALUE + "\n", "B": "x"})
     refuse_secrets_in(secrets, {"the Dockerfile": "FROM x"})
-    with pytest.raises(InputError, match=r"secrets: a: its value stands in labels\.team") as error:
+    with pytest.raises(InputError, match=r"secrets: a: its value occurs in labels\.team") as error:
         refuse_secrets_in(secrets, {"labels.team": f"my {VALUE}!"})
     assert "hunter2" not in str(error.value)

@@ -140,7 +140,10 @@ def test_the_key_image_of_a_pipeline_with_variables(tmp_path: Path) -> None:
         ({"base": "debian", "files": [{"from": "a", "to": "relative"}]}, "f.yml: files.0.to"),
         ({"base": "debian", "user": "root; evil"}, "f.yml: user"),
         ({"base": "debian", "workspace": {"tool": "make"}}, "f.yml: workspace.tool"),
-        ({"base": "debian", "workspace": {"tool": "colcon", "sources": ["a", "b/a"]}}, "two folders are called 'a'"),
+        (
+            {"base": "debian", "workspace": {"tool": "colcon", "sources": ["a", "b/a"]}},
+            "two folders have the same name 'a'",
+        ),
         ({"base": "debian", "secrets": [{"id": "a"}]}, "secrets.0: a: expected either variable or file"),
         ({"base": "debian", "secrets": [{"id": "a", "variable": "B", "file": "c"}]}, "either variable or file"),
         (

@@ -1,1 +1,1 @@
-"""The programs that turn a Dockerfile and its context into an image."""
+"""Builders: build an image from a Dockerfile and its context."""

@@ -1,4 +1,4 @@
-"""BuildKit, through a ``docker`` program: it keeps secrets out of layers, and builds for several platforms."""
+"""BuildKit through the ``docker`` command: keeps secrets out of layers, and builds for several platforms."""
 
 import base64
 import json
@@ -24,14 +24,14 @@ from calibration.registries.reference import DOCKER_HUB
 
 
 def write_login(credentials: Credentials, folder: Path) -> dict[str, str]:
-    """Write docker's configuration with a login into a folder, for this user alone.
+    """Write docker's configuration with a login into a folder, readable only for this user.
 
     Args:
-        credentials: for one registry; where there are none, the user's own configuration counts.
-        folder: private, and removed by whoever made it.
+        credentials: credentials for one registry; if anonymous, the user's own configuration is used.
+        folder: private folder, which the caller removes.
 
     Returns:
-        The variables that make a ``docker`` use it; its plugins are still found.
+        Environment variables that make ``docker`` use it, with its plugins.
     """
     if credentials.anonymous:
         return {}
@@ -58,11 +58,11 @@ _EXIT_CODE = re.compile(r"exit code: (\d+)")
 
 
 def build_by_buildkit(program: Program, request: BuildRequest, reference: str, log: BuildLog) -> None:
-    """Build an image on the engine, under a name. A build that is stopped leaves nothing but BuildKit's own cache.
+    """Build an image on the engine, with a name. A stopped build leaves only BuildKit's cache.
 
     Raises:
         BuildFailedError: a step failed, or the Dockerfile is wrong.
-        InputError: SSH is asked for and there is no agent.
+        InputError: SSH is requested and no agent runs.
         InfrastructureError: the engine, its disk or the network failed.
     """
     start = ["buildx", "build", "--builder", "default", "--load"] if program.buildx else ["build"]
@@ -72,7 +72,7 @@ def build_by_buildkit(program: Program, request: BuildRequest, reference: str, l
 def build_and_push(
     program: Program, request: BuildRequest, references: Sequence[str], credentials: Credentials, log: BuildLog
 ) -> str:
-    """Build for several platforms and push; no engine holds such an image. Returns its digest.
+    """Build for several platforms and push, because the engine cannot store such an image; return its digest.
 
     Raises:
         BuildFailedError, InputError, InfrastructureError: as :func:`build_by_buildkit`.
@@ -121,10 +121,10 @@ def _follow(
     request: BuildRequest,
     log: BuildLog,
 ) -> None:
-    """Run the program to its end.
+    """Run the program until it ends.
 
     Raises:
-        BuildFailedError, InputError, InfrastructureError: it failed.
+        BuildFailedError, InputError, InfrastructureError: the build failed.
     """
     reader = BuildKitOutput(log)
     status = None
@@ -139,7 +139,7 @@ def _follow(
 
 
 class BuildKitOutput:
-    """Makes sense of what BuildKit prints: ``#7 [2/4] RUN make``, ``#7 0.31 output``, ``#7 ERROR: ...``."""
+    """Parser of BuildKit's output: ``#7 [2/4] RUN make``, ``#7 0.31 output``, ``#7 ERROR: ...``."""
 
     def __init__(self, log: BuildLog) -> None:
         self.failed_step = ""
@@ -150,7 +150,7 @@ class BuildKitOutput:
         self._ended = False
 
     def read(self, line: str) -> None:
-        """Take a line."""
+        """Parse a line."""
         found = _VERTEX.match(line)
         if found is None:
             self._message(line)
@@ -170,7 +170,7 @@ class BuildKitOutput:
             self._log.output(output[1] + "\n")
 
     def _message(self, line: str) -> None:
-        """What is no part of a step: at the end, why it failed."""
+        """Parse a line outside of the steps: at the end, the reason of a failure."""
         line = line.strip()
         if not self._ended and line:
             self._log.output(line + "\n")
@@ -185,7 +185,7 @@ def _problem(text: str) -> str:
 
 @contextmanager
 def _builder(program: Program, environment: Mapping[str, str], image: str) -> Iterator[str]:
-    """A builder of our own that can build for several platforms; gone afterwards."""
+    """Create a temporary builder that supports several platforms."""
     name = f"calibration-{secrets.token_hex(6)}"
     try:
         _administer(program, environment, image, "create", "--name", name, "--driver", "docker-container")

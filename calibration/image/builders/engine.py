@@ -1,9 +1,9 @@
-"""The engine's classic builder, by the engine's own interface: for machines where no ``docker`` program does BuildKit.
+"""Classic builder through the engine's API: for machines without a ``docker`` command that supports BuildKit.
 
-The engine builds by BuildKit only for a client that keeps a session open beside the request (context, secrets, SSH),
-which the Docker SDK for Python does not. Programs that do are Docker's own with the plugin buildx, or of versions 18.09
-to 22. A job in a container that has only the engine's socket has none, nor has one whose Docker comes without the
-plugin; every engine from 18.09 on still has this builder.
+The engine uses BuildKit only for clients that keep a session open beside the request (context, secrets, SSH),
+which the Docker SDK for Python does not support (docker-py issue 2230). The ``docker`` command does with its plugin
+buildx, or without it in versions 18.09 to 22. It is missing in a job container with nothing but the engine's socket,
+and the plugin is missing in some installations; every engine since 18.09 has this builder.
 """
 
 import re
@@ -26,17 +26,17 @@ if TYPE_CHECKING:
 
 _STEP = re.compile(r"^Step (\d+)/(\d+) : (.*)", re.DOTALL)
 _LAYER_GONE = "unknown parent image ID"
-"""What the engine says where a layer of its cache went in the midst, with an image that somebody else removed."""
+"""The engine's message if another process has removed a cached layer during the build."""
 _ATTEMPTS = 3
 _CONTROL = re.compile(r"^ ---> |^Removing intermediate container|^Successfully (built|tagged) ")
 
 
 class _LayerGoneError(Exception):
-    """The same build may well succeed."""
+    """A cached layer was removed: a retry may succeed."""
 
 
 def build_by_engine(client: "DockerClient", request: BuildRequest, log: BuildLog) -> str:
-    """Build an image and return its id. Nothing is left of a build that fails or is stopped.
+    """Build an image and return its id; a failed or stopped build leaves nothing behind.
 
     Raises:
         BuildFailedError: a step failed, or the Dockerfile is wrong.
@@ -45,11 +45,13 @@ def build_by_engine(client: "DockerClient", request: BuildRequest, log: BuildLog
     for _ in range(_ATTEMPTS):
         with suppress(_LayerGoneError):
             return _build(client, request, log)
-    raise InfrastructureError(f"image {request.name}: others remove images that this build is made of: run it again")
+    raise InfrastructureError(
+        f"image {request.name}: layers of this build were removed by another process: run it again"
+    )
 
 
 def _build(client: "DockerClient", request: BuildRequest, log: BuildLog) -> str:
-    """Build once."""
+    """Build once; see `build_by_engine`."""
     with tempfile.TemporaryFile() as archive, _closing_answers(client):
         request.context.write_tar(archive)
         archive.seek(0)
@@ -65,7 +67,7 @@ def _build(client: "DockerClient", request: BuildRequest, log: BuildLog) -> str:
                 platform=next(iter(request.platforms), None),
                 nocache=request.no_cache,
                 rm=True,
-                forcerm=True,  # the container of a failed step too
+                forcerm=True,  # also remove the container of a failed step
                 decode=True,
                 use_config_proxy=True,
             )
@@ -82,7 +84,7 @@ def _build(client: "DockerClient", request: BuildRequest, log: BuildLog) -> str:
 
 @contextmanager
 def _closing_answers(client: "DockerClient") -> Iterator[None]:
-    """Close what the engine still sends when nobody listens any more: it then stops the build."""
+    """Close the engine's responses at the end of the block, which stops a running build."""
     answers: list[requests.Response] = []
 
     def remember(answer: "requests.Response", **_: object) -> None:
@@ -99,7 +101,7 @@ def _closing_answers(client: "DockerClient") -> Iterator[None]:
 
 
 def _heed(event: Mapping[str, Any], request: BuildRequest, log: BuildLog) -> str | None:
-    """Show an event; returns the image's id where it is the one that says so."""
+    """Show an event; return the image's id if the event contains it."""
     if "error" in event or "errorDetail" in event:
         raise _failure(event, request, log)
     text = str(event.get("stream", ""))

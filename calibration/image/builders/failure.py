@@ -1,4 +1,4 @@
-"""A build that failed: because of what was to be built, of a missing base, or of the infrastructure."""
+"""Failures of builds: because of the Dockerfile, a missing base, or the infrastructure."""
 
 import re
 from collections.abc import Sequence
@@ -9,18 +9,18 @@ from calibration.workflow.text import one_line, shorten
 
 
 class BuildFailedError(CalibrationError):
-    """A step of the Dockerfile failed: the verdict on it is fail (exit code 1)."""
+    """A step of the Dockerfile failed: the verdict is fail (exit code 1)."""
 
     exit_code = ExitCode.FAIL
 
     def __init__(self, name: str, step: str, problem: str, lines: Sequence[str] = ()) -> None:
-        """Make the error.
+        """Create the error.
 
         Args:
-            name: of the image.
-            step: ``step 3 of 7, RUN make``, or where there is none, nothing.
-            problem: ``exit code 2``, or the builder's own words.
-            lines: the last of the step's output.
+            name: name of the image.
+            step: ``step 3 of 7, RUN make``; empty before the first step.
+            problem: ``exit code 2``, or the builder's message.
+            lines: last lines of the step's output.
         """
         self.headline = f"image {name}: {shorten(one_line(step), 200)}{': ' if step else ''}{one_line(problem)}"
         self.lines = tuple(lines)
@@ -43,16 +43,16 @@ _RAN = re.compile(r"^exit code \d+$")
 
 
 def build_problem(name: str, step: str, message: str, log: BuildLog) -> CalibrationError:
-    """Make the error of a build.
+    """Return the error of a failed build.
 
     Args:
-        name: of the image.
-        step: the one that it was at; empty where it had not begun.
-        message: ``exit code 3``, or the builder's words.
+        name: name of the image.
+        step: current step; empty before the first one.
+        message: ``exit code 3``, or the builder's message.
         log: has the last lines of the step.
 
     Returns:
-        BuildFailedError; for a missing base InputError, for a failure of the infrastructure InfrastructureError.
+        InputError for a missing base, InfrastructureError for a failed infrastructure, else BuildFailedError.
     """
     log.end_line()
     message = shorten(log.clean(message), 400)

@@ -1,4 +1,4 @@
-"""The ``docker`` program that does BuildKit, where this machine has one; and what a program prints, line by line."""
+"""Search for a ``docker`` command that supports BuildKit, and line-wise output of a program."""
 
 import os
 import re
@@ -17,12 +17,12 @@ LONGEST_LINE = 64 * 1024
 
 
 def lines_of(command: Sequence[str], stdin: IO[bytes], environment: Mapping[str, str]) -> Generator[str | int]:
-    """Run a program; yields the lines of its output and errors, and at the end its exit code.
+    """Run a program; yield the lines of its output and errors, then its exit code.
 
     Closing the generator, or an exception while it waits, stops the program.
 
     Raises:
-        InfrastructureError: it cannot be started.
+        InfrastructureError: the program cannot be started.
     """
     with ExitStack() as stack:
         try:
@@ -38,22 +38,22 @@ def lines_of(command: Sequence[str], stdin: IO[bytes], environment: Mapping[str,
 
 
 SECONDS = 20
-"""More than a program needs to tell its version."""
+"""Timeout of the commands that print a version."""
 _VERSION = re.compile(r"Docker version (\d+)\.(\d+)")
 
 
 @dataclass(frozen=True)
 class Program:
-    """A ``docker`` that does BuildKit."""
+    """A ``docker`` command that supports BuildKit."""
 
     path: str
     buildx: bool
-    """By its plugin buildx; else by itself, as those from 18.09 to 22 do."""
+    """Whether by its plugin buildx; otherwise built in, in versions 18.09 to 22."""
 
 
 @cache
 def find_buildkit(search_path: str) -> Program | None:
-    """Find the first program in the folders of a PATH that does BuildKit; better one with buildx than without."""
+    """Find the first program on a PATH that supports BuildKit, preferably with buildx."""
     found = None
     for path in _programs(search_path):
         if _answer(path, "buildx", "version") is not None:
@@ -65,7 +65,7 @@ def find_buildkit(search_path: str) -> Program | None:
 
 
 def docker_environment(environment: Mapping[str, str]) -> dict[str, str]:
-    """The variables for a ``docker`` that builds an image, and nothing beside it, without colours."""
+    """Return the variables for a ``docker`` that builds only the image, without attestations and colours."""
     return {**environment, "DOCKER_BUILDKIT": "1", "BUILDX_NO_DEFAULT_ATTESTATIONS": "1", "NO_COLOR": "1"}
 
 

@@ -1,4 +1,4 @@
-"""What a builder is asked."""
+"""Request for a build, independent of the builder."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -9,13 +9,13 @@ from calibration.image.secret_values import SecretValue
 
 @dataclass(frozen=True)
 class BuildRequest:
-    """An image to build."""
+    """Parameters of a build."""
 
     name: str
-    """Of the image, for messages."""
+    """Name of the image, for messages."""
     context: Context
     dockerfile: str
-    """Its name in the context."""
+    """Path of the Dockerfile in the context."""
     labels: Mapping[str, str] = field(default_factory=dict)
     build_arguments: Mapping[str, str] = field(default_factory=dict)
     target: str | None = None

@@ -1,1 +1,1 @@
-"""A recipe of packages, files and a workspace as a Dockerfile and a start script."""
+"""Conversion of a recipe (packages, files, workspace) to a Dockerfile and a start script."""

@@ -1,8 +1,7 @@
-"""From a recipe to a Dockerfile: the same recipe gives the same bytes.
+"""Generation of a Dockerfile from a recipe; deterministic, byte for byte.
 
-Layers lie in the order in which they change: packages first, sources last. Both of the engine's
-builders read it; the classic one unless there are secrets or SSH, which only BuildKit keeps out of
-the layers.
+Layers are ordered by how often they change: packages first, sources last. Both builders can
+build it; with secrets or SSH only BuildKit, which keeps them out of the layers.
 """
 
 import re
@@ -18,32 +17,32 @@ from calibration.image.specification import ImageSpecification, Recipe, Secret, 
 
 INSTALL = "DEBIAN_FRONTEND=noninteractive apt-get install --yes --no-install-recommends -o Acquire::Retries=3"
 CLEAN = "rm -rf /var/lib/apt/lists/*"
-# Debian 12 and Ubuntu 24 let pip install into their Python only when it is told so (PEP 668); older pips ignore these.
+# Debian 12 and Ubuntu 24 require a flag to let pip install into the system's Python (PEP 668); older pips ignore it.
 PIP = "PIP_BREAK_SYSTEM_PACKAGES=1 PIP_ROOT_USER_ACTION=ignore"
 SHELL = ("/bin/bash", "-eo", "pipefail", "-c")
 ENTRYPOINT_PATH = "/usr/local/bin/calibration-entrypoint"
 CLONES = "/repositories"
 
-# What means something to the builder at the start of RUN, or at the end of a line, or (a here-document) anywhere.
+# Commands with a special meaning in RUN: by their start, by the end of a line, or by a here-document.
 _NOT_PLAIN = re.compile(r"^[\s\[#-]|<<|[\n\r\t]|\\\s*$")
 
 
 @dataclass(frozen=True)
 class Rendered:
-    """A recipe as the builder takes it."""
+    """Output of the conversion of a recipe."""
 
     dockerfile: str
     entrypoint: str | None = None
-    """The script that starts containers; None where the base's own does."""
+    """Start script of containers; None to use that of the base."""
     needs_buildkit: bool = False
 
 
 def render(specification: ImageSpecification, base_digest: str | None = None) -> Rendered:
-    """Write the Dockerfile of a specification that has a recipe.
+    """Generate the Dockerfile of a specification with a recipe.
 
     Args:
-        specification: with a :class:`Recipe`, not with a Dockerfile of the user's own.
-        base_digest: pins the base (``sha256:...``), where it is known.
+        specification: specification with a :class:`Recipe`, not with the user's own Dockerfile.
+        base_digest: digest to pin the base to (``sha256:...``), if it is known.
     """
     recipe = specification.source
     if not isinstance(recipe, Recipe):
@@ -67,7 +66,7 @@ def render(specification: ImageSpecification, base_digest: str | None = None) ->
 def _repositories(
     base: str, workspace: Workspace | None, secrets: Iterable[Secret], mounts: str, ssh: bool
 ) -> Iterator[str]:
-    """A stage of its own that clones; of its layers nothing but the files reaches the image."""
+    """Generate a separate stage for the clones, so that only their files reach the image, not secrets in its layers."""
     if workspace is None or not workspace.repositories:
         return
     yield f"FROM {base} AS repositories"
@@ -104,7 +103,7 @@ def _image(base: str, recipe: Recipe, mounts: str) -> Iterator[str]:
         yield _apt(sorted(set(recipe.apt)))
     yield from _pip(recipe, mounts)
     if recipe.user != "root":
-        # Any free number: some bases have a user 1000 already.
+        # Without a fixed uid, because some bases already have a user 1000.
         yield f"RUN id -u {recipe.user} >/dev/null 2>&1 || useradd --create-home --shell /bin/bash {recipe.user}"
     if recipe.workspace is not None:
         yield from _dependencies(recipe, recipe.workspace)
@@ -140,7 +139,7 @@ def _pip(recipe: Recipe, mounts: str) -> Iterator[str]:
 
 
 def _dependencies(recipe: Recipe, workspace: Workspace) -> Iterator[str]:
-    """What the packages need, from their package.xml files alone: a change of code does not install again."""
+    """Install dependencies from the package.xml files only, so that this layer does not depend on the code."""
     path, user = workspace.path, recipe.user
     yield f"RUN install --directory --owner={user} {path} {path}/src"
     if workspace.repositories:
@@ -196,7 +195,7 @@ def _start(recipe: Recipe, *, has_entrypoint: bool) -> Iterator[str]:
 
 
 def _run(*commands: str, mounts: str = "") -> str:
-    """A step that runs commands, each only if those before it succeeded; readable where that is safe."""
+    """Format a RUN step that chains commands with &&; in shell form if that is unambiguous, else in JSON form."""
     if any(_NOT_PLAIN.search(command) for command in commands):
         return f"RUN {mounts}{json_words(*SHELL, ' && '.join(commands))}"
     return f"RUN {mounts}" + " \\\n && ".join(commands)

@@ -1,4 +1,4 @@
-"""The script that starts a container: ROS and the workspace are sourced, then the command takes its place."""
+"""Start script of containers: sources ROS and the workspace, then executes the command."""
 
 from collections.abc import Iterator
 
@@ -8,7 +8,7 @@ _RESULT = {"catkin_make": "devel/setup.bash", "colcon": "install/setup.bash"}
 
 
 def entrypoint_script(recipe: Recipe) -> str | None:
-    """Write the script, or None where there is nothing to do before the command. It prints nothing."""
+    """Return the script, without output of its own; None if there is nothing to do before the command."""
     lines = [*(f"source {file}" for file in sourced(recipe)), *recipe.entrypoint]
     if not lines:
         return None
@@ -16,7 +16,7 @@ def entrypoint_script(recipe: Recipe) -> str | None:
 
 
 def sourced(recipe: Recipe, *, built: bool = True) -> Iterator[str]:
-    """The files that a shell sources; that of the workspace once it is built."""
+    """Yield the setup files to source; the workspace's only after its build."""
     if recipe.ros is not None:
         yield f"/opt/ros/{recipe.ros}/setup.bash"
     if recipe.workspace is not None and built:

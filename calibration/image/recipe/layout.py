@@ -1,6 +1,6 @@
-"""Where things lie in the build context that is made for a recipe; the Dockerfile copies them from there.
+"""Paths in the build context of a recipe, from which its Dockerfile copies.
 
-The names are ours and plain, whatever the user's files are called.
+They do not depend on the names of the user's files, which may need quoting.
 """
 
 from pathlib import Path
@@ -12,32 +12,32 @@ ENTRYPOINT = "entrypoint.sh"
 
 
 def requirements(number: int) -> str:
-    """A file of requirements for pip."""
+    """Return the path of a requirements file for pip."""
     return f"requirements/{number}.txt"
 
 
 def copied(number: int) -> str:
-    """A file or folder to copy."""
+    """Return the path of a file or folder to copy."""
     return f"files/{number}"
 
 
 def source(number: int) -> str:
-    """A folder of the workspace's sources."""
+    """Return the path of a folder of the workspace's sources."""
     return f"sources/{number}"
 
 
 def manifests(number: int) -> str:
-    """The package.xml files of such a folder, in the same folders and nothing else."""
+    """Return the path of a copy of such a folder that contains only its package.xml files."""
     return f"manifests/{number}"
 
 
 def folder_name(path: Path) -> str:
-    """The name that a folder of sources has in the workspace: its own."""
+    """Return the name of a source folder in the workspace, which is its own."""
     return path.resolve().name or "source"
 
 
 def target_of(file: CopiedFile) -> str:
-    """The path that a file or folder gets in the image."""
+    """Return the path of a file or folder in the image."""
     if file.target.endswith("/") and not file.source.is_dir():
         return file.target + file.source.name
     return file.target

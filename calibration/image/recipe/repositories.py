@@ -1,4 +1,4 @@
-"""``.repos`` and ``.rosinstall`` files: the git repositories that belong into a workspace."""
+"""Reading of ``.repos`` and ``.rosinstall`` files, which list git repositories of a workspace."""
 
 import re
 from collections.abc import Iterator, Mapping
@@ -22,28 +22,28 @@ class Repository:
     """A git repository to clone."""
 
     path: str
-    """Relative to the workspace's sources."""
+    """Path relative to the workspace's sources."""
     url: str
     version: str | None = None
-    """A commit, tag or branch; the default branch where None."""
+    """Commit, tag or branch; None for the default branch."""
 
     @property
     def by_ssh(self) -> bool:
-        """Whether it is cloned by SSH."""
+        """Whether it is cloned over SSH."""
         return urlsplit(self.url).scheme == "ssh" if "://" in self.url else True
 
     @property
     def pinned(self) -> bool:
-        """Whether the version is a commit, which never moves."""
+        """Whether the version is the hash of a commit."""
         return re.fullmatch(r"[0-9a-f]{40}", self.version or "") is not None
 
 
 def read_repositories(path: Path) -> tuple[Repository, ...]:
-    """Read a file as vcs (``repositories: {path: {type, url, version}}``) or rosinstall write it.
+    """Read a file in the format of vcs (``repositories: {path: {type, url, version}}``) or rosinstall.
 
     Raises:
-        InputError: there is no such file, it has another form, or a repository is not of git, has a
-            password in its address, or would be cloned outside the workspace; names it.
+        InputError: the file does not exist, has another format, or a repository is not of git, has a
+            password in its URL, or would be cloned outside of the workspace; the message names it.
     """
     document = read_yaml(path, "a .repos or .rosinstall file")
     if isinstance(document, Mapping) and isinstance(document.get("repositories"), Mapping):

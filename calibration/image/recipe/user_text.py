@@ -1,4 +1,4 @@
-"""Texts of the user that go into a Dockerfile: what they may hold, and how they are quoted there."""
+"""Validation and quoting of user texts for a Dockerfile."""
 
 import json
 import re
@@ -11,10 +11,10 @@ _PACKAGE = re.compile(r"[a-z0-9][a-z0-9+.-]*(:[a-z0-9]+)?(=[A-Za-z0-9.+~:-]+)?(/
 
 
 def check_text(text: str, where: str) -> str:
-    """Return a text that a shell can be given: lines, without control characters.
+    """Return a text if it is safe for a shell: lines without control characters.
 
     Raises:
-        InputError: it has some, or half a character.
+        InputError: it has control characters or lone surrogates.
     """
     for character in text:
         if unicodedata.category(character) in ("Cc", "Cs") and character not in "\n\t":
@@ -24,10 +24,10 @@ def check_text(text: str, where: str) -> str:
 
 
 def check_line(text: str, where: str) -> str:
-    """Return a text of one line.
+    """Return a text if it is a single line.
 
     Raises:
-        InputError: it has several, or control characters.
+        InputError: it has several lines, or control characters.
     """
     if "\n" in text:
         raise InputError(f"{where}: found more than one line in {shorten(text)!r}, one was expected")
@@ -35,10 +35,10 @@ def check_line(text: str, where: str) -> str:
 
 
 def package_name(text: str, where: str) -> str:
-    """Return the name of a Debian package, with its version where there is one.
+    """Return the name of a Debian package, optionally with a version, if it is valid.
 
     Raises:
-        InputError: it is none.
+        InputError: it is invalid.
     """
     if not _PACKAGE.fullmatch(text):
         raise InputError(
@@ -48,18 +48,18 @@ def package_name(text: str, where: str) -> str:
 
 
 def quoted(text: str) -> str:
-    """A value of ENV and LABEL, which the builder reads back as it is."""
+    """Quote a value of ENV or LABEL so that the builder reads it literally."""
     return '"' + re.sub(r'(["\\$])', r"\\\1", text) + '"'
 
 
 def json_words(*words: str) -> str:
-    """The form of an instruction in which nothing but JSON has a meaning, on one line.
+    """Return words in the JSON form of an instruction, on one line.
 
-    A ``<`` could begin a here-document for newer builders, so it is written as an escape.
+    ``<`` is escaped, because newer builders take ``<<`` for a here-document.
     """
     return json.dumps(list(words), ensure_ascii=False).replace("<", "\\u003c")
 
 
 def path_words(*paths: str) -> str:
-    """Paths of COPY and WORKDIR: JSON, in which the builder replaces variables and takes quotes away."""
+    """Return paths of COPY and WORKDIR in JSON form, escaped against the builder's variables and quotes."""
     return json_words(*(re.sub(r"""(["'\\$])""", r"\\\1", path) for path in paths))

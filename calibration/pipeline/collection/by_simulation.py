@@ -167,7 +167,7 @@ class SimulatedScenarios(Scenarios):
             InputError: one is missing or wrong, or no draw of a scenario keeps to the constraints.
         """
         if request.scenario_set is None:
-            raise InputError("scenarios and scenario need a scenario-set: a YAML file of what varies between scenarios")
+            raise InputError("scenarios and scenario need a scenario-set: a YAML file of the parameters that vary")
         self.image = request.image
         self._collection = collection
         self._requirements = requirements_of(collection)

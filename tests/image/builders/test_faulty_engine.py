@@ -68,7 +68,7 @@ def test_a_layer_that_somebody_else_removes_in_the_midst() -> None:
     built = Reply(body=json.dumps({"aux": {"ID": "sha256:1"}}).encode())
     assert build(GONE, GONE, built) == "sha256:1"
     with pytest.raises(
-        InfrastructureError, match=r"^image robot: others remove images that this build is made of: run it again$"
+        InfrastructureError, match=r"^image robot: layers of this build were removed by another process: run it again$"
     ):
         build(GONE)
 

@@ -254,7 +254,7 @@ def test_what_the_key_cannot_see_is_said(builds: Builds) -> None:
     builds.write("Dockerfile", f"FROM {BASE} AS a\nFROM other-$TARGETARCH AS b\nFROM a\n")
     with pytest.raises((BuildFailedError, InputError, InfrastructureError)):
         builds.build({"builder": "engine"}, dockerfile="Dockerfile")
-    assert "not seen by the content key: what other-$TARGETARCH stands for is known only to the builder" in builds.log
+    assert "not covered by the content key: only the builder can resolve other-$TARGETARCH" in builds.log
 
 
 def test_nobody_is_asked_for_a_name_that_anybody_may_have(builds: Builds) -> None:
@@ -309,9 +309,9 @@ def test_secrets_need_buildkit(builds: Builds, monkeypatch: pytest.MonkeyPatch) 
     with pytest.raises(InputError, match="builder: engine cannot build this: secrets"):
         builds.build({"builder": "engine"}, **entry)
     monkeypatch.setenv("PATH", "/nowhere")
-    with pytest.raises(InputError, match="need BuildKit, and no docker on PATH does it"):
+    with pytest.raises(InputError, match="need BuildKit, and no docker on PATH supports it"):
         builds.build(**entry)
-    with pytest.raises(InputError, match="builder: buildkit is asked for, and no docker"):
+    with pytest.raises(InputError, match="builder: buildkit is requested, and no docker"):
         builds.build({"builder": "buildkit"}, base=BASE)
 
 
@@ -323,10 +323,10 @@ def test_a_secret_in_a_label_is_refused(builds: Builds, monkeypatch: pytest.Monk
         {"base": BASE, "entrypoint": ["export A=hunter2-hunter2"]},
         {"base": BASE, "commands": ["echo hunter2-hunter2"]},
     ):
-        with pytest.raises(InputError, match="secrets: one: its value stands in"):
+        with pytest.raises(InputError, match="secrets: one: its value occurs in"):
             builds.build(secrets=secrets, **entry)
     builds.write("Dockerfile", f"FROM {BASE}\nARG A\n")
-    with pytest.raises(InputError, match=r"its value stands in build-arguments\.A"):
+    with pytest.raises(InputError, match=r"its value occurs in build-arguments\.A"):
         builds.build(secrets=secrets, dockerfile="Dockerfile", build_arguments={"A": "hunter2-hunter2"})
 
 

@@ -119,7 +119,7 @@ def test_a_tag_that_somebody_else_moves_meanwhile(
         with small_image(engine, name, "key-1"):
             digest = push_image(engine, f"{name}:key-1", [], None)
         assert promote(name, digest, ["stable"], None, runner) == [f"{name}:stable"]
-    assert log.getvalue() == f"{name}:stable: was moved by somebody else, to {other}, after it was {digest}\n"
+    assert log.getvalue() == f"{name}:stable: was moved to {other} by another process after it was {digest}\n"
 
 
 def test_a_login_of_aws_at_a_registry_that_stands_in_for_it(

@@ -40,7 +40,7 @@ def test_a_registry_with_a_password(engine: "DockerClient", private_registry: Re
     name = fresh_name(private_registry.address)
     known = Credentials(private_registry.address, private_registry.user, private_registry.password)
     with small_image(engine, name, "key-1"):
-        with pytest.raises(InputError, match="nobody is logged in: give"):
+        with pytest.raises(InputError, match="not logged in: set"):
             push_image(engine, f"{name}:key-1", [], None)
         wrong = Credentials(private_registry.address, private_registry.user, PASSWORD)
         with pytest.raises(InputError) as caught:

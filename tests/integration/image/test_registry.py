@@ -63,7 +63,7 @@ def test_a_registry_with_a_password(engine: "DockerClient", private_registry: Re
             assert client.tags(name) == ["v1", "v2"]
         with RegistryClient() as nobody:
             assert nobody.find_manifest(f"{name}:v1") is None
-            with pytest.raises(InputError, match="nobody is logged in"):
+            with pytest.raises(InputError, match="not logged in"):
                 nobody.put_manifest(f"{name}:v3", manifest)
         with RegistryClient(wrong) as stranger:
             with pytest.raises(InputError, match=r"denies access \(401 \(UNAUTHORIZED: authentication required\)\)"):
