@@ -1,4 +1,4 @@
-"""Which job may start when: in their order, as soon as the machine has room."""
+"""Admission of jobs: they start in order, as soon as the machine has free resources."""
 
 import threading
 from collections.abc import Sequence
@@ -10,33 +10,33 @@ from calibration.execution.job import Job
 
 @dataclass(frozen=True)
 class Need:
-    """What a job takes of the machine while it runs."""
+    """Resources that a job needs while it runs."""
 
     cores: float
     memory: int
-    """Bytes; 0 where nothing is said."""
+    """Bytes; 0 if not specified."""
 
     @classmethod
     def of(cls, job: Job) -> Self:
-        """The sum of its containers' limits; one core where none has a limit."""
+        """Return the sum of a job's container limits; one core if no container has a limit."""
         limits = [container.limits for container in job.containers]
         return cls(sum(limit.cpus or 0.0 for limit in limits) or 1.0, sum(limit.memory or 0 for limit in limits))
 
 
 class Admission:
-    """Lets jobs start. Used by the threads that run them.
+    """Schedules the start of jobs. Thread-safe.
 
-    A job that needs more than the whole machine starts when nothing else runs: a limit is not what it uses.
+    A job that needs more than the whole machine starts when no other job runs: a limit is not its actual use.
     """
 
     def __init__(self, needs: Sequence[Need], cores: float, memory: int, workers: int | None = None) -> None:
-        """Set it up.
+        """Create a scheduler.
 
         Args:
-            needs: of the jobs, in their order.
-            cores: of the machine; nothing else counts them where ``workers`` is given.
-            memory: of the machine, bytes; 0 where it is not known.
-            workers: jobs at once.
+            needs: needs of the jobs, in order.
+            cores: cores of the machine; ignored if ``workers`` is given.
+            memory: memory of the machine, bytes; 0 if unknown.
+            workers: maximum number of concurrent jobs.
         """
         self._needs = needs
         self._cores = float("inf") if workers is not None else cores
@@ -48,7 +48,7 @@ class Admission:
         self._changed = threading.Condition()
 
     def wait(self) -> int | None:
-        """Wait for the next job that may start; None when there is none any more, or it was stopped."""
+        """Wait for the next job that may start, and return its index; None after the last one, or when stopped."""
         with self._changed:
             self._changed.wait_for(lambda: self._stopped or self._next >= len(self._needs) or self._fits())
             if self._stopped or self._next >= len(self._needs):
@@ -60,13 +60,13 @@ class Admission:
             return index
 
     def release(self, index: int) -> None:
-        """Say that a job has ended."""
+        """Report that a job has ended."""
         with self._changed:
             self._running.discard(index)
             self._changed.notify_all()
 
     def stop(self) -> None:
-        """Let no other job start."""
+        """Prevent further jobs from starting."""
         with self._changed:
             self._stopped = True
             self._changed.notify_all()

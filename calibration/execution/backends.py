@@ -1,7 +1,7 @@
-"""Backends: what runs work, how one is chosen by its name, and all that the rest of the package knows of it.
+"""Registry of backends, and their interface for the rest of the package.
 
-A backend for jobs is an entry of `KINDS`: what makes it, its section of calibration.yml, and what removes what killed
-runs have left there.
+A backend for jobs is an entry of `KINDS`: its factory, its section of calibration.yml, and the removal of leftovers
+of killed runs.
 """
 
 from collections.abc import Generator, Mapping, Sequence
@@ -30,52 +30,52 @@ Outcome = TypeVar("Outcome", covariant=True)
 
 
 class Leftover(Protocol):
-    """Something that a run has started and not removed."""
+    """An object that a run has created and not removed."""
 
     @property
     def owner(self) -> "Owner | None":
-        """The process that started it; None where nothing says which."""
+        """Process that created it; None if unknown."""
 
     @property
     def row(self) -> tuple[str, ...]:
-        """What a table says of it."""
+        """Cells of a table's row."""
 
 
 Left = TypeVar("Left", bound=Leftover)
 
 
 class Leftovers(AbstractContextManager[Any], Protocol[Left]):
-    """Finds and removes what runs have left in a backend."""
+    """Search and removal of leftovers of runs in a backend."""
 
     header: tuple[str, ...]
-    """Of the rows."""
+    """Header of the rows."""
 
     def find(self, run: str | None) -> Sequence[Left]:
-        """What a run, or every run, has left, in the order in which it can be removed."""
+        """Return the leftovers of a run, or of all runs, in an order in which they can be removed."""
 
     def remove(self, chosen: Sequence[Left]) -> None:
-        """Remove it; what is gone already is no error."""
+        """Remove leftovers; those already gone are no error."""
 
     def told(self, chosen: Sequence[Left], dry_run: bool) -> str:
-        """What has been removed, or would be, in one line."""
+        """Return one line about what has been removed, or would be."""
 
 
 class Backend(Protocol[Work, Outcome]):
     """Runs work of one kind: functions in processes (`calibration.execution.embedded`), or jobs of containers."""
 
     def run(self, work: Sequence[Work], /, folder: Path, workers: int | None = None) -> Generator[tuple[int, Outcome]]:
-        """Run work; yields each one's index and what came of it, in the order of completion.
+        """Run work; yield index and outcome of each item, in the order of completion.
 
-        What is wrong with the work is raised by this call; nothing is started before the first outcome is asked
-        for. Closing the iterator, or any exception in whoever reads it, stops and removes everything.
+        Invalid work raises an error in this call; nothing is started before the first outcome is requested.
+        Closing the iterator, or an exception in its consumer, stops and removes everything.
 
         Args:
-            work: is started in its order.
-            folder: each job of containers has its own in it, by its name; what an earlier run left in that is removed.
-            workers: at once; None for as many as the backend holds.
+            work: items, started in order.
+            folder: each job of containers has a subfolder with its name; results of earlier runs in it are removed.
+            workers: maximum number of concurrent items; None for the backend's capacity.
 
         Raises:
-            InputError: a job makes no sense, or an image is missing.
+            InputError: a job is invalid, or an image is missing.
             InfrastructureError: the backend cannot be reached, a process died, or a file cannot be written.
         """
         ...
@@ -86,20 +86,20 @@ JobBackend = Backend[Job, JobOutcome]
 
 @dataclass(frozen=True)
 class BackendKind:
-    """A backend for jobs as it is registered; its modules are imported when it is opened."""
+    """Registration of a backend for jobs; its modules are imported when it is opened."""
 
     target: str
-    """``module:callable``, which makes the backend, a context manager, of a `Place`."""
+    """``module:callable``, which creates the backend, a context manager, for a `Place`."""
     leftovers: str
-    """``module:callable``, which makes its `Leftovers`."""
+    """``module:callable``, which creates its `Leftovers`."""
     settings: Any = None
-    """The record of its section of calibration.yml, which is called as the backend; None where it needs none."""
+    """Record of its section of calibration.yml, named as the backend; None if it has none."""
     resumes: bool = False
-    """Whether what a run leaves there outlives the command: a run of the same name takes it and runs the rest."""
+    """Whether results outlive the command, so that a run of the same name reuses them and runs only missing jobs."""
 
 
 EMBEDDED = "embedded"
-"""Functions of ours, in processes of this machine."""
+"""Functions of this package, in processes of this machine."""
 DOCKER, AWS_BATCH = "docker", "aws-batch"
 KINDS: Mapping[str, BackendKind] = {
     DOCKER: BackendKind(
@@ -112,7 +112,7 @@ KINDS: Mapping[str, BackendKind] = {
         resumes=True,
     ),
 }
-"""The backends for jobs of containers, by their names; one more is registered here."""
+"""Backends for jobs of containers by name; register further ones here."""
 CONTAINERS = tuple(KINDS)
 BACKENDS = (EMBEDDED, *CONTAINERS)
 ContainerBackend = Literal["docker", "aws-batch"]
@@ -121,20 +121,20 @@ BackendName = Literal["embedded", "docker", "aws-batch"]
 
 @record
 class Sections:
-    """Settings of backends, each in the section of calibration.yml that is called as the backend."""
+    """Settings of backends, each in the section of calibration.yml that is named as the backend."""
 
     aws_batch: BatchSettings | None = field("Where in AWS containers run that are to run there.", default=None)
 
     def of(self, backend: str) -> Any:
-        """Settings of a backend; None where the file has no section of it."""
+        """Return the settings of a backend; None if the file has no section for it."""
         return getattr(self, backend.replace("-", "_"), None)
 
 
 def check_backend(name: str, known: tuple[str, ...] = BACKENDS) -> None:
-    """Refuse a backend that there is not.
+    """Refuse an unknown backend.
 
     Raises:
-        InputError: naming those that there are.
+        InputError: the message lists the known ones.
     """
     if name not in known:
         expected = f"{', '.join(known[:-1])} or {known[-1]}"
@@ -143,29 +143,29 @@ def check_backend(name: str, known: tuple[str, ...] = BACKENDS) -> None:
 
 @dataclass(frozen=True)
 class Place:
-    """Where jobs of containers run."""
+    """Backend, settings and run to execute jobs of containers."""
 
     backend: str = DOCKER
     """One of `KINDS`."""
     sections: Sections = dataclass_field(default_factory=Sections)
-    """Of calibration.yml, with that of the backend."""
+    """Sections of calibration.yml, including that of the backend."""
     run: str | None = None
-    """The name of the run; a new one unless given."""
+    """Name of the run; None for a new one."""
     resume: bool = False
-    """Whether results of an earlier run of this name are taken, and only what is missing is run."""
+    """Whether results of an earlier run of this name are reused, and only missing jobs run."""
     show: LogDisplay | None = None
-    """Where the logs of the containers are shown."""
+    """Display for the logs of the containers; None to show none."""
 
     @property
     def settings(self) -> Any:
-        """Settings of the backend; None where there are none."""
+        """Settings of the backend; None if it has none."""
         return self.sections.of(self.backend)
 
     def open(self) -> AbstractContextManager[JobBackend]:
-        """Make the backend, which is looked for when it is entered.
+        """Create the backend, which connects when it is entered.
 
         Raises:
-            InputError: its section is missing, or the name of the run is wrong.
+            InputError: its section is missing, or the name of the run is invalid.
         """
         kind = KINDS[self.backend]
         if kind.settings and self.settings is None:
@@ -178,10 +178,10 @@ class Place:
 
 
 def read_sections(backend: str, path: Path) -> Sections:
-    """Read the section of a backend from a file; ``${NAME}`` in it is replaced by the environment variable.
+    """Read the section of a backend from a file; ``${NAME}`` is replaced by environment variables.
 
     Raises:
-        InputError: the file or the section is missing, or it is wrong; names file and key.
+        InputError: the file or the section is missing or wrong; the message names file and key.
     """
     kind = KINDS[backend].settings
     document = read_yaml(path, f"a file with a section {backend}")
@@ -193,6 +193,6 @@ def read_sections(backend: str, path: Path) -> Sections:
 
 
 def imported(target: str) -> Any:
-    """What ``module:attribute`` names."""
+    """Import ``module:attribute``."""
     module, _, attribute = target.partition(":")
     return getattr(import_module(module), attribute)

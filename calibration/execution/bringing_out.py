@@ -1,4 +1,4 @@
-"""Artifacts brought out of the containers of a job: all of them, or none."""
+"""Copying of artifacts out of a job's containers: all of them, or none."""
 
 import os
 import shutil
@@ -16,7 +16,7 @@ from calibration.workflow.text import shorten
 
 
 class NothingThereError(Exception):
-    """A container has no such file or folder."""
+    """The file or folder does not exist in the container."""
 
 
 @dataclass(frozen=True)
@@ -25,32 +25,32 @@ class Archive:
 
     chunks: Iterator[bytes]
     link: str
-    """The path that it is a link to; nothing where it is none."""
+    """Target if it is a link, else empty."""
 
 
 Opener = Callable[[str], AbstractContextManager[Archive]]
-"""Opens what lies at an absolute path in a container; raises `NothingThereError`, or InfrastructureError."""
+"""Opens an absolute path in a container; raises `NothingThereError` or InfrastructureError."""
 
 
 class BringingOut:
-    """Collects what is brought out of one container after the other."""
+    """Copies artifacts of one container after the other."""
 
     def __init__(self, folder: Path, budget: Budget, go_on: Callable[[], None]) -> None:
-        """Make it for a folder that is there and empty; ``go_on`` is asked all the time, and may raise."""
+        """Use an existing empty folder; ``go_on`` is called regularly, and may raise to abort."""
         self.files: list[BroughtOut] = []
         self.left_out: list[str] = []
         self.missing: list[str] = []
-        """A line for each required artifact that is not there."""
+        """A message for each missing required artifact."""
         self._folder = folder
         self._budget = budget
         self._go_on = go_on
 
     def bring_out(self, container: Container, opener: Opener) -> None:
-        """Bring out what a container's artifacts name.
+        """Copy the artifacts of a container.
 
         Raises:
-            RefusedError: something of it is hostile, or too large.
-            InputError: two artifacts would land at the same place.
+            RefusedError: an artifact is unsafe or too large.
+            InputError: two artifacts have the same target.
             InfrastructureError: it cannot be read, or a file cannot be written.
         """
         for artifact in container.artifacts:
@@ -64,7 +64,7 @@ class BringingOut:
                 self.missing.append(_missing(container, artifact, found))
 
     def _extract(self, container: Container, opener: Opener, glob: Glob) -> Extraction:
-        # On its own at first: what the same artifact brought out before is no clash.
+        # Extracted to a separate folder first, because equal files of other artifacts are no conflict.
         with _fresh(self._folder) as fresh:
             try:
                 found = self._read(opener, glob, fresh)
@@ -78,7 +78,7 @@ class BringingOut:
             if not archive.link:
                 return extract(self._watched(archive.chunks), glob.landing, glob.source, fresh, self._budget)
             link = archive.link
-        # what the artifact itself names may be a link, such as that to the newest folder
+        # the artifact itself may be a link, such as one to the latest folder
         with opener(link) as archive:
             return extract(self._watched(archive.chunks), glob.landing, link, fresh, self._budget)
 
@@ -88,7 +88,7 @@ class BringingOut:
             yield chunk
 
     def _settle(self, fresh: Path, found: Extraction, container: Container) -> None:
-        """Move what was extracted to the rest."""
+        """Move extracted files to the artifacts."""
         there = {file.path: file for file in self.files}
         for file in found.files:
             before = there.get(file.path)
@@ -118,10 +118,10 @@ class BringingOut:
 
 @contextmanager
 def complete_or_not_at_all(folder: Path) -> Iterator[Path]:
-    """A folder beside ``folder`` that takes its place if nothing goes wrong, and is removed else.
+    """Yield a temporary folder, which becomes ``folder`` if the block succeeds, and is removed otherwise.
 
     Raises:
-        InfrastructureError: it cannot be made.
+        InfrastructureError: it cannot be created.
     """
     temporary = folder.with_name(f".{folder.name}-{os.urandom(6).hex()}")
     try:

@@ -1,4 +1,4 @@
-"""Files taken out of a tar stream that others made: regular files and folders, inside one folder, up to a size."""
+"""Extraction of untrusted tar streams: only regular files and folders, inside one folder, with size limits."""
 
 import hashlib
 import io
@@ -14,30 +14,30 @@ from calibration.execution.sizes import describe_bytes
 from calibration.workflow.text import one_line, shorten
 
 DEEPEST = 64
-"""Folders in each other."""
+"""Limit of nested folders."""
 _LONGEST_NAME = 255
 _BLOCK = 512
 _HEADERS = 1024**2
-"""Bytes that the headers of one entry may have."""
+"""Limit of the size of an entry's headers, in bytes."""
 _CHUNK = 1024**2
 
 
 class RefusedError(CalibrationError):
-    """Something among the artifacts is not brought out: the software that left it there has failed."""
+    """An artifact is refused as unsafe or too large: the job has failed."""
 
     exit_code = ExitCode.FAIL
 
 
 @dataclass
 class Budget:
-    """What may still be brought out."""
+    """Remaining size and number of artifacts."""
 
     size: int
     """Bytes."""
     files: int
     """Files and folders."""
     passed_over: int = field(init=False)
-    """Bytes of what lies beside the artifacts, which have to be read too."""
+    """Remaining bytes of other files, which have to be read too."""
     most: tuple[int, int] = field(init=False)
 
     def __post_init__(self) -> None:
@@ -47,23 +47,23 @@ class Budget:
 
 @dataclass(frozen=True)
 class Extracted:
-    """A file that was written."""
+    """An extracted file."""
 
     path: str
-    """Relative to the folder."""
+    """Path relative to the folder."""
     size: int
     sha256: str
 
 
 @dataclass
 class Extraction:
-    """What came out of a stream."""
+    """Result of an extraction."""
 
     files: list[Extracted] = field(default_factory=list)
     left_out: list[str] = field(default_factory=list)
-    """Links that lead to what is inside."""
+    """Notes on links within the folder, which are skipped."""
     seen: list[str] = field(default_factory=list)
-    """Some of what was there and not asked for."""
+    """Examples of files that were not requested."""
 
 
 def extract(
@@ -73,21 +73,21 @@ def extract(
     folder: Path,
     budget: Budget,
 ) -> Extraction:
-    """Write what is asked for into a folder; nothing is ever written outside it.
+    """Extract requested files into a folder, and never write outside it.
 
-    Sizes are refused by the header, before the content is read. A hard link becomes a copy of the file that it
-    belongs to.
+    Sizes are checked in the header, before the content is read. A hard link becomes a copy of its
+    target.
 
     Args:
-        stream: the tar, uncompressed.
-        landing: where an entry goes, by its parts below the archive's first; None where it is not asked for.
-        source: the absolute path in the container that is the archive's first entry, for links and messages.
-        folder: is there, and nobody else writes to it.
-        budget: is used up.
+        stream: uncompressed tar.
+        landing: returns the target path of an entry, from its parts below the archive's root; None to skip it.
+        source: absolute path in the container of the archive's root, for links and messages.
+        folder: existing folder without other writers.
+        budget: limits, which are reduced.
 
     Raises:
-        RefusedError: an entry leaves the folder, is no file or folder, clashes with another, or is too large.
-        InfrastructureError: the stream ends too early, or a file cannot be written.
+        RefusedError: an entry is outside the folder, not a file or folder, conflicts with another, or is too large.
+        InfrastructureError: the stream is truncated, or a file cannot be written.
     """
     result = Extraction()
     written: dict[tuple[str, ...], tuple[str, ...]] = {}
@@ -121,10 +121,10 @@ def extract(
 
 
 def _entries(stream: Iterable[bytes]) -> Iterator[tuple[tarfile.TarInfo, Callable[[], IO[bytes]]]]:
-    """Each entry, and what opens its content.
+    """Yield entries, and functions that open their content.
 
     Raises:
-        InfrastructureError: the stream ends too early, or is no tar.
+        InfrastructureError: the stream is truncated, or not a tar.
     """
     source = _Source(stream)
     try:
@@ -145,7 +145,7 @@ def _entries(stream: Iterable[bytes]) -> Iterator[tuple[tarfile.TarInfo, Callabl
 
 
 class _Source:
-    """A stream as a file; what is read without being announced is refused, such as a header without an end."""
+    """File object of a stream that limits reads, to stop endless headers."""
 
     def __init__(self, stream: Iterable[bytes]) -> None:
         self._chunks = iter(stream)
@@ -154,19 +154,19 @@ class _Source:
         self._allowed = _HEADERS
 
     def allow(self, count: int) -> None:
-        """Announce how much may be read until the next announcement."""
+        """Set the number of bytes that may be read until the next call."""
         self._allowed = count + _BLOCK * 128
 
     @property
     def is_complete(self) -> bool:
-        """Whether it ended as a tar does, with zeros."""
+        """Whether it ended with zeros, as required for a tar."""
         return len(self._last) >= _BLOCK and not any(self._last[-_BLOCK:])
 
     def read(self, count: int) -> bytes:
-        """Read so many bytes; fewer at the end.
+        """Read a number of bytes; fewer at the end.
 
         Raises:
-            InfrastructureError: more than was announced.
+            InfrastructureError: the limit is exceeded.
         """
         while len(self._buffer) < count:
             chunk = next(self._chunks, None)
@@ -183,10 +183,10 @@ class _Source:
 
 
 def path_parts(name: str) -> tuple[str, ...]:
-    """The parts of an entry's name.
+    """Split the name of an entry.
 
     Raises:
-        RefusedError: it leaves the folder, or is no name that every file system takes.
+        RefusedError: it is outside the folder, or invalid on some file systems.
     """
     parts = tuple(part for part in name.split("/") if part not in ("", "."))
     if name.startswith("/") or ".." in parts or not parts:
@@ -200,10 +200,10 @@ def path_parts(name: str) -> tuple[str, ...]:
 
 
 def _link_inside(entry: tarfile.TarInfo, inside: tuple[str, ...], source: str) -> str:
-    """The note on a link that leads to what is inside.
+    """Return the note on a link within the folder.
 
     Raises:
-        RefusedError: it leads out.
+        RefusedError: it points outside.
     """
     root = source.rstrip("/") + "/"
     at = posixpath.dirname(root + "/".join(inside)) if inside else root
@@ -270,7 +270,7 @@ def _new_file(path: Path, entry: tarfile.TarInfo) -> io.FileIO:
 
 
 def _read(content: IO[bytes]) -> bytes:
-    """Apart from the writing: what goes wrong with the stream is no fault of the disk."""
+    """Read content, separately from writing, to distinguish errors of the stream from errors of the disk."""
     try:
         return content.read(_CHUNK)
     except tarfile.TarError as error:

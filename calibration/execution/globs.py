@@ -1,4 +1,4 @@
-"""Patterns for paths as a shell has them: ``*``, ``?``, ``[...]``, and ``**`` for any number of folders."""
+"""Shell patterns for paths: ``*``, ``?``, ``[...]``, and ``**`` for any number of folders."""
 
 import re
 from collections.abc import Iterator, Sequence
@@ -11,25 +11,25 @@ _WILDCARD = re.compile(r"[*?\[]")
 
 @dataclass(frozen=True)
 class Glob:
-    """A path in a container that may have wildcards."""
+    """A path in a container that may contain wildcards."""
 
     path: str
     """Absolute, without ``.`` and ``..``."""
 
     @cached_property
     def source(self) -> str:
-        """What has to be read to find it: the path itself, or the last folder before a wildcard."""
+        """Path to read: the path itself, or its last folder without a wildcard."""
         fixed = self._parts if self._split == len(self._parts) else self._parts[: self._split]
         return "/" + "/".join(fixed)
 
     def landing(self, inside: Sequence[str]) -> tuple[str, ...] | None:
-        """Where something below :attr:`source` lands, relative to the last folder without a wildcard.
+        """Return the target of a path below :attr:`source`, relative to the last folder without a wildcard.
 
         Args:
-            inside: its path relative to `source`, in parts; none for `source` itself.
+            inside: parts of the path relative to `source`; empty for `source` itself.
 
         Returns:
-            None for what is not asked for. A folder stands for all that is in it.
+            None if the pattern does not match. A folder matches with all its content.
         """
         if self._split == len(self._parts):
             return (*self._parts[-1:], *inside)
@@ -41,19 +41,19 @@ class Glob:
 
     @cached_property
     def _split(self) -> int:
-        """How many parts there are before the first with a wildcard."""
+        """Number of parts before the first wildcard."""
         return next((i for i, part in enumerate(self._parts) if _WILDCARD.search(part)), len(self._parts))
 
     @cached_property
     def _patterns(self) -> tuple[re.Pattern[str] | None, ...]:
-        """An expression for each part from the first wildcard on; None for ``**``."""
+        """A pattern for each part from the first wildcard; None for ``**``."""
         parts = self._parts[self._split :]
-        parts += ("*",) if parts[-1] == "**" else ()  # at the end it stands for files too
+        parts += ("*",) if parts[-1] == "**" else ()  # at the end it matches files too
         return tuple(None if part == "**" else _pattern(part) for part in parts)
 
     def _matches(self, inside: Sequence[str]) -> bool:
-        """Whether the path, or a folder that it is in, is what the pattern names."""
-        # Every number of patterns that may be used up after each part: linear, however many ** there are.
+        """Return whether the pattern matches the path, or a folder that contains it."""
+        # Simulates the states of a nondeterministic automaton: linear in the length, for any number of **.
         states = self._past_stars({0})
         for part in inside:
             if len(self._patterns) in states:
@@ -65,7 +65,7 @@ class Glob:
         pattern = self._patterns[state]
         if pattern is None:
             if not part.startswith("."):
-                yield state  # ** takes this folder too
+                yield state  # ** also matches this folder
         elif pattern.match(part):
             yield state + 1
 
@@ -79,6 +79,6 @@ class Glob:
 
 
 def _pattern(part: str) -> re.Pattern[str]:
-    # as in a shell, a wildcard at the beginning does not stand for the dot of a hidden file
+    # as in a shell, a leading wildcard does not match the dot of a hidden file
     hidden = "" if part.startswith(".") else r"(?!\.)"
     return re.compile(hidden + translate(part))

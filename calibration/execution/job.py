@@ -1,6 +1,6 @@
-"""What a job is: containers that run together, what is brought out of them, and what counts as success.
+"""A job: containers that run together, their artifacts, and the conditions of success.
 
-A job says nothing of where it runs: a backend does that.
+It is independent of the backend that runs it.
 """
 
 import os
@@ -27,16 +27,16 @@ from calibration.records import (
 )
 
 Network = Literal["private", "internal", "host", "none"]
-"""private: the job's containers find each other by name, and those of no other job. internal: the same without a
-way out. host: that of the machine (a relaxation). none: no network.
+"""private: the job's containers find each other by name, isolated from other jobs. internal: the same without
+access to the outside. host: network of the machine (a relaxation). none: no network.
 
-A container alone in its job has nobody to find: the Docker backend puts it on a network on which the engine keeps
-all containers apart, or, where it is all that there is in a run, on the engine's default network, as ``docker run``
+A single container of a job has no peers: the Docker backend uses a network on which the engine isolates
+all containers, or, if it is the only one of a run, the engine's default network, as ``docker run``
 does."""
 
 NETWORK_HELP = "private: a network of its own. internal: without a way out. host: the machine's. none: no network."
 OUTPUT = "/calibration/output"
-"""A volume of the job's own, writable and shared by its containers; it is gone with the job."""
+"""Volume of the job, writable and shared by its containers; removed with the job."""
 
 Text = Annotated[str, length(1)]
 Absolute = Annotated[str, matching("/.*", "an absolute path")]
@@ -58,12 +58,12 @@ def _value(value: str | float, _: Place) -> str:
 
 Command = Annotated[tuple[str, ...], Converted(str | tuple[str, ...], _command)]
 Value = Annotated[str, Converted(str | int | float | bool, _value)]
-"""A number as it is written, a truth value as ``true`` or ``false``."""
+"""Numbers as written, booleans as ``true`` or ``false``."""
 
 
 @record
 class Mount:
-    """A folder or file of this machine, seen in a container; read-only unless told otherwise."""
+    """A folder or file of this machine, mounted in a container; read-only by default."""
 
     source: Path = field("The folder or file.")
     target: Absolute = field("Where it is in the container.")
@@ -82,7 +82,7 @@ def _mount(value: str | Mount, place: Place) -> Mount:
 
 @record
 class Limits:
-    """What a container may use; None where there is no limit."""
+    """Limits of a container; None for no limit."""
 
     memory: Bytes | None = field("The most it may use, swap included: 2g, 512m.", default=None)
     cpus: Annotated[float, above(0)] | None = field("The most it may use: 1.5 of the machine's cores.", default=None)
@@ -94,7 +94,7 @@ class Limits:
 
 @record(rules=(one_of("port", "log", "file", "command", why="expected port, log, file or command"),))
 class Readiness:
-    """When those after it may start; everything that is given must hold."""
+    """Readiness check of a container, on which others wait; all given conditions must be met."""
 
     port: Annotated[int, between(1, 65535)] | None = field("It accepts connections on this TCP port.", default=None)
     log: Text | None = field("This regular expression is found in a line of its log.", default=None)
@@ -105,7 +105,7 @@ class Readiness:
 
 @record
 class Relaxations:
-    """What is allowed that is forbidden by default; each is named by whoever writes the job."""
+    """Privileges of a container that are forbidden by default."""
 
     new_privileges: bool = field("Programs such as sudo may gain privileges.", default=False)
     capabilities: Annotated[
@@ -121,27 +121,27 @@ class Relaxations:
 
 @record
 class Artifact:
-    """Files to bring out of a container when the job has ended."""
+    """Files to copy out of a container at the end of the job."""
 
     path: Text = field("The path in the container, with *, ?, [...] and **.")
-    """Absolute, as in a shell. A folder stands for all
-    that is in it. What is found lands relative to the path's last folder without a wildcard: ``/out/a/*.csv`` as
-    ``x.csv``, ``/out/a`` as ``a/x.csv``. Links to what is inside are left out, with a note; other links and what is
-    no file or folder are refused."""
+    """Absolute, with shell wildcards. A folder includes all
+    its content. Targets are relative to the path's last folder without a wildcard: ``/out/a/*.csv`` to
+    ``x.csv``, ``/out/a`` to ``a/x.csv``. Links within the folder are skipped, with a note; other links and
+    special files are refused."""
     required: bool = field("Whether the job has failed where nothing is found.", default=True)
 
 
 @record
 class Container:
-    """One container: what runs in it, what it may use, and what is brought out of it.
+    """A container: its command, its limits and privileges, and its artifacts.
 
-    Everything is forbidden that is not named here.
+    Everything that is not listed here is forbidden.
     """
 
     name: str = ""
-    """Unique in the job; its host name on the job's network."""
+    """Unique in the job; host name on the job's network."""
     image: str = field("The image, such as ghcr.io/team/robot:latest.", default="")
-    """Empty, as calibration.yml describes it, for the image that the pipeline builds."""
+    """Empty in calibration.yml for the image that the pipeline builds."""
     command: Command = field(
         "Arguments, run without a shell; a text is split as a shell would. The image's own command where there is "
         "none.",
@@ -153,7 +153,7 @@ class Container:
     environment: Mapping[Annotated[str, matching("[^=]+", "a name without =")], Value] = field(
         "Variables and their values.", default_factory=dict, repr=False
     )
-    """Those of ``secrets`` too, where `with_secrets` has taken them."""
+    """Including those of ``secrets``, after `with_secrets`."""
     secrets: Annotated[
         frozenset[str],
         Converted(Annotated[tuple[Variable, ...], UNIQUE], lambda names, _: frozenset(names)),
@@ -161,7 +161,7 @@ class Container:
         "Names of variables of this machine's environment that are passed on; their values are hidden in every log.",
         default=frozenset(),
     )
-    """Their values appear in no log, file or message."""
+    """Their values are redacted in every log, file and message."""
     working_directory: Absolute | None = field("Absolute, in the container.", default=None)
     user: Annotated[str, Converted(str | int, lambda user, _: str(user))] | None = field(
         "A name or a number of the image, or both with a group (1000:1000).", default=None
@@ -177,7 +177,7 @@ class Container:
         default=(),
     )
     essential: bool = field("Whether its end ends the job.", default=True)
-    """What is not essential is stopped then, and its end is no success or failure."""
+    """Other containers are stopped then, and their ends do not affect the verdict."""
     success: Annotated[
         tuple[int, ...],
         Converted(ExitCode | tuple[ExitCode, ...], lambda codes, _: codes if isinstance(codes, tuple) else (codes,)),
@@ -193,29 +193,29 @@ class Job:
     """Containers that run together."""
 
     name: str
-    """Unique among the jobs of a run; the name of its folder too, so it may have slashes but no dots as a part."""
+    """Unique among the jobs of a run; also the name of its folder, so it may contain slashes, but no parts of dots."""
     containers: tuple[Container, ...]
     network: Network = "private"
     seconds: float | None = 3600.0
-    """A job that runs longer is stopped, and has failed."""
+    """Time limit, after which the job is stopped and has failed."""
     artifact_bytes: int = 2 * 1024**3
-    """More than this is not brought out."""
+    """Size limit of the artifacts."""
     artifact_files: int = 20_000
     own_network: bool = False
-    """A private network of its own also for a container that is all that there is in a run: for software that
+    """Use a private network even for a single container of a run: for software that
     finds its peers by multicast, as ROS 2 does."""
 
 
 def with_secrets(container: Container, where: str, environment: Mapping[str, str] | None = None) -> Container:
-    """The container with the values of its ``secrets`` among its variables.
+    """Add the values of a container's ``secrets`` to its variables.
 
     Args:
-        container: as it was read.
-        where: what messages begin with.
-        environment: where the values are taken from; this process's own unless given.
+        container: container as read.
+        where: prefix of messages.
+        environment: source of the values; by default the environment of this process.
 
     Raises:
-        InputError: a secret is not set, or is a variable with another value too.
+        InputError: a secret is not set, or has a value in the file too.
     """
     environment = os.environ if environment is None else environment
     for name in sorted(container.secrets):

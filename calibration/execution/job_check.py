@@ -1,4 +1,4 @@
-"""A job that makes no sense is refused before anything is started."""
+"""Validation of jobs, before anything is started."""
 
 import math
 import os
@@ -13,27 +13,27 @@ from calibration.execution.job import OUTPUT, Container, Job, Limits, Mount, Rea
 from calibration.workflow.text import did_you_mean, shorten
 
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,62}")
-"""A container's name: its host name too, and the name of a file."""
+"""Container name, which is also its host name, and part of file names."""
 _JOB_NAME_PART = re.compile(r"[A-Za-z0-9_+=,@][A-Za-z0-9_+=,@ .:-]{0,127}")
 _VARIABLE = re.compile(r"[^=\0]+")
 _ENGINE_SOCKETS = ("/var/run/docker.sock", "/run/docker.sock")
 _MOST_PORT = 65535
 _LEAST_MEMORY = 6 * 1024**2
-"""Bytes; no engine takes a lower limit."""
+"""Minimum in bytes that engines accept."""
 _HIGHEST_CODE = 255
 _MOST_CONTAINERS = 100
 
 
 def check_jobs(jobs: Sequence[Job]) -> None:
-    """Refuse jobs of one run that cannot run, or whose folders would be the same or inside each other.
+    """Refuse invalid jobs of a run, and jobs whose folders are equal or nested.
 
     Raises:
-        InputError: names the job, the container and what is wrong.
+        InputError: the message names the job, the container and the problem.
     """
     names: dict[str, str] = {}
     for job in jobs:
         check_job(job)
-        name = job.name.casefold()  # there are file systems on which "A" and "a" are one folder
+        name = job.name.casefold()  # on some file systems "A" and "a" are the same folder
         if name in names:
             raise InputError(f"job '{job.name}': another job of the run has the name '{names[name]}'")
         names[name] = job.name
@@ -45,10 +45,10 @@ def check_jobs(jobs: Sequence[Job]) -> None:
 
 
 def check_job(job: Job) -> None:
-    """Refuse a job that cannot run.
+    """Refuse an invalid job.
 
     Raises:
-        InputError: names the job, the container and what is wrong.
+        InputError: the message names the job, the container and the problem.
     """
     where = f"job '{shorten(job.name)}'"
     parts = job.name.split("/")
@@ -72,10 +72,10 @@ def check_job(job: Job) -> None:
 
 
 def start_order(job: Job) -> tuple[Container, ...]:
-    """The containers so that each comes after those that it waits for, else in the order given.
+    """Return the containers sorted so that each follows those that it waits for, otherwise in the given order.
 
     Raises:
-        InputError: one waits for a container that there is not, or they wait for each other.
+        InputError: a container waits for an unknown one, or containers wait for each other.
     """
     known = {container.name: container for container in job.containers}
     order: dict[str, Container] = {}
@@ -186,7 +186,7 @@ def _in_mounts(mounts: Iterable[Mount]) -> Iterator[str]:
 
 
 def _gives_the_engine_away(source: Path) -> bool:
-    """Whether a source is a socket, or a folder in which the engine's lies."""
+    """Return whether a mount's source is a socket, or a folder that contains the engine's socket."""
     resolved = source.resolve()
     if stat.S_ISSOCK(resolved.stat().st_mode):
         return True

@@ -1,11 +1,11 @@
-"""The folder of a job: what every backend leaves in it.
+"""Result folder of a job, the same for all backends.
 
-``artifacts/``, ``logs/``, and ``manifest.json``, which says what came of the job: ``schema`` (1), ``job``, ``run``,
+``artifacts/``, ``logs/``, and ``manifest.json`` with the outcome of the job: ``schema`` (1), ``job``, ``run``,
 ``verdict`` (pass or fail), ``exit_code`` (1, 2 or 3 for a fail), ``reasons`` (a line each), ``seconds``;
 ``containers``: ``name``, ``image`` (its id), ``end`` (a value of :class:`calibration.execution.outcome.End`),
 ``exit_code``, ``signal``, ``seconds``, ``log`` (relative to the manifest); ``artifacts``: ``path`` (relative to
-``artifacts/``), ``container``, ``size`` (bytes), ``sha256``; ``left_out``: links among the artifacts. Nothing of a
-container's environment is in it.
+``artifacts/``), ``container``, ``size`` (bytes), ``sha256``; ``left_out``: links among the artifacts. It contains
+nothing of a container's environment.
 """
 
 import json
@@ -17,12 +17,12 @@ from calibration.execution.outcome import JobOutcome
 from calibration.files import write_atomically
 
 ARTIFACTS, LOGS = "artifacts", "logs"
-"""Folders in a job's folder."""
+"""Subfolders of a job's folder."""
 FILE_NAME = "manifest.json"
 
 
 def make_job_folder(folder: Path) -> None:
-    """Make a job's folder; what an earlier run left there must not be taken for this one's.
+    """Create a job's folder, without results of an earlier run.
 
     Raises:
         InfrastructureError: it cannot be written.

@@ -1,4 +1,4 @@
-"""What the ends of containers mean for their job: the same words for the same failure, whatever the backend."""
+"""Verdict of a job from the ends of its containers, with the same messages for all backends."""
 
 import signal
 import time
@@ -15,77 +15,77 @@ _HINTS = {126: "its command may not be executed", 127: "its command was not foun
 
 
 class Watched(Protocol):
-    """A container that runs, or will, or did, as a judge sees it."""
+    """A container before, during or after its run, as the judging sees it."""
 
     @property
     def container(self) -> Container:
-        """What was asked for."""
+        """Its definition."""
 
     @property
     def started(self) -> float | None:
-        """When it did, by the monotonic clock."""
+        """Start time of the monotonic clock."""
 
     @property
     def ended(self) -> float | None:
-        """When it did, by the monotonic clock."""
+        """End time of the monotonic clock."""
 
     @property
     def ready(self) -> bool:
-        """Whether it was ready once."""
+        """Whether it has been ready."""
 
     @property
     def end(self) -> End:
-        """How it ended, once that is known."""
+        """How it ended, once known."""
 
     @property
     def exit_code(self) -> int | None:
-        """That it ended with, once that is known."""
+        """Exit code, once known."""
 
     @property
     def signal(self) -> str | None:
-        """That it was killed by, once that is known."""
+        """Signal that killed it, once known."""
 
     @property
     def last_line(self) -> str:
-        """Of its log, fit for a message; empty where it is not known."""
+        """Last line of its log, safe for a message; empty if unknown."""
 
     def not_ready_for(self) -> str:
-        """What it is not ready for, for a message."""
+        """Return the unmet conditions of its readiness, for a message."""
 
 
 class Judge:
-    """Says when a job is over, whom it stopped, and why the job has failed, if it has."""
+    """Determines when a job is over, which containers are stopped, and whether and why it has failed."""
 
     def __init__(self, job: Job, clean: Callable[[str], str]) -> None:
-        """Begin; the job's time runs from now.
+        """Start the time of the job.
 
         Args:
-            job: that is watched.
-            clean: makes a reason fit to be shown.
+            job: supervised job.
+            clean: makes a reason safe to show.
         """
         self.reasons: list[str] = []
-        """Why the job has failed, the cause first."""
+        """Reasons of the failure, the cause first."""
         self.exit_code = ExitCode.PASS
         self.stopped_for: dict[str, End] = {}
-        """Why we stopped containers."""
+        """Reasons why containers were stopped, by name."""
         self.began = time.monotonic()
         self._job = job
         self._clean = clean
         self._too_early: str | None = None
-        """One that others waited for, and that ended before it was ready."""
+        """Container that ended before it was ready, while others waited for it."""
 
     def fail(self, reason: str, code: ExitCode) -> None:
-        """Take a reason why the job has failed; the first is its cause."""
+        """Add a reason of the failure; the first one is its cause."""
         if not self.reasons:
             self.exit_code = code
         self.reasons.append(self._clean(reason))
 
     def is_over(self, containers: Sequence[Watched], waiting: Sequence[Watched]) -> bool:
-        """Whether the job is over: by the end of a container, or because its time or that of one has run out.
+        """Return whether the job is over: by the end of a container, or by a time limit of the job or a container.
 
         Args:
-            containers: all of the job.
-            waiting: those of them that have not been started.
+            containers: all containers of the job.
+            waiting: containers that have not been started.
         """
         ended = [c for c in containers if c.ended is not None]
         if any(c.container.essential for c in ended):
@@ -98,7 +98,7 @@ class Judge:
         return self._is_too_late(containers, waiting)
 
     def seconds_left(self, containers: Sequence[Watched]) -> list[float]:
-        """How long it is until each limit."""
+        """Return the seconds until each time limit."""
         now = time.monotonic()
         left = [] if self._job.seconds is None else [self.began + self._job.seconds - now]
         for container in containers:
@@ -110,13 +110,13 @@ class Judge:
         return left
 
     def stop(self, containers: Sequence[Watched]) -> None:
-        """Note that those that still run are stopped, as the job is over."""
+        """Record that the remaining containers are stopped because the job is over."""
         for container in containers:
             if is_running(container):
                 self.stopped_for.setdefault(container.container.name, End.STOPPED)
 
     def judge(self, containers: Sequence[Watched]) -> None:
-        """Find out why the job has failed, if it has; how each container ended is known by now."""
+        """Determine whether and why the job has failed, after the ends of all containers are known."""
         essential = [c for c in containers if c.container.essential]
         for container in essential:
             if (failure := failure_of(container)) is not None:
@@ -131,7 +131,7 @@ class Judge:
                 self.fail(f"container '{name}' was never started: another ended the job", ExitCode.FAIL)
         if not self.reasons and not any(c.end == End.EXITED for c in essential):
             self.fail("nobody knows how the job ended", ExitCode.INFRASTRUCTURE)
-        if self.reasons:  # what else went wrong may be why
+        if self.reasons:  # further failures may explain the first
             others = [c for c in containers if not c.container.essential and c is not early]
             self.reasons += [self._clean(failure) for c in others if (failure := failure_of(c)) is not None]
 
@@ -164,18 +164,18 @@ class Judge:
 
 
 def is_running(container: Watched) -> bool:
-    """Whether it was started, and its end has not been heard of."""
+    """Return whether a container was started, and has not ended."""
     return container.started is not None and container.ended is None
 
 
 def how_it_ended(container: Container, exit_code: int, out_of_memory: bool, ours: End | None) -> tuple[End, str | None]:
-    """How a container ended, and the signal that it was killed by.
+    """Return how a container ended, and the signal that killed it.
 
     Args:
-        container: what was asked for.
-        exit_code: that it ended with.
-        out_of_memory: whether one of its processes was killed, because memory ran out.
-        ours: why we stopped it; None where it ended by itself.
+        container: its definition.
+        exit_code: its exit code.
+        out_of_memory: whether the kernel killed a process for lack of memory.
+        ours: reason why it was stopped; None if it ended by itself.
     """
     killed_by = None if exit_code in container.success else signal_of(exit_code)
     if out_of_memory:
@@ -183,12 +183,12 @@ def how_it_ended(container: Container, exit_code: int, out_of_memory: bool, ours
     if ours is not None:
         return ours, killed_by
     if killed_by == "SIGKILL" and container.limits.memory is not None:
-        return End.OUT_OF_MEMORY, killed_by  # the event gets lost when all ends at once; nobody else sends SIGKILL
+        return End.OUT_OF_MEMORY, killed_by  # the event may be lost; nothing else sends SIGKILL
     return (End.SIGNALLED if killed_by else End.EXITED), killed_by
 
 
 def failure_of(watched: Watched) -> str | None:
-    """Why the end of a container is none of success, by itself; None where it is."""
+    """Failure message of a container, or None if it succeeded."""
     container = f"container '{watched.container.name}'"
     if watched.end == End.OUT_OF_MEMORY:
         limit = watched.container.limits.memory
@@ -207,12 +207,12 @@ def failure_of(watched: Watched) -> str | None:
 
 
 def unmet(readiness: Readiness, names: Collection[str], log_has_line: bool) -> str:
-    """What a container is not ready for, for a message.
+    """Return the unmet conditions of a readiness check, for a message.
 
     Args:
-        readiness: what is asked for.
-        names: of ``port``, ``file`` and ``command`` those that have not held.
-        log_has_line: whether the line that is asked for was in the log.
+        readiness: the check.
+        names: unmet conditions among ``port``, ``file`` and ``command``.
+        log_has_line: whether the log contains the requested line.
     """
     asked = {"port": readiness.port, "file": readiness.file, "command": " ".join(readiness.command)}
     found = [f"{name} {asked[name]}" for name in sorted(names)]
@@ -222,7 +222,7 @@ def unmet(readiness: Readiness, names: Collection[str], log_has_line: bool) -> s
 
 
 def signal_of(exit_code: int) -> str | None:
-    """The signal that an exit code tells of, by the shell's convention; None where it tells of none."""
+    """Return the signal encoded in an exit code, by the shell's convention; None if there is none."""
     try:
         return signal.Signals(exit_code - _SIGNALLED).name if exit_code > _SIGNALLED else None
     except ValueError:

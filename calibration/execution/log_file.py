@@ -1,4 +1,4 @@
-"""The output of a container on its way into a file: without secrets, up to a size, and in lines for who reads along."""
+"""Log of a container: a file with secrets redacted and a size limit, and lines for live display."""
 
 import re
 from collections.abc import Callable, Iterable
@@ -12,13 +12,13 @@ from calibration.workflow.streams import tame
 from calibration.workflow.text import shorten
 
 MOST_BYTES = 64 * 1024**2
-"""What is kept of a log."""
+"""Size limit of a log."""
 LONGEST_LINE = 16 * 1024
-"""Bytes; a longer line is looked at in pieces."""
+"""Bytes; longer lines are processed in pieces."""
 
 
 class LogFile:
-    """Takes output as it comes."""
+    """Writes output to a log."""
 
     def __init__(
         self,
@@ -28,23 +28,23 @@ class LogFile:
         pattern: str | None = None,
         most_bytes: int = MOST_BYTES,
     ) -> None:
-        """Begin the file.
+        """Create the file.
 
         Args:
-            path: of the file.
-            secrets: what must not get into it.
-            show: is given every line.
-            pattern: a regular expression that is looked for in every line.
-            most_bytes: what is kept; the file then says that it was cut.
+            path: path of the file.
+            secrets: strings to redact.
+            show: receives every line.
+            pattern: regular expression to search in every line.
+            most_bytes: size limit; the file states if it was truncated.
 
         Raises:
             InfrastructureError: the file cannot be written.
         """
         self.path = path
         self.last_line = ""
-        """The last that is not empty, fit for a message."""
+        """Last non-empty line, safe for a message."""
         self.found = False
-        """Whether a line had the pattern."""
+        """Whether a line has matched the pattern."""
         self._redactor = Redactor(secrets)
         self._show = show
         self._pattern = re.compile(pattern) if pattern else None
@@ -66,7 +66,7 @@ class LogFile:
         self.close()
 
     def feed(self, data: bytes) -> None:
-        """Take more output.
+        """Add output.
 
         Raises:
             InfrastructureError: the file cannot be written.
@@ -74,7 +74,7 @@ class LogFile:
         self._take(self._redactor.feed(data))
 
     def close(self) -> None:
-        """Take the end of the output; more than once is no error.
+        """Finish the log; idempotent.
 
         Raises:
             InfrastructureError: the file cannot be written.

@@ -1,4 +1,4 @@
-"""What came of a job, whatever the backend."""
+"""Outcome of a job, the same for all backends."""
 
 import enum
 from dataclasses import dataclass
@@ -12,44 +12,44 @@ class End(enum.StrEnum):
     """How a container ended."""
 
     EXITED = "exited"
-    """By itself, with an exit code."""
+    """It exited by itself."""
     SIGNALLED = "killed by a signal"
-    """Not by us."""
+    """Killed by a signal, not by us."""
     OUT_OF_MEMORY = "out of memory"
-    """It, or one of its processes, exceeded its memory; whatever its exit code says."""
+    """It, or one of its processes, exceeded its memory, whatever the exit code."""
     TIMED_OUT = "timed out"
-    """We stopped it at its limit or the job's."""
+    """Stopped at its time limit, or that of the job."""
     NOT_READY = "not ready"
-    """It did not become ready in time, or ended before."""
+    """It was not ready in time, or ended before."""
     STOPPED = "stopped"
-    """By us, because the job had ended."""
+    """Stopped because the job was over."""
     NOT_STARTED = "not started"
     LOST = "lost"
-    """The engine cannot say: the connection broke."""
+    """Unknown, because the connection to the engine was lost."""
 
 
 @dataclass(frozen=True)
 class ContainerOutcome:
-    """How one container ended."""
+    """How a container ended."""
 
     name: str
     end: End
     exit_code: int | None = None
     signal: str | None = None
-    """``SIGKILL``, where it was killed by one."""
+    """``SIGKILL``, if a signal killed it."""
     seconds: float = 0.0
     log: Path | None = None
-    """The file of its output."""
+    """File with its output."""
     image: str = ""
-    """The id of the image that it was made from, where the backend knows it."""
+    """Id of its image, if the backend knows it."""
 
 
 @dataclass(frozen=True)
 class BroughtOut:
-    """A file that came out of a container."""
+    """A file copied out of a container."""
 
     path: str
-    """Relative to the job's folder of artifacts."""
+    """Path relative to the job's artifacts."""
     container: str
     size: int
     """Bytes."""
@@ -58,23 +58,23 @@ class BroughtOut:
 
 @dataclass(frozen=True)
 class JobOutcome:
-    """What came of a job."""
+    """Outcome of a job."""
 
     job: str
     folder: Path
-    """Has ``artifacts/``, ``logs/<container>.log`` and ``manifest.json``."""
+    """Contains ``artifacts/``, ``logs/<container>.log`` and ``manifest.json``."""
     containers: tuple[ContainerOutcome, ...] = ()
     artifacts: tuple[BroughtOut, ...] = ()
     left_out: tuple[str, ...] = ()
-    """What was among the artifacts but not brought out, a line each: links to others of them."""
+    """Notes on artifacts that were not copied, a line each: links to other artifacts."""
     reasons: tuple[str, ...] = ()
-    """Why it failed, a line each, the cause first; none where it succeeded."""
+    """Reasons of the failure, a line each, the cause first; empty if it succeeded."""
     exit_code: ExitCode = ExitCode.PASS
-    """1 where the software in the containers failed (it never got ready, it left no artifact or a hostile one), 2
-    where the job is wrong (no such image or user), 3 where infrastructure failed: the engine, or the time."""
+    """1 if the software in the containers failed (also: not ready, missing or unsafe artifacts), 2 if the
+    job is wrong (unknown image or user), 3 for a failed infrastructure: engine, or time limit."""
     seconds: float = 0.0
 
     @property
     def verdict(self) -> Literal["pass", "fail"]:
-        """Pass where nothing speaks against it."""
+        """Pass if the exit code is 0."""
         return "pass" if self.exit_code == ExitCode.PASS else "fail"

@@ -1,4 +1,4 @@
-"""What differs from job to job in a command: ``{seed}`` is replaced in each argument by itself, never by a shell."""
+"""Placeholders in commands, such as ``{seed}``, replaced in each argument separately, without a shell."""
 
 import re
 import shlex
@@ -11,12 +11,12 @@ _BRACES = re.compile(r"\{\{|\}\}|\{([^{}]*)\}|[{}]")
 
 
 def fill(arguments: Sequence[str], values: Mapping[str, str], where: str) -> tuple[str, ...]:
-    """Replace ``{name}`` by its value in each argument; ``{{`` and ``}}`` stand for braces.
+    """Replace ``{name}`` by its value in each argument; ``{{`` and ``}}`` are literal braces.
 
-    An argument stays one argument, whatever the value is.
+    An argument remains one argument, whatever the value.
 
     Raises:
-        InputError: there is no such name, or a brace stands alone; names the argument.
+        InputError: unknown name, or a single brace; the message contains the argument.
     """
 
     def replacement(match: re.Match[str]) -> str:
@@ -36,12 +36,12 @@ def fill(arguments: Sequence[str], values: Mapping[str, str], where: str) -> tup
 
 
 def split_command(command: str | Sequence[str], where: str) -> tuple[str, ...]:
-    """Make arguments of a command: a text is split as a shell would, a list is taken as it is.
+    """Convert a command to arguments: a string is split as in a shell, a list is unchanged.
 
-    Nothing else of a shell works: no variables, no ``&&``, no ``>``. Do it before :func:`fill`.
+    No other syntax of a shell is supported: no variables, no ``&&``, no ``>``. Call it before :func:`fill`.
 
     Raises:
-        InputError: the quoting is wrong, it is empty, or something in it is no text.
+        InputError: the quoting is wrong, it is empty, or an argument is not a string.
     """
     arguments = _split(command, where) if isinstance(command, str) else tuple(command)
     for argument in arguments:

@@ -1,4 +1,4 @@
-"""Worker processes that are forked: apart, since what they need takes as long to import as a cell to calibrate."""
+"""Forked worker processes, in a separate module because its imports take as long as a small calibration."""
 
 import ctypes
 import multiprocessing
@@ -17,17 +17,17 @@ from calibration.workflow.signals import held_back
 Result = TypeVar("Result")
 
 PR_SET_PDEATHSIG = 1
-"""Linux's request for a signal when the parent dies."""
+"""Linux's prctl option for a signal when the parent dies."""
 _work: Sequence[Callable[[], Any]] = ()
-"""In a worker: the functions, inherited from the parent with all that they hold."""
+"""In a worker: the functions, inherited from the parent with the data that they reference."""
 
 
 def in_processes(work: Sequence[Callable[[], Result]], workers: int) -> Generator[tuple[int, Result]]:
-    """Call each function in one of so many workers; see `calibration.execution.embedded.Embedded.run`."""
+    """Call each function in a worker process; see `calibration.execution.embedded.Embedded.run`."""
     context = multiprocessing.get_context("fork")
     pool = ProcessPoolExecutor(workers, context, initializer=_begin, initargs=(work,))
     try:
-        # A queue, because a signal may strike while one waits on it: waiting on futures holds locks that the
+        # A queue, because a signal may interrupt waiting on it: waiting on futures holds locks that the
         # pool's own thread needs to end.
         finished: SimpleQueue[Future[Result]] = SimpleQueue()
         running: dict[Future[Result], int] = {}
@@ -35,7 +35,7 @@ def in_processes(work: Sequence[Callable[[], Result]], workers: int) -> Generato
 
         def submit(count: int) -> None:
             for index in islice(waiting, count):
-                with held_back():  # the first of them forks the workers
+                with held_back():  # the first submission forks the workers
                     future = pool.submit(_run_in_worker, index)
                 running[future] = index
                 future.add_done_callback(finished.put)
@@ -49,15 +49,15 @@ def in_processes(work: Sequence[Callable[[], Result]], workers: int) -> Generato
         message = "a worker process died (killed, or out of memory); try fewer with jobs"
         raise InfrastructureError(message) from error
     finally:
-        # Workers end with the item they are at, also after a signal: one that is killed while it answers
-        # leaves half an answer in the pipe, for which the pool would wait for ever. A second signal waits for them too:
-        # a shutdown that is broken off leaves workers that nobody tells to end, and Python waits for them.
+        # Workers finish their current item, also after a signal: one that is killed while it writes its result
+        # leaves a partial message in the pipe, and the pool would wait for the rest. A second signal is delayed too:
+        # an interrupted shutdown leaves workers running, and Python would wait for them at exit.
         with held_back():
             pool.shutdown(wait=True, cancel_futures=True)
 
 
 def _begin(work: Sequence[Callable[[], Any]]) -> None:
-    """In a worker: signals are the parent's to handle; if it is killed, the worker is too."""
+    """Initialise a worker: the parent handles signals; if it is killed, the worker is killed too."""
     global _work
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)

@@ -1,4 +1,4 @@
-"""Secrets hidden in a stream of bytes, also where they come in pieces."""
+"""Redaction of secrets in a stream of bytes, also across chunks."""
 
 import re
 from collections.abc import Iterable
@@ -9,9 +9,9 @@ HIDDEN = b"***"
 
 
 class Redactor:
-    """Replaces secrets in what is fed to it, in every form of :func:`calibration.workflow.masks.derived_forms`.
+    """Replaces secrets in a stream, in every form of :func:`calibration.workflow.masks.derived_forms`.
 
-    What might be the beginning of a secret is held back until it is known.
+    Bytes that may be the beginning of a secret are delayed until this is known.
     """
 
     def __init__(self, secrets: Iterable[str]) -> None:
@@ -21,7 +21,7 @@ class Redactor:
         self._held = b""
 
     def feed(self, data: bytes) -> bytes:
-        """Take more of the stream, and return what of it can be shown by now."""
+        """Add bytes of the stream; return those that can be shown."""
         if self._pattern is None:
             return data
         data, shown = self._held + data, bytearray()
@@ -37,12 +37,12 @@ class Redactor:
             position = match.end()
 
     def close(self) -> bytes:
-        """Return what was held back: the stream has ended."""
+        """Return the delayed bytes at the end of the stream."""
         held, self._held = self._held, b""
         return held if self._pattern is None else self._pattern.sub(HIDDEN, held)
 
     def _possible_beginning(self, data: bytes, start: int) -> int:
-        """Where in the data a secret may begin that ends beyond it; the data's length where none may."""
+        """Return the position where an incomplete secret may begin; the length of the data if there is none."""
         earliest = len(data)
         for form in self._forms:
             position = data.find(form[:1], max(start, len(data) - len(form) + 1))

@@ -1,4 +1,4 @@
-"""What containers need so that ROS works between them: a master only where one is asked for."""
+"""Containers and variables that ROS needs; a master only for ROS 1."""
 
 import re
 from dataclasses import replace
@@ -10,25 +10,25 @@ from calibration.records import Converted
 
 RosVersion = Literal["none", "1", "2"]
 Ros = Annotated[RosVersion, Converted(Literal["none", "1", "2", 1, 2], lambda version, _: str(version))]
-"""A field of a record: the version, also as a number."""
+"""Type of a record's field: the version, also as a number."""
 ROS_HELP = "1: a ROS master is started, and everybody told where it is. 2: a domain of its own."
 MASTER = "master"
-"""The name of the container with the ROS master."""
+"""Name of the container with the ROS master."""
 PORT = 11311
 _LOOPBACK = "127.0.0.1"
 _ADDRESS = re.compile(r"(?P<before>https?://)(?P<host>[^/:]+)(?P<after>.*)")
 
 
 def with_ros(job: Job, version: RosVersion, image: str | None = None) -> Job:
-    """Add what a version of ROS needs; a variable that the user has set stays as it is.
+    """Add containers and variables for a version of ROS; variables of the user are kept.
 
-    1: a container with a master, which everybody else waits for, in ``image`` (that of the first container
-    unless given), and the variables by which nodes find it and each other. 2: no master; a domain, and a
-    network of the job's own even for a container alone, because nodes find each other by multicast and
-    must not find those of another job. ROS 2 logs where every user may write.
+    1: a container with a master, for which the others wait, in ``image`` (by default that of the first
+    container), and the variables by which nodes find it and each other. 2: no master; a domain, and a
+    private network even for a single container, because nodes find each other by multicast and
+    must not find those of other jobs. The folder for logs of ROS 2 is writable for all users.
 
     Raises:
-        InputError: a container has the master's name, or a ROS master is asked for without a network of the job.
+        InputError: a container has the master's name, or a ROS master needs another network of the job.
     """
     if version == "none":
         return job
@@ -36,7 +36,7 @@ def with_ros(job: Job, version: RosVersion, image: str | None = None) -> Job:
         environment = {
             "ROS_DOMAIN_ID": "0",
             "ROS_LOG_DIR": "/tmp/ros-log",  # noqa: S108 (in a container of its own)
-            # containers share no memory, whatever Fast DDS concludes from the machine that they are on
+            # containers share no memory, which Fast DDS assumes for participants on the same host
             "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4",
         }
         containers = tuple(_with_environment(container, environment) for container in job.containers)
@@ -57,9 +57,9 @@ def with_ros(job: Job, version: RosVersion, image: str | None = None) -> Job:
 
 
 def on_one_address(job: Job) -> Job:
-    """Let containers find each other that share one address, as those of a task on AWS Batch or of a pod do.
+    """Adjust ROS variables for containers that share one address, as in a task on AWS Batch or a pod.
 
-    Where a ROS variable names a container of the job, it names the address of all of them instead.
+    Names of containers in these variables are replaced by the loopback address.
     """
     names = {container.name for container in job.containers}
 

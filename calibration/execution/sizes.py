@@ -1,4 +1,4 @@
-"""Amounts as people write them: ``2g`` of memory, ``1h30m`` of time."""
+"""Parsing of amounts: ``2g`` of memory, ``1h30m`` of time."""
 
 import math
 import re
@@ -16,10 +16,10 @@ _MOST_SECONDS = 366 * 86400.0
 
 
 def parse_bytes(value: object, where: str) -> int:
-    """Read a number of bytes: 1024, "512 MiB", "2g". As in Docker each unit is 1024 of the one below.
+    """Parse a number of bytes: 1024, "512 MiB", "2g". As in Docker, units are powers of 1024.
 
     Raises:
-        InputError: it is none, or not above 0; names the key.
+        InputError: it is not a size above 0; the message names the key.
     """
     match = _BYTES.fullmatch(str(value).strip()) if _is_amount(value) else None
     if match is not None:
@@ -30,10 +30,10 @@ def parse_bytes(value: object, where: str) -> int:
 
 
 def parse_seconds(value: object, where: str) -> float:
-    """Read a time in seconds: 45, "90s", "10m", "1h30m".
+    """Parse a time in seconds: 45, "90s", "10m", "1h30m".
 
     Raises:
-        InputError: it is none, or not above 0; names the key.
+        InputError: it is not a time above 0; the message names the key.
     """
     text = str(value).strip().lower() if _is_amount(value) else ""
     if re.fullmatch(r"[0-9]+(\.[0-9]+)?", text):
@@ -46,13 +46,13 @@ def parse_seconds(value: object, where: str) -> float:
 
 
 Bytes = Annotated[int, Converted(str | int, lambda value, place: parse_bytes(value, str(place)))]
-"""A field of a record: bytes, as `parse_bytes` reads them."""
+"""Type of a record's field: bytes, parsed by `parse_bytes`."""
 Seconds = Annotated[float, Converted(str | float, lambda value, place: parse_seconds(value, str(place)))]
-"""A field of a record: seconds, as `parse_seconds` reads them."""
+"""Type of a record's field: seconds, parsed by `parse_seconds`."""
 
 
 def describe_bytes(count: int) -> str:
-    """Write a number of bytes for a message: ``512 MiB``."""
+    """Format a number of bytes for a message: ``512 MiB``."""
     amount, units = float(count), ["bytes", "KiB", "MiB", "GiB", "TiB"]
     while amount >= 1024 and len(units) > 1:
         amount, units = amount / 1024, units[1:]

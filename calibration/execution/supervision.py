@@ -1,4 +1,4 @@
-"""The containers of one job from the first start to the artifacts: one loop for a Docker Engine and a Batch task."""
+"""Supervision of a job's containers from the first start to the artifacts: one loop for all container backends."""
 
 import time
 from abc import ABC, abstractmethod
@@ -14,7 +14,7 @@ from calibration.execution.judging import Judge, is_running
 from calibration.execution.outcome import BroughtOut, ContainerOutcome, End
 
 _LOOKING = 0.2
-"""Seconds between two looks at whether a container is ready."""
+"""Interval of readiness polls, seconds."""
 
 
 class Supervised(ABC):
@@ -35,23 +35,23 @@ class Supervised(ABC):
 
     @abstractmethod
     def look(self) -> None:
-        """Update ``ready``, and ``ended`` where nothing else does.
+        """Update ``ready``, and ``ended`` unless it is updated elsewhere.
 
         Raises:
-            InfrastructureError: the container cannot be asked.
+            InfrastructureError: the container cannot be polled.
         """
 
     @abstractmethod
     def not_ready_for(self) -> str:
-        """Return the readiness checks that have not held, for a message."""
+        """Return the unmet conditions of its readiness, for a message."""
 
     @property
     def last_line(self) -> str:
-        """Last line of its output, fit for a message; empty if it is not known."""
+        """Last line of its output, safe for a message; empty if unknown."""
         return ""
 
     def outcome(self) -> ContainerOutcome:
-        """Outcome of the container; its end is lost if it was started and nobody could say how it ended."""
+        """Outcome of the container; its end is lost if it was started and its end is unknown."""
         began = self.started is not None
         seconds = 0.0 if self.started is None else (self.ended or time.monotonic()) - self.started
         end = End.LOST if began and self.end == End.NOT_STARTED else self.end
@@ -66,11 +66,11 @@ class Supervisor(ABC, Generic[C]):
     """Starts the containers of a job in order, stops them when it is over, judges it and copies its artifacts out."""
 
     def __init__(self, job: Job, clean: Callable[[str], str]) -> None:
-        """Prepare; the job's time runs from now.
+        """Create the supervisor, and start the time of the job.
 
         Args:
-            job: to supervise.
-            clean: makes a reason fit to be shown.
+            job: job to supervise.
+            clean: makes a reason safe to show.
         """
         self.job = job
         self.containers: list[C] = []
@@ -80,13 +80,13 @@ class Supervisor(ABC, Generic[C]):
         self.left_out: list[str] = []
 
     def supervise(self, folder: Path) -> None:
-        """Run the containers until the job is over, judge it, and copy its artifacts out.
+        """Run the containers until the job is over, judge it, and copy its artifacts.
 
         Args:
-            folder: gets the artifacts; not there before.
+            folder: target of the artifacts, which must not exist.
 
         Raises:
-            CalibrationError: a container cannot be started or asked, or an artifact be copied.
+            CalibrationError: a container cannot be started or polled, or an artifact cannot be copied.
         """
         try:
             self._until_over()
@@ -107,7 +107,7 @@ class Supervisor(ABC, Generic[C]):
 
     @abstractmethod
     def _wait(self, seconds: float | None) -> None:
-        """Wait for the end of a container, for at most so many seconds."""
+        """Wait for the end of a container, for at most this many seconds."""
 
     @abstractmethod
     def _stop(self, running: Sequence[C]) -> None:
@@ -115,11 +115,11 @@ class Supervisor(ABC, Generic[C]):
 
     @abstractmethod
     def _read_end(self, container: C, ours: End | None) -> None:
-        """Wait for the end of a started container, and find out how it ended; ``ours`` is why we stopped it."""
+        """Wait for the end of a started container, and determine how it ended; ``ours`` is why it was stopped."""
 
     @abstractmethod
     def _opener(self, container: C) -> Opener:
-        """Return what opens the files of a container."""
+        """Return an opener for the files of a container."""
 
     def _go_on(self) -> None:
         """Raise if the whole run is being stopped."""
@@ -139,7 +139,7 @@ class Supervisor(ABC, Generic[C]):
                 self._wait(max(0.0, min(limits)) if limits else None)
 
     def _look(self) -> bool:
-        """Return whether a container has become ready: those that wait for it start at once."""
+        """Poll running containers; return True at once if one has become ready, to start those that wait for it."""
         for container in self.containers:
             was_ready = container.ready
             if is_running(container):
@@ -165,6 +165,6 @@ class Supervisor(ABC, Generic[C]):
                 if container.started is not None:
                     found.bring_out(container.container, self._opener(container))
         self.artifacts, self.left_out = found.files, found.left_out
-        if not self.judge.reasons:  # else that is why
+        if not self.judge.reasons:  # otherwise the failure explains missing artifacts
             for line in found.missing:
                 self.judge.fail(line, ExitCode.FAIL)

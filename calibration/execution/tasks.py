@@ -1,8 +1,8 @@
-"""Tasks, and the one loop that runs them: functions of ours in processes, jobs in containers.
+"""Tasks, and the loop that runs them: functions in processes, jobs in containers.
 
-A task is work with a name; its work is a function, or a job of containers whose files are judged here. The loop takes
-what is done already, runs the rest on the backends, tells how far it is, and stops everything when it is interrupted or
-a result says so. What is finished stays where a `calibration.execution.workspace.Workspace` keeps it.
+A task is named work: a function, or a job of containers whose files are judged in this process. The loop reuses
+finished results, runs the remaining tasks on the backends, reports the progress, and stops everything when it is
+interrupted or a result demands it. A `calibration.execution.workspace.Workspace` preserves finished results.
 """
 
 from collections.abc import Callable, Sequence
@@ -22,28 +22,28 @@ Other = TypeVar("Other")
 
 @dataclass(frozen=True, eq=False)
 class Task(Generic[Result]):
-    """One unit of work."""
+    """A unit of work."""
 
     name: str
     """Unique among the tasks of a run."""
     work: Callable[[], Any] | Job
-    """A function, which a worker process inherits with the data that it holds; or a job of containers."""
+    """A function, which a worker process inherits with the data that it references; or a job of containers."""
     judge: Callable[[Any], Result]
-    """Makes the result of what the function returned, which must pickle, or of what came of the job; in this process.
-    What went wrong in one task alone is part of its result."""
+    """Converts the function's picklable return value, or the job's outcome, to the result; runs in this process.
+    A failure of a single task is part of its result."""
 
     @classmethod
     def call(cls, name: str, function: Callable[[], Result]) -> Self:
-        """A function of ours."""
+        """Create a task from a function."""
         return cls(name, function, _as_it_is)
 
     @classmethod
     def containers(cls, name: str, job: Job, judge: Callable[[JobOutcome], Result]) -> Self:
-        """A job of containers."""
+        """Create a task from a job of containers."""
         return cls(name, job, judge)
 
     def then(self, change: Callable[[Result], Other]) -> "Task[Other]":
-        """The task with something more to be done with its result, where the result is made."""
+        """Return the task with a function applied to its result, in the process that creates the result."""
         work, judge = self.work, self.judge
         if isinstance(work, Job):
             return Task(self.name, work, lambda outcome: change(judge(outcome)))
@@ -60,27 +60,27 @@ def run_tasks(
     done: Callable[[int, int, Result], None] = lambda *_: None,
     stops: Callable[[str, Result], bool] = lambda *_: False,
 ) -> dict[str, Result]:
-    """Run tasks: functions first, in their order, then jobs.
+    """Run tasks: functions first, in order, then jobs.
 
-    An exception in any of the callbacks, or a signal, stops and removes everything that was started.
+    An exception in a callback, or a signal, stops and removes everything that was started.
 
     Args:
-        tasks: what to run.
-        folder: of the jobs' folders.
-        workers: processes, or jobs, at once; None for as many as the machine holds.
-        place: where jobs run; this machine's engine unless given.
-        find: gives the result that an earlier run has kept of a task, by its name.
-        done: called after each task with how many are done, how many there are, and the result; first with what
-            was found.
-        stops: whether a task's result stops the others, by the task's name.
+        tasks: tasks to run.
+        folder: folder that contains the jobs' folders.
+        workers: number of concurrent processes, or jobs; None for the capacity of the machine.
+        place: execution target of jobs; by default this machine's engine.
+        find: returns the finished result of a task of an earlier run, by name.
+        done: called after each task with the number of finished tasks, the total, and the result; starts with
+            the results of earlier runs.
+        stops: returns whether a task's result stops the others, by the task's name.
 
     Returns:
-        The results by the tasks' names, in the tasks' order; tasks that were stopped are missing.
+        Results by task name, in the order of the tasks, without stopped tasks.
 
     Raises:
-        InputError: a job makes no sense, or an image is missing; nothing has been run then.
-        InfrastructureError: a process died, or the place cannot be reached.
-        CalibrationError: what a function raises.
+        InputError: a job is invalid, or an image is missing; nothing has been run.
+        InfrastructureError: a process died, or the execution target cannot be reached.
+        CalibrationError: error of a function.
     """
     found = {task.name: kept for task in tasks if (kept := find(task.name)) is not None}
     for count, kept in enumerate(found.values()):
@@ -90,7 +90,7 @@ def run_tasks(
     functions = [task for task in missing if not isinstance(task.work, Job)]
     with ExitStack() as stack:
         backends: list[tuple[Backend[Any, Any], list[Task[Result]]]] = [(Embedded(), functions)]
-        if jobs:  # the engine is looked for before long work: it may not be there
+        if jobs:  # connect before long work, because there may be no engine
             backends.append((stack.enter_context((place or Place()).open()), jobs))
         running = [
             (stack.enter_context(closing(backend.run([task.work for task in some], folder, workers))), some)

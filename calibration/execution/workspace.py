@@ -1,7 +1,7 @@
-"""Where unfinished work lies: the results of its tasks, until all of them become a whole at once.
+"""Workspace of unfinished work: results of its tasks, until the whole output is written.
 
-The folder ``.unfinished`` inside the output, which may be a volume of its own. It outlives an interruption, and the
-same command goes on from it.
+It is the folder ``.unfinished`` inside the output, which may be a separate volume. It survives an interruption, and
+the same command continues from it.
 """
 
 import fcntl
@@ -27,7 +27,7 @@ _ENDING = ".result.json"
 
 
 def identity(*parts: bytes) -> str:
-    """A fingerprint of what work depends on."""
+    """Return a fingerprint of the inputs of work."""
     digest = hashlib.sha256()
     for part in parts:
         digest.update(len(part).to_bytes(8, "little"))
@@ -36,22 +36,22 @@ def identity(*parts: bytes) -> str:
 
 
 class Workspace(Generic[Result]):
-    """The folder of one unfinished run, locked while it is used."""
+    """Folder of an unfinished run, locked while it is used."""
 
     def __init__(self, folder: Path, encode: Callable[[Result], str], decode: Callable[[bytes], Result]) -> None:
-        """Use a folder; ``encode`` and ``decode`` make JSON of a result, and a result of JSON."""
+        """Use a folder; ``encode`` and ``decode`` convert results to JSON and back."""
         self.folder = folder
         self._encode = encode
         self._decode = decode
 
     def find(self, name: str) -> Result | None:
-        """The result of a task that is done; None for one that is not, or cannot be read."""
+        """Return the result of a finished task; None if it is not finished, or cannot be read."""
         with suppress(OSError, ValueError, TypeError, KeyError, AttributeError, InputError):
             return self._decode(self._path(name).read_bytes())
         return None
 
     def keep(self, name: str, result: Result, files: Mapping[str, bytes] | None = None) -> Result:
-        """Write the files of a task, then its result: where that is, the task is done.
+        """Write the files of a task, then its result, which marks the task as finished.
 
         Raises:
             InfrastructureError: a file cannot be written.
@@ -62,11 +62,11 @@ class Workspace(Generic[Result]):
         return result
 
     def keeping(self, task: Task[Result]) -> Task[Result]:
-        """The task, whose result is kept as soon as it is there."""
+        """Return the task with its result saved as soon as it is available."""
         return task.then(lambda result: self.keep(task.name, result))
 
     def count(self) -> int:
-        """How many tasks are done."""
+        """Return the number of finished tasks."""
         return sum(1 for _ in self.folder.glob(f"*{_ENDING}"))
 
     def _path(self, name: str) -> Path:
@@ -77,20 +77,20 @@ class Workspace(Generic[Result]):
 def workspace(
     output: Path, identity: str, encode: Callable[[Result], str], decode: Callable[[bytes], Result]
 ) -> Iterator[Workspace[Result]]:
-    """The workspace inside an output folder, whose content is kept only if it is of the same identity.
+    """Open the workspace inside an output folder; its content is kept only if it has the same identity.
 
-    When something goes wrong in the block it stays behind with what is done, if anything is; else it is
-    removed, and so are folders that were made for it.
+    If the block fails, the workspace is kept if it contains results; otherwise it is
+    removed, including folders that were created for it.
 
     Args:
-        output: the folder.
-        identity: of what the results depend on.
-        encode: makes JSON of a result.
-        decode: makes a result of JSON; what it raises for something else means that the task is not done.
+        output: output folder.
+        identity: fingerprint of the inputs of the results.
+        encode: converts a result to JSON.
+        decode: converts JSON to a result; an exception means that the task is not finished.
 
     Raises:
-        InputError: another run into this folder goes on.
-        InfrastructureError: the folder cannot be made or written.
+        InputError: another run uses this folder.
+        InfrastructureError: the folder cannot be created or written.
     """
     folder = output / FOLDER
     made = [path for path in (output, *output.parents) if not path.exists()]
@@ -115,7 +115,7 @@ def workspace(
         raise InfrastructureError(f"{output}: cannot be written: {error.strerror or error}") from error
     finally:
         for path in made:
-            with suppress(OSError):  # it is not empty, or was not made
+            with suppress(OSError):  # not empty, or not created
                 path.rmdir()
 
 

@@ -1,4 +1,4 @@
-"""Jobs as tasks of AWS Batch: submitted as arrays, followed, brought home, and nothing left running."""
+"""Backend that runs jobs as tasks of AWS Batch: submitted as arrays, polled, downloaded, and always ended."""
 
 from collections.abc import Generator, Sequence
 from dataclasses import replace
@@ -27,28 +27,28 @@ from calibration.workflow.streams import LogDisplay
 
 
 class BatchBackend:
-    """A queue of AWS Batch as a place where jobs run; a context manager, which leaves nothing running there."""
+    """A queue of AWS Batch as a backend; a context manager, which ends all jobs of the run."""
 
     def __init__(
         self, settings: BatchSettings, run: str | None = None, show: LogDisplay | None = None, resume: bool = False
     ) -> None:
-        """Choose a queue; nothing is asked of AWS yet.
+        """Choose a queue, without a request to AWS.
 
         Args:
-            settings: name it, and all else.
-            run: the name of the run, in the tags of everything that is started; a new one unless given.
-            show: where the logs of the containers are shown, and how far the run is.
-            resume: whether results count that an earlier run of this name has left; what is missing runs.
+            settings: settings of the backend, with the queue.
+            run: name of the run, used in tags of everything that is started; None for a new one.
+            show: display for the containers' logs, and the progress of the run.
+            resume: whether results of an earlier run of this name are reused, and only missing jobs run.
 
         Raises:
-            InputError: the name cannot be part of others, or a run is resumed without one.
+            InputError: the name of the run is invalid, or missing with resume.
         """
         if resume and run is None:
             raise InputError("resume: name the run that is to be resumed (run)")
         self.run_name = run if run is not None else new_run()
         check_run_name(self.run_name)
         self.usage = Usage()
-        """What has been billed for, as far as it is known."""
+        """Billed resources, as far as they are known."""
         self.aws = Aws(settings.region)
         self._settings = settings
         self._show = show
@@ -56,16 +56,16 @@ class BatchBackend:
         self._runs: list[BatchRun] = []
 
     def __enter__(self) -> Self:
-        """Begin; AWS is asked when there are jobs."""
+        """Return the backend; requests are sent to AWS when there are jobs."""
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
     ) -> None:
-        """End what still runs after an interruption of the ending itself.
+        """End remaining jobs, if an interruption has prevented that before.
 
         Raises:
-            CalibrationError: something cannot be ended; says what else has gone wrong.
+            CalibrationError: jobs cannot be ended; the message includes the previous error.
         """
         try:
             for run in self._runs:
@@ -74,20 +74,20 @@ class BatchBackend:
             self.aws.close()
 
     def run(self, jobs: Sequence[Job], folder: Path, workers: int | None = None) -> Generator[tuple[int, JobOutcome]]:
-        """Run jobs; yields each one's index and what came of it, in the order of completion.
+        """Run jobs; yield index and outcome of each, in the order of completion.
 
-        What is wrong with the jobs is raised by this call; nothing is started before the first is asked for.
-        Closing the iterator, or any exception, ends everything.
+        Invalid jobs raise an error in this call; nothing is started before the first outcome is requested.
+        Closing the iterator, or any exception, ends all jobs.
 
         Args:
-            jobs: are submitted by their shape, in their order.
-            folder: each job has its own in it, by its name: ``artifacts/``, ``logs/`` and ``manifest.json``, of
-                which those of an earlier run are removed.
-            workers: is of no use here: the compute environments say how many run at once.
+            jobs: submitted by shape, in order.
+            folder: each job has a subfolder with its name: ``artifacts/``, ``logs/`` and ``manifest.json``;
+                those of an earlier run are removed.
+            workers: ignored: the compute environments limit the number of concurrent jobs.
 
         Raises:
-            InputError: a job makes no sense or cannot run on Batch, an image is missing, the queue or bucket is not
-                there, or not for us.
+            InputError: a job is invalid or cannot run on Batch, or an image, the queue or the bucket is missing
+                or not accessible.
             InfrastructureError: AWS cannot be reached.
         """
         check_jobs(jobs)
@@ -129,17 +129,17 @@ class BatchBackend:
             self.usage += run.usage
 
     def _end_earlier(self) -> None:
-        """End what an earlier run of this name may still have in the queue: its client is gone."""
+        """End jobs of an earlier run of this name in the queue, whose client is gone."""
         found = find_in_queue(self.aws, self._settings.queue, self.run_name)
         if found:
             terminate(self.aws, [each.id for each in found], "the run is resumed")
 
 
 def open_batch(place: Place) -> BatchBackend:
-    """The backend of a place.
+    """Create the backend of an execution target.
 
     Raises:
-        InputError: the name of the run is missing, or cannot be part of others.
+        InputError: the name of the run is missing or invalid.
     """
     return BatchBackend(place.settings, place.run, place.show, place.resume)
 

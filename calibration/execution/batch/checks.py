@@ -1,4 +1,4 @@
-"""Jobs that Docker runs and AWS Batch cannot: refused before anything is sent, with what to do instead."""
+"""Validation of jobs for AWS Batch, which supports less than Docker; errors say what to do instead."""
 
 import re
 from collections.abc import Iterator, Sequence
@@ -18,14 +18,14 @@ _OURS = (OUTPUT, JOB_FOLDER, MOUNTS_FOLDER)
 
 
 def check_task(job: Job, place: str) -> None:
-    """Refuse a job that makes sense, but not as a task.
+    """Refuse a valid job that cannot run as a task.
 
     Args:
         job: the job.
-        place: what messages say, such as ``on AWS Batch``.
+        place: backend in messages, such as ``on AWS Batch``.
 
     Raises:
-        InputError: names the job, the container and what to do.
+        InputError: the message names the job, the container and what to do.
     """
     for problem in _in_job(job):
         raise InputError(f"job '{job.name}': {place} {problem}")
@@ -52,12 +52,12 @@ def _in_job(job: Job) -> Iterator[str]:
 
 
 def ready_port(container: Container) -> int | None:
-    """The port that a container is known to listen on."""
+    """Return the port in a container's readiness check, if it has one."""
     return None if container.readiness is None else container.readiness.port
 
 
 def _in_mounts(job: Job) -> Iterator[str]:
-    """What of its mounts cannot be a volume; a volume has one content, wherever it is mounted."""
+    """Yield mounts that cannot be volumes; a volume has the same content in all containers."""
     sources: dict[str, str] = {}
     for container in job.containers:
         for mount in container.mounts:
@@ -93,7 +93,7 @@ def _in_container(container: Container) -> Iterator[str]:
 
 
 MOST_CONTAINERS = 10
-"""Of a task; two of them are ours."""
+"""Limit of containers of a task; two of them are ours."""
 _PLACE = "on AWS Batch"
 _CAPABILITIES = frozenset(
     {
@@ -101,14 +101,14 @@ _CAPABILITIES = frozenset(
         *("SETFCAP", "SETGID", "SETPCAP", "SETUID", "SYS_CHROOT"),
     }
 )
-"""Those that containers on AWS Batch have, as none can be added or dropped."""
+"""Capabilities of every container on AWS Batch, where none can be added or dropped."""
 
 
 def check_for_batch(jobs: Sequence[Job], settings: BatchSettings) -> None:
-    """Refuse jobs that make sense, as `check_jobs` says, but not on AWS Batch.
+    """Refuse jobs that are valid, as `check_jobs` says, but cannot run on AWS Batch.
 
     Raises:
-        InputError: names the job, the container and what to do.
+        InputError: the message names the job, the container and what to do.
     """
     for job in jobs:
         check_task(job, _PLACE)
@@ -148,7 +148,7 @@ def _in_relaxations(relaxed: Relaxations, settings: BatchSettings) -> Iterator[s
 
 
 def _check_hosts(jobs: Sequence[Job]) -> None:
-    """Refuse jobs whose ports or messages meet, where several may land on one instance, whose network they share."""
+    """Refuse jobs with conflicting ports or messages, if several may share the network of an instance."""
     for job in jobs:
         for container in job.containers:
             if (port := ready_port(container)) is not None:

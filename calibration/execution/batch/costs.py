@@ -1,7 +1,7 @@
-"""What jobs may cost, before they run, and what was billed, after.
+"""Estimated costs of jobs before a run, and billed costs after it.
 
-Hours of processors and memory are told always; money only where the user has given prices, which change and differ by
-region. On EC2 the hours are those that the jobs reserve: what an instance costs is the compute environment's doing.
+Hours of processors and memory are always reported; money only if the user has given prices, which change and differ
+by region. On EC2 the hours are those that the jobs reserve: costs of instances depend on the compute environment.
 """
 
 import math
@@ -14,15 +14,15 @@ from calibration.execution.job import Job
 
 _HOUR = 3600.0
 _FARGATE_LEAST = 60
-"""Seconds: Fargate bills a minute at least."""
+"""Seconds: Fargate bills at least one minute."""
 
 
 @dataclass(frozen=True)
 class Usage:
-    """Time that is paid for, and what was reserved in it."""
+    """Billed time and reserved resources."""
 
     seconds: float = 0.0
-    """Of all tasks together."""
+    """Sum over all tasks."""
     vcpu_hours: float = 0.0
     gb_hours: float = 0.0
 
@@ -30,25 +30,25 @@ class Usage:
         return Usage(self.seconds + other.seconds, self.vcpu_hours + other.vcpu_hours, self.gb_hours + other.gb_hours)
 
     def price(self, prices: Prices) -> float:
-        """What it costs."""
+        """Return the price."""
         return self.vcpu_hours * prices.vcpu_hour + self.gb_hours * prices.gb_hour
 
     def text(self, prices: Prices | None) -> str:
-        """For a message: ``1.2 vCPU-hours and 2.4 GB-hours, 0.06 USD``."""
+        """Format for messages: ``1.2 vCPU-hours and 2.4 GB-hours, 0.06 USD``."""
         hours = f"{self.vcpu_hours:.3g} vCPU-hours and {self.gb_hours:.3g} GB-hours"
         return hours if prices is None else f"{hours}, {self.price(prices):.2f} {prices.currency}"
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """What jobs cost at most, if each runs once and for all the time that it has."""
+    """Upper bound of the costs of jobs, if each runs once until its time limit."""
 
     usage: Usage
     unlimited: int = 0
-    """Jobs without a limit in time, which are not in it."""
+    """Number of jobs without a time limit, which are not included."""
 
     def text(self, settings: BatchSettings) -> str:
-        """For a message, with all that it leaves out."""
+        """Format for messages, including what is not covered."""
         said = f"at most {self.usage.text(settings.prices)}, if no host is lost"
         if settings.platform == "ec2":
             said += " and instances are filled"
@@ -58,14 +58,14 @@ class Estimate:
 
 
 def estimate(jobs: Sequence[tuple[Job, Shape]], settings: BatchSettings) -> Estimate:
-    """What jobs cost at most: an upper bound, as most end long before their time is up.
+    """Return an upper bound of the costs of jobs; most end long before their time limit.
 
     Args:
-        jobs: with the shape of each.
-        settings: of the platform.
+        jobs: jobs with their shapes.
+        settings: settings of the backend.
 
     Raises:
-        InputError: no task is as large as one of them needs.
+        InputError: a job needs more than the largest task.
     """
     sizes = {shape: total_size(shape, settings.platform) for shape in {shape for _, shape in jobs}}
     limited = [(job.seconds, sizes[shape]) for job, shape in jobs if job.seconds is not None]
@@ -74,13 +74,13 @@ def estimate(jobs: Sequence[tuple[Job, Shape]], settings: BatchSettings) -> Esti
 
 
 def billed(attempts: Iterable[tuple[int | None, int | None]], size: Resources, platform: Platform) -> Usage:
-    """What the attempts of a job are billed for.
+    """Return the billed usage of a job's attempts.
 
     Args:
-        attempts: ``startedAt`` and ``stoppedAt`` of each, in milliseconds, as DescribeJobs has them; one that never
-            started, or whose end nobody knows, counts nothing.
-        size: of the task.
-        platform: Fargate bills each attempt for a minute at least.
+        attempts: ``startedAt`` and ``stoppedAt`` of each, in milliseconds, from DescribeJobs; attempts without
+            a start or end are not counted.
+        size: size of the task.
+        platform: Fargate bills each attempt for at least one minute.
     """
     return _sum(
         usage_of((stopped - started) / 1000, size, platform)
@@ -90,16 +90,16 @@ def billed(attempts: Iterable[tuple[int | None, int | None]], size: Resources, p
 
 
 def usage_of(seconds: float, size: Resources, platform: Platform) -> Usage:
-    """What a task that runs so long is billed for: whole seconds, on Fargate at least 60."""
+    """Return the billed usage of a task of this duration: whole seconds, on Fargate at least 60."""
     paid = max(math.ceil(seconds), _FARGATE_LEAST if platform == "fargate" else 0)
     return Usage(paid, size.cpus * paid / _HOUR, size.memory / 1024 * paid / _HOUR)
 
 
 def total_size(shape: Shape, platform: Platform) -> Resources:
-    """What a task for a job of that shape reserves.
+    """Return the resources that a task for a job of this shape reserves.
 
     Raises:
-        InputError: no task is so large.
+        InputError: it needs more than the largest task.
     """
     return task_size([container.resources for container in shape.containers], platform).total
 

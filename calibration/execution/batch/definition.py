@@ -1,4 +1,4 @@
-"""The job definition of a shape: a pure function to the request ``RegisterJobDefinition``."""
+"""Job definitions for shapes of jobs: the request ``RegisterJobDefinition``, without side effects."""
 
 import hashlib
 import json
@@ -15,10 +15,10 @@ from calibration.execution.batch.wire import JOB_FOLDER, MOUNTS_FOLDER, PREPARE,
 from calibration.execution.job import OUTPUT, Container, Job, Relaxations
 
 TOOLS_MEMORY = 512
-"""MiB, of each of our containers."""
+"""Memory of each of our containers, MiB."""
 _TOOLS = 2
 _STEP = {"fargate": 0.25, "ec2": 1.0}
-"""The least processor of a container, and what it is a multiple of: EC2 takes whole ones only."""
+"""Smallest share of a processor for a container, and its increment; EC2 needs whole ones."""
 _FARGATE = {
     0.25: (512, 1024, 2048),
     0.5: (1024, 2048, 3072, 4096),
@@ -29,12 +29,12 @@ _FARGATE = {
     16.0: tuple(range(32768, 122881, 8192)),
     32.0: (61440, 122880, 249856),
 }
-"""The memory (MiB) that a task of so many processors may have; Batch holds the sums over the containers to it."""
+"""Allowed memory (MiB) of a task by its processors; Batch applies it to the sums over the containers."""
 
 
 @dataclass(frozen=True)
 class Resources:
-    """What a container or a task has."""
+    """Resources of a container or a task."""
 
     cpus: float
     memory: int
@@ -43,27 +43,27 @@ class Resources:
 
 @dataclass(frozen=True)
 class TaskSize:
-    """What a task has, and each container in it."""
+    """Resources of a task and its containers."""
 
     total: Resources
     containers: tuple[Resources, ...]
-    """Those of the job, in its order."""
+    """Resources of the job's containers, in order."""
     prepare: Resources
     watch: Resources
 
 
 def task_size(asked: Sequence[Resources], platform: Platform) -> TaskSize:
-    """The size of the task for a job.
+    """Compute the size of the task for a job.
 
-    On Fargate it is the smallest that holds the containers; memory beyond what they ask goes to our own, as theirs
-    is a limit.
+    On Fargate it is the smallest size that contains the containers; surplus memory is assigned to our own container,
+    because memory of the job's containers is a limit.
 
     Args:
-        asked: what each container of the job asks for.
-        platform: Fargate has sizes, EC2 whole processors.
+        asked: requested resources of each container of the job.
+        platform: Fargate has fixed sizes, EC2 whole processors.
 
     Raises:
-        InputError: no task on Fargate is so large; says what was asked for.
+        InputError: it exceeds the largest task on Fargate; the message contains the sums.
     """
     step = _STEP[platform]
     shares = [max(1, math.ceil(resources.cpus / step)) for resources in asked]
@@ -71,7 +71,7 @@ def task_size(asked: Sequence[Resources], platform: Platform) -> TaskSize:
     memory = sum(resources.memory for resources in asked) + _TOOLS * TOOLS_MEMORY
     total = _fargate_size(cpus, memory) if platform == "fargate" else Resources(cpus, memory)
     rest = round(total.cpus / step) - _TOOLS - sum(shares)
-    while rest < 0:  # from whoever has the most, so that nobody is left without any
+    while rest < 0:  # reduce the largest share, so that every container keeps one
         shares[shares.index(max(shares))] -= 1
         rest += 1
     shares[shares.index(max(shares))] += rest
@@ -101,63 +101,63 @@ _MIB = 1024**2
 
 @dataclass(frozen=True)
 class MountShape:
-    """Where a container sees a volume."""
+    """Mount of a volume in a container."""
 
     volume: int
-    """Its place among the job's `Shape.volumes`."""
+    """Index in the job's `Shape.volumes`."""
     target: str
     writable: bool
 
 
 @dataclass(frozen=True)
 class ContainerShape:
-    """What of a container stands in the job definition."""
+    """Properties of a container that are part of the job definition."""
 
     name: str
     image: str
     resources: Resources
-    """As it asks for them."""
+    """Requested resources."""
     user: str | None = None
     secrets: tuple[str, ...] = ()
-    """Names of variables."""
+    """Names of the variables."""
     mounts: tuple[MountShape, ...] = ()
     relaxations: Relaxations = field(default_factory=Relaxations)
 
 
 @dataclass(frozen=True)
 class Shape:
-    """What of a job stands in the job definition."""
+    """Properties of a job that are part of the job definition."""
 
     containers: tuple[ContainerShape, ...]
     volumes: tuple[str, ...] = ()
-    """The targets of its mounts."""
+    """Mount targets."""
 
     @property
     def digest(self) -> str:
-        """The same for the same shape, whenever and wherever."""
+        """Hash of the shape, reproducible across runs and machines."""
         return hashlib.sha256(json.dumps(asdict(self), sort_keys=True).encode()).hexdigest()
 
 
 @dataclass(frozen=True)
 class Group:
-    """The jobs of a run that have one shape."""
+    """Jobs of a run with the same shape."""
 
     name: str
     shape: Shape
     jobs: tuple[int, ...]
-    """Their places among the jobs of the run; a job's index in the group is its place in this."""
+    """Indices in the jobs of the run; the position here is the index in the group."""
 
 
 def shape_of(job: Job, settings: BatchSettings) -> Shape:
-    """What the job definition of a job has to say."""
+    """Return the shape of a job."""
     volumes = mount_targets(job)
     return Shape(tuple(_container_shape(each, volumes, settings) for each in job.containers), volumes)
 
 
 def group_by_shape(jobs: Sequence[Job], settings: BatchSettings) -> tuple[Group, ...]:
-    """Sort the jobs of a run into groups, in the order of each one's first job.
+    """Group the jobs of a run by shape, in the order of each group's first job.
 
-    A group's name says its shape: the same jobs give the same groups again.
+    The name of a group is derived from the shape: the same jobs give the same groups.
     """
     places: dict[Shape, list[int]] = {}
     for place, job in enumerate(jobs):
@@ -183,21 +183,21 @@ def _container_shape(container: Container, volumes: Sequence[str], settings: Bat
 
 
 DIGEST_TAG = "ci.calibration.definition"
-"""The tag of a definition with the hash of all else in it: it tells whether a new revision is needed."""
+"""Tag with the hash of the rest of the definition; it shows whether a new revision is needed."""
 LOG_PREFIX = "calibration"
-"""Of the log streams: ``calibration/CONTAINER/TASK``."""
+"""Prefix of log streams: ``calibration/CONTAINER/TASK``."""
 MOST_BYTES = 24 * 1024
-"""Of a definition; AWS takes no larger one."""
+"""AWS's size limit of a definition."""
 _START_SECONDS = 3600
-"""How long the containers wait for the inputs on EC2. Fargate has three minutes, and no way to ask for more."""
+"""Time-out of containers that wait for the inputs on EC2; on Fargate it is fixed at three minutes."""
 _STOP_SECONDS = 120
-"""What the container that uploads is given when the job is terminated: the most that Fargate gives."""
+"""Time for our container to upload results when the job is terminated: the maximum on Fargate."""
 _UNFIT_FOR_NAME = re.compile(r"[^A-Za-z0-9]+")
 _VERSION = re.compile(r"(:[^:/@]+)?(@.*)?$")
 _RETRIES = (
     {"onStatusReason": "Host EC2*", "action": "RETRY"},
     {"onStatusReason": "Your Spot Task was interrupted*", "action": "RETRY"},
-    # what matches none is tried again, so everything else has to match, whichever of these it has
+    # a failure that matches no rule is retried, so these three match every failure with any of the properties
     {"onStatusReason": "*", "action": "EXIT"},
     {"onReason": "*", "action": "EXIT"},
     {"onExitCode": "*", "action": "EXIT"},
@@ -205,7 +205,7 @@ _RETRIES = (
 
 
 def definition_name(shape: Shape, settings: BatchSettings) -> str:
-    """The name of the definition, of which another image or size is another revision."""
+    """Return the name of the definition; other image versions and sizes are revisions of the same name."""
     images = [_VERSION.sub("", container.image) for container in shape.containers]
     names = [container.name for container in shape.containers]
     mark = hashlib.sha256(json.dumps([settings.prefix, names, images]).encode()).hexdigest()[:8]
@@ -213,10 +213,10 @@ def definition_name(shape: Shape, settings: BatchSettings) -> str:
 
 
 def job_definition(shape: Shape, settings: BatchSettings) -> dict[str, Any]:
-    """The request that registers the definition; its tag `DIGEST_TAG` says what is in it.
+    """Return the request to register the definition, with its hash in the tag `DIGEST_TAG`.
 
     Raises:
-        InputError: no task is so large, a secret has no ARN, or the definition is longer than AWS takes.
+        InputError: the task exceeds the largest size, a secret has no ARN, or the definition exceeds AWS's limit.
     """
     fargate = settings.platform == "fargate"
     request: dict[str, Any] = {
@@ -282,7 +282,7 @@ def _after_prepare() -> list[dict[str, str]]:
 
 
 def _tools(verb: str, resources: Resources, mounts: list[dict[str, Any]], settings: BatchSettings) -> dict[str, Any]:
-    """One of our containers; it is root, as files of any user have to be read and the volumes' rights set."""
+    """Return one of our containers; it runs as root, to read files of any user and set permissions of volumes."""
     return {
         "image": settings.tools_image,
         "command": ["python3", "-m", "calibration.execution.batch.inside", verb],
@@ -293,7 +293,7 @@ def _tools(verb: str, resources: Resources, mounts: list[dict[str, Any]], settin
 
 
 def _container(container: ContainerShape, resources: Resources, settings: BatchSettings) -> dict[str, Any]:
-    """A container of the job, without its mounts; what it runs stands in the script that it finds on a volume."""
+    """Return a container of the job, without its mounts; its command is in the script on the job's volume."""
     properties: dict[str, Any] = {
         "name": container.name,
         "essential": False,
@@ -322,7 +322,7 @@ def _common(resources: Resources, settings: BatchSettings) -> dict[str, Any]:
             {"type": "VCPU", "value": f"{resources.cpus:g}"},
             {"type": "MEMORY", "value": str(resources.memory)},
         ],
-        "linuxParameters": {"initProcessEnabled": True},  # hands signals on, and buries the dead
+        "linuxParameters": {"initProcessEnabled": True},  # forwards signals and reaps zombies
         "logConfiguration": {
             "logDriver": "awslogs",
             "options": {

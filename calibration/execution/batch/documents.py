@@ -1,9 +1,9 @@
-"""What the client and a task write for each other in S3, as JSON; read without trust.
+"""JSON documents exchanged in S3 between the client and tasks; those of tasks are untrusted.
 
-``jobs/GROUP/NNNNN.json``: a list of jobs. An entry has what differs between jobs of one shape, and nothing that is
-secret: neither name nor value of a secret variable, which AWS Batch puts into the container's environment by itself.
+``jobs/GROUP/NNNNN.json``: a list of jobs. An entry has the properties that differ between jobs of one shape, without
+secrets: neither names nor values of secret variables, which AWS Batch sets in the container's environment itself.
 
-``outcome.json``: what a task says of its job, written last; the client believes it only as far as it can be checked.
+``outcome.json``: a task's report on its job, written last; the client verifies all that can be verified.
 """
 
 import json
@@ -21,9 +21,9 @@ from calibration.records import Constraint, Place, between, document_of, field, 
 from calibration.workflow.text import one_line, shorten
 
 MOST_BYTES = 64 * 1024**2
-"""Of a file of jobs."""
+"""Size limit of a file of jobs."""
 _BYTES_EACH = 8192
-"""More than any line of an outcome needs."""
+"""Upper bound of the size of an entry in an outcome."""
 _MOST_REASONS = 1000
 _LONGEST = 4096
 
@@ -32,14 +32,14 @@ _Texts = Annotated[tuple[Annotated[str, length(most=2**20)], ...], length(most=1
 _Seconds = Annotated[float, between(0, 1e9)]
 _Count = Annotated[int, between(0, 2**63 - 1)]
 _Name = Annotated[str, matching(NAME.pattern, "the name of a container")]
-"""It is the name of files."""
+"""Container name, which is also used in file names."""
 _ExitCode = Annotated[int, between(0, 255)]
 _Few = length(most=1000)
 
 
 @record(case="snake", nulls=True)
 class Input:
-    """What one volume of a job holds when its containers start."""
+    """Initial content of a volume of a job."""
 
     volume: Annotated[int, between(0, 1000)] = field("Its place among `mount_targets`.")
     key: _Text = field("Of the tar in the bucket.")
@@ -91,24 +91,24 @@ class _JobEntry:
 
 @dataclass(frozen=True)
 class TaskJob:
-    """A job as the task has it: its containers have no image, user or mounts, and no secrets."""
+    """A job as the task reads it: its containers have no image, user, mounts or secrets."""
 
     job: Job
     inputs: tuple[Input, ...] = ()
 
 
 def mount_targets(job: Job) -> tuple[str, ...]:
-    """Where the volumes of a job are mounted, each once; the place in it is the number of the volume."""
+    """Return the mount targets of a job without duplicates; the index is the number of the volume."""
     return tuple(sorted({mount.target.rstrip("/") for container in job.containers for mount in container.mounts}))
 
 
 def job_entry(job: Job, inputs: Iterable[Input], memory: int | None = None) -> dict[str, Any]:
-    """The entry of a job.
+    """Return the entry of a job.
 
     Args:
         job: the job.
-        inputs: what its volumes hold.
-        memory: bytes, of a container that says none.
+        inputs: content of its volumes.
+        memory: default memory of a container, bytes.
     """
     containers = tuple(_entry_of(container, memory) for container in job.containers)
     entry = _JobEntry(job.name, job.seconds, job.artifact_bytes, job.artifact_files, containers, tuple(inputs))
@@ -116,7 +116,7 @@ def job_entry(job: Job, inputs: Iterable[Input], memory: int | None = None) -> d
 
 
 def jobs_document(entries: Sequence[dict[str, Any]]) -> bytes:
-    """The file of some jobs: the same bytes for the same jobs."""
+    """Return the file for a list of jobs, reproducible byte for byte."""
     return json.dumps(entries, separators=(",", ":"), sort_keys=True, allow_nan=False).encode()
 
 
@@ -124,12 +124,12 @@ def read_job(data: bytes, index: int, where: str) -> TaskJob:
     """Read one job of a file.
 
     Args:
-        data: the file.
-        index: the place of the job in it.
-        where: the file's name, for messages.
+        data: content of the file.
+        index: index of the job in it.
+        where: name of the file, for messages.
 
     Raises:
-        InfrastructureError: it is not what `jobs_document` writes, or has no such job.
+        InfrastructureError: the file is not in the form of `jobs_document`, or has no such job.
     """
     document = parse_json(data, MOST_BYTES, where)
     if not isinstance(document, list) or not 0 <= index < len(document):
@@ -149,7 +149,7 @@ def parse_json(data: bytes, most: int, where: str) -> object:
     """Parse a document of at most ``most`` bytes.
 
     Raises:
-        InfrastructureError: it is larger, or no JSON.
+        InfrastructureError: it is larger, or not valid JSON.
     """
     if len(data) > most:
         raise InfrastructureError(f"{where}: found {len(data)} bytes, at most {most} were expected")
@@ -221,27 +221,27 @@ class _OutcomeEntry:
 
 @dataclass(frozen=True)
 class TaskOutcome:
-    """What came of one attempt at a job."""
+    """Outcome of one attempt at a job."""
 
     job: str
     attempt: int
-    """From 1."""
+    """Counted from 1."""
     exit_code: ExitCode
     reasons: tuple[str, ...] = ()
     seconds: float = 0.0
     containers: tuple[ContainerOutcome, ...] = ()
-    """Without logs and images, of which the task knows nothing."""
+    """Without logs and images, which the task does not know."""
     artifacts: tuple[BroughtOut, ...] = ()
     left_out: tuple[str, ...] = ()
 
 
 def most_bytes(job: Job) -> int:
-    """How large the outcome of a job may be: nothing larger has to be downloaded."""
+    """Return the size limit of a job's outcome, to bound the download."""
     return _BYTES_EACH * (_MOST_REASONS + len(job.containers) + job.artifact_files)
 
 
 def outcome_document(outcome: TaskOutcome) -> bytes:
-    """The file of an outcome."""
+    """Return the file of an outcome."""
     entry = _OutcomeEntry(
         schema=1,
         job=outcome.job,
@@ -262,13 +262,13 @@ def read_outcome(data: bytes, job: Job, attempt: int, where: str) -> TaskOutcome
     """Read the outcome of an attempt at a job.
 
     Args:
-        data: the file.
-        job: that it has to be of; what it left may not exceed the job's limits.
-        attempt: that it has to be of.
-        where: the file's name, for messages.
+        data: content of the file.
+        job: expected job, whose limits apply to the artifacts.
+        attempt: expected attempt.
+        where: name of the file, for messages.
 
     Raises:
-        InfrastructureError: it is none, or contradicts the job or itself.
+        InfrastructureError: the document is invalid, or inconsistent with the job or in itself.
     """
     place = Place(where, error=InfrastructureError)
     entry = read(_OutcomeEntry, parse_json(data, most_bytes(job), where), where, error=InfrastructureError)
@@ -298,7 +298,7 @@ def read_outcome(data: bytes, job: Job, attempt: int, where: str) -> TaskOutcome
 
 
 def _check_containers(outcome: TaskOutcome, job: Job, where: str) -> None:
-    """Refuse containers that are not the job's, and a pass unless an essential one ended well and none otherwise."""
+    """Check that the containers are the job's, and that a pass has a successful essential one and no failed one."""
     its = {container.name: container for container in outcome.containers}
     found, expected = [c.name for c in outcome.containers], [c.name for c in job.containers]
     if sorted(found) != sorted(expected):

@@ -1,4 +1,4 @@
-"""What an earlier run of the same name has left in S3, so that only what is missing runs again."""
+"""Results of an earlier run of the same name in S3, so that only missing jobs are run."""
 
 import hashlib
 import json
@@ -17,12 +17,12 @@ from calibration.execution.job import Job
 from calibration.records import between, document_of, field, length, read, record
 
 _MOST = 10_000
-"""Jobs of an array."""
+"""Batch's limit of jobs in an array."""
 
 
 @record(case="snake")
 class _Submission:
-    """An entry of ``submitted.json``: an array, or a single job."""
+    """Entry of ``submitted.json``: an array, or a single job."""
 
     id: Annotated[str, length(most=128)] = field()
     first: Annotated[int, between(0, 2**63 - 1)] = field()
@@ -31,35 +31,35 @@ class _Submission:
 
 @dataclass(frozen=True)
 class Result:
-    """Where the result of a job is."""
+    """Location of a job's result."""
 
     group: str
     index: int
     attempt: int
     id: str | None
-    """Of the job in AWS Batch, where it is known."""
+    """Id of the job in AWS Batch, if it is known."""
 
 
 def mark_of(shape: str, entry: Mapping[str, Any]) -> str:
-    """The same for a job that would do the same: of its shape, its command, its inputs."""
+    """Return a hash of a job: equal for jobs of the same shape, command and inputs."""
     return hashlib.sha256(f"{shape} {json.dumps(entry, sort_keys=True)}".encode()).hexdigest()
 
 
 def group_name(shape: str, token: str) -> str:
-    """The name of a group of jobs of a shape in S3: jobs that are submitted later have another."""
+    """Return the name of a group of jobs in S3; the token distinguishes later submissions of the same shape."""
     return f"{shape}-{token}"
 
 
 def find_results(store: Store, location: Location) -> dict[str, Result]:
-    """The results of jobs that have one, by the `mark_of` the job.
+    """Find jobs with results, by the `mark_of` the job.
 
     Args:
-        store: where they are.
-        location: of any group of the run.
+        store: bucket with the results.
+        location: location of any group of the run.
 
     Raises:
-        InputError: it is not allowed.
-        InfrastructureError: a file of jobs is broken.
+        InputError: access is denied.
+        InfrastructureError: a file of jobs is invalid.
         AwsLostError: AWS does not answer.
     """
     found: dict[str, Result] = {}
@@ -77,16 +77,16 @@ def find_results(store: Store, location: Location) -> dict[str, Result]:
 
 
 def has_verdict(store: Store, location: Location, result: Result, job: Job) -> bool:
-    """Whether a result is a verdict on the job, pass or fail: not bad input and not an infrastructure failure.
+    """Return whether a result is a verdict, pass or fail, as opposed to bad input or an infrastructure error.
 
     Args:
-        store: where it is.
-        location: of any group of the run.
-        result: from `find_results`.
-        job: that it is of.
+        store: bucket with the result.
+        location: location of any group of the run.
+        result: result from `find_results`.
+        job: its job.
 
     Raises:
-        InputError: it is not allowed.
+        InputError: access is denied.
         AwsLostError: AWS does not answer.
     """
     key = replace(location, group=result.group).result_key(result.index, result.attempt, OUTCOME_FILE)
@@ -95,17 +95,17 @@ def has_verdict(store: Store, location: Location, result: Result, job: Job) -> b
         return data is not None and read_outcome(data, job, result.attempt, key).exit_code <= ExitCode.FAIL
     except AwsLostError:
         raise
-    except InfrastructureError:  # it is none of this job
+    except InfrastructureError:  # not an outcome of this job
         return False
 
 
 def submitted_document(submitted: Iterable[Submitted]) -> bytes:
-    """The file that says under which ids a group was submitted."""
+    """Return the file with the ids of a submitted group."""
     return json.dumps([document_of(_Submission(each.id, each.first, each.count)) for each in submitted]).encode()
 
 
 def _ids(store: Store, location: Location) -> dict[int, str]:
-    """The id of each job of a group; of none, where it is not known any more."""
+    """Return the id of each job of a group; jobs with unknown ids are omitted."""
     key = location.submitted_key
     data = store.get(key, MOST_BYTES)
     ids: dict[int, str] = {}
@@ -117,7 +117,7 @@ def _ids(store: Store, location: Location) -> dict[int, str]:
 
 
 def _attempts(store: Store, root: str, group: str) -> dict[int, int]:
-    """The newest complete attempt of each job of a group."""
+    """Return the latest complete attempt of each job of a group."""
     pattern = re.compile(rf"{re.escape(f'{root}{group}/')}([0-9]{{1,9}})/([0-9]{{1,9}})/{re.escape(OUTCOME_FILE)}")
     attempts: dict[int, int] = {}
     for key in store.keys(f"{root}{group}/"):

@@ -1,6 +1,6 @@
-"""What becomes of what was submitted, in few calls.
+"""Polling of submitted jobs with few requests.
 
-An array is asked as a whole, and of its children only those that may have ended, a hundred at once, the oldest first.
+An array is polled as a whole; of its children only those that may have ended, a hundred in each request, oldest first.
 """
 
 import time
@@ -16,145 +16,145 @@ from calibration.workflow.text import one_line, shorten
 Item = TypeVar("Item")
 
 AT_ONCE = 100
-"""Jobs that Batch describes in one call."""
+"""Batch's limit of jobs in one DescribeJobs request."""
 _MOST_CALLS = 50
-"""In which the ended jobs of an array are looked for at one look."""
+"""Limit of requests per poll to find the ended jobs of an array."""
 _SHORTEST, _LONGEST = 1.0, 30.0
-"""Seconds between two looks."""
+"""Shortest and longest interval of polls, seconds."""
 _PART = 50
-"""A look comes late by one part in so many of the time gone by, so that long runs need few."""
+"""The interval of polls is this fraction (1/50) of the elapsed time, so that long runs need few."""
 _SETTLING = 120.0
-"""Seconds in which Batch gets to know what it has just taken, and tells of children what it tells of their array."""
+"""Seconds until Batch's data are consistent: a new job is known, and children agree with their array."""
 _ENDED = ("SUCCEEDED", "FAILED")
 _RUNNING = ("STARTING", "RUNNING")
 
 
 @dataclass(frozen=True)
 class Submitted:
-    """What Batch runs under one id: an array of jobs of a group, or a single one."""
+    """A job id in Batch: an array of jobs of a group, or a single one."""
 
     id: str
     group: str
     first: int
-    """The index in the group of its first job."""
+    """Index in the group of its first job."""
     count: int
 
 
 @dataclass(frozen=True)
 class ContainerEnd:
-    """How a container ended, as Batch has it."""
+    """End of a container, as reported by Batch."""
 
     name: str
     exit_code: int | None
     reason: str
-    """``OutOfMemoryError: ...``, or nothing."""
+    """``OutOfMemoryError: ...``, or empty."""
     log_stream: str | None
 
 
 @dataclass(frozen=True)
 class Attempt:
-    """One of the tries at a job."""
+    """One attempt at a job."""
 
     status_reason: str
     started: int | None
-    """In milliseconds; None where it never did."""
+    """In milliseconds; None if it never started."""
     stopped: int | None
     containers: tuple[ContainerEnd, ...]
 
 
 @dataclass(frozen=True)
 class Description:
-    """What Batch says of a job."""
+    """Batch's description of a job."""
 
     id: str
     status: str
     status_reason: str
     attempts: tuple[Attempt, ...]
-    """Those that have ended."""
+    """Ended attempts."""
     running: tuple[ContainerEnd, ...]
-    """The containers of the attempt that goes on, or was the last."""
+    """Containers of the current or last attempt."""
     terminated: bool
-    """Whether somebody has ended it."""
+    """Whether it was terminated or cancelled by a request."""
     waiting: Mapping[str, int] = field(default_factory=dict)
-    """Of an array: how many of its jobs are in each state."""
+    """Number of jobs of an array by state."""
 
     @property
     def ended(self) -> bool:
-        """Whether nothing more comes of it."""
+        """Whether the state is final."""
         return self.status in _ENDED
 
 
 @dataclass(frozen=True)
 class JobEnd:
-    """A job that has ended."""
+    """A job with its description."""
 
     group: str
     index: int
-    """In the group."""
+    """Index in the group."""
     description: Description
 
 
 @dataclass(frozen=True)
 class Look:
-    """What one look at Batch has shown."""
+    """Result of one poll."""
 
     ended: tuple[JobEnd, ...]
     running: tuple[JobEnd, ...]
-    """Those that were looked at and run: all of them where there are few."""
+    """Polled jobs that run: all of them if there are few."""
     queued_count: int
     running_count: int
     more: bool
-    """Whether there was no room for telling all: the next look needs not wait."""
+    """Whether more ended jobs are known than requested: the next poll need not wait."""
 
 
 class Following:
-    """Knows of each job that was submitted whether its end has been told."""
+    """Tracks submitted jobs, and reports the end of each once."""
 
     def __init__(self, aws: Aws) -> None:
         self._aws = aws
         self._open: dict[str, _Array] = {}
         self._told: set[str] = set()
-        """Ids of which nothing more is to be heard."""
+        """Ids whose jobs have all been reported."""
         self._began = time.monotonic()
 
     def add(self, submitted: Submitted) -> None:
-        """Follow one more."""
+        """Track a submission."""
         self._open[submitted.id] = _Array(submitted)
 
     @property
     def ids(self) -> tuple[str, ...]:
-        """What is under way."""
+        """Ids that have not ended."""
         return tuple(self._open)
 
     def may_run(self, identifier: str) -> bool:
-        """Whether something of an id may run: its end has not been told, or it has not been followed yet."""
+        """Return whether jobs of an id may still run: their ends have not been reported, or it is not tracked yet."""
         return identifier not in self._told
 
     @property
     def left(self) -> Iterator[tuple[str, int]]:
-        """Group and index of every job whose end has not been told."""
+        """Group and index of every job whose end has not been reported."""
         return ((array.of.group, array.of.first + child) for array in self._open.values() for child in array.open)
 
     @property
     def delay(self) -> float:
-        """Seconds until the next look is due."""
+        """Seconds until the next poll."""
         return min(_LONGEST, max(_SHORTEST, (time.monotonic() - self._began) / _PART))
 
     @property
     def oldest(self) -> tuple[str, ...]:
-        """The ids of the oldest jobs whose end has not been told, at most a hundred."""
+        """Ids of the oldest jobs whose end has not been reported, at most a hundred."""
         ids = (array.id_of(child) for array in self._open.values() for child in array.open)
         return tuple(islice(ids, AT_ONCE))
 
     def look(self, most: int = 4 * AT_ONCE) -> Look:
-        """Ask Batch; tells the end of each job once.
+        """Poll Batch; report the end of each job once.
 
         Args:
-            most: about so many of those that have ended are told now; the rest is told by the next look.
+            most: approximate limit of reported jobs; the remaining ones are reported by the next poll.
 
         Raises:
-            InputError: the credentials do not do (any more).
-            AwsLostError: AWS does not answer; nothing is lost, the next look tells it.
+            InputError: the credentials are not valid (any more).
+            AwsLostError: AWS does not answer; the next poll reports everything.
         """
         parents = describe(self._aws, self._open)
         ended: list[JobEnd] = []
@@ -184,7 +184,7 @@ class Following:
         )
 
     def _descriptions(self, array: "_Array", parent: Description | None, most: int) -> Iterator[Description]:
-        """What is known of jobs of an array; those that have ended are among them, most of the time."""
+        """Yield known descriptions of an array's jobs, usually including those that have ended."""
         if most <= 0:
             array.wait_on()
         elif array.is_lost:
@@ -195,7 +195,7 @@ class Following:
             yield from self._children(array, most)
 
     def _children(self, array: "_Array", most: int) -> Iterator[Description]:
-        """Descriptions of children: those that run where there are few, else as long as ended ones are to be found."""
+        """Yield descriptions of children: running ones if there are few, otherwise until all ended ones are found."""
         few = len(array.open) <= AT_ONCE and array.running > 0
         calls = min(_MOST_CALLS, 2 + 2 * array.hidden // AT_ONCE) if array.hidden else int(few)
         for number, children in enumerate(islice(batches(array.in_turn(), AT_ONCE), calls)):
@@ -210,33 +210,33 @@ class Following:
 
 
 class _Array:
-    """What is known of what runs under one id."""
+    """State of one submission."""
 
     def __init__(self, of: Submitted) -> None:
         self.of = of
         self.open = dict.fromkeys(range(of.count))
-        """Children whose end has not been told, in order."""
+        """Children whose end has not been reported, in order."""
         self.queued = of.count
         self.running = 0
         self.has_children = of.count > 1
         self._ended_count = 0
-        """Children that Batch says have ended."""
+        """Number of ended children according to Batch."""
         self._at = 0
-        """Where the next look begins, after the oldest."""
+        """Offset of the next poll, after the oldest children."""
         self._unclear_since: float | None = None
 
     @property
     def hidden(self) -> int:
-        """Children that have ended, and it is not known which."""
+        """Number of ended children that have not been identified yet."""
         return self._ended_count - (self.of.count - len(self.open))
 
     def see(self, parent: Description | None) -> None:
-        """Take what Batch says of the whole; None where it does not know it: not yet, or not any more."""
+        """Update from Batch's description of the array; None if Batch does not know it, not yet or no more."""
         if parent is not None:
             states = parent.waiting if self.has_children else {parent.status: 1}
             self._ended_count = sum(states.get(state, 0) for state in _ENDED)
             self.running = sum(states.get(state, 0) for state in _RUNNING)
-            if parent.ended:  # whatever the summary says, which may come later
+            if parent.ended:  # the status is authoritative: the summary may lag behind
                 self._ended_count, self.running = self.of.count, 0
             self.queued = self.of.count - self._ended_count - self.running
         if parent is not None and not parent.ended:
@@ -245,55 +245,55 @@ class _Array:
             self.wait_on()
 
     def told(self, child: int) -> None:
-        """Take the end of a child."""
+        """Record that the end of a child was reported."""
         self.open.pop(child, None)
 
     def wait_on(self) -> None:
-        """Begin to wait for what Batch should know by now."""
+        """Start the time-out for Batch's data to become consistent."""
         self._unclear_since = time.monotonic()
 
     @property
     def is_lost(self) -> bool:
-        """Whether nothing more will be heard of those whose end is not known."""
+        """Whether the time-out has passed, so that Batch will not report the remaining children."""
         return self._unclear_since is not None and time.monotonic() - self._unclear_since > _SETTLING
 
     def in_turn(self) -> list[int]:
-        """Children whose end is not known: the hundred oldest, and then the others from where the last look ended."""
+        """Return the unreported children: the hundred oldest, then the others from the end of the last poll."""
         children = list(self.open)
         oldest, others = children[:AT_ONCE], children[AT_ONCE:]
         at = self._at % len(others) if others else 0
         return [*oldest, *others[at:], *others[:at]]
 
     def turn(self, number: int, count: int) -> None:
-        """Note that the children of one call are looked at."""
+        """Advance the offset by the children of one request."""
         self._at += count if number else 0
 
     def id_of(self, child: int) -> str:
-        """The id of a job."""
+        """Return the id of a child in Batch."""
         return f"{self.of.id}:{child}" if self.has_children else self.of.id
 
     def end_of(self, description: Description) -> JobEnd:
-        """Which job of the group a description is of."""
+        """Combine a description with the index of its job in the group."""
         child = int(description.id.rpartition(":")[2]) if self.has_children else 0
         return JobEnd(self.of.group, self.of.first + child, description)
 
     def lost(self, child: int) -> Description:
-        """Of a child of which Batch says nothing, though it says that all have ended."""
+        """Return a description for a child that Batch does not know, although the array has ended."""
         return Description(self.id_of(child), "FAILED", "AWS Batch does not know what became of it", (), (), False)
 
 
 def batches(items: Iterable[Item], size: int) -> Iterator[list[Item]]:
-    """Some at a time."""
+    """Split items into lists of a size."""
     rest = iter(items)
     while some := list(islice(rest, size)):
         yield some
 
 
 def describe(aws: Aws, ids: Iterable[str]) -> dict[str, Description]:
-    """Ask Batch about jobs, a hundred in each call; what it does not know is left out.
+    """Describe jobs in Batch, a hundred per request; unknown ones are omitted.
 
     Raises:
-        InputError: the credentials do not do.
+        InputError: the credentials are not valid.
         AwsLostError: AWS does not answer.
     """
     found: dict[str, Description] = {}
@@ -305,10 +305,10 @@ def describe(aws: Aws, ids: Iterable[str]) -> dict[str, Description]:
 
 
 def records(aws: Aws, ids: Sequence[str]) -> list[dict[str, Any]]:
-    """What Batch says of at most a hundred jobs, as it says it.
+    """Return Batch's unparsed descriptions of at most a hundred jobs.
 
     Raises:
-        InputError: the credentials do not do.
+        InputError: the credentials are not valid.
         AwsLostError: AWS does not answer.
     """
     with aws_errors("jobs"):

@@ -1,4 +1,4 @@
-"""What jobs read, packed and brought to S3: what their mounts hold, and the jobs themselves."""
+"""Upload of jobs and the content of their mounts to S3."""
 
 import hashlib
 import os
@@ -23,7 +23,7 @@ from calibration.execution.job import Job
 
 @dataclass(frozen=True)
 class Packed:
-    """A tar that was written."""
+    """Digest and size of a tar file."""
 
     sha256: str
     size: int
@@ -31,13 +31,13 @@ class Packed:
 
 
 def pack(folder: Path, file: IO[bytes]) -> Packed:
-    """Write a folder's content as a tar.
+    """Write the content of a folder to a tar file.
 
-    Everybody may read what is in it. Links inside stay links.
+    Files are readable for all users. Links within the folder are kept.
 
     Raises:
-        InputError: something cannot be read, is no file or folder, or a link that leads out.
-        InfrastructureError: the tar cannot be written.
+        InputError: something cannot be read, is not a file or folder, or is a link out of the folder.
+        InfrastructureError: the tar file cannot be written.
     """
     root = folder.resolve()
     try:
@@ -52,7 +52,7 @@ def pack(folder: Path, file: IO[bytes]) -> Packed:
 
 
 def _all_in(folder: Path) -> Iterator[Path]:
-    """Everything below a folder, in an order that is always the same."""
+    """Yield all paths below a folder in a reproducible order."""
     try:
         entries = sorted(folder.iterdir())
     except OSError as error:
@@ -81,16 +81,16 @@ def _add(archive: tarfile.TarFile, root: Path, path: Path) -> None:
         except OSError as error:
             raise InputError(f"{path}: cannot be read: {error.strerror}") from None
         with content:
-            archive.addfile(entry, content)  # an OSError where it became shorter
+            archive.addfile(entry, content)  # an OSError if the file was truncated meanwhile
     else:
         raise InputError(f"{path}: is no file or folder, but a device, a pipe or a socket: AWS Batch cannot have it")
 
 
 def _link_inside(root: Path, path: Path) -> str:
-    """What a link names, which is in the folder.
+    """Return the target of a link within the folder.
 
     Raises:
-        InputError: it is not.
+        InputError: it is outside of the folder.
     """
     name = os.fspath(path.readlink())
     to = os.path.normpath(path.parent / name)
@@ -100,19 +100,19 @@ def _link_inside(root: Path, path: Path) -> str:
 
 
 _IN_MEMORY = 4 * 1024**2
-"""Bytes of a tar; a larger one goes through a file."""
+"""Size of a tar in bytes above which a temporary file is used."""
 
 
 class Inputs:
-    """Knows the tar of each folder that is mounted somewhere; each is made and sent once."""
+    """Uploads each mounted folder once."""
 
     def __init__(self, store: Store, location: Location, memory: int) -> None:
-        """Begin.
+        """Create the uploader.
 
         Args:
-            store: takes them.
-            location: of any group; inputs are shared.
-            memory: bytes, of a container that says none.
+            store: bucket for the inputs.
+            location: location of any group; inputs are shared.
+            memory: default memory of a container, bytes.
         """
         self._store = store
         self._location = location
@@ -120,10 +120,10 @@ class Inputs:
         self._packed: dict[Path, Packed] = {}
 
     def upload(self, jobs: Iterable[Job], workers: int) -> None:
-        """Send what the mounts of jobs hold, unless it is there.
+        """Upload the mounted folders of jobs, unless the bucket has them.
 
         Raises:
-            InputError: something cannot be read, or the bucket not be written.
+            InputError: something cannot be read, or access to the bucket is denied.
             InfrastructureError: a file changes meanwhile, or the disk is full.
             AwsLostError: AWS does not answer.
         """
@@ -133,7 +133,7 @@ class Inputs:
         self._packed.update(in_threads(workers, (partial(self._upload, source) for source in sources)))
 
     def entry(self, job: Job) -> dict[str, Any]:
-        """The entry of a job whose mounts have been sent."""
+        """Return the entry of a job whose mounts have been uploaded."""
         return job_entry(job, self._inputs(job), self._memory)
 
     def _inputs(self, job: Job) -> Iterator[Input]:
@@ -159,10 +159,10 @@ class Inputs:
 def upload_jobs(
     store: Store, location: Location, jobs: Sequence[Job], entry: Callable[[Job], dict[str, Any]], workers: int
 ) -> None:
-    """Send the entries of the jobs of a group, in files of some each.
+    """Upload the entries of a group's jobs, several per file.
 
     Raises:
-        InputError: the bucket cannot be written.
+        InputError: access to the bucket is denied.
         AwsLostError: AWS does not answer.
     """
 

@@ -1,4 +1,4 @@
-"""Whether the queue can run what is about to be submitted, and why jobs get no host in it."""
+"""Checks of the job queue before submission, and likely reasons why jobs get no host."""
 
 import time
 from collections.abc import Iterable, Mapping, Sequence
@@ -19,10 +19,10 @@ _MISSING = ("RepositoryNotFoundException", "ImageNotFoundException")
 
 
 def with_digests(aws: Aws, images: Iterable[str]) -> dict[str, str]:
-    """Each image by its digest where it is in ECR; as it is written where it is elsewhere, or has one already.
+    """Return images by digest if they are in ECR; those elsewhere, or with a digest, are unchanged.
 
     Raises:
-        InputError: there is no such image, or it is not for us.
+        InputError: an image does not exist, or access is denied.
         AwsLostError: ECR does not answer.
     """
     return {image: _with_digest(aws, image) for image in dict.fromkeys(images)}
@@ -54,15 +54,15 @@ _SPOT = ("SPOT", "FARGATE_SPOT")
 
 
 def check_queue(aws: Aws, settings: BatchSettings, needs: Sequence[Resources]) -> None:
-    """Refuse a queue that takes no jobs, or not these.
+    """Refuse a queue that cannot run the jobs.
 
     Args:
-        aws: where it is.
-        settings: name it, and say what is expected of it.
-        needs: what tasks ask for.
+        aws: session.
+        settings: settings with the queue and the platform.
+        needs: sizes of the tasks.
 
     Raises:
-        InputError: there is no such queue, it is disabled or broken, or its hosts are of another kind or too small.
+        InputError: the queue does not exist, is disabled or invalid, or its hosts have another type or are too small.
         AwsLostError: AWS does not answer.
     """
     where = f"queue '{settings.queue}'"
@@ -78,7 +78,7 @@ def check_queue(aws: Aws, settings: BatchSettings, needs: Sequence[Resources]) -
 
 
 def _described(aws: Aws, name: str) -> tuple[dict[str, Any], list[dict[str, Any]]]:
-    """What Batch says of a queue and of its compute environments."""
+    """Return Batch's descriptions of a queue and its compute environments."""
     where = f"queue '{name}'"
     with aws_errors(where):
         queues = aws.batch.describe_job_queues(jobQueues=[name])["jobQueues"]
@@ -136,18 +136,18 @@ def _clean(text: str) -> str:
 
 
 class Guard:
-    """Notices that nothing of a run has run, or come to its end, for a time: what waits behind others is not stuck."""
+    """Detects that no job of a run has run or ended for a time."""
 
     def __init__(self, seconds: float) -> None:
         self.seconds = seconds
         self._since: float | None = None
 
     def is_stuck(self, look: Look, done: int) -> bool:
-        """Take a look at the run.
+        """Update from a poll, and return whether the run is stuck.
 
         Args:
-            look: what it showed.
-            done: results that were brought home since the last.
+            look: result of the poll.
+            done: number of downloaded results since the last poll.
         """
         now = time.monotonic()
         if self._since is None or look.running_count or look.ended or done or not look.queued_count:
@@ -156,11 +156,11 @@ class Guard:
 
 
 def likely_reasons(aws: Aws, settings: BatchSettings, waiting: Sequence[str]) -> list[str]:
-    """Why jobs get no host, the likeliest first; never empty.
+    """Return likely reasons why jobs get no host, likeliest first; never empty.
 
     Args:
-        aws: where.
-        settings: name the queue.
+        aws: session.
+        settings: settings with the queue.
         waiting: ids of jobs, at most a hundred.
     """
     reasons: list[str] = []

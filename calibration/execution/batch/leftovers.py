@@ -1,4 +1,4 @@
-"""What runs have left in AWS Batch: jobs that have not ended, and old revisions of job definitions."""
+"""Leftovers of runs in AWS Batch: unfinished jobs, and old revisions of job definitions."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -24,20 +24,20 @@ class _InAws(Leftovers[Left]):
 
 
 class QueuedJobs(_InAws[CloudLeftover]):
-    """Jobs and arrays in a queue that have not ended; they are ended."""
+    """Unfinished jobs and arrays in a queue, to be terminated."""
 
     header = ("job", "name", "run", "jobs", "state")
 
     def find(self, run: str | None) -> Sequence[CloudLeftover]:
-        """Find those of a run, or of every run."""
+        """Find those of a run, or of all runs."""
         return find_in_queue(self._aws, self._queue, run)
 
     def remove(self, chosen: Sequence[CloudLeftover]) -> None:
-        """End them."""
+        """Terminate them."""
         terminate(self._aws, [each.id for each in chosen], "calibration cleanup")
 
     def told(self, chosen: Sequence[CloudLeftover], dry_run: bool) -> str:
-        """How many were ended, or would be."""
+        """Return the number of terminated jobs, as a sentence."""
         many = "s" * (len(chosen) != 1)
         count = f"{len(chosen)} job{many} or array{many}" if chosen else "nothing"
         return f"{count} in AWS Batch {'would be ended' if dry_run else 'ended'}"
@@ -45,7 +45,7 @@ class QueuedJobs(_InAws[CloudLeftover]):
 
 @dataclass(frozen=True)
 class OldRevision:
-    """A revision of a job definition that is not the newest; no run needs it."""
+    """A revision of a job definition other than the latest, which no run uses."""
 
     arn: str
     owner: Owner | None = None
@@ -57,12 +57,12 @@ class OldRevision:
 
 
 class OldRevisions(_InAws[OldRevision]):
-    """Revisions of our job definitions but the newest of each; they are deregistered."""
+    """Old revisions of our job definitions, to be deregistered."""
 
     header = ("job definition",)
 
     def find(self, run: str | None) -> Sequence[OldRevision]:
-        """Find those of all runs, which share them."""
+        """Find those of all runs, which share job definitions."""
         return [OldRevision(arn) for arn in find_old(self._aws)]
 
     def remove(self, chosen: Sequence[OldRevision]) -> None:
@@ -70,19 +70,19 @@ class OldRevisions(_InAws[OldRevision]):
         deregister(self._aws, [each.arn for each in chosen])
 
     def told(self, chosen: Sequence[OldRevision], dry_run: bool) -> str:
-        """How many were deregistered, or would be."""
+        """Return the number of deregistered revisions, as a sentence."""
         count = f"{len(chosen)} old revision{'s' * (len(chosen) != 1)}" if chosen else "nothing"
         return f"{count} {'would be deregistered' if dry_run else 'deregistered'}"
 
 
 def open_leftovers(config: Path, queue: str | None, region: str | None, definitions: bool) -> QueuedJobs | OldRevisions:
-    """The leftovers in a queue, or among the definitions of a region.
+    """Return the leftovers in a queue, or the old job definitions of a region.
 
     Args:
-        config: the file with the section of AWS Batch, for what is not given.
-        queue: of jobs.
-        region: where it is.
-        definitions: whether revisions of job definitions are meant.
+        config: file with the section of AWS Batch, for missing arguments.
+        queue: job queue.
+        region: region of the queue.
+        definitions: whether to return job definitions instead of jobs.
 
     Raises:
         InputError: the file or its section is missing or wrong.

@@ -1,4 +1,4 @@
-"""Logs of containers, from CloudWatch: read whole when a job has ended, or shown while it runs."""
+"""Logs of containers from CloudWatch, downloaded at the end of a job or shown while it runs."""
 
 import threading
 import time
@@ -21,21 +21,20 @@ from calibration.workflow.masks import redact
 from calibration.workflow.streams import LogDisplay, LogStream
 
 _LOOKING = 2.0
-"""Seconds between two looks at the logs that are shown: CloudWatch answers some ten calls a second."""
+"""Interval of polls of shown logs, seconds: CloudWatch allows about ten requests a second."""
 _TRIES, _COMING = 3, 1.0
-"""How often a log is asked for that is not there, and the seconds between: it comes a little later than its container.
-"""
+"""Attempts to read a missing log, and seconds between them: logs appear a little later than their containers."""
 
 
 def write_log(aws: Aws, group: str, stream: str, path: Path, secrets: Iterable[str]) -> str:
-    """Write a container's log into a file.
+    """Write a container's log to a file.
 
     Returns:
-        Its last line that is not empty, fit for a message.
+        Its last non-empty line, safe for messages.
 
     Raises:
         InfrastructureError: the file cannot be written.
-        InputError: it is not allowed.
+        InputError: access is denied.
         AwsLostError: AWS does not answer.
     """
     with LogFile(path, secrets) as file:
@@ -52,7 +51,7 @@ def write_log(aws: Aws, group: str, stream: str, path: Path, secrets: Iterable[s
 
 @dataclass
 class _Shown:
-    """A log that is being shown."""
+    """A log that is shown live."""
 
     stream: str
     to: LogStream
@@ -61,11 +60,11 @@ class _Shown:
     token: str | None = None
     closed: bool = False
     lock: threading.Lock = field(default_factory=threading.Lock)
-    """One look at a time."""
+    """Held during a poll."""
 
 
 class LiveLogs:
-    """Shows the logs of jobs that run; in a thread, as CloudWatch has to be asked."""
+    """Shows the logs of running jobs, polled from CloudWatch in a thread."""
 
     def __init__(self, aws: Aws, group: str, show: LogDisplay) -> None:
         self._aws = aws
@@ -78,7 +77,7 @@ class LiveLogs:
         self._stopping = threading.Event()
 
     def running(self, job: Job, description: Description) -> None:
-        """Show the containers of a job that runs, from their beginning."""
+        """Show the containers of a running job, from the beginning of their logs."""
         by_name = {container.name: container for container in job.containers}
         with self._lock:
             for container in description.running:
@@ -93,7 +92,7 @@ class LiveLogs:
                 self._thread.start()
 
     def ended(self, job: Job, description: Description | None) -> None:
-        """Show the rest of a job's logs, also of containers that have not been seen while they ran."""
+        """Show the rest of a job's logs, including containers that were not polled while they ran."""
         if description is not None:
             self.running(job, description)
         with self._lock:
@@ -104,7 +103,7 @@ class LiveLogs:
             self._close(log)
 
     def close(self) -> None:
-        """Show nothing more."""
+        """Stop showing logs."""
         self._stopping.set()
         with self._lock:
             shown = list(self._logs.values())
@@ -134,7 +133,7 @@ class LiveLogs:
                     self._close(log)
 
     def _look(self, log: _Shown) -> None:
-        """Show what is new in a log."""
+        """Show new lines of a log."""
         with log.lock:
             if log.closed:
                 return
@@ -145,26 +144,26 @@ class LiveLogs:
 
 
 def secrets_of(job: Job) -> tuple[str, ...]:
-    """Values that must not be seen."""
+    """Return the values of a job's secrets, to be redacted."""
     return tuple(c.environment[name] for c in job.containers for name in c.secrets)
 
 
 def streams(description: Description, attempt: int) -> Mapping[str, str]:
-    """The log streams of the containers of an attempt, by their names, ours among them."""
+    """Return the log streams of an attempt's containers by name, including our own containers."""
     tries = description.attempts
     containers = tries[attempt - 1].containers if 0 < attempt <= len(tries) else description.running
     return {c.name: c.log_stream for c in containers if c.log_stream is not None}
 
 
 def is_ours(name: str) -> bool:
-    """Whether a container is one of those that we put beside those of the job."""
+    """Return whether a container is one of ours, as opposed to the job's."""
     return name in (PREPARE, WATCH)
 
 
 def _pages(
     aws: Aws, group: str, stream: str, token: str | None, tries: int = _TRIES
 ) -> Iterator[tuple[list[str], str | None]]:
-    """Lines of a log from a token on, and the token to go on from; ends where there are no more for now."""
+    """Yield lines of a log after a token, and the next token; ends at the current end of the log."""
     while True:
         page = _page(aws, group, stream, token)
         if page is None:
@@ -181,7 +180,7 @@ def _pages(
 
 
 def _page(aws: Aws, group: str, stream: str, token: str | None) -> dict[str, Any] | None:
-    """Part of a log; None where there is no such stream (yet)."""
+    """Return a page of a log; None if the stream does not exist (yet)."""
     settings = {} if token is None else {"nextToken": token}
     with aws_errors(f"log {group} {stream}"):
         try:

@@ -1,6 +1,6 @@
-"""IAM policies with the least rights: of whoever runs ``calibration``, and of the two roles of a task.
+"""IAM policies with least privileges: for the caller of ``calibration``, and the two roles of a task.
 
-The team's own software runs under the role of the job too, so that role can do no more than our two containers need.
+The team's own software runs with the job's role too, so this role has only the permissions of our two containers.
 """
 
 from typing import Any, Literal
@@ -8,21 +8,21 @@ from typing import Any, Literal
 from calibration.execution.batch.settings import BatchSettings
 
 Holder = Literal["caller", "job", "execution"]
-"""caller: who runs the command, such as the role of a workflow. job: ``job-role``. execution: ``execution-role``."""
+"""caller: role that runs the command, such as a workflow's. job: ``job-role``. execution: ``execution-role``."""
 HOLDERS: tuple[Holder, ...] = ("caller", "job", "execution")
 _DEFINITIONS = "job-definition/calibration-*"
-"""All definitions that are ours, with any revision."""
+"""Resource of all our definitions with all revisions."""
 _RUN_TAG = "aws:ResourceTag/ci.calibration.run"
 
 
 def policy(holder: Holder, settings: BatchSettings) -> dict[str, Any]:
-    """The policy document for somebody, ready for IAM."""
+    """Return the policy document of a role, ready for IAM."""
     statements = {"caller": _caller, "job": _job, "execution": _execution}[holder](settings)
     return {"Version": "2012-10-17", "Statement": statements}
 
 
 def trust() -> dict[str, Any]:
-    """Who may take the two roles of a task: ECS, which runs the tasks."""
+    """Return the trust policy of the two roles of a task: ECS may assume them."""
     statement = {"Effect": "Allow", "Principal": {"Service": "ecs-tasks.amazonaws.com"}, "Action": "sts:AssumeRole"}
     return {"Version": "2012-10-17", "Statement": [statement]}
 
@@ -31,7 +31,7 @@ def _caller(settings: BatchSettings) -> list[dict[str, Any]]:
     roles = [role for role in (settings.job_role, settings.execution_role) if role is not None]
     definitions, jobs = _batch(settings, _DEFINITIONS), _batch(settings, "job/*")
     return [
-        # these name no resource in IAM
+        # these actions have no resources in IAM
         _allow(
             "Look",
             "*",
@@ -82,7 +82,7 @@ def _execution(settings: BatchSettings) -> list[dict[str, Any]]:
         ),
         _allow("WriteLogs", f"{_log_group(settings)}:log-stream:*", "logs:CreateLogStream", "logs:PutLogEvents"),
     ]
-    # after the name there may be a key of the secret's JSON, a stage and a version, which are no part of the resource
+    # an ARN may be followed by a key of the secret's JSON, a stage and a version, which are not part of the resource
     arns = sorted({":".join(arn.split(":")[:7]) for arn in settings.secrets.values()})
     for service, name, action in (
         ("secretsmanager", "ReadSecrets", "secretsmanager:GetSecretValue"),
@@ -98,7 +98,7 @@ def _allow(name: str, resource: str | list[str], *actions: str) -> dict[str, Any
 
 
 def _partition(settings: BatchSettings) -> str:
-    """``aws``, or that of China or the government."""
+    """Return ``aws``, or the partition of China or the government."""
     return settings.job_role.split(":")[1]
 
 

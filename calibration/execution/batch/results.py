@@ -1,4 +1,4 @@
-"""Results brought home: an outcome that is believed only as far as it can be checked, and the files that it names."""
+"""Download of results: verified outcomes, and the files that they name."""
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
@@ -34,25 +34,25 @@ _OURS = {PREPARE: "its inputs could not be brought in", WATCH: "its results coul
 
 @dataclass(frozen=True)
 class Why:
-    """Why there is no outcome."""
+    """Reason why there is no outcome."""
 
     reason: str
     exit_code: ExitCode = ExitCode.INFRASTRUCTURE
 
 
 def host_lost(attempt: Attempt) -> bool:
-    """Whether an attempt ended because its host went away."""
+    """Return whether an attempt ended because its host was lost."""
     return attempt.status_reason.startswith(_HOST_LOST)
 
 
 def why_no_outcome(job: Job, description: Description, given_up: str, last_lines: Mapping[str, str]) -> Why:
-    """Find out why a job has no outcome.
+    """Determine why a job has no outcome.
 
     Args:
-        job: that ended.
-        description: what Batch says of it.
-        given_up: why we have ended all that was left; empty where we have not.
-        last_lines: of the containers' logs, by name.
+        job: ended job.
+        description: Batch's description of it.
+        given_up: reason why we have terminated the remaining jobs; empty if we have not.
+        last_lines: last lines of the containers' logs, by name.
     """
     attempts = description.attempts
     if given_up and (description.terminated or not attempts or given_up[:100] in description.status_reason):
@@ -94,7 +94,7 @@ _LAST_CODE = 255
 
 @dataclass(frozen=True)
 class _Ended:
-    """A container that has ended, as a judge sees it."""
+    """An ended container, in the form that the judging needs."""
 
     container: Container
     end: End
@@ -112,16 +112,16 @@ class _Ended:
 def with_ends(
     outcome: TaskOutcome, job: Job, ends: Iterable[ContainerEnd], last_lines: Mapping[str, str]
 ) -> TaskOutcome:
-    """Add to an outcome what its task could not see.
+    """Add information to an outcome that its task did not have.
 
-    A reason that the task gives for the end of a container has another in its place then, in the same words as
-    any backend.
+    A reason of the task about the end of a container is replaced if Batch knows more, in the same words as
+    in other backends.
 
     Args:
-        outcome: that the task has written.
-        job: with the memory that its containers had.
-        ends: what Batch says of the containers of that attempt.
-        last_lines: of their logs, by name.
+        outcome: outcome that the task has written.
+        job: job with the memory limits of its containers.
+        ends: Batch's information about the containers of this attempt.
+        last_lines: last lines of their logs, by name.
     """
     known = {end.name: end for end in ends}
     asked = {container.name: container for container in job.containers}
@@ -144,7 +144,7 @@ def with_ends(
 
 
 def ends_alone(job: Job, ends: Iterable[ContainerEnd]) -> tuple[ContainerOutcome, ...]:
-    """How the containers of a job ended of which its task says nothing."""
+    """Return how the containers of a job ended, according to Batch only."""
     known = {end.name: end for end in ends}
     return tuple(
         _known_better(ContainerOutcome(container.name, End.LOST), container, known.get(container.name))
@@ -181,24 +181,24 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class Place:
-    """Where the result of a job is to be found, and what is known of its end."""
+    """Location of a job's result, and Batch's description of its end."""
 
     location: Location
     index: int
     description: Description | None
     """None for the result of an earlier run."""
     attempt: int | None = None
-    """Of which a result is known to be there."""
+    """Attempt that is known to have a result."""
     given_up: str = ""
-    """Why we have ended all that was left, if we have."""
+    """Reason why we have terminated the remaining jobs, if we have."""
 
 
 class _WrongFileError(InfrastructureError):
-    """A file in S3 is not what the task says."""
+    """A file in S3 differs from the outcome."""
 
 
 class Results:
-    """Brings results into folders. May be used from many threads."""
+    """Downloads results into folders. Thread-safe."""
 
     def __init__(
         self,
@@ -209,15 +209,15 @@ class Results:
         all_logs: bool,
         go_on: Callable[[], bool],
     ) -> None:
-        """Begin.
+        """Create the downloader.
 
         Args:
-            aws: where they are.
-            settings: of the run.
-            store: has them.
-            folder: each job has its own in it.
-            all_logs: whether the logs of jobs that succeeded are brought too.
-            go_on: whether it is worth trying again what AWS does not answer.
+            aws: session.
+            settings: settings of the run.
+            store: bucket with the results.
+            folder: folder in which each job has a subfolder.
+            all_logs: whether logs of successful jobs are downloaded too.
+            go_on: returns whether failed requests are retried.
         """
         self._aws = aws
         self._settings = settings
@@ -227,11 +227,11 @@ class Results:
         self._go_on = go_on
 
     def bring(self, job: Job, place: Place) -> JobOutcome:
-        """Bring the result of a job that has ended.
+        """Download the result of an ended job.
 
         Raises:
             InfrastructureError: a file cannot be written.
-            InputError: it is not allowed.
+            InputError: access is denied.
             AwsLostError: AWS has not answered for a long time.
         """
         folder = self._folder / job.name
@@ -241,7 +241,7 @@ class Results:
             found = self._outcome(asked, place)
         except AwsLostError:
             raise
-        except InfrastructureError as error:  # it is no outcome of this job
+        except InfrastructureError as error:  # not an outcome of this job
             found = _failed(asked, place.description, str(error), ExitCode.INFRASTRUCTURE)
         attempt = 0 if found is None else found.attempt
         lines: dict[str, str] = {}
@@ -260,10 +260,10 @@ class Results:
         return outcome
 
     def _outcome(self, job: Job, place: Place) -> TaskOutcome | None:
-        """The newest complete outcome, or None where there is none.
+        """Return the latest complete outcome; None if there is none.
 
         Raises:
-            InfrastructureError: it is no outcome of this job.
+            InfrastructureError: it is not an outcome of this job.
         """
         expected = place.attempt or (len(place.description.attempts) if place.description else 0)
         found = self._read(job, place, expected) if expected else None
@@ -282,7 +282,7 @@ class Results:
     def _logs(
         self, job: Job, description: Description | None, attempt: int, folder: Path, ours: bool
     ) -> dict[str, str]:
-        """Bring the logs of an attempt; the last line of each."""
+        """Download the logs of an attempt; return the last line of each."""
         if description is None:
             return {}
         attempt = attempt or len(description.attempts)
@@ -294,13 +294,13 @@ class Results:
                 write = partial(write_log, self._aws, self._settings.log_group, stream, path, secrets_of(job))
                 try:
                     lines[name] = self._ask(write)
-                except CalibrationError as error:  # a result is worth more than its log
+                except CalibrationError as error:  # a missing log must not lose the result
                     write_atomically(path, f"(the log cannot be read: {error})\n")
                     lines[name] = ""
         return lines
 
     def _files(self, found: TaskOutcome, place: Place, attempt: int, folder: Path) -> TaskOutcome:
-        """Bring the files that an outcome names: all of them, or none."""
+        """Download the files of an outcome: all of them, or none."""
         try:
             with complete_or_not_at_all(folder) as fresh:
                 for file in found.artifacts:
@@ -347,7 +347,7 @@ class Results:
 
 
 def _ends(description: Description | None, attempt: int) -> Iterable[ContainerEnd]:
-    """What Batch says of the containers of an attempt."""
+    """Return Batch's information about the containers of an attempt."""
     if description is None:
         return ()
     tries = description.attempts
@@ -355,13 +355,13 @@ def _ends(description: Description | None, attempt: int) -> Iterable[ContainerEn
 
 
 def _failed(job: Job, description: Description | None, reason: str, code: ExitCode) -> TaskOutcome:
-    """The outcome of a job of which its task says nothing that can be believed."""
+    """Return the outcome of a job whose task has left no valid one."""
     ends = () if description is None else _ends(description, max(1, len(description.attempts)))
     return TaskOutcome(job.name, 0, code, (reason,), containers=ends_alone(job, ends))
 
 
 def _with_memory(job: Job, memory: int) -> Job:
-    """The job with the limits that its containers had on Batch, where each has one."""
+    """Return the job with the memory limits of its containers on Batch."""
     return replace(job, containers=tuple(_limited(container, memory) for container in job.containers))
 
 

@@ -1,4 +1,4 @@
-"""One run of jobs on AWS Batch, from what they read to what they leave."""
+"""A run of jobs on AWS Batch, from the upload of inputs to the download of results."""
 
 import time
 from collections.abc import Generator, Iterator, Sequence
@@ -36,19 +36,19 @@ from calibration.execution.outcome import JobOutcome
 from calibration.workflow.streams import LogDisplay
 
 FEW = 16
-"""Jobs of a run whose logs are all shown and brought home; of more, only of those that fail."""
+"""Up to this number of jobs, all logs are shown and downloaded; with more, only those of failed jobs."""
 _WORKERS = 12
 _AHEAD = 200
-"""Results that are on their way at most, so that memory does not grow with the jobs."""
+"""Limit of concurrent downloads of results, to bound the memory."""
 _SAYING = 30.0
-"""Seconds between two lines on how far the run is."""
+"""Interval of lines about the progress, seconds."""
 _ENDING = 5.0
 
 Answer = tuple[int, JobOutcome]
 
 
 class BatchRun:
-    """Runs some jobs. Everything is done in the thread that asks for the outcomes, but for what waits for S3."""
+    """Runs jobs in the thread that requests the outcomes; transfers from and to S3 run in other threads."""
 
     def __init__(
         self,
@@ -62,7 +62,7 @@ class BatchRun:
         show: LogDisplay | None,
     ) -> None:
         self.usage = Usage()
-        """What has been billed for, as far as it is known."""
+        """Billed resources, as far as they are known."""
         self._name = name
         self._aws = aws
         self._settings = settings
@@ -73,21 +73,21 @@ class BatchRun:
         self._show = show
         self._token = new_run()
         self._places: dict[str, list[int]] = {}
-        """Of each group in S3: the job (its place among all) of each index."""
+        """Index in `jobs` for each index of each group in S3."""
         self._submitting = Submitting(aws, settings.queue)
         self._following = Following(aws)
         self._bringing: Workers[Answer] = Workers(_WORKERS)
         self._live = LiveLogs(aws, settings.log_group, show) if show is not None and len(jobs) <= FEW else None
         self._guard = Guard(settings.stuck)
         self._given_up = ""
-        """Why we have ended what was left."""
+        """Reason why the remaining jobs were terminated."""
         self._told_to_end = False
         self._began = time.monotonic()
         self._counts = {"done": 0, "failed": 0}
         self._said: tuple[float, str] = (0.0, "")
         self._stopping = False
         self._ended = False
-        """Whether there is nothing left to end, or it cannot be ended."""
+        """Whether all jobs have ended, or cannot be terminated."""
         self._results = Results(
             aws=aws,
             settings=settings,
@@ -98,11 +98,11 @@ class BatchRun:
         )
 
     def outcomes(self, resume: bool) -> Generator[Answer]:
-        """Run them.
+        """Run the jobs, and yield their outcomes.
 
         Raises:
-            InputError: AWS refuses something.
-            InfrastructureError: AWS is away, or a file cannot be written.
+            InputError: AWS refuses a request.
+            InfrastructureError: AWS cannot be reached, or a file cannot be written.
         """
         inputs = Inputs(self._store, self._location(""), self._settings.memory)
         inputs.upload(self._jobs, _WORKERS)
@@ -119,13 +119,13 @@ class BatchRun:
         self._say_end()
 
     def end(self, error: BaseException | None) -> None:
-        """End what still runs; more than once is no error.
+        """Terminate the remaining jobs; idempotent.
 
         Args:
-            error: what has gone wrong, if something has.
+            error: previous error, if any.
 
         Raises:
-            CalibrationError: jobs cannot be ended; says what else has gone wrong.
+            CalibrationError: jobs cannot be terminated; the message includes the previous error.
         """
         if self._ended:
             return
@@ -145,7 +145,7 @@ class BatchRun:
         self._ended = True
         self._bringing.join(_ENDING)
 
-    # --- before
+    # --- before the run
 
     def _location(self, group: str) -> Location:
         return Location(self._settings.bucket, self._settings.prefix, self._name, group)
@@ -154,7 +154,7 @@ class BatchRun:
         return {name: list(group.jobs) for name, group in self._shapes.items()}
 
     def _missing(self, inputs: Inputs) -> tuple[dict[str, list[int]], dict[int, Result]]:
-        """What has no verdict yet, by shape; and the results of the others, by their jobs."""
+        """Return the jobs without a verdict, by shape; and the results of the others, by job."""
         location = self._location("")
         results = find_results(self._store, location)
         found: dict[int, Result] = {}
@@ -194,7 +194,7 @@ class BatchRun:
                 self._following.add(submitted[-1])
             patiently(partial(self._store.put, location.submitted_key, submitted_document(submitted)))
 
-    # --- meanwhile
+    # --- during the run
 
     def _follow(self) -> Iterator[Answer]:
         patience = Patience()
@@ -208,7 +208,7 @@ class BatchRun:
             if not self._following.ids or time.monotonic() < next_look:
                 continue
             room = _AHEAD - self._bringing.waiting
-            if room <= 0:  # what has ended stays known to Batch
+            if room <= 0:  # Batch keeps descriptions of ended jobs
                 yield from self._answers(None)
                 continue
             try:
@@ -222,7 +222,7 @@ class BatchRun:
             next_look = time.monotonic() + (0.0 if look.more else self._following.delay)
 
     def _take(self, look: Look) -> None:
-        """Bring the results of those that have ended; show the logs of those that run."""
+        """Download the results of ended jobs; show the logs of running ones."""
         if self._live is not None:
             for end in look.running:
                 self._live.running(self._job_of(end), end.description)
@@ -233,7 +233,7 @@ class BatchRun:
         self._say_state(look)
 
     def _watch_time(self, look: Look, done: int) -> None:
-        """Give up what is left where it takes too long, or gets no hosts."""
+        """Terminate the remaining jobs if the run takes too long, or gets no hosts."""
         if not self._following.ids or self._told_to_end:
             return
         if not self._given_up and (reason := self._too_late(look, done)):
@@ -244,7 +244,7 @@ class BatchRun:
             self._told_to_end = True
 
     def _too_late(self, look: Look, done: int) -> str:
-        """Why what is left is to be given up; empty where it is not."""
+        """Return the reason to terminate the remaining jobs; empty if there is none."""
         settings = self._settings
         if settings.deadline is not None and time.monotonic() - self._began >= settings.deadline:
             return f"the run took longer than its {settings.deadline:g} s (deadline)"
@@ -257,7 +257,7 @@ class BatchRun:
         self._bringing.give(partial(self._brought, place, found))
 
     def _brought(self, place: int, found: Place) -> Answer:
-        """In a thread of its own."""
+        """Download a result; called in a separate thread."""
         job = self._jobs[place]
         if self._live is not None:
             self._live.ended(job, found.description)
@@ -273,7 +273,7 @@ class BatchRun:
         return self._jobs[self._places[end.group][end.index]]
 
     def _count(self, end: JobEnd) -> None:
-        """Note what a job is billed for, and the hosts that it lost."""
+        """Add the billed resources of a job, and report lost hosts."""
         attempts = end.description.attempts
         shape = self._shapes[end.group.partition("-")[0]].shape
         size = total_size(shape, self._settings.platform)
@@ -283,7 +283,7 @@ class BatchRun:
                 name = self._job_of(end).name
                 self._say(f"job '{name}': attempt {number} of {len(attempts)} lost its host: {attempt.status_reason}")
 
-    # --- what is said
+    # --- messages
 
     def _say(self, text: str) -> None:
         if self._show is not None:

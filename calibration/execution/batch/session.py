@@ -1,8 +1,8 @@
-"""The way into AWS: who we are, where its services are, and what its errors mean.
+"""Sessions with AWS: credentials, clients, and retries.
 
-boto3 finds credentials as AWS's own tools do; in a GitHub job that may ask for tokens, a role is taken by a fresh token
-each time, so that a run may last longer than one. ``AWS_ENDPOINT_URL`` and ``AWS_ENDPOINT_URL_<SERVICE>`` lead
-elsewhere.
+boto3 finds credentials as AWS's own tools do; in a GitHub job with permission for OIDC tokens, the role is assumed with
+a new token each time, so that a run may outlast one. ``AWS_ENDPOINT_URL`` and ``AWS_ENDPOINT_URL_<SERVICE>`` replace
+the addresses of services.
 """
 
 import json
@@ -28,12 +28,12 @@ from calibration.http import Http
 Result = TypeVar("Result")
 
 PATIENCE = 300.0
-"""Seconds that AWS may be away, beyond what boto3 tries by itself."""
+"""Seconds for which AWS may be unreachable, beyond boto3's own retries."""
 _FIRST, _LONGEST = 1.0, 30.0
 
 
 class Patience:
-    """How long something that answered before has not answered."""
+    """Retry delays of a service, and their time-out."""
 
     def __init__(self, seconds: float = PATIENCE) -> None:
         self._seconds = seconds
@@ -41,35 +41,35 @@ class Patience:
         self._delay = _FIRST
 
     def answered(self) -> None:
-        """Note that it did."""
+        """Record an answer."""
         self._since, self._delay = None, _FIRST
 
     def failed(self, error: AwsLostError) -> float:
-        """Note that it did not.
+        """Record a failure.
 
         Returns:
-            Seconds after which it may be asked again.
+            Seconds until the next attempt.
 
         Raises:
-            AwsLostError: it has been away too long.
+            AwsLostError: the time-out has passed.
         """
         now = time.monotonic()
         self._since = now if self._since is None else self._since
         if now - self._since >= self._seconds:
             raise error
         delay, self._delay = self._delay, min(_LONGEST, 2 * self._delay)
-        return delay * random.uniform(0.75, 1.25)  # noqa: S311 (so that many do not come at the same moment)
+        return delay * random.uniform(0.75, 1.25)  # noqa: S311 (jitter, to spread simultaneous clients)
 
 
 def patiently(ask: Callable[[], Result], go_on: Callable[[], bool] = lambda: True) -> Result:
-    """Ask until there is an answer.
+    """Repeat a call until it succeeds.
 
     Args:
-        ask: what may raise `AwsLostError`.
-        go_on: whether it is worth asking again.
+        ask: call that may raise `AwsLostError`.
+        go_on: returns whether a failed call is repeated.
 
     Raises:
-        AwsLostError: AWS has been away too long.
+        AwsLostError: the time-out has passed.
     """
     patience = Patience()
     while True:
@@ -83,45 +83,45 @@ def patiently(ask: Callable[[], Result], go_on: Callable[[], bool] = lambda: Tru
 
 
 TRIES = 8
-"""How often a call is made that AWS throttles or fails, with more and more time between."""
+"""Attempts of a call that AWS throttles or fails, with increasing delays."""
 CONNECTIONS = 32
 _AUDIENCE = "sts.amazonaws.com"
 _TOKEN_URL, _TOKEN = "ACTIONS_ID_TOKEN_REQUEST_URL", "ACTIONS_ID_TOKEN_REQUEST_TOKEN"
 
 
 class Aws:
-    """Clients of the services of one region. They may be used from any thread."""
+    """Clients of the services of one region. Thread-safe."""
 
     def __init__(self, region: str) -> None:
-        """Nothing is asked of AWS yet."""
+        """Create the session, without a request to AWS."""
         self.region = region
         self.calls: Counter[str] = Counter()
-        """How many requests were sent, by ``batch:DescribeJobs``; tries that were repeated count too."""
+        """Number of requests by ``batch:DescribeJobs``, including retries."""
         self._lock = threading.RLock()
         self._clients: dict[str, Any] = {}
 
     @property
     def batch(self) -> Any:
-        """AWS Batch."""
+        """Client of AWS Batch."""
         return self._client("batch")
 
     @property
     def submitting(self) -> Any:
-        """AWS Batch for what must not be done twice: nothing is tried again."""
+        """Client of AWS Batch for calls that are not idempotent: without retries."""
         return self._client("batch", tries=1)
 
     @property
     def s3(self) -> Any:
-        """S3, where results are."""
+        """Client of S3."""
         return self._client("s3")
 
     @property
     def logs(self) -> Any:
-        """CloudWatch Logs."""
+        """Client of CloudWatch Logs."""
         return self._client("logs")
 
     def ecr(self, region: str) -> Any:
-        """The registry of a region."""
+        """Return the client of a region's registry."""
         return self._client("ecr", region=region)
 
     def close(self) -> None:
@@ -166,7 +166,7 @@ class Aws:
 
 
 def _take_role_by_tokens_of_github(session: Any, region: str) -> None:
-    """In a GitHub job with a role: take it by a new token whenever its credentials run out."""
+    """In a GitHub job with a role, assume it with a new OIDC token whenever its credentials expire."""
     url, secret = os.environ.get(_TOKEN_URL), os.environ.get(_TOKEN)
     scoped = session.get_scoped_config()
     by_file = scoped.get("role_arn") if "web_identity_token_file" in scoped else None
@@ -187,10 +187,10 @@ def _take_role_by_tokens_of_github(session: Any, region: str) -> None:
 
 
 def _token_of_github(url: str, secret: str) -> str:
-    """Ask GitHub's token service for a token that says which job this is.
+    """Request an OIDC token of the current job from GitHub.
 
     Raises:
-        InfrastructureError: it gives none.
+        InfrastructureError: GitHub returns no token.
     """
     if urlsplit(url).scheme not in ("https", "http"):
         raise InfrastructureError(f"GitHub's token service: {_TOKEN_URL} is no URL")

@@ -1,4 +1,4 @@
-"""Where in AWS jobs run: the section ``aws-batch`` of calibration.yml, or of a file that has nothing else."""
+"""Settings of AWS Batch: the section ``aws-batch`` of calibration.yml, or of a separate file."""
 
 from collections.abc import Mapping
 from typing import Annotated, Literal
@@ -7,8 +7,8 @@ from calibration.execution.sizes import Bytes, Seconds
 from calibration.records import Misfit, above, at_least, between, field, length, matching, needs, record
 
 Platform = Literal["fargate", "ec2"]
-"""fargate: each task has a network and a machine of its own. ec2: instances of the compute environment, for GPUs,
-privileges and shared memory; tasks share the instance's network, so their ports may clash."""
+"""fargate: each task has its own network and machine. ec2: instances of the compute environment, for GPUs,
+privileges and shared memory; tasks share the instance's network, so their ports may conflict."""
 Architecture = Literal["x86_64", "arm64"]
 
 _QUEUE = "[A-Za-z0-9][A-Za-z0-9_-]{0,127}"
@@ -66,7 +66,7 @@ TagValue = Annotated[
 
 @record
 class Prices:
-    """What an hour costs in your region, for the estimate; without them only hours are told."""
+    """Prices per hour in your region, for the estimate; without them only hours are reported."""
 
     vcpu_hour: Annotated[float, at_least(0)] = field("Of one CPU.")
     gb_hour: Annotated[float, at_least(0)] = field("Of one GB of memory.")
@@ -77,7 +77,7 @@ class Prices:
 
 @record(rules=(needs("priority", "share", "priority orders the jobs of a share: say share too"),))
 class BatchSettings:
-    """Where in AWS jobs run: an AWS Batch queue, and what a task needs around the containers of the job."""
+    """Settings of AWS Batch: queue, and the environment of a job's containers."""
 
     region: Region = field("Of the queue: eu-west-1.")
     queue: Queue = field(
@@ -137,11 +137,11 @@ class BatchSettings:
 
     @property
     def where(self) -> str:
-        """Where runs go, for people."""
+        """Queue, for messages."""
         return f"AWS Batch, queue {self.queue}"
 
     def __post_init__(self) -> None:
-        """Refuse values that are right alone and wrong together."""
+        """Refuse inconsistent values."""
         fargate = self.platform == "fargate"
         if fargate and not self.shared_hosts:
             raise Misfit(_NOT_THERE.format("fargate", "ec2"), "shared-hosts")
@@ -163,6 +163,6 @@ _NOT_THERE = "platform {} has no such thing: drop it, or say {}"
 
 @record(unknown="ignore")
 class BatchFile:
-    """Where in AWS jobs run; the section aws-batch in a file of its own, or in calibration.yml."""
+    """File with the section aws-batch: a separate one, or calibration.yml."""
 
     aws_batch: BatchSettings = field()

@@ -1,4 +1,4 @@
-"""The bucket: what a run puts into it, and what it takes out."""
+"""Access to the bucket of a run."""
 
 import hashlib
 from collections.abc import Iterator
@@ -19,7 +19,7 @@ _CHUNK = 1024**2
 
 
 class Store:
-    """Objects of a bucket, by their keys."""
+    """Objects of a bucket, by key."""
 
     def __init__(self, aws: Aws, bucket: str) -> None:
         self._aws = aws
@@ -31,7 +31,7 @@ class Store:
         return self._aws.s3
 
     def check(self) -> None:
-        """See whether it is there, for us, and in the region.
+        """Check that the bucket exists, is accessible and in the region.
 
         Raises:
             InputError: it is not.
@@ -47,37 +47,37 @@ class Store:
         """Write an object.
 
         Raises:
-            InputError: it is not allowed.
+            InputError: access is denied.
             AwsLostError: AWS does not answer.
         """
         with aws_errors(self._where):
             self._s3.put_object(Bucket=self._bucket, Key=key, Body=data, ContentType="application/octet-stream")
 
     def upload(self, key: str, file: IO[bytes], size: int) -> None:
-        """Write an object of any size from a file, unless it is there; its key tells its content.
+        """Upload a file of any size, unless the object exists; its key is derived from its content.
 
         Raises:
-            InputError: it is not allowed.
+            InputError: access is denied.
             AwsLostError: AWS does not answer.
         """
         if self._size(key) != size:
             self.write(key, file)
 
     def write(self, key: str, file: IO[bytes]) -> None:
-        """Write an object of any size from a file; needs no right to see what is there.
+        """Upload a file of any size; needs no permission to list the bucket.
 
         Raises:
-            InputError: it is not allowed.
+            InputError: access is denied.
             AwsLostError: AWS does not answer.
         """
         with aws_errors(self._where):
             self._s3.upload_fileobj(file, self._bucket, key)
 
     def get(self, key: str, most: int) -> bytes | None:
-        """Read an object of at most ``most`` bytes; None where there is none.
+        """Return the content of an object of at most ``most`` bytes; None if it does not exist.
 
         Raises:
-            InputError: it is not allowed.
+            InputError: access is denied.
             InfrastructureError: it is larger.
             AwsLostError: AWS does not answer.
         """
@@ -94,13 +94,13 @@ class Store:
         return data
 
     def download(self, key: str, path: Path, size: int) -> str:
-        """Write an object of so many bytes into a new file.
+        """Download an object of a known size to a new file.
 
         Returns:
-            Its SHA-256; nothing where there is no such object, or it has another size.
+            Its SHA-256; empty if the object does not exist, or has another size.
 
         Raises:
-            InputError: it is not allowed.
+            InputError: access is denied.
             InfrastructureError: the file cannot be written.
             AwsLostError: AWS does not answer.
         """
@@ -121,20 +121,20 @@ class Store:
         return digest.hexdigest()
 
     def keys(self, prefix: str) -> Iterator[str]:
-        """All keys below a prefix.
+        """Yield all keys with a prefix.
 
         Raises:
-            InputError: it is not allowed.
+            InputError: access is denied.
             AwsLostError: AWS does not answer.
         """
         for page in self._pages(Prefix=prefix):
             yield from (str(entry["Key"]) for entry in page.get("Contents", ()))
 
     def folders(self, prefix: str) -> Iterator[str]:
-        """The names of what lies below a prefix that ends with a slash and has something in it itself.
+        """Yield the names of non-empty folders directly below a prefix, which ends with a slash.
 
         Raises:
-            InputError: it is not allowed.
+            InputError: access is denied.
             AwsLostError: AWS does not answer.
         """
         for page in self._pages(Prefix=prefix, Delimiter="/"):
@@ -161,7 +161,7 @@ class Store:
         return answer
 
     def _size(self, key: str) -> int | None:
-        """Of an object; asked so that it needs no right to read it."""
+        """Return the size of an object, from a listing, which needs no permission to read it."""
         with aws_errors(self._where):
             page = self._s3.list_objects_v2(Bucket=self._bucket, Prefix=key, MaxKeys=1)
         return next((int(entry["Size"]) for entry in page.get("Contents", ()) if entry["Key"] == key), None)

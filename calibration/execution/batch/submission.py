@@ -1,6 +1,6 @@
-"""The jobs of a group submitted: pure functions to the requests ``SubmitJob``.
+"""Requests ``SubmitJob`` for the jobs of a group, without side effects.
 
-They go as arrays of at most 10 000; one alone as a job without an array.
+Jobs are submitted as arrays of at most 10 000; a single job without an array.
 """
 
 import math
@@ -25,12 +25,12 @@ from calibration.execution.job import Job
 
 
 def run_tags(run: str) -> dict[str, str]:
-    """The tags of the jobs of a run that this process starts."""
+    """Return the tags of a run's jobs, including the process that starts them."""
     return {RUN: run, **_plain(Owner.this_process()).labels}
 
 
 def owner_of(tags: Mapping[str, str]) -> Owner | None:
-    """Who started a job; None where the tags do not say."""
+    """Return the process that started a job; None if the tags do not contain it."""
     owner = Owner.from_labels(tags)
     if owner is None:
         return None
@@ -39,21 +39,21 @@ def owner_of(tags: Mapping[str, str]) -> Owner | None:
 
 
 def _plain(owner: Owner) -> Owner:
-    """Without the brackets around the number of a namespace, which no tag in AWS may have."""
+    """Remove the brackets in a namespace, which AWS does not allow in tags."""
     return replace(owner, namespace=owner.namespace.replace("[", "").replace("]", "") or "unknown")
 
 
 MOST_CHILDREN = 10_000
-"""Of an array."""
+"""Batch's limit of jobs in an array."""
 AROUND_SECONDS = ARRIVAL_SECONDS + UPLOAD_SECONDS
-"""What a task has around the time of its job. Batch's own time is longer by this, so that ours ends the job first,
-with a verdict; and it is never below the 60 s that are the least that Batch takes."""
+"""Time of a task in addition to its job's. Batch's time limit is longer by this, so that our own limit ends the job
+first, with a verdict; it is also above Batch's minimum of 60 s."""
 _UNFIT_FOR_NAME = re.compile(r"[^A-Za-z0-9_-]+")
 
 
 @dataclass(frozen=True)
 class Chunk:
-    """Jobs of a group that are submitted together: ``first`` and those that follow it."""
+    """Jobs of a group that are submitted together: ``first`` and its successors."""
 
     first: int
     """Index in the group."""
@@ -61,13 +61,13 @@ class Chunk:
 
 
 def chunks(count: int) -> tuple[Chunk, ...]:
-    """Divide the jobs of a group into arrays that are as long as Batch takes them."""
+    """Split the jobs of a group into arrays of Batch's maximum size."""
     firsts = range(0, count, MOST_CHILDREN)
     return tuple(Chunk(first, min(MOST_CHILDREN, count - first)) for first in firsts)
 
 
 def attempt_seconds(jobs: Iterable[Job]) -> int | None:
-    """How long Batch lets an attempt of any of the jobs run; None where one of them has no limit."""
+    """Return Batch's time limit for attempts at these jobs; None if a job has no limit."""
     times = [job.seconds for job in jobs]
     limited = [seconds for seconds in times if seconds is not None]
     if not limited or len(limited) < len(times):
@@ -84,15 +84,15 @@ def submission(
     seconds: int | None,
     tags: Mapping[str, str],
 ) -> dict[str, Any]:
-    """The request that submits a chunk.
+    """Return the request that submits a chunk.
 
     Args:
-        chunk: which jobs of the group.
-        location: of the group.
-        definition: the ARN of the job definition, with its revision.
-        settings: name the queue, the share and tags of the user's.
-        seconds: of an attempt, as `attempt_seconds` has it.
-        tags: of the run.
+        chunk: jobs of the group.
+        location: location of the group.
+        definition: ARN of the job definition, with its revision.
+        settings: settings with the queue, the share and the user's tags.
+        seconds: time limit of an attempt, from `attempt_seconds`.
+        tags: tags of the run.
     """
     variables = {LOCATION: location.text, FIRST: str(chunk.first), REGION: settings.region}
     name = f"calibration-{location.run}-{location.group}-{chunk.first}"

@@ -1,4 +1,4 @@
-"""What is brought into a queue and ended in it: job definitions, jobs, and what earlier runs have left."""
+"""Requests that change a queue: registration of job definitions, submission, termination, and search for leftovers."""
 
 import re
 import time
@@ -16,17 +16,17 @@ from calibration.execution.docker.labels import RUN, Owner
 
 
 def ensure(aws: Aws, request: Mapping[str, Any]) -> str:
-    """Register a definition, unless there is one that says the same.
+    """Register a definition, unless an equal one exists.
 
     Args:
-        aws: where.
-        request: of RegisterJobDefinition, with its digest in the tags.
+        aws: session.
+        request: request RegisterJobDefinition, with its digest in the tags.
 
     Returns:
-        The ARN, with the revision.
+        ARN with the revision.
 
     Raises:
-        InputError: it is not allowed, or AWS refuses what it says.
+        InputError: access is denied, or AWS refuses the definition.
         AwsLostError: AWS does not answer.
     """
     name = str(request["jobDefinitionName"])
@@ -35,15 +35,15 @@ def ensure(aws: Aws, request: Mapping[str, Any]) -> str:
         if definition.get("tags", {}).get(DIGEST_TAG) == digest:
             return str(definition["jobDefinitionArn"])
     with aws_errors(f"job definition '{name}'"):
-        # done twice, because an answer was lost, it is another revision that says the same
+        # not idempotent, but a repeated registration is only one more equal revision
         return str(aws.batch.register_job_definition(**request)["jobDefinitionArn"])
 
 
 def find_old(aws: Aws) -> list[str]:
-    """The ARNs of all revisions of definitions of ours but the newest of each.
+    """Return the ARNs of all revisions of our definitions but the latest of each.
 
     Raises:
-        InputError: it is not allowed.
+        InputError: access is denied.
         AwsLostError: AWS does not answer.
     """
     revisions: dict[str, dict[int, str]] = {}
@@ -58,7 +58,7 @@ def deregister(aws: Aws, arns: Iterable[str]) -> None:
     """Deregister revisions of definitions.
 
     Raises:
-        InputError: it is not allowed.
+        InputError: access is denied.
         AwsLostError: AWS does not answer.
     """
     for arn in arns:
@@ -67,7 +67,7 @@ def deregister(aws: Aws, arns: Iterable[str]) -> None:
 
 
 def _active(aws: Aws, name: str | None = None) -> Iterator[dict[str, Any]]:
-    """Definitions of a name, or all, that jobs can be submitted with."""
+    """Yield active definitions, of a name or all."""
     chosen = {} if name is None else {"jobDefinitionName": name}
     token: dict[str, str] = {}
     while True:
@@ -82,36 +82,36 @@ def _active(aws: Aws, name: str | None = None) -> Iterator[dict[str, Any]]:
 _ENDED = ("SUCCEEDED", "FAILED")
 _UNFIT_FOR_NAME = re.compile(r"[^A-Za-z0-9_-]+")
 _SETTLING = 60.0
-"""Seconds in which Batch takes note of a request to end a job."""
+"""Seconds until Batch's data show a requested termination."""
 _TAKING_NOTE = 0.5
 _MOST_PROBLEMS = 3
-"""Jobs that cannot be ended before the rest is not tried."""
+"""Limit of failed terminations, after which the remaining ones are not tried."""
 
 
 @dataclass(frozen=True)
 class CloudLeftover:
-    """A job in the queue that has not ended."""
+    """An unfinished job in the queue."""
 
     id: str
     name: str
     run: str
     status: str
     jobs: int
-    """Its children, where it is an array; else 1."""
+    """Number of children of an array; 1 for a single job."""
     owner: Owner | None
-    """None where the tags do not say."""
+    """None if the tags do not contain it."""
 
     @property
     def row(self) -> tuple[str, ...]:
-        """What a table says of it."""
+        """Cells of a table's row."""
         return (self.id, self.name, self.run, str(self.jobs), self.status)
 
 
 def find_in_queue(aws: Aws, queue: str, run: str | None = None) -> list[CloudLeftover]:
-    """Find what a run, or every run, has in a queue and has not ended.
+    """Find unfinished jobs of a run, or of all runs, in a queue.
 
     Raises:
-        InputError: there is no such queue, or it is not allowed.
+        InputError: the queue does not exist, or access is denied.
         AwsLostError: AWS does not answer.
     """
     prefix = "calibration-" if run is None else _UNFIT_FOR_NAME.sub("-", f"calibration-{run}-")
@@ -121,25 +121,25 @@ def find_in_queue(aws: Aws, queue: str, run: str | None = None) -> list[CloudLef
 
 
 def find_by_name(aws: Aws, queue: str, name: str) -> list[str]:
-    """The ids of jobs of exactly this name, whatever has become of them; the newest first.
+    """Return the ids of all jobs with a name, in any state, the latest first.
 
     Raises:
-        InputError: there is no such queue, or it is not allowed.
+        InputError: the queue does not exist, or access is denied.
         AwsLostError: AWS does not answer.
     """
     return [str(entry["jobId"]) for entry in _named(aws, queue, name) if entry["jobName"] == name]
 
 
 def terminate(aws: Aws, ids: Sequence[str], reason: str) -> None:
-    """End jobs, whatever they are doing, and see that Batch has taken note of each.
+    """Terminate jobs in any state, and wait until Batch's data show it.
 
     Raises:
-        InfrastructureError: it does not take note; names how many.
-        InputError: it is not allowed, or the credentials are expired.
+        InfrastructureError: jobs are not terminated; the message contains their number.
+        InputError: access is denied, or the credentials are expired.
         AwsLostError: AWS does not answer.
     """
     problems: list[CalibrationError] = []
-    for identifier in ids:  # all first: who is being stopped himself has little time
+    for identifier in ids:  # all requests first, because a runner that cancels leaves little time
         try:
             with aws_errors(f"job {identifier}"):
                 aws.batch.terminate_job(jobId=identifier, reason=reason)
@@ -161,7 +161,7 @@ def terminate(aws: Aws, ids: Sequence[str], reason: str) -> None:
 
 
 def _named(aws: Aws, queue: str, name: str) -> Iterator[dict[str, Any]]:
-    """Summaries of jobs by their name, which may end with a ``*``."""
+    """Yield summaries of jobs by name, which may end with ``*``."""
     token: dict[str, str] = {}
     while True:
         with aws_errors(f"queue '{queue}'"):
@@ -185,28 +185,28 @@ def _leftover(record: dict[str, Any]) -> CloudLeftover:
 
 
 STOPPED = "the run was stopped"
-"""The reason that Batch is given."""
+"""Reason of the termination, reported to Batch."""
 _TRIES = 3
 _LOOKING = 1.0
 
 
 class Submitting:
-    """Submits, and knows what it has submitted."""
+    """Submits jobs, and tracks what it has submitted."""
 
     def __init__(self, aws: Aws, queue: str) -> None:
         self.submitted: list[Submitted] = []
         self._aws = aws
         self._queue = queue
         self._unclear: str = ""
-        """The name of a job that may have been submitted: its answer has not come."""
+        """Name of a job that may have been submitted, because the answer is missing."""
 
     def submit(self, request: Mapping[str, Any], group: str, first: int) -> Submitted:
-        """Submit a job or an array of a name that nothing else has.
+        """Submit a job or an array with a unique name.
 
-        Where an answer is lost, the queue is searched for the name before it is tried again.
+        If the answer is lost, the queue is searched for the name before the next attempt.
 
         Raises:
-            InputError: Batch refuses it, or it is not allowed.
+            InputError: Batch refuses it, or access is denied.
             AwsLostError: AWS does not answer, or throttles for too long.
         """
         self._unclear = name = str(request["jobName"])
@@ -228,11 +228,11 @@ class Submitting:
         return self.submitted[-1]
 
     def stop(self, ids: list[str], reason: str = STOPPED) -> None:
-        """End jobs, and what may have been submitted without our knowing.
+        """Terminate jobs, including one that may have been submitted without an answer.
 
         Raises:
-            InfrastructureError: something may go on.
-            InputError: it is not allowed, or the credentials are expired.
+            InfrastructureError: jobs may still run.
+            InputError: access is denied, or the credentials are expired.
             AwsLostError: AWS does not answer.
         """
         terminate(self._aws, ids, reason)
@@ -240,7 +240,7 @@ class Submitting:
             if found := find_by_name(self._aws, self._queue, self._unclear):
                 terminate(self._aws, found, reason)
                 break
-            time.sleep(_LOOKING)  # the list of jobs is a little behind
+            time.sleep(_LOOKING)  # new jobs appear in the list with a delay
         self._unclear = ""
 
     def _send(self, request: Mapping[str, Any]) -> str:
@@ -251,7 +251,7 @@ class Submitting:
         return str(answer["jobId"])
 
     def _end_doubles(self, name: str, keep: str) -> None:
-        """End what a request whose answer was lost has made after all."""
+        """Terminate duplicates submitted by requests whose answer was lost."""
         doubles = [each for each in find_by_name(self._aws, self._queue, name) if each != keep]
         if doubles:
             terminate(self._aws, doubles, "submitted twice")

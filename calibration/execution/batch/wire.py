@@ -1,13 +1,13 @@
-"""What the client and a task on AWS Batch tell each other: keys in S3, variables, names of containers and folders.
+"""Names shared by the client and tasks on AWS Batch: S3 keys, variables, containers and folders.
 
-Below ``s3://BUCKET/PREFIX/``::
+Layout of ``s3://BUCKET/PREFIX/``::
 
-    inputs/SHA256.tar                        what a mount holds, by its content; shared by runs
-    runs/RUN/jobs/GROUP/NNNNN.json           the jobs of a group, `JOBS_PER_FILE` in each file
-    runs/RUN/jobs/GROUP/submitted.json       under which ids of AWS Batch they were submitted
-    runs/RUN/results/GROUP/INDEX/ATTEMPT/    what one attempt leaves: files/PATH..., and, last, outcome.json
+    inputs/SHA256.tar                        content of a mount, by its digest; shared by runs
+    runs/RUN/jobs/GROUP/NNNNN.json           jobs of a group, `JOBS_PER_FILE` in each file
+    runs/RUN/jobs/GROUP/submitted.json       ids of the submissions in AWS Batch
+    runs/RUN/results/GROUP/INDEX/ATTEMPT/    results of one attempt: files/PATH..., and, last, outcome.json
 
-A group is jobs of one shape: one array (or a few, past 10 000). Job ``INDEX`` of a group is child
+A group contains jobs of one shape: one array (or several, above 10 000). Job ``INDEX`` of a group is child
 ``INDEX - FIRST`` of its array.
 """
 
@@ -19,32 +19,32 @@ from calibration.errors import InputError
 PREPARE, WATCH = "calibration-prepare", "calibration-watch"
 """Our containers in every task: the first to run, and the essential one."""
 JOB_FOLDER = "/calibration/job"
-"""A volume that all containers of a task share: scripts, and what they tell each other."""
+"""Volume shared by all containers of a task, with scripts and signals."""
 MOUNTS_FOLDER = "/calibration/mounts"
-"""Where the first container sees the volumes of the mounts: ``MOUNTS_FOLDER/0``, ``/1``..."""
+"""Mount point of the volumes of the job's mounts in the first container: ``MOUNTS_FOLDER/0``, ``/1``..."""
 JOBS_PER_FILE = 100
 ARRIVAL_SECONDS = 1200.0
-"""What the containers of a task have for coming up, images pulled among it; the time of the job begins after that."""
+"""Time limit for the containers of a task to start, including pulls of images; the time of the job starts later."""
 UPLOAD_SECONDS = 600.0
-"""What is left, after the time of the job, for stopping its containers and bringing out what they left, before the
-task's own limit should strike."""
+"""Time for stopping containers and uploading results, after the time of the job and before the time limit of the
+task."""
 OUTCOME_FILE, FILES_FOLDER = "outcome.json", "files"
 LOCATION, FIRST = "CALIBRATION_LOCATION", "CALIBRATION_FIRST"
-"""Variables of our containers, given when the job is submitted: ``s3://BUCKET/PREFIX``'s run and group as in
+"""Variables of our containers, set on submission: ``s3://BUCKET/PREFIX``, run and group in the form of
 `Location.text`, and the index of the array's first child."""
 REGION = "AWS_REGION"
-"""Variable that says where the bucket is. ECS sets it on Fargate only, so it is given when the job is submitted."""
+"""Region of the bucket, set on submission, because ECS sets it only on Fargate."""
 INDEX, ATTEMPT = "AWS_BATCH_JOB_ARRAY_INDEX", "AWS_BATCH_JOB_ATTEMPT"
-"""Variables that Batch sets: the child (none where there is no array), and the attempt, from 1."""
+"""Variables that Batch sets: index of the child (only in arrays), and of the attempt, from 1."""
 
 _RUN_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,60}")
 
 
 def check_run_name(name: str) -> None:
-    """Refuse a name of a run that cannot be part of keys and of other names.
+    """Refuse a name of a run that is invalid in keys and other names.
 
     Raises:
-        InputError: it cannot.
+        InputError: it is invalid.
     """
     if not _RUN_NAME.fullmatch(name):
         raise InputError(f"run '{name}': expected letters, digits, _ . and -, at most 61")
@@ -52,7 +52,7 @@ def check_run_name(name: str) -> None:
 
 @dataclass(frozen=True)
 class Location:
-    """A group of jobs of a run, in S3."""
+    """Location of a group of a run's jobs in S3."""
 
     bucket: str
     prefix: str
@@ -61,33 +61,33 @@ class Location:
 
     @property
     def text(self) -> str:
-        """As the variable `LOCATION` has it."""
+        """Value of the variable `LOCATION`."""
         return f"s3://{self.bucket}/{self.prefix}/{self.run}/{self.group}"
 
     @classmethod
     def parse(cls, text: str) -> "Location":
-        """Read the variable."""
+        """Parse the variable `LOCATION`."""
         bucket, _, path = text.removeprefix("s3://").partition("/")
         prefix, run, group = path.rsplit("/", 2)
         return cls(bucket, prefix, run, group)
 
     def input_key(self, sha256: str) -> str:
-        """Of what a mount holds."""
+        """Return the key of a mount's content."""
         return f"{self.prefix}/inputs/{sha256}.tar"
 
     def jobs_key(self, index: int) -> str:
-        """Of the file that has the job."""
+        """Return the key of the file with a job."""
         return f"{self.prefix}/runs/{self.run}/jobs/{self.group}/{index // JOBS_PER_FILE:05}.json"
 
     @property
     def submitted_key(self) -> str:
-        """Of the file that says under which ids the group was submitted."""
+        """Key of the file with the ids of the group's submissions."""
         return f"{self.prefix}/runs/{self.run}/jobs/{self.group}/submitted.json"
 
     def attempts_key(self, index: int) -> str:
-        """Of the folder that has a folder for each attempt at a job."""
+        """Return the prefix of the attempts at a job."""
         return f"{self.prefix}/runs/{self.run}/results/{self.group}/{index}/"
 
     def result_key(self, index: int, attempt: int, name: str = "") -> str:
-        """Of a file that an attempt leaves; of their folder where no name is given."""
+        """Return the key of a file of an attempt, or their common prefix without a name."""
         return f"{self.attempts_key(index)}{attempt}/{name}"

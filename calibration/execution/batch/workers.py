@@ -1,4 +1,4 @@
-"""Threads that do small pieces of work, mostly waiting for AWS."""
+"""Thread pool for requests to AWS."""
 
 import threading
 import time
@@ -10,14 +10,14 @@ Result = TypeVar("Result")
 
 
 class Workers(Generic[Result]):
-    """Do work in the order in which it is given; answers come as they are ready.
+    """Runs functions in threads; results are returned in the order of completion.
 
-    A signal may strike the thread that waits for answers: it waits on a queue, and holds no lock.
+    Safe against signals in the waiting thread: it waits on a queue, without a lock.
     """
 
     def __init__(self, count: int) -> None:
         self.waiting = 0
-        """Pieces of work whose answer has not been taken."""
+        """Number of functions whose result has not been returned."""
         self._work: SimpleQueue[Callable[[], Result] | None] = SimpleQueue()
         self._answers: SimpleQueue[Result | _Failure] = SimpleQueue()
         self._count = count
@@ -25,7 +25,7 @@ class Workers(Generic[Result]):
         self._threads: list[threading.Thread] = []
 
     def give(self, work: Callable[[], Result]) -> None:
-        """Have something done."""
+        """Submit a function."""
         self.waiting += 1
         self._work.put(work)
         if len(self._threads) < min(self._count, self.waiting):
@@ -33,10 +33,10 @@ class Workers(Generic[Result]):
             self._threads[-1].start()
 
     def take(self, seconds: float | None) -> list[Result]:
-        """Wait for an answer, for so long at most (or so long, where none is to come); all that are there by then.
+        """Wait for a result, at most this long (exactly, if none is due); return all that are available.
 
         Raises:
-            BaseException: what a piece of work has raised.
+            BaseException: exception of a function.
         """
         if not self.waiting:
             time.sleep(seconds or 0.0)
@@ -53,13 +53,13 @@ class Workers(Generic[Result]):
         return found
 
     def stop(self) -> None:
-        """Begin nothing more."""
+        """Start no more functions."""
         self._stopping = True
         for _ in self._threads:
             self._work.put(None)
 
     def join(self, seconds: float) -> None:
-        """Wait until what was begun is done, for so long at most for each thread."""
+        """Wait for running functions, at most this long for each thread."""
         for thread in self._threads:
             thread.join(seconds)
 
@@ -67,15 +67,15 @@ class Workers(Generic[Result]):
         while not self._stopping and (work := self._work.get()) is not None:
             try:
                 self._answers.put(work())
-            except BaseException as error:  # whatever it is, who waits has to know of it
+            except BaseException as error:  # any exception is passed to the waiting thread
                 self._answers.put(_Failure(error))
 
 
 def in_threads(count: int, work: Iterable[Callable[[], Result]], ahead: int = 1000) -> Iterator[Result]:
-    """Do all of some work in so many threads; the answers as they come.
+    """Run functions in a number of threads; yield results in the order of completion.
 
     Raises:
-        BaseException: what a piece of work has raised; nothing more is begun then.
+        BaseException: exception of a function; no more functions are started then.
     """
     workers: Workers[Result] = Workers(count)
     try:

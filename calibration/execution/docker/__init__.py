@@ -1,1 +1,1 @@
-"""Jobs in containers of a Docker Engine."""
+"""Backend for jobs in containers of a Docker Engine."""

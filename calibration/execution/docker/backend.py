@@ -1,4 +1,4 @@
-"""Jobs in containers of a Docker Engine, many at once, and nothing left of them."""
+"""Backend that runs concurrent jobs in containers of a Docker Engine, and removes everything afterwards."""
 
 import re
 import threading
@@ -28,37 +28,37 @@ from calibration.workflow.streams import LogDisplay
 _RUN_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,60}")
 _MOST_THREADS = 64
 _LOOKING = 5
-"""Seconds between two looks at whether the engine still answers."""
+"""Interval of checks whether the engine still answers, seconds."""
 _PATIENCE = 15.0
-"""Seconds after which jobs on an engine that does not answer are given up."""
+"""Seconds without an answer of the engine after which jobs are given up."""
 _ENDING = 10.0
-"""Seconds that the jobs of a run that is stopped have for ending."""
+"""Seconds for the jobs of a stopped run to end."""
 
 
 @dataclass(frozen=True)
 class _Answer:
-    """What a thread says of a job."""
+    """Result of a job, from its thread."""
 
     index: int
     outcome: JobOutcome | BaseException
 
 
 class DockerBackend:
-    """The engine as a place where jobs run; a context manager, which leaves nothing on it.
+    """A Docker Engine as a backend; a context manager, which removes everything from it.
 
-    Each job has a thread and a client of its own. The thread that reads the outcomes can be
+    Each job has its own thread and client. The thread that reads the outcomes can be
     interrupted at any time.
     """
 
     def __init__(self, run: str | None = None, show: LogDisplay | None = None) -> None:
-        """Choose an engine; nothing is asked of it yet.
+        """Choose an engine, without a request.
 
         Args:
-            run: the name of the run, in the labels of everything that is started; a new one unless given.
-            show: where the logs of the containers are shown.
+            run: name of the run, used in labels of everything that is started; None for a new one.
+            show: display for the containers' logs.
 
         Raises:
-            InputError: the name cannot be part of a container's.
+            InputError: the name is invalid in names of containers.
         """
         self.run_name = run if run is not None else new_run()
         if not _RUN_NAME.fullmatch(self.run_name):
@@ -67,13 +67,13 @@ class DockerBackend:
         self._labels = {RUN: self.run_name, **Owner.this_process().labels}
         self._networks = Networks(self.run_name, self._labels)
         self._threads: list[threading.Thread] = []
-        """Those that run the jobs."""
+        """Threads that run jobs."""
 
     def __enter__(self) -> Self:
-        """Find the engine.
+        """Connect to the engine.
 
         Raises:
-            InfrastructureError: there is none.
+            InfrastructureError: no engine answers.
         """
         self._engine = find_engine()
         self._client = self._engine.client()
@@ -82,37 +82,37 @@ class DockerBackend:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
     ) -> None:
-        """Remove what is left, such as the networks.
+        """Remove remaining objects, such as the networks.
 
         Raises:
-            InfrastructureError: something cannot be removed, and nothing else has gone wrong.
+            InfrastructureError: something cannot be removed, and there is no other error.
         """
         try:
             try:
                 self._leave_nothing()
-            except KeyboardInterrupt:  # the next signal is the last that is heard: SIGTERM is ignored from now on
+            except KeyboardInterrupt:  # further signals: SIGTERM is ignored from here
                 self._leave_nothing()
                 raise
         except CalibrationError as problem:
-            if error is None and not isinstance(problem, EngineLostError):  # a lost engine is in the outcomes
+            if error is None and not isinstance(problem, EngineLostError):  # outcomes already report a lost engine
                 raise
         finally:
             self._client.close()
 
     def run(self, jobs: Sequence[Job], folder: Path, workers: int | None = None) -> Generator[tuple[int, JobOutcome]]:
-        """Run jobs; yields each one's index and what came of it, in the order of completion.
+        """Run jobs; yield index and outcome of each, in the order of completion.
 
-        What is wrong with the jobs is raised by this call; nothing is started before the first is asked for.
+        Invalid jobs raise an error in this call; nothing is started before the first outcome is requested.
         Closing the iterator, or any exception, stops and removes everything.
 
         Args:
-            jobs: are started in their order.
-            folder: each job has its own in it, by its name: ``artifacts/``, ``logs/`` and ``manifest.json``, of
-                which those of an earlier run are removed.
-            workers: jobs at once, whatever the cores; None for as many as cores and memory allow.
+            jobs: started in order.
+            folder: each job has a subfolder with its name: ``artifacts/``, ``logs/`` and ``manifest.json``;
+                those of an earlier run are removed.
+            workers: number of concurrent jobs, regardless of cores; None for as many as cores and memory allow.
 
         Raises:
-            InputError: a job makes no sense, or an image is missing.
+            InputError: a job is invalid, or an image is missing.
             InfrastructureError: the engine or a registry cannot be reached.
         """
         check_jobs(jobs)
@@ -135,7 +135,7 @@ class DockerBackend:
     ) -> Generator[tuple[int, JobOutcome]]:
         needs = [Need.of(job) for job in jobs]
         admission = Admission(needs, self._engine.cores, self._engine.memory, workers)
-        # A queue, because a signal may strike while one waits on it; the threads hold no lock meanwhile.
+        # A queue, because a signal may interrupt waiting on it: no thread holds a lock meanwhile.
         answers: SimpleQueue[_Answer] = SimpleQueue()
         count = min(len(jobs), workers or _MOST_THREADS)
         threads = [
@@ -164,17 +164,17 @@ class DockerBackend:
             admission.stop()
             if left:
                 run.stopping.set()
-                with suppress(CalibrationError):  # __exit__ tries once more, and says so
+                with suppress(CalibrationError):  # __exit__ tries again, and reports errors
                     self._leave_nothing()
-                self._networks = Networks(self.run_name, self._labels)  # those of this run of jobs are gone
+                self._networks = Networks(self.run_name, self._labels)  # the old networks are removed
 
     def _report(self, index: int, outcome: JobOutcome) -> Generator[tuple[int, JobOutcome]]:
-        """Hand an outcome over; meanwhile no log is shown, so that the reader can print what it likes."""
+        """Yield an outcome while logs are paused, so that the consumer can print."""
         with self._show.paused() if self._show is not None else nullcontext():
             yield index, outcome
 
     def _next(self, answers: "SimpleQueue[_Answer]") -> _Answer:
-        """Wait for the next answer, for as long as the engine is there.
+        """Wait for the next result while the engine answers.
 
         Raises:
             EngineLostError: it has not answered for a while.
@@ -188,7 +188,7 @@ class DockerBackend:
             try:
                 self._ask()
             except EngineLostError as error:
-                # the threads find out by themselves, unless the engine holds their connections and says nothing
+                # the threads detect a lost engine themselves, unless it keeps connections open without answering
                 silent_since = silent_since or time.monotonic()
                 if time.monotonic() - silent_since > _PATIENCE:
                     raise error
@@ -196,10 +196,10 @@ class DockerBackend:
                 silent_since = None
 
     def _ask(self) -> None:
-        """Ask the engine for a sign of life.
+        """Send a ping to the engine.
 
         Raises:
-            EngineLostError: it gives none.
+            EngineLostError: it does not answer.
         """
         client = self._engine.client(_LOOKING)
         try:
@@ -213,7 +213,7 @@ class DockerBackend:
             client.close()
 
     def _stop(self, threads: Sequence[threading.Thread]) -> None:
-        """End everything at once: what the threads wait for is removed under them."""
+        """End all jobs at once by removing their containers, for which their threads wait."""
         deadline = time.monotonic() + _ENDING
         while any(thread.is_alive() for thread in threads) and time.monotonic() < deadline:
             try:
@@ -221,12 +221,12 @@ class DockerBackend:
             except EngineLostError:
                 break
             except InfrastructureError:
-                pass  # somebody else is removing it
+                pass  # removed concurrently by a thread
             for thread in threads:
                 thread.join(0.2 / len(threads))
 
     def _leave_nothing(self) -> None:
-        """End what still runs after an interruption of the ending itself, and remove all that is left.
+        """End remaining jobs, also after an interrupted clean-up, and remove everything.
 
         Raises:
             InfrastructureError: something cannot be removed, or the engine does not answer.
@@ -235,33 +235,33 @@ class DockerBackend:
         self._sweep()
 
     def _sweep(self, containers_only: bool = False) -> None:
-        """Remove everything of the run from the engine.
+        """Remove all objects of the run from the engine.
 
         Raises:
             InfrastructureError: something cannot be removed, or the engine does not answer.
         """
-        self._ask()  # one that says nothing is not waited for
+        self._ask()  # fail fast if the engine does not answer
         leftovers = find_leftovers(self._client.api, self.run_name)
         remove(self._client.api, [each for each in leftovers if not containers_only or each.kind == "container"])
 
 
 def open_docker(place: Place) -> DockerBackend:
-    """The backend of a place.
+    """Create the backend of an execution target.
 
     Raises:
-        InputError: the name of the run cannot be part of a container's.
+        InputError: the name of the run is invalid in names of containers.
     """
     return DockerBackend(place.run, place.show)
 
 
 def _work(run: Run, jobs: Sequence[Job], folder: Path, admission: Admission, answers: "SimpleQueue[_Answer]") -> None:
-    """In a thread: run one job after the other."""
+    """Run one job after the other, in a thread."""
     while (index := admission.wait()) is not None:
         try:
             answers.put(_Answer(index, JobRun(run, jobs[index], folder).run()))
         except Interrupted:
             return
-        except BaseException as error:  # whatever it is, the reader has to know of it
+        except BaseException as error:  # any exception is passed to the reader
             answers.put(_Answer(index, error))
             return
         finally:

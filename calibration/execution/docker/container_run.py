@@ -1,4 +1,4 @@
-"""One container of a job on the engine, from its creation to its removal."""
+"""A container of a job on the engine, from its creation to its removal."""
 
 import struct
 import threading
@@ -24,23 +24,23 @@ from calibration.execution.outcome import End
 from calibration.execution.supervision import Supervised
 
 GRACE = 5
-"""Seconds between the polite and the impolite request to end."""
+"""Seconds between SIGTERM and SIGKILL."""
 _TRIES = 5
 _HEADER = struct.Struct(">BxxxL")
-"""Of a piece of output: the stream, and how many bytes follow."""
+"""Header of a frame of output: stream, and number of bytes."""
 _SETTLING = 0.25
-"""Seconds; the engine may hear that memory ran out after it has heard of the end."""
+"""Seconds; the engine may report lack of memory a little after the end of the container."""
 
 
 class ContainerRun(Supervised):
-    """A container that runs, or will, or did."""
+    """A container before, during or after its run."""
 
     def __init__(self, container: Container, engine: Engine, image: str, log: LogFile) -> None:
         super().__init__(container)
         self.image = image
         self.log = log.path
         self.id = ""
-        """Of the engine; empty until it has been created."""
+        """Id on the engine; empty before its creation."""
         self._output = log
         self._engine = engine
         self._probe: Probe | None = None
@@ -48,13 +48,13 @@ class ContainerRun(Supervised):
         self._problem: CalibrationError | None = None
 
     def create(self, api: APIClient, prefix: str, settings: Mapping[str, Any]) -> str:
-        """Create it under a name that nothing else has.
+        """Create the container with a unique name.
 
         Returns:
             Its id.
 
         Raises:
-            docker.errors.APIError: the engine refuses.
+            docker.errors.APIError: the engine refuses the request.
         """
         tries = _TRIES
         while not self.id:
@@ -67,18 +67,18 @@ class ContainerRun(Supervised):
         return self.id
 
     def start(self, api: APIClient, ends: "SimpleQueue[ContainerRun]", host_network: bool) -> None:
-        """Start it, with its log followed; it is put into the queue when it has ended.
+        """Start the container and follow its log; it is put into the queue when it has ended.
 
         Raises:
-            docker.errors.APIError: the engine refuses.
+            docker.errors.APIError: the engine refuses the request.
         """
         with ExitStack() as opened:
             client = self._engine.client()
             opened.callback(client.close)
-            # before it starts, so that nothing of its output is missed
+            # attach before the start, to miss none of its output
             stream = opened.enter_context(attach(client.api, self.id))
             api.start(self.id)
-            opened.pop_all()  # they are the follower's now
+            opened.pop_all()  # the follower closes them
         self.started = time.monotonic()
         if self.container.readiness is not None:
             self._probe = Probe(api, self.id, self.container.readiness, host_network)
@@ -89,7 +89,7 @@ class ContainerRun(Supervised):
         self._follower.start()
 
     def look(self) -> None:
-        """Ask the engine whether it is ready; a container that ends meanwhile is not.
+        """Update the readiness; a container that ends meanwhile is not ready.
 
         Raises:
             EngineLostError: the engine does not answer.
@@ -99,17 +99,17 @@ class ContainerRun(Supervised):
                 try:
                     self.ready = self._probe.holds(self._output.found)
                 except docker.errors.APIError:
-                    return  # it has ended, which will be heard of
+                    return  # it has ended, which the follower reports
 
     def not_ready_for(self) -> str:
-        """What it is not ready for, for a message."""
+        """Return the unmet conditions of its readiness, for a message."""
         return "" if self._probe is None else self._probe.missing(self._output.found)
 
     def join(self, seconds: float) -> None:
         """Wait until its log is complete.
 
         Raises:
-            CalibrationError: the engine went away, or the log could not be written.
+            CalibrationError: the engine was lost, or the log could not be written.
         """
         if self._follower is not None:
             self._follower.join(seconds)
@@ -122,8 +122,8 @@ class ContainerRun(Supervised):
         """Ask the engine how it ended.
 
         Args:
-            api: of the engine.
-            ours: why we stopped it; None where it ended by itself.
+            api: client of the engine.
+            ours: reason why it was stopped; None if it ended by itself.
 
         Raises:
             EngineLostError: the engine does not answer.
@@ -139,17 +139,17 @@ class ContainerRun(Supervised):
 
     @property
     def last_line(self) -> str:
-        """Of its log."""
+        """Last line of its log."""
         return self._output.last_line
 
     def _follow(self, client: DockerClient, stream: Response, ends: "SimpleQueue[ContainerRun]") -> None:
-        """In a thread: bring its output into the log until it has ended."""
+        """Write its output to the log until it ends; runs in a thread."""
         try:
             with engine_errors(f"container '{self.name}'"):
                 try:
                     for chunk in pieces(stream):
                         self._feed(chunk)
-                except (OSError, ValueError) as error:  # what a broken connection raises below the SDK
+                except (OSError, ValueError) as error:  # exceptions of a broken connection that the SDK does not wrap
                     raise lost(error) from None
                 client.api.wait(self.id, timeout=None)
         except CalibrationError as error:
@@ -161,7 +161,7 @@ class ContainerRun(Supervised):
             client.close()
 
     def _feed(self, chunk: bytes) -> None:
-        """Write to the log; where that fails, read on: a container whose output nobody reads stands still."""
+        """Write to the log; after a failure keep reading, because a full pipe would block the container."""
         if self._problem is None:
             try:
                 self._output.feed(chunk)
@@ -170,16 +170,16 @@ class ContainerRun(Supervised):
 
 
 def attach(api: APIClient, container: str) -> Response:
-    """Begin to listen to a container: from now on nothing is missed. Whoever asks closes it.
+    """Attach to a container's output, without a gap from now on; the caller closes the response.
 
-    The SDK reads it from the bare socket, which it then leaves open; this is the same call as plain HTTP.
+    Plain HTTP instead of the SDK's method, which reads the raw socket and leaks it.
 
     Raises:
-        docker.errors.APIError: the engine refuses.
+        docker.errors.APIError: the engine refuses the request.
     """
     url = f"{api.base_url}/v{api.api_version}/containers/{container}/attach"
     asked = {"stream": 1, "stdout": 1, "stderr": 1}
-    response = api.post(url, params=asked, stream=True, timeout=(api.timeout, None))  # silence may last
+    response = api.post(url, params=asked, stream=True, timeout=(api.timeout, None))  # None: it may be silent
     try:
         response.raise_for_status()
     except requests.HTTPError as error:
@@ -189,7 +189,7 @@ def attach(api: APIClient, container: str) -> Response:
 
 
 def pieces(response: Response) -> Iterator[bytes]:
-    """What comes, stdout and stderr in the order of arrival, until the container has ended."""
+    """Yield the output, stdout and stderr in the order of arrival, until the container ends."""
     while len(header := response.raw.read(_HEADER.size)) == _HEADER.size:
         _, size = _HEADER.unpack(header)
         yield response.raw.read(size)

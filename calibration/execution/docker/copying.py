@@ -1,6 +1,6 @@
-"""Files of a container: put into one that has not been started, and read out of any, without any tool in it.
+"""Copying of files into containers before their start, and out of containers, without tools in the image.
 
-The SDK can read them too, but can neither end early nor give up on an engine that says nothing any more.
+The SDK's own functions cannot stop early, and have no time-out for an engine that does not answer.
 """
 
 import base64
@@ -27,7 +27,7 @@ _IN_MEMORY = 16 * 1024**2
 
 
 def open_output(api: APIClient, container: str) -> None:
-    """Let every user of the image write to the job's volume, which belongs to root else."""
+    """Make the job's volume writable for all users of the image; by default it belongs to root."""
     entry = tarfile.TarInfo(OUTPUT.strip("/"))
     entry.type, entry.mode = tarfile.DIRTYPE, 0o1777
     file = io.BytesIO()
@@ -37,10 +37,10 @@ def open_output(api: APIClient, container: str) -> None:
 
 
 def copy_in(api: APIClient, container: str, mounts: Iterable[Mount]) -> None:
-    """Copy what an engine that does not see our files cannot mount.
+    """Copy mounts into a container, for an engine that cannot access our file system.
 
     Raises:
-        InputError: a mount is writable, so a copy would not do, or cannot be read.
+        InputError: a mount is writable, which a copy does not support, or cannot be read.
     """
     mounts = tuple(mounts)
     for mount in mounts:
@@ -63,7 +63,7 @@ def copy_in(api: APIClient, container: str, mounts: Iterable[Mount]) -> None:
 
 
 def _readable(entry: tarfile.TarInfo) -> tarfile.TarInfo:
-    """For every user, and nobody's in particular."""
+    """Make a tar entry readable for all users, without an owner."""
     entry.uid = entry.gid = 0
     entry.uname = entry.gname = ""
     entry.mode |= 0o555 if entry.isdir() or entry.mode & 0o100 else 0o444
@@ -72,11 +72,11 @@ def _readable(entry: tarfile.TarInfo) -> tarfile.TarInfo:
 
 @contextmanager
 def open_archive(api: APIClient, container: str, path: str) -> Iterator[Archive]:
-    """Read a file or folder.
+    """Open a file or folder as a tar stream.
 
     Raises:
-        docker.errors.NotFound: there is none.
-        docker.errors.APIError: the engine refuses.
+        docker.errors.NotFound: it does not exist.
+        docker.errors.APIError: the engine refuses the request.
     """
     headers = {"Accept-Encoding": "identity"}
     response = api.get(
@@ -94,7 +94,7 @@ def open_archive(api: APIClient, container: str, path: str) -> Iterator[Archive]
 
 
 def opener_of(api: APIClient, container: str, name: str) -> Opener:
-    """What opens the files of a container, whose name is for messages."""
+    """Return an opener for the files of a container, whose name is used in messages."""
 
     @contextmanager
     def opened(path: str) -> Iterator[Archive]:
@@ -109,7 +109,7 @@ def opener_of(api: APIClient, container: str, name: str) -> Opener:
 
 
 def exists(api: APIClient, container: str, path: str) -> bool:
-    """Whether there is a file or folder."""
+    """Return whether a file or folder exists."""
     with api.head(_address(api, container), params={"path": path}, timeout=api.timeout) as response:
         return response.ok
 

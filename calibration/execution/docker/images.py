@@ -1,4 +1,4 @@
-"""Images are there before anything is started."""
+"""Images of containers, found on the engine or pulled before anything is started."""
 
 from collections.abc import Iterable
 
@@ -22,17 +22,17 @@ _NOT_THERE = (
     "invalid repository name",
     "no matching manifest",
 )
-"""What registries say where there is no such image, or not for us."""
+"""Parts of registries' messages if an image does not exist, or access is denied."""
 
 
 def find_images(api: APIClient, images: Iterable[str]) -> dict[str, str]:
-    """Find images on the engine, or else pull them.
+    """Find images on the engine, or pull them.
 
     Returns:
-        The id of each, so that a tag that moves meanwhile changes nothing.
+        Id of each image, so that a tag moved meanwhile has no effect.
 
     Raises:
-        InputError: there is no such image, or it may not be pulled.
+        InputError: an image does not exist, or access is denied.
         InfrastructureError: the engine or the registry cannot be reached.
     """
     return {image: _find(api, image) or _pull(api, image) for image in dict.fromkeys(images)}

@@ -1,4 +1,4 @@
-"""One job on the engine: started, watched, stopped, brought out, removed."""
+"""A job on the engine: started, supervised, stopped, its artifacts copied, and removed."""
 
 import threading
 import time
@@ -28,31 +28,31 @@ from calibration.workflow.streams import LogDisplay
 from calibration.workflow.text import one_line
 
 _SETTLING = GRACE + 15
-"""Seconds in which a container that was stopped ends."""
+"""Seconds for a stopped container to end."""
 
 
 class Interrupted(Exception):  # noqa: N818 (no error)
-    """The run is being stopped: nothing more of the job matters."""
+    """The run is being stopped, so the job's result is not needed."""
 
 
 @dataclass(frozen=True)
 class Run:
-    """What the jobs of a run share."""
+    """State shared by the jobs of a run."""
 
     name: str
     engine: Engine
     labels: dict[str, str]
     images: dict[str, str]
-    """The id of each image."""
+    """Image ids by name."""
     networks: Networks
     alone: bool
-    """Whether there is but one job."""
+    """Whether the run has a single job."""
     show: LogDisplay | None = None
     stopping: threading.Event = field(default_factory=threading.Event)
 
 
 class JobRun(Supervisor[ContainerRun]):
-    """A job that runs, in a thread of its own."""
+    """Supervisor of a job, in its own thread."""
 
     def __init__(self, run: Run, job: Job, folder: Path) -> None:
         super().__init__(job, self._clean)
@@ -63,14 +63,14 @@ class JobRun(Supervisor[ContainerRun]):
         self._network: Network | None = None
         self._volume: str | None = None
         self._lost = False
-        """Whether the engine went away."""
+        """Whether the connection to the engine was lost."""
 
     def run(self) -> JobOutcome:
-        """Run it to its end; whatever goes wrong with it is its outcome, and nothing of it is left.
+        """Run the job until it ends, and remove it; failures of the job are part of its outcome.
 
         Raises:
             Interrupted: the run is being stopped.
-            InfrastructureError: a file of ours cannot be written.
+            InfrastructureError: a file cannot be written.
         """
         make_job_folder(self._folder)
         client = self._run.engine.client()
@@ -104,7 +104,7 @@ class JobRun(Supervisor[ContainerRun]):
         write_manifest(outcome, self._run.name)
         return outcome
 
-    # --- from beginning to end
+    # --- from start to end
 
     def _prepare(self, logs: ExitStack) -> None:
         """Open the logs, in the order in which the containers start."""
@@ -130,7 +130,7 @@ class JobRun(Supervisor[ContainerRun]):
         self.supervise(self._folder / ARTIFACTS)
 
     def _choose_network(self) -> Network | None:
-        """The network that has to be made; None where the engine has it already."""
+        """Create or choose the network; None for a network that the engine already has."""
         internal = self.job.network == "internal"
         if self._network_mode != DEFAULT_BRIDGE:
             return None
@@ -142,7 +142,7 @@ class JobRun(Supervisor[ContainerRun]):
 
     @property
     def _network_mode(self) -> str:
-        """What the engine is told where no network is made."""
+        """Network mode of the engine, if no network is created."""
         return self.job.network if self.job.network in ("host", "none") else DEFAULT_BRIDGE
 
     def _start(self, container: ContainerRun) -> None:
@@ -162,16 +162,16 @@ class JobRun(Supervisor[ContainerRun]):
             run.start(api, self._ends, self.job.network == "host")
 
     def _wait(self, seconds: float | None) -> None:
-        """Wait for the end of a container; the ends of all that have ended are known then."""
+        """Wait for the end of a container; afterwards the ends of all ended containers are known."""
         with suppress(Empty):
             self._ends.get(timeout=seconds)
 
-    # --- when it is over
+    # --- after the end
 
     def _stop(self, running: Sequence[ContainerRun]) -> None:
-        """Ask all that run to end, at the same time, and wait until they have."""
+        """Stop running containers concurrently, and wait until they have ended."""
         if self._run.stopping.is_set():
-            return  # removing kills them
+            return  # removing the containers kills them
         threads = [threading.Thread(target=self._stop_one, args=(c,), daemon=True) for c in running]
         for thread in threads:
             thread.start()
@@ -186,7 +186,7 @@ class JobRun(Supervisor[ContainerRun]):
             with engine_errors():
                 client.api.stop(container.id, timeout=GRACE)
         except CalibrationError:
-            pass  # that the engine is gone is found out by whoever asks for the container's end
+            pass  # a lost engine is reported when the container's end is read
         finally:
             client.close()
 
@@ -197,7 +197,7 @@ class JobRun(Supervisor[ContainerRun]):
         return opener_of(self._api, container.id, container.name)
 
     def _remove(self) -> None:
-        """Remove everything of the job; what cannot be removed now, the run tries again at its end."""
+        """Remove all objects of the job; the run retries failed removals at its end."""
         if self._lost:
             return
         with suppress(InfrastructureError):
@@ -209,7 +209,7 @@ class JobRun(Supervisor[ContainerRun]):
             if self._volume is not None:
                 remove(self._api, [Leftover.of("volume", self._volume)])
 
-    # --- small things
+    # --- helpers
 
     def _go_on(self) -> None:
         if self._run.stopping.is_set():
@@ -227,7 +227,7 @@ class JobRun(Supervisor[ContainerRun]):
 
 
 def lost_job(run: Run, job: Job, folder: Path, error: EngineLostError) -> JobOutcome:
-    """The outcome of a job that has been given up, because the engine says nothing any more."""
+    """Return the outcome of a job that was given up because the engine is lost."""
     containers = tuple(ContainerOutcome(container.name, End.LOST) for container in job.containers)
     reasons = (_with_advice(error, run),)
     return JobOutcome(job.name, folder / job.name, containers, reasons=reasons, exit_code=error.exit_code)

@@ -1,4 +1,4 @@
-"""Labels on everything that is started, and who started it: so that it can be found, and removed when he is dead."""
+"""Labels of all created objects, which identify their run and process, to find and remove those of dead processes."""
 
 import os
 import secrets
@@ -15,54 +15,54 @@ _OWNER = f"{PREFIX}owner."
 
 @dataclass(frozen=True)
 class Owner:
-    """A process, so that it is not taken for another of the same number."""
+    """Identity of a process, which distinguishes it from a later one with the same pid."""
 
     host: str
     boot: str
-    """Changes when the machine starts."""
+    """Changes with every boot of the machine."""
     namespace: str
-    """Of process numbers: those of a container are its own."""
+    """PID namespace: containers have their own."""
     process: str
     started: str
-    """When, in the machine's clock ticks."""
+    """Start time in clock ticks."""
 
     @classmethod
     def this_process(cls) -> Self:
-        """The one that runs this."""
+        """Return the identity of the current process."""
         process = os.getpid()
         return cls(socket.gethostname(), _boot(), _namespace(), str(process), started(process))
 
     @classmethod
     def from_labels(cls, labels: Mapping[str, str]) -> Self | None:
-        """Read it from labels; None where something is missing, as on what another version made."""
+        """Read it from labels; None if one is missing, for example in objects of another version."""
         found = {name: labels.get(_OWNER + name, "") for name in cls.__dataclass_fields__}
         return cls(**found) if all(found.values()) and found["process"].isdecimal() else None
 
     @property
     def labels(self) -> dict[str, str]:
-        """The labels that say it."""
+        """Labels that encode it."""
         return {_OWNER + name: getattr(self, name) for name in self.__dataclass_fields__}
 
     @property
     def is_dead(self) -> bool:
-        """Whether it certainly does not run any more: it ran on this machine, where we would see it."""
+        """Whether the process has certainly ended: it ran on this machine, and would be visible."""
         here = type(self).this_process()
         if self.host != here.host or not self.boot:
             return False
         if self.boot != here.boot:
-            return True  # the machine has been started anew
+            return True  # the machine has rebooted
         return self.namespace == here.namespace and started(int(self.process)) != self.started
 
 
 def new_run() -> str:
-    """A name for a run that no other has."""
+    """Return a unique name for a run."""
     return secrets.token_hex(4)
 
 
 def started(process: int) -> str:
-    """When a process started; nothing where there is none."""
+    """Return the start time of a process; empty if it does not exist."""
     try:
-        # after the name, which is in brackets and may hold anything
+        # fields after the name, which is in brackets and may contain anything
         return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[19]
     except (OSError, IndexError):
         return ""

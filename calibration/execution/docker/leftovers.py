@@ -1,4 +1,4 @@
-"""What runs have started and not removed, found by its labels."""
+"""Objects that runs have created and not removed, found by their labels."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -18,32 +18,32 @@ Kind = Literal["container", "network", "volume"]
 
 @dataclass(frozen=True)
 class Leftover:
-    """Something on the engine that a run has started."""
+    """An object on the engine that a run has created."""
 
     kind: Kind
     id: str
     name: str
     run: str
     job: str
-    """Nothing for a network, which many jobs use."""
+    """Empty for a network, which several jobs use."""
     container: str
     state: str
     owner: Owner | None
-    """None where the labels do not say."""
+    """None if the labels do not contain it."""
 
     @property
     def row(self) -> tuple[str, ...]:
-        """What a table says of it."""
+        """Cells of a table's row."""
         return (self.kind, self.name, self.run, self.job, self.state)
 
     @classmethod
     def of(cls, kind: Kind, identifier: str) -> Self:
-        """Something that its starter knows, and needs not find."""
+        """Return a leftover from an id known to its creator, without a search."""
         return cls(kind, identifier, identifier, run="", job="", container="", state="", owner=None)
 
 
 def find_leftovers(api: "APIClient", run: str | None = None) -> list[Leftover]:
-    """Find what a run, or every run, has on the engine, in the order in which it can be removed.
+    """Find objects of a run, or of all runs, on the engine, in an order in which they can be removed.
 
     Raises:
         InfrastructureError: the engine does not answer.
@@ -61,13 +61,13 @@ def find_leftovers(api: "APIClient", run: str | None = None) -> list[Leftover]:
 
 
 def remove(api: "APIClient", leftovers: Sequence[Leftover]) -> list[Leftover]:
-    """Remove things, running containers too; what is gone already is no error.
+    """Remove objects, including running containers; those already gone are no error.
 
     Returns:
-        What has been removed, by this or by somebody else meanwhile.
+        Removed objects, including those removed by others meanwhile.
 
     Raises:
-        InfrastructureError: something cannot be removed; the rest has been. Or the engine does not answer.
+        InfrastructureError: an object cannot be removed (the others have been), or the engine does not answer.
     """
     removed, problems = [], []
     for leftover in _in_order(leftovers):
@@ -87,7 +87,7 @@ def remove(api: "APIClient", leftovers: Sequence[Leftover]) -> list[Leftover]:
 
 
 def _in_order(leftovers: Iterable[Leftover]) -> list[Leftover]:
-    """Containers first: what they use cannot be removed before."""
+    """Sort containers first: networks and volumes in use cannot be removed."""
     return sorted(leftovers, key=lambda leftover: leftover.kind)
 
 
@@ -115,33 +115,33 @@ def _leftover(kind: Kind, identifier: str, name: str, record: Any) -> Leftover:
 
 
 class EngineLeftovers:
-    """What runs have left on the Docker Engine of this machine."""
+    """Leftovers of runs on the Docker Engine of this machine."""
 
     header = ("what", "name", "run", "job", "state")
 
     def __enter__(self) -> Self:
-        """Find the engine.
+        """Connect to the engine.
 
         Raises:
-            InfrastructureError: there is none.
+            InfrastructureError: no engine answers.
         """
         self._client = connect()
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Leave it."""
+        """Close the connection."""
         self._client.close()
 
     def find(self, run: str | None) -> list[Leftover]:
-        """Find what a run, or every run, has left."""
+        """Find leftovers of a run, or of all runs."""
         return find_leftovers(self._client.api, run)
 
     def remove(self, chosen: Sequence[Leftover]) -> None:
-        """Remove it, running containers too."""
+        """Remove leftovers, including running containers."""
         remove(self._client.api, chosen)
 
     def told(self, chosen: Sequence[Leftover], dry_run: bool) -> str:
-        """How much of each kind was removed, or would be."""
+        """Return the number of removed objects of each kind, as a sentence."""
         kinds = [leftover.kind for leftover in chosen]
         counts = [f"{kinds.count(kind)} {kind}{'s' * (kinds.count(kind) != 1)}" for kind in dict.fromkeys(kinds)]
         return f"{', '.join(counts) or 'nothing'} {'would be removed' if dry_run else 'removed'}"

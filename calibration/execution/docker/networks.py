@@ -1,8 +1,8 @@
 """Private networks of the jobs of a run.
 
-Making and removing one takes a third of a second, so as few are made as keep jobs apart. Jobs with one
-container share a network on which the engine lets nobody talk to anybody else, only to the outside.
-A job with several has one of its own, which a later job of the run uses again.
+Creating and removing one takes a third of a second, so there are no more than needed to isolate jobs. Jobs with one
+container share a network on which the engine blocks traffic between containers, and allows it only to the outside.
+A job with several containers has its own network, which later jobs of the run reuse.
 """
 
 import threading
@@ -22,17 +22,17 @@ _NO_TALKING = {"com.docker.network.bridge.enable_icc": "false"}
 
 @dataclass(frozen=True)
 class Network:
-    """A network that a job uses."""
+    """A network of a job."""
 
     name: str
     internal: bool
-    """Whether it has no way out."""
+    """Whether it has no connection to the outside."""
     shared: bool
-    """Whether other jobs are on it, which cannot be reached."""
+    """Whether other jobs use it, which are unreachable."""
 
 
 class Networks:
-    """The networks of a run. May be used from any thread."""
+    """Networks of a run. Thread-safe."""
 
     def __init__(self, run: str, labels: Mapping[str, str]) -> None:
         self._run = run
@@ -42,10 +42,10 @@ class Networks:
         self._lock = threading.Lock()
 
     def shared(self, api: APIClient, internal: bool) -> Network:
-        """The network for jobs with one container; one of its own where the engine cannot keep them apart.
+        """Return the network for jobs with one container; a separate one if the engine cannot isolate containers.
 
         Raises:
-            InfrastructureError: the engine cannot make it, or does not answer.
+            InfrastructureError: the engine cannot create it, or does not answer.
         """
         with self._lock:
             if internal not in self._shared:
@@ -53,16 +53,16 @@ class Networks:
                     self._shared[internal] = self._make(api, internal, shared=True)
                 except EngineLostError:
                     raise
-                except CalibrationError:  # a kernel without br_netfilter
+                except CalibrationError:  # raised for kernels without br_netfilter
                     self._shared[internal] = None
             found = self._shared[internal]
         return found or self.take(api, internal)
 
     def take(self, api: APIClient, internal: bool) -> Network:
-        """A network on which there is nobody.
+        """Return an unused network.
 
         Raises:
-            InfrastructureError: the engine cannot make one more, or does not answer.
+            InfrastructureError: the engine cannot create one, or does not answer.
         """
         with self._lock:
             if self._free[internal]:
@@ -70,7 +70,7 @@ class Networks:
         return self._make(api, internal, shared=False)
 
     def give_back(self, network: Network) -> None:
-        """Say that nobody of a job is on a network any more."""
+        """Release a network that a job does not use any more."""
         if not network.shared:
             with self._lock:
                 self._free[network.internal].append(network)

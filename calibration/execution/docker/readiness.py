@@ -1,8 +1,8 @@
-"""Whether a container is ready: looked at from outside as far as that goes, so that images need no tools for it.
+"""Readiness checks of containers, from outside where possible, so that images need no tools.
 
-A port is tried from here, at the container's address. Where that is out of reach (Docker Desktop,
-an engine on another machine, no network), the kernel's list of listening ports is read in the
-container by ``cat``, the one tool that has to be there then.
+Ports are tested by a connection to the container's address. If it is unreachable (Docker Desktop,
+a remote engine, no network), the kernel's list of listening ports is read by ``cat`` in the
+container, which is the only tool required in the image.
 """
 
 import re
@@ -16,12 +16,12 @@ from calibration.execution.job import Readiness
 from calibration.execution.judging import unmet
 
 _CONNECTING = 0.5
-"""Seconds; a container of this machine answers in far less."""
+"""Seconds; local containers answer much faster."""
 _LISTENING = re.compile(r"^\s*\d+: [0-9A-F]+:([0-9A-F]{4}) [0-9A-F]+:0000 0A ", re.MULTILINE)
 
 
 class Probe:
-    """Asks one container, again and again, until everything has held once."""
+    """Repeated check of a container, until every condition has been met once."""
 
     def __init__(self, api: APIClient, container: str, readiness: Readiness, host_network: bool) -> None:
         self._api = api
@@ -30,7 +30,7 @@ class Probe:
         self._host_network = host_network
         self._by_address = True
         self._command: str | None = None
-        """The command that runs now."""
+        """Id of the command that is currently running."""
         self._open = {
             name
             for name, asked in (("port", readiness.port), ("file", readiness.file), ("command", readiness.command))
@@ -38,7 +38,7 @@ class Probe:
         }
 
     def holds(self, log_has_line: bool) -> bool:
-        """Whether all that is asked for has held by now; takes less than a second."""
+        """Check the conditions; return whether all have been met. Takes less than a second."""
         checks = {"port": self._port_answers, "file": self._file_is_there, "command": self._command_answers}
         for name in sorted(self._open):
             if checks[name]():
@@ -46,7 +46,7 @@ class Probe:
         return not self._open and (log_has_line or not self._readiness.log)
 
     def missing(self, log_has_line: bool) -> str:
-        """What has not held, for a message."""
+        """Return the unmet conditions, for a message."""
         return unmet(self._readiness, self._open, log_has_line)
 
     def _port_answers(self) -> bool:
@@ -59,7 +59,7 @@ class Probe:
             except ConnectionError:
                 return False
             except OSError:
-                self._by_address = False  # out of reach from here
+                self._by_address = False  # unreachable from here
         return port in self._listening()
 
     def _address(self) -> str:
@@ -76,12 +76,12 @@ class Probe:
         return exists(self._api, self._container, str(self._readiness.file))
 
     def _command_answers(self) -> bool:
-        """Look at the run of the command, which may take its time, or begin the next."""
+        """Check the result of the running command, which may take long, or start it again."""
         if self._command is None:
             command = list(self._readiness.command)
             self._command = self._api.exec_create(self._container, command, stdout=False, stderr=False)["Id"]
             self._api.exec_start(self._command, detach=True)
-            time.sleep(0.05)  # most answer at once
+            time.sleep(0.05)  # most commands end immediately
         state = self._api.exec_inspect(self._command)
         if state["Running"]:
             return False

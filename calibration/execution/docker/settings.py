@@ -1,4 +1,4 @@
-"""A container of the job model as the engine wants it: everything is forbidden that is not asked for."""
+"""Conversion of a container to the engine's settings, with all privileges dropped by default."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -10,7 +10,7 @@ from calibration.execution.docker.networks import Network
 from calibration.execution.job import OUTPUT, Container
 
 DEFAULT_BRIDGE = "bridge"
-"""The engine's network for containers that ask for none."""
+"""Default network of the engine."""
 _SOCKET = "/var/run/docker.sock"
 _GRACE = 5
 
@@ -18,15 +18,15 @@ _GRACE = 5
 def container_settings(
     api: APIClient, container: Container, network: Network | str, volume: str, labels: Mapping[str, str], binds: bool
 ) -> dict[str, Any]:
-    """The arguments that create a container, but for its name and image.
+    """Return the arguments that create a container, except for name and image.
 
     Args:
-        api: makes the parts that depend on the engine's version.
+        api: client, for parts that depend on the engine's version.
         container: the container.
-        network: that it is on, or one of the engine's modes.
-        volume: the name of the job's volume.
-        labels: of the run, the job and the container.
-        binds: whether the engine sees our files; else they are copied in later.
+        network: its network, or a network mode of the engine.
+        volume: name of the job's volume.
+        labels: labels of the run, the job and the container.
+        binds: whether the engine can access our file system; otherwise mounts are copied later.
     """
     relaxed = container.relaxations
     mounts = [Mount(OUTPUT, volume, type="volume", no_copy=True)]
@@ -39,13 +39,13 @@ def container_settings(
         mounts.append(Mount(_SOCKET, _SOCKET, type="bind"))
     limits = container.limits
     host: dict[str, Any] = {
-        "init": True,  # hands signals on, and buries the dead
+        "init": True,  # forwards signals and reaps zombies
         "network_mode": network if isinstance(network, str) else network.name,
         "mounts": mounts,
         "cap_add": list(relaxed.capabilities),
         "devices": list(relaxed.devices),
         "pids_limit": limits.processes,
-        "log_config": LogConfig(type="none"),  # we read along; the engine keeps nothing, secrets neither
+        "log_config": LogConfig(type="none"),  # read while it runs; the engine stores nothing, because of secrets
         "privileged": relaxed.privileged,
     }
     if not relaxed.privileged:
@@ -66,7 +66,7 @@ def container_settings(
         "stop_timeout": _GRACE,
     }
     if container.entrypoint is not None:
-        settings["entrypoint"] = list(container.entrypoint) or [""]  # the engine's word for none
+        settings["entrypoint"] = list(container.entrypoint) or [""]  # the engine's notation for none
     if container.working_directory is not None:
         settings["working_dir"] = container.working_directory
     if container.user is not None:

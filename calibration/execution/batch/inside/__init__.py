@@ -1,1 +1,1 @@
-"""What runs inside a task on AWS Batch: before its job's containers, around each of their commands, and beside them."""
+"""Code that runs inside a task on AWS Batch: before its containers, around their commands, and beside them."""

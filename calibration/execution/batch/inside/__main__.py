@@ -1,7 +1,7 @@
-"""``python -m calibration.execution.batch.inside prepare|watch``: our two containers in a task.
+"""``python -m calibration.execution.batch.inside prepare|watch``: entry point of our two containers in a task.
 
-Both answer 0 when they have done their part, whatever the job did; else a line says why not, and the exit code is
-that of `calibration.errors`. A task that is stopped (its job terminated, its host taken away) leaves no outcome.
+Both return 0 if they have worked, whatever the job's verdict; otherwise they print an error and return the exit code
+of `calibration.errors`. A stopped task (its job is terminated, its host is lost) leaves no outcome.
 """
 
 import os
@@ -42,21 +42,21 @@ from calibration.workflow.text import shorten
 
 _WORKERS = 8
 _LONGEST_KEY = 1024
-"""Bytes that S3 takes."""
+"""S3's limit, in bytes."""
 
 
 def send_files(store: Store, files: Iterable[BroughtOut], folder: Path, place: str) -> None:
-    """Send what a job has left.
+    """Upload the artifacts of a job.
 
     Args:
-        store: takes it.
-        files: by their paths relative to ``folder``.
-        folder: has them.
-        place: where they go: the beginning of their keys.
+        store: bucket for the files.
+        files: files with paths relative to ``folder``.
+        folder: folder of the files.
+        place: prefix of their keys.
 
     Raises:
-        RefusedError: a name is longer than S3 takes.
-        InputError: it is not allowed.
+        RefusedError: a name exceeds S3's limit.
+        InputError: access is denied.
         AwsLostError: AWS does not answer.
     """
 
@@ -79,7 +79,7 @@ def send_files(store: Store, files: Iterable[BroughtOut], folder: Path, place: s
 
 @dataclass(frozen=True)
 class Places:
-    """Where the volumes of the task are mounted."""
+    """Mount points of the task's volumes."""
 
     job: Path = Path(JOB_FOLDER)
     mounts: Path = Path(MOUNTS_FOLDER)
@@ -87,13 +87,13 @@ class Places:
 
 
 class Task:
-    """Which job this is, and where its files are."""
+    """Identity of the job of this task, and access to its files."""
 
     def __init__(self, variables: Mapping[str, str]) -> None:
         """Read it from the variables that the client and Batch have set.
 
         Raises:
-            InputError: one is missing or wrong.
+            InputError: a variable is missing or wrong.
         """
         try:
             self.location = Location.parse(variables[LOCATION])
@@ -106,24 +106,24 @@ class Task:
         self.store = Store(self.aws, self.location.bucket)
 
     def key(self, name: str) -> str:
-        """The key of something that this attempt leaves."""
+        """Return the key of a result of this attempt."""
         return self.location.result_key(self.index, self.attempt, name)
 
     def send_outcome(self, outcome: TaskOutcome) -> None:
-        """Send the outcome; nothing comes after it.
+        """Upload the outcome, as the last file.
 
         Raises:
-            InputError: it is not allowed.
+            InputError: access is denied.
             AwsLostError: AWS does not answer.
         """
         patiently(partial(self.store.put, self.key(OUTCOME_FILE), outcome_document(outcome)))
 
     def job(self) -> TaskJob:
-        """The job.
+        """Download the job.
 
         Raises:
-            InputError: the bucket cannot be read.
-            InfrastructureError: there is no such job, or it makes no sense.
+            InputError: access to the bucket is denied.
+            InfrastructureError: the job is missing or invalid.
             AwsLostError: AWS does not answer.
         """
         key = self.location.jobs_key(self.index)
@@ -134,7 +134,7 @@ class Task:
 
 
 def main(arguments: Sequence[str], variables: Mapping[str, str], places: Places = Places()) -> int:
-    """Do the part of one of our containers; returns its exit code."""
+    """Run one of our containers; return its exit code."""
     verbs = {"prepare": _prepare, "watch": _watch}
     try:
         if len(arguments) != 1 or arguments[0] not in verbs:
@@ -159,7 +159,7 @@ def _prepare(task: Task, places: Places, _: Mapping[str, str]) -> None:
         containers = tuple(ContainerOutcome(each.name, End.NOT_STARTED) for each in described.job.containers)
         reasons = (str(error),)
         failed = TaskOutcome(described.job.name, task.attempt, error.exit_code, reasons, containers=containers)
-        with suppress(CalibrationError):  # the line in the log has to do
+        with suppress(CalibrationError):  # the error is in the log anyway
             task.send_outcome(failed)
         raise
 

@@ -1,4 +1,4 @@
-"""The job's volume as tar streams: read without following a link, since it is full of what others left there."""
+"""The job's volume as tar streams, read without following links, because its content is untrusted."""
 
 import os
 import posixpath
@@ -18,13 +18,13 @@ _CHUNK = 1024**2
 _BLOCK = tarfile.BLOCKSIZE
 _END = b"\0" * 2 * _BLOCK
 _MOST_LINKS = 40
-"""As many as the kernel follows."""
+"""Linux's limit."""
 _FOLDER = os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC
 _FILE = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
 
 
 def opener_of(folder: Path) -> Opener:
-    """What opens the files below `OUTPUT`, which ``folder`` is here."""
+    """Return an opener for the files below `OUTPUT`, which is mounted at ``folder`` here."""
 
     @contextmanager
     def opened(path: str) -> Iterator[Archive]:
@@ -48,7 +48,7 @@ def opener_of(folder: Path) -> Opener:
 
 
 def _inside(path: str) -> tuple[str, ...] | None:
-    """The parts of a path below `OUTPUT`, without ``.`` and ``..``; None where it leads elsewhere."""
+    """Return the parts of a path below `OUTPUT`, without ``.`` and ``..``; None if it is outside."""
     normal = posixpath.normpath(path)
     if not f"{normal}/".startswith(f"{OUTPUT}/"):
         return None
@@ -56,11 +56,11 @@ def _inside(path: str) -> tuple[str, ...] | None:
 
 
 def _without_links(folder: Path, path: str, parts: Sequence[str]) -> tuple[str, ...]:
-    """Where a path below `OUTPUT` really is, as links on the way to it say.
+    """Resolve the links in a path below `OUTPUT`.
 
     Raises:
-        OSError: there is nothing.
-        RefusedError: a link leads out, or they lead in a circle.
+        OSError: the path does not exist.
+        RefusedError: a link points outside, or links form a cycle.
     """
     done: tuple[str, ...] = ()
     left = list(parts)
@@ -82,7 +82,7 @@ def _without_links(folder: Path, path: str, parts: Sequence[str]) -> tuple[str, 
 
 
 def _stream(above: int, name: str, shown: str) -> Iterator[bytes]:
-    """The tar of one entry of a folder, with all that is in it.
+    """Yield the tar of a file or folder.
 
     Raises:
         InfrastructureError: it cannot be read.

@@ -1,4 +1,4 @@
-"""Before the containers of a job start: their volumes filled with what their mounts hold, their scripts written."""
+"""Preparation of a job before its containers start: content of volumes, and scripts."""
 
 import os
 import posixpath
@@ -20,21 +20,21 @@ def prepare(task: TaskJob, store: Store, signs: Signs, mounts: Path, output: Pat
 
     Args:
         task: the job.
-        store: has what its mounts hold.
-        signs: the folder that all its containers see.
-        mounts: has the volumes of its mounts, by their numbers.
+        store: bucket with the content of its mounts.
+        signs: folder that all its containers see.
+        mounts: folder with the volumes of its mounts, by number.
         output: the job's own volume.
 
     Raises:
-        InputError: the job cannot run here, or the bucket not be read.
-        InfrastructureError: an input is not what it should be, or a volume cannot be written.
+        InputError: the job cannot run here, or access to the bucket is denied.
+        InfrastructureError: an input differs from its digest, or a volume cannot be written.
         AwsLostError: AWS does not answer.
     """
     scripts = {container.name: script_of(container, task.job) for container in task.job.containers}
     for item in task.inputs:
         _bring(item, store, mounts / str(item.volume))
     try:
-        output.chmod(0o1777)  # users of images are anybody
+        output.chmod(0o1777)  # images may have any user
     except OSError as error:
         raise InfrastructureError(f"{output}: cannot be written: {error.strerror}") from error
     signs.make(task.job)
@@ -53,7 +53,7 @@ def _bring(item: Input, store: Store, volume: Path) -> None:
             raise InfrastructureError(f"{where}: it is not there, or not what was sent: run the job again")
         try:
             with tarfile.open(file, "r:") as archive:
-                # what is checked by Python itself depends on its version
+                # Python's own filter differs between versions
                 archive.extraction_filter = getattr(tarfile, "fully_trusted_filter", None)
                 archive.extractall(volume, members=map(_checked, archive))  # noqa: S202 (each is checked)
             if item.writable:
@@ -63,10 +63,10 @@ def _bring(item: Input, store: Store, volume: Path) -> None:
 
 
 def _checked(entry: tarfile.TarInfo) -> tarfile.TarInfo:
-    """An entry that stays in its folder, and is what the client packs.
+    """Return a tar entry if it is a file, folder or link within the folder.
 
     Raises:
-        RefusedError: it is not.
+        RefusedError: it is something else.
     """
     above = path_parts(entry.name)[:-1]
     if entry.issym():
@@ -79,7 +79,7 @@ def _checked(entry: tarfile.TarInfo) -> tarfile.TarInfo:
 
 
 def _open_for_all(folder: Path) -> None:
-    """Let every user write to all that is in a folder."""
+    """Make everything in a folder writable for all users."""
     folder.chmod(0o777)
     for above, folders, files in os.walk(folder):
         for name in (*folders, *files):

@@ -1,9 +1,9 @@
-"""The script around the command of a container: for any POSIX shell, and without a tool that an image may lack.
+"""Generation of the script around the command of a container, for any POSIX shell and minimal images.
 
-It waits until its container may start, runs the command as a child, beats while it is there, looks whether the
-container is ready where only that can be seen from inside, ends the command when told to, and says how it ended.
-What it needs of an image is ``/bin/sh`` (dash, busybox, bash) and ``env``, ``sleep``, ``mkdir``; ``tee`` and
-``mkfifo`` where a container is ready by a line of its log.
+It waits until its container may start, runs the command as a child, updates a heartbeat file, checks the
+readiness if only the container itself can check it, ends the command on request, and records its exit code.
+It requires ``/bin/sh`` (dash, busybox, bash) and ``env``, ``sleep``, ``mkdir``; ``tee`` and
+``mkfifo`` if the readiness is a line of the log.
 """
 
 import os
@@ -28,69 +28,69 @@ BEAT, PID, READY_FILE, READY_COMMAND, LOG, PIPE, ENDED = (
     "ended",
 )
 _MOST_BYTES = 100
-"""Of a sign."""
+"""Size limit of a sign."""
 
 
 class Signs:
-    """The folder, as our own containers see it. Those of the job may have put anything into what they can write."""
+    """Folder of signals between our containers and the job's, whose content is untrusted."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
 
     def make(self, job: Job) -> None:
-        """Make what the containers of a job write to.
+        """Create the folders for the containers of a job.
 
         Raises:
-            InfrastructureError: it cannot be made.
+            InfrastructureError: a folder cannot be created.
         """
         try:
             (self.folder / START).mkdir(parents=True, exist_ok=True)
             for container in job.containers:
                 state = self.folder / STATE / container.name
                 state.mkdir(parents=True, exist_ok=True)
-                state.chmod(0o1777)  # its user is whatever the image says
+                state.chmod(0o1777)  # the image defines the user
         except OSError as error:
             raise InfrastructureError(f"{self.folder}: cannot be written: {error.strerror or error}") from error
 
     def start(self, name: str) -> None:
-        """Let a container start.
+        """Permit a container to start.
 
         Raises:
-            InfrastructureError: it cannot be written.
+            InfrastructureError: the file cannot be written.
         """
         self._write(self.folder / START / name)
 
     def stop(self) -> None:
-        """Ask all containers to end.
+        """Request all containers to end.
 
         Raises:
-            InfrastructureError: it cannot be written.
+            InfrastructureError: the file cannot be written.
         """
         self._write(self.folder / STOP)
 
     def has(self, name: str, sign: str) -> bool:
-        """Whether a container has given a sign."""
+        """Return whether a container has given a sign."""
         return os.path.lexists(self.folder / STATE / name / sign)
 
     def beat(self, name: str) -> int | None:
-        """What changes for as long as a container is there; None before it is."""
+        """Return the time of the last heartbeat of a container; None before it has started."""
         with suppress(OSError):
             return os.lstat(self.folder / STATE / name / BEAT).st_mtime_ns
         return None
 
     def ended(self, name: str) -> tuple[int, bool] | None:
-        """The exit code of a container's command, and whether memory ran out; None where it has not ended."""
+        """Return exit code and whether memory ran out; None if the command has not ended."""
         descriptor = self.open(name, ENDED)
         if descriptor is None:
             return None
         with os.fdopen(descriptor, "rb") as file:
             words = file.read(_MOST_BYTES).split()
         if len(words) != 2 or not all(word.isdigit() for word in words):
-            return None  # it is being written; or it is wrong for ever, and the container silent soon
+            return None  # incomplete, or invalid: then the heartbeat stops too
         return int(words[0]) & 0xFF, int(words[1]) > 0
 
     def open(self, name: str, sign: str, access: int = os.O_RDONLY) -> int | None:
-        """A descriptor of a regular file in the state of a container; None where there is none."""
+        """Open a regular file in the state of a container; None if it does not exist."""
         flags = access | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
         try:
             descriptor = os.open(self.folder / STATE / name / sign, flags)
@@ -109,11 +109,11 @@ class Signs:
 
 
 GRACE = 5
-"""Seconds between the polite and the impolite request to end."""
+"""Seconds between SIGTERM and SIGKILL."""
 _NAPS = 2
-"""Per second."""
+"""Number of polls per second."""
 _OUT_OF_MEMORY = ("/sys/fs/cgroup/memory.events", "/sys/fs/cgroup/memory/memory.oom_control")
-"""Where the kernel counts processes that it killed, by either version of control groups."""
+"""Counters of processes killed by the kernel, in both versions of control groups."""
 
 _BEGINNING = """\
 #!/bin/sh
@@ -183,12 +183,12 @@ exit $code
 
 
 def script_of(container: Container, job: Job, folder: str = JOB_FOLDER) -> str:
-    """The script of one container of a job.
+    """Return the script of a container.
 
     Args:
-        container: has a command, in the place of the image's own.
-        job: that it is part of.
-        folder: that all containers see.
+        container: container with a command; that of its image is not known.
+        job: its job.
+        folder: folder that all containers see.
 
     Raises:
         InputError: it has no command.
@@ -230,18 +230,18 @@ def script_of(container: Container, job: Job, folder: str = JOB_FOLDER) -> str:
 
 
 def _running(container: Container, command: Sequence[str], before: Sequence[str] = ()) -> Iterator[str]:
-    """Lines that make a subshell the command, where and with the variables that it is to have."""
+    """Yield shell lines that replace a subshell by the command, with its working directory and variables."""
     if container.working_directory is not None:
         folder = shlex.quote(container.working_directory)
-        yield f"mkdir -p {folder} 2>/dev/null"  # as Docker does
+        yield f"mkdir -p {folder} 2>/dev/null"  # as in Docker
         yield f"cd {folder} || exit 126"
-    # by env, and last, since a shell takes and hands on not every name, and some are its own
+    # by env, as the last step, because shells drop variables with unusual names, and set some of their own
     variables = [f"{name}={value}" for name, value in container.environment.items()]
     yield f"exec {shlex.join([*before, 'env', '--', *variables, *command])}"
 
 
 def _hosts(job: Job) -> Iterator[str]:
-    """The containers of a task have one address; their names are to lead to it, as on Docker's networks."""
+    """Yield lines that resolve names of containers, which share one address, as on Docker's networks."""
     names = " ".join(container.name for container in job.containers)
     if len(job.containers) > 1:
         line = f"127.0.0.1 {names}"

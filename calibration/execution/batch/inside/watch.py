@@ -1,4 +1,4 @@
-"""The job of a task, watched to its end: containers started in order, stopped, judged, their artifacts copied."""
+"""Supervision of a job in its task: containers are started in order, stopped and judged, artifacts uploaded."""
 
 import json
 import os
@@ -25,13 +25,13 @@ from calibration.execution.supervision import Supervised, Supervisor
 from calibration.workflow.text import one_line
 
 ADDRESS = "ECS_CONTAINER_METADATA_URI_V4"
-"""The variable by which ECS tells each container where to ask."""
+"""Environment variable with the URL of ECS's task metadata."""
 _SECONDS = 2.0
 _MOST_BYTES = 4 * 1024**2
 
 
 def ended_neighbours(variables: Mapping[str, str]) -> dict[str, int | None]:
-    """The containers of this task that have ended, and with what exit code; none where nobody knows."""
+    """Return ended containers of this task with their exit codes, from ECS's metadata; empty if unavailable."""
     address = variables.get(ADDRESS, "")
     if not address.startswith("http://"):
         return {}
@@ -55,10 +55,10 @@ _CHUNK = 1024**2
 
 
 class LogLine:
-    """Looks for a regular expression in every line, each of which is read once."""
+    """Incremental search for a regular expression in the lines of a log."""
 
     def __init__(self, signs: Signs, name: str, pattern: str, most_bytes: int = MOST_BYTES) -> None:
-        """Begin; of the file no more is kept on the volume than ``most_bytes``."""
+        """Create the search; the log on the volume is truncated above ``most_bytes``."""
         self.found = False
         self._signs = signs
         self._name = name
@@ -68,7 +68,7 @@ class LogLine:
         self._rest = b""
 
     def look(self) -> bool:
-        """Read on for a while; whether the line is there, or was."""
+        """Read new lines; return whether a line has matched."""
         descriptor = self._signs.open(self._name, LOG)
         if descriptor is not None:
             try:
@@ -86,7 +86,7 @@ class LogLine:
             *lines, rest = (self._rest + data).split(b"\n")
             self._rest = rest[-LONGEST_LINE:]
             self.found = any(self._matches(line) for line in [*lines, *([rest] if len(rest) > LONGEST_LINE else [])])
-        if self._position > self._most:  # it has been read, and who writes appends
+        if self._position > self._most:  # its content has been processed, and the writer appends
             self._cut()
             self._position = 0
 
@@ -101,16 +101,16 @@ class LogLine:
 
 
 SILENCE = 20.0
-"""Seconds without a sign of life after which a container is gone: it gives two in a second."""
+"""Seconds without a heartbeat after which a container is lost; there are two heartbeats a second."""
 _CHECKED = ("port", "file", "command")
-"""What a readiness may ask for; the line of the log is looked for apart."""
+"""Kinds of readiness beside the line of the log, which is checked separately."""
 _CONNECTING = 0.5
 
 
 class WatchedContainer(Supervised):
-    """A container that is to run, runs, or did.
+    """A container of the job, before, during or after its run.
 
-    It has no last line: its log is in CloudWatch, and may have secrets that the task does not know.
+    It has no last line: its log is in CloudWatch, and may contain secrets that the task does not know.
     """
 
     def __init__(self, container: Container, signs: Signs, silence: float = SILENCE) -> None:
@@ -119,22 +119,22 @@ class WatchedContainer(Supervised):
         self._silence = silence
         self._out_of_memory = False
         self._beat: tuple[int | None, float] = (None, time.monotonic())
-        """The last sign of life, and when it was seen."""
+        """Last heartbeat, and when it was seen."""
         readiness = container.readiness
         self._line = LogLine(signs, self.name, readiness.log) if readiness and readiness.log else None
         self._unmet = {name for name in _CHECKED if getattr(readiness, name, None)}
-        """What its readiness asks for and has not held."""
+        """Conditions of its readiness that have not been met."""
 
     @property
     def has_arrived(self) -> bool:
-        """Whether it is there, and waits for being started."""
+        """Whether its script runs, and waits for the permission to start."""
         return self._signs.beat(self.name) is not None
 
     def start(self) -> None:
-        """Let it start its command.
+        """Permit it to start its command.
 
         Raises:
-            InfrastructureError: it cannot be told.
+            InfrastructureError: the file cannot be written.
         """
         self._signs.start(self.name)
         self.started = time.monotonic()
@@ -142,7 +142,7 @@ class WatchedContainer(Supervised):
         self.ready = self.container.readiness is None
 
     def look(self) -> None:
-        """See whether it is ready, and whether it has ended."""
+        """Update whether it is ready, and whether it has ended."""
         if self.started is None or self.ended is not None:
             return
         if not self.ready or self._line is not None:
@@ -155,15 +155,15 @@ class WatchedContainer(Supervised):
             self.ended = time.monotonic()
 
     def not_ready_for(self) -> str:
-        """What it is not ready for, for a message."""
+        """Return the unmet conditions of its readiness, for a message."""
         readiness = self.container.readiness
         return "" if readiness is None else unmet(readiness, self._unmet, self._line is None or self._line.found)
 
     def read_end(self, ours: End | None) -> None:
-        """Conclude how it ended, as far as it was started.
+        """Determine how it ended, if it was started.
 
         Args:
-            ours: why we stopped it; None where it ended by itself.
+            ours: reason why it was stopped; None if it ended by itself.
         """
         if self.started is None:
             return
@@ -183,7 +183,7 @@ class WatchedContainer(Supervised):
         self.ready = not self._unmet and has_line
 
     def _port_answers(self) -> bool:
-        """Whether a port of the task answers; its containers share an address."""
+        """Return whether its port accepts connections; containers of a task share an address."""
         readiness = self.container.readiness
         if readiness is None or readiness.port is None:
             raise AssertionError("there is a port to ask for")
@@ -194,7 +194,7 @@ class WatchedContainer(Supervised):
             return False
 
     def _is_silent(self) -> bool:
-        """Whether it has given no sign of life for too long: all of it was killed."""
+        """Return whether the heartbeat has stopped: all its processes were killed."""
         now, beat = time.monotonic(), self._signs.beat(self.name)
         if beat != self._beat[0]:
             self._beat = (beat, now)
@@ -202,16 +202,16 @@ class WatchedContainer(Supervised):
 
 
 _LOOKING = 0.2
-"""Seconds between two looks at the containers."""
+"""Interval of polls of the containers, seconds."""
 _ASKING = 5.0
-"""Seconds between two questions after containers that do not come."""
+"""Interval of requests to ECS about containers that have not arrived, seconds."""
 _SETTLING = GRACE + 15
-"""Seconds in which a container that was told to end does."""
+"""Seconds for a container to end after the request."""
 
 
 @dataclass(frozen=True)
 class Patience:
-    """How long is waited for what containers do by themselves."""
+    """Time-outs for containers, seconds."""
 
     arrival: float = ARRIVAL_SECONDS
     silence: float = SILENCE
@@ -219,7 +219,7 @@ class Patience:
 
 
 class Watch(Supervisor[WatchedContainer]):
-    """A job whose containers wait for being started."""
+    """Supervisor of a job whose containers wait for the permission to start."""
 
     def __init__(
         self,
@@ -229,14 +229,14 @@ class Watch(Supervisor[WatchedContainer]):
         patience: Patience = Patience(),
         neighbours: Callable[[], Mapping[str, int | None]] = dict,
     ) -> None:
-        """Begin.
+        """Create the supervisor.
 
         Args:
             job: the job.
-            signs: that its containers give.
-            output: the job's volume, as it is mounted here.
-            patience: for how long.
-            neighbours: which containers have ended, as far as that can be asked, and their exit codes.
+            signs: folder of signals of its containers.
+            output: mount point of the job's volume.
+            patience: time-outs.
+            neighbours: returns the containers that have ended, and their exit codes.
         """
         super().__init__(job, one_line)
         self._signs = signs
@@ -245,13 +245,13 @@ class Watch(Supervisor[WatchedContainer]):
         self._neighbours = neighbours
         self.containers = [WatchedContainer(each, signs, patience.silence) for each in start_order(job)]
         self._settled = 0.0
-        """When those that were told to end have had their time for it."""
+        """End of the time for containers to end after the request."""
 
     def run(self, folder: Path) -> None:
-        """Watch the job until it has ended; what it leaves is in ``folder`` then, which is not there before.
+        """Supervise the job until it ends, and copy its artifacts to ``folder``, which must not exist.
 
         Raises:
-            InfrastructureError: a sign cannot be given.
+            InfrastructureError: a signal cannot be written.
         """
         try:
             if self._all_arrive():
@@ -263,12 +263,12 @@ class Watch(Supervisor[WatchedContainer]):
             self._signs.stop()
 
     def fail(self, error: CalibrationError) -> None:
-        """Take a reason why nothing can be brought out."""
+        """Record an error that makes the artifacts unusable."""
         self.judge.fail(str(error), error.exit_code)
         self.artifacts, self.left_out = [], []
 
     def outcome(self, attempt: int) -> TaskOutcome:
-        """What came of it."""
+        """Return the outcome of the job."""
         return TaskOutcome(
             job=self.job.name,
             attempt=attempt,
@@ -281,7 +281,7 @@ class Watch(Supervisor[WatchedContainer]):
         )
 
     def _all_arrive(self) -> bool:
-        """Wait until all containers are there, so that none waits for an image while its job's time runs."""
+        """Wait until all scripts run, so that pulling images does not count for the job's time limit."""
         deadline = time.monotonic() + self._patience.arrival
         next_question = time.monotonic() + _ASKING
         while missing := [c.container.name for c in self.containers if not c.has_arrived]:
@@ -309,7 +309,7 @@ class Watch(Supervisor[WatchedContainer]):
         container.start()
 
     def _wait(self, seconds: float | None) -> None:
-        """Wait for the next look: nobody tells of an end."""
+        """Wait until the next poll, because there are no notifications."""
         time.sleep(_LOOKING if seconds is None else min(seconds, _LOOKING))
 
     def _stop(self, running: Sequence[WatchedContainer]) -> None:
@@ -317,7 +317,7 @@ class Watch(Supervisor[WatchedContainer]):
         self._settled = time.monotonic() + self._patience.settling
 
     def _read_end(self, container: WatchedContainer, ours: End | None) -> None:
-        """Wait for its end; a container that does not end is killed with the task."""
+        """Wait for the end of a container; if it does not end, it is killed with the task."""
         while is_running(container) and time.monotonic() < self._settled:
             container.look()
             time.sleep(_LOOKING / 4)
