@@ -1,14 +1,14 @@
-"""What a team has recorded becomes a dataset.
+"""Import of recordings as datasets.
 
-- ``description``: import.yml, which says what there is and how it hangs together;
-- ``camera_files``, ``target_files``, ``samples``: intrinsics, patterns and poses in the files of other tools;
-- ``pictures``, ``moments``: the files of each camera, and which of them belong together;
-- ``bag``, ``messages``: bags of ROS and what is in them; ``survey``: a first pass, without decoding an image;
-- ``motion_log``, ``stillness``: how frames and joints move, and when all stands still; ``recordings``: the second pass;
-- ``range_data``: clouds, scans and depth images, and the pattern in them;
-- ``looking``: the pattern found in them; ``near_miss``: why it is not;
-- ``starting_intrinsics``: a lens that nobody knows, from the corners;
-- ``relabelling``: the images of a dataset labelled; ``contact_sheet``: a picture of what was found;
-- ``best_moments``: which of many moments are kept;
-- ``recorded``, ``document``: the dataset; ``importing``: all of it.
+- ``description``: import.yml, which describes the sensors, the files and the frames;
+- ``camera_files``, ``target_files``, ``samples``: intrinsics, patterns and poses in other tools' files;
+- ``pictures``, ``moments``: the image files of each camera, and their association across cameras;
+- ``bag``, ``messages``: bags of ROS and their messages; ``survey``: a first pass, without decoding images;
+- ``motion_log``, ``stillness``: motion of frames and joints, moments at standstill; ``recordings``: the second pass;
+- ``range_data``: clouds, scans and depth images, and the detection of the pattern in them;
+- ``looking``: detection of the pattern in images; ``near_miss``: causes of missing detections;
+- ``starting_intrinsics``: initial guess of unknown intrinsics, from the corners;
+- ``relabelling``: labelling of a dataset's images; ``contact_sheet``: a picture of the detections;
+- ``best_moments``: selection of the best moments;
+- ``recorded``, ``document``: the dataset; ``importing``: the whole import.
 """

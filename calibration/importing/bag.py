@@ -1,7 +1,7 @@
 """Bags of ROS 1 and ROS 2, read without ROS by the library rosbags.
 
-Messages are decoded by the definitions that the library ships, never by those that a bag carries: the library makes
-program text of definitions.
+Messages are decoded by the library's own definitions, never by those in a bag, because the library generates
+program code from definitions.
 """
 
 import heapq
@@ -21,34 +21,34 @@ if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
 
 ENDINGS = (".bag", ".db3", ".mcap")
-"""Of single files; a folder has ROS 2's metadata.yaml."""
+"""Endings of single files; a ROS 2 folder has a metadata.yaml."""
 SECOND = 10**9
 MORE_TYPES = dict.fromkeys(
     ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage"), "geometry_msgs/TransformStamped[] transforms"
 )
-"""Messages that the library does not know in every version of ROS, by their definitions."""
+"""Definitions of messages that the library lacks for some versions of ROS."""
 
 
 @dataclass(frozen=True)
 class RawMessage:
-    """A message as it lies in a bag."""
+    """Undecoded message of a bag."""
 
     topic: str
     recorded: int
-    """When it was recorded, ns."""
+    """Recording time, ns."""
     data: bytes
 
 
 @dataclass(frozen=True, eq=False)
 class _Part:
-    """One file of a bag, or a folder of ROS 2."""
+    """File of a bag, or folder of ROS 2."""
 
     path: Path
     reader: "Reader1 | Reader2"
 
 
 class Bag:
-    """An open bag, of one file or of several that follow each other."""
+    """Open bag, of one file or of several consecutive ones."""
 
     def __init__(self, parts: Sequence[_Part], ros: int) -> None:
         self._parts = parts
@@ -56,12 +56,12 @@ class Bag:
 
     @property
     def path(self) -> Path:
-        """The first file, for messages."""
+        """First file, for messages."""
         return self._parts[0].path
 
     @cached_property
     def topics(self) -> Mapping[str, str]:
-        """The type of every topic, such as "sensor_msgs/msg/Image"."""
+        """Type of every topic, such as "sensor_msgs/msg/Image"."""
         found = {}
         for part in self._parts:
             with _readable(part.path):
@@ -71,13 +71,13 @@ class Bag:
         return dict(sorted(found.items()))
 
     def of_type(self, *types: str) -> list[str]:
-        """The topics of some types, such as "sensor_msgs/msg/Image"."""
+        """Return the topics of some types, such as "sensor_msgs/msg/Image"."""
         return [topic for topic, kind in self.topics.items() if kind in types]
 
     def messages(
         self, topics: Collection[str], start: int | None = None, stop: int | None = None
     ) -> Iterator[RawMessage]:
-        """The messages of some topics in the order in which they were recorded; from ``start`` to before ``stop``, ns.
+        """Iterate over the messages of some topics in recording order; from ``start`` to before ``stop``, ns.
 
         Raises:
             InputError: the bag is damaged.
@@ -95,10 +95,10 @@ class Bag:
                 yield RawMessage(connection.topic, recorded, bytes(data))
 
     def decode(self, message: RawMessage) -> Any:
-        """A message of one of ROS's own types.
+        """Decode a message of one of ROS's own types.
 
         Raises:
-            InputError: it is none, or cut off.
+            InputError: it is invalid or truncated.
         """
         kind = self.topics[message.topic]
         with _readable(self.path, f"{message.topic}: a message of {kind} cannot be decoded"):
@@ -117,10 +117,10 @@ class Bag:
         return store
 
     def stamp(self, message: RawMessage) -> int:
-        """The time in a message's header, ns, without decoding the rest; when it was recorded where that says none.
+        """Return the time in a message's header, ns, without decoding the rest; the recording time if it is 0.
 
         Raises:
-            InputError: it is cut off.
+            InputError: it is truncated.
         """
         try:
             if self._ros == 1:
@@ -135,10 +135,10 @@ class Bag:
 
 @contextmanager
 def open_bag(paths: Sequence[Path]) -> Iterator[Bag]:
-    """A bag for reading: files of ROS 1 that follow each other, or files or folders of ROS 2.
+    """Open a bag for reading: consecutive files of ROS 1, or files or folders of ROS 2.
 
     Raises:
-        InputError: there is no such file, it is no bag, it is damaged or encrypted, or files of both kinds are mixed.
+        InputError: a file does not exist, is not a bag, is damaged or encrypted, or files of both kinds are mixed.
         InfrastructureError: rosbags is not installed.
     """
     kinds = {_ros_of(path) for path in paths}
@@ -161,7 +161,7 @@ def open_bag(paths: Sequence[Path]) -> Iterator[Bag]:
 
 
 def _ros_of(path: Path) -> int:
-    """1 or 2."""
+    """Return the version of ROS, 1 or 2."""
     if not path.exists():
         raise InputError(f"{path}: found no such file, expected a bag")
     if path.is_dir():
@@ -183,7 +183,7 @@ def _endings() -> str:
 
 @contextmanager
 def _readable(path: Path, what: str = "this bag cannot be read") -> Iterator[None]:
-    """Take whatever the library raises on wrong bytes for what they are; MemoryError too, of a damaged length."""
+    """Convert any exception of the library to an InputError; MemoryError too, which damaged lengths cause."""
     try:
         yield
     except CalibrationError:

@@ -1,4 +1,4 @@
-"""Of many moments at which all stands still those that determine the calibration best."""
+"""Selection of those moments at standstill that determine the calibration best."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -22,20 +22,21 @@ from calibration.importing.stillness import StillMoment, evenly
 from calibration.simulation.collection.record import image_cells
 
 CANDIDATES = 1000
-"""Of more moments than this, evenly chosen ones are looked at."""
+"""Limit of the moments to choose from; of more, evenly spaced ones are taken."""
 
 
 def best_moments(
     moments: Sequence[StillMoment], most: int, recorded: Callable[[Sequence[StillMoment]], Recorded]
 ) -> tuple[list[StillMoment], str | None]:
-    """So many moments, in their order, and why they are evenly chosen, where they cannot be calibrated.
+    """Select moments, in their order; and the reason why they are evenly spaced, if they cannot be calibrated.
 
-    All of them are calibrated once, by what the cameras see; what each tells adds up (`calibration.estimation.design`).
+    All of them are calibrated once, by the cameras alone; the information of each is additive
+    (`calibration.estimation.design`).
 
     Args:
         moments: to choose from.
-        most: how many are kept.
-        recorded: what cameras saw at some moments; images need not be files.
+        most: number of selected moments.
+        recorded: function that returns the cameras' data of moments; images need not be files.
     """
     if len(moments) <= most:
         return list(moments), None
@@ -48,7 +49,7 @@ def best_moments(
 
 
 def _chosen(recorded: Recorded, most: int) -> list[int]:
-    """The indices of the best moments, at most so many; of those that repeat each other the first."""
+    """Return the indices of the best moments, at most this many; of repeated poses the first one."""
     imported = imported_moments("", _of_cameras(recorded))
     with TemporaryDirectory() as folder:
         write_document(dataset_document(imported), Path(folder) / FILE_NAME)
@@ -62,7 +63,7 @@ def _chosen(recorded: Recorded, most: int) -> list[int]:
 
 
 def _of_cameras(recorded: Recorded) -> Recorded:
-    """Without LiDARs and depth cameras."""
+    """Return the recording without LiDARs and depth cameras."""
     known = recorded.configuration
     cameras = {name: sensor for name, sensor in known.sensors.items() if sensor.modality == "rgb"}
     anchored = known.anchored_sensor
@@ -73,7 +74,7 @@ def _of_cameras(recorded: Recorded) -> Recorded:
 
 
 def _informations(solution: Solution) -> tuple[Array, int]:
-    """What each collection tells (N, S, S), in units that compare, of what is calibrated first; how many these are."""
+    """Return the information (N, S, S) of collections in comparable units, calibrated ones first; and their number."""
     problem, patterns = solution.setup.problem, solution.setup.dataset.patterns
     distances = [np.linalg.norm(problem.poses(group, solution.values)[:, :3, 3], axis=-1) for group in problem.groups]
     unit = problem.units(float(np.concatenate(distances).mean()))
@@ -86,7 +87,7 @@ def _informations(solution: Solution) -> tuple[Array, int]:
 
 
 def _shown(dataset: Dataset) -> tuple[BoolArray, Array]:
-    """The cells of images in which a collection has corners (N, C), and its share of partial views (N,)."""
+    """Return a mask (N, C) of the image cells with corners in each collection, and its share (N,) of partial views."""
     places: list[set[tuple[str, int]]] = []
     partial = np.zeros(len(dataset.collections))
     for i, collection in enumerate(dataset.collections):

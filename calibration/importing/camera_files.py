@@ -1,4 +1,4 @@
-"""Intrinsics in the files of other tools: of ROS, Kalibr, OpenCV and robot_cal_tools."""
+"""Intrinsics in the files of other tools: ROS, Kalibr, OpenCV and robot_cal_tools."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -15,35 +15,35 @@ from calibration.geometry.cameras import Camera
 from calibration.yaml_file import MAX_BYTES, read_yaml
 
 KALIBR_MODELS = {"radtan": "plumb_bob", "equidistant": "equidistant", "none": "plumb_bob"}
-"""ROS's names of Kalibr's distortion models; its others (fov) have no twin."""
+"""ROS's names of Kalibr's distortion models; the other ones (fov) have no equivalent."""
 _KEYS = {
     "width": ("image_width", "width", "image_Width", "imageWidth"),
     "height": ("image_height", "height", "image_Height", "imageHeight"),
     "K": ("camera_matrix", "K", "k", "Camera_Matrix", "cameraMatrix", "intrinsic_matrix"),
     "D": ("distortion_coefficients", "D", "d", "Distortion_Coefficients", "distCoeffs", "dist_coeffs", "distortion"),
 }
-"""How ROS and OpenCV's samples call them."""
+"""Keys of ROS and of OpenCV's samples."""
 
 
 @dataclass(frozen=True)
 class KnownLens:
-    """Intrinsics as a file has them."""
+    """Intrinsics from a file."""
 
     path: Path
     camera: Camera
     has_size: bool
-    """Whether the file says how large the images are; else the camera's size is not to be used."""
+    """Whether the file has the size of the images; else the camera's size must not be used."""
 
 
 def read_lens(path: Path, name: str | None = None) -> KnownLens:
-    """The intrinsics in a file, whose form is told by its keys.
+    """Read the intrinsics from a file, whose format is recognised by its keys.
 
     Args:
-        path: the file.
+        path: path of the file.
         name: of the camera, in a file of several.
 
     Raises:
-        InputError: the file cannot be read, is in none of these forms, has several cameras or none of this name, or
+        InputError: the file cannot be read, has an unknown format, has several cameras or none of this name, or
             something in it is missing or wrong.
     """
     if read_bytes(path, MAX_BYTES, "a file of intrinsics").startswith(b"%YAML"):
@@ -63,7 +63,7 @@ def read_lens(path: Path, name: str | None = None) -> KnownLens:
 
 
 def _of_our_storage(root: Node, numbered: list[str], name: str | None) -> KnownLens:
-    """A camera of the FileStorage that ``export`` writes: ``name_0``, ``size_0``, ``model_0``, ``K_0``, ``D_0``."""
+    """Parse a camera in the FileStorage of ``export``: ``name_0``, ``size_0``, ``model_0``, ``K_0``, ``D_0``."""
     names = {root[f"name_{number}"].text(): number for number in numbered}
     number = names[_chosen(root, list(names), name)]
     width, height = Node(root.file, (f"size_{number}",), _numbers(root[f"size_{number}"])).numbers(2)
@@ -140,7 +140,7 @@ def _first(root: Node, keys: tuple[str, ...]) -> Node | None:
 
 
 def _numbers(node: Node) -> list[Any]:
-    """A matrix as a flat list: written as one, as rows, or as ROS and OpenCV do with its size beside it."""
+    """Return a matrix as a flat list: from a flat list, from rows, or from ROS's and OpenCV's form with its size."""
     if isinstance(node.value, dict):
         node = node["data"]
     rows = list(node.elements())
@@ -150,7 +150,7 @@ def _numbers(node: Node) -> list[Any]:
 
 
 class _OpenCv(yaml.SafeLoader):
-    """YAML of OpenCV, whose matrices carry a tag of their own."""
+    """Loader for OpenCV's YAML, whose matrices have a custom tag."""
 
 
 def _matrix(loader: yaml.SafeLoader, node: yaml.Node) -> Any:
@@ -163,7 +163,7 @@ _OpenCv.add_constructor("tag:yaml.org,2002:opencv-matrix", _matrix)
 
 
 def _opencv_document(path: Path) -> object:
-    """OpenCV's YAML, whose first line is no YAML of today (``%YAML:1.0``)."""
+    """Load OpenCV's YAML, whose first line is not valid in YAML 1.1 (``%YAML:1.0``)."""
     text = read_bytes(path, MAX_BYTES, "a file of intrinsics").split(b"\n", 1)[-1]
     try:
         if any(isinstance(token, yaml.AliasToken) for token in yaml.scan(text)):

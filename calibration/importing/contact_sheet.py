@@ -1,4 +1,4 @@
-"""A picture of many images, small, with the corners that were found in them."""
+"""Contact sheet of many images with the detected corners."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -13,15 +13,15 @@ from calibration.simulation.sensors.drawing import HEIGHT, draw_corner
 
 FILE = "contact_sheet.png"
 WIDTH = 1600
-"""About how wide the sheet is, px."""
+"""Approximate width of the sheet, px."""
 MOST = 240
-"""More images are not shown."""
+"""Limit of the number of images shown."""
 _LINE, _GAP = 16, 6
 _PAPER, _INK, _RED = (250, 250, 250), (60, 60, 60), (40, 40, 200)
 
 
 def contact_sheet(views: Sequence[tuple[str, View]], patterns: Mapping[str, PatternConfiguration]) -> bytes:
-    """The sheet as PNG: each image under a line with its title and the number of its corners, red where there are none.
+    """Draw the sheet as PNG: each image with a title and the number of its corners, red if there are none.
 
     Raises:
         InputError: an image cannot be read.
@@ -39,7 +39,7 @@ def contact_sheet(views: Sequence[tuple[str, View]], patterns: Mapping[str, Patt
 
 
 def _padded(tile: Image, width: int) -> Image:
-    """A tile with paper below it and to its right."""
+    """Pad a tile with white below it and to its right."""
     right = width + _GAP - tile.shape[1]
     return np.asarray(cv2.copyMakeBorder(tile, 0, _GAP, 0, right, cv2.BORDER_CONSTANT, value=_PAPER), np.uint8)
 
@@ -48,7 +48,7 @@ def _tile(title: str, view: View, patterns: Mapping[str, PatternConfiguration]) 
     scale = HEIGHT / view.height
     size = (max(1, round(scale * view.width)), HEIGHT)
     small = cv2.resize(read_image(Path(view.file)), size, interpolation=cv2.INTER_AREA)
-    picture = np.asarray(cv2.convertScaleAbs(small, alpha=0.8, beta=40), np.uint8)  # paler, so that the marks stand out
+    picture = np.asarray(cv2.convertScaleAbs(small, alpha=0.8, beta=40), np.uint8)  # paler, for the marks
     count = 0
     for name, found in view.found.items():
         if (labels := found.labels) is not None:

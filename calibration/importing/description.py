@@ -1,4 +1,4 @@
-"""``import.yml``: which sensors and patterns there are, and how they hang together."""
+"""Description of an import, ``import.yml``: sensors, patterns and frames."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -29,7 +29,7 @@ def _beside(text: str, place: Place) -> str:
 
 
 Files = Annotated[str, Converted(Name, _beside)]
-"""A folder or a pattern of files, relative to the folder of the file."""
+"""Folder or glob pattern of files, relative to the folder of the document."""
 
 
 @record
@@ -58,7 +58,7 @@ class SensorDescription:
 
     @property
     def link(self) -> str:
-        """The frame of its images."""
+        """Frame of its images."""
         return self.frame or f"{self.name}_optical_frame"
 
 
@@ -67,7 +67,7 @@ _OF_KIND: Mapping[PatternKind, tuple[str, ...]] = {
     "chessboard": ("square",),
     "aprilgrid": ("tag", "spacing"),
 }
-"""The keys of a pattern by its kind, beside its columns and rows."""
+"""Keys of a pattern by its kind, in addition to its columns and rows."""
 
 
 def _a(kind: PatternKind) -> str:
@@ -105,10 +105,10 @@ class PatternDescription:
     frame: Name | None = field("Its own frame (its name and _link).", default=None)
 
     def __post_init__(self) -> None:
-        """Refuse a pattern of which something is missing.
+        """Refuse an incomplete pattern.
 
         Raises:
-            Misfit: names what it lacks.
+            Misfit: names the missing keys.
         """
         if self.type is None:
             return
@@ -125,11 +125,11 @@ class PatternDescription:
 
     @property
     def is_printed(self) -> bool:
-        """Whether it is said what to look for in images."""
+        """Whether the print is described, so that it can be detected in images."""
         return self.target is not None or self.type is not None
 
     def check_printed(self) -> None:
-        """Refuse a pattern that cannot be looked for.
+        """Refuse a pattern that cannot be detected.
 
         Raises:
             Misfit: neither its kind nor its file is given.
@@ -192,10 +192,10 @@ class ImportDescription:
     )
 
     def __post_init__(self) -> None:
-        """Refuse what does not go together.
+        """Refuse inconsistent keys.
 
         Raises:
-            Misfit: says what.
+            Misfit: names them.
         """
         names = [sensor.name for sensor in self.sensors]
         if self.anchored is not None and self.anchored not in names:

@@ -1,4 +1,4 @@
-"""The document of an imported dataset: ATOM's ``dataset.json``, version 3.0."""
+"""Document of an imported dataset: ATOM's ``dataset.json``, version 3.0."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -22,34 +22,34 @@ from calibration.labelling.detection import NotDetected
 from calibration.labelling.points import PatternPoints
 
 ESTIMATED = "estimated_intrinsics"
-"""Key of ``_metadata``: the cameras whose intrinsics are a start from the corners."""
+"""Key of ``_metadata``: the cameras whose intrinsics are an initial guess from the corners."""
 ROUGH = "rough_transforms"
-"""Key of ``_metadata``: whether the calibrated transforms in the dataset are no statement, only a start."""
+"""Key of ``_metadata``: whether the calibrated transforms in the dataset are only an initial guess."""
 USER = "calibration-ci"
 
 
 @dataclass(frozen=True, eq=False)
 class Imported:
-    """All that a dataset is made of."""
+    """Content of an imported dataset."""
 
     robot: str
     configuration: Configuration
     cameras: Mapping[str, Camera]
     estimated: tuple[str, ...]
-    """The cameras whose intrinsics are a start from the corners."""
+    """Cameras whose intrinsics are an initial guess from the corners."""
     moments: Sequence[LabelledMoment]
     ranges: Sequence[Mapping[str, LabelledRange]]
-    """Of the moments: what LiDARs and depth cameras measured."""
+    """Data of LiDARs and depth cameras, at each moment."""
     transforms: Mapping[Edge, Array]
-    """(N, 4, 4): of the moments."""
+    """(N, 4, 4): at each moment."""
     rough: bool
-    """Whether the calibrated transforms are no statement, only a start."""
+    """Whether the calibrated transforms are only an initial guess."""
     poses: Mapping[tuple[str, str], Array] = field(default_factory=dict)
-    """By sensor and pattern: poses ``T_sensor_pattern`` (N, 4, 4) that were measured at the moments."""
+    """By sensor and pattern: measured poses ``T_sensor_pattern`` (N, 4, 4) at the moments."""
 
     @property
     def seen(self) -> list[list[str]]:
-        """The sensors that see a pattern, at each moment."""
+        """Sensors with a detected pattern, at each moment."""
         return [
             [name for name, view in moment.views.items() if view.labelled]
             + [name for name, each in own.items() if any(isinstance(f, PatternPoints) for f in each.found.values())]
@@ -58,17 +58,17 @@ class Imported:
 
     @property
     def keys(self) -> list[str]:
-        """Of the collections, such as "000"."""
+        """Keys of the collections, such as "000"."""
         return [f"{number:03d}" for number in range(len(self.moments))]
 
 
 def data_file(sensor: str, key: str, source: str) -> str:
-    """The name that an image has beside the dataset."""
+    """Return the name of an image in the dataset."""
     return f"{sensor.replace('/', '_')}_{key}{Path(source).suffix.lower()}"
 
 
 def dataset_document(of: Imported) -> dict[str, Any]:
-    """The content of ``dataset.json``."""
+    """Return the content of ``dataset.json``."""
     configuration = of.configuration
     rows = {edge: transform_documents(edge, T) for edge, T in of.transforms.items()}
     return {
@@ -116,7 +116,7 @@ def dataset_document(of: Imported) -> dict[str, Any]:
 
 
 def label_document(found: FoundCorners) -> dict[str, Any]:
-    """The labels of one image as a dataset holds them."""
+    """Return the labels of one image in the dataset's form."""
     places = zip(found.pixels[::2], found.pixels[1::2], strict=True)
     rows = [{"id": i, "x": x, "y": y} for i, (x, y) in zip(found.ids, places, strict=True)]
     return {"detected": bool(rows), "idxs": rows}

@@ -1,4 +1,4 @@
-"""A recording becomes a dataset: what belongs together is found, labelled, and written."""
+"""Import of a recording as a dataset: associates the data, labels them, and writes them."""
 
 import json
 from collections.abc import Callable, Mapping, Sequence
@@ -58,7 +58,7 @@ from calibration.simulation.collection.dataset_folder import refuse_existing, re
 from calibration.yaml_file import read_yaml
 
 Done = Callable[[int, int, LabelledMoment | SeenImages], None]
-"""Called after each part with how many are done, how many there are, and what was found."""
+"""Callback after each part: number of finished parts, number of all parts, and the result."""
 
 
 def read_description(path: Path) -> ImportDescription:
@@ -73,19 +73,19 @@ def read_description(path: Path) -> ImportDescription:
 def import_data(
     config: Path, output: Path, overwrite: bool = False, jobs: int | None = None, done: Done = lambda *_: None
 ) -> ImportResults:
-    """Import what a file describes into a folder.
+    """Import a described recording into a folder.
 
-    An import that is killed leaves no half dataset, and the same call goes on where it was.
+    An interrupted import leaves no partial dataset, and the same call continues it.
 
     Args:
         config: import.yml.
         output: the folder of the dataset.
-        overwrite: whether a dataset that it has is replaced.
-        jobs: processes; None for one a core.
-        done: called after each moment; first for those that were done before.
+        overwrite: whether an existing dataset is replaced.
+        jobs: number of processes; None for one per core.
+        done: called after each moment; first for those already finished.
 
     Raises:
-        InputError: something that was given is missing or wrong, or does not fit the rest.
+        InputError: an input is missing or wrong, or inconsistent with the others.
         InfrastructureError: a file cannot be written, or a process died.
     """
     refuse_existing(output, overwrite)
@@ -137,7 +137,7 @@ def _import_poses(
     output: Path,
     overwrite: bool,
 ) -> ImportResults:
-    """Import pairs of poses, of an arm and of the pattern that a camera saw."""
+    """Import pairs of poses, of an arm and of the pattern measured by a camera."""
     (sensor, *other), (pattern, *more) = described.sensors, patterns
     if other or more or described.samples is None:
         raise InputError(
@@ -169,15 +169,15 @@ def _import_poses(
 
 @dataclass(frozen=True, eq=False)
 class _Source:
-    """A recording to look at, in parts."""
+    """Recording to process, in parts."""
 
     identity: str
-    """Of what the labels depend on."""
+    """Hash of the inputs of the labels."""
     tasks: Sequence[Task[Any]]
     decode: Callable[[bytes], Any]
-    """A part that was kept."""
+    """Function that decodes a stored part."""
     finish: Callable[[Sequence[Any], Path], Recorded]
-    """Makes the moments of all parts; images that are no files are written into a folder."""
+    """Function that returns the moments of all parts; images from a bag are written into a folder."""
 
 
 def _from_images(
@@ -228,7 +228,7 @@ def _from_bags(
             check_seen(name, patterns, views, lambda i, at=at, recorded=recorded: at(recorded[i]))  # type: ignore[misc]
 
         def of_cameras(some: Sequence[StillMoment]) -> Recorded:
-            """What the cameras saw at some moments; their images are no files."""
+            """Return the cameras' data of some moments, without image files."""
             return Recorded(
                 mounted.configuration,
                 {**told, **lenses},
@@ -257,10 +257,10 @@ def _from_bags(
 
 
 def _identity(patterns: Mapping[str, PatternConfiguration], files: Sequence[Path]) -> str:
-    """What the labels depend on: the patterns, and the files as they are now.
+    """Return a hash of the inputs of the labels: the patterns, and the current files.
 
     Raises:
-        InputError: one is not there.
+        InputError: a file does not exist.
     """
     try:
         stats = [(str(path), path.stat().st_size, path.stat().st_mtime_ns) for path in files]
@@ -274,7 +274,7 @@ def _identity(patterns: Mapping[str, PatternConfiguration], files: Sequence[Path
 def _configuration(
     described: ImportDescription, patterns: Mapping[str, PatternConfiguration], modality: str = "rgb"
 ) -> Configuration:
-    """What is calibrated: the pose of each sensor on its parent."""
+    """Return the calibration configuration: the pose of each sensor on its parent."""
     sensors = {each.name: _sensor(each, described.world, modality) for each in described.sensors}
     mounted = {pattern.parent_link for pattern in patterns.values() if pattern.fixed}
     if described.samples is not None:
@@ -297,7 +297,7 @@ def _sensor(described: SensorDescription, world: str, modality: str) -> SensorCo
 def _moments(
     described: ImportDescription, configuration: Configuration
 ) -> tuple[Sequence[Moment], Mapping[Edge, Array]]:
-    """The images that belong together, and the transforms (N, 4, 4) then."""
+    """Return the images of each moment, and the transforms (N, 4, 4) at that time."""
     pictures = [find_pictures(each.name, each.images) for each in described.sensors if each.images]
     arm: dict[Edge, Array] = {}
     if described.samples is None:
@@ -312,7 +312,7 @@ def _moments(
 def _at_samples(
     described: ImportDescription, pictures: Sequence[Pictures], samples: Sequence[Sample]
 ) -> tuple[list[Moment], list[Sample]]:
-    """The images that belong to each pose: those that the samples name, else as many in the same order."""
+    """Return the images of each pose: those that the samples name, else as many in the same order."""
     named = [sample for sample in samples if sample.image is not None]
     if named:
         if len(named) < len(samples):
@@ -334,7 +334,7 @@ def _at_samples(
 
 
 def _transforms(configuration: Configuration, arm: Mapping[Edge, Array], count: int) -> dict[Edge, Array]:
-    """The tree of frames: what is known of the arm, and the identity for what is calibrated or just a name."""
+    """Return the tree of frames: the arm's known transforms, and the identity for calibrated and auxiliary ones."""
     world = configuration.world_link
     unknown = np.broadcast_to(np.eye(4), (count, 4, 4))
     transforms = dict(arm)
@@ -381,7 +381,7 @@ def _results(imported: Imported, recorded: Recorded) -> ImportResults:
 
 
 def document_of_camera(camera: Camera) -> dict[str, float]:
-    """The intrinsics by their names."""
+    """Return the intrinsics by name."""
     return dict(zip(camera.parameters, camera.intrinsics.tolist(), strict=True))
 
 

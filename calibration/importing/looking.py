@@ -1,4 +1,4 @@
-"""What a camera's images show of the patterns."""
+"""Detection of the patterns in a camera's images."""
 
 import hashlib
 from collections.abc import Mapping, Sequence
@@ -14,14 +14,14 @@ from calibration.labelling.detection import CornerDetector, Image
 from calibration.records import field, result
 
 MAX_BYTES = 500_000_000
-"""Of the file of one image."""
+"""Limit of an image file's size in bytes."""
 MAX_PIXELS = 200_000_000
-"""Of one image."""
+"""Limit of an image's pixels."""
 
 
 @result
 class FoundCorners:
-    """Corners of one pattern in one image; none where it is not detected."""
+    """Corners of one pattern in one image; empty if it is not detected."""
 
     ids: tuple[int, ...] = field("Of the corners.")
     pixels: tuple[float, ...] = field("x and y of each corner, one after the other.", unit="px")
@@ -29,7 +29,7 @@ class FoundCorners:
 
     @property
     def labels(self) -> CornerLabels | None:
-        """The corners; None where the pattern is not detected."""
+        """The corners; None if the pattern is not detected."""
         if not self.ids:
             return None
         return CornerLabels(np.array(self.ids, np.int64), np.array(self.pixels).reshape(-1, 2))
@@ -37,7 +37,7 @@ class FoundCorners:
 
 @result
 class View:
-    """One image, and the patterns in it."""
+    """Image, and the patterns in it."""
 
     file: str = field("The image.")
     width: int = field("Of the image.", unit="px")
@@ -53,25 +53,25 @@ class View:
 
 @result
 class LabelledMoment:
-    """The images of one moment, and the patterns in them."""
+    """Images of one moment, and the patterns in them."""
 
     views: Mapping[str, View] = field("By sensor.")
 
 
 def read_image(path: Path) -> Image:
-    """An image (H, W, 3) of 8 bits, blue first, as its pixels lie in the file: not turned as a viewer would.
+    """Read an 8-bit image (H, W, 3), BGR, without rotation by its EXIF data.
 
     Raises:
-        InputError: the file cannot be read, or is no image.
+        InputError: the file cannot be read, or is not an image.
     """
     return decoded_image(read_bytes(path, MAX_BYTES, "an image"), str(path))
 
 
 def decoded_image(data: bytes, where: str) -> Image:
-    """`read_image` of the content of a file.
+    """Decode an image from the content of a file, like `read_image`.
 
     Raises:
-        InputError: it is no image.
+        InputError: it is not an image.
     """
     try:
         image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
@@ -83,7 +83,7 @@ def decoded_image(data: bytes, where: str) -> Image:
 
 
 def look(path: Path, detectors: Mapping[str, CornerDetector]) -> View:
-    """Look for every pattern in an image.
+    """Detect every pattern in an image file.
 
     Raises:
         InputError: it cannot be read.
@@ -92,7 +92,7 @@ def look(path: Path, detectors: Mapping[str, CornerDetector]) -> View:
 
 
 def look_at(image: Image, file: str, detectors: Mapping[str, CornerDetector]) -> View:
-    """`look` for an image that is read already; ``file`` is its name."""
+    """Detect every pattern in an image; ``file`` is its name."""
     found = {}
     for pattern, detector in detectors.items():
         seen = detector.detect(image)
@@ -105,7 +105,7 @@ def look_at(image: Image, file: str, detectors: Mapping[str, CornerDetector]) ->
 
 
 def check_sizes(sensor: str, views: Sequence[View]) -> None:
-    """Refuse images of one camera that are not of one size.
+    """Refuse images of one camera with different sizes.
 
     Raises:
         InputError: names two of them.
@@ -120,7 +120,7 @@ def check_sizes(sensor: str, views: Sequence[View]) -> None:
 
 
 def check_copies(sensor: str, views: Sequence[View]) -> None:
-    """Refuse an image that occurs twice: it would count as two.
+    """Refuse a duplicated image: it would count twice.
 
     Raises:
         InputError: names both files.

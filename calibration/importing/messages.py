@@ -1,4 +1,4 @@
-"""Messages of ROS as arrays: images, intrinsics, poses."""
+"""Conversion of ROS messages to arrays: images, intrinsics, poses."""
 
 from pathlib import Path
 from typing import Any
@@ -42,20 +42,20 @@ _COLOURS = {
     "uyvy": cv2.COLOR_YUV2BGR_UYVY,
     "yuyv": cv2.COLOR_YUV2BGR_YUY2,
 }
-"""Encodings of an Image, and how OpenCV makes blue, green, red of them."""
+"""Encodings of an Image, and OpenCV's conversions to BGR."""
 DEPTHS = {"16UC1": ("u2", 1e-3), "mono16": ("u2", 1e-3), "32FC1": ("f4", 1.0)}
-"""Encodings of depth images: how they hold numbers, and what these count in, m."""
+"""Encodings of depth images: number type, and unit in m."""
 _CHANNELS = {"bgra8": 4, "rgba8": 4, "8UC4": 4, "bgr8": 3, "rgb8": 3, "8UC3": 3, "bgr16": 3, "rgb16": 3}
 _TWO_BYTES = frozenset({"mono16", "16UC1", "bgr16", "rgb16"})
 
 
 def image_of(message: Any, where: str) -> Image:
-    """An Image or a CompressedImage, (H, W) or (H, W, 3) of 8 bits, blue first.
+    """Convert an Image or a CompressedImage to (H, W) or (H, W, 3), 8 bits, BGR.
 
-    Of 16 bits the upper eight are kept.
+    Images of 16 bits are reduced to the upper eight.
 
     Raises:
-        InputError: its encoding is not known, or its data are cut off.
+        InputError: its encoding is not known, or its data are truncated.
     """
     if not hasattr(message, "encoding"):
         return decoded_image(bytes(message.data), f"{where} ({message.format})")
@@ -83,10 +83,10 @@ def image_of(message: Any, where: str) -> Image:
 
 
 def depth_of(message: Any, where: str) -> DepthImage:
-    """A depth Image as a dataset has them (`calibration.dataset.depth_image`): (H, W), in tenths of a millimetre.
+    """Convert a depth Image to (H, W) in tenths of a millimetre, as in `calibration.dataset.depth_image`.
 
     Raises:
-        InputError: its encoding is none of depth, or its data are cut off.
+        InputError: its encoding is not one of depth images, or its data are truncated.
     """
     encoding, height, width = getattr(message, "encoding", "a CompressedImage"), *_size(message)
     if encoding not in DEPTHS:
@@ -107,7 +107,7 @@ def _size(message: Any) -> tuple[int, int]:
 
 
 def _rows(message: Any, row: int, where: str) -> NDArray[np.uint8]:
-    """The bytes (H, row) of an Image, whose rows may be longer.
+    """Return the bytes (H, row) of an Image, without padding of its rows.
 
     Raises:
         InputError: there are fewer.
@@ -124,10 +124,10 @@ def _rows(message: Any, row: int, where: str) -> NDArray[np.uint8]:
 
 
 def camera_of(message: Any, where: str) -> Camera | None:
-    """The intrinsics in a CameraInfo; None where it is not calibrated (K of zeros).
+    """Convert a CameraInfo to intrinsics; None if it is not calibrated (K of zeros).
 
     Raises:
-        InputError: they are no camera's.
+        InputError: they are invalid.
     """
     values = {key: getattr(message, key, None) for key in ("K", "D")}
     K = values["K"] if values["K"] is not None else message.k
@@ -151,10 +151,10 @@ def camera_of(message: Any, where: str) -> Camera | None:
 
 
 def transform_of(message: Any, where: str) -> tuple[Edge, Array]:
-    """A TransformStamped: its frames, without a slash before them, and ``T_parent_child`` (4, 4).
+    """Convert a TransformStamped: its frames, without leading slashes, and ``T_parent_child`` (4, 4).
 
     Raises:
-        InputError: it has numbers that are no pose.
+        InputError: its numbers are not a pose.
     """
     edge = (message.header.frame_id.lstrip("/"), message.child_frame_id.lstrip("/"))
     t, q = message.transform.translation, message.transform.rotation

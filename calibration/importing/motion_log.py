@@ -1,4 +1,4 @@
-"""What a recording says of frames and joints, over time."""
+"""Motion of frames and joints in a recording, over time."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -14,9 +14,9 @@ from calibration.geometry.types import Array
 from calibration.simulation.robot import Joint, Robot, parse_robot
 
 NEAR = 0.5
-"""A pose counts for a moment when it was recorded so near to it, s."""
+"""s: limit of the time between a pose's record and a moment that uses it."""
 AROUND = 0.15
-"""Nothing moves so long before and after a moment at which all stands still, s,"""
+"""s: time before and after a moment at standstill in which nothing moves,"""
 STILL_M, STILL_RAD = 1e-3, 2e-3
 """by more than this."""
 SECOND = 1e9
@@ -24,14 +24,14 @@ SECOND = 1e9
 
 @dataclass
 class Track:
-    """Values over time; of values that stay the same the first and the last are kept."""
+    """Values over time; of equal consecutive values the first and the last are kept."""
 
     times: list[int] = field(default_factory=list)
-    """ns, rising."""
+    """ns, ascending."""
     values: list[Array] = field(default_factory=list)
 
     def add(self, time: int, value: Array) -> None:
-        """Add a value; one that is older than the last is left out."""
+        """Add a value; one that is older than the last is ignored."""
         if self.times and time <= self.times[-1]:
             return
         if len(self.values) > 1 and np.array_equal(value, self.values[-1]) and np.array_equal(value, self.values[-2]):
@@ -41,7 +41,7 @@ class Track:
         self.values.append(value)
 
     def at(self, time: float) -> Array | None:
-        """The value at a time, ns: that of the nearest record; None where none is near and it has changed since."""
+        """Return the value at a time, ns: that of the nearest record; None if none is near and it has changed since."""
         after = int(np.searchsorted(self.times, time))
         before = max(after - 1, 0)
         after = min(after, len(self.times) - 1)
@@ -74,10 +74,10 @@ class MotionLog:
         self.joints.setdefault(name, Track()).add(time, np.array([position]))
 
     def use_robot(self, urdf: bytes, path: Path) -> None:
-        """Add a robot's links; what the recording says of a frame wins.
+        """Add a robot's links; transforms of the recording take precedence.
 
         Raises:
-            InputError: it is no URDF.
+            InputError: it is not a URDF.
         """
         self.robot = parse_robot(urdf, path)
 
@@ -91,7 +91,7 @@ class MotionLog:
 
     @property
     def edges(self) -> list[Edge]:
-        """Every edge that is known.
+        """Return all known edges.
 
         Raises:
             InputError: a frame has two parents.
@@ -107,10 +107,10 @@ class MotionLog:
         return edge in self.moving
 
     def transform(self, edge: Edge, time: float) -> Array:
-        """``T_parent_child`` (4, 4) at a time, ns.
+        """Return ``T_parent_child`` (4, 4) at a time, ns.
 
         Raises:
-            InputError: nothing was recorded of it near that time.
+            InputError: there is no record near that time.
         """
         if edge in self.static:
             return self.static[edge]

@@ -1,4 +1,4 @@
-"""Why a pattern is never seen: what else is in the images."""
+"""Reasons why a pattern is never detected: other patterns in the images."""
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
@@ -17,14 +17,14 @@ from calibration.labelling.markers import MarkerFinder, Markers
 from calibration.labelling.tags import BORDER
 
 LOOKED_AT = 8
-"""So many images are searched for other patterns."""
+"""Number of images that are searched for other patterns."""
 _SIZES = (50, 100, 250, 1000)
 _OFF_BY = ((-1, -1), (-1, 0), (0, -1), (1, 1), (1, 0), (0, 1), (-2, -2))
-"""How far people miscount corners."""
+"""Typical errors in counting corners."""
 OF_A_BOARD = 6
-"""So many markers are those of a board, also to who looks for a chessboard."""
+"""Minimum of markers that indicate a board, also for a chessboard."""
 GAP_OFF = 0.2
-"""Gaps between tags that differ by more from what is described are others, in sides of a tag: small tags blur."""
+"""Tolerance of the gaps between tags, in sides of a tag: small tags are blurred."""
 
 
 @dataclass(frozen=True)
@@ -32,23 +32,23 @@ class Family:
     """Markers of one kind."""
 
     dictionary: str
-    """The largest of its kind."""
+    """Largest dictionary of its kind."""
     border: int = 1
-    """The black modules around the bits."""
+    """Width of the black border around the bits, in modules."""
 
     def finder(self) -> MarkerFinder:
-        """Finds all of them."""
+        """Return a detector of all its markers."""
         dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, self.dictionary))
         return MarkerFinder(dictionary, len(dictionary.bytesList), self.border)
 
     def named(self, highest: int) -> str:
-        """The smallest dictionary with the marker of this id: the smaller ones are the beginnings of the largest."""
+        """Return the smallest dictionary with the marker of this id: the smaller ones are subsets of the largest."""
         kind, _, size = self.dictionary.rpartition("_")
         return f"{kind}_{next(n for n in _SIZES if highest < n)}" if size == "1000" else self.dictionary
 
 
 GRID = Family(TAGS, BORDER)
-"""What an aprilgrid has."""
+"""Markers of an aprilgrid."""
 FAMILIES = (
     GRID,
     *(Family(f"DICT_{bits}X{bits}_1000") for bits in (4, 5, 6, 7)),
@@ -59,13 +59,13 @@ FAMILIES = (
 def never_seen(
     sensor: str, pattern: PatternConfiguration, views: Sequence[View], read: Callable[[int], Image]
 ) -> InputError:
-    """The error for a pattern that a camera sees in none of its images, with the nearest that is there.
+    """Return the error for a pattern that is in none of a camera's images, with the most similar pattern found.
 
     Args:
         sensor: the camera.
-        pattern: what was looked for.
+        pattern: the described pattern.
         views: of all its images, at least one.
-        read: gives the image of a view, by its place among them.
+        read: function that returns the image of a view, by index.
     """
     step = -(-len(views) // LOOKED_AT)
     images = [grey(read(i)) for i in range(0, len(views), step)]
@@ -88,10 +88,10 @@ def _named(pattern: PatternConfiguration) -> str:
 
 
 def _markers(pattern: PatternConfiguration, images: Sequence[Image]) -> str:
-    """The markers of the family that most are found of."""
+    """Describe the markers of the family with most detections."""
     plain = {family: [family.finder().find(image) for image in images] for family in FAMILIES}
     if max(map(len, plain[GRID])) > 1:
-        del plain[Family(TAGS)]  # with a border of one the same tags are read as others
+        del plain[Family(TAGS)]  # with a border of one module the same tags decode differently
     family = max(plain, key=lambda each: max(map(len, plain[each])))
     if max(map(len, plain[family])) < (OF_A_BOARD if pattern.kind == "chessboard" else 2):
         return "" if pattern.kind == "chessboard" else "; no markers of 4x4 to 7x7 bits and no tags are found either"
@@ -113,7 +113,7 @@ def _markers(pattern: PatternConfiguration, images: Sequence[Image]) -> str:
 
 
 def _tags(pattern: PatternConfiguration, family: Family, highest: int, seen: Markers) -> str:
-    """What is wrong with the tags of an image, for an aprilgrid."""
+    """Describe the differences of an image's tags from an aprilgrid."""
     if family != GRID:
         border = (
             " with a border of one module, expected two, as Kalibr prints them" if family.dictionary == TAGS else ""
@@ -138,21 +138,21 @@ def _tags(pattern: PatternConfiguration, family: Family, highest: int, seen: Mar
 
 
 def _gap(seen: Markers) -> float:
-    """Between neighbours in a row, in sides of a tag, the median; NaN where no two are seen."""
+    """Return the median gap between neighbours in a row, in sides of a tag; NaN if no two are detected."""
     (first,) = np.nonzero(np.diff(seen.ids) == 1)
-    right, left = seen.corners[first, 0], seen.corners[first, 1]  # at the bottom, as Kalibr turns its tags
+    right, left = seen.corners[first, 0], seen.corners[first, 1]  # the bottom, by Kalibr's orientation of tags
     gaps = np.linalg.norm(seen.corners[first + 1, 1] - right, axis=-1) / np.linalg.norm(right - left, axis=-1)
     return float(np.median(gaps)) if len(gaps) else np.nan
 
 
 def marker_count(pattern: PatternConfiguration) -> int:
-    """How many markers a charuco board has, or tags an aprilgrid."""
+    """Number of a charuco board's markers, or of an aprilgrid's tags."""
     columns, rows = pattern.dimension
     return columns * rows if pattern.kind == "aprilgrid" else (columns + 1) * (rows + 1) // 2
 
 
 def _corners(pattern: PatternConfiguration, images: Iterable[Image]) -> str:
-    """A chessboard of nearly that size."""
+    """Describe a chessboard of nearly that size."""
     columns, rows = pattern.dimension
     for image in images:
         for more in _OFF_BY:
@@ -166,9 +166,9 @@ def _corners(pattern: PatternConfiguration, images: Iterable[Image]) -> str:
 
 
 def check_board(sensor: str, pattern: PatternConfiguration, views: Sequence[View]) -> None:
-    """Refuse a board whose own markers tell that it is larger than described.
+    """Refuse a board whose detected markers belong to a larger board than described.
 
-    Markers that a board of this size has not, in most of the images that are looked at, are the rest of it.
+    Markers that the described board lacks, in most of the searched images, are the rest of the larger one.
 
     Raises:
         InputError: names the highest marker.

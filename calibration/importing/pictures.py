@@ -1,4 +1,4 @@
-"""The files of each camera, and which of them belong together."""
+"""Image files of each camera, and their association across cameras."""
 
 import csv
 import io
@@ -14,28 +14,28 @@ from calibration.errors import InputError
 from calibration.files import matching, read_bytes
 
 ENDINGS = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm", ".ppm", ".webp")
-"""Of images, in small letters."""
+"""Endings of image files, in lower case."""
 MOST_IMAGES = 20_000
-"""Of one camera."""
+"""Limit of the images of one camera."""
 MAX_CSV = 10_000_000
 _NUMBER = re.compile(r"\d+")
 
 _STAMP = re.compile(r"\d{15,19}")
 TOGETHER = 20_000_000
-"""Images whose stamps differ by no more belong together, ns; as Kalibr has it."""
+"""ns: limit of the difference of stamps of associated images; Kalibr's default."""
 
 Pairs = Literal["name", "number", "stamp"] | Path | None
 
 
 @dataclass(frozen=True)
 class Pictures:
-    """The images of one camera."""
+    """Images of one camera."""
 
     sensor: str
     place: str
-    """The folder, or the pattern of files, for messages."""
+    """The folder, or the glob pattern, for messages."""
     files: tuple[Path, ...]
-    """In the order of their numbers."""
+    """Sorted by number."""
 
 
 @dataclass(frozen=True)
@@ -43,15 +43,15 @@ class Moment:
     """Images of one moment."""
 
     name: str
-    """What they have in common, for messages."""
+    """Common part of their names, for messages."""
     files: Mapping[str, Path]
     """By sensor."""
     lag: float = 0.0
-    """Between the first and the last of them, s, where their names are stamps."""
+    """Time between the first and the last of them, s, if their names are stamps."""
 
 
 def find_pictures(sensor: str, place: str) -> Pictures:
-    """The images in a folder, or those that a pattern of files names.
+    """Find the images in a folder or of a glob pattern.
 
     Raises:
         InputError: there are none, or too many.
@@ -71,15 +71,15 @@ def find_pictures(sensor: str, place: str) -> Pictures:
 
 
 def moments_of(pictures: Sequence[Pictures], pairs: Pairs = None) -> list[Moment]:
-    """The images that belong together, in the order of the first camera's; one may lack those of some cameras.
+    """Associate images across cameras, in the order of the first camera's; some cameras may be missing.
 
     Args:
         pictures: of each camera.
-        pairs: what tells it: their names, their last numbers, the stamps in nanoseconds that their names are, or a CSV
-            file; stamps where all names are, names where two cameras have one in common, else numbers.
+        pairs: criterion: names, their last numbers, the stamps in nanoseconds that they are, or a CSV file.
+            By default stamps if all names are, names if two cameras have a common one, else numbers.
 
     Raises:
-        InputError: the images of two cameras have nothing in common, one stands for two moments, or the CSV is wrong.
+        InputError: two cameras have no images in common, one image belongs to two moments, or the CSV is invalid.
     """
     if isinstance(pairs, Path):
         return _by_table(pictures, pairs)
@@ -100,7 +100,7 @@ def _in_order(path: Path) -> tuple[list[int], str]:
 
 
 def _names(pictures: Pictures) -> dict[str, Path]:
-    """The images by their names without the ending and the sensor's own name."""
+    """Return the images by their names without the ending and the sensor's name."""
     found: dict[str, Path] = {}
     for path in pictures.files:
         name = path.stem.replace(pictures.sensor, "").strip("_-. ") or path.stem
@@ -110,7 +110,7 @@ def _names(pictures: Pictures) -> dict[str, Path]:
 
 
 def _numbers(pictures: Pictures) -> dict[str, Path]:
-    """The images by the last numbers in their names."""
+    """Return the images by the last numbers in their names."""
     found: dict[str, Path] = {}
     for path in pictures.files:
         numbers = _NUMBER.findall(path.stem)
@@ -126,7 +126,7 @@ def _numbers(pictures: Pictures) -> dict[str, Path]:
 
 @dataclass(frozen=True, order=True)
 class _Stamped:
-    """An image whose name is its stamp, ns."""
+    """Image whose name is its stamp, ns."""
 
     stamp: int
     sensor: str
@@ -134,7 +134,7 @@ class _Stamped:
 
 
 def _by_stamp(pictures: Sequence[Pictures]) -> list[Moment]:
-    """Images that follow each other within `TOGETHER`, one of each camera; each with the nearest of the first's."""
+    """Associate images within `TOGETHER`, one of each camera; each with the nearest one of the first camera."""
     of = {each.sensor: sorted(_stamped(each)) for each in pictures}
     after = {one: other.stamp for images in of.values() for one, other in pairwise(images)}
     groups: list[dict[str, _Stamped]] = []
@@ -158,7 +158,7 @@ def _by_stamp(pictures: Sequence[Pictures]) -> list[Moment]:
 
 
 def _stamped(pictures: Pictures) -> list[_Stamped]:
-    """The images with their stamps."""
+    """Return the images with their stamps."""
     for path in pictures.files:
         if not _STAMP.fullmatch(path.stem):
             raise InputError(f"{path}: found '{path.stem}' as its name, expected a stamp in nanoseconds (pairs: stamp)")
@@ -197,7 +197,7 @@ def _together(pictures: Sequence[Pictures], keyed: Sequence[Mapping[str, Path]],
 
 
 def _by_table(pictures: Sequence[Pictures], path: Path) -> list[Moment]:
-    """The rows of a CSV file with a column for each sensor; an empty cell where one has no image."""
+    """Associate images by a CSV file with a column for each sensor; an empty cell for a missing image."""
     content = read_bytes(path, MAX_CSV, "a CSV file of images")
     try:
         rows = list(csv.reader(io.StringIO(content.decode("utf-8-sig")), strict=True))

@@ -1,4 +1,4 @@
-"""Clouds, scans and depth images in a recording, and the pattern in them: where a camera of the same moment sees it."""
+"""Clouds, scans and depth images of a recording, and detection of the pattern that a camera sees at the same moment."""
 
 import base64
 import math
@@ -31,21 +31,21 @@ from calibration.simulation.collection.capture import estimate_pose
 from calibration.simulation.robot import compose
 
 MAX_POINTS = 20_000_000
-"""Of one cloud."""
+"""Limit of the points of one cloud."""
 
 
 @dataclass(frozen=True, eq=False)
 class RangeView:
-    """What a LiDAR or a depth camera measured at one moment."""
+    """Data of a LiDAR or a depth camera at one moment."""
 
     message: Mapping[str, Any]
-    """As the dataset holds it, but for the name of its file."""
+    """In the dataset's form, without the name of its file."""
     file: Path | None
-    """Of a cloud or a depth image; the ranges of a scan stand in the message."""
+    """File of a cloud or a depth image; the ranges of a scan are in the message."""
 
     @property
     def points(self) -> Array:
-        """(N, 3): in the sensor's frame, m; NaN where nothing came back."""
+        """(N, 3): in the sensor's frame, m; NaN without a return."""
         if self.file is not None:
             return np.asarray(read_points(self.file), float)
         return read_scan(Node(Path("LaserScan"), (), dict(self.message)))
@@ -53,7 +53,7 @@ class RangeView:
 
 @dataclass(frozen=True, eq=False)
 class LabelledRange:
-    """What a LiDAR or a depth camera measured at one moment, and the patterns in it."""
+    """Data of a LiDAR or a depth camera at one moment, and the patterns in them."""
 
     view: RangeView
     found: Mapping[str, PatternPoints | NotDetected]
@@ -61,10 +61,10 @@ class LabelledRange:
 
 
 def cloud_of(message: Any, where: str) -> Array:
-    """The points (N, 3) of a PointCloud2, in the order of its rows.
+    """Convert a PointCloud2 to points (N, 3), in the order of its rows.
 
     Raises:
-        InputError: it has no x, y, z of floating point, or its data are cut off.
+        InputError: it has no floating-point x, y, z, or its data are truncated.
     """
     if message.width * message.height > MAX_POINTS:
         raise InputError(f"{where}: found {message.width} x {message.height} points, expected {MAX_POINTS} at most")
@@ -76,7 +76,7 @@ def cloud_of(message: Any, where: str) -> Array:
 
 
 def cloud_message(points: Array) -> dict[str, Any]:
-    """What a dataset says of a cloud (N, 3) in a file beside it."""
+    """Return a dataset's message of a cloud (N, 3) in a separate file."""
     return {
         "fields": [{"name": axis, "offset": 4 * i, "datatype": 7, "count": 1} for i, axis in enumerate("xyz")],
         "height": 1,
@@ -89,10 +89,10 @@ def cloud_message(points: Array) -> dict[str, Any]:
 
 
 def scan_message(message: Any, where: str) -> dict[str, Any]:
-    """A LaserScan as a dataset holds it.
+    """Convert a LaserScan to the dataset's form.
 
     Raises:
-        InputError: it is none.
+        InputError: it is invalid.
     """
     angles = ("angle_min", "angle_max", "angle_increment", "time_increment", "scan_time", "range_min", "range_max")
     values = {key: float(getattr(message, key)) for key in angles}
@@ -110,14 +110,14 @@ def labelled_ranges(
     cameras: Mapping[str, Camera],
     transforms: Mapping[Edge, Array],
 ) -> list[dict[str, LabelledRange]]:
-    """The patterns in the data of every LiDAR and depth camera at N moments.
+    """Detect the patterns in the data of every LiDAR and depth camera at N moments.
 
     Args:
-        views: what each of them measured, by its name.
-        moments: what the cameras saw.
+        views: their data, by name.
+        moments: the cameras' detections.
         configuration: the sensors and the patterns.
         cameras: the intrinsics, of depth cameras too.
-        transforms: (N, 4, 4) of each edge; they tell where it may expect what a camera sees.
+        transforms: (N, 4, 4) of each edge, for the expected pose of a pattern that a camera detects.
     """
     tree = FrameTree(transforms)
     place = {
@@ -146,7 +146,7 @@ def _seen_by_cameras(
     cameras: Mapping[str, Camera],
     place: Mapping[str, Array],
 ) -> Array | None:
-    """``T_world_pattern`` (4, 4) by the camera that sees most of it; None where none does."""
+    """Return ``T_world_pattern`` (4, 4) by the camera that sees most of it; None if none does."""
     views = {name: labels for name, view in moment.views.items() if (labels := view.found[pattern].labels) is not None}
     if not views:
         return None
@@ -177,7 +177,7 @@ def _labelled(
 def _labelling(
     modality: str, view: RangeView, camera: Camera | None
 ) -> Callable[[Pattern, Array], PatternPoints | NotDetected]:
-    """How a pattern is found in what a sensor measured, from its geometry and where it is expected."""
+    """Return the function that detects a pattern in a sensor's data, from its geometry and expected pose."""
     if modality != "depth":
         return partial(label_points if modality == "lidar3d" else label_scan_line, view.points)
     if camera is None or view.file is None:

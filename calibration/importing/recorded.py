@@ -1,4 +1,4 @@
-"""What was recorded and seen, made the collections of a dataset: intrinsics, what LiDARs see, what is left out."""
+"""Recorded and detected data as collections of a dataset: intrinsics, range data, rejections."""
 
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
@@ -22,31 +22,31 @@ from calibration.labelling.points import PatternPoints
 
 @dataclass(frozen=True, eq=False)
 class Recorded:
-    """What was recorded, with what is seen in it."""
+    """Recorded data, and the patterns detected in them."""
 
     configuration: Configuration
     lenses: Mapping[str, KnownLens]
-    """Of the cameras whose intrinsics are known."""
+    """Of the cameras with known intrinsics."""
     moments: Sequence[LabelledMoment]
     transforms: Mapping[Edge, Array]
-    """(N, 4, 4): of the moments."""
+    """(N, 4, 4): at each moment."""
     rough: bool
-    """Whether the calibrated transforms are no statement, only a start."""
+    """Whether the calibrated transforms are only an initial guess."""
     of: int = 0
-    """How many moments there were to choose from."""
+    """Number of moments to choose from."""
     evenly: str | None = None
-    """Why these were chosen evenly among them, not as those that calibrate best."""
+    """Reason why the moments are evenly spaced, and not those that calibrate best."""
     lag: float = 0.0
-    """Between the images of a moment, at most, s."""
+    """Largest time between the images of a moment, s."""
     ranges: Sequence[Mapping[str, RangeView]] = ()
-    """Of the moments: what LiDARs and depth cameras measured; empty where there is none."""
+    """Data of LiDARs and depth cameras at each moment; empty without such sensors."""
 
 
 def check_views(recorded: Recorded) -> None:
-    """Refuse images of one camera that do not fit together, or that show no pattern, or another one.
+    """Refuse a camera whose images are inconsistent, or show no pattern, or another one.
 
     Raises:
-        InputError: names the camera, and what it shows instead.
+        InputError: names the camera, and the pattern that it shows instead.
     """
     for name in recorded.configuration.sensors:
         if views := [moment.views[name] for moment in recorded.moments if name in moment.views]:
@@ -57,10 +57,10 @@ def check_views(recorded: Recorded) -> None:
 
 
 def imported_moments(robot: str, recorded: Recorded) -> Imported:
-    """The collections: moments in which at least one sensor sees a pattern.
+    """Return the collections: moments at which at least one sensor sees a pattern.
 
     Raises:
-        InputError: a camera has no image, or others than its intrinsics say, or what it sees gives no intrinsics; a
+        InputError: a camera has no image, or other sizes than its intrinsics, or too few views for intrinsics; a
             LiDAR or a depth camera sees no pattern.
     """
     cameras: dict[str, Camera] = {}
@@ -89,7 +89,7 @@ def imported_moments(robot: str, recorded: Recorded) -> Imported:
 
 
 def _ranges(recorded: Recorded, cameras: Mapping[str, Camera]) -> Sequence[Mapping[str, LabelledRange]]:
-    """What LiDARs and depth cameras see of the patterns.
+    """Detect the patterns in the data of LiDARs and depth cameras.
 
     Raises:
         InputError: one sees none at any moment.
@@ -125,7 +125,7 @@ def check_seen(
 
 
 def _camera(name: str, lens: KnownLens | None, configuration: Configuration, views: Sequence[View]) -> Camera:
-    """The intrinsics that are given, or a start from the corners."""
+    """Return the given intrinsics, or an initial guess from the corners."""
     width, height = views[0].width, views[0].height
     if lens is None:
         seen = [

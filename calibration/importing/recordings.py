@@ -1,4 +1,4 @@
-"""Second pass over a bag: every image is searched for patterns, the moments chosen, and their images taken out."""
+"""Second pass over a bag: detect the patterns in every image, choose the moments, and extract their images."""
 
 import json
 import math
@@ -31,15 +31,15 @@ from calibration.labelling.detection import CornerDetector, DepthImage, Image
 from calibration.records import field, read, result
 
 AT_ONCE = 40
-"""Images that one process looks at before its work is kept."""
+"""Images of one task, whose result is stored."""
 LIDAR_LAG = 0.2
-"""s: a LiDAR that turns needs 0.1 s for one cloud, and nothing moves meanwhile."""
+"""s: a rotating LiDAR takes 0.1 s for one cloud, and nothing moves meanwhile."""
 MAX_TIMES = 1_000_000
 
 
 @result
 class SeenImage:
-    """An image of a bag, and the patterns in it."""
+    """Image of a bag, and the patterns in it."""
 
     sensor: str = field("The camera.")
     recorded: int = field("When it was recorded, ns.")
@@ -54,14 +54,14 @@ class SeenImages:
 
 
 def decoded_images(text: bytes) -> SeenImages:
-    """What was kept of an earlier run."""
+    """Decode the stored result of an earlier run."""
     return read(SeenImages, json.loads(text), "finished images")
 
 
 def looking_tasks(
     files: Sequence[Path], found: Survey, detectors: Mapping[str, CornerDetector]
 ) -> list[Task[SeenImages]]:
-    """The tasks that look at every image, each at a part of the time."""
+    """Return the tasks that search every image, each for an interval of time."""
     times = sorted({recorded for camera in found.cameras.values() for recorded in camera.stamps})
     bounds = [*times[::AT_ONCE], times[-1] + 1]
     topics = {camera.topic: name for name, camera in found.cameras.items()}
@@ -87,7 +87,7 @@ def _image(bag: Bag, message: RawMessage) -> Image:
 
 
 def frames_of(found: Survey, seen: Sequence[SeenImages]) -> dict[str, list[Frame]]:
-    """The images of each camera by their stamps."""
+    """Return the images of each camera, sorted by stamp."""
     frames: dict[str, list[Frame]] = {name: [] for name in found.cameras}
     for part in seen:
         for image in part.images:
@@ -99,10 +99,10 @@ def frames_of(found: Survey, seen: Sequence[SeenImages]) -> dict[str, list[Frame
 def chosen_moments(
     described: Bags, frames: Mapping[str, Sequence[Frame]], log: MotionLog, edges: Sequence[Edge], where: str
 ) -> list[StillMoment]:
-    """The moments that may become collections: all at which all stands still, or of those that are asked for so many.
+    """Return the moments that may become collections: all at standstill, or the requested times.
 
     Raises:
-        InputError: nothing ever stands still, or no image is near the times that are asked for.
+        InputError: there is no standstill, or no image near the requested times.
     """
     if described.every is None and described.at is None:
         still = still_moments(frames)
@@ -129,7 +129,7 @@ def chosen_moments(
 
 
 def _read_times(path: Path, start: int) -> list[float]:
-    """Times in a file, s, one a line; small ones count from the start of the bag."""
+    """Read times from a file, s, one per line; small ones are relative to the start of the bag."""
     times = []
     text = read_bytes(path, 10_000_000, "a file of times").decode("utf-8", "replace")
     for line, word in enumerate(text.split("\n"), 1):
@@ -148,7 +148,7 @@ def _read_times(path: Path, start: int) -> list[float]:
 def taken_out(
     files: Sequence[Path], found: Survey, moments: Sequence[StillMoment], folder: Path
 ) -> list[LabelledMoment]:
-    """The chosen images as files in a folder; one that is there already stays.
+    """Extract the chosen images as files into a folder; existing ones are kept.
 
     Raises:
         InputError: the bag is damaged.
@@ -170,7 +170,7 @@ def taken_out(
 def ranges_taken_out(
     files: Sequence[Path], found: Survey, moments: Sequence[StillMoment], folder: Path
 ) -> list[dict[str, RangeView]]:
-    """What LiDARs and depth cameras measured nearest to each moment, within `LIDAR_LAG`; all but scans as files.
+    """Extract the data of LiDARs and depth cameras nearest to each moment, within `LIDAR_LAG`; all but scans as files.
 
     Raises:
         InputError: the bag is damaged, or a message is wrong.
@@ -211,7 +211,7 @@ def _range_view(bag: Bag, name: str, lidar: SensorTopic, recorded: int, folder: 
 
 
 def image_at(files: Sequence[Path], topic: str, recorded: int) -> Image:
-    """An image of a bag by when it was recorded, ns.
+    """Return an image of a bag by its recording time, ns.
 
     Raises:
         InputError: the bag is damaged.
@@ -239,17 +239,17 @@ def _write_png(image: Image | DepthImage, path: Path) -> None:
 
 @dataclass(frozen=True, eq=False)
 class Mounting:
-    """How the sensors of a bag hang on its tree of frames."""
+    """Sensors of a bag in its tree of frames."""
 
     configuration: Configuration
     edges: tuple[Edge, ...]
-    """Known ones, on the way from the world to the sensors and to the patterns' parents."""
+    """Known edges from the world to the sensors and to the patterns' parents."""
 
     def transforms(self, log: MotionLog, times: Sequence[float]) -> dict[Edge, Array]:
-        """(N, 4, 4) at each of the times, ns; the identity for what nobody knows.
+        """Return (N, 4, 4) at each of the times, ns; the identity for unknown transforms.
 
         Raises:
-            InputError: nothing was recorded of one near a time.
+            InputError: there is no record of one near a time.
         """
         found = {edge: np.stack([log.transform(edge, time) for time in times]) for edge in self.edges}
         for sensor in self.configuration.sensors.values():
@@ -262,10 +262,10 @@ class Mounting:
 def mounting(
     described: ImportDescription, patterns: Mapping[str, PatternConfiguration], found: Survey, where: str
 ) -> Mounting:
-    """What is calibrated: of each sensor the transform below its parent.
+    """Return the calibrated transforms: of each sensor the one below its parent.
 
     Raises:
-        InputError: a frame that is named is not in the recording, or is not above the sensor's.
+        InputError: a named frame is not in the recording, or is not above the sensor's.
     """
     edges = [edge for edge in found.log.edges if edge[1] not in {pattern.link for pattern in patterns.values()}]
     tree, parent_of = FrameTree(edges), {child: parent for parent, child in edges}
@@ -286,7 +286,7 @@ def mounting(
 
 
 def _world(described: ImportDescription, found: Survey, parent_of: Mapping[str, str]) -> str:
-    """The frame that all hang on: the one that is named, if it was recorded; else the root above the first sensor."""
+    """Return the root frame: the named one, if it was recorded; else the root above the first sensor."""
     frames = {*parent_of, *parent_of.values()}
     if described.world in frames or not frames:
         return described.world
@@ -316,7 +316,7 @@ def _sensor(
 
 
 def _above_optical(frame: str, parent_of: Mapping[str, str], log: MotionLog) -> Edge:
-    """The transform that mounts a camera: not the one that only turns its axes to those of an image."""
+    """Return the transform that mounts a camera: not the one that only rotates its axes to those of an image."""
     edge = (parent_of[frame], frame)
     if edge[0] in parent_of and not log.moves(edge) and not log.transform(edge, 0.0)[:3, 3].any():
         return (parent_of[edge[0]], edge[0])

@@ -1,4 +1,4 @@
-"""The images of a dataset, labelled by our detectors: where it has no labels, or anew."""
+"""Labelling of a dataset's images by the own detectors: those without labels, or all."""
 
 import copy
 import json
@@ -43,18 +43,18 @@ def label_dataset(
     jobs: int | None = None,
     done: Done = lambda *_: None,
 ) -> LabelResults:
-    """Label the images of every camera of a dataset into another folder; labels of other sensors stay as they are.
+    """Label the images of every camera of a dataset into another folder; labels of other sensors are unchanged.
 
     Args:
         path: the dataset's folder.
         output: the folder of the labelled dataset.
-        again: whether images that have labels are labelled anew.
-        overwrite: whether a dataset in the output is replaced.
-        jobs: processes; None for one a core.
+        again: whether images with labels are labelled again.
+        overwrite: whether an existing dataset in the output is replaced.
+        jobs: number of processes; None for one per core.
         done: called after each collection.
 
     Raises:
-        InputError: the dataset or an image is wrong, nothing is to be labelled, or a camera sees a pattern nowhere.
+        InputError: the dataset or an image is wrong, there is nothing to label, or a camera never sees a pattern.
         InfrastructureError: a file cannot be written, or a process died.
     """
     refuse_existing(output, overwrite)
@@ -99,7 +99,7 @@ def _decoded(text: bytes) -> LabelledMoment:
 
 
 def _labels(labels: Node, pattern: str, single: str | None) -> Node | None:
-    """The labels by sensor; a dataset of version 2 has one pattern, which it does not name."""
+    """Return the labels by sensor; a dataset of version 2 has one pattern, which it does not name."""
     return labels if single is not None else labels.get(pattern)
 
 
@@ -110,7 +110,7 @@ def _files(
     single: str | None,
     again: bool,
 ) -> dict[str, Path]:
-    """The images of a collection that are to be labelled, by camera."""
+    """Return the images of a collection to label, by camera."""
     data, labels, found = collection.get("data"), collection.get("labels"), {}
     for camera in cameras:
         message = data.get(camera) if data else None
@@ -154,7 +154,7 @@ def _set_labels(collection: dict[str, Any], moment: LabelledMoment, single: str 
 
 
 def _bring(root: Node, new: Path) -> None:
-    """Put every file that the collections name beside the new dataset."""
+    """Link or copy every file that the collections name to the new dataset."""
     for key in root["collections"].mapping():
         collection = root["collections"][key]
         data = collection.get("data")

@@ -1,4 +1,4 @@
-"""What an import has to say."""
+"""Reports of ``import-data`` and ``label``."""
 
 from collections.abc import Mapping
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""``results.json`` of ``import-data``."""
+"""Results of ``import-data`` and ``label``."""
 
 from collections.abc import Mapping
 from typing import Literal

@@ -22,33 +22,32 @@ from calibration.yaml_file import read_yaml
 POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
 """Keys and columns of a pose: metres, and a quaternion."""
 IMAGE, PATTERN = "image", "pattern_"
-"""The column of images, and how those of the pattern's pose begin."""
+"""Column of images, and prefix of the columns of the pattern's pose."""
 MOVEIT = ("effector_wrt_world", "object_wrt_sensor")
 ORTHOGONAL = 1e-3
-"""How far from orthogonal a matrix of rotation may be; it is made one."""
+"""Tolerance of a rotation matrix's orthogonality; it is projected to a rotation."""
 
 
 @dataclass(frozen=True, eq=False)
 class Sample:
-    """A pose of the arm."""
+    """Pose of the arm, with its observation."""
 
     where: str
-    """Its place in the file, for messages."""
+    """Location in the file, for messages."""
     image: Path | None
-    """What the camera saw there, where the file names it."""
+    """The camera's image there, if the file names it."""
     T_base_tool: Array
     """(4, 4)."""
     T_camera_pattern: Array | None = None
-    """(4, 4): the pose of the pattern, where it was measured."""
+    """(4, 4): measured pose of the pattern, if available."""
 
 
 def read_samples(path: Path, in_hand: bool) -> list[Sample]:
-    """The samples in a file: a CSV, or YAML as robot_cal_tools, easy_handeye2 and MoveIt write it.
+    """Read samples from a file: CSV, or YAML of robot_cal_tools, easy_handeye2 or MoveIt.
 
     Args:
-        path: of the file.
-        in_hand: whether the arm carries the camera; where it carries the pattern, easy_handeye2 writes the inverse of
-            its poses.
+        path: path of the file.
+        in_hand: whether the arm carries the camera; if it carries the pattern, easy_handeye2 stores inverse poses.
 
     Raises:
         InputError: the file, or one that it names, cannot be read, or something in it is missing or wrong.
@@ -79,7 +78,7 @@ def _document(path: Path, in_hand: bool) -> Iterator[Sample]:
 
 
 def _of_easy_handeye(root: Node, in_hand: bool) -> Iterator[Sample]:
-    """Of easy_handeye2, whose arm's poses are those of the base in the effector's frame where that has the pattern."""
+    """Parse easy_handeye2's samples; if the arm carries the pattern, its poses are inverse."""
     stated = parameters.get("calibration_type") if (parameters := root.get("parameters")) else None
     if stated and stated.text() and stated.text() != (expected := "eye_in_hand" if in_hand else "eye_on_base"):
         raise stated.unexpected(
@@ -91,7 +90,7 @@ def _of_easy_handeye(root: Node, in_hand: bool) -> Iterator[Sample]:
 
 
 def _of_message(node: Node) -> Array:
-    """(4, 4): of a geometry_msgs/Transform."""
+    """Return (4, 4) of a geometry_msgs/Transform."""
     places = {"x": "translation", "y": "translation", "z": "translation"} | dict.fromkeys(
         ("qx", "qy", "qz", "qw"), "rotation"
     )
@@ -100,7 +99,7 @@ def _of_message(node: Node) -> Array:
 
 
 def _of_moveit(elements: Sequence[Node]) -> Iterator[Sample]:
-    """Of MoveIt: matrices, row by row."""
+    """Parse MoveIt's samples: matrices, row by row."""
     for node in elements:
         effector, seen = (_matrix(node[key]) for key in MOVEIT)
         yield Sample(_where(node), None, effector, seen)
@@ -120,7 +119,7 @@ def _where(node: Node) -> str:
 
 
 def _listed(elements: Sequence[Node]) -> Iterator[Sample]:
-    """Of robot_cal_tools: files with poses."""
+    """Parse robot_cal_tools' samples: files with poses."""
     for node in elements:
         pose = _beside(node["pose"])
         entry = Node(pose, (), read_yaml(pose, "a pose"))
@@ -150,7 +149,7 @@ def _table(path: Path) -> Iterator[Sample]:
 
 
 def _of_cells(cells: Mapping[str, str], prefix: str, where: str) -> Array:
-    """(4, 4): the pose in the columns whose names begin so."""
+    """Return the pose (4, 4) in the columns with this prefix."""
     if missing := [key for key in POSE if prefix + key not in cells]:
         expected = ", ".join(prefix + key for key in POSE)
         raise InputError(f"{where}: missing column '{prefix}{missing[0]}', expected {expected}")
@@ -167,7 +166,7 @@ def _of_cells(cells: Mapping[str, str], prefix: str, where: str) -> Array:
 
 
 def _transform(values: Mapping[str, float], where: str) -> Array:
-    """(4, 4): of a pose whose quaternion is of length 1."""
+    """Return (4, 4) of a pose, whose quaternion must be normalised."""
     quaternion = [values[key] for key in POSE[3:]]
     if not abs((length := math.hypot(*quaternion)) - 1) <= QUATERNION_TOLERANCE:
         raise InputError(
@@ -178,7 +177,7 @@ def _transform(values: Mapping[str, float], where: str) -> Array:
 
 
 def _beside(name: Node) -> Path:
-    """A file in the folder of the document."""
+    """Return a file in the folder of the document."""
     path = name.file.parent / name.name()
     try:
         if path.resolve().is_relative_to(name.file.parent.resolve()):

@@ -1,4 +1,4 @@
-"""A start for intrinsics that nobody knows: OpenCV's, from the corners of all views of one camera."""
+"""Initial guess of unknown intrinsics by OpenCV, from the corners of all views of one camera."""
 
 from collections.abc import Sequence
 
@@ -12,27 +12,27 @@ from calibration.geometry.cameras import Camera
 from calibration.geometry.distortion import PlumbBob
 
 LEAST_VIEWS = 5
-"""Fewer views of a plane do not tell a lens."""
+"""Minimum of views: fewer views of a plane do not determine the intrinsics."""
 MOST_VIEWS = 60
-"""More make no better start."""
+"""Limit of views: more do not improve the initial guess."""
 DECIMALS = 6
 WORST_RMS = 5.0
-"""A start that explains the corners no better than this is none (px)."""
+"""px: an initial guess with a larger RMS is refused."""
 
 
 def starting_intrinsics(
     sensor: str, size: tuple[int, int], views: Sequence[tuple[PatternConfiguration, CornerLabels]]
 ) -> Camera:
-    """The lens that explains the corners best: focal lengths, principal point, two radial terms.
+    """Fit intrinsics to the corners: focal lengths, principal point, two radial coefficients.
 
     Args:
         sensor: the camera, for messages.
         size: of its images, width and height.
-        views: what it saw of which pattern.
+        views: corners of which pattern, by view.
 
     Raises:
         UndeterminedError: there are too few views.
-        InputError: no lens explains them.
+        InputError: no intrinsics fit them.
     """
     if len(views) < LEAST_VIEWS:
         raise UndeterminedError(

@@ -1,4 +1,4 @@
-"""Moments at which all stands still: by the corners that each camera saw, image after image."""
+"""Detection of moments at standstill, by the motion of the corners from image to image."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -8,31 +8,31 @@ import numpy as np
 from calibration.importing.looking import View
 
 GAP = 0.5
-"""Images that are farther apart say nothing of what moved between them, s."""
+"""s: images that are farther apart give no information on the motion between them."""
 SPAN = 0.3
-"""Corners that stay for so long stand still, s,"""
+"""s: minimum time that corners at standstill do not move,"""
 MOVED = 1.0
-"""within this (px, the median of the corners)."""
+"""by more than this (px, median of the corners)."""
 LAG = 0.1
-"""Single images belong together within this, s."""
+"""s: limit of the time between associated single images."""
 SECOND = 1e9
 
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """One image of one camera."""
+    """Image of one camera."""
 
     sensor: str
     stamp: int
-    """ns."""
+    """Stamp, ns."""
     recorded: int
-    """When it was recorded, ns: its place in the bag."""
+    """Recording time, ns, which locates it in the bag."""
     view: View
 
 
 @dataclass(frozen=True, eq=False)
 class Group:
-    """Images of one camera in which a pattern stays where it is."""
+    """Images of one camera in which a pattern does not move."""
 
     frames: Sequence[Frame]
 
@@ -47,36 +47,36 @@ class Group:
         return self.frames[-1].stamp
 
     def nearest(self, time: float) -> Frame:
-        """The image nearest to a time, ns."""
+        """Return the image nearest to a time, ns."""
         return min(self.frames, key=lambda frame: abs(frame.stamp - time))
 
 
 @dataclass(frozen=True, eq=False)
 class StillMoment:
-    """What the cameras saw at one moment."""
+    """Images of the cameras at one moment."""
 
     frames: Mapping[str, Frame]
-    """By sensor; those that see a pattern."""
+    """By sensor; only those that see a pattern."""
 
     @property
     def time(self) -> float:
-        """The mean of the stamps, ns."""
+        """Mean of the stamps, ns."""
         return float(np.mean([frame.stamp for frame in self.frames.values()]))
 
     @property
     def lag(self) -> float:
-        """Between the first and the last stamp, s."""
+        """Time between the first and the last stamp, s."""
         stamps = [frame.stamp for frame in self.frames.values()]
         return (max(stamps) - min(stamps)) / SECOND
 
 
 def still_moments(frames: Mapping[str, Sequence[Frame]]) -> list[StillMoment]:
-    """The moments at which the corners of every camera that sees a pattern stay where they are.
+    """Return the moments at which the corners of every camera that sees a pattern do not move.
 
-    One for each stay, however long. Where images are farther apart than `GAP`, each stands for itself.
+    One for each standstill, whatever its duration. If images are farther apart than `GAP`, each is one by itself.
 
     Args:
-        frames: of each camera, all of them, by their stamps.
+        frames: all images of each camera, sorted by stamp.
     """
     groups = {name: still_groups(own) for name, own in frames.items()}
     order = sorted(groups, key=lambda name: -len(groups[name]))
@@ -98,7 +98,7 @@ def still_moments(frames: Mapping[str, Sequence[Frame]]) -> list[StillMoment]:
 
 
 def moments_at(frames: Mapping[str, Sequence[Frame]], times: Sequence[float]) -> list[StillMoment]:
-    """The images with a pattern that are nearest to each time (ns) and not farther than `LAG`; moving or not."""
+    """Return the images with a pattern nearest to each time (ns), within `LAG`; moving or not."""
     moments = []
     for time in times:
         found = {}
@@ -112,14 +112,14 @@ def moments_at(frames: Mapping[str, Sequence[Frame]], times: Sequence[float]) ->
 
 
 def evenly(moments: Sequence[StillMoment], most: int) -> list[StillMoment]:
-    """No more than so many of them, evenly chosen."""
+    """Return at most this many moments, evenly spaced."""
     if len(moments) <= most:
         return list(moments)
     return [moments[i] for i in np.linspace(0, len(moments) - 1, most).round().astype(int)]
 
 
 def still_groups(frames: Sequence[Frame]) -> list[Group]:
-    """The stays of one camera's patterns, from all of its images by their stamps."""
+    """Return the standstills of one camera's patterns, from all of its images sorted by stamp."""
     groups: list[Group] = []
     run: list[Frame] = []
 
@@ -138,7 +138,7 @@ def still_groups(frames: Sequence[Frame]) -> list[Group]:
 
 
 def _alone(frames: Sequence[Frame], run: Sequence[Frame]) -> bool:
-    """Whether a run is one image that no other of the camera is near to."""
+    """Whether a run is a single image, with no other of the camera near it."""
     if len(run) > 1:
         return False
     stamps = [frame.stamp for frame in frames]
@@ -148,7 +148,7 @@ def _alone(frames: Sequence[Frame], run: Sequence[Frame]) -> bool:
 
 
 def _moved(one: Frame, other: Frame) -> bool:
-    """Whether the corners that both show are elsewhere; so too where they show none in common."""
+    """Whether the common corners have moved; also true if there are none."""
     steps = []
     for pattern, found in one.view.found.items():
         a, b = found.labels, other.view.found[pattern].labels
@@ -160,5 +160,5 @@ def _moved(one: Frame, other: Frame) -> bool:
 
 
 def _overlap(group: Group, start: int, end: int) -> int:
-    """How long a group and an interval overlap, ns; negative for a gap."""
+    """Overlap of a group and an interval, ns; negative for a gap."""
     return min(group.end, end) - max(group.start, start)

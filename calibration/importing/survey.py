@@ -1,4 +1,4 @@
-"""First pass over a bag: topics, stamps, intrinsics, and how everything moves. No image is decoded."""
+"""First pass over a bag: topics, stamps, intrinsics and motion. No image is decoded."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -17,48 +17,48 @@ from calibration.importing.xacro import read_robot_description
 _SENSOR = "sensor_msgs/msg/"
 IMAGES = (f"{_SENSOR}Image", f"{_SENSOR}CompressedImage")
 MODALITIES = dict.fromkeys(IMAGES, "rgb") | {f"{_SENSOR}PointCloud2": "lidar3d", f"{_SENSOR}LaserScan": "lidar2d"}
-"""Of sensors, by the types of their messages."""
+"""Modalities by the types of the messages."""
 INFO, JOINTS = f"{_SENSOR}CameraInfo", f"{_SENSOR}JointState"
 TF, TEXT = tuple(MORE_TYPES), "std_msgs/msg/String"
 JUMP = 0.001
-"""Stamps of one topic may go back by no more, s."""
+"""s: limit of the decrease of a topic's stamps."""
 
 
 @dataclass(frozen=True, eq=False)
 class SensorTopic:
-    """A sensor in a bag."""
+    """Sensor of a bag."""
 
     described: SensorDescription
     topic: str
     modality: str
     frame: str
-    """Of its data, as they say."""
+    """Frame of its data, by their headers."""
     stamps: Mapping[int, int]
-    """Of every message, ns, by when it was recorded, ns."""
+    """Stamp of every message, ns, by its recording time, ns."""
     camera: Camera | None
-    """As camera_info has it; None where there is none, or it is not calibrated."""
+    """Intrinsics by camera_info; None without one, or if it is not calibrated."""
 
 
 @dataclass(frozen=True, eq=False)
 class Survey:
-    """What a bag has."""
+    """Content of a bag."""
 
     sensors: Mapping[str, SensorTopic]
     log: MotionLog
 
     @property
     def cameras(self) -> Mapping[str, SensorTopic]:
-        """Those with images."""
+        """Sensors with images."""
         return {name: each for name, each in self.sensors.items() if each.modality == "rgb"}
 
     @property
     def range_sensors(self) -> Mapping[str, SensorTopic]:
-        """Those with clouds, scans or depth images."""
+        """Sensors with clouds, scans or depth images."""
         return {name: each for name, each in self.sensors.items() if each.modality != "rgb"}
 
 
 def survey(bag: Bag, described: ImportDescription) -> Survey:
-    """Look through a bag.
+    """Survey a bag.
 
     Raises:
         InputError: a topic is missing or has no message, a clock jumps back, the stamps of two cameras do not
@@ -105,7 +105,7 @@ def survey(bag: Bag, described: ImportDescription) -> Survey:
 
 
 def _found(bag: Bag) -> tuple[SensorDescription, ...]:
-    """Every topic of images, but depth, and but one where the same images are there raw and compressed."""
+    """Return every topic of colour images, and only one of raw and compressed topics of the same images."""
     raw, compressed = bag.of_type(IMAGES[0]), bag.of_type(IMAGES[1])
     topics = [*raw, *(topic for topic in compressed if str(PurePosixPath(topic).parent) not in raw)]
     topics = [topic for topic in topics if not _is_depth(topic)]
@@ -130,7 +130,7 @@ def _check_topic(bag: Bag, sensor: SensorDescription) -> None:
 
 
 def _modality(bag: Bag, sensor: SensorDescription) -> str:
-    """By the type of its messages, and the name of its topic where they are images."""
+    """Return the modality by the type of its messages, and for images by the name of the topic."""
     kind = MODALITIES[bag.topics[sensor.topic or ""]]
     if kind != "rgb":
         return kind
@@ -142,7 +142,7 @@ def _is_depth(topic: str) -> bool:
 
 
 def _info_topic(bag: Bag, sensor: SensorDescription) -> str | None:
-    """The topic of a camera's intrinsics: the one that is named, else beside its images."""
+    """Return the topic of a camera's intrinsics: the named one, else the one next to its images."""
     known = bag.of_type(INFO)
     if sensor.camera_info is not None:
         if sensor.camera_info not in known:

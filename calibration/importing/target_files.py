@@ -1,4 +1,4 @@
-"""Patterns as they are printed: from import.yml, Kalibr's target YAML and robot_cal_tools' target."""
+"""Descriptions of printed patterns: from import.yml, Kalibr's target YAML and robot_cal_tools' target."""
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -19,16 +19,16 @@ from calibration.importing.description import PatternDescription
 from calibration.yaml_file import read_yaml
 
 NOMINAL = {"kind": "chessboard", "dimension": (2, 2), "size": 0.1}
-"""Of a pattern that is never looked for: what matters of it is its frame."""
+"""Placeholder geometry of a pattern that is never detected in images: only its frame is used."""
 EVEN = 1e-6
-"""How far the two sides of a square may differ, relative: patterns here have squares."""
+"""Relative tolerance of the two sides of a square: only squares are supported."""
 
 
 def pattern_configuration(described: PatternDescription, world: str) -> PatternConfiguration:
-    """The pattern that an entry of import.yml describes, itself or by its ``target``.
+    """Return the pattern of an entry of import.yml, described there or in its ``target`` file.
 
     Raises:
-        InputError: the file cannot be read, or describes none that is known here.
+        InputError: the file cannot be read, or describes an unknown pattern.
     """
     parent = described.parent or world
     printed = _printed(described.target) if described.target else _described(described)
@@ -104,7 +104,7 @@ def _charuco(node: Node) -> dict[str, Any]:
         raise marker.unexpected(f"less than chessboard_dim, {size:g}")
     return {
         "kind": "charuco",
-        "dimension": (_count(node, "cols", 1), _count(node, "rows", 1)),  # of squares there
+        "dimension": (_count(node, "cols", 1), _count(node, "rows", 1)),  # counts of squares
         "size": size,
         "inner_size": marker.number(),
         "dictionary": DICTIONARIES[number],
@@ -112,7 +112,7 @@ def _charuco(node: Node) -> dict[str, Any]:
 
 
 DICTIONARIES = tuple(f"DICT_{bits}X{bits}_{count}" for bits in (4, 5, 6, 7) for count in (50, 100, 250, 1000))
-"""By OpenCV's numbers."""
+"""Dictionaries by OpenCV's numbers."""
 KALIBR = {"aprilgrid": _kalibr_aprilgrid, "checkerboard": _kalibr_chessboard}
-"""Its kinds of targets; ``targetCols`` and ``targetRows`` count corners inside, ``tagCols`` and ``tagRows`` tags."""
+"""Kalibr's types of targets; ``targetCols`` and ``targetRows`` are inner corners, ``tagCols`` and ``tagRows`` tags."""
 ROBOT_CAL_TOOLS = {f"rct_ros_tools::{name}": _charuco for name in ("CharucoGridTargetFinderPlugin",)}

@@ -1,7 +1,7 @@
-"""Robot descriptions that are made of macros, expanded by the library xacrodoc, without ROS.
+"""Expansion of xacro robot descriptions by the library xacrodoc, without ROS.
 
-A xacro has expressions, which are program text: it is expanded in a process of its own, which has no variables of
-this one's environment, and an end to its time, its memory and what it writes.
+A xacro has expressions, which are program code: it is expanded in a separate process with an empty
+environment, and with limits of its time, its memory and its output.
 """
 
 import os
@@ -18,7 +18,7 @@ from calibration.workflow.text import one_line, shorten
 
 ENDING = ".xacro"
 SECONDS, MEMORY = 60, 2 * 1024**3
-"""What the expansion may take: of a processor, and bytes."""
+"""Limits of the expansion: seconds of processor time, and bytes."""
 _CHILD = """
 import resource, sys
 from pathlib import Path
@@ -39,14 +39,14 @@ Path(sys.argv[2]).write_text(text)
 
 
 def read_robot_description(path: Path, packages: Path | None) -> bytes:
-    """A URDF, or what a xacro expands to.
+    """Read a URDF, or expand a xacro to one.
 
     Args:
-        path: of the file; the name of a xacro ends with ``.xacro``.
-        packages: the folder in which ``$(find PACKAGE)`` is looked for, beside those above the file.
+        path: path of the file; the name of a xacro ends with ``.xacro``.
+        packages: the folder in which ``$(find PACKAGE)`` is searched, in addition to the file's parent folders.
 
     Raises:
-        InputError: the file cannot be read or expanded, or the folder is none.
+        InputError: the file cannot be read or expanded, or the folder does not exist.
         InfrastructureError: xacrodoc is not installed.
     """
     content = read_bytes(path, MAX_BYTES, "a robot description")

@@ -1,7 +1,7 @@
-"""Robots from URDF descriptions, and where their frames stand for given joint positions.
+"""Robots from URDF descriptions, with forward kinematics.
 
-URDF: a tree of links, each joined to its parent by a fixed, revolute, continuous or prismatic
-joint. A description is data from elsewhere: entities are refused, the size is bounded.
+URDF: a tree of links, each connected to its parent by a fixed, revolute, continuous or prismatic
+joint. A description is untrusted input: entities are refused, the size is bounded.
 """
 
 import math
@@ -31,7 +31,7 @@ JOINT_KINDS: tuple[JointKind, ...] = get_args(JointKind)
 
 @dataclass(frozen=True, eq=False)
 class Joint:
-    """What joins a link to its parent. Its frame is the child link's at position 0."""
+    """Joint between a link and its parent. Its frame is the child link's at position 0."""
 
     name: str
     kind: JointKind
@@ -40,9 +40,9 @@ class Joint:
     T_parent_joint: Array
     """(4, 4): the origin."""
     axis: Array
-    """(3,): of unit length, in the joint's frame; what a fixed joint has does not matter."""
+    """(3,): unit vector in the joint's frame; unused for a fixed joint."""
     lower: float = -math.inf
-    """The least position, rad or m."""
+    """Lower limit of the position, rad or m."""
     upper: float = math.inf
 
     @property
@@ -57,17 +57,17 @@ class Joint:
 
     @property
     def twist(self) -> Array:
-        """(6,): how the child moves in its own frame when the position grows by one."""
+        """Twist (6,) of the child in its own frame per unit of the position."""
         zero = np.zeros(3)
         return np.concatenate([self.axis, zero] if self.kind == "prismatic" else [zero, self.axis])
 
     @property
     def rest(self) -> float:
-        """The position where nothing else is said: 0, or the limit nearest to it."""
+        """Default position: 0, or the limit closest to it."""
         return min(max(0.0, self.lower), self.upper)
 
     def transform(self, positions: Array) -> Array:
-        """``T_parent_child`` (N, 4, 4) at each of the positions (N,)."""
+        """Return ``T_parent_child`` (N, 4, 4) at each of the positions (N,)."""
         steps = np.asarray(positions, float)[..., None] * self.axis
         if self.kind == "prismatic":
             return self.T_parent_joint @ translation(steps)
@@ -78,33 +78,33 @@ class Joint:
 
 @dataclass(frozen=True, eq=False)
 class Robot:
-    """A tree of links and joints."""
+    """Tree of links and joints."""
 
     path: Path
-    """The file it was read from."""
+    """File that it was read from."""
     name: str
     joints: tuple[Joint, ...]
     """In the order of the file."""
 
     @cached_property
     def tree(self) -> FrameTree:
-        """The frames of the links."""
+        """Tree of the links' frames."""
         return FrameTree(joint.edge for joint in self.joints)
 
     @cached_property
     def movable(self) -> Mapping[str, Joint]:
-        """The joints that have a position, by name."""
+        """The movable joints, by name."""
         return {joint.name: joint for joint in self.joints if joint.is_movable}
 
     def transforms(self, joint_positions: Mapping[str, Array], count: int = 1) -> dict[Edge, Array]:
         """Forward kinematics: ``T_parent_child`` of every joint, (N, 4, 4), by (parent, child).
 
         Args:
-            joint_positions: by joint name, (N,) each, rad or m. A joint that is not named rests.
-            count: N where no joint is named.
+            joint_positions: by joint name, (N,) each, rad or m. Other joints are at their default position.
+            count: N if no joint is given.
 
         Raises:
-            InputError: a joint is unknown or cannot move, or a position is outside its limits.
+            InputError: a joint is unknown or not movable, or a position is outside its limits.
         """
         for name, positions in joint_positions.items():
             self._check(name, np.asarray(positions, float))
@@ -121,7 +121,7 @@ class Robot:
             problem = "is fixed and has no position" if fixed else "is not in the robot"
             known = ", ".join(self.movable) or "none"
             raise _fault(f"{self.path}: joint '{name}' {problem} (joints that move: {known})")
-        outside = ~((positions >= joint.lower) & (positions <= joint.upper))  # so NaN is outside
+        outside = ~((positions >= joint.lower) & (positions <= joint.upper))  # also true for NaN
         if outside.any():
             pose = int(outside.argmax())
             raise _fault(
@@ -131,7 +131,7 @@ class Robot:
 
 
 def compose(tree: FrameTree, transforms: Mapping[Edge, Array], start: str, end: str) -> Array:
-    """``T_start_end`` (N, 4, 4) along the tree, from the transforms of its edges.
+    """Return ``T_start_end`` (N, 4, 4) along the tree, from the transforms of its edges.
 
     Raises:
         InputError: a frame is not in the tree.
@@ -148,21 +148,21 @@ def read_robot(path: Path) -> Robot:
     """Read a robot from a URDF file.
 
     Raises:
-        InputError: in one line with file and joint, what is wrong: not XML, not URDF, a type that
+        InputError: in one line, with file and joint: not XML, not URDF, a type that
             is not supported, a missing or unknown link, two parents, a loop, a bad number.
     """
     return parse_robot(read_bytes(path, MAX_BYTES, "a robot description"), path)
 
 
 def parse_robot(urdf: bytes, path: Path) -> Robot:
-    """`read_robot` for the content of the file."""
+    """Parse the content of a URDF file like `read_robot`."""
     try:
         root: Element = defusedxml.ElementTree.fromstring(urdf, forbid_dtd=True)
     except ParseError as error:
         raise _fault(f"{path}: is not XML: {error}") from None
     except DefusedXmlException:
         raise _fault(f"{path}: has a DTD or entities; a robot description needs none") from None
-    except (ValueError, LookupError) as error:  # an encoding that does not exist or does not fit
+    except (ValueError, LookupError) as error:  # an encoding that does not exist or does not match
         raise _fault(f"{path}: is not XML: {error}") from None
     if root.tag != "robot":
         raise _fault(f"{path}: the root element is <{root.tag}>, not <robot>")
@@ -172,7 +172,7 @@ def parse_robot(urdf: bytes, path: Path) -> Robot:
 
 
 def _fault(message: str) -> InputError:
-    """An error on one line, whatever the names in the file are."""
+    """Return an error with its message on one line, also with unusual names."""
     return InputError(message)
 
 
@@ -259,7 +259,7 @@ def _limits(element: Element, kind: str, where: str) -> tuple[float, float]:
 
 
 def _numbers(element: Element | None, key: str, default: tuple[float, ...], where: str) -> tuple[float, ...]:
-    """As many finite numbers as the default has, from an attribute; the default where it is absent."""
+    """Return the finite numbers of an attribute, as many as in the default; the default if it is absent."""
     text = None if element is None else element.get(key)
     if text is None:
         return default

@@ -1,7 +1,7 @@
-"""What stands around the robot: the ground and boxes, which rays hit, and the light on them.
+"""Scene around the robot: ground, boxes and light, with ray casting.
 
-A wall is a thin box. The distance to what a ray hits is counted in lengths of the ray's direction,
-which need not be 1: with ``direction = target - origin`` a hit below 1 hides the target.
+A wall is a thin box. The distance along a ray is in lengths of the ray's direction,
+which need not be 1: with ``direction = target - origin`` a hit below 1 occludes the target.
 """
 
 import math
@@ -16,14 +16,14 @@ from calibration.records import Converted, between, field, record
 from calibration.simulation.description import Radians, Vector, array, listed
 
 NOTHING, GROUND = -2, -1
-"""What a ray hits that is no box; boxes count from 0."""
+"""Indices of surfaces that are not boxes; boxes count from 0."""
 MAX_LIGHT = 10.0
 
 
 def turned(T_parent_child: Array, directions: Array) -> Array:
-    """Directions (3, ...) of the child frame in the parent frame, coordinates on the first axis.
+    """Rotate directions (3, ...) from the child frame to the parent frame, with coordinates on the first axis.
 
-    Spelt out: a product of matrices rounds as the processor's library likes.
+    Written out, as a matrix product is rounded differently on different processors.
     """
     x, y, z = directions
     return np.stack([row[0] * x + row[1] * y + row[2] * z for row in T_parent_child[:3, :3]])
@@ -38,7 +38,7 @@ _DIRECTION = listed(3, "a direction [x, y, z] towards the light", any)
 
 @record(case="snake", nulls=True)
 class BoxPose:
-    """Where a box stands in the world."""
+    """Pose of a box in the world."""
 
     centre: Vector = field("Its centre, m.")
     rpy: Radians = field("Roll, pitch, yaw, rad.", default=(0.0, 0.0, 0.0))
@@ -46,7 +46,7 @@ class BoxPose:
 
 @record(case="snake", nulls=True, eq=False)
 class Box:
-    """A cuboid about its own centre."""
+    """Cuboid around its own centre."""
 
     T_world_box: Annotated[Array, Converted(BoxPose, lambda pose, _: from_xyz_rpy(pose.centre, pose.rpy))] = field(
         flat=True
@@ -65,7 +65,7 @@ def _from_above() -> Array:
 
 @record(case="snake", nulls=True, eq=False)
 class Light:
-    """Light from everywhere, and light from far away in one direction; without shadows."""
+    """Ambient light, and directional light from far away; without shadows."""
 
     ambient: Annotated[float, between(0, MAX_LIGHT)] = field("Light from everywhere.", default=0.75)
     intensity: Annotated[float, between(0, MAX_LIGHT)] = field(
@@ -77,7 +77,7 @@ class Light:
     """(3,)."""
 
     def on(self, normals: Array) -> Array:
-        """The light (...) on surfaces of unit normals (..., 3) towards the viewer, by Lambert's law."""
+        """Return the light (...) on surfaces with unit normals (..., 3) towards the viewer, by Lambert's law."""
         x, y, z = self.direction / math.hypot(*self.direction)
         towards = normals[..., 0] * x + normals[..., 1] * y + normals[..., 2] * z
         light: Array = self.ambient + self.intensity * np.maximum(towards, 0.0)
@@ -86,14 +86,14 @@ class Light:
 
 @record(case="snake", nulls=True, eq=False)
 class Scene:
-    """The ground, a plane z = height in the world frame, and boxes; what is absent hides nothing."""
+    """Ground, a plane z = height in the world frame, and boxes; absent parts occlude nothing."""
 
     ground: float | None = field("Height of the ground, m; no ground where it is absent.", default=None, key="ground_m")
     boxes: tuple[Box, ...] = field("Boxes: walls, furniture.", default=())
     light: Light = field("Light on all of it.", default_factory=Light)
 
     def cast(self, origin: Array, directions: Array) -> Array:
-        """The distances (...) along rays to the nearest surface in front; infinite where there is none.
+        """Return the distances (...) along rays to the nearest surface in front; infinite if there is none.
 
         Args:
             origin: (..., 3) in the world frame; broadcasts against the directions' batch axes.
@@ -108,10 +108,10 @@ class Scene:
         return nearest
 
     def hit(self, origin: Array, rays: Array) -> tuple[Array, IntArray]:
-        """What rays (3, ...) from one point (3,) hit first, in the world frame.
+        """Intersect rays (3, ...) from one point (3,) in the world frame.
 
         Returns:
-            The distances (...) as `cast`, and the surface (...): the index of a box, `GROUND` or `NOTHING`.
+            The distances (...) as in `cast`, and the surface (...): the index of a box, `GROUND` or `NOTHING`.
         """
         nearest = np.full(rays.shape[1:], np.inf)
         surface = np.full(rays.shape[1:], NOTHING)
@@ -123,7 +123,7 @@ class Scene:
         return nearest, surface
 
     def _distances(self, origins: Array, rays: Array) -> Iterator[Array]:
-        """The distances to the ground, if there is one, and to every box; coordinates stand on the first axis."""
+        """Yield the distances to the ground, if there is one, and to every box; coordinates are on the first axis."""
         if self.ground is not None:
             t = (self.ground - origins[2]) / rays[2]
             yield np.where(t > 0, t, np.inf)
@@ -131,13 +131,13 @@ class Scene:
             yield _cast_at_box(box, origins, rays)
 
     def hides(self, origin: Array, points: Array) -> BoolArray:
-        """Which points (..., K, 3) cannot be seen from the origins (..., 3)."""
+        """Return a mask (..., K) of the points (..., K, 3) that are occluded from the origins (..., 3)."""
         start = np.asarray(origin, float)[..., None, :]
         hidden: BoolArray = self.cast(start, points - start) < 1 - 1e-9
         return hidden
 
     def contains(self, points: Array, clearance: float = 0.0) -> BoolArray:
-        """Which points (..., 3) lie in a box or under the ground, or nearer to one than the clearance."""
+        """Return a mask of the points (..., 3) in a box or under the ground, or closer to them than the clearance."""
         inside = np.zeros(points.shape[:-1], bool)
         if self.ground is not None:
             inside |= points[..., 2] < self.ground + clearance
@@ -148,7 +148,7 @@ class Scene:
 
 
 def _cast_at_box(box: Box, origins: Array, rays: Array) -> Array:
-    """The distances to one box, infinite where it is missed; coordinates stand on the first axis.
+    """Return the distances to one box, infinite for rays that miss it; coordinates are on the first axis.
 
     The slab method: a ray is inside the box while it is between all three pairs of faces (T. Kay
     and J. Kajiya, "Ray tracing complex scenes", 1986). From inside the box it sees the far face.

@@ -1,10 +1,10 @@
-"""A simulated system: the robot, what is calibrated, its sensors, and the world around it.
+"""Simulated system: the robot, the calibration's configuration, the sensors, and the scene.
 
 A system is a folder with
 
 - ``robot.urdf``: the robot, and the patterns that are fixed to it or to the world;
 - ``config.yml``: ATOM's calibration configuration;
-- ``simulation.yml``: what the two do not say (`Simulation`). Lengths are metres, angles radians unless the key
+- ``simulation.yml``: everything else (`Simulation`). Lengths are metres, angles radians unless the key
   says otherwise.
 """
 
@@ -42,7 +42,7 @@ CONFIGURATION_FILE = "config.yml"
 SIMULATION_FILE = "simulation.yml"
 MOTION_FILE = "motion.json"
 MAX_BOW_MM = 100
-"""A pattern that is bent more is none."""
+"""Limit of a pattern's bow."""
 _BOW = listed(2, f"two numbers from -{MAX_BOW_MM} to {MAX_BOW_MM}", lambda bow: max(map(abs, bow)) <= MAX_BOW_MM)
 
 
@@ -124,46 +124,46 @@ class Simulation:
 
 @dataclass(frozen=True, eq=False)
 class System:
-    """Everything that a collection needs but the motion."""
+    """System with everything that a collection needs, except for the motion."""
 
     name: str
-    """The name of the system's folder."""
+    """Name of the system's folder."""
     configuration: Configuration
     robot: Robot
-    """As it is."""
+    """True robot."""
     nominal: Robot
-    """As it was designed: what a dataset says of it before it is calibrated."""
+    """Robot as designed: the transforms of a dataset before its calibration."""
     patterns: Mapping[str, Pattern]
     sensors: Mapping[str, SimulatedSensor]
     """In the order of the configuration."""
     scene: Scene
     T_model_pattern: Array
-    """(4, 4): the moved pattern on the model that a motion sequence moves."""
+    """(4, 4): pose of the moved pattern on the model that a motion sequence moves."""
     motion: MotionRanges
     sources: Mapping[str, bytes]
-    """The files that describe it, by the names that they have in a system's folder."""
+    """Files of the description, by their names in a system's folder."""
     bows: Mapping[str, tuple[float, float]]
-    """How far the middle of a pattern stands out, along x and along y, m (`Board.bow`); others are flat."""
+    """Height of the centre of a bowed pattern, along x and along y, m (`Board.bow`); others are flat."""
     legacy_layouts: frozenset[str]
-    """The charuco patterns that are laid out as OpenCV did before 4.6."""
+    """Charuco patterns with OpenCV's layout of before 4.6."""
     sway: float
-    """The standard deviation of a moved pattern's place, each axis, between what two sensors see of it, m."""
+    """Standard deviation of a moved pattern's position, each axis, between the measurements of two sensors, m."""
     joint_errors: JointErrors
-    """By how much the joints of `robot` differ from those of `nominal`."""
+    """Errors of the joints of `robot` relative to those of `nominal`."""
 
     @property
     def cameras(self) -> dict[str, SimulatedCamera]:
-        """The sensors in whose images patterns are found without being told where they are."""
+        """The cameras, whose images are searched for patterns without an expected pose."""
         return {name: sensor for name, sensor in self.sensors.items() if isinstance(sensor, SimulatedCamera)}
 
     @property
     def by_modality(self) -> list[tuple[str, SimulatedSensor]]:
-        """The sensors with their names, in the order of `KINDS`: the order in which datasets write labels."""
+        """The sensors with their names, in the order of `KINDS`: the order of labels in datasets."""
         order = list(KINDS)
         return sorted(self.sensors.items(), key=lambda item: order.index(item[1].modality.name))
 
     def boards(self, T_world_pattern: Mapping[str, Array]) -> list[Board]:
-        """The patterns at poses (4, 4) in the world, in the order of the configuration."""
+        """Return the patterns at poses (4, 4) in the world, in the order of the configuration."""
         return [
             Board(
                 self.configuration.patterns[name],
@@ -177,13 +177,13 @@ class System:
 
     @property
     def unknown_motions(self) -> frozenset[Edge]:
-        """The additional transforms that each collection has its own of: those of joints that move, as a base does."""
+        """Additional transforms that differ between collections: those of moving joints, such as of a mobile base."""
         additional = set(self.configuration.additional_tfs.values())
         return frozenset(joint.edge for joint in self.robot.movable.values() if joint.edge in additional)
 
     @property
     def moved_pattern(self) -> Pattern | None:
-        """The pattern that a motion sequence moves; None where all are fixed."""
+        """The pattern that a motion sequence moves; None if all are fixed."""
         return next((pattern for pattern in self.patterns.values() if not pattern.fixed), None)
 
 
@@ -191,7 +191,7 @@ def read_system(folder: Path, robot: Path | None = None, configuration: Path | N
     """Read a system from its folder, with another robot or another configuration if they are given.
 
     Raises:
-        InputError: a file is missing or wrong, or the three do not fit together.
+        InputError: a file is missing or wrong, or the three are inconsistent.
     """
     robot_path, configuration_path = robot or folder / ROBOT_FILE, configuration or folder / CONFIGURATION_FILE
     simulation_path = folder / SIMULATION_FILE
@@ -251,12 +251,12 @@ def _sensor(
 
 
 def _errors(own: Mapping[JointParameter, float]) -> dict[JointParameter, float]:
-    """Those that are not 0, in the order of `JOINT_PARAMETERS`."""
+    """Return the errors that are not 0, in the order of `JOINT_PARAMETERS`."""
     return {parameter: own[parameter] for parameter in JOINT_PARAMETERS if own.get(parameter)}
 
 
 def _check(system: System, path: Path) -> None:
-    """Check what the configuration says against the robot."""
+    """Check the configuration against the robot."""
     config, tree = system.configuration, system.robot.tree
 
     def fault(key: str, message: str) -> InputError:

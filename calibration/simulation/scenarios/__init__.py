@@ -1,1 +1,1 @@
-"""Many scenarios instead of one: what varies between them, each addressed by its id, and what drives the error."""
+"""Scenario sets: variations of a system, each addressed by its id, and the parameters that drive the error."""

@@ -1,6 +1,6 @@
-"""Constraints: what the values of a scenario have to keep to; where they do not, they are drawn again.
+"""Constraints on the values of a scenario; values that break one are drawn again.
 
-In a scenario set, under ``constraints``, a list of
+In a scenario set, ``constraints`` is a list of
 
 - ``{parameter: NAME, min: A, max: B}``, with one of the two or both;
 - ``{less: [NAME, NAME, ...]}``: each below the next.
@@ -18,37 +18,37 @@ from typing import Annotated
 from calibration.records import Misfit, exactly_one, excludes, field, length, record
 
 CLEARANCE = "scene.clearance_m"
-"""The least distance from a sensor to a box, m, where the robot rests."""
+"""Smallest distance from a sensor to a box, m, with the robot at rest."""
 
 Value = Callable[[str], float]
-"""The value of a parameter or of `CLEARANCE`, by its name."""
+"""Function that returns the value of a parameter or of `CLEARANCE`, by its name."""
 
 
 @dataclass(frozen=True)
 class Range:
-    """Each of the named values lies between two limits, which are included."""
+    """Constraint to an interval: each of the named values is within two inclusive limits."""
 
     names: tuple[str, ...]
     low: float
     high: float
     text: str
-    """What messages call it."""
+    """Name in messages."""
 
     def holds(self, value: Value) -> bool:
-        """Whether a scenario keeps to it."""
+        """Whether a scenario satisfies it."""
         return all(self.low <= value(name) <= self.high for name in self.names)
 
 
 @dataclass(frozen=True)
 class Order:
-    """Every value of one step is below every value of the next."""
+    """Constraint to an order: every value of one group is below every value of the next."""
 
     steps: tuple[tuple[str, ...], ...]
     text: str
-    """What messages call it."""
+    """Name in messages."""
 
     def holds(self, value: Value) -> bool:
-        """Whether a scenario keeps to it."""
+        """Whether a scenario satisfies it."""
         return all(max(map(value, lower)) < min(map(value, upper)) for lower, upper in pairwise(self.steps))
 
 
@@ -57,7 +57,7 @@ Constraint = Range | Order
 
 @record(case="snake", rules=(exactly_one("parameter", "less"), excludes("less", "min"), excludes("less", "max")))
 class ConstraintEntry:
-    """A constraint as it is written."""
+    """Constraint as it is in the document."""
 
     parameter: Annotated[str, length(1)] | None = field("The name of what lies between min and max.", default=None)
     min: float | None = field("The least value.", default=None)
@@ -67,14 +67,14 @@ class ConstraintEntry:
     )
 
     def __post_init__(self) -> None:
-        """Refuse a parameter without limits, and limits that nothing lies between."""
+        """Refuse a parameter without limits, and empty intervals."""
         if self.parameter is not None and self.min is None and self.max is None:
             raise Misfit("found neither 'min' nor 'max', expected one of them or both")
         if self.min is not None and self.max is not None and self.min > self.max:
             raise Misfit(f"found min {self.min:g} above max {self.max:g}")
 
     def constraint(self, named: Callable[[str], tuple[str, ...]]) -> "Constraint":
-        """The constraint itself; ``named`` gives the parameters behind a name."""
+        """Create the constraint; ``named`` returns the parameters of a name."""
         if self.less is not None:
             return Order(tuple(map(named, self.less)), " < ".join(self.less))
         name = self.parameter or ""
@@ -85,12 +85,12 @@ class ConstraintEntry:
 
 
 def broken(constraints: tuple[Constraint, ...], values: Mapping[str, float], clearance: Callable[[], float]) -> int:
-    """The index of the first constraint that a scenario does not keep to; -1 where it keeps to all.
+    """Return the index of the first constraint that a scenario breaks; -1 if it satisfies all.
 
     Args:
         constraints: in the order of the file.
         values: the scenario's parameters.
-        clearance: the value of `CLEARANCE`, asked for only where a constraint names it.
+        clearance: function for the value of `CLEARANCE`, called only if a constraint names it.
     """
 
     def value(name: str) -> float:

@@ -1,14 +1,14 @@
-"""Distributions: what a number drawn evenly from 0 to 1 becomes, by the inverse of the cumulative distribution.
+"""Distributions of parameters, sampled by their inverse cumulative distribution from uniform numbers in [0, 1).
 
-In a scenario set a number alone is itself; else one of
+In a scenario set a number is a constant; else it is one of
 
 - ``{uniform: [low, high]}``;
-- ``{log_uniform: [low, high]}``: evenly by order of magnitude, both above 0;
-- ``{normal: [mean, sigma]}``, cut at the parameter's own limits, or at ``within: [low, high]`` beside it;
-- ``{choice: [a, b, ...]}``: each as likely as the others; one that is listed twice is twice as likely;
-- ``{integer: [low, high]}``: whole numbers, both ends included.
+- ``{log_uniform: [low, high]}``: uniform by order of magnitude, both above 0;
+- ``{normal: [mean, sigma]}``, truncated to the parameter's own limits, or to ``within: [low, high]`` beside it;
+- ``{choice: [a, b, ...]}``: equally likely values; one that is listed twice is twice as likely;
+- ``{integer: [low, high]}``: integers, both ends included.
 
-Values have six significant digits, so that the last bits of a machine's arithmetic do not show.
+Values have six significant digits, so that rounding errors of the arithmetic have no effect.
 """
 
 import math
@@ -21,34 +21,34 @@ from calibration.records import Converted, Misfit, Place, above, exactly_one, fi
 
 SIGNIFICANT_DIGITS = 6
 LEAST_KEPT = 1e-3
-"""A normal distribution that keeps less of itself between its limits is a mistake."""
+"""Limit of the probability between a normal distribution's limits; less is a mistake."""
 MAX_CHOICES = 1000
-_HALF_STEP = 2.0**-54  # half the distance between the numbers of a generator: the least that is not 0
+_HALF_STEP = 2.0**-54  # half the resolution of the generator: its smallest number above 0
 
 
 class Distribution(Protocol):
-    """How a value is drawn."""
+    """Distribution of a parameter."""
 
     @property
     def bounds(self) -> tuple[float, float]:
-        """The least and the largest value, both possible."""
+        """Smallest and largest possible value."""
         ...
 
     def value(self, u: float) -> float:
-        """The value at u, the share of the distribution below it: 0 <= u < 1. It never falls as u grows."""
+        """Quantile at u, 0 <= u < 1, not decreasing."""
         ...
 
 
 @dataclass(frozen=True)
 class Choice:
-    """Listed values, each as likely as the others. A constant is a choice of one."""
+    """Discrete distribution of equally likely values. A constant is a choice of one."""
 
     values: tuple[float, ...]
-    """In rising order."""
+    """In ascending order."""
 
     @property
     def bounds(self) -> tuple[float, float]:
-        """The first and the last."""
+        """First and last value."""
         return self.values[0], self.values[-1]
 
     def value(self, u: float) -> float:
@@ -58,7 +58,7 @@ class Choice:
 
 @dataclass(frozen=True)
 class Integers:
-    """Whole numbers, both ends included."""
+    """Uniform distribution of integers, both ends included."""
 
     low: int
     high: int
@@ -75,7 +75,7 @@ class Integers:
 
 @dataclass(frozen=True)
 class _Interval:
-    """Any number between two ends."""
+    """Distribution on an interval."""
 
     low: float
     high: float
@@ -88,7 +88,7 @@ class _Interval:
 
 @dataclass(frozen=True)
 class Uniform(_Interval):
-    """Evenly from low to high."""
+    """Uniform distribution."""
 
     def value(self, u: float) -> float:
         """See `Distribution`."""
@@ -97,7 +97,7 @@ class Uniform(_Interval):
 
 @dataclass(frozen=True)
 class LogUniform(_Interval):
-    """The logarithm evenly from that of low to that of high; both are above 0."""
+    """Log-uniform distribution; both ends are above 0."""
 
     def value(self, u: float) -> float:
         """See `Distribution`."""
@@ -106,7 +106,7 @@ class LogUniform(_Interval):
 
 @dataclass(frozen=True)
 class Normal:
-    """A normal distribution of which only what lies between two limits is kept."""
+    """Normal distribution, truncated to two limits."""
 
     mean: float
     sigma: float
@@ -115,18 +115,18 @@ class Normal:
 
     @property
     def bounds(self) -> tuple[float, float]:
-        """The limits."""
+        """Both limits."""
         return self.low, self.high
 
     @property
     def _kept(self) -> tuple[float, float]:
-        """The shares of the whole normal distribution below the two limits."""
+        """Cumulative probabilities of the normal distribution at the two limits."""
         whole = NormalDist(self.mean, self.sigma)
         return whole.cdf(self.low), whole.cdf(self.high)
 
     @property
     def kept(self) -> float:
-        """The share of the whole normal distribution between the limits."""
+        """Probability of the normal distribution between the limits."""
         below_low, below_high = self._kept
         return below_high - below_low
 
@@ -134,12 +134,12 @@ class Normal:
         """See `Distribution`."""
         below_low, below_high = self._kept
         share = below_low + u * (below_high - below_low)
-        share = min(max(share, _HALF_STEP), 1 - 2 * _HALF_STEP)  # at 0 and 1 it is infinite
+        share = min(max(share, _HALF_STEP), 1 - 2 * _HALF_STEP)  # the quantiles of 0 and 1 are infinite
         return _rounded(NormalDist(self.mean, self.sigma).inv_cdf(share), self.low, self.high)
 
 
 def constant(value: float) -> Choice:
-    """The distribution that is always the same."""
+    """Return the distribution of a constant."""
     return Choice((value,))
 
 
@@ -149,7 +149,7 @@ WholePair = Annotated[tuple[int, ...], length(2, 2)]
 
 @record(case="snake", rules=(exactly_one("choice", "integer"),))
 class WholeEntry:
-    """The distribution of a whole number."""
+    """Distribution of an integer."""
 
     choice: Annotated[tuple[int, ...], length(1, MAX_CHOICES)] | None = field(
         "Each as likely as the others.", default=None
@@ -157,7 +157,7 @@ class WholeEntry:
     integer: WholePair | None = field("Whole numbers, both ends included.", default=None)
 
     def distribution(self, low: float, high: float) -> "Distribution":
-        """The distribution itself; ``low`` and ``high`` are the parameter's own limits."""
+        """Create the distribution; ``low`` and ``high`` are the parameter's own limits."""
         del low, high
         if self.choice is not None:
             return Choice(tuple(sorted(map(float, self.choice))))
@@ -170,7 +170,7 @@ class WholeEntry:
     rules=(exactly_one("uniform", "log_uniform", "normal", "choice", "integer"), needs("within", "normal")),
 )
 class NumberEntry:
-    """The distribution of a number."""
+    """Distribution of a number."""
 
     uniform: Pair | None = field("Evenly from low to high.", default=None)
     log_uniform: Annotated[tuple[Annotated[float, above(0)], ...], length(2, 2)] | None = field(
@@ -184,7 +184,7 @@ class NumberEntry:
     integer: WholePair | None = field("Whole numbers, both ends included.", default=None)
 
     def distribution(self, low: float, high: float) -> "Distribution":
-        """The distribution itself; ``low`` and ``high`` are the parameter's own limits."""
+        """Create the distribution; ``low`` and ``high`` are the parameter's own limits."""
         if self.uniform is not None:
             return Uniform(*_rising(self.uniform, "uniform"))
         if self.log_uniform is not None:
@@ -202,20 +202,20 @@ class NumberEntry:
 
 @dataclass(frozen=True, eq=False)
 class Drawn(Converted):
-    """A field of a record whose value is drawn from the distribution that the document says."""
+    """Field of a record whose value is drawn from the distribution in the document."""
 
     axes: str = ""
-    """Such as "xyz", where there is a value for each."""
+    """Such as "xyz", if there is a value for each axis."""
 
 
 def drawn(low: float, high: float, *, axes: str = "", whole: bool = False) -> Drawn:
-    """A parameter whose values lie between two limits.
+    """Declare a parameter with values between two limits.
 
     Args:
-        low: the least value that makes sense.
-        high: the largest value that makes sense.
-        axes: such as "xyz", where it has a value for each.
-        whole: whether only whole numbers make sense.
+        low: the smallest valid value.
+        high: the largest valid value.
+        axes: such as "xyz", if it has a value for each axis.
+        whole: whether only integers are valid.
     """
 
     def make(entry: float | WholeEntry | NumberEntry, place: Place) -> Distribution:
@@ -250,5 +250,5 @@ def _rising(pair: Sequence[float], key: str) -> tuple[float, float]:
 
 
 def _rounded(value: float, low: float, high: float) -> float:
-    """The value to `SIGNIFICANT_DIGITS`, and not beyond the limits."""
+    """Round a value to `SIGNIFICANT_DIGITS`, clipped to the limits."""
     return min(max(float(f"{value:.{SIGNIFICANT_DIGITS - 1}e}"), low), high) + 0.0  # no negative zero

@@ -1,9 +1,9 @@
-"""Which parameter drives the error: rank correlations over the scenarios, and how sure they are.
+"""Parameters that drive the error: rank correlations over the scenarios, with their significance.
 
-Spearman's rank correlation of each parameter with the error (ties share their mean rank). Its
-p-value is that of a permutation test: how often does a shuffled error correlate as strongly with
+Spearman's rank correlation of each parameter with the error (ties have their mean rank). Its
+p-value is that of a permutation test: the probability that a permuted error correlates as strongly with
 *any* of the parameters (P. Westfall and S. Young, "Resampling-Based Multiple Testing", 1993, the
-single-step maxT)? So it is right however many parameters there are, and however they hang together.
+single-step maxT). So it holds for any number of parameters, also for dependent ones.
 """
 
 from collections.abc import Mapping, Sequence
@@ -16,53 +16,53 @@ from calibration.simulation.random_streams import stream
 
 PERMUTATIONS = 4000
 SIGNIFICANT = 0.01
-"""A driver's p-value is below it."""
+"""Significance level of a driver."""
 LEAST_SCENARIOS = 10
-"""Of fewer scenarios nothing is said."""
-_CHUNK = 2_000_000  # numbers that are shuffled at once
+"""Minimum of scenarios for a statement."""
+_CHUNK = 2_000_000  # permuted numbers per batch
 
 
 @dataclass(frozen=True)
 class Driver:
-    """A parameter and how the error goes with it."""
+    """Parameter with its correlation with the error."""
 
     parameter: str
-    """Between bars, ``|left_camera.k1|``, where it is the parameter's magnitude."""
+    """Between bars, ``|left_camera.k1|``, if it is the parameter's magnitude."""
     correlation: float
-    """Spearman's, -1 to 1: above 0 where the error grows with it."""
+    """Spearman's, -1 to 1: above 0 if the error grows with it."""
     p: float
-    """The probability that chance alone gives any parameter so strong a correlation."""
+    """Probability that so strong a correlation with any parameter is due to chance."""
 
     @property
     def name(self) -> str:
-        """The name of the parameter, also where it is the magnitude."""
+        """Name of the parameter, without bars."""
         return self.parameter.strip("|")
 
     def of(self, values: Mapping[str, float]) -> float:
-        """The value of the parameter in a scenario, or its magnitude."""
+        """Return the value of the parameter in a scenario, or its magnitude."""
         value = values[self.name]
         return value if self.name == self.parameter else abs(value)
 
     @property
     def stands_out(self) -> bool:
-        """Whether chance hardly explains it."""
+        """Whether the correlation is significant."""
         return self.p < SIGNIFICANT
 
 
 def find_drivers(values: Sequence[Mapping[str, float]], errors: Sequence[float]) -> list[Driver]:
-    """How strongly each parameter goes with the error, the strongest first.
+    """Rank the parameters by the strength of their correlation with the error, strongest first.
 
-    A parameter that takes both signs is looked at twice, as it is and by its magnitude (a pattern
-    bent to either side spoils a calibration alike), and stands in the list as what is stronger. One
+    A parameter with both signs is tested twice, as it is and by its magnitude (a pattern
+    bent to either side has the same effect), and listed with the stronger correlation. One
     that never varies is left out.
 
     Args:
         values: of each scenario, by parameter; the same parameters in all.
-        errors: of each scenario; infinite where a scenario gave no calibration: such a scenario is worse
+        errors: of each scenario; infinite if a scenario gave no calibration: such a scenario is worse
             than any other.
 
     Returns:
-        The list; empty where there are fewer than `LEAST_SCENARIOS` scenarios, or the error never varies.
+        The list; empty if there are fewer than `LEAST_SCENARIOS` scenarios, or the error never varies.
     """
     if len(values) < LEAST_SCENARIOS:
         return []
@@ -87,9 +87,9 @@ def find_drivers(values: Sequence[Mapping[str, float]], errors: Sequence[float])
 
 
 def centred_ranks(values: Array) -> IntArray:
-    """Twice the ranks (N,) of values (N,), less their mean; equal values share their mean rank.
+    """Twice the ranks (N,) of values (N,), minus their mean; equal values have their mean rank.
 
-    Whole numbers, so that sums of them are exact.
+    Integers, so that sums of them are exact.
     """
     _, inverse, counts = np.unique(values, return_inverse=True, return_counts=True)
     below = np.cumsum(counts) - counts
@@ -104,7 +104,7 @@ def _columns(values: Sequence[Mapping[str, float]]) -> dict[str, Array]:
 
 
 def _strongest_by_chance(error_ranks: IntArray, unit: Array) -> Array:
-    """The largest magnitude of a correlation with any parameter, for each of `PERMUTATIONS` shuffled errors."""
+    """Return the largest magnitude of a correlation with any parameter, for each of `PERMUTATIONS` permuted errors."""
     random = stream(0, "drivers")
     step = max(1, _CHUNK // len(error_ranks))
     strongest = []

@@ -1,4 +1,4 @@
-"""A picture of many scenarios: how the errors are distributed, and how they go with what drives them."""
+"""Figure of many scenarios: distribution of the errors, and their dependence on the drivers."""
 
 import io
 from typing import TYPE_CHECKING, Any
@@ -32,8 +32,8 @@ def figure(
     Args:
         report: the results.
         title: such as "100 scenarios of t2rgb".
-        translation_limit: what passes, mm; drawn as a line.
-        rotation_limit: deg.
+        translation_limit: limit of the translation error, mm; drawn as a line.
+        rotation_limit: limit of the rotation error, deg.
 
     Raises:
         InputError: matplotlib is not installed.
@@ -63,7 +63,7 @@ def figure(
 
 
 def _distribution(axes: "Axes", report: Statistics, measure: str, label: str, limit: float | None) -> None:
-    """The share of all scenarios whose error is at most so large; it ends below 100 % where some do not calibrate."""
+    """Draw the cumulative distribution of the errors; it ends below 100 % if some scenarios do not calibrate."""
     values = sorted(value for result in report.calibrated if (value := getattr(result, measure)) is not None)
     total = len(report.results)
     shares = [100 * (number + 1) / total for number in range(len(values))]
@@ -86,7 +86,7 @@ def _distribution(axes: "Axes", report: Statistics, measure: str, label: str, li
 
 
 def _scatter(axes: "Axes", report: Statistics, driver: Driver) -> None:
-    """The error over one parameter; a cross at the top for each scenario without a calibration."""
+    """Draw the error over one parameter; a cross at the top for each scenario without a calibration."""
     places = {result.id: driver.of(result.values) for result in report.results}
     errors = {result.id: result.translation_mm for result in report.calibrated if result.translation_mm is not None}
     lost = [place for scenario, place in places.items() if scenario not in errors]
@@ -104,5 +104,5 @@ def _scatter(axes: "Axes", report: Statistics, driver: Driver) -> None:
 
 
 def _plain(text: str) -> str:
-    """A text without what matplotlib takes for mathematics."""
+    """Escape the characters that matplotlib takes for mathematics."""
     return text.replace("$", r"\$")

@@ -1,8 +1,8 @@
-"""What may vary between the scenarios of a system: the parameters, their limits, their names.
+"""Parameters of a system that may vary between scenarios: names, limits and groups.
 
-A scenario set speaks of groups, such as ``cameras`` and ``noise_levels``; a scenario has a value for
-each thing in the group: ``left_camera.noise_levels`` and ``right_camera.noise_levels``. A parameter
-that has axes, such as ``translation_mm`` under ``assembly``, has one for each of them:
+A scenario set has groups, such as ``cameras`` and ``noise_levels``; a scenario has a value for
+each member of the group: ``left_camera.noise_levels`` and ``right_camera.noise_levels``. A parameter
+with axes, such as ``translation_mm`` under ``assembly``, has one for each of them:
 ``left_camera.translation_x_mm``.
 """
 
@@ -163,23 +163,23 @@ class ScenarioSetFile:
 
 @dataclass(frozen=True)
 class Parameters:
-    """What varies between the scenarios of one system."""
+    """Varying parameters of a system's scenarios."""
 
     distributions: Mapping[str, Distribution]
-    """By the parameter's name."""
+    """By the name of the parameter."""
     groups: Mapping[str, tuple[str, ...]]
-    """The names of the parameters behind what a scenario set may call them together: ``cameras.exposure``."""
+    """Names of the parameters of each group, such as ``cameras.exposure``."""
 
     def named(self, name: str) -> tuple[str, ...]:
-        """The parameters of this name, or behind the name of a group; none if there is no such thing."""
+        """Return the parameter of this name, or the parameters of a group; empty if there is no such name."""
         return (name,) if name in self.distributions else self.groups.get(name, ())
 
 
 def parameters_of(file: ScenarioSetFile, system: System, place: Place) -> Parameters:
-    """The parameters of a system that a scenario set speaks of.
+    """Return the parameters of a system that vary in a scenario set.
 
-    What ``sensors`` says of one sensor stands in place of what ``cameras``, ``lidars``,
-    ``depth_cameras`` and ``assembly`` say of all.
+    The entries of one sensor under ``sensors`` replace those of all sensors under ``cameras``, ``lidars``,
+    ``depth_cameras`` and ``assembly``.
 
     Raises:
         InputError: a sensor is not the system's, or has no such parameter; its place is below ``place``.
@@ -215,7 +215,7 @@ def parameters_of(file: ScenarioSetFile, system: System, place: Place) -> Parame
 
 
 def _given(entry: Any) -> list[tuple[str, Distribution, str]]:
-    """Key, distribution and axes of each parameter that a part of a scenario set speaks of."""
+    """Return key, distribution and axes of each parameter in a part of a scenario set."""
     if entry is None:
         return []
     found = []
@@ -227,13 +227,13 @@ def _given(entry: Any) -> list[tuple[str, Distribution, str]]:
 
 
 def _with_axes(key: str, axes: str) -> list[str]:
-    """The keys of a parameter's values: the axis stands before the unit."""
+    """Return the keys of a parameter's values: the axis is inserted before the unit."""
     stem, _, unit = key.rpartition("_")
     return [f"{stem}_{axis}_{unit}" for axis in axes] if axes else [key]
 
 
 def _joint_parameters(system: System, key: str) -> list[str]:
-    """The parameters under calibration that a key of `Joints` speaks of: "elbow.origin_yaw"."""
+    """Return the calibrated parameters that a key of `Joints` selects: "elbow.origin_yaw"."""
     unit = "m" if key == "translation_mm" else "rad"
     return [
         f"{name}.{parameter}"
@@ -244,7 +244,7 @@ def _joint_parameters(system: System, key: str) -> list[str]:
 
 
 def _members(system: System) -> dict[str, list[str]]:
-    """The sensors that each group of sensors speaks of. One that is anchored is where its description says."""
+    """Return the sensors of each group. An anchored one is left out of ``assembly``: its pose is given."""
     anchored = system.configuration.anchored_sensor
     return {
         **{

@@ -1,4 +1,4 @@
-"""Scenarios run: each is collected, calibrated, and held against its truth."""
+"""Run of scenarios: each is collected, calibrated, and compared with its ground truth."""
 
 import tempfile
 from collections.abc import Sequence
@@ -24,15 +24,15 @@ from calibration.simulation.scenarios.world import build_world, scenario_motion
 
 
 def scenario_play(scenarios: ScenarioSet, scenario: Scenario, motion: Motion | None = None) -> Play:
-    """What a scenario plays: its world, its motion and its seed.
+    """Return the played motion of a scenario: its system, its motion and its seed.
 
     Args:
-        scenarios: the set that the scenario is of.
+        scenarios: the scenario's set.
         scenario: from `ScenarioSet.scenario`.
         motion: the same for all scenarios; None to generate one for this scenario.
 
     Raises:
-        InputError: no motion is found, or it does not fit the world.
+        InputError: no motion is found, or it does not fit the scenario's system.
     """
     world = build_world(scenarios.system, scenario)
     return play(world, motion or scenario_motion(world, scenario), scenario.collection_seed)
@@ -41,7 +41,7 @@ def scenario_play(scenarios: ScenarioSet, scenario: Scenario, motion: Motion | N
 def run_scenario(
     scenarios: ScenarioSet, scenario: Scenario, motion: Motion | None = None, requirements: Requirements | None = None
 ) -> ScenarioResult:
-    """Collect, calibrate and judge one scenario. One that gives no calibration is a result, with its reasons.
+    """Collect, calibrate and judge one scenario. A failed calibration is a result too, with its reasons.
 
     Raises:
         InfrastructureError: no temporary file can be written.
@@ -57,17 +57,17 @@ def run_scenario(
 
 
 def pending_result(scenarios: ScenarioSet, scenario: Scenario, motion: Motion | None = None) -> ScenarioResult:
-    """Result of a scenario that has not been run: its id, its hash and its values."""
+    """Return the result of a scenario that has not run: its id, its hash and its values."""
     return ScenarioResult(scenario.id, content_hash(scenarios.system, scenario, motion), dict(scenario.values))
 
 
 def finished_result(result: ScenarioResult, records: Sequence[Record], proof: Proof | None) -> ScenarioResult:
-    """Result of a scenario that has been run: what was collected, and the errors of its calibration.
+    """Return the result of a scenario that has run: its collections, and the errors of its calibration.
 
     Args:
         result: see `pending_result`.
-        records: of all its poses.
-        proof: None where no pose gave a collection.
+        records: records of all its poses.
+        proof: None if no pose gave a collection.
     """
     result = _described(result, records) if records else result
     return calibrated_result(result, proof) if proof else replace(result, reasons=("no pose gave a collection",))
@@ -76,12 +76,12 @@ def finished_result(result: ScenarioResult, records: Sequence[Record], proof: Pr
 def scenario_task(
     scenarios: ScenarioSet, scenario: Scenario, motion: Motion | None = None, requirements: Requirements | None = None
 ) -> Task[ScenarioResult]:
-    """The task of one scenario, by its id; what comes of it does not depend on the others."""
+    """Return the task of one scenario, named by its id; its result does not depend on the others."""
     return Task.call(scenario.id, partial(run_scenario, scenarios, scenario, motion, requirements))
 
 
 def _collect(played: Play, requirements: Requirements, folder: Path) -> list[Record]:
-    """Collect at every pose; what a calibration needs goes into the folder: no images."""
+    """Collect every pose into a folder, without images: only the files that a calibration needs."""
     records = []
     for number in range(len(played)):
         record, files = collect_pose(played, number, requirements, images=False)
@@ -95,7 +95,7 @@ def _collect(played: Play, requirements: Requirements, folder: Path) -> list[Rec
 
 
 def _described(result: ScenarioResult, records: Sequence[Record]) -> ScenarioResult:
-    """The result with what was collected."""
+    """Return the result with the collections' numbers."""
     errors = [error for record in records for error in record.errors.values()]
     corners = sum(error.count for error in errors)
     squares = sum(error.count * error.rms**2 for error in errors)
@@ -112,7 +112,7 @@ def _described(result: ScenarioResult, records: Sequence[Record]) -> ScenarioRes
 
 
 def calibrated_result(result: ScenarioResult, proof: Proof) -> ScenarioResult:
-    """Result with the errors of a calibration."""
+    """Return the result with the errors of a calibration."""
     sigmas = list((proof.sigmas or {}).values())
     return replace(
         result,

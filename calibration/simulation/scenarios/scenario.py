@@ -1,4 +1,4 @@
-"""One scenario: what makes a scenario differ from the description, the id that finds it again, and what came of it."""
+"""Scenario: a variation of a described system, its reproducible id, and its result."""
 
 import hashlib
 import json
@@ -18,7 +18,7 @@ from calibration.simulation.system import System
 from calibration.workflow.text import one_line, shorten
 
 MAX_SEED = 2**53
-"""A seed of an id is below it, as any number in JSON is."""
+"""Limit of a seed, so that it is exact in JSON."""
 MAX_INDEX = 10**8
 _ID = re.compile(r"s(0|[1-9][0-9]{0,15})-([0-9]{5,8})")
 _HASH_DIGITS = 12
@@ -27,41 +27,41 @@ _LONGEST_LINE = 1000
 
 @dataclass(frozen=True)
 class Scenario:
-    """A scenario's parameters. Everything in it is drawn from its seed and index alone."""
+    """Parameters of a scenario, drawn from its seed and index alone."""
 
     seed: int
     index: int
-    """From 0."""
+    """Index, from 0."""
     values: Mapping[str, float]
     """By the parameter's name (`calibration.simulation.scenarios.parameters`)."""
     attempt: int = 0
-    """How many draws before this one broke a constraint."""
+    """Number of previous draws that broke a constraint."""
 
     @property
     def id(self) -> str:
-        """Such as "s1-00017": seed 1, index 17."""
+        """Id, such as "s1-00017": seed 1, index 17."""
         return scenario_id(self.seed, self.index)
 
     @property
     def collection_seed(self) -> int:
-        """The seed of what its sensors see and of a motion that is generated for it."""
+        """Seed of its sensor data and of a motion that is generated for it."""
         return int(self.random("collection").integers(MAX_SEED))
 
     def random(self, *purpose: str | int) -> np.random.Generator:
-        """Random numbers for one purpose in this scenario."""
+        """Return random numbers for one purpose in this scenario."""
         return stream(self.seed, "scenario", self.index, self.attempt, *purpose)
 
 
 def scenario_id(seed: int, index: int) -> str:
-    """The id of a scenario."""
+    """Format the id of a scenario."""
     return f"s{seed}-{index:05d}"
 
 
 def parse_id(text: str) -> tuple[int, int]:
-    """The seed and the index in an id.
+    """Parse an id to the seed and the index.
 
     Raises:
-        InputError: it is none.
+        InputError: it is not an id.
     """
     match = _ID.fullmatch(text)
     seed, index = (int(match[1]), int(match[2])) if match else (-1, -1)
@@ -71,10 +71,10 @@ def parse_id(text: str) -> tuple[int, int]:
 
 
 def content_hash(system: System, scenario: Scenario, motion: Motion | None = None) -> str:
-    """What tells two scenarios apart: 12 hexadecimal digits of a SHA-256.
+    """Return a hash that identifies a scenario: 12 hexadecimal digits of a SHA-256.
 
-    Over the scenario's id and values, the system's files, the motion if one is given, and the version
-    of this package. What a scenario set says beyond the values, such as how it is laid out, changes no scenario.
+    It covers the scenario's id and values, the system's files, the motion if one is given, and the version
+    of this package. Other content of a scenario set, such as its formatting, has no effect.
     """
     content = {
         "version": __version__,
@@ -99,7 +99,7 @@ Lines = Annotated[
     tuple[str, ...],
     Converted(Annotated[tuple[Annotated[str, length(most=10_000)], ...], length(most=1000)], _lines),
 ]
-"""Texts that somebody else may have written, each safe to print."""
+"""Texts from untrusted sources, made safe to print."""
 
 
 def _poses(lost: Mapping[str, tuple[str, ...]], _: Place) -> Mapping[str, tuple[str, ...]]:
@@ -108,7 +108,7 @@ def _poses(lost: Mapping[str, tuple[str, ...]], _: Place) -> Mapping[str, tuple[
 
 @record(case="snake", nulls=True)
 class ScenarioResult:
-    """What came of one scenario. Numbers are None where there are none."""
+    """Result of one scenario. Numbers are None if not available."""
 
     id: Annotated[str, matching("s(0|[1-9][0-9]{0,15})-[0-9]{5,8}", "an id such as s1-00017")] = field(
         "Its seed and index: s1-00017."
@@ -153,5 +153,5 @@ class ScenarioResult:
 
     @property
     def kept(self) -> int:
-        """How many poses gave a collection."""
+        """Number of poses that gave a collection."""
         return self.poses - len(self.lost or {})

@@ -1,4 +1,4 @@
-"""Scenario sets: the distributions of everything that varies between scenarios, and what the scenarios keep to.
+"""Scenario sets: distributions of the parameters that vary between scenarios, and constraints on them.
 
 A scenario set is YAML, such as::
 
@@ -10,13 +10,13 @@ A scenario set is YAML, such as::
     constraints:
       - {parameter: scene.clearance_m, min: 0.1}
 
-What may vary is in `calibration.simulation.scenarios.parameters`, the distributions are in
+The parameters are in `calibration.simulation.scenarios.parameters`, the distributions are in
 `calibration.simulation.scenarios.distributions`, the constraints in
 `calibration.simulation.scenarios.constraints`.
 
 Scenario i of seed s is addressed directly: each of its values depends on s, i and the parameter's
-name alone, so any part of the scenarios is a part of the whole, in any order and on any machine, and
-a parameter that is added to the set leaves the values of the others as they are.
+name alone, so any subset of the scenarios has the same values, in any order and on any machine, and
+adding a parameter to the set does not change the values of the others.
 """
 
 from collections import Counter
@@ -35,25 +35,25 @@ from calibration.workflow.text import shorten
 from calibration.yaml_file import read_yaml
 
 MAX_ATTEMPTS = 100
-"""Draws of one scenario, until it keeps to all constraints."""
+"""Limit of the draws of one scenario until it satisfies all constraints."""
 
 
 @dataclass(frozen=True, eq=False)
 class ScenarioSet:
-    """The scenarios of one system."""
+    """Scenarios of one system."""
 
     path: Path
-    """The file it was read from."""
+    """File that it was read from."""
     system: System
-    """As it is described: the middle of all scenarios."""
+    """System as described, which the scenarios vary."""
     parameters: Parameters
     constraints: tuple[Constraint, ...]
 
     def scenario(self, seed: int, index: int) -> Scenario:
-        """Scenario ``index`` of a seed.
+        """Draw scenario ``index`` of a seed.
 
         Raises:
-            InputError: `MAX_ATTEMPTS` draws in a row broke a constraint; names the one that was broken most.
+            InputError: `MAX_ATTEMPTS` draws in a row broke a constraint; names the one that was broken most often.
         """
         failures: Counter[int] = Counter()
         for attempt in range(MAX_ATTEMPTS):
@@ -85,8 +85,8 @@ def read_scenario_set(path: Path, system: System) -> ScenarioSet:
     """Read a scenario set for a system.
 
     Raises:
-        InputError: in one line with file and key, what is wrong: not YAML, an unknown key, a
-            distribution that makes no sense, a constraint on what does not vary.
+        InputError: in one line, with file and key: not YAML, an unknown key, a
+            invalid distribution, a constraint on a parameter that does not vary.
     """
     place = Place(str(path))
     file = read(ScenarioSetFile, read_yaml(path, "a scenario set"), str(path))

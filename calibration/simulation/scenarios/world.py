@@ -1,4 +1,4 @@
-"""The world of a scenario: a system changed by the values of the parameters."""
+"""System of a scenario: the described system, changed by the values of the parameters."""
 
 import math
 from collections.abc import Mapping
@@ -21,21 +21,21 @@ from calibration.simulation.scene import Box, Scene
 from calibration.simulation.system import MotionRanges, System
 
 POSES = 12
-"""Of a generated motion, where the scenario set says nothing of ``motion/poses``."""
+"""Default number of poses of a generated motion, without ``motion/poses`` in the scenario set."""
 _OCCLUDER_REACH = (0.35, 0.75)
-"""Where occluders stand between a camera and the nearest place of the pattern: shares of the way."""
-_PLACE_DECIMALS = 6  # of an occluder's place: micrometres and microradians
+"""Positions of occluders between a camera and the pattern's closest position, as fractions of the distance."""
+_PLACE_DECIMALS = 6  # of an occluder's position: micrometres and microradians
 
 Values = Mapping[str, float]
 
 
 def build_world(system: System, scenario: Scenario) -> System:
-    """The system in the world of a scenario. What the scenario does not speak of stays as it is described.
+    """Return the system of a scenario. Parts that the scenario does not vary are as described.
 
-    Its ``robot`` is the one that was put together with errors; ``nominal`` stays the designed one.
+    Its ``robot`` has the errors of the assembly; ``nominal`` is unchanged.
 
     Raises:
-        InputError: there are occluders, but no camera that they could stand before; a lens has no such coefficient.
+        InputError: there are occluders, but no camera to occlude; a lens has no such coefficient.
     """
     values = scenario.values
     motion = _motion(system.motion, values)
@@ -54,7 +54,7 @@ def build_world(system: System, scenario: Scenario) -> System:
 
 
 def scenario_motion(world: System, scenario: Scenario) -> Motion:
-    """The motion that is generated for a scenario, in its world.
+    """Generate the motion of a scenario with its system.
 
     Raises:
         InputError: too few poses are seen by every sensor (see `generate_motion`).
@@ -63,9 +63,9 @@ def scenario_motion(world: System, scenario: Scenario) -> Motion:
 
 
 def clearance(system: System) -> float:
-    """The least distance from the origin of a sensor to a box, where the robot rests, m.
+    """Return the smallest distance from the origin of a sensor to a box, with the robot at rest, m.
 
-    0 inside a box, infinite where there is no box.
+    0 inside a box, infinite without boxes.
     """
     origins = np.stack([_rest_pose(system, name)[:3, 3] for name in system.sensors])
     distances = [
@@ -76,13 +76,13 @@ def clearance(system: System) -> float:
 
 
 def _of(values: Values, thing: str) -> dict[str, float]:
-    """The values of a sensor, of a pattern, or of a part of the world, by key."""
+    """Return the values of a sensor, of a pattern, or of a part of the scene, by key."""
     prefix = f"{thing}."
     return {name.removeprefix(prefix): value for name, value in values.items() if name.startswith(prefix)}
 
 
 def _rest_pose(system: System, sensor: str) -> Array:
-    """``T_world_sensor`` (4, 4) where the robot rests."""
+    """Return ``T_world_sensor`` (4, 4) with the robot at rest."""
     configuration = system.configuration
     transforms = system.robot.transforms({})
     link = configuration.sensors[sensor].link
@@ -91,7 +91,7 @@ def _rest_pose(system: System, sensor: str) -> Array:
 
 
 def _joint_errors(system: System, values: Values) -> dict[str, dict[JointParameter, float]]:
-    """By how much the joints differ from their description: what the system says, or the values in its place."""
+    """Return the errors of the joints: the scenario's values, else those of the system."""
     errors = {name: dict(own) for name, own in system.joint_errors.items()}
     for name in system.configuration.joints:
         for parameter in JOINT_PARAMETERS:
@@ -102,7 +102,7 @@ def _joint_errors(system: System, values: Values) -> dict[str, dict[JointParamet
 
 
 def _assembled(system: System, robot: Robot, values: Values) -> Robot:
-    """A robot with the errors of its assembly: the calibrated transforms moved by twists in their child frames."""
+    """Return a robot with errors of its assembly: calibrated transforms are moved by twists in their child frames."""
     errors = {}
     for name, sensor in system.configuration.sensors.items():
         own = _of(values, name)
@@ -132,7 +132,7 @@ def _motion(ranges: MotionRanges, values: Values) -> MotionRanges:
 
 
 def _bows(system: System, values: Values) -> dict[str, tuple[float, float]]:
-    """How far the patterns that the values speak of are bent, m."""
+    """Return the bows of the patterns in the values, m."""
     bows = {}
     for name in system.patterns:
         own = _of(values, name)
@@ -142,7 +142,7 @@ def _bows(system: System, values: Values) -> dict[str, tuple[float, float]]:
 
 
 def _scene(system: System, motion: MotionRanges, scenario: Scenario) -> Scene:
-    """The scene under another light and with occluders."""
+    """Return the scene with the scenario's light and occluders."""
     scene, own = system.scene, _of(scenario.values, "light")
     light = replace(
         scene.light,
@@ -160,7 +160,7 @@ def _scene(system: System, motion: MotionRanges, scenario: Scenario) -> Scene:
 
 
 def _occluder(system: System, motion: MotionRanges, scenario: Scenario, number: int) -> Box:
-    """A cube on the line of sight of some pixel of some camera, nearer than the pattern comes."""
+    """Return a cube on the line of sight of some pixel of some camera, nearer than the pattern comes."""
     if not system.cameras:
         raise InputError(f"occluders stand between a camera and the pattern, but {system.name} has no camera")
     random = scenario.random("occluder", number)

@@ -1,4 +1,4 @@
-"""The sensors of a simulated system: one class for each modality, with all that the simulation knows of it."""
+"""Simulated sensors: one class for each modality, with all of its simulation."""
 
 from calibration.simulation.sensors.camera import SimulatedCamera
 from calibration.simulation.sensors.depth_camera import SimulatedDepthCamera
@@ -11,4 +11,4 @@ __all__ = ["KINDS", "SimulatedCamera", "SimulatedDepthCamera", "SimulatedLidar",
 KINDS: dict[str, type[SimulatedSensor]] = {
     kind.modality.name: kind for kind in (SimulatedCamera, SimulatedLidar, SimulatedLidar2d, SimulatedDepthCamera)
 }
-"""By the name of the modality, in the order in which datasets write their labels."""
+"""By the name of the modality, in the order of labels in datasets."""

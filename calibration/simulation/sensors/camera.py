@@ -1,7 +1,7 @@
-"""Cameras: images of patterns, and the corners in them.
+"""Simulated cameras: images of patterns, and the corners in them.
 
-A detector finds a corner by what is printed around it, so a corner counts as seen where its four squares (of an
-aprilgrid the tag, the gaps and the square between them) are on the image, large enough, with nothing before them. Ours
+A detector finds a corner by the print around it, so a corner counts as seen if its four squares (for an
+aprilgrid the tag, the gaps and the square between them) are in the image, large enough and not occluded. Our detector
 finds nearly all of these, and some more.
 """
 
@@ -44,27 +44,29 @@ from calibration.simulation.sensors.sensor import (
 )
 
 CORNER_NOISE = 0.05
-"""The standard deviation of a corner that is detected in a simulated image, each of x and y, px: 0.035 to 0.05 in
-the systems that ship."""
+"""Standard deviation of a detected corner in a simulated image, each of x and y, px: 0.035 to 0.05 in
+the example systems.
+"""
 JPEG_QUALITY = 88
 CELLS = (4, 3)
-"""An image's columns and rows of cells: a motion shows the pattern's corners in each."""
+"""Columns and rows of an image's cells: a motion should have corners in each."""
 LEAST_SQUARE = 14.0
-"""The width of a square in the image, px. At 12 our detector finds 98 % of the corners (markers of 7 bits
-on 3/4 of a square, blur 0.65 px), at 10 it finds 60 %."""
+"""Minimum width of a square in the image, px. At 12 our detector finds 98 % of the corners (markers of 7 bits
+on 3/4 of a square, blur 0.65 px), at 10 it finds 60 %.
+"""
 LEAST_TAG = 18.0
-"""The width of an aprilgrid's tag in the image, px. At 17 our detector finds all corners, at 14 a quarter of them."""
+"""Minimum width of an aprilgrid's tag in the image, px. At 17 our detector finds all corners, at 14 a quarter."""
 _ROWS = 64
-"""So many rows of an image are worked on at a time: they stay in the cache."""
+"""Number of rows of an image per batch, which fit into the cache."""
 _OPTICS = {"exposure": "exposure", "noise_levels": "noise", "blur_px": "blur", "vignetting": "vignetting"}
-"""The fields of a camera by a scenario's keys."""
+"""Fields of a camera by a scenario's keys."""
 _COEFFICIENTS = ("k1", "k2", "p1", "p2", "k3")
-"""A scenario's keys for those of the distortion."""
+"""A scenario's keys of the distortion coefficients."""
 
 
 @record(case="snake", nulls=True)
 class SimulatedCamera(SimulatedSensor):
-    """A camera, and what its lens and its chip make of the light."""
+    """Camera with its lens and image sensor."""
 
     modality: ClassVar[Modality] = RGB
     label_name: ClassVar[str] = "corners"
@@ -86,7 +88,7 @@ class SimulatedCamera(SimulatedSensor):
     exposure: Annotated[float, between(0, 100)] = field("Factor on the light.", default=1.0)
 
     def with_values(self, name: str, values: Mapping[str, float]) -> Self:
-        """With other optics, and other coefficients of its distortion."""
+        """Return the camera with other optics and distortion coefficients."""
         lens = self.camera.distortion
         coefficients = dict(zip(lens.names(), lens.coefficients.tolist(), strict=True))
         for key in _COEFFICIENTS:
@@ -99,13 +101,13 @@ class SimulatedCamera(SimulatedSensor):
 
     @property
     def intrinsics(self) -> Camera:
-        """The lens."""
+        """Intrinsics."""
         return self.camera
 
     def render(
         self, T_world_sensor: Array, scene: Scene, boards: Sequence[Board], random: np.random.Generator
     ) -> Image:
-        """The image (height, width, 3) in blue, green, red.
+        """Render the image (height, width, 3) in blue, green, red.
 
         Raises:
             InputError: a pattern cannot be printed (see `calibration.simulation.rendering.texture.texture`).
@@ -113,10 +115,10 @@ class SimulatedCamera(SimulatedSensor):
         return self.expose(radiance(self.camera, T_world_sensor, scene, boards), random)
 
     def expose(self, light: NDArray[np.uint16], random: np.random.Generator) -> Image:
-        """The image (height, width, 3) of light (height, width, 3) in `STEPS` of a grey level.
+        """Convert light (height, width, 3), in `STEPS` of a grey level, to an 8-bit image (height, width, 3).
 
-        Blur, vignetting, exposure, noise, 8 bits. The noise is of brightness: one number for each pixel, the same on
-        its three colours, and drawn for every pixel whatever it sees. What is too bright is white.
+        Applies blur, vignetting, exposure, noise and quantisation. The noise is of brightness: one number per pixel,
+        equal in its three colours, and drawn for every pixel whatever it sees. Overexposed pixels are white.
         """
         noise = random.standard_normal(light.shape[:2], dtype=np.float32)
         noise *= np.float32(self.noise)
@@ -131,32 +133,32 @@ class SimulatedCamera(SimulatedSensor):
         return np.asarray(cv2.merge(planes), np.uint8)
 
     def message(self, data: Data) -> dict[str, Any]:
-        """Of an Image."""
+        """Return the fields of an Image."""
         del data
         return image_message(self.camera, "bgr8", 3)
 
     def encode(self, data: Data) -> bytes:
-        """JPEG."""
+        """Encode as JPEG."""
         return encode_image(data, ".jpg", [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
 
     def label(self, data: Data, pattern: PatternConfiguration, T_sensor_pattern: Array) -> Found:
-        """The corners, wherever the pattern is."""
+        """Detect the corners; the expected pose is not used."""
         del T_sensor_pattern
         return _detector(pattern).detect(data)
 
     def label_document(self, found: Found) -> dict[str, Any]:
-        """The corners by id."""
+        """Return the corners by id."""
         if not isinstance(found, CornerLabels):
             return {"detected": False, "idxs": []}
         rows = zip(found.ids.tolist(), found.pixels.tolist(), strict=True)
         return {"detected": True, "idxs": [{"id": i, "x": x, "y": y} for i, (x, y) in rows]}
 
     def detects(self, views: Views) -> BoolArray:
-        """Where it sees enough corners, from in front."""
+        """Return a mask (N,) of the poses with enough visible corners, from the front."""
         return self.corner_views(views).detectable
 
     def expected_labels(self, views: Views) -> dict[int, Labels]:
-        """The corners that are seen."""
+        """Return the visible corners."""
         corners = self.corner_views(views)
         found: dict[int, Labels] = {}
         for pose in np.flatnonzero(corners.detectable).tolist():
@@ -165,18 +167,18 @@ class SimulatedCamera(SimulatedSensor):
         return found
 
     def noise_levels(self, distance: float) -> dict[NoiseKind, float]:
-        """Of corners."""
+        """Return the noise of corners."""
         del distance
         return {"pixel": CORNER_NOISE}
 
     def shows_centre(self, views: Views) -> BoolArray:
-        """At which poses (N,) the pattern's centre is on the image and turned to it; quick to tell."""
+        """Return a mask (N,) of the poses with the pattern's centre in the image, facing the camera; fast."""
         centre = views.pattern.centre
         _, visible = corners_in_image(self.camera, apply(views.T_sensor_pattern, centre[None]))
         return visible[:, 0] & facing(views.T_sensor_pattern, centre)
 
     def corner_views(self, views: Views) -> "CornerViews":
-        """What it sees of a pattern's corners."""
+        """Return the visibility of a pattern's corners."""
         squares, least = square_corners(views.configuration, views.pattern), least_widths(views.configuration)
         rows, columns = squares.shape[:2]
         places = squares.reshape(-1, 3)
@@ -186,7 +188,7 @@ class SimulatedCamera(SimulatedSensor):
         with np.errstate(invalid="ignore"):
             clear = _all_four(visible) & (_widths(pixels) >= least)
         seen = _all_four(clear).reshape(len(clear), (rows - 2) * (columns - 2))
-        share = 1.0 if views.pattern.kind == "chessboard" else LEAST_SHARE  # one is found whole or not at all
+        share = 1.0 if views.pattern.kind == "chessboard" else LEAST_SHARE  # all or none
         front = facing(views.T_sensor_pattern, views.pattern.centre)
         return CornerViews(
             pixels=pixels[:, 1:-1, 1:-1].reshape(*seen.shape, 2),
@@ -198,13 +200,13 @@ class SimulatedCamera(SimulatedSensor):
     def draw(
         self, message: Mapping[str, Any], labels: Sequence[Mapping[str, Any]], patterns: Sequence[Pattern], files: Path
     ) -> Image:
-        """The image with the corners in the colours of their order."""
+        """Draw the image with the corners coloured by their order."""
         scale = HEIGHT / self.camera.height
         size = (max(1, round(scale * self.camera.width)), HEIGHT)
         file = files / message["data_file"]
-        image = cv2.imread(str(file), cv2.IMREAD_COLOR) if file.is_file() else None  # it warns of one that is not there
+        image = cv2.imread(str(file), cv2.IMREAD_COLOR) if file.is_file() else None  # or it warns
         picture = blank(size[0]) if image is None else cv2.resize(image, size, interpolation=cv2.INTER_AREA)
-        paler = cv2.convertScaleAbs(picture, alpha=0.8, beta=40)  # so that the marks stand out
+        paler = cv2.convertScaleAbs(picture, alpha=0.8, beta=40)  # for the contrast of the marks
         drawn: Image = np.asarray(paler, np.uint8)
         for label, pattern in zip(labels, patterns, strict=True):
             for corner in label["idxs"]:
@@ -215,19 +217,19 @@ class SimulatedCamera(SimulatedSensor):
 
 @dataclass(frozen=True, eq=False)
 class CornerViews:
-    """The K corners of a pattern in a camera's images at N poses."""
+    """Visibility of the K corners of a pattern in a camera's images at N poses."""
 
     pixels: Array
     """(N, K, 2); NaN behind the camera."""
     seen: BoolArray
-    """(N, K): those that are surely found."""
+    """(N, K): corners that are reliably detected."""
     partial: BoolArray
-    """(N,): some corners are off the image or hidden."""
+    """(N,): some corners are outside of the image or occluded."""
     detectable: BoolArray
-    """(N,): enough corners, from in front."""
+    """(N,): enough corners, from the front."""
 
     def cells(self, camera: Camera) -> BoolArray:
-        """In which cells (N, columns * rows) of the image there is a corner."""
+        """Return a mask (N, columns * rows) of the cells of the image with a corner."""
         columns, rows = CELLS
         with np.errstate(invalid="ignore"):
             place = (self.pixels + 0.5) / [camera.width, camera.height] * CELLS
@@ -243,13 +245,13 @@ def _detector(pattern: PatternConfiguration) -> CornerDetector:
 
 
 def image_message(camera: Camera, encoding: str, bytes_per_pixel: int) -> dict[str, Any]:
-    """The fields of a ROS Image."""
+    """Return the fields of a ROS Image."""
     image = {"height": camera.height, "width": camera.width, "is_bigendian": 0}
     return {**image, "encoding": encoding, "step": bytes_per_pixel * camera.width}
 
 
 def encode_image(image: Data, ending: str, options: list[int]) -> bytes:
-    """The content of a file of an image."""
+    """Encode an image file."""
     done, data = cv2.imencode(ending, image, options)
     if not done:
         raise AssertionError(f"OpenCV cannot write {ending}")
@@ -257,7 +259,7 @@ def encode_image(image: Data, ending: str, options: list[int]) -> bytes:
 
 
 def _blurred(light: NDArray[np.uint16], sigma: float) -> NDArray[np.uint16]:
-    """OpenCV's blur of whole numbers, which every machine computes alike."""
+    """Blur with integer arithmetic, which is equal on all machines."""
     if sigma <= 0:
         return light
     size = 2 * math.ceil(3 * sigma) + 1
@@ -266,7 +268,7 @@ def _blurred(light: NDArray[np.uint16], sigma: float) -> NDArray[np.uint16]:
 
 @lru_cache(maxsize=8)
 def _gain(camera: Camera, vignetting: float) -> NDArray[np.float32]:
-    """(height, width): 1 on the optical axis, falling like cos^4 of the angle to it down to the farthest corner."""
+    """Return the gain (height, width): 1 on the optical axis, falling like cos^4 of the angle to it."""
     x = (np.arange(camera.width) - camera.cx) / camera.fx
     y = (np.arange(camera.height)[:, None] - camera.cy) / camera.fy
     loss = 1 - 1 / (1 + x * x + y * y) ** 2
@@ -275,9 +277,9 @@ def _gain(camera: Camera, vignetting: float) -> NDArray[np.float32]:
 
 
 def square_corners(configuration: PatternConfiguration, pattern: Pattern) -> Array:
-    """(rows + 2, columns + 2, 3): the corners of all squares, the pattern's (rows, columns) of them inside.
+    """Return the corners of all squares (rows + 2, columns + 2, 3), with the pattern's (rows, columns) inside.
 
-    Of an aprilgrid: of the tags, of the gaps between them and around them, and of the squares where these cross.
+    For an aprilgrid: of the tags, of the gaps between them and around them, and of the squares at their crossings.
     """
     (columns, rows), square = configuration.dimension, configuration.size
     if configuration.kind == "aprilgrid":
@@ -289,7 +291,7 @@ def square_corners(configuration: PatternConfiguration, pattern: Pattern) -> Arr
 
 
 def least_widths(configuration: PatternConfiguration) -> Array:
-    """(rows + 1, columns + 1) or (1, 1): how wide each of the squares of `square_corners` must be in the image, px."""
+    """Return the minimum widths (rows + 1, columns + 1) or (1, 1) of the squares of `square_corners`, px."""
     if configuration.kind != "aprilgrid":
         return np.full((1, 1), LEAST_SQUARE)
     x, y = (np.diff(_tag_lines(configuration, n)) / configuration.size for n in configuration.dimension)
@@ -297,18 +299,18 @@ def least_widths(configuration: PatternConfiguration) -> Array:
 
 
 def _tag_lines(configuration: PatternConfiguration, count: int) -> Array:
-    """Where tags begin and end, and the gaps before and behind them, m."""
+    """Return the begins and ends of tags, with the gaps before and after them, m."""
     lines, gap = tag_lines(count, configuration.size, configuration.spacing), configuration.spacing * configuration.size
     return np.concatenate([[-gap], lines, [lines[-1] + gap]])
 
 
 def _all_four(of: BoolArray) -> BoolArray:
-    """Which places (N, R - 1, C - 1) between the nodes of a grid (N, R, C) have all four nodes around them."""
+    """Return a mask (N, R - 1, C - 1) of the cells of a grid (N, R, C) with all four nodes set."""
     return of[:, :-1, :-1] & of[:, :-1, 1:] & of[:, 1:, :-1] & of[:, 1:, 1:]
 
 
 def _widths(pixels: Array) -> Array:
-    """(N, R - 1, C - 1): the width of each square with corners (N, R, C, 2), its area over its longer side, px."""
+    """Return the widths (N, R - 1, C - 1) of squares with corners (N, R, C, 2): area over longer side, px."""
     along = pixels[:, :-1, 1:] - pixels[:, :-1, :-1]
     down = pixels[:, 1:, :-1] - pixels[:, :-1, :-1]
     area = np.abs(along[..., 0] * down[..., 1] - along[..., 1] * down[..., 0])

@@ -1,4 +1,4 @@
-"""Depth cameras: images of how far things are along the optical axis, and the pixels on patterns in them."""
+"""Simulated depth cameras: depth images, and their pixels on patterns."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -40,13 +40,13 @@ from calibration.simulation.sensors.sensor import (
 )
 
 MOST = 5000
-"""Pixels on the pattern, about, that are expected to be labelled at most, as `calibration.labelling.depth` has it."""
+"""Approximate limit of the expected number of labelled pixels, as in `calibration.labelling.depth`."""
 _FROM_NEAR = cv2.applyColorMap(np.arange(256, dtype=np.uint8)[::-1, None], cv2.COLORMAP_BONE)[:, 0]
 
 
 @record(case="snake", nulls=True)
 class SimulatedDepthCamera(RangeSensor):
-    """A camera that measures how far along its optical axis things are."""
+    """Camera that measures the depth along its optical axis."""
 
     modality: ClassVar[Modality] = DEPTH
     label_name: ClassVar[str] = "pixels"
@@ -70,16 +70,16 @@ class SimulatedDepthCamera(RangeSensor):
 
     @property
     def intrinsics(self) -> Camera:
-        """The lens."""
+        """Intrinsics."""
         return self.camera
 
     def render(
         self, T_world_sensor: Array, scene: Scene, boards: Sequence[Board], random: np.random.Generator
     ) -> DepthImage:
-        """The depth image (height, width), along the optical axis, in units of `UNIT`.
+        """Render the depth image (height, width), along the optical axis, in units of `UNIT`.
 
-        Each pixel measures the nearest surface at its centre. `NO_RETURN` where there is none, or out of
-        range, or farther than 16 bits reach.
+        Each pixel measures the nearest surface at its centre. `NO_RETURN` if there is none, or it is out of
+        range, or beyond 16 bits.
         """
         noise = random.standard_normal((self.camera.height, self.camera.width), dtype=np.float32)
         pose = rounded(T_world_sensor)
@@ -95,20 +95,20 @@ class SimulatedDepthCamera(RangeSensor):
         return np.where(in_range & (counts >= 0) & (counts < NO_RETURN), counts, NO_RETURN).astype(np.uint16)
 
     def message(self, data: Data) -> dict[str, Any]:
-        """Of an Image."""
+        """Return the fields of an Image."""
         del data
         return image_message(self.camera, "16UC1", 2)
 
     def encode(self, data: Data) -> bytes:
-        """PNG of 16 bits."""
+        """Encode as a 16-bit PNG."""
         return encode_image(data, ".png", [cv2.IMWRITE_PNG_COMPRESSION, 6])
 
     def label(self, data: Data, pattern: PatternConfiguration, T_sensor_pattern: Array) -> Found:
-        """The pixels on the pattern."""
+        """Find the pixels on the pattern."""
         return label_depth(data, self.camera, pattern.pattern(), T_sensor_pattern)
 
     def detects(self, views: Views) -> BoolArray:
-        """Where it measures enough of the pattern, judged by the pattern's corners."""
+        """Return a mask (N,) of the poses with enough of the pattern in range, by the pattern's corners."""
         places = views.pattern.corners
         corners = apply(views.T_sensor_pattern, places)
         _, visible = corners_in_image(self.camera, corners)
@@ -118,12 +118,12 @@ class SimulatedDepthCamera(RangeSensor):
         return measured
 
     def points_on(self, views: Views, number: int) -> PointLabels:
-        """The points of the pixels that see the pattern, evenly thinned.
+        """Return the points of the pixels on the pattern, evenly thinned.
 
-        On the border are those that have a pixel beside them that does not see it, but near the image's edge.
+        Those with a neighbouring pixel outside of the pattern are on the border, except near the image's edge.
         """
         camera = self.camera
-        directions = np.moveaxis(rays(camera), 0, -1)  # and one pixel more on every side
+        directions = np.moveaxis(rays(camera), 0, -1)  # with a margin of one pixel on every side
         depth, hits = meets(views.pattern, views.T_sensor_pattern[number], directions)
         inner = hits[:-2, 1:-1] & hits[2:, 1:-1] & hits[1:-1, :-2] & hits[1:-1, 2:]
         v, u = np.nonzero(hits[1:-1, 1:-1])
@@ -139,14 +139,14 @@ class SimulatedDepthCamera(RangeSensor):
         return PointLabels(points[seen], np.flatnonzero(border[seen]))
 
     def noise_levels(self, distance: float) -> dict[NoiseKind, float]:
-        """Of depths, which grows with the distance, and of the border, a pixel's angle."""
+        """Return the noise of depths, which grows with the distance, and of the border, a pixel's angle."""
         depth = range_noise(self.noise + self.noise_growth * distance**2)
         return {"range": depth, "depth_border": float(1 / self.camera.fx / np.sqrt(12))}
 
     def draw(
         self, message: Mapping[str, Any], labels: Sequence[Mapping[str, Any]], patterns: Sequence[Pattern], files: Path
     ) -> Image:
-        """The image, near pale and far dark; the labelled pixels in their colours."""
+        """Draw the image, near bright and far dark; the labelled pixels in their colours."""
         del patterns
         camera = self.camera
         width = max(1, round(HEIGHT / camera.height * camera.width))
@@ -166,7 +166,7 @@ class SimulatedDepthCamera(RangeSensor):
 
 
 def _coloured(depth: DepthImage) -> Image:
-    """Depths (h, w) in colours (h, w, 3) from near to far; dark where nothing came back. In whole numbers."""
+    """Colour depths (h, w) from near to far (h, w, 3); dark without a return. Integer arithmetic."""
     returned = (depth != NO_RETURN) & (depth != 0)
     sorted_depths = np.sort(depth[returned].astype(int))
     if not len(sorted_depths):

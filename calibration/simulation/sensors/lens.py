@@ -1,4 +1,4 @@
-"""The lens of a camera or a depth camera, as ``simulation.yml`` describes it."""
+"""Lens of a camera or a depth camera, as in ``simulation.yml``."""
 
 import math
 from typing import Annotated, Literal
@@ -9,7 +9,7 @@ from calibration.records import Converted, Misfit, between, excludes, field, one
 from calibration.simulation.description import listed
 
 MAX_PIXELS = 25_000_000
-"""Of one image: beyond it memory runs out."""
+"""Limit of an image's pixels: beyond it memory runs out."""
 _PIXELS = between(2, 100_000)
 
 
@@ -58,7 +58,7 @@ class Lens:
 
     @property
     def camera(self) -> Camera:
-        """The camera model."""
+        """Camera model."""
         model = MODELS[self.distortion_model]
         distortion = model(*(self.distortion or (0.0,) * len(model.names())))
         if self.K is not None:
@@ -71,4 +71,4 @@ class Lens:
 
 
 LENS = Converted(Lens, lambda lens, _: lens.camera)
-"""A camera model whose keys are those of `Lens`."""
+"""Camera model with the keys of `Lens`."""

@@ -1,4 +1,4 @@
-"""What 3D and 2D LiDARs share: rays against the patterns, the ground and the boxes around."""
+"""Common parts of simulated 3D and 2D LiDARs: ray casting to the patterns, the ground and the boxes."""
 
 from abc import abstractmethod
 from collections.abc import Sequence
@@ -14,28 +14,28 @@ from calibration.simulation.scene import Scene
 from calibration.simulation.sensors.sensor import RangeSensor, Views, meets, range_noise
 
 DECIMALS = 6
-"""Of what is stored, m: a micrometre, so that the last bits of a machine's arithmetic do not show."""
+"""Decimals of stored coordinates, m: a micrometre, so that rounding errors of the arithmetic have no effect."""
 
 
 @dataclass(frozen=True, eq=False)
 class Scan:
-    """One revolution or a part of it; every array is (rings, azimuths), of a 2D LiDAR (1, rays)."""
+    """Scan of one revolution or a part of it; every array is (rings, azimuths), for a 2D LiDAR (1, rays)."""
 
     ranges: Array
-    """As measured, m; NaN where nothing comes back."""
+    """Measured ranges, m; NaN without a return."""
     board: IntArray
-    """The index of the board that the ray comes back from; -1 for anything else."""
+    """Index of the board that the ray hits; -1 for anything else."""
     crossed: IntArray
-    """The index of the nearest board on the ray's way, whether or not something hides it; -1 for none."""
+    """Index of the nearest board on the ray, occluded or not; -1 for none."""
 
     @property
     def returns(self) -> BoolArray:
-        """Which rays come back."""
+        """Mask of the rays with a return."""
         return ~np.isnan(self.ranges)
 
 
 class RaySensor(RangeSensor):
-    """A sensor that sends rays out in rings, one after the other."""
+    """Sensor that casts rays in rings, one after the other."""
 
     resolution: float
     """Ranges are multiples of it, m; 0 for none."""
@@ -43,14 +43,14 @@ class RaySensor(RangeSensor):
     @property
     @abstractmethod
     def step(self) -> float:
-        """The angle between two rays of a ring, rad."""
+        """Angle between two rays of a ring, rad."""
 
     @abstractmethod
     def directions(self) -> Array:
-        """(rings, rays, 3): unit vectors in the sensor's frame."""
+        """Unit vectors (rings, rays, 3) in the sensor's frame."""
 
     def directions_towards(self, pattern: Pattern, T_sensor_pattern: Array) -> Array:
-        """(rings, A, 3): at least those of the rays that can meet a pattern, from every ring the same."""
+        """Return rays (rings, A, 3) that include all that can hit a pattern, the same azimuths for every ring."""
         del pattern, T_sensor_pattern
         return self.directions()
 
@@ -62,9 +62,9 @@ class RaySensor(RangeSensor):
         random: np.random.Generator,
         columns: BoolArray | None = None,
     ) -> Scan:
-        """Cast rays; the nearest surface comes back, with Gaussian noise along the ray.
+        """Cast rays to the nearest surface, with Gaussian noise along the ray.
 
-        The generator gives one number for every ray of the sensor, so that what is hit or cast does not change the
+        One random number is drawn for every ray of the sensor, so that hits and omitted rays do not change the
         noise of other rays.
 
         Args:
@@ -72,7 +72,7 @@ class RaySensor(RangeSensor):
             scene: the surroundings.
             boards: the patterns.
             random: source of the noise.
-            columns: (rays,), which rays of each ring are cast; the scan has only these. All by default.
+            columns: (rays,), mask of the cast rays of each ring; the scan has only these. All by default.
         """
         rays = self.directions()
         noise = self.noise * random.standard_normal(rays.shape[:-1])
@@ -94,7 +94,7 @@ class RaySensor(RangeSensor):
         return Scan(np.where(in_range, measured, np.nan), np.where(visible, crossed, -1), crossed)
 
     def points_on(self, views: Views, number: int) -> PointLabels:
-        """Where the rays of one scan meet the pattern; on the border are the outermost of their rings."""
+        """Return the points of one scan on the pattern; the outermost of each ring are on the border."""
         rays = self.directions_towards(views.pattern, views.T_sensor_pattern[number])
         distance, hits = meets(views.pattern, views.T_sensor_pattern[number], rays)
         outermost = np.zeros_like(hits)
@@ -107,10 +107,10 @@ class RaySensor(RangeSensor):
 
     @property
     def range_noise(self) -> float:
-        """The standard deviation of a range, its resolution included, m."""
+        """Standard deviation of a range, its resolution included, m."""
         return range_noise(float(np.hypot(self.noise, self.resolution / np.sqrt(12))))
 
     @property
     def border_noise(self) -> float:
-        """The standard deviation of the direction in which a ring's last ray on a pattern finds its border, rad."""
+        """Standard deviation of the direction in which a ring's last ray on a pattern finds its border, rad."""
         return float(self.step / np.sqrt(12))

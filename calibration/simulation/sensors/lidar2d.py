@@ -1,4 +1,4 @@
-"""2D LiDARs: scans of one plane, and the rays of them that end on patterns."""
+"""Simulated 2D LiDARs: scans of one plane, and their rays on patterns."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -23,7 +23,7 @@ from calibration.simulation.sensors.lidar import DECIMALS, RaySensor
 from calibration.simulation.sensors.sensor import LEAST_SHARE, MAX_VIEW_ANGLE, Data, Found, Views
 
 LEAST_CUT = 0.5
-"""The length of a cut through a pattern, in the pattern's smaller side: a corner cut off says little."""
+"""Minimum length of a scan line on a pattern, in the pattern's smaller side: a shorter one has little information."""
 _ANGLE_DECIMALS = 12
 
 
@@ -36,7 +36,7 @@ _TURN = listed(
 
 @record(case="snake", nulls=True)
 class SimulatedLidar2d(RaySensor):
-    """A LiDAR whose rays lie in the plane z = 0 of its frame; x is angle 0, y a quarter of a revolution."""
+    """LiDAR whose rays are in the plane z = 0 of its frame; x is angle 0, y a quarter of a revolution."""
 
     modality: ClassVar[Modality] = LIDAR2D
     label_name: ClassVar[str] = "rays"
@@ -56,35 +56,35 @@ class SimulatedLidar2d(RaySensor):
 
     @property
     def angle_min(self) -> float:
-        """The angle of the first ray, rad."""
+        """Angle of the first ray, rad."""
         return self.angles[0]
 
     @property
     def angle_max(self) -> float:
-        """The angle of the last ray, rad."""
+        """Angle of the last ray, rad."""
         return self.angles[1]
 
     @property
     def step(self) -> float:
-        """The angle between two rays, rad."""
+        """Angle between two rays, rad."""
         return (self.angle_max - self.angle_min) / (self.rays - 1)
 
     def directions(self) -> Array:
-        """(1, rays, 3): unit vectors in the sensor's frame, a single ring."""
+        """Unit vectors (1, rays, 3) in the sensor's frame, a single ring."""
         angle = self.angle_min + self.step * np.arange(self.rays)
         return np.stack([np.cos(angle), np.sin(angle), np.zeros(self.rays)], -1)[None]
 
     def render(
         self, T_world_sensor: Array, scene: Scene, boards: Sequence[Board], random: np.random.Generator
     ) -> Array:
-        """The ranges (rays,), m; 0 where nothing came back, or noise put it out of range: JSON has no NaN."""
+        """Measure the ranges (rays,), m; 0 without a return, or if noise puts it out of range: JSON has no NaN."""
         ranges = np.round(self.scan(T_world_sensor, scene, boards, random).ranges[0], DECIMALS)
         with np.errstate(invalid="ignore"):
             returned = (ranges >= self.least_range) & (ranges <= self.most_range)
         return np.where(returned, ranges, 0.0)
 
     def message(self, data: Data) -> dict[str, Any]:
-        """Of a LaserScan, whole."""
+        """Return the complete LaserScan, except for its header."""
         return {
             "angle_min": round(self.angle_min, _ANGLE_DECIMALS),
             "angle_max": round(self.angle_max, _ANGLE_DECIMALS),
@@ -98,16 +98,16 @@ class SimulatedLidar2d(RaySensor):
         }
 
     def points(self, data: Data) -> Array:
-        """(rays, 3); NaN where nothing came back."""
+        """Return the points (rays, 3); NaN without a return."""
         points: Array = np.where(data > 0, data, np.nan)[:, None] * self.directions()[0]
         return points
 
     def label(self, data: Data, pattern: PatternConfiguration, T_sensor_pattern: Array) -> Found:
-        """The rays that end on the pattern."""
+        """Find the rays on the pattern."""
         return label_scan_line(self.points(data), pattern.pattern(), T_sensor_pattern)
 
     def detects(self, views: Views) -> BoolArray:
-        """Where the scan's plane cuts the pattern over a good length."""
+        """Return a mask (N,) of the poses with a scan line of sufficient length on the pattern."""
         board = views.pattern
         ends = cut_ends(board, views.T_sensor_pattern)
         with np.errstate(invalid="ignore"):
@@ -127,18 +127,18 @@ class SimulatedLidar2d(RaySensor):
         return cut
 
     def noise_levels(self, distance: float) -> dict[NoiseKind, float]:
-        """Of ranges and of the ends of a cut, the same at any distance."""
+        """Return the noise of ranges and of the ends of a scan line, equal at any distance."""
         del distance
         return {"lidar2d_range": self.range_noise, "lidar2d_border": self.border_noise}
 
     def draw(
         self, message: Mapping[str, Any], labels: Sequence[Mapping[str, Any]], patterns: Sequence[Pattern], files: Path
     ) -> Image:
-        """The scan from above, the sensor at the bottom, x up; as far as twice the pattern's distance."""
+        """Draw the scan from above, the sensor at the bottom, x up; up to twice the pattern's distance."""
         del patterns, files
         picture = blank(2 * HEIGHT, DARK)
         ranges = message.get("ranges")
-        if ranges is None:  # of applications in containers, whose scans are not drawn
+        if ranges is None:  # from applications in containers, whose scans are not drawn
             return picture
         points = self.points(np.array(ranges))[:, :2]
         labelled = [index for label in labels for index in label["idxs"]]

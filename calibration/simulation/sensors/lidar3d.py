@@ -1,4 +1,4 @@
-"""3D LiDARs: clouds of points, ring by ring, and those of them on patterns."""
+"""Simulated 3D LiDARs: clouds of points, ring by ring, and their points on patterns."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -27,9 +27,9 @@ from calibration.simulation.sensors.sensor import LEAST_SHARE, MAX_VIEW_ANGLE, D
 
 MAX_RINGS = 1000
 MAX_RAYS = 4_000_000
-"""Of one scan: beyond it memory runs out before anything useful comes of it."""
+"""Limit of the rays of one scan: beyond it memory runs out."""
 LEAST_RINGS = 4
-"""That cross the pattern."""
+"""Minimum of rings that cross the pattern."""
 
 
 _ELEVATIONS = Constraint(
@@ -52,7 +52,7 @@ _ELEVATIONS = Constraint(
     ),
 )
 class Rings:
-    """The rings of a LiDAR: their number and the lowest and highest, or each of them."""
+    """Rings of a LiDAR: their number and the lowest and highest, or each of them."""
 
     rings: Annotated[int, between(1, MAX_RINGS)] | None = field("Number of rings, evenly apart.", default=None)
     vertical_deg: Annotated[tuple[float, float], rising(-90, 90)] | None = field(
@@ -64,7 +64,7 @@ class Rings:
 
     @property
     def elevations(self) -> tuple[float, ...]:
-        """One for each ring, rad above the x-y plane."""
+        """Elevation of each ring, rad above the x-y plane."""
         low, high = self.vertical_deg or (0.0, 0.0)
         evenly = map(float, np.linspace(low, high, self.rings or 0))
         return tuple(map(math.radians, self.elevations_deg or evenly))
@@ -72,7 +72,7 @@ class Rings:
 
 @record(case="snake", nulls=True)
 class SimulatedLidar(RaySensor):
-    """A LiDAR that turns about the z axis of its frame; x is azimuth 0."""
+    """LiDAR that rotates about the z axis of its frame; x is azimuth 0."""
 
     modality: ClassVar[Modality] = LIDAR3D
     label_name: ClassVar[str] = "points"
@@ -80,7 +80,7 @@ class SimulatedLidar(RaySensor):
     scenario_group: ClassVar[str] = "lidars"
 
     elevations: Annotated[tuple[float, ...], Converted(Rings, lambda rings, _: rings.elevations)] = field(flat=True)
-    """One for each ring, rad above the x-y plane."""
+    """Elevation of each ring, rad above the x-y plane."""
     azimuths: Annotated[int, between(8, 100_000)] = field(
         "Number of rays of a ring in one revolution; the first points backwards, along -x."
     )
@@ -106,15 +106,15 @@ class SimulatedLidar(RaySensor):
 
     @property
     def step(self) -> float:
-        """The azimuth between two rays of a ring, rad."""
+        """Azimuth between two rays of a ring, rad."""
         return 2 * math.pi / self.azimuths
 
     def directions(self) -> Array:
-        """(rings, azimuths, 3): unit vectors in the sensor's frame."""
+        """Unit vectors (rings, azimuths, 3) in the sensor's frame."""
         return _directions(self.elevations, self.azimuths)
 
     def directions_towards(self, pattern: Pattern, T_sensor_pattern: Array) -> Array:
-        """(rings, A, 3): those whose azimuth is that of some part of the pattern."""
+        """Return the rays (rings, A, 3) with an azimuth of the pattern."""
         corners = apply(T_sensor_pattern, np.column_stack([pattern.outline, np.zeros(4)]))
         middle, beside = _azimuths_of(corners)
         first, last = (middle + np.array([beside.min(), beside.max()]) + np.pi) / self.step
@@ -126,7 +126,7 @@ class SimulatedLidar(RaySensor):
     def render(
         self, T_world_sensor: Array, scene: Scene, boards: Sequence[Board], random: np.random.Generator
     ) -> Array:
-        """The points (N, 3) of the returns up to the margin beside a board, in the sensor's frame, m, ring by ring."""
+        """Measure the points (N, 3) on a board and within a margin, in the sensor's frame, m, ring by ring."""
         sector = np.zeros(self.azimuths, bool)
         for board in boards:
             sector |= self._sector(board, T_world_sensor)
@@ -137,13 +137,13 @@ class SimulatedLidar(RaySensor):
         return points
 
     def _sector(self, board: Board, T_world_sensor: Array) -> BoolArray:
-        """Which columns (A,) of azimuth see the board or what is up to the margin beside it."""
+        """Return a mask (A,) of the azimuths of the board and of the margin beside it."""
         middle, beside = _azimuths_of(apply(inverse(T_world_sensor), board.corners()))
         inside: BoolArray = np.abs(_turn(self._azimuths() - middle)) <= np.abs(beside).max() + self.margin
         return inside
 
     def message(self, data: Data) -> dict[str, Any]:
-        """Of a PointCloud2."""
+        """Return the fields of a PointCloud2."""
         points = len(data)
         return {
             "fields": [{"name": axis, "offset": 4 * i, "datatype": 7, "count": 1} for i, axis in enumerate("xyz")],
@@ -156,19 +156,19 @@ class SimulatedLidar(RaySensor):
         }
 
     def encode(self, data: Data) -> bytes:
-        """Binary PCD."""
+        """Encode as binary PCD."""
         return encode_pcd(data)
 
     def points(self, data: Data) -> Array:
-        """The cloud."""
+        """Return the cloud."""
         return np.asarray(data, float)
 
     def label(self, data: Data, pattern: PatternConfiguration, T_sensor_pattern: Array) -> Found:
-        """The points on the pattern."""
+        """Find the points on the pattern."""
         return label_points(data, pattern.pattern(), T_sensor_pattern)
 
     def detects(self, views: Views) -> BoolArray:
-        """Where enough rings cross the pattern, judged by the pattern's corners; from either side."""
+        """Return a mask (N,) of the poses at which enough rings cross the pattern, by its corners; from either side."""
         T_lidar_pattern, board = views.T_sensor_pattern, views.pattern
         corners = apply(T_lidar_pattern, board.corners)
         border = np.linalg.norm(apply(T_lidar_pattern, np.column_stack([board.outline, np.zeros(4)])), axis=-1)
@@ -186,14 +186,14 @@ class SimulatedLidar(RaySensor):
         return crossed
 
     def noise_levels(self, distance: float) -> dict[NoiseKind, float]:
-        """Of ranges and of the border, the same at any distance."""
+        """Return the noise of ranges and of the border, equal at any distance."""
         del distance
         return {"range": self.range_noise, "border": self.border_noise}
 
     def draw(
         self, message: Mapping[str, Any], labels: Sequence[Mapping[str, Any]], patterns: Sequence[Pattern], files: Path
     ) -> Image:
-        """The cloud as it looks from the sensor: azimuth to the left, elevation up."""
+        """Draw the cloud as seen from the sensor: azimuth to the left, elevation up."""
         del patterns
         picture = blank(2 * HEIGHT, DARK)
         try:
@@ -231,18 +231,18 @@ def _unit_vectors(elevations: tuple[float, ...], azimuth: Array) -> Array:
 
 
 def _azimuths_of(points: Array) -> tuple[float, Array]:
-    """The azimuth of the middle of points (N, 3), and theirs (N,) from it, -pi to pi."""
+    """Return the azimuth of the centre of points (N, 3), and theirs (N,) relative to it, -pi to pi."""
     middle = np.arctan2(*points.mean(axis=0)[[1, 0]])
     return middle, _turn(np.arctan2(points[:, 1], points[:, 0]) - middle)
 
 
 def _turn(angle: Array) -> Array:
-    """Angles between -pi and pi."""
+    """Normalise angles to -pi to pi."""
     return (angle + np.pi) % (2 * np.pi) - np.pi
 
 
 def _angle(y: Array, x: Array) -> Array:
-    """The angle of (x, y), rad, up to 0.004 wrong: numpy's arctan2 has other last bits on another processor."""
+    """Angle of (x, y), rad, with an error up to 0.004: numpy's arctan2 is rounded differently on other processors."""
     shorter, longer = np.minimum(np.abs(x), np.abs(y)), np.maximum(np.abs(x), np.abs(y))
     ratio = shorter / np.maximum(longer, 1e-300)
     angle = ratio * (np.pi / 4 + 0.273 * (1 - ratio))
@@ -252,7 +252,7 @@ def _angle(y: Array, x: Array) -> Array:
 
 
 def _spread(values: Array, length: int) -> Array:
-    """Values over a length, with some space at its ends."""
+    """Map values to a length, with a margin at its ends."""
     low, high = values.min(), values.max()
     share = (values - low) / max(high - low, 1e-9)
     place: Array = (0.05 + 0.9 * share) * (length - 1)

@@ -1,4 +1,4 @@
-"""What every simulated sensor can do: read its description, measure, label, and predict its labels."""
+"""Base classes of simulated sensors: read their description, measure, label, and predict their labels."""
 
 import math
 from abc import ABC, abstractmethod
@@ -24,11 +24,11 @@ from calibration.simulation.board import Board
 from calibration.simulation.scene import Scene
 
 MAX_VIEW_ANGLE = math.radians(65)
-"""Between the pattern's normal and the line of sight: beyond it detectors lose more and more of a pattern."""
+"""Limit of the angle between the pattern's normal and the line of sight: beyond it detectors miss corners."""
 
 
 def facing(T_sensor_pattern: Array, centre: Array) -> BoolArray:
-    """Which poses (..., 4, 4) show the sensor the front of the pattern, within `MAX_VIEW_ANGLE`.
+    """Return a mask of the poses (..., 4, 4) that show the front of the pattern, within `MAX_VIEW_ANGLE`.
 
     The pattern's z axis points away from a sensor that sees it; centre (3,) is in the pattern's frame.
     """
@@ -38,28 +38,28 @@ def facing(T_sensor_pattern: Array, centre: Array) -> BoolArray:
 
 
 def corners_in_image(camera: Camera, points: Array) -> tuple[Array, BoolArray]:
-    """Pixels (..., K, 2) of points (..., K, 3) in the camera frame, and which of them (..., K) are on the image."""
+    """Project points (..., K, 3) in the camera frame to pixels (..., K, 2); mask (..., K) of those in the image."""
     pixels, visible = camera.project_visible(points)
     return pixels, visible & camera.contains(pixels)
 
 
 Data = NDArray[Any]
-"""What a sensor measures at one pose; each modality has its own shape and unit."""
+"""Data of a sensor at one pose; each modality has its own shape and unit."""
 Found = CornerLabels | PatternPoints | NotDetected
-"""What a detector says of one pattern in a sensor's data."""
+"""Result of a detector for one pattern in a sensor's data."""
 LEAST_SHARE = 0.5
-"""Of a pattern's corners: a view of fewer says little, and a detector may miss it."""
-_LEAST_RANGE_NOISE = 1e-4  # m: a sensor without noise would weigh infinitely much
+"""Minimum share of a pattern's corners: a view of fewer has little information, and a detector may miss it."""
+_LEAST_RANGE_NOISE = 1e-4  # m: a sensor without noise would have infinite weight
 
 
 @dataclass(frozen=True, eq=False)
 class Views:
-    """A pattern before a sensor at N poses."""
+    """Views of a pattern by a sensor at N poses."""
 
     configuration: PatternConfiguration
     pattern: Pattern
     scene: Scene
-    """What may stand between the two."""
+    """Scene with possible occluders."""
     T_world_sensor: Array
     """(N, 4, 4)."""
     T_world_pattern: Array
@@ -71,27 +71,27 @@ class Views:
         return inverse(self.T_world_sensor) @ self.T_world_pattern
 
     def hidden(self, points: Array) -> BoolArray:
-        """Which points (K, 3) in the pattern's frame have something between them and the sensor: (N, K)."""
+        """Return a mask (N, K) of the points (K, 3) in the pattern's frame that are occluded from the sensor."""
         return self.scene.hides(self.T_world_sensor[:, :3, 3], apply(self.T_world_pattern, points))
 
 
 class SimulatedSensor(ABC):
-    """A sensor of one modality, as ``simulation.yml`` describes it; every class of sensors is a record."""
+    """Sensor of one modality, as in ``simulation.yml``; every subclass is a record."""
 
     modality: ClassVar[Modality]
     label_name: ClassVar[str]
-    """What one sees counted of its labels: "corners"."""
+    """Name of its counted labels: "corners"."""
     file_ending: ClassVar[str | None] = None
-    """Of the files with its data; None where they stand in the dataset's JSON."""
+    """Ending of the files with its data; None if they are in the dataset's JSON."""
     scenario_group: ClassVar[str | None] = None
-    """The key of a scenario set that speaks of all sensors of this kind; None where there is none."""
+    """Key of a scenario set for all sensors of this kind; None if there is none."""
 
     noise: float
-    """The standard deviation of what it measures: grey levels of an image, m of a range."""
+    """Standard deviation of its measurements: grey levels of an image, m of a range."""
 
     @abstractmethod
     def with_values(self, name: str, values: Mapping[str, float]) -> Self:
-        """The sensor with values of a scenario's parameters; ``name`` is for messages.
+        """Return the sensor with values of a scenario's parameters; ``name`` is for messages.
 
         Raises:
             InputError: it has no such parameter.
@@ -99,90 +99,90 @@ class SimulatedSensor(ABC):
 
     @property
     def intrinsics(self) -> Camera | None:
-        """Those of a sensor with an image."""
+        """Intrinsics of a sensor with an image."""
         return None
 
     @abstractmethod
     def render(self, T_world_sensor: Array, scene: Scene, boards: Sequence[Board], random: np.random.Generator) -> Data:
-        """What the sensor measures.
+        """Measure the scene.
 
         Args:
             T_world_sensor: (4, 4), to the frame of its data.
-            scene: what stands around, and the light.
+            scene: the surroundings, and the light.
             boards: the patterns.
-            random: gives one number for each pixel or ray, whatever it sees.
+            random: one number is drawn for each pixel or ray, whatever it sees.
         """
 
     @abstractmethod
     def message(self, data: Data) -> dict[str, Any]:
-        """The fields of the ROS message in a dataset, but for its header and the name of the file with the data."""
+        """Return the fields of the ROS message in a dataset, without its header and the name of the data file."""
 
     def encode(self, data: Data) -> bytes:
-        """The content of the file with the data, where there is one."""
+        """Encode the data file, if there is one."""
         raise AssertionError(f"the data of {self.modality} sensors are in no file")
 
     @abstractmethod
     def label(self, data: Data, pattern: PatternConfiguration, T_sensor_pattern: Array) -> Found:
-        """Detect a pattern, which is about at ``T_sensor_pattern`` (4, 4) as far as a collector can know."""
+        """Detect a pattern at the approximate pose ``T_sensor_pattern`` (4, 4), as a data collector knows it."""
 
     @abstractmethod
     def label_document(self, found: Found) -> dict[str, Any]:
-        """The labels of one pattern in a dataset."""
+        """Return the labels of one pattern in a dataset."""
 
     def points(self, data: Data) -> Array | None:
-        """The points (N, 3) in the sensor's frame, m, NaN where nothing came back; None where the data are an image."""
+        """Return the points (N, 3) in the sensor's frame, m, NaN without a return; None if the data are an image."""
         del data
         return None
 
     @abstractmethod
     def detects(self, views: Views) -> BoolArray:
-        """At which poses (N,) a detector would surely find the pattern."""
+        """Return a mask (N,) of the poses at which a detector reliably finds the pattern."""
 
     @abstractmethod
     def expected_labels(self, views: Views) -> dict[int, Labels]:
-        """The exact labels, by the index of those poses at which the pattern is detected."""
+        """Return the exact labels, by the index of the poses at which the pattern is detected."""
 
     @abstractmethod
     def noise_levels(self, distance: float) -> dict[NoiseKind, float]:
-        """The standard deviations (px, m, rad) that its labels of a pattern at a distance (m) will have."""
+        """Return the expected standard deviations (px, m, rad) of its labels of a pattern at a distance (m)."""
 
     @abstractmethod
     def draw(
         self, message: Mapping[str, Any], labels: Sequence[Mapping[str, Any]], patterns: Sequence[Pattern], files: Path
     ) -> Image:
-        """A small picture of what it saw at a pose, with the labels in it; grey where its data cannot be read.
+        """Draw a small picture of its data at a pose, with the labels; grey if its data cannot be read.
 
         Args:
-            message: of the sensor, in the dataset.
-            labels: of each pattern, as `label_document`.
-            patterns: those patterns.
+            message: the sensor's, in the dataset.
+            labels: of each pattern, as from `label_document`.
+            patterns: the labelled patterns.
             files: the folder with the files that the message names.
         """
 
 
 class RangeSensor(SimulatedSensor):
-    """A sensor that measures how far away things are."""
+    """Sensor that measures ranges."""
 
     reach: tuple[float, float]
-    """The least and the largest range, m; a surface nearer or farther gives nothing."""
+    """Minimum and maximum range, m; surfaces outside give no return."""
 
     @property
     def least_range(self) -> float:
-        """m; a surface nearer than that gives nothing."""
+        """Minimum range, m."""
         return self.reach[0]
 
     @property
     def most_range(self) -> float:
-        """m; a surface farther than that gives nothing."""
+        """Maximum range, m."""
         return self.reach[1]
 
     def with_values(self, name: str, values: Mapping[str, float]) -> Self:
-        """With another noise."""
+        """Return the sensor with another noise."""
         del name
         return replace(self, noise=values["noise_m"]) if "noise_m" in values else self  # type: ignore[type-var]
 
     def label_document(self, found: Found) -> dict[str, Any]:
-        """The indices of the points on the pattern, and of those on its border."""
+        """Return the indices of the points on the pattern, and of those on its border."""
         if not isinstance(found, PatternPoints):
             return {"detected": False, "idxs": [], "idxs_limit_points": []}
         return {
@@ -192,30 +192,30 @@ class RangeSensor(SimulatedSensor):
         }
 
     def expected_labels(self, views: Views) -> dict[int, Labels]:
-        """The points on the pattern, and which are on its border."""
+        """Return the exact points on the pattern, and on its border."""
         return {number: self.points_on(views, number) for number in np.flatnonzero(self.detects(views)).tolist()}
 
     @abstractmethod
     def points_on(self, views: Views, number: int) -> PointLabels:
-        """Where the sensor's rays meet the pattern in one of the views, by its index."""
+        """Return the intersections of the sensor's rays with the pattern in one of the views, by its index."""
 
     def visible(self, views: Views, number: int, points: Array, ranges: Array) -> BoolArray:
-        """Which points (K, 3) in the sensor's frame are within range (ranges: (K,)) and not hidden in a view."""
+        """Return a mask (K,) of points (K, 3) in the sensor's frame in range (by ranges (K,)) and not occluded."""
         T_world_sensor = views.T_world_sensor[number]
         visible: BoolArray = (ranges >= self.least_range) & (ranges <= self.most_range)
         return visible & ~views.scene.hides(T_world_sensor[:3, 3], apply(T_world_sensor, points))
 
 
 def range_noise(sigma: float) -> float:
-    """The standard deviation of a range (m) that a labelled point is given at least."""
+    """Return the standard deviation of a range (m), with a lower limit."""
     return max(sigma, _LEAST_RANGE_NOISE)
 
 
 def meets(pattern: Pattern, T_sensor_pattern: Array, rays: Array) -> tuple[Array, BoolArray]:
-    """Where rays (..., 3) from a sensor meet the plane of a pattern, and which do so on the pattern.
+    """Intersect rays (..., 3) from a sensor with the plane of a pattern.
 
     Returns:
-        Distances (...) in lengths of the rays, and which of them (...) are hits.
+        Distances (...) in lengths of the rays, and a mask (...) of those on the pattern.
     """
     normal, origin = T_sensor_pattern[:3, 2], T_sensor_pattern[:3, 3]
     (left, top), (right, bottom) = pattern.outline.min(0), pattern.outline.max(0)
