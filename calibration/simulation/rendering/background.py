@@ -3,8 +3,10 @@
 Colours are blue, green, red, in grey levels before the camera's exposure.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import cv2
 import numpy as np
@@ -13,7 +15,7 @@ from numpy.typing import NDArray
 from calibration.geometry.cameras import Camera
 from calibration.geometry.transforms import apply, inverse
 from calibration.geometry.types import Array, BoolArray, IntArray
-from calibration.simulation.rendering.rays import SAMPLES, rays, sample_rays
+from calibration.simulation.rendering.rays import SAMPLES, TILE, cones, rays, sample_rays
 from calibration.simulation.scene import GROUND, NOTHING, Box, Scene, turned
 
 STEPS = 64
@@ -48,17 +50,18 @@ def background(camera: Camera, T_world_camera: Array, scene: Scene) -> Backgroun
 @lru_cache(maxsize=8)
 def _background(camera: Camera, pose: bytes, scene: Scene) -> Background:
     T_world_camera = np.frombuffer(pose).reshape(4, 4)
-    directions = rays(camera)[:, 1:-1, 1:-1]
+    directions, axes, sines = rays(camera)[:, 1:-1, 1:-1], *cones(camera)
+    near = scene.near(T_world_camera[:3, 3], axes @ T_world_camera[:3, :3].T, sines)
     colour, depth = np.empty((*directions.shape[1:], 3), np.float32), np.empty(directions.shape[1:])
-    step = max(1, _PART // camera.width)
-    for row in range(0, camera.height, step):
-        part = slice(row, row + step)
-        colour[part], depth[part] = _seen(scene, T_world_camera, directions[:, part])
+    for row, tiles in zip(range(0, camera.height, TILE[0]), near.swapaxes(0, 1), strict=True):
+        part = slice(row, row + TILE[0])
+        colour[part], depth[part] = _seen(scene, T_world_camera, directions[:, part], list(map(_columns, tiles)))
     rows, columns = np.nonzero(_uneven(colour))
     step = _PART // SAMPLES
     for first in range(0, len(rows), step):
         where = rows[first : first + step], columns[first : first + step]
-        colour[where] = _seen(scene, T_world_camera, sample_rays(camera, *where))[0].mean(axis=1)
+        there = [(np.flatnonzero(each),) for each in near[:, where[0] // TILE[0], where[1] // TILE[1]]]
+        colour[where] = _seen(scene, T_world_camera, sample_rays(camera, *where), there)[0].mean(axis=1)
     radiance = in_steps(colour)
     for array in (radiance, depth):
         array.flags.writeable = False
@@ -75,12 +78,19 @@ def _uneven(colour: NDArray[np.float32]) -> BoolArray:
     """Return a mask (H, W) of the pixels that differ from one of their eight neighbours."""
     image, square = np.clip(colour, 0, 255).astype(np.uint8), np.ones((3, 3), np.uint8)
     differences = np.asarray(cv2.morphologyEx(image, cv2.MORPH_GRADIENT, square))
-    return np.asarray((differences > _EDGE).any(axis=-1))
+    blue, green, red = np.moveaxis(differences > _EDGE, -1, 0)
+    return np.asarray(blue | green | red)
 
 
-def _seen(scene: Scene, T_world_camera: Array, directions: Array) -> tuple[Array, Array]:
+def _columns(tiles: BoolArray) -> tuple[slice, slice]:
+    """Index of the columns of a row of tiles between the first and the last that are set."""
+    set_ = np.flatnonzero(tiles)
+    return slice(None), slice(set_[0] * TILE[1], (set_[-1] + 1) * TILE[1]) if len(set_) else slice(0)
+
+
+def _seen(scene: Scene, T_world_camera: Array, directions: Array, near: Sequence[Any]) -> tuple[Array, Array]:
     origin, world = T_world_camera[:3, 3], turned(T_world_camera, directions)
-    distance, surface = scene.hit(origin, world)
+    distance, surface = scene.hit(origin, world, near)
     return colours(scene, origin, world, distance, surface), distance
 
 
@@ -94,17 +104,20 @@ def colours(scene: Scene, origin: Array, directions: Array, distance: Array, sur
         distance: (...), and ``surface`` (...): the result of `Scene.hit`.
         surface: see distance.
     """
-    seen = np.empty((*surface.shape, 3))
-    for index in np.unique(surface):
-        mask = surface == index
-        distances, rays_there = distance[mask], directions[:, mask]
+    flat, rays_, distances = surface.ravel(), directions.reshape(3, -1), distance.ravel()
+    seen = np.empty((len(flat), 3))
+    for index in range(NOTHING, len(scene.boxes)):
+        where = np.flatnonzero(flat == index)
+        if not len(where):
+            continue
+        there, away = rays_.take(where, axis=1), distances[where]
         if index == NOTHING:
-            seen[mask] = _sky(scene, rays_there)
+            seen[where] = _sky(scene, there)
         elif index == GROUND:
-            seen[mask] = _ground(scene, origin[:, None] + distances * rays_there, distances)
+            seen[where] = _ground(scene, origin[:, None] + away * there, away)
         else:
-            seen[mask] = _box(scene, scene.boxes[index], origin, distances, rays_there)
-    return seen
+            seen[where] = _box(scene, scene.boxes[index], origin, away, there)
+    return seen.reshape(*surface.shape, 3)
 
 
 def _sky(scene: Scene, directions: Array) -> Array:
@@ -131,8 +144,12 @@ def _box(scene: Scene, box: Box, origin: Array, distance: Array, directions: Arr
     T_box_world = inverse(box.T_world_box)
     along = turned(T_box_world, directions)
     points = apply(T_box_world, origin[None]).T + distance * along
-    axis = (np.abs(points) / (box.size[:, None] / 2)).argmax(axis=0)
-    towards = -np.sign(np.take_along_axis(along, axis[None], 0)[0])  # also inside, the normal is towards the viewer
-    light = scene.light.on(box.T_world_box[:3, :3].T[axis] * towards[:, None])
-    colour: Array = light[:, None] * np.array(box.colour[::-1])
+    x, y, z = np.abs(points) / (box.size[:, None] / 2)
+    first, second = (x >= y) & (x >= z), y >= z
+    axis = np.where(first, 0, np.where(second, 1, 2))
+    towards = -np.sign(np.where(first, along[0], np.where(second, along[1], along[2])))  # also inside, to the viewer
+    signs = np.array([-1.0, 0.0, 1.0])
+    light = scene.light.on(box.T_world_box[:3, :3].T[:, None] * signs[:, None])  # (3, 3): of each axis and sign
+    faces = light.reshape(-1, 1) * np.array(box.colour[::-1])
+    colour: Array = faces.take(3 * axis + 1 + towards.astype(np.int64), axis=0)
     return colour

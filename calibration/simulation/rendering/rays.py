@@ -9,6 +9,8 @@ from calibration.geometry.types import Array, IntArray
 
 SAMPLES = 16
 """Number of samples of a pixel that sees several surfaces."""
+TILE = (16, 32)
+"""Height and width of a tile of the image, px."""
 _OFFSETS = [((i + 0.5) / SAMPLES - 0.5, (int(f"{i:04b}"[::-1], 2) + 0.5) / SAMPLES - 0.5) for i in range(SAMPLES)]
 """(y, x) of the samples from the pixel's centre, px: J. M. Hammersley's points (1960). No two share one of 16 rows
 or columns, so an edge along an axis is found to 1/16 px."""
@@ -25,6 +27,30 @@ def rays(camera: Camera) -> Array:
     found = _rays(camera, u, v)
     found.flags.writeable = False
     return found
+
+
+@lru_cache(maxsize=8)
+def cones(camera: Camera) -> tuple[Array, Array]:
+    """Cones around the rays of the image's tiles, of `TILE` pixels each.
+
+    Returns:
+        Their axes (R, C, 3), unit vectors in the camera's frame, and the sines (R, C) of the largest angles to them,
+        NaN for a tile in part of which the lens shows nothing.
+    """
+    height, width = TILE
+    found = rays(camera)
+    units = np.moveaxis(found / np.sqrt((found * found).sum(axis=0)), 0, -1)
+    axes = np.empty((-(-camera.height // height), -(-camera.width // width), 3))
+    sines = np.empty(axes.shape[:2])
+    for row, column in np.ndindex(*sines.shape):
+        tile = units[row * height : (row + 1) * height + 2, column * width : (column + 1) * width + 2].reshape(-1, 3)
+        axis = tile.mean(axis=0)
+        axes[row, column] = axis / np.sqrt(axis @ axis)
+        cosine = (tile @ axes[row, column]).min()
+        sines[row, column] = np.sqrt(max(0.0, 1 - cosine * cosine)) if cosine > 0 else np.nan
+    for array in (axes, sines):
+        array.flags.writeable = False
+    return axes, sines
 
 
 def sample_rays(camera: Camera, rows: IntArray, columns: IntArray) -> Array:

@@ -4,8 +4,9 @@ import pytest
 from calibration.geometry.distortion import PlumbBob
 from calibration.geometry.transforms import from_xyz_rpy
 from calibration.simulation.rendering.background import STEPS, background
-from calibration.simulation.scene import Box, Light, Scene
-from tests.simulation.rendering.views import EVEN, T_WORLD_CAMERA, camera
+from calibration.simulation.rendering.rays import rays
+from calibration.simulation.scene import Box, Light, Scene, turned
+from tests.simulation.rendering.views import DISTORTION, EVEN, T_WORLD_CAMERA, camera
 
 CAMERA = camera()
 RED_BOX = Box(T_WORLD_CAMERA @ from_xyz_rpy([0, 0, 2.5], [0, 0, 0]), np.array([1.0, 1.0, 1.0]), (200.0, 100.0, 50.0))
@@ -85,3 +86,19 @@ def test_a_still_camera_has_one_background_and_nobody_may_draw_on_it() -> None:
     assert background(CAMERA, T_WORLD_CAMERA, Scene(ground=0.0)) is not seen
     with pytest.raises(ValueError, match="read-only"):
         seen.radiance[0, 0] = 0
+
+
+@pytest.mark.parametrize("distortion", [None, DISTORTION])
+def test_every_pixel_sees_what_its_own_ray_hits(distortion: PlumbBob | None) -> None:
+    of, random = camera(distortion=distortion), np.random.default_rng(5)
+    directions = rays(of)[:, 1:-1, 1:-1]
+    for _ in range(6):
+        boxes = tuple(
+            Box(from_xyz_rpy(random.normal(scale=3, size=3), random.uniform(-3, 3, 3)), random.uniform(0.05, 4, 3))
+            for _ in range(5)
+        )
+        scene = Scene(ground=-1.0, boxes=boxes)
+        T = from_xyz_rpy(random.normal(scale=0.5, size=3), random.uniform(-3, 3, 3))
+        seen = background(of, T, scene).depth
+        world = np.moveaxis(turned(T, directions), 0, -1)
+        np.testing.assert_array_equal(seen, scene.cast(T[:3, 3], world))
