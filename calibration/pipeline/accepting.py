@@ -1,4 +1,4 @@
-"""Results of a run as the accepted calibration of its systems."""
+"""Accept the results of a run as the baseline of its systems."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -18,27 +18,26 @@ from calibration.pipeline.results import Results, own_details
 from calibration.workflow.text import did_you_mean, shorten
 
 ABOUT_THE_BASELINE = (MOVED, QUALITY, NO_BASELINE)
-"""Findings that accepting settles."""
+"""Kinds of findings that are resolved by accepting."""
 
 
 def accept(
     results: Results, output: Path, names: Sequence[str], although: str | None, before: Baseline | None
 ) -> tuple[Baseline, tuple[str, ...]]:
-    """The baseline with the results of a run in it.
+    """Return the baseline with the results of a run.
 
     Args:
         results: of the run.
-        output: its folder.
-        names: the systems to accept; none for all.
-        although: why a system that has failed is accepted.
-        before: the baseline so far; systems that are not accepted stay in it.
+        output: its output folder.
+        names: the systems to accept; empty for all.
+        although: reason for accepting a system that has failed.
+        before: the baseline so far; other systems are unchanged.
 
     Returns:
-        The baseline, and the names of the systems that were accepted.
+        The baseline, and the names of the accepted systems.
 
     Raises:
-        InputError: a system is not in the results, has no calibration, or has failed and nothing says why it is
-            accepted.
+        InputError: a system is not in the results, has no calibration, or has failed without a reason for accepting it.
     """
     known = tuple(dict.fromkeys(cell.system for cell in results.cells))
     for name in names:
@@ -78,14 +77,14 @@ def _accepted(system: str, results: Results, output: Path, although: str | None)
 
 
 def _against(cell: CellResult) -> tuple[str, ...]:
-    """Why a cell has failed, but for what accepting it settles."""
+    """Return the reasons why a cell has failed, without those that accepting resolves."""
     settled = {finding.text for finding in cell.findings if finding.kind in ABOUT_THE_BASELINE}
     reasons = tuple(reason for reason in cell.reasons if reason not in settled)
     return reasons or (() if cell.converged else ("it has not converged",))
 
 
 def _averages(path: Path) -> dict[str, float]:
-    """The row of averages of a table, by column; nothing for a table without one."""
+    """Return the row of averages of a table, by column; empty if there is none."""
     table = read_table(path)
     keyed = KeyedTable.of(table, None, ())
     row = keyed.row(LabelledRow(AVERAGES)) if AVERAGES in keyed.labels else None

@@ -1,4 +1,4 @@
-"""The accepted calibrations of a matrix's systems: this checkout's, and what it changes of the base branch's."""
+"""Baselines of a matrix's systems: the checkout's, and its changes against the base branch's."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -17,15 +17,15 @@ from calibration.pipeline.matrix.matrix import Matrix
 def with_accepted(
     matrix: Matrix, settings: BaselineSettings, environment: Mapping[str, str]
 ) -> tuple[Matrix, BaselineUpdate]:
-    """The matrix whose systems know what has been accepted of them, and what the change under test accepts.
+    """Return the matrix with the accepted calibration of each system, and the changes of the baseline under test.
 
     Args:
-        matrix: what is calibrated.
+        matrix: the systems.
         settings: of the comparison.
-        environment: what the runner says of the event that is tested.
+        environment: the runner's description of the tested event.
 
     Raises:
-        InputError: the file is no baseline.
+        InputError: the file is not a valid baseline.
     """
     baseline = read_baseline(settings.file)
     known = baseline.systems if baseline else {}
@@ -55,7 +55,7 @@ def _against_base(
     repository: Repository,
     environment: Mapping[str, str],
 ) -> BaselineUpdate:
-    """The update with what it changes of the base's file; a base that cannot be read is said."""
+    """Return the update with the changes of the base's file; an unreadable base is reported in it."""
     try:
         path = repository.path(settings.file)
         commit = _base(repository, Event.from_environment(environment))
@@ -71,13 +71,13 @@ def _against_base(
 
 
 def _base(repository: Repository, event: Event) -> str | None:
-    """The commit that a change is compared with; that of the checkout outside of a change; None without one.
+    """Return the commit that a change is compared with; the checkout's own outside of a change; None without one.
 
     A shallow checkout of a pull request has the base as the merge's first parent (``fetch-depth: 2``); else that one
     commit is fetched.
 
     Raises:
-        InputError: it is not there, and cannot be fetched.
+        InputError: it is missing, and cannot be fetched.
     """
     for name in event.bases:
         if (commit := repository.commit(name)) is not None:
@@ -92,7 +92,7 @@ def _base(repository: Repository, event: Event) -> str | None:
 
 
 def _last_change(path: Path, repository: Repository) -> str:
-    """The last commit of the file, as a message has it; nothing where it has none."""
+    """Return the last commit of the file, for messages; empty if it has none."""
     try:
         inside = repository.path(path)
         commits = repository.changes_of(inside, newest=1) if inside else []

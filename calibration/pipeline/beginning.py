@@ -1,4 +1,4 @@
-"""A first ``calibration.yml`` for a dataset: what it can be checked by, and limits that it states itself."""
+"""Generate a first ``calibration.yml`` for a dataset, with a table and limits that suit its calibration."""
 
 import json
 import math
@@ -24,43 +24,44 @@ from calibration.pipeline.matrix.matrix import load
 from calibration.pipeline.system import System
 
 SHARED = 3
-"""Collections in which two sensors see a pattern, for a table of both."""
+"""Minimum of collections in which two sensors see a pattern, for a table of both."""
 ROOM = 1.5
-"""So many times the RMS of today may that of a later recording be."""
+"""Limit of the RMS, in multiples of the current one."""
 LEAST_RMS = 0.5
-"""And this, px, it may always be: the corners of a good camera in bad light."""
+"""Lower bound of that limit, px: corners of a good camera in bad light."""
 LEAST_POSE = 1e-3
-"""And this, mm and deg, measured poses may always be off by: they are written with so many digits."""
+"""Lower bound of the limit for measured poses, mm and deg: the resolution of their decimals."""
 SIGMAS = 4.0
-"""Limits are so many stated standard deviations: a later recording's may be twice as large, and its guard band of two
-still holds. Of halves of recordings of an arm they differ by up to that."""
+"""Limits in reported standard deviations: those of a later recording may be twice as large, and the guard band of two
+still holds. Between halves of recordings of an arm they differ by up to a factor of two.
+"""
 STEPS = (1.0, 1.2, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)
-"""Limits are such numbers, times a power of ten."""
+"""Mantissas of rounded limits."""
 _PLAIN = re.compile(r"[A-Za-z_./][\w./:-]*")
 
 
 @dataclass(frozen=True, eq=False)
 class Beginning:
-    """The first configuration of a dataset."""
+    """First configuration of a dataset."""
 
     name: str
     text: str
-    """The content of calibration.yml."""
+    """Content of calibration.yml."""
     reasons: tuple[str, ...]
-    """Why the dataset fails as it is; none where it passes."""
+    """Reasons why the dataset fails; empty if it passes."""
     missing: tuple[str, ...] = ()
-    """What is left out, because its files are not beside the dataset."""
+    """Omitted data, because the files are missing."""
 
 
 def begin(path: Path, root: Path) -> Beginning:
-    """Calibrate a dataset, and write down what it was checked by.
+    """Calibrate a dataset, and generate its configuration.
 
     Args:
         path: the dataset's folder, in ``root``.
         root: the folder of calibration.yml.
 
     Raises:
-        InputError: the dataset is wrong, lies elsewhere, or cannot be calibrated.
+        InputError: the dataset is wrong, outside of ``root``, or cannot be calibrated.
     """
     if not path.resolve().is_relative_to(root.resolve()):
         raise InputError(f"{path}: expected a dataset in the folder of calibration.yml, {root}, which is checked out")
@@ -109,7 +110,7 @@ def begin(path: Path, root: Path) -> Beginning:
 
 
 def nice(number: float) -> float:
-    """The next larger round number."""
+    """Return the next larger round number."""
     power = 10.0 ** math.floor(math.log10(number))
     return float(f"{next(step for step in STEPS if step * power >= number * (1 - 1e-9)) * power:.6g}")
 
@@ -120,7 +121,7 @@ def _calibrated(system: System) -> CellResult:
 
 
 def _table(dataset: Dataset) -> tuple[str | None, str]:
-    """The table that shows most of the dataset, and what it says; None where no two sensors see a pattern together."""
+    """Return the table that covers most of the dataset, a description; None if no sensors see a pattern together."""
     seen = {
         name: {i for i, each in enumerate(dataset.collections) if any(s == name for _, s in each.labels)}
         for name in dataset.sensors
@@ -155,7 +156,7 @@ def _seen(dataset: Dataset) -> str:
 
 
 def _limits(result: CellResult) -> tuple[Limits, dict[str, str]]:
-    """Limits from the standard deviations that the calibration states, and why each is what it is."""
+    """Derive limits from the reported standard deviations, with the reason of each."""
     sigma = result.sigma
     if sigma is None:
         raise AssertionError("a calibration states its standard deviations")
@@ -191,6 +192,6 @@ def _line(key: str, value: Any, why: str) -> str:
 
 
 def _scalar(text: str) -> str:
-    """A text as YAML writes it in a line, quoted where it must be."""
+    """Format a text as a YAML scalar on one line, quoted if necessary."""
     plain = _PLAIN.fullmatch(text) is not None and not text.endswith(":") and yaml.safe_load(text) == text
     return text if plain else json.dumps(text)

@@ -1,4 +1,4 @@
-"""What ``calibration.yml`` says."""
+"""Configuration of the pipeline, ``calibration.yml``."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -67,7 +67,7 @@ class CollectionLimits:
     )
 )
 class Simulation:
-    """A dataset to collect in simulation, and to calibrate."""
+    """Dataset to collect in simulation, and to calibrate."""
 
     name: str
     system: Path | None = field(
@@ -96,10 +96,10 @@ class Simulation:
     )
 
     def checked(self, backend: ContainerBackend, place: Place) -> "Simulation":
-        """The simulation as it runs; one of containers on a backend unless it names its own.
+        """Return the simulation as it runs; its containers use this backend unless it names its own.
 
         Raises:
-            InputError: the containers make no sense, or there are none for the backend; names the key.
+            InputError: the containers are invalid, or there are none for the backend; names the key.
         """
         contained = bool(self.applications.containers)
         found: BackendName = self.backend or (backend if contained else "embedded")
@@ -112,7 +112,7 @@ class Simulation:
 
     @property
     def request(self) -> CollectionRequest | ContainerRequest:
-        """For our own simulation, or for the team's applications."""
+        """Return the request for our own simulation, or for the team's applications."""
         usual = (None, None) if self.truth == "none" else (self.checks.max_translation_mm, self.checks.max_rotation_deg)
         given = (self.limits.translation_mm, self.limits.rotation_deg)
         mm, deg = (limit if limit is not None else other for limit, other in zip(given, usual, strict=True))
@@ -128,7 +128,7 @@ class Simulation:
     rules=(one_of("systems", "simulation", why="expected systems to calibrate, or a simulation to collect data from"),)
 )
 class Configuration:
-    """What Calibration CI does with this repository on every push."""
+    """Configuration of Calibration CI for this repository."""
 
     image: Annotated[ImageSpecification, Converted(dict, _image, described_as=ImageDocument)] | None = field(
         "The image with the team's software: built when something changed, pushed, and given its release tags when "
@@ -139,7 +139,7 @@ class Configuration:
         "How far the starting guesses are off: every combination is one cell of the matrix.", default=NoiseGrid()
     )
     options: Options = field(flat=True, default_factory=Options)
-    """Of every system that does not say otherwise; the systems have them too."""
+    """Default options of all systems; the systems have their own fields too."""
     limits: Limits | None = field("For every system that has none of its own.", default=None)
     backend: ContainerBackend = field(
         "Where containers run: docker, this machine's engine; or aws-batch, the queue that the section of this name "
@@ -159,11 +159,11 @@ class Configuration:
 
     @property
     def place(self) -> Backend:
-        """Where the team's software runs."""
+        """Execution target of the team's software."""
         return Backend(self.backend, self.sections)
 
     def only(self, names: tuple[str, ...]) -> tuple[System, ...]:
-        """The systems of these names, or all where there are none.
+        """Return the systems of these names, or all if there are none.
 
         Raises:
             InputError: there is no such system.
@@ -184,7 +184,7 @@ def read_configuration(path: Path, environment: Mapping[str, str] | None = None)
     the file.
 
     Raises:
-        InputError: the file is missing, is no YAML, or a key or a value is wrong; names file and key.
+        InputError: the file is missing, is not YAML, or a key or a value is wrong; names file and key.
     """
     document = read_yaml(path, "a pipeline configuration")
     if isinstance(document, dict):
@@ -194,7 +194,7 @@ def read_configuration(path: Path, environment: Mapping[str, str] | None = None)
     place = Place(str(path), ("simulation",), path.parent)
     simulations = (each.checked(found.backend, place.below(each.name)) for each in found.simulations)
     baseline = found.baseline
-    if baseline.file == Path(FILE):  # by default: beside the configuration, wherever that is
+    if baseline.file == Path(FILE):  # by default beside the configuration
         baseline = replace(baseline, file=path.parent / FILE)
     configuration = replace(found, simulations=tuple(simulations), baseline=baseline)
     _check_references(configuration, path)
@@ -202,7 +202,7 @@ def read_configuration(path: Path, environment: Mapping[str, str] | None = None)
 
 
 def _with_common(document: dict[Any, Any]) -> dict[Any, Any]:
-    """The document; what stands at its top for all systems stands also in those that do not say otherwise."""
+    """Return the document with the top-level defaults copied to the systems that do not override them."""
     systems = document.get("systems")
     if not isinstance(systems, dict):
         return document
@@ -212,10 +212,10 @@ def _with_common(document: dict[Any, Any]) -> dict[Any, Any]:
 
 
 def _check_references(configuration: Configuration, path: Path) -> None:
-    """Refuse a system whose dataset nothing collects, a container without an image, and a cloud without a place in it.
+    """Refuse a system whose dataset is not collected, a container without an image, and a cloud without its settings.
 
     Raises:
-        InputError: naming it.
+        InputError: names it.
     """
     wanted: dict[str, str] = {"backend": configuration.backend}
     wanted |= {f"simulation.{each.name}.backend": each.backend or "" for each in configuration.simulations}
@@ -240,7 +240,7 @@ def _check_references(configuration: Configuration, path: Path) -> None:
 
 
 def parse_applications(entry: Mapping[str, Any], folder: Path, where: str) -> Applications:
-    """Read a description of applications from outside a configuration: an entry of ``simulation`` in it.
+    """Parse applications from outside a configuration, in the form of an entry of ``simulation``.
 
     Raises:
         InputError: a key or a value is wrong; names the key.

@@ -1,4 +1,4 @@
-"""The report of a pipeline, whose main table has noise pairs and other methods down, systems across."""
+"""Report of a pipeline, whose main table has noise pairs and other methods as rows, systems as columns."""
 
 import math
 from collections import Counter
@@ -25,7 +25,7 @@ from calibration.report.badge import verdict_badge
 REASONS_SHOWN = 4
 NOTES_SHOWN = 30
 SIDE_BY_SIDE = 3
-"""Systems beside each other in a log."""
+"""Limit of the systems side by side in a log."""
 PARAMETERS_SHOWN = 200
 TRANSFORMS_SHOWN = 30
 
@@ -43,7 +43,7 @@ def report(results: Results, output: Path, title: str) -> Report:
     """Return the report.
 
     Args:
-        results: what was found.
+        results: the results.
         output: the folder of the results.
         title: of the report and its annotations.
     """
@@ -101,7 +101,7 @@ _UNDER_GRID = "RMS of the evaluation table, and, where it is known, the worst er
 
 
 def _without_table(results: Results) -> str:
-    """Which RMS it is where no table was asked for."""
+    """Describe the RMS of cells without a table."""
     names = [cell.system for cell in results.cells if cell.table and Path(cell.table).name == REPROJECTION]
     if not names:
         return ""
@@ -147,9 +147,9 @@ def cells_table(results: Results) -> Table:
 
 
 def grid(results: Results) -> Table:
-    """For each noise pair and each other method (rows) and system (columns): RMS, and the error against the truth.
+    """Return RMS and truth error, for each noise pair and each other method (rows) and system (columns).
 
-    A system that the team's software calibrates has a second column: our engine on the same data and starts.
+    A system that the team's software calibrates has a second column: our engine on the same data and initial guesses.
     """
     rows: dict[str, dict[str, list[CellResult]]] = {}
     software = {cell.system for cell in results.cells if cell.method != OUR_METHOD}
@@ -179,7 +179,7 @@ def _row(cell: CellResult) -> str:
 
 
 def truth_table(results: Results) -> Table:
-    """A row for each system with a known truth: the worst error of its cells, and what they state themselves."""
+    """Return a row for each system with a known truth: its cells' largest error, and their standard deviations."""
     rows = []
     for system in results.systems:
         own = [cell for cell in results.cells if cell.system == system]
@@ -190,7 +190,7 @@ def truth_table(results: Results) -> Table:
 
 
 def precision_table(results: Results) -> Table:
-    """A row for each system without a truth: how sure its cells are, in all and by the noise of the labels alone."""
+    """Return a row for each system without a truth: standard deviations, in total and by the labels' noise alone."""
     rows = []
     for system in results.systems:
         own = [cell for cell in results.cells if cell.system == system and cell.truth is None]
@@ -201,7 +201,7 @@ def precision_table(results: Results) -> Table:
 
 
 def _text(cells: Sequence[CellResult]) -> str:
-    """The worst of the seeds: "0.6004 px, 0.42 mm, 0.028 deg"; with how many passed, where not all did."""
+    """Format the worst of the seeds: "0.6004 px, 0.42 mm, 0.028 deg"; with the number that passed, if not all did."""
     if not cells:
         return "-"
     parts = []
@@ -222,7 +222,7 @@ def _text(cells: Sequence[CellResult]) -> str:
 
 
 def _worst(deviations: Sequence[Deviation]) -> list[str]:
-    """The worst of each kind: "0.42 mm", "0.028 deg", "joints 0.01 mm, 0.002 deg"; nothing where there are none."""
+    """Format the largest of each kind: "0.42 mm", "0.028 deg", "joints 0.01 mm, 0.002 deg"; empty if there are none."""
     if not deviations:
         return []
     lengths = [d.joint_mm for d in deviations if d.joint_mm is not None]
@@ -237,7 +237,7 @@ def _worst(deviations: Sequence[Deviation]) -> list[str]:
 
 
 def collections_table(results: Results) -> Table:
-    """A row for each dataset that was collected: what was kept, how well corners and sensors were found."""
+    """Return a row for each collected dataset: kept collections, errors of corners and sensors."""
 
     def row(c: Collected) -> tuple[str, ...]:
         truth = [
@@ -262,7 +262,7 @@ def collections_table(results: Results) -> Table:
 
 
 def transforms_table(results: Results) -> Table:
-    """A row for each transform that was calibrated, of each system's first cell that passed, with its error bars."""
+    """Return a row for each calibrated transform of each system's first cell that passed, with standard deviations."""
     first = _details(results)
     rows = [
         (
@@ -284,13 +284,13 @@ def transforms_table(results: Results) -> Table:
 
 
 def _vector(values: Sequence[float], sigmas: Sequence[float] | None, factor: float, digits: int) -> str:
-    """Three numbers with the norm of their standard deviations: "10.00, -3.25, 0.40 +- 0.023"."""
+    """Format three numbers with the norm of their standard deviations: "10.00, -3.25, 0.40 +- 0.023"."""
     text = ", ".join(f"{round(factor * value, digits) + 0.0:.{digits}f}" for value in values)  # no -0.00
     return text if sigmas is None else f"{text} +- {factor * math.hypot(*sigmas):.2g}"
 
 
 def _moved(transform: Transform) -> str:
-    """How far it is from the robot's description, or that it was held."""
+    """Describe its distance from the robot's description, or that it was fixed."""
     if transform.sigma_trans is None:
         return "held"
     if transform.moved_mm is None:
@@ -299,13 +299,13 @@ def _moved(transform: Transform) -> str:
 
 
 def _details(results: Results, failed: bool = False) -> dict[str, Details]:
-    """What each system's first cell that passed, or that may have failed, says of itself."""
+    """Return the details of each system's first cell that passed, or that may have failed."""
     passed = [cell for cell in (*results.cells, *results.comparisons) if failed or cell.verdict == "pass"]
     return {cell.system: cell.details for cell in reversed(passed) if cell.details}
 
 
 def changes_table(results: Results) -> Table:
-    """A row for each calibrated transform or parameter: how far it is from the accepted one."""
+    """Return a row for each calibrated transform or parameter: its difference from the accepted one."""
     rows = [
         (f"{system}: {each.name}", _change(each), _in_sigmas(each))
         for system, found in _details(results, failed=True).items()
@@ -317,7 +317,7 @@ def changes_table(results: Results) -> Table:
 
 
 def updates_table(results: Results) -> Table:
-    """A row for each number of the file of accepted calibrations that the change under test replaces."""
+    """Return a row for each number of the baseline that the change under test replaces."""
     rows = [
         (
             f"{each.system}: {each.change.name}" if each.change else each.system,
@@ -346,7 +346,7 @@ def _in_sigmas(change: Change) -> str:
 
 
 def _said_of_baseline(update: BaselineUpdate | None) -> str:
-    """Which systems have been compared with the file of accepted calibrations, and what else is to be said of it."""
+    """Describe the systems compared with the baseline, and remarks on it."""
     if update is None:
         return ""
     parts = [f"Compared with {update.since}: {', '.join(update.compared)}"] if update.compared else []
@@ -359,7 +359,7 @@ def _said_of_baseline(update: BaselineUpdate | None) -> str:
 
 
 def parameters_table(results: Results) -> Table:
-    """A row for each parameter of a joint or a camera that was calibrated, of each system's first cell that passed."""
+    """Return a row for each calibrated parameter of a joint or a camera, of each system's first cell that passed."""
     first = _details(results)
     rows: list[tuple[str, ...]] = [
         (
@@ -384,7 +384,7 @@ def parameters_table(results: Results) -> Table:
 
 
 def _sentence(results: Results) -> str:
-    """The verdict in one line."""
+    """Return the verdict in one line."""
     done, failed = [], []
     for things, what, verb in ((results.cells, "cell", "calibrated"), (results.collections, "dataset", "collected")):
         wrong = sum(thing.verdict == "fail" for thing in things)
@@ -399,9 +399,9 @@ def _sentence(results: Results) -> str:
 
 
 def failures(results: Results) -> list[str]:
-    """A line for everything that failed, with its first reasons; results.json has all of them.
+    """Return a line for everything that failed, with its first reasons; results.json has all of them.
 
-    What several starts of a system say in the same words stands there once.
+    Equal reasons of several cells of a system are merged into one line.
     """
     references = {cell.start_of_cell: cell for cell in results.comparisons if not cell.by_other_method}
     alike: dict[tuple[str, str], list[CellResult]] = {}
@@ -415,7 +415,7 @@ def failures(results: Results) -> list[str]:
 
 
 def _names(alike: Sequence[CellResult], starts: int) -> str:
-    """What a line calls cells of a system of which the same is said."""
+    """Describe cells of a system with the same reasons."""
     first, more = alike[0], len(alike) - 1
     if more == 0:
         return first.name
@@ -425,8 +425,8 @@ def _names(alike: Sequence[CellResult], starts: int) -> str:
 
 
 def _whose_fault(cell: CellResult, reference: CellResult | None) -> str:
-    """What our engine, on the same data from the same start, tells of a cell that the team's software failed."""
-    if reference is None or cell.error is not None:  # an engine that has died is nobody's software
+    """Describe our engine's result, on the same data and initial guess, for a failed cell of the team's software."""
+    if reference is None or cell.error is not None:  # a failure of the container engine is not the software's fault
         return ""
     if reference.verdict == "pass":
         rms = "" if reference.rms_px is None else f" ({reference.rms_px:.4f} px)"
@@ -440,7 +440,7 @@ def _first(reasons: Sequence[str]) -> str:
 
 
 def without_result(results: Results) -> list[str]:
-    """Why other methods have found nothing, once for all starts; our engine beside a team's software is no such one."""
+    """Return the reasons why other methods have no result, once for all cells; without our engine as a reference."""
     return list(
         dict.fromkeys(
             f"{cell.system}, {cell.method}: {'; '.join(cell.reasons)}"
@@ -451,7 +451,7 @@ def without_result(results: Results) -> list[str]:
 
 
 def other_methods(results: Results) -> list[str]:
-    """Whose implementation of the other methods has run, and by what of the data where there is a choice."""
+    """Return the implementation used by each of the other methods, and the data if there is a choice."""
     found: dict[str, dict[str, None]] = {}
     for cell in results.comparisons:
         if cell.detail is not None:
@@ -460,7 +460,7 @@ def other_methods(results: Results) -> list[str]:
 
 
 def image_line(image: ImageResult) -> str:
-    """What was done about the image."""
+    """Describe the actions on the image."""
     what = f"built in {image.seconds:.0f} s" if image.built else "unchanged, nothing was built"
     promoted = f"; promoted to {', '.join(image.promoted)}" if image.promoted else ""
     return f"Image {image.reference}: {what}{promoted}"
@@ -474,6 +474,6 @@ def _exports(results: Results, output: Path) -> Iterator[str]:
 
 
 def _said(results: Results, severity: Severity) -> tuple[str, ...]:
-    """The findings of one severity, once for each system."""
+    """Return the findings of one severity, once per system."""
     said = (f"{c.system}: {found.text}" for c in results.cells for found in c.findings if found.severity == severity)
     return tuple(dict.fromkeys(said))

@@ -1,4 +1,4 @@
-"""Results of a pipeline: cells, comparisons, collections, the image; and the file that keeps them between stages."""
+"""Results of a pipeline: cells, comparisons, collections, the image; and their file between the stages."""
 
 import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
@@ -49,7 +49,7 @@ class Collected:
 
 @result
 class ImageResult:
-    """The image with the team's software."""
+    """Image of the team's software."""
 
     reference: str = field("What the containers were made from.")
     key: str = field("The content key, a hash of everything that goes into the image.")
@@ -61,7 +61,7 @@ class ImageResult:
 
 @result(kw_only=True)
 class Exported:
-    """What a system leaves for its robot."""
+    """Exported files of a system."""
 
     system: str = field("The system.")
     folder: str = field("The folder, relative to the output folder.")
@@ -74,7 +74,7 @@ class Exported:
 
 @result
 class Numbers:
-    """Numbers over several cells; the worst is null where no cell has such a number."""
+    """Statistics of several cells; the worst is null if no cell has such a number."""
 
     cells: int = field("How many there are.")
     passed: int = field("How many passed.")
@@ -86,7 +86,7 @@ class Numbers:
 
     @classmethod
     def of(cls, cells: Sequence[CellResult]) -> "Numbers":
-        """The numbers over these cells."""
+        """Return the statistics of these cells."""
 
         def worst(values: Iterable[float | None]) -> float | None:
             known = [v for v in values if v is not None]
@@ -106,7 +106,7 @@ class Numbers:
 
 @result
 class Summary:
-    """Numbers over all cells, and system by system."""
+    """Statistics of all cells, and of each system."""
 
     all: Numbers = field(flat=True)
     systems: Mapping[str, Numbers] = field("By system.")
@@ -114,7 +114,7 @@ class Summary:
 
 @result
 class Results:
-    """Results of a pipeline: the cells of a matrix, other methods on the same data, what was collected, the image."""
+    """Results of a pipeline: cells of a matrix, comparison methods on the same data, collections, the image."""
 
     cells: tuple[CellResult, ...] = field("The cells of the matrix.", default=())
     comparisons: tuple[CellResult, ...] = field(
@@ -132,13 +132,13 @@ class Results:
     @property
     @computed()
     def summary(self) -> Summary:
-        """Numbers over all cells, and system by system."""
+        """Statistics of all cells, and of each system."""
         by_system = {s: Numbers.of([c for c in self.cells if c.system == s]) for s in self.systems}
         return Summary(Numbers.of(self.cells), by_system)
 
     @property
     def without_details(self) -> "Results":
-        """The results without what only the cells' own results have."""
+        """Return the results without the details in the cells' own results."""
 
         def less(cells: tuple[CellResult, ...]) -> tuple[CellResult, ...]:
             return tuple(replace(cell, details=None) for cell in cells)
@@ -147,7 +147,7 @@ class Results:
 
     @property
     def judged(self) -> tuple[CellResult | Collected, ...]:
-        """What has a part in the verdict."""
+        """Results that count for the verdict."""
         return (*self.cells, *self.collections)
 
     @property
@@ -160,7 +160,7 @@ class Results:
 
     @property
     def exit_code(self) -> ExitCode:
-        """2 or 3 if something could not be done because of bad input or a failing world, else the verdict's."""
+        """2 or 3 after bad input or an infrastructure failure, else the verdict's."""
         return exit_code_of(self.verdict == "pass", (each.error for each in self.judged))
 
     @property
@@ -173,7 +173,7 @@ def read_results(folder: Path) -> Results:
     """Read ``results.json`` in a folder, of this version or an older one.
 
     Raises:
-        InputError: there is none, a value is of another type, or a verdict is not that of its own numbers and reasons.
+        InputError: there is none, a value has another type, or a verdict contradicts its own numbers and reasons.
     """
     path = folder / RESULTS_FILE
     results, written = read_results_file(Results, path, _COMMAND)
@@ -187,7 +187,7 @@ def read_results(folder: Path) -> Results:
 
 
 def results_of(output: Path) -> Results:
-    """Read the results in an output folder, with what the cells' own files say.
+    """Read the results in an output folder, with the details from the cells' own files.
 
     Raises:
         InputError: a file cannot be read.
@@ -201,7 +201,7 @@ def results_of(output: Path) -> Results:
 
 
 def without_verdicts(results: Results) -> Results:
-    """Return results for their cells to be judged anew."""
+    """Return results without verdicts, to judge their cells again."""
 
     def reset(cell: CellResult) -> CellResult:
         red = tuple(finding.text for finding in cell.findings if finding.severity == "red")
@@ -218,7 +218,7 @@ def own_file(cell: CellResult) -> str | None:
 
 
 def own_details(cell: CellResult, output: Path) -> Details | None:
-    """What a cell's own results say beyond the common fields; None where it has none.
+    """Return the details in a cell's own results; None if there are none.
 
     Raises:
         InputError: the file cannot be read.
@@ -228,9 +228,9 @@ def own_details(cell: CellResult, output: Path) -> Details | None:
 
 
 def clear_results(output: Path, inputs: Collection[Path] = ()) -> None:
-    """Remove what an earlier matrix left in the output folder, so that none of it is mistaken for this one's.
+    """Remove the results of an earlier matrix from the output folder, so that they are not mistaken for new ones.
 
-    Images and point clouds stay.
+    Images and point clouds are kept.
 
     Args:
         output: the folder.
@@ -259,5 +259,5 @@ def clear_results(output: Path, inputs: Collection[Path] = ()) -> None:
             )
     remove_results(output, inside)
     for folder in sorted({(output / name).parent for name in inside} - {output}, reverse=True):
-        with suppress(OSError):  # something else is in it
+        with suppress(OSError):  # it contains other files
             folder.rmdir()

@@ -1,4 +1,4 @@
-"""Systems to calibrate, and the starts to calibrate them from: what the stages share with the configuration."""
+"""Systems to calibrate, and their initial guesses: shared by the stages and the configuration."""
 
 from pathlib import Path
 from typing import Annotated
@@ -26,7 +26,7 @@ from calibration.records import (
 
 FormatName = Annotated[str, matching("|".join((URDF, *FORMATS)), f"one of {', '.join((URDF, *FORMATS))}")]
 COLLECTED = "simulation:"
-"""Begins a system's dataset that an entry of ``simulation`` collects."""
+"""Prefix of a system's dataset that an entry of ``simulation`` collects."""
 Text = Annotated[str, length(1)]
 
 
@@ -56,7 +56,7 @@ class Exports:
     robot_description: Path | None = field("The robot's URDF, relative to this file.", default=None)
 
     def __post_init__(self) -> None:
-        """Refuse a description that is to be written, and is not given.
+        """Refuse a URDF export without a robot description.
 
         Raises:
             Misfit: it is missing.
@@ -67,7 +67,7 @@ class Exports:
 
 @record
 class System:
-    """A robot to calibrate."""
+    """Robot to calibrate."""
 
     name: str
     dataset: Annotated[Path, Converted(Text, _dataset)] = field(
@@ -112,11 +112,11 @@ class System:
         "What it leaves for the robot where it passes: formats, robot-description.", default=None, option=False
     )
     accepted: Accepted | None = None
-    """What its cells are compared with, once it has been read."""
+    """Accepted calibration to compare its cells with, set after reading it."""
 
     @property
     def collected(self) -> str | None:
-        """The entry of ``simulation`` that makes its dataset, whose place only a run knows."""
+        """Entry of ``simulation`` that collects its dataset, whose path only a run knows."""
         place = str(self.dataset)
         return place.removeprefix(COLLECTED) if place.startswith(COLLECTED) else None
 
@@ -129,7 +129,7 @@ Seeds = Annotated[tuple[Annotated[int, at_least(0)], ...], length(1), UNIQUE]
 
 @result
 class NoiseGrid:
-    """How far the starting guesses are off: every combination is one cell of the matrix."""
+    """Noise of the initial guesses: every combination is one cell of the matrix."""
 
     translations: tuple[float, ...] = field("From 0.", unit="m", key="translation_noise", default=(0.0,))
     rotations: tuple[float, ...] = field("From 0.", unit="rad", key="rotation_noise", default=(0.0,))
@@ -138,7 +138,7 @@ class NoiseGrid:
 
 @record(rules=(excludes("seeds", "seed-list"),))
 class Noise:
-    """How far the starting guesses are off: every combination is one cell of the matrix."""
+    """Noise of the initial guesses: every combination is one cell of the matrix."""
 
     translation: Magnitudes | None = field(
         "Lengths of the displacement, m.", default=None, option="Errors of the starting translations, m: 0,0.5."
@@ -156,7 +156,7 @@ class Noise:
     )
 
     def grid(self, other: NoiseGrid | None = None) -> NoiseGrid:
-        """The grid; what is not said is as in another one."""
+        """Return the grid; missing values are those of another one."""
         other = other or NoiseGrid()
         seeds = self.seed_list or (tuple(range(1, self.seeds + 1)) if self.seeds else other.seeds)
         return NoiseGrid(self.translation or other.translations, self.rotation or other.rotations, seeds)

@@ -1,10 +1,10 @@
-"""The applications that simulate a robot and collect its data, each in a container, all in one network.
+"""A team's applications that simulate a robot and collect its data, each in a container, all in one network.
 
-The paper's two launch files: a simulation application that publishes what the sensors see and moves
-the pattern, and a robot application that labels and saves collections. A player asks for one pose after
-the other: ours, or one of the team's containers. In their commands ``{output}`` is the folder that all
-of them share, ``{motion}`` the motion sequence, ``{system}`` the name of the system, ``{seed}`` the seed,
-``{scenario}`` the number of the collection, from 0, where there are several.
+The paper's two launch files: a simulation application that publishes the sensors' data and moves
+the pattern, and a robot application that labels and saves collections. A player requests one pose after
+the other: ours, or one of the team's containers. In their commands ``{output}`` is their shared folder,
+``{motion}`` the motion sequence, ``{system}`` the name of the system, ``{seed}`` the seed,
+``{scenario}`` the number of the collection, from 0, if there are several.
 """
 
 from collections.abc import Mapping
@@ -21,10 +21,10 @@ from calibration.execution.sizes import Seconds
 from calibration.records import ByName, Converted, Place, between, field, length, matching, read, record
 
 INPUTS = "/calibration/in"
-"""A folder that all of them see, read-only."""
+"""Read-only folder in all containers."""
 MOTION, PLAYER = f"{INPUTS}/motion.json", f"{INPUTS}/player.py"
 REPORT = f"{OUTPUT}/.player.json"
-"""Where our player says what came of each pose."""
+"""Report of our player on each pose."""
 PLACEHOLDERS = ("output", "motion", "system", "seed", "scenario")
 SECONDS = 3600.0
 
@@ -36,7 +36,7 @@ _Topic = Annotated[str, matching("/?[A-Za-z0-9_/]+", "the name of a topic or a s
 
 @record
 class Ros1Player:
-    """Our player for ROS 1: a script that needs nothing but rospy in the image that it runs in."""
+    """Our player for ROS 1: a script that only needs rospy in its image."""
 
     kind: Literal["ros1"] = field("ros1, the only one.")
     image: str = field("What it runs in (the image of the first container).", default="")
@@ -57,14 +57,14 @@ def _player(value: str | Ros1Player, _: Place) -> Ros1Player:
 
 @record
 class Applications:
-    """The applications that simulate and collect, in the place of our own simulation."""
+    """Applications that simulate and collect, in place of our own simulation."""
 
     containers: Annotated[tuple[Container, ...], ByName(_Name)] = field(
         "The applications that simulate and collect, in the place of our own: each runs in its container, all in one "
         "network. In their commands {output}, {motion}, {system}, {seed} and {scenario} are filled in.",
         default=(),
     )
-    """An empty image stands for the one that the pipeline builds."""
+    """An empty image name means the one that the pipeline builds."""
     image: str = field("Of the containers that name none; by default the one that the pipeline builds.", default="")
     player: Annotated[Ros1Player, Converted(Literal["ros1"] | Ros1Player, _player)] | None = field(
         "What moves the pattern and asks for collections: ros1 for ours, in the image of the applications; by default "
@@ -79,23 +79,23 @@ class Applications:
     )
 
     def with_image(self, image: str) -> "Applications":
-        """The same, in this image where a container names none."""
+        """Return the applications with this image for containers that name none."""
         containers = tuple(c if c.image else replace(c, image=image) for c in self.containers)
         return replace(self, containers=containers)
 
 
 def checked_applications(applications: Applications, place: Place) -> Applications:
-    """The applications as they run, with the values of their secrets, if their job can run.
+    """Return the applications as they run, with the values of their secrets, after a check of their job.
 
     Raises:
-        InputError: a secret is not set, or the job makes no sense; names the key.
+        InputError: a secret is not set, or the job is invalid; names the key.
     """
     named = applications.with_image(applications.image)
     containers = tuple(with_secrets(each, str(place.below("containers").below(each.name))) for each in named.containers)
     applications = replace(named, containers=containers)
     if applications.player is not None and applications.ros != "1":
         raise place.below("player").fault("ros1 needs a ROS master; add ros: 1")
-    try:  # what is wrong is found before anything runs
+    try:  # errors are found before anything runs
         check_job(collection_job(applications.with_image("any"), "applications", "any", 1))
     except InputError as error:
         raise InputError(f"{place}: {error}") from None
@@ -103,7 +103,7 @@ def checked_applications(applications: Applications, place: Place) -> Applicatio
 
 
 def applications_from(entry: Mapping[str, Any], folder: Path, where: str) -> Applications:
-    """Read a description of applications: the keys of an entry of ``simulation`` in calibration.yml that are theirs.
+    """Read applications from the corresponding keys of an entry of ``simulation`` in calibration.yml.
 
     Raises:
         InputError: a value is wrong; names the key.
@@ -114,18 +114,18 @@ def applications_from(entry: Mapping[str, Any], folder: Path, where: str) -> App
 def collection_job(
     applications: Applications, name: str, system: str, seed: int, scenario: int = 0, inputs: Path | None = None
 ) -> Job:
-    """The job that collects one dataset.
+    """Return the job that collects one dataset.
 
     Args:
-        applications: what runs.
+        applications: the containers.
         name: of the job, and of its folder.
         system: the system's name.
-        seed: of its noise, for those that make some.
+        seed: of its noise, for applications that add noise.
         scenario: the number of the collection among those of the seed.
-        inputs: the folder that they see as `INPUTS`; None where the team's player has its own motion.
+        inputs: the folder mounted as `INPUTS`; None if the team's player has its own motion.
 
     Raises:
-        InputError: a command has a placeholder that there is not.
+        InputError: a command has an unknown placeholder.
     """
     values = _values(system, seed, scenario)
     mounts = () if inputs is None else (Mount(inputs.resolve(), INPUTS),)
@@ -138,7 +138,7 @@ def collection_job(
         for container in applications.containers
     ]
     if applications.player is not None:
-        # roslaunch answers 0 when a node has died: whatever it answers, it is too early
+        # roslaunch exits with 0 when a node has died: whatever its exit code, it is too early
         containers = [replace(container, success=()) for container in containers]
         containers.append(_player_container(applications, applications.player, mounts))
     brought = [Artifact(dataset_place(applications, system, seed, scenario))]
@@ -149,17 +149,17 @@ def collection_job(
 
 
 def dataset_place(applications: Applications, system: str, seed: int, scenario: int = 0) -> str:
-    """Where the dataset of a `collection_job` is, in its containers.
+    """Return the path of the dataset of a `collection_job`, in its containers.
 
     Raises:
-        InputError: there is no such placeholder.
+        InputError: there is an unknown placeholder.
     """
     [place] = fill([applications.dataset], _values(system, seed, scenario), "dataset")
     return place.rstrip("/")
 
 
 def _values(system: str, seed: int, scenario: int) -> dict[str, str]:
-    """Of the `PLACEHOLDERS`."""
+    """Return the values of the `PLACEHOLDERS`."""
     return {"output": OUTPUT, "motion": MOTION, "system": system, "seed": str(seed), "scenario": str(scenario)}
 
 

@@ -1,6 +1,6 @@
-"""Collections by the team's applications: they run, their datasets are brought out, calibrated and judged.
+"""Collection by a team's applications: run them, copy their datasets, calibrate and judge them.
 
-One dataset, or many, which ``{seed}`` and ``{scenario}`` tell what to make different.
+One dataset, or many, which the applications vary by ``{seed}`` and ``{scenario}``.
 """
 
 import hashlib
@@ -44,17 +44,17 @@ from calibration.simulation.system import MOTION_FILE, System, read_system
 from calibration.workflow.text import one_line, shorten
 
 NO_FILE = "missing"
-"""The name of an image that there is not."""
+"""Name of a missing image."""
 MAX_REPORT = 16 * 1024 * 1024
-"""Bytes of our player's report that are read."""
+"""Limit of our player's report in bytes."""
 _HASH_DIGITS = 12
 JOB = "collection"
-"""The name of the job of one dataset."""
+"""Name of the job of one dataset."""
 
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """A request with its files read."""
+    """Request with its files read."""
 
     request: ContainerRequest
     system: System | None
@@ -62,16 +62,16 @@ class Plan:
 
     @property
     def name(self) -> str:
-        """Of the system."""
+        """Name of the system."""
         return self.system.name if self.system else self.request.name
 
     def job(self, name: str, scenario: int, inputs: Path | None) -> Job:
-        """The job of one collection, as `collection_job`."""
+        """Return the job of one collection; see `collection_job`."""
         request = self.request
         return collection_job(request.applications, name, self.name, request.seed, scenario, inputs)
 
     def dataset_name(self, scenario: int) -> str:
-        """The name of the dataset's folder among what is brought out."""
+        """Return the name of the dataset's folder in the copied output."""
         request = self.request
         return PurePosixPath(dataset_place(request.applications, self.name, request.seed, scenario)).name
 
@@ -79,10 +79,10 @@ class Plan:
 def collect_by_applications(
     request: ContainerRequest, output: Path, place: Place | None = None, overwrite: bool = False
 ) -> CollectionResults:
-    """Collect a dataset, as `calibration.pipeline.collection.collecting.collect_dataset` does.
+    """Collect a dataset, like `calibration.pipeline.collection.collecting.collect_dataset`.
 
     Raises:
-        InputError: an input is missing or wrong, or the folder has a dataset and may not be overwritten.
+        InputError: an input is missing or wrong, or the folder has a dataset that must not be overwritten.
         InfrastructureError: there is no backend, or a file cannot be written.
     """
     plan = read_plan(request)
@@ -113,7 +113,7 @@ def read_plan(request: ContainerRequest) -> Plan:
 
 
 def optional_motion(request: ContainerRequest, system: System | None) -> Motion | None:
-    """The motion that the team's applications are given; None where they have their own.
+    """Return the motion for the team's applications; None if they have their own.
 
     Raises:
         InputError: it cannot be read or generated.
@@ -127,7 +127,7 @@ def optional_motion(request: ContainerRequest, system: System | None) -> Motion 
 
 
 def write_inputs(folder: Path, plan: Plan) -> Path | None:
-    """Write what the containers see as `INPUTS` into a new folder; None where there is nothing to see.
+    """Write the content of the containers' `INPUTS` into a new folder; None if there is none.
 
     Raises:
         InfrastructureError: it cannot be written.
@@ -141,7 +141,7 @@ def write_inputs(folder: Path, plan: Plan) -> Path | None:
 
 
 def _keep_logs(outcome: JobOutcome, output: Path) -> None:
-    """Put the containers' logs beside the dataset; those of an earlier collection go."""
+    """Keep the containers' logs beside the dataset, and remove those of an earlier collection."""
     try:
         shutil.rmtree(output / LOGS, ignore_errors=True)
         if (outcome.folder / LOGS).is_dir():
@@ -151,7 +151,7 @@ def _keep_logs(outcome: JobOutcome, output: Path) -> None:
 
 
 def judged(plan: Plan, outcome: JobOutcome, scenario: int, new: Path) -> CollectionResults:
-    """Put what was brought out into a new folder, with the results beside it.
+    """Copy the output into a new folder, with the results beside it.
 
     Raises:
         InfrastructureError: a file cannot be written.
@@ -198,10 +198,10 @@ def _results(plan: Plan, outcome: JobOutcome, scenario: int, new: Path) -> Colle
 
 
 def _check_sensors(dataset: Dataset, plan: Plan) -> None:
-    """Hold a dataset's sensors to those of the system.
+    """Compare a dataset's sensors with those of the system.
 
     Raises:
-        InputError: one is missing, or data of one.
+        InputError: a sensor is missing, or its data.
     """
     for missing in map(dataset.missing_files_of, dataset.missing_files):
         raise InputError(f"dataset.json: {missing}")
@@ -211,7 +211,7 @@ def _check_sensors(dataset: Dataset, plan: Plan) -> None:
 
 
 def _describe(plan: Plan, new: Path) -> None:
-    """Put the files of the system, the motion and the truth beside the dataset."""
+    """Add the files of the system, the motion and the truth to the dataset."""
     if plan.motion is not None:
         write_document(motion_document(plan.motion), new / MOTION_FILE)
     if plan.system is None:
@@ -224,10 +224,10 @@ def _describe(plan: Plan, new: Path) -> None:
 
 
 def _report(outcome: JobOutcome) -> list[dict[str, Any]]:
-    """What our player says of each pose: its number, whether it was saved, the answer; nothing where it did not play.
+    """Read our player's report on each pose: its number, whether it was saved, the response; empty if it did not run.
 
     Raises:
-        InputError: it is not of this form; a container may have written it.
+        InputError: it is invalid; a container may have written it.
     """
     path = outcome.folder / ARTIFACTS / PurePosixPath(REPORT).name
     if not path.exists():
@@ -240,7 +240,7 @@ def _report(outcome: JobOutcome) -> list[dict[str, Any]]:
 
 
 def _records(dataset: Dataset, report: list[dict[str, Any]]) -> list[Record]:
-    """A record for each collection, and for each pose of which the robot application saved none."""
+    """Return a record for each collection, and for each pose that the robot application did not save."""
     saved = [pose["pose"] for pose in report if pose["saved"]]
     numbers = saved if len(saved) == len(dataset.collections) else list(range(1, len(dataset.collections) + 1))
     kept = [_record(dataset, index, number - 1) for index, number in enumerate(numbers)]
@@ -255,7 +255,7 @@ def _lost(dataset: Dataset, number: int, answer: str) -> Record:
 
 
 def _record(dataset: Dataset, index: int, number: int) -> Record:
-    """What a collection says of itself; nobody knows how far its labels are from the truth."""
+    """Return the record of a collection; the errors of its labels are unknown."""
     collection = dataset.collections[index]
     corners: dict[str, list[CornerLabels]] = {name: [] for name, s in dataset.sensors.items() if s.camera}
     labels, complete = dict.fromkeys(dataset.sensors, 0), dict.fromkeys(corners, False)
@@ -274,7 +274,7 @@ def _record(dataset: Dataset, index: int, number: int) -> Record:
 
 
 def _data_files(dataset: Dataset, index: int) -> dict[str, dict[str, str]]:
-    """The file of each sensor, for the contact sheet; one that is no file of the dataset's folder is left out."""
+    """Return the file of each sensor, for the contact sheet, without files outside of the dataset's folder."""
     data = dataset.document["collections"][dataset.keys[index]].get("data")
     names = {name: data[name].get("data_file") for name in dataset.sensors} if isinstance(data, dict) else {}
     inside = {n: f for n, f in names.items() if isinstance(f, str) and PurePosixPath(f).name == f}
@@ -282,7 +282,7 @@ def _data_files(dataset: Dataset, index: int) -> dict[str, dict[str, str]]:
 
 
 def _drawn_labels(dataset: Dataset, index: int) -> dict[str, dict[str, dict[str, Any]]]:
-    """The labels of each pattern and sensor in the form that the contact sheet draws: corners only."""
+    """Return the labels of each pattern and sensor in the form of the contact sheet: corners only."""
     found = dataset.collections[index].labels
 
     def entries(pattern: str, sensor: str) -> list[dict[str, float]]:
@@ -299,7 +299,7 @@ def _drawn_labels(dataset: Dataset, index: int) -> dict[str, dict[str, dict[str,
 
 
 class ApplicationScenarios(Scenarios):
-    """The collections of a request."""
+    """Collections of a request."""
 
     stillness = None
 
@@ -322,11 +322,11 @@ class ApplicationScenarios(Scenarios):
         return write_inputs(folder, self._plan)
 
     def job(self, number: int, inputs: Path | None) -> Job:
-        """The job of a collection."""
+        """Return the job of a collection."""
         return self._plan.job(self.pending[number].id, number, inputs)
 
     def judge(self, number: int, outcome: JobOutcome, new: Path) -> Judged:
-        """What a collection is worth."""
+        """Judge a collection."""
         new.mkdir()
         pending, results = self.pending[number], judged(self._plan, outcome, number, new)
         if results.failures:
@@ -335,7 +335,7 @@ class ApplicationScenarios(Scenarios):
 
 
 def _hash(plan: Plan, job: Job) -> str:
-    """What tells two collections apart: what runs, and on what."""
+    """Return a hash that identifies a collection: of the containers and their inputs."""
     content = {
         "containers": [(container.name, container.image, container.command) for container in job.containers],
         "system": {name: hashlib.sha256(data).hexdigest() for name, data in plan.system.sources.items()}

@@ -1,7 +1,7 @@
-"""Collections by our own simulation: one dataset, or many scenarios in processes here or in containers.
+"""Collection by our own simulation: one dataset, or many scenarios in local processes or in containers.
 
 In a container, ``calibration collect-data-sim`` collects one scenario; the image has this package. Its result is not
-trusted: the dataset is calibrated here again.
+trusted: the dataset is calibrated again here.
 """
 
 import json
@@ -49,18 +49,18 @@ from calibration.simulation.system import MOTION_FILE, System, read_system
 from calibration.workflow.text import one_line, shorten
 
 CONTAINER = "scenario"
-"""The name of the container."""
+"""Name of the container."""
 DATASET = "dataset"
-"""The name of the folder that it leaves."""
+"""Name of its output folder."""
 SET_FILE, MOTION_INPUT, SYSTEM_FOLDER = "scenarios.yml", "motion.json", "system"
-"""In `INPUTS`; the system's folder is in the last, by its own name."""
+"""Names in `INPUTS`; the system's folder is inside the last one, by its own name."""
 MAX_INPUT = 64 * 1024**2
-"""Bytes of a scenario set or a motion."""
+"""Limit of the size of a scenario set or a motion in bytes."""
 _TAIL = 4096
 
 Begin = Callable[[System, Motion], None]
 PoseDone = Callable[[int, int, Record], None]
-"""Called after each pose."""
+"""Callback after each pose."""
 
 
 def collect_by_simulation(
@@ -71,11 +71,11 @@ def collect_by_simulation(
     begin: Begin = lambda *_: None,
     done: PoseDone = lambda *_: None,
 ) -> CollectionResults:
-    """Collect a dataset, as `calibration.pipeline.collection.collecting.collect_dataset` does.
+    """Collect a dataset, like `calibration.pipeline.collection.collecting.collect_dataset`.
 
     Raises:
-        InputError: an input is wrong, or the folder has a dataset and may not be overwritten.
-        InfrastructureError: a file cannot be written, or a process died; the folder's dataset is as it was.
+        InputError: an input is wrong, or the folder has a dataset that must not be overwritten.
+        InfrastructureError: a file cannot be written, or a process died; the folder's dataset is unchanged.
     """
     requirements = requirements_of(request)
     system = read_system(request.system, request.robot, request.configuration)
@@ -100,7 +100,7 @@ def collect_by_simulation(
 
 
 def required_motion(request: CollectionRequest, system: System, seed: int | None = None) -> Motion:
-    """The motion that our own simulation plays; one that is generated is of the request's seed unless another is given.
+    """Return the motion that our own simulation plays; a generated one uses the request's seed by default.
 
     Raises:
         InputError: it cannot be read or generated, or there is none.
@@ -112,7 +112,7 @@ def required_motion(request: CollectionRequest, system: System, seed: int | None
 
 
 def requirements_of(request: CollectionRequest) -> Requirements:
-    """What each of its collections has to keep to."""
+    """Return the requirements of each collection."""
     return Requirements() if request.stillness is None else Requirements(stillness=request.stillness)
 
 
@@ -126,7 +126,7 @@ def _collected(
     done: PoseDone,
     scenario: str = "",
 ) -> CollectionResults:
-    """Collect what a motion shows; ``scenario`` identifies it, empty for what the system's files describe."""
+    """Collect the dataset of a motion; ``scenario`` identifies the scenario, empty for the system as described."""
     depends_on = _identity(played, requirements, scenario)
     with workspace(output, depends_on, Record.to_json, Record.from_json) as work:
         records = collect(played, requirements, work, jobs, done)
@@ -151,20 +151,20 @@ def _collected(
 
 
 def _identity(played: Play, requirements: Requirements, scenario: str) -> str:
-    """What the records of a collection depend on."""
+    """Return a hash of the inputs of a collection's records."""
     versions = f"{__version__} {np.__version__} {cv2.__version__} {played.seed} {requirements} {scenario}"
     motion = json.dumps(motion_document(played.motion))
     return identity(versions.encode(), motion.encode(), *played.system.sources.values())
 
 
 class SimulatedScenarios(Scenarios):
-    """The scenarios of a scenario set."""
+    """Scenarios of a scenario set."""
 
     def __init__(self, collection: CollectionRequest, request: ScenarioRequest) -> None:
         """Read the request's files, and draw the scenarios.
 
         Raises:
-            InputError: one is missing or wrong, or no draw of a scenario keeps to the constraints.
+            InputError: one is missing or wrong, or no draw of a scenario satisfies the constraints.
         """
         if request.scenario_set is None:
             raise InputError("scenarios and scenario need a scenario-set: a YAML file of the parameters that vary")
@@ -181,7 +181,7 @@ class SimulatedScenarios(Scenarios):
         self.pending = [pending_result(self._set, scenario, self._motion) for scenario in self._scenarios]
 
     def run(self, output: Path, jobs: int | None, done: ScenarioDone) -> list[Judged]:
-        """Collect and calibrate all scenarios in processes here; what an interrupted run has finished is found again.
+        """Collect and calibrate all scenarios in local processes; finished ones of an interrupted run are reused.
 
         Raises:
             InfrastructureError: a file cannot be written, or a process died.
@@ -193,7 +193,7 @@ class SimulatedScenarios(Scenarios):
 
     @property
     def _identity(self) -> str:
-        """What the scenarios depend on, beside their numbers."""
+        """Return a hash of the inputs that all scenarios share."""
         versions = f"{__version__} {np.__version__} {cv2.__version__} {self._requirements}"
         motion = json.dumps(motion_document(self._motion)) if self._motion else ""
         content = read_bytes(self._set_file, MAX_INPUT, "a scenario set")
@@ -214,14 +214,14 @@ class SimulatedScenarios(Scenarios):
         return None if motion is None or motion.startswith(GENERATE) else Path(motion)
 
     def job(self, number: int, inputs: Path | None) -> Job:
-        """The job of a scenario."""
+        """Return the job of a scenario."""
         of, image, name = self._collection, self.image or ScenarioImage(""), self.pending[number].id
         options = {
             "--system": f"{INPUTS}/{SYSTEM_FOLDER}/{self.system}",
             "--scenario-set": f"{INPUTS}/{SET_FILE}",
             "--scenario": name,
             "--output": f"{OUTPUT}/{DATASET}",
-            "--jobs": "1",  # the scenarios are the parallel ones
+            "--jobs": "1",  # the scenarios run in parallel
         }
         if of.motion is not None:
             options["--motion"] = of.motion if self._motion_file is None else f"{INPUTS}/{MOTION_INPUT}"
@@ -236,13 +236,13 @@ class SimulatedScenarios(Scenarios):
                 ExitCode.PASS,
                 ExitCode.FAIL,
                 ExitCode.BAD_INPUT,
-            ),  # what these mean is in the file of the scenario
+            ),  # the exit codes are explained in the scenario's file
             artifacts=(Artifact(f"{OUTPUT}/{DATASET}", required=False),),
         )
         return Job(name, (container,), seconds=image.seconds)
 
     def judge(self, number: int, outcome: JobOutcome, new: Path) -> Judged:
-        """What a scenario's job is worth: its dataset is moved to ``new``, and calibrated."""
+        """Judge a scenario by its job: its dataset is moved to ``new``, and calibrated."""
         known = self.pending[number]
         if outcome.exit_code != ExitCode.PASS:
             error = None if outcome.exit_code == ExitCode.FAIL else outcome.exit_code
@@ -268,7 +268,7 @@ def _decoded(text: bytes) -> ScenarioResult:
 
 
 def _last_line(outcome: JobOutcome) -> str:
-    """What the container said last, for a message; nothing where it said nothing."""
+    """Return the last line of the container's log, for messages; empty if there is none."""
     try:
         with (outcome.folder / LOGS / f"{CONTAINER}.log").open("rb") as log:
             log.seek(max(0, log.seek(0, 2) - _TAIL))

@@ -1,4 +1,4 @@
-"""Collect datasets: one, or many scenarios; by our own simulation or by the team's applications."""
+"""Entry points of the collection: one dataset, or many scenarios; by our own simulation or the team's applications."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -13,7 +13,7 @@ from calibration.simulation.collection.dataset_folder import refuse_existing
 from calibration.simulation.scenarios.statistics import Statistics
 
 ScenariosBegin = Callable[[str, int], None]
-"""Called with the system's name and the number of scenarios when everything was read and checked."""
+"""Callback with the system's name and the number of scenarios, after everything was read and checked."""
 
 
 def collect_dataset(
@@ -27,23 +27,23 @@ def collect_dataset(
 ) -> CollectionResults:
     """Collect a dataset into a folder, with its results beside it.
 
-    A collection by our own simulation that was interrupted goes on where it was when it is asked for again; the result
-    of a scenario of a set is also written to ``scenario.json``. What the team's applications do wrong is a
-    result, not an error; the logs of their containers stand beside the dataset.
+    An interrupted collection by our own simulation is continued by the same call; the result
+    of a scenario of a set is also written to ``scenario.json``. A failure of the team's applications is a
+    result, not an error; the logs of their containers are beside the dataset.
 
     Args:
-        request: what to collect.
-        output: the folder; what it has besides a dataset stays.
-        overwrite: whether a dataset that it has is replaced.
-        jobs: processes of our own simulation; None for one a core.
+        request: description of the collection.
+        output: the folder; files other than a dataset are kept.
+        overwrite: whether an existing dataset is replaced.
+        jobs: number of processes of our own simulation; None for one per core.
         place: where the team's applications run; this machine's engine unless given.
-        begin: called when everything was read and checked, of our own simulation.
-        done: called after each pose of our own simulation.
+        begin: called after everything was read and checked, only by our own simulation.
+        done: called after each pose, only by our own simulation.
 
     Raises:
-        InputError: an input is wrong, or the folder has a dataset and may not be overwritten.
+        InputError: an input is wrong, or the folder has a dataset that must not be overwritten.
         InfrastructureError: a file cannot be written, a process died, or there is no engine; the folder's dataset is
-            as it was.
+            unchanged.
     """
     refuse_existing(output, overwrite)
     if isinstance(request, ContainerRequest):
@@ -61,21 +61,21 @@ def collect_scenarios(
 ) -> ScenarioResults:
     """Collect, calibrate and judge the scenarios 0 to count - 1 of a seed.
 
-    Scenarios of our own simulation run in processes here, and one that is interrupted goes on where it was; or, where
-    the request has an image, in containers, as the team's applications do. These leave the datasets too in
+    Scenarios of our own simulation run in local processes, and an interrupted run is continued; or, if
+    the request has an image, in containers, like the team's applications. These also store the datasets in
     ``scenarios/ID/``, and the containers' logs in ``logs/ID/``.
 
     Args:
-        request: which scenarios.
-        folder: for the datasets and logs.
-        jobs: processes, or containers at once; None for as many as the machine holds.
+        request: description of the scenarios.
+        folder: folder for the datasets and logs.
+        jobs: number of parallel processes or containers; None for as many as the machine can run.
         place: where containers run; this machine's engine unless given.
         begin: see `ScenariosBegin`.
         done: see `ScenarioDone`.
 
     Raises:
         InputError: an input is wrong, an image is missing, or the folder has scenarios already.
-        InfrastructureError: a file cannot be written, a process died, or the place cannot be reached.
+        InfrastructureError: a file cannot be written, a process died, or the backend cannot be reached.
     """
     if isinstance(request.collection, ContainerRequest):
         scenarios: Scenarios = ApplicationScenarios(request.collection, request.count)

@@ -1,4 +1,4 @@
-"""The report of a collection in simulation."""
+"""Report of a simulated collection."""
 
 from collections.abc import Iterable
 from pathlib import Path
@@ -21,10 +21,10 @@ LOST_SHOWN = 50
 
 
 def report(results: CollectionResults, output: Path) -> Report:
-    """Return the report. It says no times: the same input gives the same bytes.
+    """Return the report. It contains no times: the same input gives the same bytes.
 
     Args:
-        results: what was found.
+        results: the results.
         output: the folder of the dataset.
     """
     proof, kept = results.proof, len(results.kept)
@@ -68,28 +68,28 @@ def report(results: CollectionResults, output: Path) -> Report:
             "corner-error-px": results.corner_rms,
             "translation-mm": proof.translation_mm if proof else None,
             "rotation-deg": proof.rotation_deg if proof else None,
-            **dict.fromkeys(("success-rate", "worst-scenarios")),  # of several scenarios
+            **dict.fromkeys(("success-rate", "worst-scenarios")),  # only of several scenarios
             "contact-sheet": output / CONTACT_SHEET if sheet else None,
-            "report": None,  # where there is a page
+            "report": None,  # if there is a page
         },
         files={POSES_FILE: poses_table(results).csv()},
     )
 
 
 def pose_line(record: Record) -> str:
-    """What came of one pose, for the progress."""
+    """Return a line on one pose, for the progress."""
     if not record.kept:
         return lost_line(record)
     return f"pose {record.number + 1}: " + ", ".join(f"{name} {count}" for name, count in record.labels.items())
 
 
 def lost_line(record: Record) -> str:
-    """Why a pose is not part of the dataset."""
+    """Return the reasons why a pose is not part of the dataset."""
     return f"pose {record.number + 1} lost: {'; '.join(record.lost)}"
 
 
 def sensors_table(results: CollectionResults) -> Table:
-    """For each sensor: detections, corner errors, coverage, and how sure its transform is."""
+    """Return a row for each sensor: detections, corner errors, coverage, and standard deviation of its transform."""
     sigmas = (results.proof.sigmas if results.proof else None) or {}
     header = ("Sensor", "Detected", "Of them partial", "Corner error (px)", "Image covered", "Sigma of its transform")
 
@@ -125,7 +125,7 @@ def poses_table(results: CollectionResults) -> Table:
 
 
 def _calibration_text(results: CollectionResults) -> str:
-    """What the calibration of the dataset found, in a few words."""
+    """Describe the calibration of the dataset in a few words."""
     proof = results.proof
     if proof is None or not proof.converged:
         return "does not calibrate"
@@ -138,7 +138,7 @@ def _calibration_text(results: CollectionResults) -> str:
 
 
 def _joints(proof: Proof) -> str:
-    """The worst errors of joints, where some were calibrated."""
+    """Return the largest errors of joints, if some were calibrated."""
     shown = [
         f"{error:{form}} {unit}"
         for error, form, unit in ((proof.joint_mm, ".3g", "mm"), (proof.joint_deg, ".2g", "deg"))

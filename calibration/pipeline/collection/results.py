@@ -18,7 +18,7 @@ from calibration.simulation.scenarios.statistics import Statistics
 
 
 def truth_checks(found: Proof | ScenarioResult | None, limits: CollectionChecks) -> list[Check]:
-    """The errors of sensors, and of joints where some were calibrated, each with its limit."""
+    """Check the errors of sensors, and of joints if some were calibrated, against their limits."""
     errors = (
         ("translation", "translation_mm", limits.max_translation_mm, "mm"),
         ("joint translation", "joint_mm", limits.max_translation_mm, "mm"),
@@ -35,7 +35,7 @@ def truth_checks(found: Proof | ScenarioResult | None, limits: CollectionChecks)
 
 @result
 class CornerError:
-    """Detected corners against the true ones."""
+    """Errors of detected corners against the true ones."""
 
     corners: int = field("How many.")
     rms_px: float = field("Root mean square.", unit="px")
@@ -44,7 +44,7 @@ class CornerError:
 
     @classmethod
     def of(cls, errors: Sequence[CornerErrors]) -> "CornerError | None":
-        """The errors of several views as one; None where there is none."""
+        """Combine the errors of several views; None if there are none."""
         count = sum(error.count for error in errors)
         if not count:
             return None
@@ -57,7 +57,7 @@ class CornerError:
 
 @result
 class SensorNumbers:
-    """What one sensor did over all poses."""
+    """Statistics of one sensor over all poses."""
 
     modality: str = field("rgb, depth, lidar3d, lidar2d.")
     detected: int = field("In how many poses.")
@@ -72,7 +72,7 @@ class SensorNumbers:
 
 @result
 class LostPose:
-    """A pose that is not in the dataset."""
+    """Pose that is not in the dataset."""
 
     pose: int = field("Counted from 1.")
     reasons: tuple[str, ...] = field("Why.")
@@ -100,48 +100,48 @@ class CollectionDocument:
 
 @dataclass(frozen=True)
 class CollectionResults:
-    """The records of all poses, and what a calibration of the dataset found."""
+    """Records of all poses, and the result of the dataset's calibration."""
 
     system: str
     seed: int
     motion: str
     modalities: dict[str, str]
-    """By sensor."""
+    """Modality of each sensor."""
     records: tuple[Record, ...]
     proof: Proof | None
-    """None where no collection was kept."""
+    """None if no collection was kept."""
     limits: CollectionChecks = dataclass_field(default_factory=CollectionChecks)
     failures: tuple[str, ...] = ()
-    """Why the applications of a team collected nothing, or not everything."""
+    """Failures of a team's applications."""
     error: ExitCode | None = None
-    """Set where that was not their fault: a wrong image (2), the engine or the time (3)."""
+    """Set if the applications are not the cause: a wrong image (2), the engine or the time (3)."""
     contact_sheet: bool = True
-    """Whether there is one: without a system's description nobody knows the images."""
+    """Whether there is one: without a system's description the images are unknown."""
 
     @property
     def kept(self) -> list[Record]:
-        """The collections that make the dataset."""
+        """Records of the collections in the dataset."""
         return [record for record in self.records if record.kept]
 
     @property
     def lost(self) -> list[Record]:
-        """The poses that do not."""
+        """Records of the poses that are not in the dataset."""
         return [record for record in self.records if not record.kept]
 
     @cached_property
     def sensors(self) -> dict[str, SensorNumbers]:
-        """By name."""
+        """Statistics by sensor."""
         return {name: _sensor_numbers(name, modality, self) for name, modality in self.modalities.items()}
 
     @property
     def corner_rms(self) -> float | None:
-        """Of all corners in the dataset against the truth, px."""
+        """RMS error of all corners in the dataset against the truth, px."""
         error = CornerError.of([error for record in self.kept for error in record.errors.values()])
         return error.rms_px if error else None
 
     @cached_property
     def checks(self) -> list[Check]:
-        """Every limit with what was found."""
+        """Every limit with its value."""
         limits, proof = self.limits, self.proof
         checks = [at_least("collections", len(self.kept), limits.minimum_collections)]
         for name, numbers in self.sensors.items():
@@ -154,7 +154,7 @@ class CollectionResults:
 
     @property
     def reasons(self) -> list[str]:
-        """Why the verdict is fail; nothing where it is pass."""
+        """Reasons of a fail verdict; empty if it is pass."""
         if self.failures:
             return list(self.failures)
         failed = [str(check) for check in self.checks if not check.passed]
@@ -169,7 +169,7 @@ class CollectionResults:
 
     @property
     def exit_code(self) -> ExitCode:
-        """The verdict's, or that of what went wrong."""
+        """Exit code of the verdict, or of the error."""
         return exit_code_of(self.verdict == "pass", [self.error])
 
 
@@ -190,28 +190,28 @@ def _sensor_numbers(name: str, modality: str, results: CollectionResults) -> Sen
 
 @dataclass(frozen=True)
 class ScenarioResults:
-    """What came of the scenarios, and the verdict on them."""
+    """Results of the scenarios, and the verdict on them."""
 
     system: str
     request: ScenarioRequest
     statistics: Statistics
     errors: Mapping[str, ExitCode] = dataclass_field(default_factory=dict)
-    """Scenarios that could not be run, by id: bad input (2) or an infrastructure failure (3). They count as failed."""
+    """Scenarios that could not run, by id: bad input (2) or an infrastructure failure (3). They count as failed."""
 
     @cached_property
     def failed(self) -> dict[str, list[str]]:
-        """The scenarios that do not pass, by id, and why."""
+        """Failed scenarios by id, with the reasons."""
         checks = self.request.collection.checks
         return {result.id: why for result in self.statistics.results if (why := scenario_reasons(result, checks))}
 
     @property
     def success_rate(self) -> float:
-        """The share of the scenarios that pass."""
+        """Share of the scenarios that pass."""
         return round(1 - len(self.failed) / len(self.statistics.results), 6)
 
     @property
     def reasons(self) -> list[str]:
-        """Why the verdict is fail; nothing where it is pass."""
+        """Reasons of a fail verdict; empty if it is pass."""
         check = at_least("success rate", self.success_rate, self.request.minimum_success_rate)
         return [] if check.passed else [str(check)]
 
@@ -222,19 +222,19 @@ class ScenarioResults:
 
     @property
     def exit_code(self) -> ExitCode:
-        """The verdict's; where it is fail and some could not be run, that of these: who knows what they would be."""
+        """Exit code of the verdict; if it is fail and some scenarios could not run, theirs, being unknown."""
         if self.verdict == "pass":
             return ExitCode.PASS
         return max(self.errors.values(), default=ExitCode.FAIL)
 
     @property
     def title(self) -> str:
-        """Such as "100 scenarios of t2rgb"."""
+        """Title, such as "100 scenarios of t2rgb"."""
         return f"{count_of(len(self.statistics.results), 'scenario')} of {self.system}"
 
 
 def scenario_reasons(result: ScenarioResult, checks: CollectionChecks) -> list[str]:
-    """Why a scenario does not pass; nothing where it does."""
+    """Return the reasons why a scenario fails; empty if it passes."""
     if not result.converged:
         return list(result.reasons) or ["it does not calibrate"]
     limits = [at_least("collections", result.kept, checks.minimum_collections)]

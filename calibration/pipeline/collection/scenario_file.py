@@ -1,7 +1,7 @@
-"""``scenario.json``: what came of one scenario, beside its dataset.
+"""Result file of one scenario, ``scenario.json``, beside its dataset.
 
-It says of a scenario what the dataset does not: its id and what it is (`ScenarioResult.hash`), the poses that were
-lost, and why there is no dataset where there is none.
+It has what the dataset lacks: the scenario's id and hash (`ScenarioResult.hash`), the rejected
+poses, and the reason if there is no dataset.
 """
 
 import json
@@ -22,7 +22,7 @@ MAX_BYTES = 16 * 1024**2
 
 @record(case="snake", nulls=True)
 class ScenarioFile:
-    """What came of one scenario, beside its dataset."""
+    """Result of one scenario, beside its dataset."""
 
     schema: Literal[1] = field("Of this form.")
     version: Annotated[str, length(most=100)] = field("Of the package that made it.")
@@ -36,9 +36,9 @@ def write_scenario(result: ScenarioResult, stillness: float | None, folder: Path
     """Write the file into the folder of the dataset.
 
     Args:
-        result: what came of the scenario.
-        stillness: how far a pattern was allowed to move while the sensors look, m; None where nobody asked.
-        folder: where to.
+        result: result of the scenario.
+        stillness: limit of a pattern's motion while the sensors measure, m; None if unknown.
+        folder: the target folder.
 
     Raises:
         InfrastructureError: it cannot be written.
@@ -48,15 +48,15 @@ def write_scenario(result: ScenarioResult, stillness: float | None, folder: Path
 
 
 def read_scenario(folder: Path, expected: ScenarioResult, stillness: float | None) -> ScenarioResult:
-    """Read the file of a scenario; somebody else may have written it.
+    """Read the file of a scenario; its content is not trusted.
 
     Args:
-        folder: where it is.
-        expected: the scenario that it should be of, with no result yet.
-        stillness: how far a pattern was allowed to move, m.
+        folder: the scenario's folder.
+        expected: the expected scenario, without a result.
+        stillness: limit of a pattern's motion, m.
 
     Raises:
-        InputError: there is no such file, or it is of another scenario, another version or of no such form.
+        InputError: there is no such file, or it is of another scenario, another version or invalid.
     """
     path = folder / FILE
     text = read_bytes(path, MAX_BYTES, "what came of a scenario")

@@ -1,4 +1,4 @@
-"""The report on many scenarios of one system."""
+"""Report on many scenarios of one system."""
 
 import re
 import shlex
@@ -35,10 +35,10 @@ _NUMBER = re.compile(r"\d+(\.\d+)?")
 
 
 def report(results: ScenarioResults, output: Path) -> Report:
-    """Return the report, with its picture if it can be drawn.
+    """Return the report, with its figure if it can be drawn.
 
     Args:
-        results: what was found.
+        results: the results.
         output: the folder for the results.
     """
     statistics, checks = results.statistics, results.request.collection.checks
@@ -47,7 +47,7 @@ def report(results: ScenarioResults, output: Path) -> Report:
     try:
         drawn = figure(statistics, results.title, checks.max_translation_mm, checks.max_rotation_deg)
         pictures = {FIGURE_FILE: drawn}
-    except InputError as error:  # what draws it is not installed
+    except InputError as error:  # matplotlib is not installed
         notes = (str(error),)
     worst = [result.id for result in statistics.worst(WORST_SHOWN)]
     passed = len(statistics.results) - len(results.failed)
@@ -90,7 +90,7 @@ def report(results: ScenarioResults, output: Path) -> Report:
 
 
 def scenario_line(result: ScenarioResult) -> str:
-    """What came of one scenario, for the progress."""
+    """Return a line on one scenario, for the progress."""
     if not result.converged:
         return f"{result.id}: {'; '.join(result.reasons) or 'does not calibrate'}"
     error = "" if result.translation_mm is None else f", {result.translation_mm:.3g} mm, {result.rotation_deg:.2g} deg"
@@ -133,7 +133,7 @@ def distribution(statistics: Statistics) -> Table:
 
 
 def _worst(results: ScenarioResults) -> list[Block]:
-    """Return the worst scenarios, and folded their parameters and how to replay them."""
+    """Return the worst scenarios, with their parameters and replay commands folded."""
     statistics = results.statistics
     worst = statistics.worst(WORST_SHOWN)
     rows = (
@@ -161,7 +161,7 @@ def _worst(results: ScenarioResults) -> list[Block]:
 
 
 def replay(results: ScenarioResults, scenario: str) -> str:
-    """The command that collects one of the scenarios."""
+    """Return the command that collects one of the scenarios."""
     of, request = results.request.collection, results.request
     words = ["calibration", "collect-data-sim", "--system", str(of.system or results.system)]
     words += [*request.applications, "--scenario", scenario]
@@ -172,7 +172,7 @@ def replay(results: ScenarioResults, scenario: str) -> str:
 
 
 def drivers(statistics: Statistics) -> list[Block]:
-    """Return the parameters that go with the translation error, as far as they stand out."""
+    """Return the parameters that correlate significantly with the translation error."""
     title, found = "What drives the error", statistics.drivers
     strong = [driver for driver in found if driver.stands_out]
     if not found:
@@ -194,7 +194,7 @@ def drivers(statistics: Statistics) -> list[Block]:
 
 
 def _losses(statistics: Statistics) -> Lines:
-    """Return why poses were lost, the most frequent reasons first; numbers in them do not tell them apart."""
+    """Return the reasons of rejected poses, most frequent first; reasons that differ only in numbers are merged."""
     lost = [each for result in statistics.results for reasons in (result.lost or {}).values() for each in reasons]
     examples: dict[str, str] = {}
     for reason in lost:

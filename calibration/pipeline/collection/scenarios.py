@@ -1,4 +1,4 @@
-"""Many scenarios in containers: each is a job, and leaves a folder, which is kept as soon as it is complete."""
+"""Many scenarios in containers: each is a job with an output folder, which is kept once it is complete."""
 
 import shutil
 import tempfile
@@ -18,60 +18,60 @@ from calibration.pipeline.collection.scenario_report import REPORT_FILES
 from calibration.simulation.scenarios.scenario import ScenarioResult
 
 SCENARIOS = "scenarios"
-"""The folder of the datasets, a folder for each scenario in it."""
+"""Folder of the datasets, with a folder for each scenario."""
 
 ScenarioDone = Callable[[int, int, ScenarioResult], None]
-"""Called after each scenario; first with those that are done already."""
+"""Callback after each scenario; first for those already finished."""
 
 
 @dataclass(frozen=True)
 class Judged:
-    """Result of a scenario, and whether its job could be run."""
+    """Result of a scenario, and whether its job could run."""
 
     result: ScenarioResult
     error: ExitCode | None = None
-    """Set where it could not be run: a wrong image (2), the engine, the host or the time (3)."""
+    """Set if it could not run: a wrong image (2), the engine, the host or the time (3)."""
     complete: bool = True
-    """Whether there is nothing to gain from running it again."""
+    """Whether it is final, so that running it again is useless."""
 
 
 class Scenarios(ABC):
-    """Scenarios of a request whose files are read; each can be run as a job of containers."""
+    """Scenarios of a request whose files are read; each can run as a job of containers."""
 
     system: str
     pending: Sequence[ScenarioResult]
-    """Result of each scenario before it is run: id, hash and values."""
+    """Result of each scenario before it has run: id, hash and values."""
     stillness: float | None
-    """How far a pattern may move while the sensors look, m; None where nobody asks."""
+    """Limit of a pattern's motion while the sensors measure, m; None for no limit."""
 
     @abstractmethod
     def write_inputs(self, folder: Path) -> Path | None:
-        """Write what all jobs read into a new folder; None where they read nothing."""
+        """Write the input of all jobs into a new folder; None if there is none."""
 
     @abstractmethod
     def job(self, number: int, inputs: Path | None) -> Job:
-        """The job of a scenario."""
+        """Return the job of a scenario."""
 
     @abstractmethod
     def judge(self, number: int, outcome: JobOutcome, new: Path) -> Judged:
-        """Judge a scenario by what its job left; its dataset is moved to ``new``, which does not exist yet."""
+        """Judge a scenario by its job's output; its dataset is moved to ``new``, which does not exist yet."""
 
 
 @dataclass(frozen=True)
 class ScenarioFolder:
-    """The output folder of many scenarios."""
+    """Output folder of many scenarios."""
 
     output: Path
     resume: bool = False
-    """Whether what an earlier run left is kept, and only what is missing is run."""
+    """Whether results of an earlier run are kept, and only missing ones run."""
     overwrite: bool = False
-    """Whether what an earlier run left is removed."""
+    """Whether results of an earlier run are removed."""
 
     def make_room(self) -> None:
-        """Make the output folder, without the report of an earlier run, and without its scenarios if they are to go.
+        """Prepare the output folder: remove the report of an earlier run, and its scenarios if requested.
 
         Raises:
-            InputError: there are scenarios of an earlier run, and nobody has said what to do with them.
+            InputError: there are scenarios of an earlier run, and neither `resume` nor `overwrite` is set.
             InfrastructureError: the folder cannot be written.
         """
         place = self.output / SCENARIOS
@@ -91,13 +91,13 @@ class ScenarioFolder:
             raise InfrastructureError(f"{self.output}: cannot be written: {error.strerror or error}") from error
 
     def task(self, scenarios: Scenarios, number: int, inputs: Path | None, work: Path) -> Task[Judged]:
-        """The task of a scenario.
+        """Return the task of a scenario.
 
         Args:
-            scenarios: which it is one of.
-            number: of the scenario.
-            inputs: what all jobs read.
-            work: a folder in the output folder, for what is not complete yet.
+            scenarios: all scenarios.
+            number: index of the scenario.
+            inputs: the input folder of all jobs.
+            work: a folder in the output folder, for incomplete results.
         """
 
         def judge(outcome: JobOutcome) -> Judged:
@@ -106,7 +106,7 @@ class ScenarioFolder:
         return Task.containers(scenarios.pending[number].id, scenarios.job(number, inputs), judge)
 
     def find(self, pending: ScenarioResult, stillness: float | None) -> Judged | None:
-        """Result of a scenario in an earlier run; None where it is missing, or was of another scenario."""
+        """Return the result of a scenario in an earlier run; None if it is missing, or of another scenario."""
         if not self.resume:
             return None
         try:
@@ -115,7 +115,7 @@ class ScenarioFolder:
             return None
 
     def _take(self, scenarios: Scenarios, number: int, outcome: JobOutcome, new: Path) -> Judged:
-        """Judge a scenario, and keep what it left: all of it is there, or nothing."""
+        """Judge a scenario, and move its output into place as a whole."""
         name = scenarios.pending[number].id
         try:
             judged = scenarios.judge(number, outcome, new)
@@ -134,11 +134,11 @@ class ScenarioFolder:
 def run_in_containers(
     scenarios: Scenarios, folder: ScenarioFolder, jobs: int | None, place: Place | None, done: ScenarioDone
 ) -> list[Judged]:
-    """Run scenarios as jobs of containers; their datasets and logs are in the folder.
+    """Run scenarios as jobs of containers; their datasets and logs are stored in the folder.
 
     Raises:
         InputError: an image is missing, or the folder has scenarios already.
-        InfrastructureError: a file cannot be written, or the place cannot be reached.
+        InfrastructureError: a file cannot be written, or the backend cannot be reached.
     """
     folder.make_room()
     pending = {each.id: each for each in scenarios.pending}
@@ -157,7 +157,7 @@ def run_in_containers(
 
 
 def _replace(source: Path, target: Path) -> None:
-    """Move a folder, if there is one, to the place of another."""
+    """Move a folder, if it exists, to replace another one."""
     if target.exists():
         shutil.rmtree(target)
     if source.exists():

@@ -1,1 +1,1 @@
-"""How far a starting guess may be off: the matrix swept over start noise, as maps of what converges."""
+"""Convergence region: the matrix swept over the noise of the initial guess, as maps of the share that converges."""

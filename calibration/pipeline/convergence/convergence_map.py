@@ -1,4 +1,4 @@
-"""What a sweep found of one system from one kind of start: the share that converges, by the noise of the start."""
+"""Convergence map of one system and one kind of initial guess: the share that converges, by noise."""
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
@@ -16,7 +16,7 @@ Noise = tuple[float, float]
 
 @result
 class LostStart:
-    """A start that does not converge."""
+    """Initial guess that does not converge."""
 
     seed: int | None = field("Of the start's noise.")
     reasons: tuple[str, ...] = field("Why it is no calibration.")
@@ -25,7 +25,7 @@ class LostStart:
 
 @result
 class Pair:
-    """The starts, one a seed, with one pair of noises."""
+    """All initial guesses, one per seed, of one pair of noises."""
 
     translation_noise: float = field("Of the starts.", unit="m")
     rotation_noise: float = field("Of the starts.", unit="rad")
@@ -34,29 +34,29 @@ class Pair:
     @property
     @computed()
     def starts(self) -> int:
-        """How many starts there are."""
+        """Number of initial guesses."""
         return len(self.cells)
 
     @property
     @computed()
     def converged(self) -> int:
-        """How many converge."""
+        """Number of those that converge."""
         return sum(cell.verdict == "pass" for cell in self.cells)
 
     @property
     def always(self) -> bool:
-        """Whether all of them do."""
+        """Whether all of them converge."""
         return self.converged == self.starts
 
     @property
     @computed()
     def share(self) -> float:
-        """From 0 to 1, rounded down: 1 only where every start converges."""
+        """Share that converges, 0 to 1, rounded down: 1 only if all converge."""
         return self.converged * 1_000_000 // self.starts / 1_000_000
 
     @property
     def percent(self) -> str:
-        """The share in whole percent; 100 only where all converge, 0 only where none does."""
+        """Share in whole percent; 100 only if all converge, 0 only if none does."""
         if 0 < self.converged < self.starts:
             return str(min(max(round(100 * self.converged / self.starts), 1), 99))
         return "100" if self.always else "0"
@@ -64,23 +64,23 @@ class Pair:
     @property
     @computed("lost")
     def lost_starts(self) -> tuple[LostStart, ...]:
-        """Those that do not converge."""
+        """Initial guesses that do not converge."""
         return tuple(LostStart(cell.seed, cell.reasons, cell.error) for cell in self.cells if cell.verdict == "fail")
 
     @property
     def lost(self) -> tuple[int, ...]:
-        """The seeds of those that do not."""
+        """Their seeds."""
         return tuple(each.seed for each in self.lost_starts if each.seed is not None)
 
     @property
     def reason(self) -> str:
-        """The first reason of the first start that does not converge; empty where all do."""
+        """First reason of the first one that does not converge; empty if all do."""
         return next((each.reasons[0] for each in self.lost_starts if each.reasons), "")
 
 
 @result
 class NoisePair:
-    """Noise of both kinds at once."""
+    """Translation and rotation noise at once."""
 
     translation_noise: float = field("Of the start.", unit="m")
     rotation_noise: float = field("Of the start.", unit="rad")
@@ -88,22 +88,22 @@ class NoisePair:
 
 @result
 class Largest:
-    """The largest levels up to which every start of the sweep converges; null where the one without noise does not."""
+    """Largest noise levels up to which every initial guess converges; null if the one without noise does not."""
 
     translation: float | None = field("With no rotation noise.", unit="m", key="translation_noise")
     rotation: float | None = field("With no translation noise.", unit="rad", key="rotation_noise")
     diagonal: Noise | None
-    """Both at once, grown from 0 in proportion to their last levels: every pair of levels up to it converges."""
+    """Both at once, in proportion to their largest levels: every pair of levels up to it converges."""
 
     @property
     @computed("diagonal")
     def diagonal_pair(self) -> NoisePair | None:
-        """Every pair up to both converges, grown in proportion to the last levels."""
+        """Both at once, in proportion to the largest levels, such that every pair up to them converges."""
         return None if self.diagonal is None else NoisePair(*self.diagonal)
 
     @classmethod
     def of_all(cls, found: Sequence["Largest"]) -> "Largest":
-        """The least of several."""
+        """Return the minimum of several."""
         diagonals = [each.diagonal for each in found]
         translation, rotation = (least([noise and noise[axis] for noise in diagonals]) for axis in (0, 1))
         return cls(
@@ -114,42 +114,42 @@ class Largest:
 
 
 def least(values: Sequence[float | None]) -> float | None:
-    """The smallest of the values; None where one of them is missing, or all."""
+    """Return the smallest of the values; None if one of them is missing, or all."""
     known = [value for value in values if value is not None]
     return min(known) if known and len(known) == len(values) else None
 
 
 @result
 class ConvergenceMap:
-    """One system, calibrated by one method from one kind of start."""
+    """Convergence of one system, calibrated by one method from one kind of initial guess."""
 
     system: str = field("Its name.")
     method: str = field("calibration-ci, or software: the team's own.")
     start: str = field("given or linear.")
     judged: bool = field("Whether it has a part in the verdict; our engine beside the team's software has none.")
     translations: tuple[float, ...]
-    """The levels, m, from 0."""
+    """Translation levels, m, from 0."""
     rotations: tuple[float, ...]
-    """The levels, rad, from 0."""
+    """Rotation levels, rad, from 0."""
     pairs: Mapping[Noise, Pair]
-    """By noise; every combination of the levels."""
+    """Pairs by noise; every combination of the levels."""
 
     @property
     @computed("pairs")
     def all_pairs(self) -> tuple[Pair, ...]:
-        """Every combination of the levels."""
+        """Pairs in order, every combination of the levels."""
         return tuple(self.pairs.values())
 
     @property
     def name(self) -> str:
-        """What messages and tables call it."""
+        """Name in messages and tables."""
         method = () if self.method == OUR_METHOD and self.judged else (self.method,)
         return ", ".join((self.system, *method, self.start))
 
     @cached_property
     @computed()
     def largest(self) -> Largest:
-        """Up to where every start converges."""
+        """Largest noise levels up to which everything converges."""
         return Largest(
             _last(self.translations, lambda t: self.pairs[t, 0.0].always),
             _last(self.rotations, lambda r: self.pairs[0.0, r].always),
@@ -157,7 +157,7 @@ class ConvergenceMap:
         )
 
     def _diagonal(self) -> Noise | None:
-        """The far corner of the largest box of the sweep's proportions in which every pair converges."""
+        """Return the corner of the largest box, in the sweep's proportions, in which every pair converges."""
         shares = {_share(level, levels) for levels in (self.translations, self.rotations) for level in levels}
 
         def box(share: float) -> tuple[list[float], list[float]]:
@@ -177,7 +177,7 @@ class ConvergenceMap:
 
     @property
     def error(self) -> ExitCode | None:
-        """What could not be done: a failing world anywhere, bad input where there is no noise to blame for it."""
+        """Exit code of an infrastructure failure anywhere, or of bad input without noise, which cannot be its cause."""
         errors = [cell.error for cell in self.pairs[0.0, 0.0].cells]
         errors += [
             cell.error for pair in self.pairs.values() for cell in pair.cells if cell.error == ExitCode.INFRASTRUCTURE
@@ -186,11 +186,11 @@ class ConvergenceMap:
 
 
 def maps_of(cells: Sequence[CellResult], noise: NoiseGrid) -> tuple[ConvergenceMap, ...]:
-    """The maps of a sweep's cells, system by system, in the order in which they first come.
+    """Return the maps of a sweep's cells, in the order of their first cells.
 
     Args:
         cells: in any order; every combination of the grid for every map.
-        noise: its levels begin with 0.
+        noise: the grid; its levels begin with 0.
     """
     found: dict[tuple[str, str, str], dict[tuple[float | None, float | None, int | None], CellResult]] = {}
     for cell in cells:
@@ -216,10 +216,10 @@ def maps_of(cells: Sequence[CellResult], noise: NoiseGrid) -> tuple[ConvergenceM
 
 
 def _last(levels: Sequence[float], good: Callable[[float], bool]) -> float | None:
-    """The last of the levels before the first that is not good."""
+    """Return the last level before the first that is not good."""
     return next(reversed(list(takewhile(good, levels))), None)
 
 
 def _share(level: float, levels: Sequence[float]) -> float:
-    """Of the last level; rounded, so that the same share of two axes is the same number."""
+    """Return the ratio of a level to the last one, rounded, so that equal ratios of two axes are equal numbers."""
     return round(level / levels[-1], 9) if levels[-1] else 0.0

@@ -1,4 +1,4 @@
-"""The maps as a picture: a panel for each, with the share that converges in every cell."""
+"""Figure of the convergence maps: one panel each, with the share that converges in every cell."""
 
 import io
 import math
@@ -18,18 +18,18 @@ if TYPE_CHECKING:
 MOST_MAPS = 24
 COLUMNS = 2
 _CELL, _MARGIN_WIDTH, _MARGIN_HEIGHT = 0.44, 1.3, 1.35
-"""Inches: the side of a cell, and what a panel has around its cells."""
+"""Inches: the side of a cell, and the margins of a panel."""
 _LEAST_WIDTH = 4.2
 _DPI = 130
 _COLOURS = "cividis"
-"""Dark to light in even steps, for the colour-blind and for print too."""
+"""Perceptually uniform, also for the colour-blind and in print."""
 _DARK = 55
 """Percent below which numbers are white."""
 _OUTLINE = "#c8102e"
 _STYLE: Any = {
     "font.size": 9,
-    "font.family": ["DejaVu Sans"],  # it comes with matplotlib: the same picture on every machine
-    "text.parse_math": False,  # names are the user's
+    "font.family": ["DejaVu Sans"],  # bundled with matplotlib: the same picture on every machine
+    "text.parse_math": False,  # names come from the user and may contain $
     "svg.hashsalt": "calibration-ci",
     "svg.fonttype": "path",
 }
@@ -49,7 +49,7 @@ def figures(results: ConvergenceResults) -> tuple[bytes, bytes]:
         message = "the figure needs matplotlib: pip install matplotlib"
         raise InputError(message) from error
     with rc_context(_STYLE), warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message="Glyph")  # a name in a script that the font does not have
+        warnings.filterwarnings("ignore", message="Glyph")  # a name in a script that the font lacks
         columns = min(COLUMNS, len(results.maps))
         rows = math.ceil(len(results.maps) / columns)
         width = max(_CELL * len(results.noise.rotations) + _MARGIN_WIDTH, _LEAST_WIDTH)
@@ -83,7 +83,7 @@ def _panel(axes: "Axes", of: ConvergenceMap, rectangle: "type[Rectangle]") -> No
 
 
 def _turned(levels: tuple[float, ...]) -> float:
-    """By how many degrees labels are turned: long ones would touch each other."""
+    """Return the rotation of labels in degrees: long ones would overlap."""
     return 45.0 if max(len(number_text(level)) for level in levels) > 4 else 0.0
 
 
@@ -95,7 +95,7 @@ def _largest(of: ConvergenceMap) -> str:
 
 
 def _outline(axes: "Axes", of: ConvergenceMap, rectangle: "type[Rectangle]") -> None:
-    """Mark the cells up to the diagonal's largest noise."""
+    """Mark the cells up to the largest diagonal noise."""
     if of.largest.diagonal is not None:
         translation, rotation = of.largest.diagonal
         width, height = of.rotations.index(rotation) + 1, of.translations.index(translation) + 1

@@ -1,4 +1,4 @@
-"""The report of ``convergence``: a table and a picture of each map, translation noise down, rotation noise across."""
+"""Report of ``convergence``: a table and a figure of each map, translation noise down, rotation noise across."""
 
 import shlex
 from collections.abc import Iterable
@@ -18,24 +18,24 @@ TITLE = "convergence"
 TABLE_FILE, LARGEST_FILE = "convergence.csv", "largest-noise.csv"
 PNG_FILE, SVG_FILE = "convergence.png", "convergence.svg"
 ALL_FILES = (*FILES, TABLE_FILE, LARGEST_FILE, PNG_FILE, SVG_FILE)
-"""Everything that a sweep leaves, except for what the team's software does."""
+"""All output files of a sweep, except for those of the team's software."""
 LOST_SHOWN = 10
-"""Maps of which a start that does not converge is named."""
+"""Limit of the maps with a named initial guess that does not converge."""
 
 
 def report(results: ConvergenceResults, output: Path, source: str = "--config calibration.yml") -> Report:
-    """Return the report, with its pictures if they can be drawn.
+    """Return the report, with its figures if they can be drawn.
 
     Args:
-        results: what was found.
+        results: the results.
         output: the folder for the results.
-        source: option that says what was swept, for commands to paste.
+        source: option that selects the swept systems, for commands to paste.
     """
     notes: tuple[str, ...] = ()
     pictures: dict[str, str | bytes] = {}
     try:
         pictures = dict(zip((PNG_FILE, SVG_FILE), figures(results), strict=True))
-    except InputError as error:  # what draws them is not installed, or there is too much to draw
+    except InputError as error:  # matplotlib is not installed, or there are too many maps
         notes = (str(error),)
     lost = tuple(line for each in results.maps if (line := first_lost(each, source)))
     largest = results.largest
@@ -69,12 +69,12 @@ def report(results: ConvergenceResults, output: Path, source: str = "--config ca
 
 
 def map_table(of: ConvergenceMap) -> Table:
-    """Return the share in percent of each pair of noises."""
+    """Return the convergence rate in percent of each pair of noises."""
     starts = len(next(iter(of.pairs.values())).cells)
     return Table(
         ("", *(f"{number_text(r)} rad" for r in of.rotations)),
         tuple(
-            (f"{number_text(t)} m", *(of.pairs[t, r].percent for r in of.rotations))  # in the form of the noise pairs
+            (f"{number_text(t)} m", *(of.pairs[t, r].percent for r in of.rotations))  # in the format of the noise pairs
             for t in of.translations
         ),
         title=f"{of.name}: starts that converge, % of {starts}",
@@ -82,7 +82,7 @@ def map_table(of: ConvergenceMap) -> Table:
 
 
 def largest_table(results: ConvergenceResults) -> Table:
-    """Return up to which noise every start converges, a row for each map."""
+    """Return the largest noise up to which everything converges, a row for each map."""
 
     def shown(value: float | None, unit: str) -> str:
         return "none" if value is None else f"{number_text(value)} {unit}"
@@ -120,7 +120,7 @@ def starts(results: ConvergenceResults) -> Table:
 
 
 def largest_noise(results: ConvergenceResults) -> Table:
-    """Return a row for each map, for ``largest-noise.csv``; an empty cell, which no rule lets pass, where none is."""
+    """Return a row for each map, for ``largest-noise.csv``; an empty cell, which fails every rule, if there is none."""
     header = ("Map", "Translation noise (m)", "Rotation noise (rad)")
     rows = []
     for each in results.maps:
@@ -131,11 +131,11 @@ def largest_noise(results: ConvergenceResults) -> Table:
 
 
 def first_lost(of: ConvergenceMap, source: str) -> str:
-    """Return a start that does not converge, of those with the least noise, and how to run it; empty if all do.
+    """Return an initial guess with the least noise that does not converge, and its command; empty if all converge.
 
     Args:
         of: the map.
-        source: option that says what was swept.
+        source: option that selects the swept systems.
     """
     for (t, r), pair in of.pairs.items():
         if pair.lost:

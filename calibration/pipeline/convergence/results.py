@@ -1,4 +1,4 @@
-"""What a sweep of the start's noise found, and its verdict."""
+"""Results of a sweep over the initial guess's noise, and its verdict."""
 
 from dataclasses import dataclass
 
@@ -11,12 +11,12 @@ from calibration.report import Check, Verdict, at_least, verdict_of
 
 @dataclass(frozen=True)
 class Minimums:
-    """The noise up to which every start has to converge; None where nothing is asked."""
+    """Required noise up to which every initial guess converges; None for no requirement."""
 
     translation: float | None = None
-    """m, with no rotation noise."""
+    """m, without rotation noise."""
     rotation: float | None = None
-    """rad, with no translation noise."""
+    """rad, without translation noise."""
 
 
 @result
@@ -31,18 +31,18 @@ class ConvergenceResults:
 
     @property
     def judged(self) -> list[ConvergenceMap]:
-        """The maps that have a part in the verdict."""
+        """The maps that count for the verdict."""
         return [each for each in self.maps if each.judged]
 
     @property
     @computed()
     def checks(self) -> tuple[Check, ...]:
-        """The largest noises against what is asked."""
+        """Largest noises against the required ones."""
         return tuple(check for each in self.judged for check in _checks(each, self.minimums))
 
     @property
     def reasons(self) -> list[str]:
-        """Why the verdict is fail; nothing where it is pass."""
+        """Reasons of a fail verdict; empty if it is pass."""
         lost = [reason for each in self.judged if (reason := without_noise(each))]
         failed = [cell for each in self.judged for pair in each.pairs.values() for cell in pair.cells]
         world = [f"{cell.name}: {cell.reasons[0]}" for cell in failed if cell.error == ExitCode.INFRASTRUCTURE]
@@ -50,23 +50,23 @@ class ConvergenceResults:
 
     @property
     def verdict(self) -> Verdict:
-        """Pass when every map converges without noise, and as far as is asked."""
+        """Pass if every map converges without noise, and up to the required noise."""
         return verdict_of(bool(self.judged) and not self.reasons)
 
     @property
     def exit_code(self) -> ExitCode:
-        """2 or 3 where something could not be done because of bad input or a failing world, else the verdict's."""
+        """2 or 3 after bad input or an infrastructure failure, else the verdict's."""
         return exit_code_of(self.verdict == "pass", (each.error for each in self.judged))
 
     @property
     @computed()
     def largest(self) -> Largest:
-        """The least of the maps that are judged."""
+        """Minimum over the judged maps."""
         return Largest.of_all([each.largest for each in self.judged])
 
 
 def without_noise(of: ConvergenceMap) -> str:
-    """Why a map does not even converge from the start without noise; empty where it does."""
+    """Return the reason why a map does not converge even without noise; empty if it does."""
     pair = of.pairs[0.0, 0.0]
     if pair.always:
         return ""

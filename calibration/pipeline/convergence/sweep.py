@@ -1,9 +1,9 @@
-"""The sweep: the matrix run once for each kind of start, every cell judged as ``calibrate-matrix`` judges it.
+"""Sweep of the matrix over each kind of initial guess, with every cell judged as by ``calibrate-matrix``.
 
-A start converges when its cell passes: what it led to is an optimum (the right one: see
-`calibration.estimation.calibrate`), and keeps to the system's rules and limits. A system that has neither asks for
-no optimum, so there the RMS counts too: it is that of the best start of the same method in this sweep. Software whose
-dataset has been held against our optimum needs neither.
+An initial guess converges if its cell passes: its result is an optimum (the right one: see
+`calibration.estimation.calibrate`), and satisfies the system's rules and limits. Without rules and limits, the
+RMS must also be that of the best result of the same method in this sweep, because a wrong optimum would pass. For
+software whose dataset has been compared with the optimum, neither is needed.
 """
 
 import json
@@ -32,17 +32,17 @@ from calibration.pipeline.system import System
 from calibration.records import document_of, read
 
 CELLS = "cells"
-"""The folder, in the output folder, of what the team's software leaves."""
+"""Folder, in the output folder, of the files of the team's software."""
 SAME_RELATIVE, SAME_PX = 0.01, 0.001
-"""An RMS that exceeds the best by no more than this share and these pixels is of the same optimum."""
+"""Tolerances of the RMS above the best one, relative and in px, within which it is the same optimum."""
 
 
 def sweep_matrices(matrix: Matrix, starts: Sequence[Start]) -> tuple[Matrix, ...]:
-    """The matrix for each kind of start. The team's software starts from the given guess; it is run in that one only.
+    """Return the matrix for each kind of initial guess. The team's software is only run from the given one.
 
     Args:
-        matrix: systems and noise; the systems' own starts do not count.
-        starts: each once.
+        matrix: systems and noise; the systems' own starts are ignored.
+        starts: kinds of initial guesses, each once.
 
     Raises:
         InputError: there is software, but no given start for it, or no image to run it in.
@@ -58,7 +58,7 @@ def sweep_matrices(matrix: Matrix, starts: Sequence[Start]) -> tuple[Matrix, ...
 
 
 def _starting(system: System, start: Start) -> System:
-    """A system with another start, and without other methods, which take none."""
+    """Return a system with another kind of initial guess, without comparison methods, which use none."""
     software = system.software if start == "given" else None
     return replace(system, compare=(), software=software, options=replace(system.options, start=start))
 
@@ -70,15 +70,15 @@ def run_sweep(
     done: Done = lambda *_: None,
     place: Place | None = None,
 ) -> list[CellResult]:
-    """Run every cell, and judge it. What our engine writes for the rules to judge is removed as soon as it is judged.
+    """Run and judge every cell. Files of our engine for the rules are removed as soon as they are judged.
 
-    A sweep that was interrupted goes on where it was when it is asked for again.
+    An interrupted sweep is continued by the same call.
 
     Args:
-        matrices: of `sweep_matrices`.
-        output: the folder; `CELLS` in it keeps the logs and files of the team's software.
-        jobs: processes, or containers at once; None for as many as the machine holds.
-        done: called after each cell; first with those that are done already.
+        matrices: from `sweep_matrices`.
+        output: the output folder; its `CELLS` keeps the logs and files of the team's software.
+        jobs: number of parallel processes or containers; None for as many as the machine can run.
+        done: called after each cell; first for those already finished.
         place: where containers run; this machine's engine unless given.
 
     Returns:
@@ -104,7 +104,7 @@ def run_sweep(
 
 
 def _identity(matrices: Sequence[Matrix]) -> str:
-    """What a cell depends on beside its noise: the versions, what is asked, and the files."""
+    """Return a hash of the inputs of all cells, except for their noise: versions, options and files."""
     asked = [matrix.systems for matrix in matrices]
     files = [
         (str(path), status.st_size, status.st_mtime_ns)
@@ -116,7 +116,7 @@ def _identity(matrices: Sequence[Matrix]) -> str:
 
 
 def _files(system: System) -> Iterator[Path]:
-    """The files that a system's calibration reads."""
+    """Return the files that a system's calibration reads."""
     folder = system.dataset if system.dataset.is_dir() else system.dataset.parent
     yield from (path for path in folder.rglob("*") if path.is_file())
     for path in (system.options.intrinsics_covariance, Path(system.truth) if system.truth else None):
@@ -133,7 +133,7 @@ def _decoded(text: bytes) -> CellResult:
 
 
 def _judged(cell: CellResult, systems: Sequence[System], ours: Path, theirs: Path) -> CellResult:
-    """The cell by rules and limits, without what is not needed any more: thousands of it would fill disk and memory."""
+    """Judge a cell by rules and limits, and drop its details: thousands would fill disk and memory."""
     folder = ours if cell.method == OUR_METHOD else theirs
     [judged] = judge_cells([cell], systems, folder)
     if cell.method == OUR_METHOD and cell.dataset is not None:
@@ -142,7 +142,7 @@ def _judged(cell: CellResult, systems: Sequence[System], ours: Path, theirs: Pat
 
 
 def _of_the_same_optimum(cells: Sequence[CellResult], systems: Sequence[System]) -> list[CellResult]:
-    """The cells; of systems without rules and limits, those with an RMS above the best fail."""
+    """Fail the cells with an RMS above the best one, of systems without rules and limits."""
     unjudged = {system.name for system in systems if system.rules is None and system.limits == Limits()}
     best: dict[tuple[str, str], float] = {}
     for cell in cells:
@@ -158,7 +158,7 @@ def _of_the_same_optimum(cells: Sequence[CellResult], systems: Sequence[System])
 
 
 def _verified(cell: CellResult) -> bool:
-    """Whether the calibrated dataset of the team's software has been held against our optimum."""
+    """Whether the calibrated dataset of the team's software has been compared with the optimum."""
     return cell.method == SOFTWARE and cell.dataset is not None
 
 

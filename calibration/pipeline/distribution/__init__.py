@@ -1,8 +1,8 @@
-"""A pipeline spread over the jobs of a workflow, and gathered again.
+"""Distribution of a pipeline over the jobs of a workflow, and collection of their results.
 
-- ``plan``: which jobs run, and what each calibrates;
+- ``plan``: the jobs, and the cells of each;
 - ``plan_outputs``: the plan as outputs of a job, and back;
-- ``jobs``: what became of the jobs, and how long they took, as they say themselves;
-- ``cost``: what the jobs took, in billed minutes and money;
-- ``gathering``: what the jobs left, as one set of results with one verdict.
+- ``jobs``: results and durations of the jobs, as reported by themselves;
+- ``cost``: billed minutes and money of the jobs;
+- ``gathering``: the jobs' files as one set of results with one verdict.
 """

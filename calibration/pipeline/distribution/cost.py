@@ -1,4 +1,4 @@
-"""What a run of the workflow costs: every job's time, rounded up to a minute as GitHub bills it, times a rate."""
+"""Cost of a workflow run: every job's time, rounded up to a minute as GitHub bills it, times a rate."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -10,14 +10,14 @@ from calibration.records import computed, field, result
 from calibration.report import Table
 
 VERDICT, PROMOTE = "verdict", "promote"
-"""The last jobs: the one that reckons, and the one that runs after it."""
+"""The last jobs: the one that computes the cost, and the one that runs after it."""
 DIGITS = 6
-"""Decimals of an amount of money; the rest is an error of binary fractions."""
+"""Decimals of an amount of money; further ones are rounding errors."""
 
 
 @result
 class JobTime:
-    """One job that has run."""
+    """Time of one job."""
 
     job: str = field("Its place in the workflow: calibrate.")
     name: str = field("What it worked on (robot, 0.5 m, 0 rad); the place where there is only one.")
@@ -28,13 +28,13 @@ class JobTime:
     @property
     @computed("billed_minutes")
     def minutes(self) -> int | None:
-        """What is billed: begun minutes, at least one."""
+        """Billed time: started minutes, at least one."""
         return None if self.seconds is None else max(1, -(-self.seconds // 60))
 
 
 @result
 class Cost:
-    """The jobs of a run, or some of them."""
+    """Times of the jobs of a run, or some of them."""
 
     times: tuple[JobTime, ...] = field("The jobs.", key="jobs")
     rate: float | None = field("Of a minute, in whatever currency; null where the user named none.", default=None)
@@ -52,23 +52,23 @@ class Cost:
 
     @property
     def seconds(self) -> int:
-        """Of the jobs that are known, one after the other."""
+        """Sum of the known times."""
         return sum(time.seconds or 0 for time in self.times)
 
     @property
     @computed("billed_minutes")
     def minutes(self) -> int:
-        """Billed for the jobs that are known."""
+        """Billed minutes of the known times."""
         return sum(time.minutes or 0 for time in self.times)
 
     @property
     @computed("cost")
     def amount(self) -> float | None:
-        """What these minutes cost; None without a rate."""
+        """Cost of these minutes; None without a rate."""
         return None if self.rate is None else round(self.minutes * self.rate, DIGITS)
 
     def of(self, job: str) -> "Cost":
-        """The part of one place in the workflow."""
+        """Return the part of one job of the workflow."""
         return Cost(tuple(time for time in self.times if time.job == job), self.rate)
 
     @property
@@ -80,17 +80,17 @@ class Cost:
 
 
 def cost_of_run(plan: Plan, needs: Needs, folder: Path, seconds: int | None, *, promotes: bool) -> Cost:
-    """What a run costs, as far as its jobs have told.
+    """Return the cost of a run, as far as its jobs have reported their times.
 
     Args:
-        plan: of the run; an empty one where planning failed.
-        needs: what became of the jobs before this one.
-        folder: what they left, each in a folder with its slug.
-        seconds: of the job that asks, until now.
+        plan: of the run; empty if planning failed.
+        needs: results of the jobs before this one.
+        folder: their files, each in a folder with its slug.
+        seconds: of the current job, until now.
         promotes: whether a job runs after it.
     """
     times = []
-    for job in ("plan", *plan.jobs, *needs.unplanned):  # what needs has, act sorts by name
+    for job in ("plan", *plan.jobs, *needs.unplanned):  # act sorts the keys of needs by name
         if needs.results.get(job, "skipped") == "skipped":
             continue
         cells = {"calibrate": plan.at_once, "calibrate-collected": plan.after_collection}.get(job)
@@ -105,7 +105,7 @@ def cost_of_run(plan: Plan, needs: Needs, folder: Path, seconds: int | None, *, 
 
 
 def jobs_table(results: Mapping[str, str], cost: Cost) -> Table:
-    """The table of all jobs: what became of each, what it took and what that costs."""
+    """Return the table of all jobs: result, time and cost of each."""
     results = {**results, VERDICT: "this job", **({PROMOTE: "to come"} if cost.of(PROMOTE).times else {})}
     rows = [(job, result, *_numbers(cost.of(job))) for job, result in results.items()]
     header: tuple[str, ...] = ("Job", "Result", "Jobs", "Seconds", "Billed minutes")
@@ -117,12 +117,12 @@ def jobs_table(results: Mapping[str, str], cost: Cost) -> Table:
 
 
 def money(amount: float | None) -> str:
-    """An amount with all its digits; nothing where there is none."""
+    """Format an amount with all its digits; empty if there is none."""
     return "" if amount is None else f"{amount:.{DIGITS}f}".rstrip("0").rstrip(".")
 
 
 def _numbers(cost: Cost) -> tuple[str, str, str, str]:
-    """Jobs, seconds, minutes and money; with "+ ?" where more is to be added that is not known."""
+    """Format jobs, seconds, minutes and money; with "+ ?" if some are unknown."""
     count = str(len(cost.times))
     if cost.times and not cost.known:
         return (count, "?", "?", "?")

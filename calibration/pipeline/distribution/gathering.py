@@ -1,4 +1,4 @@
-"""What the jobs of a workflow left, as one set of results with one verdict."""
+"""Collection of the results of a workflow's jobs, as one set with one verdict."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
@@ -24,7 +24,7 @@ NO_RESULT = "its job left no result: see the job's log"
 
 @result
 class RunResults(Results):
-    """Results of a pipeline, with what the jobs took that a workflow spread it over."""
+    """Results of a pipeline, with the times of the workflow's jobs."""
 
     cost: Cost | None = records.field(
         "What the jobs of a workflow took; only in the results that it gathers.", default=None, omitted=True
@@ -33,30 +33,30 @@ class RunResults(Results):
 
 @dataclass(frozen=True)
 class Gathered:
-    """All that a run of the workflow found."""
+    """All results of a workflow run."""
 
     results: Results
     jobs: Mapping[str, str]
-    """What became of each job that was to run."""
+    """Result of each planned job."""
     problems: tuple[str, ...] = ()
-    """Jobs that did not succeed, where no result says why."""
+    """Jobs that did not succeed, without results that give the reason."""
     plan: Plan = field(default_factory=Plan)
-    """Empty where planning failed."""
+    """Empty if planning failed."""
 
     @property
     def exit_code(self) -> ExitCode:
-        """Pass when every job succeeded and everything that was planned has passed."""
+        """Pass if every job succeeded and every planned cell passed."""
         found = self.results.exit_code if self.results.judged else ExitCode.PASS
         return max(found, ExitCode.FAIL) if self.problems else found
 
 
 def gather(needs: Needs, folder: Path) -> Gathered:
-    """Read what the jobs left below a folder, each in a folder with its slug, and hold it against the plan.
+    """Read the files of the jobs below a folder, each in a folder with its slug, and compare them with the plan.
 
-    What was planned and is not there fails.
+    Planned results that are missing fail.
 
     Raises:
-        InputError: a file is no results file, or has what was not planned.
+        InputError: a file is not a results file, or has unplanned cells.
     """
     if needs.results["plan"] != SUCCESS:
         return Gathered(Results(), {"plan": needs.results["plan"]}, (_problem("plan", needs.results["plan"], folder),))
@@ -87,7 +87,7 @@ def _any_failed(parts: Iterable[tuple[JobCell, Results]], *, collected: bool) ->
 
 
 def _problem(job: str, result: str, folder: Path) -> str:
-    """Why a job did not succeed: the reasons in its own results, if it left any."""
+    """Return the reasons why a job did not succeed, from its own results if there are any."""
     if reasons := reasons_in(folder / job):
         return f"{job}: {'; '.join(reasons)}"
     what = {"failure": "failed", "cancelled": "was cancelled", "skipped": "did not run"}.get(result, f"is {result}")
@@ -95,10 +95,10 @@ def _problem(job: str, result: str, folder: Path) -> str:
 
 
 def report_of_run(gathered: Gathered, cost: Cost, output: Path, title: str) -> Report:
-    """Return the report of a whole run: its verdict is that of all jobs, not of the results alone.
+    """Return the report of a whole run: its verdict covers all jobs, not only the results.
 
     Args:
-        gathered: what the jobs left.
+        gathered: results of the jobs.
         cost: of the run.
         output: the folder of the results.
         title: of the report and its annotations.
@@ -121,7 +121,7 @@ def report_of_run(gathered: Gathered, cost: Cost, output: Path, title: str) -> R
 
 
 def _cells_of(job: JobCell, plan: Plan, folder: Path) -> Results:
-    """The results of one job of the matrix, in the order of the plan; what is missing has failed."""
+    """Return the results of one job of the matrix, in the order of the plan; missing ones have failed."""
     found = _read(folder / job.slug)
     by_start = {cell.start_of_cell: cell for cell in found.cells}
     planned = {_start(cell): cell for cell in job.starts(plan.seeds)}
@@ -158,15 +158,15 @@ def _collections_of(plan: Plan, folder: Path) -> Results:
 
 
 def _each_once(comparisons: Iterable[CellResult]) -> tuple[CellResult, ...]:
-    """The comparisons, of which those that take no start were made by every job of their system."""
+    """Return the comparisons; those without an initial guess are in every job of their system, but only one is kept."""
     return tuple({(cell.start_of_cell, cell.method): cell for cell in comparisons}.values())
 
 
 def _read(folder: Path) -> Results:
-    """The results in a folder, with their verdicts; nothing where there is no file.
+    """Read the results in a folder, with their verdicts; empty if there is no file.
 
     Raises:
-        InputError: the file is no results file.
+        InputError: the file is not a results file.
     """
     if not (folder / RESULTS_FILE).exists():
         return Results()

@@ -1,4 +1,4 @@
-"""What became of the jobs of a workflow, and how long each took, as the job itself says it."""
+"""Results of a workflow's jobs, and their durations as reported by themselves."""
 
 import json
 import re
@@ -13,35 +13,35 @@ from calibration.files import read_bytes
 SUCCESS = "success"
 UNPLANNED = ("coverage",)
 SECONDS = "seconds"
-"""The output by which a job that is alone in its place tells how long it took."""
+"""Output with the duration, of a job without a matrix."""
 FILE = "job-seconds.txt"
-"""Beside the results of a job of the matrix, of which GitHub keeps no outputs one by one."""
+"""File with the duration, beside the results of a job of the matrix, whose outputs GitHub does not keep one by one."""
 _SECONDS = re.compile(r"[0-9]{1,7}")
-"""No job runs for longer than 115 days."""
+"""Durations of up to 115 days."""
 
 
 @dataclass(frozen=True)
 class Needs:
-    """The jobs before, as GitHub tells of them (``toJSON(needs)``)."""
+    """Results of the previous jobs, as in GitHub's ``toJSON(needs)``."""
 
     results: Mapping[str, str] = field(default_factory=dict)
     """For each job success, failure, cancelled or skipped."""
     plan: Mapping[str, Any] = field(default_factory=dict)
-    """The outputs of plan-matrix; empty where it failed."""
+    """Outputs of plan-matrix; empty if it failed."""
     seconds: Mapping[str, int] = field(default_factory=dict)
-    """How long the jobs took that say it by an output."""
+    """Durations of the jobs that report them by an output."""
 
     @property
     def unplanned(self) -> dict[str, str]:
-        """The results of jobs that are not in the plan, because other inputs of the workflow decide about them."""
+        """Results of jobs that are not in the plan, because other inputs of the workflow control them."""
         return {job: self.results[job] for job in UNPLANNED if job in self.results}
 
 
 def parse_needs(text: str) -> Needs:
-    """Read ``toJSON(needs)``.
+    """Parse ``toJSON(needs)``.
 
     Raises:
-        InputError: it is none, or has no job plan.
+        InputError: it is invalid, or has no job plan.
     """
     try:
         jobs = json.loads(text)
@@ -56,13 +56,13 @@ def parse_needs(text: str) -> Needs:
 
 
 def parse_seconds(value: object) -> int | None:
-    """The seconds that a job says; None for anything else, which is no reason to fail."""
+    """Parse the seconds that a job reports; None if invalid, which is not an error."""
     text = value.strip() if isinstance(value, str) else ""
     return int(text) if _SECONDS.fullmatch(text) else None
 
 
 def read_seconds(folder: Path) -> int | None:
-    """What a job has left in its folder; None where it has left nothing, or something else."""
+    """Read the duration in a job's folder; None if it is missing or invalid."""
     try:
         return parse_seconds(read_bytes(folder / FILE, 16, "a number of seconds").decode("latin-1"))
     except CalibrationError:

@@ -1,4 +1,4 @@
-"""Which jobs a workflow runs for a pipeline, and what each of them calibrates."""
+"""Plan of a workflow for a pipeline: its jobs, and the cells that each calibrates."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -15,43 +15,45 @@ from calibration.pipeline.system import NoiseGrid, System
 from calibration.workflow.text import did_you_mean
 
 JOBS = ("calibrate", "collect-data", "unit-tests")
-"""The jobs that a user can choose from."""
+"""Jobs that a user can choose."""
 LONGEST = 80
-"""Characters of a slug."""
+"""Limit of a slug's length."""
 _NOT_IN_SLUG = re.compile(r"[^A-Za-z0-9._-]+")
 MOST_JOBS = 256
-"""GitHub refuses a larger matrix."""
+"""GitHub's limit of a matrix."""
 MOST_BYTES_INSIDE = 60_000_000
-"""Of the labels of all starts of a job with all noises, in bytes of dataset.json: our engine reads and calibrates a
-megabyte in 0.1 to 0.3 s on one core, on GitHub's machines in less than a second."""
+"""Limit, in bytes of dataset.json, of all labels in a job with all noises: our engine reads and calibrates a
+megabyte in 0.1 to 0.3 s on one core, on GitHub's machines in less than a second.
+"""
 COLLECTED_DATA, UNIT_TESTS = "collected-data", "unit-tests"
-"""The slugs of what these jobs leave."""
+"""Slugs of the artifacts of these jobs."""
 ImageSource: TypeAlias = Literal["", "own", "built", "given"]
-"""Where the team's software runs: nowhere (our engine calibrates), in the image that the system names, in the one that
-the job builds, in the one that the workflow was given."""
+"""Image of the team's software: none (our engine calibrates), the one that the system names, the one that
+the job builds, the one that the workflow was given.
+"""
 
 
 @dataclass(frozen=True)
 class JobCell:
-    """What one job of the matrix calibrates: a system from one noise, or from all of them."""
+    """Job of the matrix: a system with one noise, or with all of them."""
 
     name: str
-    """What the job is called."""
+    """Name of the job."""
     slug: str
-    """What its artifact and its folder are called."""
+    """Name of its artifact and its folder."""
     system: str
     translations: tuple[float, ...]
     """m."""
     rotations: tuple[float, ...]
     """rad."""
     dataset: str = ""
-    """The dataset's path; empty where the configuration says it."""
+    """Path of the dataset; empty if it is in the configuration."""
     image: ImageSource = ""
     collected: bool = False
-    """Whether the job collect-data makes the dataset."""
+    """Whether the job collect-data collects the dataset."""
 
     def starts(self, seeds: Sequence[int]) -> list[Cell]:
-        """Everything that the job calibrates."""
+        """Return all cells that the job calibrates."""
         return [
             Cell(self.system, StartingNoise(t, r, seed))
             for t in self.translations
@@ -62,28 +64,28 @@ class JobCell:
 
 @dataclass(frozen=True)
 class Plan:
-    """The jobs of a run."""
+    """Jobs of a run."""
 
     cells: tuple[JobCell, ...] = ()
-    """Of the job calibrate, and of the job calibrate-collected."""
+    """Cells of the job calibrate, and of the job calibrate-collected."""
     seeds: tuple[int, ...] = (1,)
     simulations: tuple[str, ...] = ()
-    """What the job collect-data collects."""
+    """Simulations of the job collect-data."""
     unit_tests: bool = False
     image: bool = False
-    """Whether the image is built and pushed before the cells, so that they only fetch it."""
+    """Whether the image is built and pushed before the cells, so that they only pull it."""
     collects_in_image: bool = False
     """Whether a simulation runs in the image that the pipeline builds."""
     push: bool = False
     """Whether the cells may push the image that they build."""
     promote: tuple[str, ...] = ()
-    """The tags that the image gets after a verdict that is pass."""
+    """Tags of the image after a pass verdict."""
     minute_rate: float | None = None
-    """What a minute of a job costs."""
+    """Cost of a minute of a job."""
 
     @property
     def at_once(self) -> tuple[JobCell, ...]:
-        """The cells whose dataset is there."""
+        """The cells whose dataset exists."""
         return tuple(cell for cell in self.cells if not cell.collected)
 
     @property
@@ -93,7 +95,7 @@ class Plan:
 
     @property
     def jobs(self) -> Mapping[str, bool]:
-        """For each job of the workflow that the verdict waits for, whether it is to run."""
+        """For each job of the workflow that the verdict waits for, whether it runs."""
         return {
             "image": self.image,
             "calibrate": bool(self.at_once),
@@ -105,27 +107,27 @@ class Plan:
 
 @dataclass(frozen=True)
 class Wishes:
-    """What the workflow's inputs say about the jobs."""
+    """Inputs of the workflow that select the jobs."""
 
     jobs: tuple[str, ...] = ()
     """Empty for all that the configuration and the inputs describe."""
     noise_inside_cells: bool | None = None
-    """None for systems whose cells are short."""
+    """None to decide by the duration of a system's cells."""
     image: bool = False
     """Whether an image is given."""
     command: bool = False
-    """Whether a command is given, which calibrates in the place of our engine."""
+    """Whether a command is given, which calibrates in place of our engine."""
     tests: bool = False
     """Whether unit tests are given."""
     push: bool = True
-    """False where there is nothing to push with: in a fork."""
+    """False without credentials to push, as in a fork."""
     promote: bool = True
-    """False where the image is not to get its release tags, whatever the verdict."""
+    """False to give the image no release tags, whatever the verdict."""
     minute_rate: float | None = None
 
 
 def datasets_as_configuration(datasets: Sequence[Path]) -> Configuration:
-    """The configuration of systems of which only the data are known.
+    """Return the configuration of systems that are only given as datasets.
 
     Raises:
         InputError: two of them have the same name.
@@ -146,17 +148,17 @@ def datasets_as_configuration(datasets: Sequence[Path]) -> Configuration:
 def plan_jobs(
     configuration: Configuration | None, systems: Sequence[System], noise: NoiseGrid, wishes: Wishes, *, by_path: bool
 ) -> Plan:
-    """Choose the jobs, and what each calibrates.
+    """Plan the jobs, and the cells of each.
 
     Args:
-        configuration: what the pipeline is; None where there is only a unit test to run.
-        systems: those of it that are wanted.
+        configuration: configuration of the pipeline; None if there are only unit tests to run.
+        systems: the selected systems.
         noise: of all cells.
-        wishes: what the inputs say.
+        wishes: the workflow's inputs.
         by_path: whether the cells name datasets, because there is no file with the systems.
 
     Raises:
-        InputError: a job is wanted that there is nothing for, or the matrix is too large.
+        InputError: a selected job has nothing to do, or the matrix is too large.
     """
     simulations = configuration.simulations if configuration else ()
     wanted = _wanted(wishes, bool(systems), bool(simulations))
@@ -243,9 +245,9 @@ def _cells(systems: Sequence[System], noise: NoiseGrid, wishes: Wishes, by_path:
 
 
 def _inside(system: System, noise: NoiseGrid, wishes: Wishes) -> bool:
-    """Whether one job calibrates a system from all its noises: as it is wished, else where that takes about a minute.
+    """Whether one job calibrates a system from all its noises: as requested, else if that takes about a minute.
 
-    A job takes longer to begin than our engine to calibrate; software in containers is given a job for each start.
+    A job takes longer to start than our engine to calibrate; software in containers gets a job for each start.
     """
     if wishes.noise_inside_cells is not None:
         return wishes.noise_inside_cells
@@ -256,7 +258,7 @@ def _inside(system: System, noise: NoiseGrid, wishes: Wishes) -> bool:
 
 
 def _bytes(dataset: Path) -> int:
-    """The size of a dataset's labels; 0 for one that is not there, of which the job will tell."""
+    """Return the size of a dataset's labels; 0 if it does not exist, which the job will report."""
     try:
         return (dataset if dataset.suffix == ".json" else dataset / "dataset.json").stat().st_size
     except OSError:
@@ -264,7 +266,7 @@ def _bytes(dataset: Path) -> int:
 
 
 def _grids(noise: NoiseGrid, inside: bool) -> list[tuple[tuple[float, ...], tuple[float, ...]]]:
-    """The noises of each job of a system."""
+    """Return the noises of each job of a system."""
     if inside:
         return [(noise.translations, noise.rotations)]
     return [((t,), (r,)) for t in noise.translations for r in noise.rotations]
@@ -285,13 +287,13 @@ def _image_source(system: System, wishes: Wishes) -> ImageSource:
 
 
 def slugs(names: Sequence[str], taken: Sequence[str] = ()) -> list[str]:
-    """A slug for each name: what a file system, an artifact and a URL take as it is.
+    """Return a slug for each name, valid in file systems, artifacts and URLs.
 
-    Letters, digits, dots, dashes and underscores, no two alike in any case.
+    Letters, digits, dots, dashes and underscores, unique regardless of case.
 
     Args:
-        names: what is to be told apart; equal names get different slugs too.
-        taken: slugs that none may have.
+        names: the names; equal ones get different slugs too.
+        taken: slugs that must not be used.
     """
     used = {slug.lower() for slug in taken}
     found = []

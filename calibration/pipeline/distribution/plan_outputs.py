@@ -1,4 +1,4 @@
-"""A plan as outputs of the job that made it, which other jobs read; and back."""
+"""Plan as outputs of a workflow job, and back."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -9,14 +9,14 @@ from calibration.introspection.numbers import number_text, parse_number
 from calibration.pipeline.distribution.plan import JobCell, Plan
 
 MOST_BYTES = 112 * 1024
-"""All outputs together travel to the last job in one environment variable, for which Linux has 128 KiB."""
+"""Limit of all outputs: the last job gets them in one environment variable, of which Linux allows 128 KiB."""
 
 
 def plan_outputs(plan: Plan) -> dict[str, str]:
-    """The outputs of the job plan; each is one line.
+    """Return the outputs of the job plan, one line each.
 
     Raises:
-        InputError: they are too large to travel.
+        InputError: they are too large.
     """
     outputs = {
         **{job: "true" if runs else "false" for job, runs in plan.jobs.items()},
@@ -39,7 +39,7 @@ def plan_outputs(plan: Plan) -> dict[str, str]:
 
 
 def plan_of_outputs(outputs: Mapping[str, Any]) -> Plan:
-    """The plan that was written as these outputs.
+    """Parse the plan from these outputs.
 
     Raises:
         InputError: they are not those of a plan.

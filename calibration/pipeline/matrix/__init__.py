@@ -1,1 +1,1 @@
-"""Systems, noise and seeds: every combination is a cell, and has a verdict."""
+"""Matrix of systems, noise and seeds: every combination is a cell with a verdict."""

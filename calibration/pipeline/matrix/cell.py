@@ -1,4 +1,4 @@
-"""One cell of the matrix: one system calibrated from one noisy start, and what is left in files."""
+"""Cell of the matrix: one system calibrated from one noisy initial guess, and its output files."""
 
 import math
 import time
@@ -48,32 +48,32 @@ from calibration.report import Verdict
 from calibration.report.outcome import ErrorCode
 
 REPROJECTION = "reprojection.csv"
-"""The table of a system for which none is asked."""
+"""Default table, of a system that names none."""
 OUR_METHOD = "calibration-ci"
 MOST_CAUSES = 5
-"""Of what the result hangs on, so many are told."""
+"""Limit of the reported contributions to the uncertainty."""
 
 
 @dataclass(frozen=True, eq=False)
 class LoadedSystem:
-    """A system with its data in memory."""
+    """System with its data in memory."""
 
     name: str
     dataset: Dataset
     truth: Truth | None
     evaluation: Evaluation | None
     options: Options = dataclass_field(default_factory=Options)
-    """How our engine calibrates it."""
+    """Options of our engine."""
     limits: Limits = dataclass_field(default_factory=Limits)
-    """How far off its result may be."""
+    """Limits of its result's errors."""
     accepted: Accepted | None = None
-    """What it is compared with; None where nothing is asked."""
+    """Accepted calibration to compare with; None if there is none."""
 
     def check(self) -> None:
-        """Refuse data that would calibrate to nonsense; looked at once, however many cells there are.
+        """Refuse data that would calibrate to nonsense; checked once, however many cells there are.
 
         Raises:
-            InputError: they would.
+            InputError: there is a fault.
         """
         return self._sound
 
@@ -83,12 +83,12 @@ class LoadedSystem:
 
     @cached_property
     def writer(self) -> DatasetWriter:
-        """Writes what its cells make of the dataset."""
+        """Writer of its cells' calibrated datasets."""
         return DatasetWriter(self.dataset)
 
     @cached_property
     def optimum(self) -> OurOptimum:
-        """Our engine's, which does not depend on a start.
+        """Optimum of our engine, which does not depend on an initial guess.
 
         Raises:
             InputError: there is none.
@@ -98,7 +98,7 @@ class LoadedSystem:
 
 @dataclass(frozen=True)
 class Cell:
-    """What to calibrate, from where."""
+    """System and initial guess of a cell."""
 
     system: str
     noise: StartingNoise
@@ -107,7 +107,7 @@ class Cell:
 
     @property
     def folder(self) -> str:
-        """Where its files go, relative to the output folder."""
+        """Folder of its files, relative to the output folder."""
         return f"{self.system}/{noise_folder(self.noise)}"
 
     def __str__(self) -> str:
@@ -117,23 +117,23 @@ class Cell:
 
 @dataclass(frozen=True)
 class Comparison:
-    """Another method on a system's data."""
+    """Comparison method on a system's data."""
 
     system: str
     method: str
     noise: StartingNoise | None
-    """The starting guess of a method that takes one; None for one that takes none."""
+    """Noise of the initial guess, of a method that uses one; else None."""
 
     @property
     def folder(self) -> str:
-        """Where its files go, relative to the output folder."""
+        """Folder of its files, relative to the output folder."""
         folder = f"{self.system}/{self.method}"
         return folder if self.noise is None else f"{folder}/{noise_folder(self.noise)}"
 
 
 @record(case="snake", unknown="ignore")
 class Deviation:
-    """The worst of a calibration's sensors and joints: from the truth, gauge removed, or by its own covariance."""
+    """Largest errors of sensors and joints: against the truth, gauge removed, or by the calibration's covariance."""
 
     translation_mm: float = field("The worst of the sensors, the norm of three axes.")
     rotation_deg: float = field("The worst of the sensors, the norm of three axes.")
@@ -143,7 +143,7 @@ class Deviation:
 
 @result
 class Parameter:
-    """Parameter of a joint or a camera that was calibrated."""
+    """Calibrated parameter of a joint or a camera."""
 
     name: str = field("The joint or the camera.")
     parameter: str = field("What it is of it.")
@@ -154,7 +154,7 @@ class Parameter:
 
 @result
 class Transform:
-    """Transform that was calibrated."""
+    """Calibrated transform."""
 
     parent: str = field("The parent frame.")
     child: str = field("The child frame.")
@@ -175,7 +175,7 @@ class Transform:
 
 @result
 class Worth:
-    """What the usual uncertainty of something held is worth in the result."""
+    """Contribution of a fixed parameter's usual uncertainty to the result."""
 
     cause: str = field("What is held.")
     mm: float = field("How far it displaces the transform that it displaces most.", unit="mm")
@@ -183,7 +183,7 @@ class Worth:
 
 @result(kw_only=True)
 class Details:
-    """What a calibration says of itself; a cell's own results have it, those of the matrix do not."""
+    """Details of a calibration, in a cell's own results but not in those of the matrix."""
 
     transforms: tuple[Transform, ...] = field("In the cell's own results: the transforms.", default=())
     joints: tuple[Parameter, ...] = field("In the cell's own results: those of joints.", default=())
@@ -206,7 +206,7 @@ class Details:
 
 @result(kw_only=True)
 class CellResult:
-    """Result of a cell, or of another method on a system's data."""
+    """Result of a cell, or of a comparison method on a system's data."""
 
     system: str = field("The system that was calibrated.")
     method: str = field("calibration-ci, software (the team's own), or another method.")
@@ -245,33 +245,33 @@ class CellResult:
     @property
     @computed()
     def verdict(self) -> Verdict:
-        """Pass, when nothing speaks against it."""
+        """Pass, if there is no reason to fail."""
         return "pass" if self.converged and not self.reasons else "fail"
 
     @property
     def by_other_method(self) -> bool:
-        """Whether one of the methods that only compare has made it; it is not judged."""
+        """Whether it is from a comparison method; it is not judged."""
         return self.method in METHODS
 
     @property
     def start_of_cell(self) -> tuple[str, float | None, float | None, int | None]:
-        """What it shares with whatever else started from there."""
+        """Key of the initial guess, equal for all results from it."""
         return (self.system, self.translation_noise, self.rotation_noise, self.seed)
 
     @property
     def name(self) -> str:
-        """What a message calls it."""
+        """Name in messages."""
         if self.translation_noise is None or self.rotation_noise is None:
             return f"{self.system}, {self.method}"
         who = f"{self.system}, {self.method}" if self.by_other_method else self.system
         return f"{who}, {noise_text(self.translation_noise, self.rotation_noise)}, seed {self.seed}"
 
     def failing(self, *reasons: str) -> "CellResult":
-        """The same result with more reasons to fail."""
+        """Return the result with additional reasons to fail."""
         return replace(self, reasons=(*self.reasons, *reasons))
 
     def found(self, findings: tuple[Finding, ...]) -> "CellResult":
-        """The same result with more findings, and the reasons and warnings that they are."""
+        """Return the result with additional findings, and their reasons and warnings."""
         texts = {severity: [f.text for f in findings if f.severity == severity] for severity in ("red", "warning")}
         return replace(
             self,
@@ -282,17 +282,17 @@ class CellResult:
 
 
 def noise_folder(noise: StartingNoise) -> str:
-    """The name of the folder of what starts from there."""
+    """Return the name of the folder for results of an initial guess."""
     return f"translation-{number_text(noise.translation)}_rotation-{number_text(noise.rotation)}_seed-{noise.seed}"
 
 
 def noise_text(translation: float, rotation: float) -> str:
-    """A pair of noises with all their digits: "0.5 m, 0.1 rad"."""
+    """Format a pair of noises with all digits: "0.5 m, 0.1 rad"."""
     return f"{number_text(translation)} m, {number_text(rotation)} rad"
 
 
 def nothing_yet(cell: Cell, method: str = OUR_METHOD, start: str | None = None) -> CellResult:
-    """The result of a cell of which nothing has come."""
+    """Empty result, for a cell that has not run."""
     return CellResult(
         system=cell.system,
         method=method,
@@ -313,7 +313,7 @@ def nothing_yet(cell: Cell, method: str = OUR_METHOD, start: str | None = None) 
 def run_cell(cell: Cell, system: LoadedSystem, output: Path, folder: str | None = None) -> CellResult:
     """Calibrate, evaluate, and write the calibrated dataset and the table into a folder, by default the cell's.
 
-    An error of the data is not raised: it is the cell's result, so that the other cells go on.
+    An error of the data is not raised but stored in the cell's result, so that the other cells continue.
     """
     begin = time.perf_counter()
     result, calibration = calibrate_cell(cell, system)
@@ -327,10 +327,10 @@ def run_cell(cell: Cell, system: LoadedSystem, output: Path, folder: str | None 
 
 
 def calibrate_cell(cell: Cell, system: LoadedSystem) -> tuple[CellResult, Calibration | None]:
-    """Calibrate and diagnose; nothing is evaluated or written.
+    """Calibrate and diagnose; without evaluation and files.
 
     Returns:
-        The result so far, and the calibration; None where the data cannot be calibrated, which the result says.
+        The result so far, and the calibration; None if the data cannot be calibrated, for a reason in the result.
     """
     result = nothing_yet(cell)
     try:
@@ -345,7 +345,7 @@ def calibrate_cell(cell: Cell, system: LoadedSystem) -> tuple[CellResult, Calibr
 
 
 def _compared(result: CellResult, calibration: Calibration, system: LoadedSystem) -> CellResult:
-    """The result with its snapshot, and with what has changed since the accepted calibration."""
+    """Return the result with its snapshot, and the differences from the accepted calibration."""
     if not calibration.converged or result.details is None:
         return result
     now = snapshot(calibration, system.dataset, result.rms_px, system.options)
@@ -359,7 +359,7 @@ def _failed(result: CellResult, error: CalibrationError) -> CellResult:
 
 
 def run_comparison(comparison: Comparison, system: LoadedSystem, output: Path) -> CellResult:
-    """Calibrate with another method, and evaluate it as a cell."""
+    """Calibrate with another method, and evaluate like a cell."""
     begin = time.perf_counter()
     result = _nothing_by_other_method(comparison)
     try:
@@ -369,7 +369,7 @@ def run_comparison(comparison: Comparison, system: LoadedSystem, output: Path) -
         result = replace(result, converged=True, detail=method.describe(start))
         part = method.part(dataset)
         if system.evaluation and not set(system.evaluation.sensors) <= part.sensors.keys():
-            system = replace(system, evaluation=None)  # of a sensor that the method leaves where it is
+            system = replace(system, evaluation=None)  # its table is of a sensor that the method does not calibrate
         result = _written(result, dataset, system, output, comparison.folder, None, part)
     except CalibrationError as error:
         result = _failed(result, error)
@@ -404,7 +404,7 @@ def _written(
     calibration: Calibration | None,
     part: Dataset | None = None,
 ) -> CellResult:
-    """The result with its table, truth error and dataset; both files written.
+    """Return the result with its table, truth error and dataset; write both files.
 
     The table and the error are of the sensors of a part of the dataset, by default of all.
     """
@@ -421,17 +421,17 @@ def _written(
     if calibration is not None and (system.evaluation is None or result.rms_px is None):
         result = replace(result, rms_px=None if math.isnan(calibration.rms_px) else round(calibration.rms_px, 4))
     result = replace(result, truth=distance_from_truth(judged, system))
-    system.writer.write(dataset, output / folder, images=False)  # they would weigh more than all the rest
+    system.writer.write(dataset, output / folder, images=False)  # without images, which are larger than everything else
     if calibration is not None and calibration.converged and calibration.intrinsics:
         write_intrinsics(output / folder / INTRINSICS, calibration.intrinsics)
     return replace(result, dataset=f"{folder}/dataset.json")
 
 
 def distance_from_truth(dataset: Dataset, system: LoadedSystem) -> Deviation | None:
-    """How far a calibrated dataset of a system is from its truth, where that is known.
+    """Compare a calibrated dataset of a system with its truth, if that is known.
 
     Raises:
-        InputError: the dataset and the truth do not fit together.
+        InputError: the dataset and the truth are inconsistent.
     """
     if system.truth is None:
         return None
@@ -440,9 +440,9 @@ def distance_from_truth(dataset: Dataset, system: LoadedSystem) -> Deviation | N
 
 
 def table_of(dataset: Dataset, system: LoadedSystem, calibration: Calibration | None) -> Table | None:
-    """The evaluation of a calibrated dataset: the system's, else the reprojection errors of a calibration.
+    """Evaluate a calibrated dataset: by the system's table, else the reprojection errors of a calibration.
 
-    Views that a calibration has left out, since they contradict the others, are left out of it too.
+    Views that the calibration has rejected, because they contradict the others, are left out.
     """
     if system.evaluation is not None:
         counted = dataset if calibration is None else without(dataset, calibration.dropped_views)
@@ -451,7 +451,7 @@ def table_of(dataset: Dataset, system: LoadedSystem, calibration: Calibration | 
 
 
 def _described(result: CellResult, calibration: Calibration, description: Dataset, limits: Limits) -> CellResult:
-    """The result with what the calibration says about itself."""
+    """Return the result with the calibration's own statistics."""
     details = Details(
         transforms=tuple(_transform(calibration, description, edge) for edge in calibration.transforms),
         joints=tuple(row for joint in calibration.joints.values() for row in _parameters(joint.name, joint)),
@@ -479,9 +479,9 @@ def _described(result: CellResult, calibration: Calibration, description: Datase
 
 
 def _transform(calibration: Calibration, description: Dataset, edge: Edge) -> Transform:
-    """A calibrated transform with its error bars, and how far it is from the robot's description.
+    """Return a calibrated transform with its standard deviations, and its distance from the robot's description.
 
-    A twist in the child frame moves the translation by ``R`` times its own, and roll, pitch and yaw at `rpy_rates`.
+    A twist in the child frame changes the translation by ``R`` times its own, and roll, pitch and yaw by `rpy_rates`.
     """
     T, C, described = calibration.transforms[edge], calibration.covariances.get(edge), description.transforms.get(edge)
     rpy = to_rpy(T[:3, :3])
@@ -511,13 +511,13 @@ def _transform(calibration: Calibration, description: Dataset, edge: Edge) -> Tr
 
 
 def _hangs_on(worth: Mapping[str, float]) -> tuple[Worth, ...]:
-    """The causes that matter, the one that moves most first."""
+    """Return the contributions to the uncertainty that matter, largest first."""
     largest = sorted(worth.items(), key=lambda each: -each[1])[:MOST_CAUSES]
     return tuple(Worth(name, round(1e3 * metres, 4)) for name, metres in largest if metres > 0)
 
 
 def _sigma(calibration: Calibration, labels_only: bool = False) -> Deviation | None:
-    """The largest standard deviations of sensors, as norms of three axes, and of joints' parameters."""
+    """Return the largest standard deviations of sensors, as norms of three axes, and of joints' parameters."""
     edges = {sensor.edge for sensor in calibration.dataset.sensors.values()} & calibration.covariances.keys()
     if not edges:
         return None
@@ -537,7 +537,7 @@ def _sigma(calibration: Calibration, labels_only: bool = False) -> Deviation | N
 def _deviation(
     translation_mm: float, rotation_deg: float, joint_mm: float | None, joint_deg: float | None
 ) -> Deviation:
-    """Rounded to the nanometre, and to as little."""
+    """Round to a nanometre and a similarly small angle."""
     return Deviation(
         round(translation_mm, 6),
         round(rotation_deg, 8),
@@ -547,7 +547,7 @@ def _deviation(
 
 
 def _parameters(name: str, calibrated: CalibratedJoint | CalibratedIntrinsics) -> list[Parameter]:
-    """The parameters of a joint or a camera, one by one."""
+    """Return the parameters of a joint or a camera, one by one."""
     each = zip(
         calibrated.parameters, calibrated.values.tolist(), calibrated.units, calibrated.sigmas.tolist(), strict=True
     )

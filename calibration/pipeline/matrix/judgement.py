@@ -1,4 +1,4 @@
-"""Rules and limits over what the cells left in files."""
+"""Judgement of the cells' files by rules and limits."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -20,42 +20,42 @@ from calibration.report import at_most
 
 
 def judge_cells(cells: Sequence[CellResult], systems: Sequence[System], output: Path) -> tuple[CellResult, ...]:
-    """The cells with the reasons that their system's rules and limits give them to fail.
+    """Return the cells with the reasons to fail by their system's rules and limits.
 
     Raises:
-        InputError: a rule names a column or a row that the table of a cell does not have.
+        InputError: a rule names a column or a row that the table of a cell lacks.
     """
     by_name = {system.name: system for system in systems}
     return tuple(_judged(cell, by_name[cell.system], output) for cell in cells)
 
 
 def check_rules(rules: RuleSet, system: LoadedSystem) -> None:
-    """Refuse rules that cannot be asked of a system's table, before anything is calibrated.
+    """Refuse rules that do not match a system's table, before any calibration.
 
-    They are asked of the table of the dataset as it is, whose columns and rows are those of every cell; what they find
-    there does not count.
+    They are applied to the table of the uncalibrated dataset, which has the columns and rows of every cell; the values
+    are ignored.
 
     Raises:
-        InputError: a column or a row is not there, or a rule needs a table to compare with.
+        InputError: a column or a row is missing, or a rule needs a table to compare with.
     """
     name = f"{system.name}, rules for {system.evaluation or 'the reprojection errors'}"
     table, complete = _table_to_come(system)
     if table is None:
         return
-    if not complete:  # a guess that is far off leaves rows out, which a calibration has
+    if not complete:  # a bad initial guess may lack rows that a calibration has
         rules = RuleSet(tuple(replace(rule, target=EveryRow()) for rule in rules.rules), key_column=rules.key_column)
     if rules.judges:
         judge(parse_table(table.to_csv(), name, ","), rules)
 
 
 def _table_to_come(system: LoadedSystem) -> tuple[Table | None, bool]:
-    """A table as the cells will have it, or None where nothing of it can be told; and whether it has every row."""
+    """Return a table with the cells' columns, or None if it is unknown; and whether it has every row."""
     if system.evaluation is None:
         labels = tuple(collection.key for collection in system.dataset.collections)
         return Table(KEY, COLUMNS, labels, np.zeros((len(labels), len(COLUMNS)))), True
     try:
         table = system.evaluation.run(system.dataset, system.truth)
-    except InputError:  # nothing can be compared before it is calibrated: the cells will say what is wrong
+    except InputError:  # not comparable before the calibration: the cells will report the fault
         return None, False
     return table, not table.left_out
 
@@ -74,10 +74,10 @@ def _judged(cell: CellResult, system: System, output: Path) -> CellResult:
 
 
 def _over_limits(cell: CellResult, limits: Limits) -> list[str]:
-    """Why a cell is over a limit; a number that is missing or not finite is."""
+    """Return the limits that a cell exceeds; missing and infinite numbers do."""
     truth = cell.truth
     judged = [("RMS", cell.rms_px, limits.rms_px, "px")]
-    if truth is not None:  # without one, what moves a sensor and how well it is determined are judged (`diagnosis`)
+    if truth is not None:  # without truth, suspects and standard deviations are judged instead (`diagnosis`)
         judged += [
             ("translation error against the truth", truth.translation_mm, limits.translation_mm, "mm"),
             ("rotation error against the truth", truth.rotation_deg, limits.rotation_deg, "deg"),

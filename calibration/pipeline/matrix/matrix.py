@@ -1,8 +1,8 @@
-"""The matrix: every system from every noisy start, in parallel over the cores.
+"""Matrix run: every system from every noisy initial guess, in parallel.
 
-Where a system has software of the team's own, that calibrates its cells, and our engine calibrates the
-same data from the same starts as a comparison, so that "our software got worse" and "the data got worse"
-can be told apart.
+A team's own software calibrates the cells of its system, and our engine calibrates the
+same data from the same initial guesses as a comparison, to distinguish "our software got worse" from "the data
+got worse".
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -37,12 +37,12 @@ from calibration.pipeline.system import NoiseGrid, System
 from calibration.workflow.text import did_you_mean
 
 Done = Callable[[int, int, CellResult], None]
-"""Called after each task with how many are done, how many there are, and its result."""
+"""Callback after each task: number of finished tasks, number of all tasks, result."""
 
 
 @dataclass(frozen=True)
 class Matrix:
-    """What is to be calibrated."""
+    """Systems, noise and methods of a matrix."""
 
     systems: tuple[System, ...]
     noise: NoiseGrid
@@ -58,12 +58,12 @@ class Matrix:
 
     @property
     def software(self) -> dict[str, Software]:
-        """The team's own, by system."""
+        """The team's own software, by system."""
         return {system.name: system.software for system in self.systems if system.software is not None}
 
     @property
     def comparisons(self) -> list[Comparison]:
-        """Every other method on every system; one that depends on the start from every start.
+        """Every comparison method on every system; one that uses an initial guess with every one.
 
         Raises:
             InputError: there is no such method.
@@ -83,7 +83,7 @@ class Matrix:
 
 @dataclass(frozen=True)
 class MatrixResults:
-    """What came of a matrix; cells that were not run, because one failed, are missing."""
+    """Results of a matrix; cells that did not run, because another one failed, are missing."""
 
     cells: tuple[CellResult, ...]
     comparisons: tuple[CellResult, ...]
@@ -99,18 +99,18 @@ def run_matrix(
 ) -> MatrixResults:
     """Run all cells and comparisons, each in its own folder below ``output``.
 
-    The results stand in the order of the matrix, whatever the order of execution.
+    The results are in the order of the matrix, whatever the order of execution.
 
     Args:
-        matrix: what to calibrate.
-        output: the folder.
-        jobs: processes, or containers at once; None for as many as the machine holds.
+        matrix: the cells.
+        output: the output folder.
+        jobs: number of parallel processes or containers; None for as many as the machine can run.
         fail_fast: whether the first cell that fails stops the others.
         done: called after each task.
         place: where containers run; this machine's engine unless given.
 
     Raises:
-        InputError: a dataset, an evaluation, a truth or an image is wrong; nothing has been calibrated then.
+        InputError: a dataset, an evaluation, a truth or an image is wrong; raised before any calibration.
         InfrastructureError: a process died, or containers cannot be run.
     """
     with matrix_tasks(matrix, output, output) as tasks:
@@ -132,25 +132,25 @@ def run_matrix(
 
 @dataclass(frozen=True)
 class MatrixTasks:
-    """The tasks of a matrix, each kind in the matrix's order."""
+    """Tasks of a matrix, each kind in the matrix's order."""
 
     cells: list[Task[CellResult]]
     references: list[Task[CellResult]]
-    """Our engine on what a cell has the team's software calibrate."""
+    """Our engine on the cells of the team's software."""
     comparisons: list[Task[CellResult]]
 
 
 @contextmanager
 def matrix_tasks(matrix: Matrix, output: Path, containers: Path) -> Iterator[MatrixTasks]:
-    """The tasks of a matrix; what jobs in containers read is there inside the block.
+    """Create the tasks of a matrix; the files that containers read exist inside the ``with`` block.
 
     Args:
-        matrix: what to calibrate; its data are read.
-        output: the folder of what our engine and other methods leave.
+        matrix: the cells; its data are read.
+        output: the folder of our engine's and other methods' files.
         containers: the folder of the jobs.
 
     Raises:
-        InputError: a dataset, an evaluation or a truth is wrong, or a command.
+        InputError: a dataset, an evaluation, a truth or a command is wrong.
         InfrastructureError: a file cannot be written.
     """
     loaded = {system.name: load(system) for system in matrix.systems}
@@ -171,17 +171,17 @@ def matrix_tasks(matrix: Matrix, output: Path, containers: Path) -> Iterator[Mat
                 continue
             software = matrix.software[cell.system]
             cells.append(software_task(cell, system, software, starts / str(number), containers))
-            folder = f"{cell.system}/{OUR_METHOD}/{noise_folder(cell.noise)}"  # beside those of the cells
+            folder = f"{cell.system}/{OUR_METHOD}/{noise_folder(cell.noise)}"  # next to those of the cells
             references.append(Task.call(folder, partial(run_cell, cell, system, output, folder)))
         yield MatrixTasks(cells, references, comparisons)
 
 
 def load(system: System) -> LoadedSystem:
-    """Read a system's data, and check what is to be done with it.
+    """Read a system's data, and check its options.
 
     Raises:
-        InputError: the dataset, the truth, the evaluation, a rule for its table, a method to compare with or what is
-            known of intrinsics is wrong.
+        InputError: the dataset, the truth, the evaluation, a rule for its table, a comparison method or the
+            covariance of intrinsics is wrong.
     """
     dataset = read_dataset(system.dataset)
     truth = choose_truth(dataset, system.truth)
@@ -204,7 +204,7 @@ def load(system: System) -> LoadedSystem:
             )
     options = replace(system.options, intrinsics_covariance=system.options.known_intrinsics())
     loaded = LoadedSystem(system.name, dataset, truth, evaluation, options, system.limits, system.accepted)
-    loaded.check()  # here, so that cells that are forked know it
-    if system.rules is not None and system.software is None:  # whose table may have any columns
+    loaded.check()  # before the fork, so that all cells share the result
+    if system.rules is not None and system.software is None:  # other software's table may have any columns
         check_rules(system.rules, loaded)
     return loaded

@@ -1,9 +1,9 @@
-"""The team's own calibration, which runs in its container in the place of our engine.
+"""A team's own calibration software, run in a container in place of our engine.
 
-Its command is told everything by placeholders: ``{dataset}`` the folder of the dataset as it is,
-``{start}`` the same with the cell's noisy starting guess as its transforms, ``{output}`` the folder
-whose files are brought out, and ``{system}``, ``{translation_noise}`` (m), ``{rotation_noise}`` (rad),
-``{seed}`` for software that makes its own noise.
+Its command has placeholders: ``{dataset}`` is the folder of the dataset as it is,
+``{start}`` the same with the cell's noisy initial guess as its transforms, ``{output}`` the folder
+whose files are copied back, and ``{system}``, ``{translation_noise}`` (m), ``{rotation_noise}`` (rad),
+``{seed}`` for software that generates its own noise.
 """
 
 from collections.abc import Mapping
@@ -19,13 +19,13 @@ from calibration.execution.ros import ROS_HELP, Ros, with_ros
 from calibration.records import Place, changed, field, length, read, record
 
 SOFTWARE = "software"
-"""The method of its cells."""
+"""Method of its cells."""
 DATASET, START = "/calibration/dataset", "/calibration/start"
-"""Where it finds the two folders, read-only."""
+"""Paths of the two folders in the container, read-only."""
 PLACEHOLDERS = ("dataset", "start", "output", "system", "translation_noise", "rotation_noise", "seed")
 EVERYTHING = Artifact(f"{OUTPUT}/*")
 DATASET_PATTERN, NO_DATASET = "*.json", "none"
-"""What its calibrated dataset is called unless it is said, and what says that it leaves none."""
+"""Default name of its calibrated dataset, and the value for none."""
 Pattern = Annotated[str, length(1)]
 
 
@@ -38,7 +38,7 @@ class Software:
     """
 
     container: Container = field(flat=True, default_factory=Container)
-    """Its command still has the placeholders; an empty image stands for the one that the pipeline builds."""
+    """The command still has the placeholders; an empty image name means the one that the pipeline builds."""
     ros: Ros = field(ROS_HELP, default="none")
     network: Network = field(NETWORK_HELP, default="private")
     table: Pattern | None = field("A pattern for the path of its table among the artifacts (*.csv).", default=None)
@@ -50,19 +50,19 @@ class Software:
 
     @property
     def leaves_dataset(self) -> bool:
-        """Whether its result can be verified."""
+        """Whether it writes a dataset, so that its result can be verified."""
         return self.calibrated != NO_DATASET
 
     def with_image(self, image: str) -> "Software":
-        """The same in this image, unless it names its own."""
+        """Return the software with this image, unless it names its own."""
         return self if self.container.image else replace(self, container=replace(self.container, image=image))
 
 
 def checked_software(software: Software, place: Place) -> Software:
-    """The software as it runs, with the values of its secrets, if its job can run.
+    """Return the software as it runs, with the values of its secrets, after a check of its job.
 
     Raises:
-        InputError: a secret is not set, or the job makes no sense; names the key.
+        InputError: a secret is not set, or the job is invalid; names the key.
     """
     where = str(place)
     if not software.container.command:
@@ -71,14 +71,14 @@ def checked_software(software: Software, place: Place) -> Software:
     values = {**dict.fromkeys(PLACEHOLDERS, "0"), "output": OUTPUT}
     job = job_of(software.with_image("any"), "software", values, (), where)
     try:
-        check_job(job)  # what is wrong is found before anything runs
+        check_job(job)  # errors are found before anything runs
     except InputError as error:
         raise InputError(f"{where}: {error}") from None
     return software
 
 
 def software_from(entry: Mapping[str, Any], folder: Path, where: str) -> Software:
-    """Read an entry ``software`` of calibration.yml.
+    """Parse an entry ``software`` of calibration.yml.
 
     Raises:
         InputError: a value is wrong; names the key.
@@ -87,7 +87,7 @@ def software_from(entry: Mapping[str, Any], folder: Path, where: str) -> Softwar
 
 
 def adjusted_software(software: Software | None, entry: Mapping[str, Any], folder: Path) -> Software:
-    """The software of a system with what a command's options say, as keys of ``software``, in front.
+    """Return the software of a system, overridden by a command's options in the form of ``software``.
 
     Raises:
         InputError: a value is wrong, or there is no image or no command.
@@ -101,10 +101,10 @@ def adjusted_software(software: Software | None, entry: Mapping[str, Any], folde
 
 
 def job_of(software: Software, name: str, values: Mapping[str, str], mounts: tuple[Mount, ...], where: str) -> Job:
-    """The job of a software with its placeholders filled in.
+    """Return the job of a software with its placeholders replaced.
 
     Raises:
-        InputError: there is no such placeholder.
+        InputError: there is an unknown placeholder.
     """
     container = software.container
     paths = fill([artifact.path for artifact in container.artifacts], values, f"{where}.artifacts")

@@ -1,4 +1,4 @@
-"""Cells that the team's software calibrates: each a job in containers, judged by the files that come out."""
+"""Cells that a team's software calibrates: each a job in containers, judged by its output files."""
 
 import math
 from collections.abc import Sequence
@@ -31,7 +31,7 @@ from calibration.pipeline.matrix.cell import Cell, CellResult, LoadedSystem, dis
 from calibration.pipeline.matrix.software import DATASET, NO_DATASET, SOFTWARE, START, Software, job_of
 
 RMS = "RMS (pix)"
-"""The column of a table whose average is a cell's ``rms_px``."""
+"""Column of a table whose average is a cell's ``rms_px``."""
 NOT_VERIFIED = Finding(
     "not-verified",
     "note",
@@ -40,19 +40,19 @@ NOT_VERIFIED = Finding(
 
 
 def software_task(cell: Cell, system: LoadedSystem, software: Software, start: Path, output: Path) -> Task[CellResult]:
-    """The task of one cell; the dataset with the cell's noisy start is written.
+    """Return the task of one cell, and write the dataset with its noisy initial guess.
 
-    What fails in a cell is its result, so that the others go on.
+    A failure of the software is stored in the result, so that the other cells continue.
 
     Args:
-        cell: from where to calibrate.
+        cell: the initial guess.
         system: its data.
-        software: what runs.
-        start: a new folder for the dataset with the noisy start.
+        software: the containers.
+        start: a new folder for the dataset with the initial guess.
         output: the folder of the jobs.
 
     Raises:
-        InputError: the command has a placeholder that there is not.
+        InputError: the command has an unknown placeholder.
         InfrastructureError: a file cannot be written.
     """
     write_dataset(with_starting_noise(system.dataset, cell.noise), start)
@@ -61,16 +61,16 @@ def software_task(cell: Cell, system: LoadedSystem, software: Software, start: P
 
 
 def cell_job(cell: Cell, software: Software, dataset: Path, start: Path) -> Job:
-    """The job of one cell.
+    """Return the job of one cell.
 
     Args:
-        cell: from where to calibrate.
-        software: what runs.
+        cell: the initial guess.
+        software: the containers.
         dataset: the folder of the dataset as it is.
-        start: the folder of the dataset with the noisy starting guess.
+        start: the folder of the dataset with the noisy initial guess.
 
     Raises:
-        InputError: the command has a placeholder that there is not.
+        InputError: the command has an unknown placeholder.
     """
     noise = cell.noise
     values = {
@@ -89,7 +89,7 @@ def cell_job(cell: Cell, software: Software, dataset: Path, start: Path) -> Job:
 def software_result(
     cell: Cell, system: LoadedSystem, software: Software, outcome: JobOutcome, output: Path
 ) -> CellResult:
-    """What a cell's files say; where the job failed, only why."""
+    """Return the result of a cell by its files; if the job failed, only the reason."""
     result = replace(nothing_yet(cell, SOFTWARE, start="given"), seconds=round(outcome.seconds, 4))
     if outcome.exit_code != ExitCode.PASS:
         error = None if outcome.exit_code == ExitCode.FAIL else outcome.exit_code
@@ -125,7 +125,7 @@ def _with_dataset(
     paths: Sequence[str],
     output: Path,
 ) -> CellResult:
-    """The result with what its calibrated dataset says of it, and of its table; without one, with the dataset's."""
+    """Return the result by the calibrated dataset and the table; without a table, by the dataset's own."""
     try:
         path = folder / ARTIFACTS / str(_only(paths, software.calibrated, "calibrated", required=True))
     except InputError as error:
@@ -139,12 +139,12 @@ def _with_dataset(
 def judged(
     result: CellResult, dataset: Dataset, cell: Cell, system: LoadedSystem, folder: Path, output: Path
 ) -> CellResult:
-    """The result with what a calibrated dataset says of it, and of its table.
+    """Return the result by a calibrated dataset and the table.
 
     Args:
-        result: so far, with its table, where there is one.
-        dataset: what the software has left.
-        cell: from where it was calibrated.
+        result: so far, with its table if there is one.
+        dataset: the software's calibrated dataset.
+        cell: the initial guess.
         system: its data.
         folder: where the dataset's own table is written if the result has none, relative to ``output``.
         output: the folder of the jobs.
@@ -169,7 +169,7 @@ def judged(
 
 
 def start_of(result: CellResult, passed: bool | None = None) -> Start:
-    """What the baseline keeps of a cell."""
+    """Return the part of a cell's result that the baseline stores."""
     return Start(
         result.translation_noise or 0.0,
         result.rotation_noise or 0.0,
@@ -181,7 +181,7 @@ def start_of(result: CellResult, passed: bool | None = None) -> Start:
 
 
 def _distance(dataset: Dataset, cell: Cell, system: LoadedSystem) -> tuple[Finding, ...]:
-    """How far a dataset of the same labels is from our optimum, and what that says of the data."""
+    """Return findings on the distance of a dataset from the optimum of the same labels."""
     try:
         optimum = optimum_for(system.optimum, dataset)
     except CalibrationError as error:
@@ -197,7 +197,7 @@ def _distance(dataset: Dataset, cell: Cell, system: LoadedSystem) -> tuple[Findi
 
 
 def _moved(system: LoadedSystem) -> tuple[Finding, ...]:
-    """What has moved since the accepted calibration, by our optimum."""
+    """Return findings on changes since the accepted calibration, by the optimum."""
     if system.accepted is None:
         return ()
     if system.accepted.snapshot is None:
@@ -207,7 +207,7 @@ def _moved(system: LoadedSystem) -> tuple[Finding, ...]:
 
 
 def _noise(system: LoadedSystem) -> float:
-    """The root mean square of the reprojection errors at our optimum, px; NaN where there is none."""
+    """Root mean square of the reprojection errors at the optimum, px; NaN if there are none."""
     try:
         return system.optimum.calibration.rms_px
     except CalibrationError:
@@ -215,7 +215,7 @@ def _noise(system: LoadedSystem) -> float:
 
 
 def _only(paths: Sequence[str], pattern: str, key: str, required: bool) -> str | None:
-    """The one artifact whose path, or name, fits a pattern.
+    """Return the only artifact whose path, or name, matches a pattern.
 
     Raises:
         InputError: there is more than one, or none although it is required.
@@ -228,10 +228,10 @@ def _only(paths: Sequence[str], pattern: str, key: str, required: bool) -> str |
 
 
 def _average_rms(path: Path) -> float | None:
-    """The row of averages in the column `RMS`; None for a table without them.
+    """Return the average of the column `RMS`; None for a table without it.
 
     Raises:
-        InputError: the file is no table, or the value is no finite number.
+        InputError: the file is not a table, or the value is not a finite number.
     """
     table = read_table(path)
     keyed = KeyedTable.of(table, None, ())

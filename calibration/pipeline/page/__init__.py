@@ -1,1 +1,1 @@
-"""``report.html``: `whole` composes the page, the other modules its parts about one system."""
+"""The page ``report.html``: `whole` composes it, the other modules are its parts about one system."""

@@ -1,4 +1,4 @@
-"""The part of the page that shows where sensors, patterns and the robot's frames are."""
+"""Part of the page: 3D view of the sensors, patterns and the robot's frames."""
 
 from collections.abc import Iterator
 
@@ -14,11 +14,11 @@ from calibration.pages.svg import thinned
 
 BOARDS_DRAWN = 30
 DEPTH = 0.06
-"""Of a camera's frustum, and radius of a LiDAR's circle, as part of the scene's size."""
+"""Depth of a camera's frustum, and radius of a LiDAR's circle, as a fraction of the scene's size."""
 SMALLEST = 0.1
-"""Size of a scene that has but one place, m."""
+"""Minimum size of a scene, m."""
 SHORTEST_LINK = 1e-3
-"""Between the origins of two frames that are drawn apart, m."""
+"""m: minimum distance of two frames that are connected by a line."""
 KINDS = {
     "camera": ("blue", "cameras"),
     "range": ("violet", "LiDARs and depth cameras"),
@@ -26,15 +26,15 @@ KINDS = {
     "robot": ("green", "the robot's links"),
     "before": ("soft", "before the calibration"),
 }
-"""What lines show: the colour and the words for it."""
+"""Colours and legends of the lines."""
 
 
 def in_space(dataset: Dataset, before: Dataset | None) -> Html:
-    """Return the scene; empty where no place is known.
+    """Return the 3D view; empty if no pose is known.
 
     Args:
         dataset: calibrated; its first collection is drawn, and the patterns of some of the others.
-        before: as it was given.
+        before: the given dataset.
     """
     lines = [Line(outline, "pattern") for outline in _patterns(dataset)]
     places = [T[:3, 3] for sensor in dataset.sensors.values() if (T := _place(dataset, sensor.frame)) is not None]
@@ -63,7 +63,7 @@ def _legend(lines: list[Line]) -> Html:
 
 
 def _place(dataset: Dataset, frame: str) -> Array | None:
-    """``T_world_frame`` (4, 4) in the first collection; None where it is not known."""
+    """Return ``T_world_frame`` (4, 4) in the first collection; None if it is unknown."""
     try:
         T = dataset.with_collections([0]).transform(dataset.world, frame)[0]
     except CalibrationError:
@@ -78,7 +78,7 @@ def _sensors(dataset: Dataset, depth: float) -> Iterator[tuple[Sensor, Array]]:
 
 
 def _frustum(sensor: Sensor, depth: float) -> Array:
-    """A line (N, 3) along all edges of what a camera sees, to a depth."""
+    """Return a polyline (N, 3) along all edges of a camera's frustum, up to a depth."""
     camera = sensor.camera
     if camera is None:
         raise AssertionError(f"{sensor.name} has no intrinsics")
@@ -94,7 +94,7 @@ def _circle(radius: float) -> Array:
 
 
 def _patterns(dataset: Dataset) -> Iterator[Array]:
-    """Outlines of the patterns, in evenly chosen collections; once of one that stays where it is."""
+    """Iterate over the patterns' outlines in evenly spaced collections; a fixed one only once."""
     for pattern in dataset.patterns.values():
         seen = [i for i, each in enumerate(dataset.collections) if any(p == pattern.name for p, _ in each.labels)]
         chosen = [seen[k] for k in thinned(len(seen), BOARDS_DRAWN)]
@@ -107,7 +107,7 @@ def _patterns(dataset: Dataset) -> Iterator[Array]:
 
 
 def _links(dataset: Dataset) -> Iterator[Array]:
-    """(2, 3): the origins of two frames that follow each other."""
+    """Iterate over the origins (2, 3) of consecutive frames."""
     patterns = {pattern.link for pattern in dataset.patterns.values()}
     first = dataset.with_collections([0])
     for parent, child in first.transforms:

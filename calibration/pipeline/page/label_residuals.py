@@ -1,4 +1,4 @@
-"""The part of the page that shows residuals: over the image, beside the stated noise, by collection."""
+"""Part of the page: residuals over the image, their distribution against the reported noise, RMS by collection."""
 
 from collections.abc import Iterator
 
@@ -26,8 +26,8 @@ def label_residuals(dataset: Dataset, levels: NoiseLevels | None, given: Dataset
 
     Args:
         dataset: calibrated.
-        levels: standard deviations of the labels that the calibration states.
-        given: the dataset as it was given, with its images, where it is at hand.
+        levels: the calibration's estimate of the labels' standard deviations.
+        given: the given dataset, with its images, if available.
     """
     found = {name: residuals(dataset, sensor) for name, sensor in dataset.sensors.items()}
     found = {name: each for name, each in found.items() if len(each.collections)}
@@ -64,7 +64,7 @@ def _figures(sensor: Sensor, found: Residuals, levels: NoiseLevels | None) -> It
 
 
 def _by_collection(found: Residuals, count: int) -> Array:
-    """(count,): RMS of each view; NaN where there is none."""
+    """RMS (count,) of each view; NaN if there is none."""
     sums = np.bincount(found.collections, found.sizes**2, count)
     with np.errstate(invalid="ignore", divide="ignore"):
         rms: Array = np.sqrt(sums / np.bincount(found.collections, minlength=count))

@@ -1,4 +1,4 @@
-"""The page of a dataset that was collected in simulation: the verdict, the numbers, all its images."""
+"""Page of a simulated dataset: the verdict, the numbers, all its images."""
 
 from base64 import b64encode
 from pathlib import Path
@@ -12,11 +12,11 @@ _SHEET = "Every pose that was collected: what each sensor saw, with its labels; 
 
 
 def collection_page(report: Report, contact_sheet: Path | None) -> str:
-    """Return the page, which stands alone.
+    """Return the page, a single file.
 
     Args:
         report: of the collection.
-        contact_sheet: PNG, where there is one.
+        contact_sheet: the PNG, if there is one.
     """
     tables = [table(block.columns, block.rows) for block in report.blocks if isinstance(block, Table)]
     head = join(

@@ -1,4 +1,4 @@
-"""The page of a run: the verdict and the tables of all systems, then each system by itself."""
+"""Page of a run: the verdict and the tables of all systems, then each system by itself."""
 
 import math
 from collections.abc import Iterator
@@ -36,20 +36,20 @@ from calibration.pipeline.system import System
 from calibration.report import Report
 
 MOST_COMMITS = 50
-"""Of the accepted calibrations, the newest."""
+"""Limit of the shown accepted calibrations, newest first."""
 SIX = ("x", "y", "z", "roll", "pitch", "yaw")
 
 
 def report_page(
     report: Report, results: Results, output: Path, matrix: Matrix | None = None, accepted: History | None = None
 ) -> str:
-    """Return the page, which stands alone.
+    """Return the page, a single file.
 
     Args:
         report: of the run: its verdict and its reasons.
-        results: what was found, with the cells' details.
+        results: the results, with the cells' details.
         output: the folder with the cells' datasets.
-        matrix: what was calibrated, where its datasets are at hand, for limits and for how it was before.
+        matrix: the calibrated matrix, if its datasets are available, for limits and given datasets.
         accepted: the accepted calibrations through the commits of the repository.
     """
     shown = {system: cell for system in results.systems if (cell := _shown(results, system)) is not None}
@@ -68,7 +68,7 @@ def report_page(
 
 
 def _shown(results: Results, system: str) -> CellResult | None:
-    """The cell of our engine that stands for a system: the first that passed, else the first."""
+    """Return the cell of our engine that is shown for a system: the first that passed, else the first."""
     cells = [cell for cell in (*results.cells, *results.comparisons) if cell.system == system and cell.details]
     return next((cell for cell in cells if cell.verdict == "pass"), next(iter(cells), None))
 
@@ -78,7 +78,7 @@ def _anchor(system: str) -> str:
 
 
 def _system(name: str, cell: CellResult, output: Path, system: System | None, accepted: History | None) -> Html:
-    """Everything about one system, by one of its cells."""
+    """Return the sections of one system, by one of its cells."""
     tables = (transforms_table, parameters_table, changes_table)
     notes = tuple(finding.text for finding in cell.findings if finding.severity != "red")
     content = [
@@ -89,7 +89,7 @@ def _system(name: str, cell: CellResult, output: Path, system: System | None, ac
     ]
     try:
         dataset = read_dataset(output / cell.dataset) if cell.dataset else None
-    except CalibrationError as error:  # of a job whose files were not kept
+    except CalibrationError as error:  # from a job whose files were not kept
         content.append(element("p", f"No figures: {error}", class_="soft"))
     else:
         if dataset is not None:
@@ -101,7 +101,7 @@ def _system(name: str, cell: CellResult, output: Path, system: System | None, ac
 
 
 def _given(system: System | None) -> Dataset | None:
-    """The dataset as it was given, where it is at hand."""
+    """Return the given dataset, if it is available."""
     try:
         return read_dataset(system.dataset) if system else None
     except CalibrationError:
@@ -109,7 +109,7 @@ def _given(system: System | None) -> Dataset | None:
 
 
 def _trends(system: str, found: History | None) -> Iterator[Html]:
-    """Where the system's sensors have been in the accepted calibrations of the repository."""
+    """Return the figures of a system's sensors over the accepted calibrations of the repository."""
     figures = [
         figure(
             trend(
@@ -130,7 +130,7 @@ def _trends(system: str, found: History | None) -> Iterator[Html]:
 
 
 def accepted_history(file: Path) -> History | None:
-    """The newest accepted calibrations of the repository; None where there is none, or nothing can be read."""
+    """Return the newest accepted calibrations of the repository; None if there are none, or they are unreadable."""
     try:
         return history_of(file, (), None, MOST_COMMITS)
     except CalibrationError:

@@ -1,4 +1,4 @@
-"""The part of the page that shows the images whose corners fit worst, with the corners."""
+"""Part of the page: the images with the largest residuals, with their corners."""
 
 import heapq
 from collections.abc import Iterator, Mapping
@@ -17,11 +17,11 @@ from calibration.pages.page import figure
 
 SHOWN = 4
 PIXELS = 640
-"""Width of an image in the page; larger ones are made smaller."""
+"""Width of an image in the page; larger ones are reduced."""
 QUALITY = 70
-"""Of its JPEG, percent."""
+"""Quality of its JPEG, percent."""
 JPEG, SMALL = b"\xff\xd8\xff", 64_000
-"""How a JPEG begins; and one of so many bytes is shown as it is."""
+"""First bytes of a JPEG; and the size up to which it is embedded unchanged."""
 
 
 def worst_views(
@@ -32,8 +32,8 @@ def worst_views(
     Args:
         dataset: calibrated.
         found: residuals of the cameras.
-        rms: (N,) of each, by collection; NaN where it saw nothing.
-        given: the dataset as it was given, with its images, where it is at hand.
+        rms: (N,) of each, by collection; NaN for no view.
+        given: the given dataset, with its images, if available.
     """
     views = [(float(value), i, name) for name, each in rms.items() for i, value in enumerate(each) if value == value]
     figures = [_figure(dataset, found[name], name, i, value, given) for value, i, name in heapq.nlargest(SHOWN, views)]
@@ -53,7 +53,7 @@ def _figure(dataset: Dataset, found: Residuals, name: str, i: int, rms: float, g
 
 
 def _jpeg(given: Dataset | None, name: str, key: str) -> bytes | None:
-    """The image of a view, made smaller; None where it is not at hand, or OpenCV is needed and not installed."""
+    """Return the image of a view, reduced; None if it is not available, or OpenCV is needed and not installed."""
     if given is None:
         return None
     try:
@@ -62,9 +62,9 @@ def _jpeg(given: Dataset | None, name: str, key: str) -> bytes | None:
             return None
         if path.stat().st_size <= SMALL and (data := path.read_bytes()).startswith(JPEG):
             return data
-        import cv2  # takes longer to start than a small dataset to calibrate
+        import cv2  # slower to import than a small dataset to calibrate
 
-        from calibration.importing.looking import read_image  # which needs OpenCV too
+        from calibration.importing.looking import read_image  # imports OpenCV too
 
         image: Any = read_image(path)
     except (ImportError, OSError, CalibrationError):

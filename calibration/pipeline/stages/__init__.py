@@ -1,4 +1,4 @@
-"""The stages of a pipeline, one after the other; files go between them, so each can run alone."""
+"""Stages of a pipeline, run in order; they communicate by files, so each can run alone."""
 
 from calibration.pipeline.stages.running import STAGES, Run, run_stages
 

@@ -1,4 +1,4 @@
-"""The stages build and promote: the image of a run, and its release tags after a verdict that is pass."""
+"""Stages build and promote: the image of a run, and its release tags after a pass verdict."""
 
 from dataclasses import replace
 
@@ -13,7 +13,7 @@ from calibration.registries.promotion import promote
 
 
 def build_stage(run: Run) -> Run:
-    """Find the image, or build it, push it where the specification says so, and run in it what names no other.
+    """Find the image, or build it, push it if specified, and use it for containers that name no other.
 
     Raises:
         InputError: the specification, or a file that it names, is wrong.
@@ -42,7 +42,7 @@ def _simulated_in(simulation: Simulation, image: str) -> Simulation:
 
 
 def promote_stage(run: Run) -> Run:
-    """Give the image that was tested its release tags, if the verdict is pass; nothing is built or pulled.
+    """Give the tested image its release tags, if the verdict is pass; nothing is built or pulled.
 
     Raises:
         InfrastructureError: the registry does not answer, or the image was not pushed.

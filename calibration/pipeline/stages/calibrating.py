@@ -1,4 +1,4 @@
-"""The stages calibrate and introspect: every cell, then rules and limits over what the cells left in files."""
+"""Stages calibrate and introspect: every cell, then rules and limits on the cells' files."""
 
 import os
 from dataclasses import replace
@@ -13,7 +13,7 @@ from calibration.workflow.progress import progress
 
 
 def calibrate_stage(run: Run) -> Run:
-    """Calibrate every cell; it passes when it converged. Leaves tables and datasets in the output folder.
+    """Calibrate every cell, which passes if it converged, and write tables and datasets into the output folder.
 
     Raises:
         InputError: a dataset, an evaluation, a truth or the baseline is wrong.
@@ -35,18 +35,18 @@ def calibrate_stage(run: Run) -> Run:
 def _line(cell: CellResult) -> str:
     rms = "" if cell.rms_px is None else f", {cell.rms_px:.4f} px"
     converged = "calibrated" if cell.converged else "not converged"
-    method = "" if cell.by_other_method else f", {cell.method}"  # whose name says it
+    method = "" if cell.by_other_method else f", {cell.method}"  # named in the cell's name
     return f"{cell.name}{method}: {converged}{rms} ({cell.seconds:.2f} s)"
 
 
 def introspect_stage(run: Run) -> Run:
-    """Judge the tables that the stage before left in the output folder by each system's rules and limits.
+    """Judge the tables in the output folder by each system's rules and limits.
 
-    Our engine's answers beside those of a team's software are judged too, without a part in the verdict. Where this run
-    has calibrated no cell, the results are read from the output folder, but for what this run says of an image.
+    Our engine's references for a team's software are judged too, but do not count for the verdict. If this run
+    has calibrated no cell, the results are read from the output folder, except for this run's image.
 
     Raises:
-        InputError: there are no results, or a rule does not fit a table.
+        InputError: there are no results, or a rule does not match a table.
     """
     systems, output = run.matrix.systems, run.output
     names = {system.name for system in systems}

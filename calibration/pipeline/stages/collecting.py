@@ -1,4 +1,4 @@
-"""The stage collect: datasets in simulation, by our own or by the team's applications."""
+"""Stage collect: simulated datasets, by our own simulation or by the team's applications."""
 
 import time
 from dataclasses import replace
@@ -17,7 +17,7 @@ from calibration.workflow.progress import progress
 def collect_stage(run: Run) -> Run:
     """Collect datasets, each in its folder below the output folder, and calibrate them.
 
-    One that cannot be collected is among the results, and does not stop the others.
+    A failed collection is stored in the results, and does not stop the others.
     """
     collections = tuple(_collected(simulation, run) for simulation in run.simulations)
     return replace(run, results=replace(run.results, collections=collections))

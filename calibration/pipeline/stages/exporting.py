@@ -1,4 +1,4 @@
-"""The stage export: what each system that passed leaves for its robot."""
+"""Stage export: files for the robot of each system that passed."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -23,7 +23,7 @@ CALIBRATION = "calibration.json"
 
 @result
 class CalibrationDocument:
-    """All that is known of the calibration of a system: for programs."""
+    """Complete calibration of a system, for programs."""
 
     schema: Literal[1] = field("Version of this format.")
     system: str = field("The system.")
@@ -35,7 +35,7 @@ class CalibrationDocument:
 def export_stage(run: Run) -> Run:
     """Write the exports of each system all of whose cells passed.
 
-    What cannot be exported is a reason of the verdict.
+    A failed export is a reason of the verdict.
 
     Raises:
         InfrastructureError: a file cannot be written.
@@ -51,13 +51,13 @@ def export_stage(run: Run) -> Run:
 
 
 def _exported(system: System, exports: Exports, cells: Sequence[CellResult], output: Path) -> Exported | None:
-    """What a system leaves; None where it has not passed."""
+    """Export a system; None if it has not passed."""
     if not cells or any(cell.verdict == "fail" for cell in cells) or cells[0].dataset is None:
         return None
     first = cells[0]
     folder = str(Path(first.dataset or "").parent / FOLDER)
     try:
-        # The data of the cell's labels stay beside the dataset that was calibrated.
+        # The labels' data files stay beside the dataset that was calibrated.
         dataset = read_dataset(output / (first.dataset or ""), data=_data(system))
         files, notes = exported(dataset, exports.formats, exports.robot_description)
         details = first.details or own_details(first, output)

@@ -1,6 +1,6 @@
-"""A run of the pipeline: its stages, one after the other, and the report of what they found.
+"""Run of the pipeline: its stages in order, and the report of their results.
 
-A stage takes a `Run` and gives it back with what it has found; it says only what to run and what counts. One more is a
+A stage takes a `Run` and returns it with its results; it only decides what runs and what counts. A new one is a
 function in a module of its own, and a line in `STAGES`.
 """
 
@@ -24,35 +24,35 @@ from calibration.workflow.text import did_you_mean
 from calibration.yaml_file import line_of
 
 COLLECTED = "collected"
-"""The folder of what was collected, in a pipeline's output folder."""
+"""Folder of collected datasets, in a pipeline's output folder."""
 
 
 @dataclass(frozen=True)
 class Run:
-    """What a run of the pipeline is asked, and what its stages have found so far."""
+    """Options of a run of the pipeline, and the results of its stages so far."""
 
     matrix: Matrix
-    """What to calibrate, and how to judge it."""
+    """Cells, and how they are judged."""
     output: Path
-    """The folder between the stages."""
+    """Folder for the files of all stages."""
     runner: Runner
-    """Where progress, logs of containers and the report are shown."""
+    """Output of progress, logs of containers and the report."""
     title: str = "calibration run"
-    """Of the progress and the annotations."""
+    """Title of the progress and the annotations."""
     config: Path | None = None
-    """The file that says so, for annotations in it."""
+    """Configuration file, for annotations in it."""
     jobs: int | None = None
-    """Processes, or containers at once; None for as many as the machine holds."""
+    """Number of parallel processes or containers; None for as many as the machine can run."""
     fail_fast: bool = False
     """Whether the first cell that fails stops the others."""
     simulations: tuple[Simulation, ...] = ()
-    """What the stage collect collects."""
+    """Simulations of the stage collect."""
     image: ImageSpecification | None = None
-    """What the stage build builds."""
+    """Image of the stage build."""
     baseline: BaselineSettings | None = None
-    """What the accepted calibrations are, and what may change; None where nothing is compared with them."""
+    """Baseline and allowed changes; None for no comparison."""
     place: Place = field(default_factory=Place)
-    """Where containers run, and what is known of other places."""
+    """Execution target of the containers, and settings of the others."""
     results: Results = field(default_factory=Results)
 
     @property
@@ -65,12 +65,12 @@ class Run:
 
 @dataclass(frozen=True)
 class Stage:
-    """A stage of the pipeline."""
+    """Stage of the pipeline."""
 
     target: str
     """``module:function`` from `Run` to `Run`; imported when it runs, as it may need packages that others do not."""
     applies: Callable[[Run], bool] = lambda _: True
-    """Whether there is anything to do."""
+    """Whether it has something to do."""
 
 
 STAGES: Mapping[str, Stage] = {
@@ -86,15 +86,15 @@ STAGES: Mapping[str, Stage] = {
         "calibration.pipeline.stages.building:promote_stage", lambda run: bool(run.image and run.image.promote)
     ),
 }
-"""In their order."""
+"""All stages, in order."""
 
 
 def run_stages(run: Run, stages: Collection[str] = tuple(STAGES)) -> Results:
-    """Run stages, and report what they found.
+    """Run stages, and report their results.
 
     Args:
-        run: what is asked.
-        stages: which ones; an image that containers lack is built without being asked for.
+        run: options of the run.
+        stages: the stages to run; an image that containers need is built in any case.
 
     Raises:
         InputError: there is no such stage, or an input is wrong.
@@ -112,8 +112,8 @@ def run_stages(run: Run, stages: Collection[str] = tuple(STAGES)) -> Results:
                 run = imported(stage.target)(run)
         found = report(run.results, run.output, run.title)
         files = {**found.files, PAGE_FILE: _page(found, run)}
-    except BaseException:  # a signal too: what the stages before have found is there for another run
-        if run.results.judged:  # what an earlier run left there is not replaced by an image
+    except BaseException:  # signals too: the results of earlier stages are kept for another run
+        if run.results.judged:  # results of an earlier run are not replaced if only an image was built
             write_results(run.results, run.output)
         raise
     outputs = {**found.outputs, "report": run.output / PAGE_FILE}
@@ -127,7 +127,7 @@ def _page(found: Report, run: Run) -> str:
 
 
 def _places(reasons: Sequence[str], run: Run) -> dict[str, tuple[Path, int]]:
-    """Where the rules or limits stand that reasons are about, on a runner that shows it beside them."""
+    """Return the lines of the rules or limits in the reasons, for a runner that annotates them."""
     if run.config is None or not run.runner.github:
         return {}
     found = {}
@@ -152,7 +152,7 @@ def _check(stages: Collection[str]) -> None:
 
 
 def _check_systems(run: Run) -> None:
-    """Read what is to be calibrated before an image is built, or anything collected: that takes minutes."""
+    """Read the systems before an image is built or a dataset is collected, which takes minutes."""
     if run.image is not None or run.simulations:
         for system in run.matrix.systems:
             if system.collected is None:
@@ -160,7 +160,7 @@ def _check_systems(run: Run) -> None:
 
 
 def _placed(run: Run) -> Run:
-    """The run with the datasets that are collected where it, or an earlier one, puts them, and logs shown."""
+    """Return the run with the paths of collected datasets, of this or an earlier run, and with visible logs."""
     systems = [
         system if system.collected is None else replace(system, dataset=run.output / COLLECTED / system.collected)
         for system in run.matrix.systems
