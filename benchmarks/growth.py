@@ -1,10 +1,12 @@
 """What ten times as many collections cost."""
 
+import math
 import statistics
 import subprocess
 import sys
 from collections.abc import Iterator
 
+from benchmarks import exponents, reference
 from benchmarks.rig_arrays import RigProblem, rig_problem, solve
 from benchmarks.rows import Bar, Row
 from benchmarks.shared_data import ROOT
@@ -29,10 +31,25 @@ def measure(quick: bool) -> Iterator[Row]:
     median = [1e6 * statistics.median(each) for each in (large_each, small_each)]
     note = f"{median[0]:.0f} us against {median[1]:.0f} us, linear start and plain least squares"
     yield Row("growth/time per collection", ratio, "times", Bar(high=1.5), note)
+    yield from _exponents(1 if quick else 3)
     for name, (bar, what) in PEAKS.items():
         ratio = _peak(name)
         note = f"peak of tracemalloc in a process of its own, input included, over the pixel arrays: {what}"
         yield Row(f"growth/memory, {name}", ratio, "x pixels", bar, note)
+
+
+def _exponents(rounds: int) -> Iterator[Row]:
+    """The power of the number of collections with which a whole `calibrate` grows; 1 is as the data do."""
+    now, place = exponents.measured(rounds), reference.folder(reference.RECENT)
+    before = exponents.measured(rounds, place) if place else {}
+    small, large = exponents.SIZES
+    for name, (few, many) in now.items():
+        power = math.log(many / few) / math.log(large / small)
+        note = f"calibrate, {name}: {few:.2f} s of CPU time for {small}, {many:.2f} s for {large} collections"
+        if name in before:
+            first, last = before[name]
+            note += f"; before {math.log(last / first) / math.log(large / small):.2f}, {first:.2f} s and {last:.2f} s"
+        yield Row(f"growth/exponent, {name}", power, "", Bar(high=1.1), note)
 
 
 def _solve(rig: RigProblem, times: int) -> None:

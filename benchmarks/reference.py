@@ -1,16 +1,20 @@
 """What 'before' is: the package as it was at a kept commit, measured in the same run as what it is now."""
 
+import atexit
 import subprocess
+from contextlib import ExitStack
 from functools import cache
 from pathlib import Path
-from tempfile import mkdtemp
+from tempfile import TemporaryDirectory
 
 from benchmarks.shared_data import ROOT
 
 COMMIT = "51bef2e"
 """Before the work on speed began; its package runs with today's dependencies."""
-SIMULATION = "82e9c42"
-"""The same for simulated sensors, which had another interface at `COMMIT`."""
+RECENT = "82e9c42"
+"""The same for what had another interface at `COMMIT`: datasets in memory, simulated sensors."""
+_FOLDERS = ExitStack()
+atexit.register(_FOLDERS.close)
 
 
 @cache
@@ -19,7 +23,7 @@ def folder(commit: str = COMMIT) -> Path | None:
     archive = subprocess.run(["git", "archive", commit, "calibration"], cwd=ROOT, capture_output=True)
     if archive.returncode:
         return None
-    place = Path(mkdtemp(prefix="calibration-before-"))
+    place = Path(_FOLDERS.enter_context(TemporaryDirectory(prefix="calibration-before-")))
     subprocess.run(["tar", "x"], cwd=place, input=archive.stdout, check=True)
     return place
 

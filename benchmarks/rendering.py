@@ -125,7 +125,7 @@ def _rays(count: int) -> Row:
 
 def _beside_before(count: int) -> Iterator[Row]:
     """A camera in the hand and a LiDAR as collections have them, in CPU time, here and at the kept commit."""
-    now, place = measured(count), reference.folder(reference.SIMULATION)
+    now, place = measured(count), reference.folder(reference.RECENT)
     before = measured(count, place) if place else dict.fromkeys(now, float("nan"))
     ratio, earlier = (each["in_hand"] / each["stands"] for each in (now, before))
     note = (
