@@ -33,8 +33,9 @@ def _row(board, source, target, source_label, target_label, T_target_source):
     of_source, of_target = (
         {corner["id"]: (corner["x"], corner["y"]) for corner in label["idxs"]} for label in (source_label, target_label)
     )
+    places = board.corners - board.corners[0]  # millimetres are those of the first corner, as in ATOM
     T_source_board, T_target_board = (
-        camera.board_pose(board.corners[list(corners)], np.array(list(corners.values())))
+        camera.board_pose(places[list(corners)], np.array(list(corners.values())))
         for camera, corners in ((source, of_source), (target, of_target))
     )
     common = sorted(of_source.keys() & of_target.keys())
