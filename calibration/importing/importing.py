@@ -107,7 +107,7 @@ def import_data(
     ):
         tasks = [work.keeping(task) for task in source.tasks]
         seen = list(run_tasks(tasks, workers=jobs, find=work.find, done=done).values())
-        recorded = source.finish(seen, work.folder)
+        recorded = source.finish(seen, work.folder, jobs)
         check_views(recorded)
         imported = imported_moments(robot, recorded)
         with replacing_dataset(output, overwrite) as new:
@@ -176,8 +176,9 @@ class _Source:
     tasks: Sequence[Task[Any]]
     decode: Callable[[bytes], Any]
     """Function that decodes a stored part."""
-    finish: Callable[[Sequence[Any], Path], Recorded]
-    """Function that returns the moments of all parts; images from a bag are written into a folder."""
+    finish: Callable[[Sequence[Any], Path, int | None], Recorded]
+    """Function that returns the moments of all parts; images from a bag are written into a folder by this many
+    processes."""
 
 
 def _from_images(
@@ -190,7 +191,7 @@ def _from_images(
     def label(moment: Moment) -> LabelledMoment:
         return LabelledMoment({name: look(file, detectors) for name, file in moment.files.items()})
 
-    def finish(seen: Sequence[LabelledMoment], _: Path) -> Recorded:
+    def finish(seen: Sequence[LabelledMoment], _: Path, __: int | None) -> Recorded:
         for name in configuration.sensors:
             check_copies(name, [moment.views[name] for moment in seen if name in moment.views])
         lag = max(moment.lag for moment in moments)
@@ -220,7 +221,7 @@ def _from_bags(
         if camera.camera is not None
     }
 
-    def finish(seen: Sequence[SeenImages], folder: Path) -> Recorded:
+    def finish(seen: Sequence[SeenImages], folder: Path, jobs: int | None) -> Recorded:
         frames = frames_of(found, seen)
         for name, own in frames.items():
             at = partial(image_at, bags.files, found.cameras[name].topic)
@@ -242,7 +243,7 @@ def _from_bags(
         moments, evenly = best_moments(every, bags.most, of_cameras)
         return replace(
             of_cameras(moments),
-            moments=taken_out(bags.files, found, moments, folder),
+            moments=taken_out(bags.files, found, moments, folder, jobs),
             ranges=ranges_taken_out(bags.files, found, moments, folder),
             of=len(every),
             evenly=evenly,

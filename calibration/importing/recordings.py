@@ -8,22 +8,23 @@ from functools import partial
 from itertools import pairwise
 from pathlib import Path
 
-import cv2
 import numpy as np
 
 from calibration.dataset.configuration import Configuration, PatternConfiguration, SensorConfiguration
 from calibration.dataset.model import Edge
 from calibration.dataset.pointcloud import write_points
 from calibration.errors import InputError
-from calibration.execution.tasks import Task
+from calibration.execution.tasks import Task, run_tasks
 from calibration.files import read_bytes, write_atomically
 from calibration.geometry.frames import FrameTree
 from calibration.geometry.types import Array
 from calibration.importing.bag import SECOND, Bag, RawMessage, open_bag
+from calibration.importing.contact_sheet import thumbnail, thumbnail_of
 from calibration.importing.description import Bags, ImportDescription, SensorDescription
 from calibration.importing.looking import LabelledMoment, View, look_at
 from calibration.importing.messages import depth_of, image_of
 from calibration.importing.motion_log import MotionLog
+from calibration.importing.png import encoded
 from calibration.importing.range_data import RangeView, cloud_message, cloud_of, scan_message
 from calibration.importing.stillness import Frame, StillMoment, evenly, moments_at, still_moments
 from calibration.importing.survey import SensorTopic, Survey
@@ -146,25 +147,38 @@ def _read_times(path: Path, start: int) -> list[float]:
 
 
 def taken_out(
-    files: Sequence[Path], found: Survey, moments: Sequence[StillMoment], folder: Path
+    files: Sequence[Path], found: Survey, moments: Sequence[StillMoment], folder: Path, jobs: int | None
 ) -> list[LabelledMoment]:
-    """Extract the chosen images as files into a folder; existing ones are kept.
+    """Extract the chosen images as files into a folder, each with a thumbnail; existing ones are kept.
+
+    Args:
+        files: the bag.
+        found: the result of the first pass.
+        moments: the chosen ones.
+        folder: for the images.
+        jobs: number of processes; None for one per core.
 
     Raises:
         InputError: the bag is damaged.
-        InfrastructureError: a file cannot be written.
+        InfrastructureError: a file cannot be written, or a process died.
     """
-    labelled = []
-    with open_bag(files) as bag:
-        for moment in moments:
-            views = {}
-            for name, frame in moment.frames.items():
-                path = folder / f"{name.replace('/', '_')}_{frame.recorded}.png"
-                if not path.exists():
-                    _take_out(bag, found.cameras[name], frame, path)
-                views[name] = replace(frame.view, file=str(path))
-            labelled.append(LabelledMoment(views))
-    return labelled
+
+    def take_out(some: Sequence[StillMoment]) -> list[LabelledMoment]:
+        labelled = []
+        with open_bag(files) as bag:
+            for moment in some:
+                views = {}
+                for name, frame in moment.frames.items():
+                    path = folder / f"{name.replace('/', '_')}_{frame.recorded}.png"
+                    if not path.exists():
+                        _take_out(bag, found.cameras[name], frame, path)
+                    views[name] = replace(frame.view, file=str(path))
+                labelled.append(LabelledMoment(views))
+        return labelled
+
+    parts = [moments[i : i + AT_ONCE] for i in range(0, len(moments), AT_ONCE)]
+    tasks = [Task.call(f"{i}", partial(take_out, part)) for i, part in enumerate(parts)]
+    return [moment for part in run_tasks(tasks, workers=jobs).values() for moment in part]
 
 
 def ranges_taken_out(
@@ -227,14 +241,13 @@ def _image_at(bag: Bag, topic: str, recorded: int) -> Image:
 
 
 def _take_out(bag: Bag, camera: SensorTopic, frame: Frame, path: Path) -> None:
-    _write_png(_image_at(bag, camera.topic, frame.recorded), path)
+    image = _image_at(bag, camera.topic, frame.recorded)
+    write_atomically(thumbnail_of(path), encoded(thumbnail(image)))
+    _write_png(image, path)
 
 
 def _write_png(image: Image | DepthImage, path: Path) -> None:
-    done, data = cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 1])
-    if not done:
-        raise AssertionError("OpenCV cannot write .png")
-    write_atomically(path, bytes(data))
+    write_atomically(path, encoded(image))
 
 
 @dataclass(frozen=True, eq=False)

@@ -80,7 +80,7 @@ class CharucoDetector:
         found = readings(self._layouts, self._finder.find(image))
         if found and found[0].share(*image.shape) >= 0.5:
             return found
-        finer = readings(self._layouts, self._finder.find_small(image))
+        finer = readings(self._layouts, self._finder.find_small(image, found[0].box(*image.shape) if found else None))
         return max(found, finer, key=lambda r: len(r[0].markers) if r else 0)
 
 

@@ -23,6 +23,10 @@ from calibration.labelling.printed_corners import PrintedPatches
 
 TEXELS = 32
 """Texels of the drawn board per side of a square."""
+LEAST_FOR_BOX = 6
+"""Number of markers that tell roughly where the others are,"""
+ROOM, MORE_ROOM = 0.3, 30
+"""within this share of the extent of all markers, and this many pixels."""
 AGREEMENT = 0.3
 """Limit of a marker's misfit of a homography of the board, at its corners (squares)."""
 
@@ -45,6 +49,19 @@ class Reading:
     markers: Markers
     H: Array
     """(3, 3): approximate homography from positions on the board to pixels."""
+
+    def box(self, height: int, width: int) -> tuple[int, int, int, int] | None:
+        """A part (left, top, right, bottom) of the image in which all markers lie; None where it cannot be told."""
+        if len(self.markers) < LEAST_FOR_BOX:
+            return None
+        corners, _ = project(self.H, self.layout.markers.reshape(-1, 2))
+        if not np.isfinite(corners).all():
+            return None
+        low, high = corners.min(axis=0), corners.max(axis=0)
+        room = ROOM * (high - low) + MORE_ROOM
+        left, top = np.clip(low - room, 0, (width, height)).astype(int).tolist()
+        right, bottom = np.clip(high + room, 0, (width, height)).astype(int).tolist()
+        return (left, top, right, bottom) if min(right - left, bottom - top) > MORE_ROOM else None
 
     def share(self, height: int, width: int) -> float:
         """Share of the markers expected in the image that are read, 0 to 1."""

@@ -11,6 +11,10 @@ from calibration.labelling.detection import Image
 
 ENLARGED = 2
 """Factor by which an image is enlarged for small markers."""
+LEAST_PERIMETER = 0.03
+"""Minimum perimeter of a marker, relative to the longer side of the image (OpenCV's default)."""
+Box = tuple[int, int, int, int]
+"""Left, top, right and bottom of a part of an image (px); right and bottom are outside."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,17 +46,24 @@ class MarkerFinder:
         """Detect the markers in a grey image; small ones are missed."""
         return self._markers(self._plain.detectMarkers(image), 1)
 
-    def find_small(self, image: Image) -> Markers:
-        """Detect also small markers, down to about 9 pixels, in the enlarged image; slower."""
-        larger = cv2.resize(image, None, fx=ENLARGED, fy=ENLARGED, interpolation=cv2.INTER_CUBIC)
-        return self._markers(self._fine.detectMarkers(larger), ENLARGED)
+    def find_small(self, image: Image, box: Box | None = None) -> Markers:
+        """Detect also small markers, down to about 9 pixels, in the enlarged image or a part of it; slower."""
+        left, top, right, bottom = box or (0, 0, image.shape[1], image.shape[0])
+        larger = cv2.resize(
+            image[top:bottom, left:right], None, fx=ENLARGED, fy=ENLARGED, interpolation=cv2.INTER_CUBIC
+        )
+        # relative to the longer side of the part: the smallest marker is that of the whole image
+        parameters = self._fine.getDetectorParameters()
+        parameters.minMarkerPerimeterRate = LEAST_PERIMETER * max(image.shape) / max(right - left, bottom - top)
+        self._fine.setDetectorParameters(parameters)
+        return self._markers(self._fine.detectMarkers(larger), ENLARGED, (left, top))
 
-    def _markers(self, detected: Any, scale: int) -> Markers:
+    def _markers(self, detected: Any, scale: int, begin: tuple[int, int] = (0, 0)) -> Markers:
         corners, ids, _ = detected
         if ids is None or not len(ids):
             return Markers(np.zeros(0, np.int64), np.zeros((0, 4, 2)))
         found = np.array(ids, np.int64).ravel()
-        pixels = (np.array(corners, float).reshape(-1, 4, 2) + 0.5) / scale - 0.5
+        pixels = (np.array(corners, float).reshape(-1, 4, 2) + 0.5) / scale - 0.5 + np.array(begin)
         known = found < self._count
         found, first = np.unique(found[known], return_index=True)
         return Markers(found, pixels[known][first])

@@ -3,7 +3,7 @@
 import cv2
 import numpy as np
 
-from calibration.geometry.types import Array, BoolArray
+from calibration.geometry.types import Array, BoolArray, IntArray
 from calibration.labelling.detection import Image
 
 WINDOWS = (2, 6)
@@ -60,11 +60,8 @@ def shortest(jacobians: Array) -> Array:
 def _refined(image: Image, start: Array, half: int) -> tuple[Array, BoolArray]:
     """Refine corners (K, 2) with windows of one size; failed ones have arbitrary values."""
     height, width = image.shape
-    ticks = np.arange(-half, half + 1)
-    weights = np.exp(-((ticks / half) ** 2))
-    weights = weights[:, None] * weights
-    patch = np.arange(-half - 1, half + 3)  # a margin of one on each side for the gradients, and one to interpolate
     corners, found = _nearly(image, start, half), np.zeros(len(start), bool)
+    cells, moments = np.full((len(start), 2), -1), np.zeros((len(start), 5, 4, 4))
     active = np.arange(len(start))
     for _ in range(STEPS):
         at = corners[active]
@@ -72,15 +69,12 @@ def _refined(image: Image, start: Array, half: int) -> tuple[Array, BoolArray]:
         inside = ((at >= half + 1) & (at < np.array([width, height]) - half - 3)).all(axis=-1)
         active, at = active[near & inside], at[near & inside]
         whole = np.floor(at).astype(int)
-        x, y = (at - whole).T[:, :, None, None]
-        seen = image[(whole[:, 1, None] + patch)[:, :, None], (whole[:, 0, None] + patch)[:, None]].astype(float)
-        rows = seen[:, :-1] + y * (seen[:, 1:] - seen[:, :-1])
-        smooth = rows[:, :, :-1] + x * (rows[:, :, 1:] - rows[:, :, :-1])  # (A, 2 half + 3, 2 half + 3)
-        gx, gy = smooth[:, 1:-1, 2:] - smooth[:, 1:-1, :-2], smooth[:, 2:, 1:-1] - smooth[:, :-2, 1:-1]
-        xx, xy, yy = weights * gx * gx, weights * gx * gy, weights * gy * gy
-        a, b, c = (products.sum(axis=(1, 2)) for products in (xx, xy, yy))
-        u = xx.sum(axis=1) @ ticks + xy.sum(axis=2) @ ticks
-        v = xy.sum(axis=1) @ ticks + yy.sum(axis=2) @ ticks
+        if (elsewhere := (whole != cells[active]).any(axis=-1)).any():
+            moments[active[elsewhere]] = _moments(image, whole[elsewhere], half)
+            cells[active] = whole
+        x, y = (at - whole).T
+        share = np.stack([(1 - x) * (1 - y), x * (1 - y), (1 - x) * y, x * y], -1)[:, None, :, None]
+        a, b, c, u, v = ((moments[active] @ share).swapaxes(-1, -2) @ share)[:, :, 0, 0].T
         det = a * c - b * b
         regular = det > FLAT * (a + c) ** 2
         safe = np.where(regular, det, 1.0)
@@ -93,6 +87,35 @@ def _refined(image: Image, start: Array, half: int) -> tuple[Array, BoolArray]:
         if not len(active):
             break
     return corners, found
+
+
+def _moments(image: Image, whole: IntArray, half: int) -> Array:
+    """Sums over windows whose middles lie in pixels (K, 2), to the right of and below their centres: (K, 5, 4, 4).
+
+    A gradient between pixels is a mean of those at the four around, with weights s (4,) that the window's place in the
+    pixel gives. So sums of products of gradients are quadratic forms ``s^T M s``: M of ``w gx gx``, ``w gx gy``, ``w gy
+    gy``, ``w gx (gx x + gy y)`` and ``w gy (gx x + gy y)``, with x and y from the window's middle and its weights w.
+    """
+    ticks = np.arange(-half, half + 1)
+    fall = np.exp(-((ticks / half) ** 2))
+    w = (fall[:, None] * fall).ravel()
+    wx, wy = w * np.tile(ticks, len(ticks)), w * np.repeat(ticks, len(ticks))
+    patch = np.arange(-half - 1, half + 3)  # one more on each side for the gradients, and one to interpolate
+    seen = image[(whole[:, 1, None] + patch)[:, :, None], (whole[:, 0, None] + patch)[:, None]].astype(float)
+    gradients = (seen[:, 1:-1, 2:] - seen[:, 1:-1, :-2], seen[:, 2:, 1:-1] - seen[:, :-2, 1:-1])
+    ends = ((0, -1), (1, None))
+    gx, gy = (
+        np.stack([g[:, top:bottom, left:right] for top, bottom in ends for left, right in ends], 1).reshape(
+            len(whole), 4, w.size
+        )
+        for g in gradients
+    )
+    both = np.concatenate([gx, gy], 1).swapaxes(1, 2)
+    of_x, of_y = np.concatenate([gx * w, gx * wx, gx * wy], 1) @ both, np.concatenate([gy * w, gy * wy], 1) @ both
+    xx, xy, yy = of_x[:, :4, :4], of_x[:, :4, 4:], of_y[:, :4, 4:]
+    u = of_x[:, 4:8, :4] + of_x[:, 8:, 4:]
+    v = of_x[:, 4:8, 4:] + of_y[:, 4:, 4:]
+    return np.stack([xx, xy, yy, u, v], 1)
 
 
 def _nearly(image: Image, start: Array, half: int) -> Array:

@@ -13,6 +13,8 @@ from calibration.execution.embedded import Embedded
 from calibration.labelling.charuco import CharucoDetector
 from calibration.labelling.corner_detector import corner_detector
 from calibration.labelling.detection import NotDetected
+from calibration.labelling.layouts import board_layouts, readings
+from calibration.labelling.markers import MarkerFinder, Markers
 from tests.labelling.pictures import HD, HD_DISTORTED, VGA, Photograph, charuco, facing, in_view, true_corners
 
 BOARD = charuco()
@@ -267,3 +269,34 @@ def test_pixels_are_rounded() -> None:
     found = detected(Photograph(VGA).of(BOARD, facing(BOARD, 1.0, 0.3)))
     np.testing.assert_array_equal(found.pixels, np.round(found.pixels, 4))
     assert found.ids.dtype == np.int64
+
+
+@pytest.mark.parametrize("distance", [1.6, 2.2, 2.8])
+@pytest.mark.parametrize("towards", [0.0, 2.0])
+def test_small_markers_are_the_same_in_the_part_of_the_image_with_the_board(distance: float, towards: float) -> None:
+    pattern = charuco()
+    image = Photograph(VGA).of(pattern, facing(pattern, distance, 0.4, towards, 0.3, (0.1, -0.05)))
+    dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_5X5_100)
+    finder = MarkerFinder(dictionary, 54)
+    whole = finder.find_small(image)
+    layouts = board_layouts(12, 9, 0.75, dictionary, pattern.pattern().corners[:, :2] / pattern.size)
+    (reading,) = readings(layouts, whole)
+    box = reading.box(*image.shape)
+    assert box is not None
+    left, top, right, bottom = box
+    assert (right - left) * (bottom - top) < 0.8 * image.size
+    part = finder.find_small(image, box)
+    np.testing.assert_array_equal(part.ids, whole.ids)
+    np.testing.assert_allclose(part.corners, whole.corners, atol=1e-4)
+    again = finder.find_small(image)  # of a whole image, after a part of one
+    np.testing.assert_array_equal(again.corners, whole.corners)
+
+
+def test_few_markers_do_not_tell_where_the_board_is() -> None:
+    pattern = charuco()
+    image = Photograph(VGA).of(pattern, facing(pattern, 1.2))
+    dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_5X5_100)
+    found = MarkerFinder(dictionary, 54).find(image)
+    layouts = board_layouts(12, 9, 0.75, dictionary, pattern.pattern().corners[:, :2] / pattern.size)
+    (few,) = readings(layouts, Markers(found.ids[:5], found.corners[:5]))
+    assert few.box(*image.shape) is None

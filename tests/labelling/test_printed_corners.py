@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from calibration.labelling.detection import Image
-from calibration.labelling.printed_corners import PrintedPatches, refine
+from calibration.labelling.printed_corners import PrintedPatches, _moments, refine
 from tests.labelling.pictures import TEXELS, VGA, Photograph, chessboard, facing, printed, true_corners
 
 BOARD = chessboard()
@@ -70,3 +70,27 @@ def test_patches_are_recognised_in_any_light_and_only_where_they_are(picture: Im
     assert patches.likeness(picture, TRUTH + JACOBIANS @ [0.5, 0.5], JACOBIANS).max() < 0.5
     assert (patches.likeness(np.full_like(picture, 90), TRUTH, JACOBIANS) == 0).all()
     assert np.isfinite(patches.likeness(picture, TRUTH - 1000, JACOBIANS)).all()
+
+
+@pytest.mark.parametrize("half", [2, 5])
+@pytest.mark.parametrize("place", [(0.0, 0.0), (0.3, 0.8), (0.999, 0.001)])
+def test_the_moments_are_sums_over_the_window(picture: Image, half: int, place: tuple[float, float]) -> None:
+    """Against the image itself, interpolated between pixels and then differentiated."""
+    corner = np.floor(TRUTH[33]).astype(int)
+    ticks = np.arange(-half - 1, half + 2)
+    x, y = np.meshgrid(corner[0] + place[0] + ticks, corner[1] + place[1] + ticks)
+    columns, rows = np.floor(x).astype(int), np.floor(y).astype(int)
+    at = picture.astype(float)
+    above, below = (
+        at[rows + i, columns] * (1 - x + columns) + at[rows + i, columns + 1] * (x - columns) for i in (0, 1)
+    )
+    smooth = above * (1 - y + rows) + below * (y - rows)
+    gx, gy = smooth[1:-1, 2:] - smooth[1:-1, :-2], smooth[2:, 1:-1] - smooth[:-2, 1:-1]
+    tx, ty = np.meshgrid(ticks[1:-1], ticks[1:-1])
+    w = np.exp(-(tx**2 + ty**2) / half**2)
+    past = gx * tx + gy * ty
+    expected = [(w * each).sum() for each in (gx * gx, gx * gy, gy * gy, gx * past, gy * past)]
+    a, b = place
+    share = np.array([(1 - a) * (1 - b), a * (1 - b), (1 - a) * b, a * b])
+    (forms,) = _moments(picture, corner[None], half)
+    np.testing.assert_allclose(share @ forms @ share, expected, rtol=1e-9, atol=1e-6)
