@@ -14,12 +14,13 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, NoReturn
 
 import click
 
 from calibration import __version__
 from calibration.errors import CalibrationError, ExitCode, solvable
+from calibration.process_end import run_process
 from calibration.workflow import Runner, report_error, stop_commands
 from calibration.workflow.signals import Terminated, terminate_cleanly
 from calibration.workflow.text import did_you_mean
@@ -289,5 +290,10 @@ def _report_bug(runner: Runner) -> int:
     return ExitCode.INFRASTRUCTURE
 
 
+def entry() -> NoReturn:
+    """Run the command line as all that this process does."""
+    run_process(main)
+
+
 if __name__ == "__main__":
-    sys.exit(main())
+    entry()

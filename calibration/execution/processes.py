@@ -1,6 +1,7 @@
 """Forked worker processes, in a separate module because its imports take as long as a small calibration."""
 
 import ctypes
+import mmap
 import multiprocessing
 import signal
 import sys
@@ -18,12 +19,15 @@ Result = TypeVar("Result")
 
 PR_SET_PDEATHSIG = 1
 """Linux's prctl option for a signal when the parent dies."""
+THREADS = 64 << 20
+"""Bytes of address space: the stacks of the pool's two threads (8 MB each), their heaps, and some more."""
 _work: Sequence[Callable[[], Any]] = ()
 """In a worker: the functions, inherited from the parent with the data that they reference."""
 
 
 def in_processes(work: Sequence[Callable[[], Result]], workers: int) -> Generator[tuple[int, Result]]:
     """Call each function in a worker process; see `calibration.execution.embedded.Embedded.run`."""
+    _require_room_for_threads()
     context = multiprocessing.get_context("fork")
     pool = ProcessPoolExecutor(workers, context, initializer=_begin, initargs=(work,))
     try:
@@ -54,6 +58,18 @@ def in_processes(work: Sequence[Callable[[], Result]], workers: int) -> Generato
         # an interrupted shutdown leaves workers running, and Python would wait for them at exit.
         with held_back():
             pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _require_room_for_threads() -> None:
+    """Refuse to begin where the pool's own threads may not start: then nobody would ever tell its workers to end.
+
+    Raises:
+        MemoryError: there is less memory left than the stacks of these threads take.
+    """
+    try:
+        mmap.mmap(-1, THREADS).close()
+    except OSError:
+        raise MemoryError from None
 
 
 def _begin(work: Sequence[Callable[[], Any]]) -> None:
