@@ -290,6 +290,11 @@ def _report_bug(runner: Runner) -> int:
     return ExitCode.INFRASTRUCTURE
 
 
+def action_entry(name: str) -> NoReturn:
+    """Run a command as an action, as all that this process does."""
+    run_process(lambda: run_action(name))
+
+
 def entry() -> NoReturn:
     """Run the command line as all that this process does."""
     run_process(main)

@@ -5,7 +5,6 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # the package lies beside the actions, not installed
 
-from calibration.__main__ import run_action
-from calibration.process_end import run_process
+from calibration.__main__ import action_entry
 
-run_process(lambda: run_action("import-data"))
+action_entry("import-data")

@@ -20,13 +20,13 @@ PYTHON = Path(getattr(sys, "_base_executable", sys.executable))
 COMMAND = """
 import json, os, signal, sys, time
 
-def run_action(name):
+def action_entry(name):
     import tiny
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(42))
     facts = {"action": name, "pid": os.getpid(), "prefix": sys.prefix, "isolated": sys.flags.isolated}
     print(json.dumps(facts | {"tiny": tiny.VERSION}), flush=True)
     time.sleep(float(os.environ.get("SLEEP", "0")))
-    return int(os.environ.get("STATUS", "0"))
+    sys.exit(int(os.environ.get("STATUS", "0")))
 """
 
 

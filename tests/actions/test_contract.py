@@ -92,7 +92,7 @@ def test_the_step_is_one_line_of_bash_without_templates(name: str, step: dict[st
     assert step["shell"] == "bash"
     assert step.keys() == {"id", "run", "shell", "env"}  # no `uses`: act would fetch it, even where it is skipped
     entry, lock = bootstrap.ACTIONS[name]
-    assert f'run_action("{name}")' in (PROJECT / "actions" / entry).read_text()
+    assert f'action_entry("{name}")' in (PROJECT / "actions" / entry).read_text()
     assert lock in LOCKS
 
 
