@@ -1,4 +1,4 @@
-"""How well what a calibration holds is known: standard deviations of what a camera, a board or an arm may be off by."""
+"""Assumed standard deviations of fixed parameters: errors of a camera, a board or an arm."""
 
 from dataclasses import fields
 from typing import Annotated
@@ -10,7 +10,7 @@ Known = Annotated[float, at_least(0)]
 
 @record
 class Assumptions:
-    """Standard deviations of what is held; 0 for what is exactly known, as in a simulation."""
+    """Standard deviations of fixed parameters; 0 for exactly known ones, as in a simulation."""
 
     focal_length: Known = field("Of a camera, relative.", default=0.0005)
     aspect: Known = field("Of a camera: fx over fy, relative.", default=0.0002)
@@ -28,4 +28,4 @@ class Assumptions:
 
 
 EXACT = Assumptions(**dict.fromkeys((each.name for each in fields(Assumptions)), 0.0))
-"""Everything that is held is exactly known."""
+"""All fixed parameters are exactly known."""

@@ -1,8 +1,8 @@
-"""Views that are evaluated in one pass, because many calls on few numbers cost more than one on many.
+"""Batches of views that are evaluated in one pass, because many calls on small arrays cost more than one on a large.
 
-A batch is a part of a big group, or several small groups together, of whichever sensors and patterns, whose chains
-have the same form: as many links, inverted alike, constants in the same places. The transforms of all blocks lie in
-one table, and what a link stands for in each view is a row of it.
+A batch is a part of a large group, or several small groups together, of any sensors and patterns, whose chains
+have the same form: as many links, the same ones inverted, constants at the same positions. The transforms of all blocks
+are in one table, and a link refers to one of its rows in each view.
 """
 
 from collections.abc import Mapping, Sequence
@@ -20,27 +20,27 @@ from calibration.geometry.transforms import inverse
 from calibration.geometry.types import Array, IntArray
 
 VIEWS_AT_A_TIME = 1024
-"""Bounds the temporaries: 1024 views of 50 corners pass through in about 10 MB."""
+"""Limits the temporaries: 1024 views of 50 corners take about 10 MB."""
 VIEWS_OF_SEVERAL_CAMERAS = 128
-"""So many go in one pass: numbers that differ from view to view cost more for each view, calls saved weigh less."""
+"""Views per pass: numbers that differ from view to view cost more per view, so saved calls matter less."""
 Columns = slice | IntArray
 
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """The views of one group in a batch, and which parameters the columns of the batch's Jacobian belong to."""
+    """Views of one group in a batch, with the parameters of the columns of the batch's Jacobian."""
 
     views: slice
     collections: IntArray
     """(v,)."""
     shared: Columns
-    """The columns of shared blocks."""
+    """Columns of shared blocks."""
     shared_at: Columns
-    """Where their parameters stand among those of all shared blocks."""
+    """Their parameters among those of all shared blocks."""
     local: Columns
-    """The columns of local blocks."""
+    """Columns of local blocks."""
     local_at: Columns
-    """Where their parameters stand among those of a collection."""
+    """Their parameters among those of a collection."""
 
     @cached_property
     def has_local(self) -> bool:
@@ -49,35 +49,35 @@ class Part:
 
     @cached_property
     def in_shared(self) -> tuple[Columns, ...]:
-        """Where the rows and columns of its shared parameters stand in a matrix (S, S) of all of them."""
+        """Index of its shared parameters' rows and columns in a matrix (S, S)."""
         return index_of(self.shared_at, self.shared_at)
 
     @cached_property
     def in_mixed(self) -> tuple[Columns, ...]:
-        """Where those of its shared and local parameters stand in (N, S, P)."""
+        """Index of its shared and local parameters in (N, S, P)."""
         return index_of(self.collections, self.shared_at, self.local_at)
 
     @cached_property
     def in_local(self) -> tuple[Columns, ...]:
-        """Where those of its local parameters stand in (N, P, P)."""
+        """Index of its local parameters in (N, P, P)."""
         return index_of(self.collections, self.local_at, self.local_at)
 
 
 @dataclass(frozen=True, eq=False)
 class _Step:
-    """A link of all views of a batch."""
+    """Link of all views of a batch."""
 
     rows: IntArray
-    """(V,), or (1,) where it is the same in all: rows of the table of transforms."""
+    """(V,), or (1,) if it is the same in all: rows of the table of transforms."""
     inverted: bool
     after: Array | None
     """(4, 4) or (V, 4, 4); None for the identity."""
     block: int
-    """The block of the first view; where it is a joint, of all."""
+    """Block of the first view; of all views if it is a joint."""
     parameters: Pose | FreeJoint | None
-    """What is free of it; None where all are held."""
+    """Parametrisation of the block; None if it is fixed."""
     columns: slice
-    """Where its columns stand in the Jacobian."""
+    """Its columns in the Jacobian."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,19 +90,19 @@ class Batch:
     """Each of all V views; with the nominal intrinsics of a camera."""
     parts: tuple[Part, ...]
     intrinsics: int | None
-    """The block of intrinsics that all views depend on, where they are free."""
+    """Block of free intrinsics that all views depend on; None without one."""
 
     @property
     def views(self) -> int:
-        """V."""
+        """Number of views V."""
         return sum(len(part.collections) for part in self.parts)
 
     def linearise(self, table: Array, values: Values) -> tuple[Array, Array]:
-        """The poses of the views, and how the parameters move them.
+        """Compute the poses of the views, and their Jacobians.
 
         A block's columns map its parameters to the twist of the pose in the sensor's frame: the adjoint of the
         chain up to the block; minus that, up to before it, when it is inverted. A joint's are those of the twists
-        which its k free parameters make.
+        by its k free parameters.
 
         Args:
             table: (R, 4, 4), see `table_of`.
@@ -126,18 +126,18 @@ class Batch:
 
     @property
     def collections(self) -> IntArray:
-        """(V,): the collection of each view."""
+        """(V,): collection of each view."""
         return np.concatenate([part.collections for part in self.parts])
 
     def spread(self, J: Array, sizes: tuple[int, int], intrinsics: slice) -> tuple[Array, Array]:
-        """The Jacobian (V, 6, C) with a column for every parameter: of S shared ones, and of P local ones.
+        """Scatter the Jacobian (V, 6, C) to all parameters: S shared ones, and P local ones.
 
         The m free intrinsics have rows of their own below the twist's: (V, 6 + m, S) and (V, 6 + m, P).
 
         Args:
-            J: as `linearise` gives it.
+            J: from `linearise`.
             sizes: S and P.
-            intrinsics: where those of this batch stand among the shared parameters.
+            intrinsics: those of this batch among the shared parameters.
         """
         m = intrinsics.stop - intrinsics.start
         J_shared, J_local = (np.zeros((len(J), 6 + m, size)) for size in sizes)
@@ -149,7 +149,7 @@ class Batch:
 
 
 def table_of(blocks: Sequence[Block], values: Values) -> Array:
-    """(R, 4, 4): the transforms of all blocks, one row each, or N where it is per collection."""
+    """Return the transforms of all blocks (R, 4, 4), one row each, or N rows for one that is per collection."""
     transforms = (block.pose(value) for block, value in zip(blocks, values, strict=True) if not block.intrinsics)
     return np.concatenate([T.reshape(-1, 4, 4) for T in transforms])
 
@@ -161,17 +161,17 @@ def batches(
     shared: Mapping[int, slice],
     local: Mapping[int, slice],
 ) -> tuple[Batch, ...]:
-    """All views, batch by batch.
+    """Arrange all views in batches.
 
     Args:
-        blocks: all.
+        blocks: all blocks.
         groups: all views.
         collections: N.
-        shared: where the parameters of each free shared block stand among those of all of them.
-        local: where those of each free local block stand among those of a collection.
+        shared: the parameters of each free shared block among those of all of them.
+        local: the parameters of each free local block among those of a collection.
     """
     gathered: dict[object, list[list[ViewGroup]]] = {}
-    for group in sorted(groups, key=lambda each: each.sensor):  # views of one camera fit together best
+    for group in sorted(groups, key=lambda each: each.sensor):  # views of one camera share most of their arrays
         for start in range(0, len(group.collections), VIEWS_AT_A_TIME):
             small = len(group.collections) <= VIEWS_AT_A_TIME
             piece = group if small else group.take(slice(start, start + VIEWS_AT_A_TIME))
@@ -186,7 +186,7 @@ def batches(
 
 
 def _form(group: ViewGroup, blocks: Sequence[Block]) -> object:
-    """What the groups of a batch have in common."""
+    """Return the key that the groups of a batch have in common."""
     term = group.terms[0]
     if len(group.terms) > 1 or not isinstance(term, CornerTerm):
         return id(group)
@@ -244,7 +244,7 @@ def _batch(
 
 
 def _rows(links: Sequence[Link], groups: Sequence[ViewGroup], blocks: Sequence[Block], rows: IntArray) -> IntArray:
-    """(V,): the rows of the table that a link stands for; (1,) where it is the same in all views."""
+    """Return the table's rows (V,) of a link; (1,) if it is the same in all views."""
     if len({link.block for link in links}) == 1 and not blocks[links[0].block].per_collection:
         return rows[[links[0].block]]
     moves = [blocks[link.block].per_collection for link in links]
@@ -253,21 +253,21 @@ def _rows(links: Sequence[Link], groups: Sequence[ViewGroup], blocks: Sequence[B
 
 
 def _together(constants: Sequence[Array | None], counts: Sequence[int]) -> Array | None:
-    """The constant of all views of several groups; they have one all or none."""
+    """Concatenate the constants of several groups; either all or none have one."""
     if len(constants) == 1 or constants[0] is None:
         return constants[0]
     return np.concatenate([per_view(constant, count) for constant, count in zip(constants, counts, strict=True)])
 
 
 def _span(slices: Sequence[slice]) -> Columns:
-    """Several slices as one where they run on without a gap, else as indices."""
+    """Merge slices into one if they are contiguous, else into indices."""
     if all(a.stop == b.start for a, b in pairwise(slices)):
         return slice(slices[0].start, slices[-1].stop) if slices else slice(0, 0)
     return np.concatenate([np.arange(each.start, each.stop) for each in slices])
 
 
 def index_of(first: Columns, *others: Columns) -> tuple[Columns, ...]:
-    """The index of a block of rows and columns: slices, which are fast, unless parameters lie apart."""
+    """Return the index of a block of rows and columns: slices, which are fast, if the parameters are contiguous."""
     if all(isinstance(each, slice) for each in others):
         return first, *others
     return np.ix_(*(np.arange(each.start, each.stop) if isinstance(each, slice) else each for each in (first, *others)))

@@ -1,4 +1,4 @@
-"""A dataset as a least-squares problem: which transforms are unknown, and how the labels depend on them."""
+"""Build the least-squares problem of a dataset: the unknown transforms, and the labels that depend on them."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -27,21 +27,21 @@ from calibration.geometry.types import Array, BoolArray, IntArray
 
 @dataclass(frozen=True, eq=False)
 class Setup:
-    """A problem and what its blocks are in the dataset."""
+    """Problem, with the meaning of its blocks in the dataset."""
 
     dataset: Dataset
-    """Only the collections that count."""
+    """Only the used collections."""
     problem: Problem
     """Its blocks: those of sensors and additional transforms first, then joints, patterns, intrinsics."""
     gauge: str | None
-    """The sensor that is held because nothing else fixes the world; None where something does."""
+    """Sensor that is fixed to remove a free gauge; None if there is none."""
     gauge_patterns: tuple[str, ...]
-    """Fixed patterns that are held for the same reason: only poses relative to them can be known."""
+    """Fixed patterns that are held constant for the same reason: only poses relative to them are determined."""
     ignored: tuple[str, ...]
-    """Views that do not count, and why."""
+    """Views that are not used, with the reasons."""
 
     def block(self, edge: Edge) -> int:
-        """The block of an edge."""
+        """Return the block of an edge."""
         return self._blocks[edge]
 
     @cached_property
@@ -49,7 +49,7 @@ class Setup:
         return {block.edge: i for i, block in enumerate(self.problem.blocks) if block.edge}
 
     def pattern_edge(self, pattern: str) -> Edge:
-        """The edge of a pattern: its parent to its link."""
+        """Return the edge of a pattern, from its parent to its link."""
         p = self.dataset.patterns[pattern]
         return (p.parent_link, p.link)
 
@@ -60,17 +60,17 @@ def build(
     intrinsics: Sequence[str] = (),
     intrinsics_covariance: Mapping[str, CalibratedIntrinsics] | None = None,
 ) -> Setup:
-    """State the problem of a dataset.
+    """Build the problem of a dataset.
 
     Args:
         dataset: the labels and the transforms.
-        hold: what stays as the dataset has it (see `calibration.estimation.holding`).
-        intrinsics: the cameras whose intrinsics are unknown too (see `calibration.estimation.unknown_intrinsics`).
-        intrinsics_covariance: by camera, how well intrinsics are known beforehand.
+        hold: names of fixed parameters (see `calibration.estimation.holding`).
+        intrinsics: the cameras with free intrinsics (see `calibration.estimation.unknown_intrinsics`).
+        intrinsics_covariance: by camera, prior covariance of its intrinsics.
 
     Raises:
-        InputError: no labels count, or a sensor has none; what is to be held is not there.
-        UndeterminedError: sensors are not linked to each other, nothing is left to calibrate, or no label
+        InputError: there are no usable labels, or a sensor has none; a name in ``hold`` is unknown.
+        UndeterminedError: sensors are not connected by common views, there are no unknowns, or no label
             depends on a transform.
     """
     dataset, ignored = usable_labels(dataset)
@@ -99,7 +99,7 @@ def build(
 
 
 def _blocks(dataset: Dataset) -> list[Block]:
-    """Of all unknown transforms."""
+    """Return the blocks of all unknown transforms."""
     blocks: dict[Edge, Block] = {}
     for sensor in dataset.sensors.values():
         held = sensor.name == dataset.anchored or (sensor.edge in blocks and blocks[sensor.edge].held)
@@ -114,7 +114,7 @@ def _blocks(dataset: Dataset) -> list[Block]:
 
 
 def _groups(dataset: Dataset, blocks: Sequence[Block]) -> Iterator[ViewGroup]:
-    """The views of each sensor and pattern."""
+    """Yield the views of each sensor and pattern."""
     intrinsics = {block.intrinsics.sensor: i for i, block in enumerate(blocks) if block.intrinsics}
     for pattern in dataset.patterns.values():
         for sensor in dataset.sensors.values():
@@ -127,9 +127,9 @@ def _groups(dataset: Dataset, blocks: Sequence[Block]) -> Iterator[ViewGroup]:
 
 
 def _chain(dataset: Dataset, sensor: Sensor, pattern: Pattern, blocks: Sequence[Block], collections: IntArray) -> Chain:
-    """``T_sensor_pattern`` as constants and blocks; neighbouring constants are multiplied out.
+    """Return the chain of ``T_sensor_pattern`` as constants and blocks; neighbouring constants are multiplied.
 
-    What the encoder of a joint tells is a constant: it follows the joint's block.
+    The encoder position of a joint is a constant: it follows the joint's block.
     """
     at = {block.edge: i for i, block in enumerate(blocks)}
     motions = {joint.edge: joint.model.motion(joint.positions)[collections] for joint in dataset.joints.values()}
@@ -168,7 +168,7 @@ def _chain(dataset: Dataset, sensor: Sensor, pattern: Pattern, blocks: Sequence[
 
 
 def _simplified(T: Array | None) -> Array | None:
-    """A constant (V, 4, 4) as (4, 4) where it is the same for all views, None where it is the identity."""
+    """Reduce a constant (V, 4, 4) to (4, 4) if it is the same for all views, to None if it is the identity."""
     if T is None or np.abs(T - T[0]).max() > 0.0:
         return T
     return None if (T[0] == np.eye(4)).all() else T[0]
@@ -196,7 +196,7 @@ def _point_terms(sensor: Sensor, pattern: Pattern, labels: list[PointLabels]) ->
     if present.any():
         corners = pattern.outline - pattern.centre[:2]
         along = np.roll(corners, -1, axis=0) - corners
-        # outward, because the outline runs from the top left to the top right
+        # outward, because the outline goes from the top left to the top right
         normals = np.stack([along[:, 1], -along[:, 0]], -1) / np.linalg.norm(along, axis=-1, keepdims=True)
         offsets = (normals * corners).sum(-1)
         terms.append(BorderTerm(rays, ranges, present, normals, offsets, border_kind))
@@ -210,9 +210,9 @@ def _border_rays(sensor: Sensor, label: PointLabels) -> Array:
 
 
 def _padded(points: list[Array]) -> tuple[Array, BoolArray, Array]:
-    """Points (n, 3) of each view as lengths (V, L), which of them exist (V, L), and unit directions (V, 3, L).
+    """Convert points (n, 3) of each view to lengths (V, L), mask of present ones (V, L), unit directions (V, 3, L).
 
-    Points that are NaN do not exist, nor do those at the origin, where LiDARs put rays without a return.
+    NaN points are not present, nor are those at the origin, which LiDARs store for rays without a return.
     """
     L = max([1, *(len(p) for p in points)])
     lengths, present = np.ones((len(points), L)), np.zeros((len(points), L), bool)

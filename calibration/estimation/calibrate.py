@@ -1,4 +1,4 @@
-"""Calibrate a dataset: from its labels to transforms, their error bars, and what to think of them."""
+"""Calibrate a dataset: from its labels to transforms, their covariances, and warnings."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -36,7 +36,7 @@ from calibration.geometry.types import Array, BoolArray, IntArray
 
 FLIP_ROUNDS = 3
 TRIAL = Termination(decrease=1e-3, iterations=300)
-"""Where all views are explained, their optimum is near enough for this; wrong views make it crawl."""
+"""Enough if the optimum explains all views; wrong views make the convergence slow."""
 
 
 def calibrate(dataset: Dataset, options: Options | None = None, noise: StartingNoise | None = None) -> Calibration:
@@ -44,11 +44,11 @@ def calibrate(dataset: Dataset, options: Options | None = None, noise: StartingN
 
     Args:
         dataset: the labels, and transforms that serve as the initial guess. It is not changed.
-        options: how.
-        noise: what to add to the initial guess first.
+        options: options of the calibration.
+        noise: noise that is added to the initial guess.
 
     Raises:
-        UndeterminedError: the data cannot determine what is asked; the message names what is missing.
+        UndeterminedError: the data do not determine the parameters; the message names what is missing.
         InputError: the labels cannot be used.
     """
     with solvable(dataset.path):
@@ -62,7 +62,7 @@ def calibrate(dataset: Dataset, options: Options | None = None, noise: StartingN
 
 
 def _calibrate_what_is_determined(dataset: Dataset, options: Options, noise: StartingNoise) -> Calibration:
-    """The calibration; where the robot's motion is too poor for it, that of the sensors relative to each other."""
+    """Calibrate; if the robot's motion is insufficient for that, calibrate the sensors relative to each other."""
     try:
         return _calibrate(dataset, options, noise)
     except UndeterminedError as error:
@@ -73,10 +73,10 @@ def _calibrate_what_is_determined(dataset: Dataset, options: Options, noise: Sta
 
 
 def _relative(dataset: Dataset, options: Options, noise: StartingNoise) -> Calibration | None:
-    """The calibration of sensors that see a fixed pattern together, as if it were another pattern in each collection.
+    """Calibrate the sensors that see a fixed pattern together, with the pattern's pose free in each collection.
 
-    Then nothing depends on how the robot has moved between collections, nor tells where the sensors are on it. None
-    where there are no such sensors, or that does not determine them either.
+    Then nothing depends on the motion of the robot between collections, and the poses of the sensors on the robot
+    are not determined. None if there are no such sensors, or their relative poses are not determined either.
     """
     fixed = [name for name, pattern in dataset.patterns.items() if pattern.fixed]
     if len(dataset.sensors) < 2 or not fixed or set(fixed) & set(options.hold):
@@ -105,12 +105,12 @@ def _calibrate(dataset: Dataset, options: Options, noise: StartingNoise) -> Cali
 
 
 def _explained(dataset: Dataset, started: "_Started", options: Options) -> Calibration | None:
-    """The calibration of all views where something held explains why they contradict each other; None else."""
+    """Calibrate with all views, if an error of a fixed parameter explains their contradictions; else None."""
     problem, start = started.setup.problem, started.linear
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         scales = estimate_scales(problem, start.values, {}, robust=True)
         trial = minimise(problem, start.values, Weighting(scales, HUBER), TRIAL)
-    if not trial.reached:  # nor would it be with other weights, after long
+    if not trial.reached:  # other weights would not help, after many iterations
         return None
     try:
         whole = _solved(dataset, replace(started, linear=replace(start, values=trial.values)), options)
@@ -121,11 +121,11 @@ def _explained(dataset: Dataset, started: "_Started", options: Options) -> Calib
 
 @dataclass(frozen=True, eq=False)
 class _Started:
-    """A problem and where it starts."""
+    """Problem with its initial values."""
 
     setup: Setup
     exact: Values
-    """As the dataset has it."""
+    """By the dataset."""
     guess: Values
     """The same with noise."""
     linear: LinearStart
@@ -179,7 +179,7 @@ def _solved_for_all(dataset: Dataset, started: _Started, options: Options) -> Ca
         if options.start == "linear":
             result, reason = _from_linear_start(setup, start.values, options)
         else:
-            # as ATOM: the patterns stand where the cameras see them from the guess without noise
+            # as in ATOM: the patterns' poses are those from the guess without noise
             seen_from_guess = pattern_poses(setup, started.exact)
             patterns = free_patterns(setup)
             values = tuple(seen_from_guess[i] if i in patterns else T for i, T in enumerate(started.guess))
@@ -189,9 +189,9 @@ def _solved_for_all(dataset: Dataset, started: _Started, options: Options) -> Ca
 
 
 def initial_values(setup: Setup) -> Values:
-    """The transforms as they stand in the first collection, joints and intrinsics at their nominal parameters.
+    """Return the transforms of the first collection, and the nominal parameters of joints and intrinsics.
 
-    Patterns have no place yet, unless they are held at it.
+    Patterns have no pose yet, unless they are fixed.
     """
     dataset, joints = setup.dataset, {joint.edge: joint.values for joint in setup.dataset.joints.values()}
     values: list[Array] = []
@@ -211,7 +211,7 @@ def initial_values(setup: Setup) -> Values:
 
 
 def _from_linear_start(setup: Setup, start: Values, options: Options) -> tuple[WeightedOptimum, str]:
-    """The optimum from the linear start, or why there is none; with flipped patterns put right it is solved again."""
+    """Optimise from the linear initial guess, or return the reason of a failure; flipped patterns are corrected."""
     result = optimise(setup.problem, start, options.known_noise(), options.loss == "huber")
     for _ in range(FLIP_ROUNDS):
         if trouble := _not_reached(setup, result):
@@ -242,7 +242,7 @@ def _not_reached(setup: Setup, result: WeightedOptimum) -> str:
 
 
 def _behind(setup: Setup, values: Values) -> BoolArray:
-    """The collections (N,) in which a label's corner lies behind its camera."""
+    """Return a mask (N,) of the collections with a corner behind its camera."""
     behind = np.zeros(setup.problem.collections, bool)
     for group in setup.problem.groups:
         for term in setup.problem.terms(group, values):
@@ -252,7 +252,7 @@ def _behind(setup: Setup, values: Values) -> BoolArray:
 
 
 def _trouble(setup: Setup, result: WeightedOptimum) -> str:
-    """Why an optimum is none, or nothing."""
+    """Return the reason why an optimum is invalid; empty if it is valid."""
     if trouble := _not_reached(setup, result):
         return trouble
     _, flipped = _unflipped(setup, result)
@@ -263,7 +263,7 @@ def _trouble(setup: Setup, result: WeightedOptimum) -> str:
 
 
 def _false_minimum(setup: Setup, result: WeightedOptimum, start: Values) -> str:
-    """Why what the given guess led to is not the optimum, or nothing: flipped, or worse than from the linear start."""
+    """Return the reason why a result from the given guess is not the optimum: flipped, or worse than the linear one."""
     trouble = _trouble(setup, result)
     if trouble:
         return trouble
@@ -345,7 +345,7 @@ def _result(
 def _joints(
     setup: Setup, values: Values, covariance: Mapping[int, Array], labels: Mapping[int, Array]
 ) -> dict[str, CalibratedJoint]:
-    """The joints of which parameters were free; covariances by block, none where it has not converged."""
+    """Return the joints with free parameters; covariances by block, empty if it has not converged."""
     joints = {}
     for name, joint in setup.dataset.joints.items():
         i = setup.block(joint.edge)
@@ -364,7 +364,7 @@ def _joints(
 
 
 def _intrinsics(setup: Setup, values: Values, covariance: Mapping[int, Array]) -> dict[str, CalibratedIntrinsics]:
-    """The cameras of which intrinsics were free; ``covariance`` as that of `_joints`."""
+    """Return the cameras with free intrinsics; ``covariance`` as in `_joints`."""
     found = {}
     for i, block in enumerate(setup.problem.blocks):
         if (intrinsics := block.intrinsics) and not block.held:
@@ -379,7 +379,7 @@ def _intrinsics(setup: Setup, values: Values, covariance: Mapping[int, Array]) -
 
 
 def _of_transforms(setup: Setup, covariance: Mapping[int, Array]) -> dict[Edge, Array]:
-    """The covariances of the shared blocks that are poses; of patterns about their own frame, not their centre."""
+    """Return the covariances of the shared poses; those of patterns in their own frame, not at their centre."""
     blocks = setup.problem.blocks
     found = {
         edge: C for i, C in covariance.items() if isinstance(blocks[i].parameters, Pose) and (edge := blocks[i].edge)
@@ -392,7 +392,7 @@ def _of_transforms(setup: Setup, covariance: Mapping[int, Array]) -> dict[Edge, 
 
 
 def _transforms(setup: Setup, values: Values) -> dict[Edge, Array]:
-    """The shared blocks; patterns back from their centre to their own frame."""
+    """Return the transforms of the shared blocks; those of patterns in their own frame, not at their centre."""
     patterns = {setup.pattern_edge(name): p for name, p in setup.dataset.patterns.items()}
     return {
         edge: value @ inverse(translation(patterns[edge].centre)) if edge in patterns else value
@@ -402,9 +402,9 @@ def _transforms(setup: Setup, values: Values) -> dict[Edge, Array]:
 
 
 def _calibrated(setup: Setup, values: Values, dataset: Dataset) -> Dataset:
-    """The whole dataset with the new transforms, joints and intrinsics.
+    """Return the whole dataset with the new transforms, joints and intrinsics.
 
-    Moving patterns stand where a view of them counts, NaN elsewhere; other moving transforms keep their guess there.
+    Moving patterns have a pose where a view of them is used, else NaN; other moving transforms keep their guess there.
     """
     moving = {}
     kept = set(setup.dataset.keys)

@@ -1,4 +1,4 @@
-"""What the labels cost at transforms that something else has found."""
+"""Cost of the labels at given transforms, such as those of other software."""
 
 from dataclasses import replace
 
@@ -16,23 +16,23 @@ from calibration.estimation.optimisation import HUBER, unflipped
 from calibration.estimation.options import Options
 
 _NEAR = Termination(decrease=1e-3, iterations=30)
-"""Near enough for the patterns' poses to be compared with their mirror images."""
+"""Enough to compare the patterns' poses with their mirror images."""
 
 
 def cost_of(dataset: Dataset, options: Options, levels: NoiseLevels) -> float:
-    """The cost of a dataset's labels where its sensors are, each pattern where it fits best.
+    """Return the cost of a dataset's labels at its sensors' poses, minimised over the patterns' poses.
 
-    Sensors, joints, intrinsics and transforms that are the same in all collections are held; patterns, and what each
-    collection has its own of, are optimised from where the cameras see them.
+    Sensors, joints, intrinsics and transforms that are the same in all collections are fixed; patterns, and
+    transforms per collection are optimised from the poses in the cameras' views.
 
     Args:
         dataset: labels, transforms and intrinsics.
-        options: the loss, and the patterns to hold.
+        options: the loss, and the fixed patterns.
         levels: the standard deviations of all kinds of labels in it.
 
     Returns:
-        The sum of squared residuals in standard deviations, with Huber's loss where it is robust; infinite where a
-        camera would see the pattern behind itself.
+        The sum of squared residuals in standard deviations, with Huber's loss if it is robust; infinite if a
+        pattern is behind its camera.
 
     Raises:
         UndeterminedError: the data cannot be calibrated.
@@ -51,7 +51,7 @@ def cost_of(dataset: Dataset, options: Options, levels: NoiseLevels) -> float:
 
 
 def _with_patterns_alone(setup: Setup) -> Setup:
-    """The problem with all shared blocks held, but patterns that the user does not hold."""
+    """Return the problem with all shared blocks fixed, except for patterns that the user has not fixed."""
     free = set(setup.dataset.patterns) - {b.name for b in setup.problem.blocks if b.held} | set(setup.gauge_patterns)
     blocks = tuple(
         replace(block, held=block.name not in free and (block.held or not block.per_collection))

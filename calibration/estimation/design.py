@@ -1,7 +1,7 @@
-"""Which collections determine a calibration best: of poses for a motion, or of moments of a recording.
+"""Choice of the collections that determine a calibration best: poses of a motion, or moments of a recording.
 
-Each next one is that after which the calibrated parameters have the least variance (the trace of their covariance:
-A-optimality, F. Pukelsheim, "Optimal design of experiments", 1993).
+Greedy A-optimal design: the next one minimises the sum of the calibrated parameters' variances, the trace of their
+covariance (F. Pukelsheim, "Optimal design of experiments", 1993).
 """
 
 import numpy as np
@@ -13,26 +13,27 @@ from calibration.estimation.problem import Problem
 from calibration.geometry.types import Array, BoolArray
 
 PRIOR = 0.1
-"""What is known before the first pose, as a standard deviation, so that there is a covariance from the start;
-in rad and in the length that translations are measured in."""
-_DIGITS = 6  # of a score: what differs by less is rounding, and the first of equal ones is taken
+"""Prior standard deviation before the first pose, so that there is a covariance from the start;
+in rad and in the unit of length.
+"""
+_DIGITS = 6  # of a score: smaller differences are rounding errors, and the first of equal ones is taken
 
 
 def choose(
     information: Array, parameters: int, partial: Array, share: float, cells: BoolArray, count: int
 ) -> list[int]:
-    """The indices of the best poses, one after the other, as many as asked for if there are so many.
+    """Return the indices of the best poses, in order of choice, at most ``count``.
 
-    Each next pose is the one that tells most among those with partial views or those without, as the share of partial
-    views so far asks for; and among those that show the pattern where no pose has shown it, while there are any.
+    The next pose is the best among those with partial views or those without, as the share of partial
+    views so far requires; and among those that show the pattern in new places, while there are any.
 
     Args:
-        information: (N, D, D), what each pose tells about D parameters, in units that compare.
-        parameters: how many of the D are calibrated; the others, after them, come along.
+        information: (N, D, D), information of each pose on D parameters, in comparable units.
+        parameters: number of the D that are calibrated; the others, after them, are marginalised.
         partial: (N,), the share of each pose's views that are partial.
-        share: how large it is to be of all.
-        cells: (N, C), the places where each pose shows the pattern.
-        count: how many poses are wanted.
+        share: the required share of all.
+        cells: (N, C), mask of the places in which each pose shows the pattern.
+        count: number of poses.
     """
     chosen: list[int] = []
     in_part = partial > 0
@@ -53,13 +54,13 @@ def choose(
 
 
 def _narrowed(pool: BoolArray, wish: BoolArray) -> BoolArray:
-    """Those of the pool (N,) that fulfil a wish (N,); all of it where none does."""
+    """Restrict a pool (N,) to those that fulfil a wish (N,); unchanged if none does."""
     some: BoolArray = pool & wish
     return some if some.any() else pool
 
 
 def _variance(information: Array, parameters: int) -> Array:
-    """The sum of the variances (N,) of the first parameters, to so many digits that machines agree."""
+    """Return the sum of the variances (N,) of the first parameters, rounded so that machines agree."""
     variance = np.linalg.inv(information).diagonal(axis1=1, axis2=2)[:, :parameters].sum(-1)
     unit = 10.0 ** (np.floor(np.log10(variance)) + 1 - _DIGITS)
     rounded: Array = np.round(variance / unit) * unit
@@ -67,7 +68,7 @@ def _variance(information: Array, parameters: int) -> Array:
 
 
 def informations(problem: Problem, values: Values, weighting: Weighting) -> Array:
-    """(N, S, S): the information of each collection on the S shared parameters, its local ones being free.
+    """Return the information (N, S, S) of each collection on the S shared parameters, with its local ones eliminated.
 
     Their sum is `calibration.estimation.normal_equations.NormalEquations.schur`.
     """
@@ -81,6 +82,6 @@ def informations(problem: Problem, values: Values, weighting: Weighting) -> Arra
         np.add.at(H, batch.collections, np.swapaxes(J, 1, 2) @ M @ J)
     H_local, H_mixed = H[:, S:, S:], H[:, :S, S:]
     index = np.arange(H_local.shape[-1])
-    H_local[:, index, index] += H_local[:, index, index] == 0  # nothing sees it: it takes no part
+    H_local[:, index, index] += H_local[:, index, index] == 0  # no view depends on it, so it has no effect
     reduced: Array = H[:, :S, :S] - H_mixed @ np.linalg.solve(H_local, np.swapaxes(H_mixed, 1, 2))
     return 0.5 * (reduced + np.swapaxes(reduced, 1, 2))

@@ -1,15 +1,15 @@
-"""How sure a calibration is: the noise of the labels, collections that disagree, and what is held but not exact.
+"""Total covariance of a calibration: noise of the labels, disagreement of collections, and errors of fixed parameters.
 
-The inverse of the information, C, is true for independent noise of the labels alone. Two things are added:
+The inverse of the information, C, is valid for independent noise of the labels alone. Two terms are added:
 
-- Collections whose disagreement is more than that noise explains (an arm's repeatability, a base that sways) widen C
-  by one factor a block, ``phi = tr(C^-1 V) / k``, never below 1, with the covariance V of the collections as clusters:
-  ``V = sum_c d_c d_c^T`` with ``d_c = A^-1/2 (I - A^-1/2 G_c A^-1/2)^-1/2 A^-1/2 g_c``, which is without bias where
+- If collections disagree by more than that noise explains (an arm's repeatability, a base that sways), C is scaled
+  by one factor per block, ``phi = tr(C^-1 V) / k``, at least 1, with the covariance V of the collections as clusters:
+  ``V = sum_c d_c d_c^T`` with ``d_c = A^-1/2 (I - A^-1/2 G_c A^-1/2)^-1/2 A^-1/2 g_c``, which is unbiased if
   there is that noise alone (CR2: R. M. Bell and D. F. McCaffrey, "Bias reduction in standard errors for linear
-  regression with multi-stage samples", 2002). With the factor the expected ``e^T (phi C)^-1 e`` is k whatever the
+  regression with multi-stage samples", 2002). With this factor the expected ``e^T (phi C)^-1 e`` is k for any
   shape of V.
-- What is held is known with a standard deviation s (`calibration.estimation.assumptions`); its error moves the result
-  by ``W = -A^-1 B`` times it, so ``W diag(s^2) W^T`` is added (consider analysis: S. F. Schmidt, 1966).
+- Fixed parameters are known with a standard deviation s (`calibration.estimation.assumptions`). Their error changes the
+  result by ``W = -A^-1 B`` times it, so ``W diag(s^2) W^T`` is added (consider analysis: S. F. Schmidt, 1966).
 """
 
 from collections.abc import Collection, Mapping
@@ -21,7 +21,7 @@ from calibration.estimation.linear_model import LinearModel
 from calibration.geometry.types import Array
 
 DECISIVE = 1e-6
-"""Information left without a cluster, relative to all, below which that cluster alone determines a direction."""
+"""Information left without a cluster, relative to the total, below which that cluster alone determines a direction."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,31 +29,31 @@ class ErrorBars:
     """Covariances of the shared parameters, by block."""
 
     labels: Mapping[int, Array]
-    """(k, k): of the noise of the labels alone."""
+    """(k, k): from the noise of the labels alone."""
     expected: Mapping[int, Array]
-    """(k, k): of that, and of what is held but not exact: that of a robot whose collections agree."""
+    """(k, k): from that and the errors of fixed parameters, for a robot whose collections agree."""
     total: Mapping[int, Array]
-    """(k, k): in all."""
+    """(k, k): total."""
     effective_collections: float
-    """How many independent collections of equal weight would tell as much."""
+    """Number of independent collections of equal weight with the same information."""
     decisive: float
-    """The largest share of what is known of any direction that one cluster of collections alone tells."""
+    """Largest share of one cluster of collections in the information on any direction."""
     worth: Mapping[str, float]
-    """Of each cause that counts, how far what is assumed of it displaces a transform, m; the usual if it is exact."""
+    """By cause, the displacement of a transform by one assumed (if 0, typical) standard deviation, m."""
     held: Mapping[str, Array]
-    """(S, k): by what an error of one assumed standard deviation of each cause that counts moves the parameters."""
+    """(S, k): by cause, the changes of the parameters by an error of one assumed standard deviation."""
 
 
 def error_bars(
     model: LinearModel, blocks: Mapping[int, slice], poses: Collection[int], considered: Array | None = None
 ) -> ErrorBars:
-    """Covariances at the optimum.
+    """Compute the covariances at the optimum.
 
     Args:
         model: of the calibration.
-        blocks: where the parameters of each shared block stand.
-        poses: which of the blocks are transforms; of others nothing is displaced.
-        considered: (S, S), what given covariances of intrinsics that are held add.
+        blocks: the parameters of each shared block.
+        poses: the blocks that are transforms; others have no displacement.
+        considered: (S, S), contribution of given covariances of fixed intrinsics.
     """
     S = model.shared
     A = model.total[:S, :S]
@@ -81,11 +81,11 @@ def error_bars(
 
 
 def _clustered(model: LinearModel, C: Array) -> tuple[Array, float, float]:
-    """The covariance (S, S) with collections as clusters, their effective number, and the largest share of one."""
+    """Return the covariance (S, S) with collections as clusters, their effective number, the largest share of one."""
     S = model.shared
     values, vectors = np.linalg.eigh(C)
     root = vectors * np.sqrt(np.maximum(values, 0.0))  # C = root root^T
-    share = root.T @ model.G[:, :S, :S] @ root  # (K, S, S): of the information, in units of all of it
+    share = root.T @ model.G[:, :S, :S] @ root  # (K, S, S): fraction of the total information
     pull = model.g[:, :S] @ root
     w, U = np.linalg.eigh(np.eye(S) - share)
     left = np.maximum(w, DECISIVE)

@@ -1,9 +1,9 @@
-"""What could move together without changing any label, and so has to be held somewhere.
+"""Gauge freedom: common motions of the unknowns that change no label, which are removed by fixing a transform.
 
-Cut the tree of frames at the unknown transforms, and it falls into bodies. One that holds neither a
-sensor's frame nor a pattern is never seen itself: with its unknown edges it can be anywhere. Only
-what moves inside it, an arm between two of its unknown edges, tells it; an edge that each collection
-has its own of makes up for any motion.
+Cut the tree of frames at the unknown transforms, and it falls into bodies. A body with neither a
+sensor's frame nor a pattern is never observed itself: its unknown edges may have any common motion. Only
+motion inside the body, such as of an arm between two of its unknown edges, determines it; an edge that is
+free per collection is degenerate with any such motion.
 """
 
 from collections.abc import Sequence
@@ -18,31 +18,31 @@ from calibration.estimation.views import ViewGroup
 from calibration.geometry.types import BoolArray
 
 RIGID = 1e-9
-"""Transforms that differ by less (m, and elements of rotations) are the same in all collections."""
+"""Tolerance (m, and elements of rotations) of transforms that are the same in all collections."""
 
 
 @dataclass(frozen=True)
 class Gauge:
-    """What is held because the data determine only relative poses."""
+    """Fixed transforms, if the data determine only relative poses."""
 
     sensor: str | None = None
-    """Its calibrated transform stays at its guess."""
+    """Its calibrated transform is fixed at its initial guess."""
     patterns: tuple[str, ...] = ()
-    """Fixed patterns that stay where their first views put them by the guess."""
+    """Fixed patterns that are held constant at the pose of their first views by the guess."""
 
 
 def free_gauge(dataset: Dataset, groups: Sequence[ViewGroup], blocks: Sequence[Block]) -> Gauge:
-    """What to hold.
+    """Return the transforms to fix.
 
-    A free body is held by a sensor, or by a fixed pattern where no sensor is fixed to it: only the
-    choice of an origin. It is not where an additional transform that is the same in all collections
-    stands at it: then that one and its neighbour make up for each other, which the data cannot tell and
-    `calibration.estimation.observability` will say; unless the motion of that body is unknown in each
+    A free body is fixed by a sensor, or by a fixed pattern if no sensor is rigidly attached to it: this only
+    chooses an origin. It is not fixed if it has an additional transform that is the same in all collections:
+    that one and its neighbour are degenerate with each other, which the data cannot resolve and
+    `calibration.estimation.observability` reports; unless the motion of that body is unknown in each
     collection, as of a mobile base.
 
     Raises:
-        UndeterminedError: sensors are not linked to each other, or two transforms that each collection has
-            its own of make up for each other.
+        UndeterminedError: sensors are not connected by common views, or two transforms that are free per collection
+            are degenerate with each other.
     """
     parts = _linked(dataset, groups, blocks)
     free = [bodies for part in parts if (bodies := _free_bodies(dataset, part, groups, blocks))]
@@ -61,7 +61,7 @@ def free_gauge(dataset: Dataset, groups: Sequence[ViewGroup], blocks: Sequence[B
 
 
 def _held(dataset: Dataset, gauge: Gauge, attached: Sequence[Block]) -> Gauge:
-    """The gauge with one more body held, by one of the blocks attached to it."""
+    """Return the gauge with one more body fixed, by one of the blocks attached to it."""
     constant = [block.edge for block in attached if not block.per_collection]
     for sensor in dataset.sensors.values():
         if gauge.sensor is None and sensor.edge in constant:
@@ -76,10 +76,10 @@ def _held(dataset: Dataset, gauge: Gauge, attached: Sequence[Block]) -> Gauge:
 
 
 def _linked(dataset: Dataset, groups: Sequence[ViewGroup], blocks: Sequence[Block]) -> list[list[str]]:
-    """The sensors, in groups that are linked, in the dataset's order.
+    """Return groups of connected sensors, in the dataset's order.
 
-    Two sensors are linked where they see the same pattern: a fixed one ever, a moving one in the same
-    collection; or where the same unknown motion carries both in the same collection.
+    Two sensors are connected if they see the same pattern, at any time for a fixed one, in the same
+    collection for a moving one; or if the same unknown motion carries both in the same collection.
     """
     N = len(dataset.collections)
     witnesses: dict[str, dict[str, BoolArray]] = {}
@@ -105,7 +105,7 @@ def _linked(dataset: Dataset, groups: Sequence[ViewGroup], blocks: Sequence[Bloc
 def _free_bodies(
     dataset: Dataset, sensors: Sequence[str], groups: Sequence[ViewGroup], blocks: Sequence[Block]
 ) -> list[list[Block]]:
-    """The bodies that these sensors' views leave anywhere: of each, the blocks attached to it."""
+    """Return the bodies whose pose these sensors' views do not determine: of each, the blocks attached to it."""
     views = [group for group in groups if group.sensor in sensors]
     used = [blocks[i] for i in sorted({link.block for group in views for link in group.chain.links})]
     bodies = _Bodies(dataset, [block.edge for block in blocks if block.edge and not block.joint])
@@ -124,13 +124,13 @@ def _free_bodies(
 
 
 def _rigid(dataset: Dataset, frames: Sequence[str]) -> bool:
-    """Whether frames of one body keep their places to each other."""
+    """Whether the frames of one body are rigidly connected."""
     relative = [dataset.transform(frames[0], frame) for frame in dict.fromkeys(frames[1:])]
     return all(np.abs(T - T[0]).max() < RIGID for T in relative)
 
 
 class _Bodies:
-    """The frames of a dataset, put together along all edges but some."""
+    """Bodies: the frames of a dataset, connected along all edges but some."""
 
     def __init__(self, dataset: Dataset, cut: Sequence[Edge]) -> None:
         self._body: dict[str, str] = {}
@@ -139,7 +139,7 @@ class _Bodies:
                 self._body[self.of(child)] = self.of(parent)
 
     def of(self, frame: str) -> str:
-        """A name for the body of a frame."""
+        """Return the identifier of a frame's body."""
         while (parent := self._body.get(frame, frame)) != frame:
             frame = parent
         return frame

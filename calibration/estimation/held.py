@@ -1,7 +1,7 @@
-"""What a calibration holds though it could be wrong: intrinsics, the pattern's shape, a LiDAR's errors, an arm's links.
+"""Fixed parameters that may be wrong: intrinsics, the pattern's shape, a LiDAR's errors, an arm's links.
 
-Each is a *cause*: a few parameters that would be wrong together, with the columns by which they would change the
-labels, and the standard deviation that they are assumed to be known with (`calibration.estimation.assumptions`).
+Each is a *cause*: a few parameters with a common error, the derivatives of the labels with respect to them
+(columns), and their assumed standard deviations (`calibration.estimation.assumptions`).
 """
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
@@ -23,35 +23,35 @@ from calibration.geometry.types import Array
 
 Unit = Literal["m", "rad", "px", "1", "s", "collections"]
 STILL = 1e-6
-"""Transforms that differ by less between collections (m, and elements of rotations) do not move."""
+"""Tolerance (m, and elements of rotations) of transforms that do not move between collections."""
 PLACE = "place"
-"""The kind of a cause that is tested from some collection on: of all of them a place is calibrated, or no matter."""
+"""Kind of causes that are only tested from some collection on: over all of them the pose is calibrated or gauge."""
 CROOKED = 1e-4
-"""What turns or shifts besides its axis by more than this part of its motion is no joint of one axis."""
+"""Limit of the motion off the axis, relative to that about or along it, for a joint with one axis."""
 
 
 @dataclass(frozen=True, eq=False)
 class SeenGroup:
-    """The views of one sensor and one pattern at the optimum."""
+    """Views of one sensor and one pattern at the optimum."""
 
     group: ViewGroup
     sensor: Sensor
     pattern: Pattern
     T: Array
-    """``T_sensor_pattern`` (V, 4, 4), the pattern's frame in the middle of its corners."""
+    """``T_sensor_pattern`` (V, 4, 4), the pattern's frame at the centre of its corners."""
     names: ColumnNames
     path: tuple[Step, ...]
-    """From the sensor's frame to the pattern's parent."""
+    """Chain from the sensor's frame to the pattern's parent."""
     prefixes: dict[Edge, Array]
-    """``T_sensor_child`` (V, 4, 4) of each edge on the path."""
+    """``T_sensor_child`` (V, 4, 4) of each edge in the chain."""
 
     @property
     def width(self) -> int:
-        """6 + E."""
+        """Number of columns, 6 + E."""
         return POSE + len(self.names.names)
 
     def twist(self, edge: Edge, columns: Array | None = None) -> Array | None:
-        """What twists (V, 6, k) or (6, k) in an edge's child frame do to the pose (V, 6, k); None off the path."""
+        """Map twists (V, 6, k) or (6, k) in an edge's child frame to the pose (V, 6, k); None outside of the chain."""
         step = next((each for each in self.path if (each.parent, each.child) == edge), None)
         if step is None:
             return None
@@ -61,7 +61,7 @@ class SeenGroup:
 
 
 Weights = dict[str, float]
-"""Of a group's own columns, by name."""
+"""Weights of a group's own columns, by name."""
 Columns = Callable[[SeenGroup], Array | None]
 """What the parameters of a cause do to a group's views: they move the pose by twists (V, 6, k), or they are
 combinations (6 + E, k) of a view's columns behind those of the pose; None for no view."""
@@ -69,27 +69,27 @@ combinations (6 + E, k) of a view's columns behind those of the pose; None for n
 
 @dataclass(frozen=True, eq=False)
 class Cause:
-    """Something held that could be wrong."""
+    """Fixed parameters with a possible common error."""
 
     kind: str
     """Such as focal length."""
     subject: str
-    """Of which sensor, pattern or transform."""
+    """Sensor, pattern or transform."""
     unit: Unit
     columns: Columns
     assumed: tuple[float, ...]
-    """(k,): standard deviations of what is known of each parameter."""
+    """(k,): assumed standard deviation of each parameter."""
     counts: bool = True
-    """Whether it adds to the covariance of the result; False where another cause covers the same error."""
+    """Whether it adds to the covariance of the result; False if another cause covers the same error."""
 
     @property
     def size(self) -> int:
-        """How many parameters there are, k."""
+        """Number of parameters k."""
         return len(self.assumed)
 
     @cached_property
     def name(self) -> str:
-        """As a message has it."""
+        """Name in messages."""
         return f"{self.kind} of {self.subject}"
 
 
@@ -100,14 +100,14 @@ def causes(
     free: Mapping[str, Sequence[str]],
     known: Collection[str] = (),
 ) -> list[Cause]:
-    """All that is held in a dataset's calibration and could be wrong.
+    """Return all causes of a dataset's calibration.
 
     Args:
         dataset: at the optimum.
         groups: all views.
-        assume: how well it is known.
-        free: of each camera the intrinsics that are calibrated, and so not held.
-        known: cameras whose intrinsics have a covariance of their own, which counts in the place of what is assumed.
+        assume: assumed standard deviations.
+        free: by camera, the calibrated intrinsics, which are not fixed.
+        known: cameras with a given covariance of their intrinsics, which replaces the assumed one.
     """
     seen = {each.sensor.name: each for each in groups}
     found = [
@@ -161,7 +161,7 @@ def _of_sensor(seen: SeenGroup, assume: Assumptions, free: Sequence[str], assume
 
 
 def _of_all_cameras(names: Sequence[str], assume: Assumptions) -> Iterator[Cause]:
-    """What is wrong with all cameras alike, of one type and calibrated in one way, explains less of each alone."""
+    """Common errors of all cameras, of one type and calibrated in one way; they explain less of each one alone."""
     subject = " and ".join(names) if len(names) < 4 else "all cameras"
 
     def cause(kind: str, unit: Unit, sigma: float, weights: Callable[[Camera], Weights]) -> Cause:
@@ -183,7 +183,7 @@ def _of_pattern(name: str, has_border: bool, assume: Assumptions) -> Iterator[Ca
 
     yield cause("size", "1", assume.pattern_size, {"size_x": 1.0, "size_y": 1.0})
     yield cause("stretch", "1", assume.pattern_stretch, {"size_x": 0.5, "size_y": -0.5})
-    for axis in "xy":  # a printer stretches one side: how large the other is, the data may not tell
+    for axis in "xy":  # a printer stretches one side: the data may not determine the size of the other
         yield cause(f"stretch along {axis}", "1", assume.pattern_stretch, {f"size_{axis}": 1.0}, counts=False)
     yield cause("bow", "m", assume.flatness, {"bow_x": 1.0}, {"bow_y": 1.0})
     yield cause("twist", "m", assume.flatness, {"twist": 1.0})
@@ -192,7 +192,7 @@ def _of_pattern(name: str, has_border: bool, assume: Assumptions) -> Iterator[Ca
 
 
 def _combinations(weights: Sequence[Weights], concerns: Callable[[SeenGroup], bool]) -> Columns:
-    """The columns of combinations of a group's own columns, in the groups that are concerned."""
+    """Return combinations of a group's own columns, in the groups concerned."""
 
     def columns(group: SeenGroup) -> Array | None:
         if group.names.poses or not concerns(group):
@@ -222,7 +222,7 @@ def _of_moving_edge(edge: Edge, T: Array, assume: Assumptions) -> Iterator[Cause
 
 
 def _on_views(edge: Edge, twists: Array) -> Columns:
-    """The columns of twists (N, 6, k) in an edge's child frame, one for each collection."""
+    """Return the columns of twists (N, 6, k) in an edge's child frame, one for each collection."""
 
     def columns(group: SeenGroup) -> Array | None:
         return group.twist(edge, twists[group.group.collections])
@@ -231,17 +231,17 @@ def _on_views(edge: Edge, twists: Array) -> Columns:
 
 
 def _lengths(T: Array) -> Array:
-    """(N, 6, 1): the twists in the child frame of translations (N, 4, 4) that are longer by their own length."""
+    """Return the twists (N, 6, 1) in the child frame that lengthen translations (N, 4, 4) by their own length."""
     out = np.zeros((len(T), 6, 1))
     out[:, :3] = np.swapaxes(T[:, :3, :3], 1, 2) @ T[:, :3, 3:]
     return out
 
 
 def joint_axis(T: Array) -> tuple[Array, Array, bool] | None:
-    """The one axis about or along which a transform moves, as a twist (6,) of its child frame.
+    """Return the single axis about or along which a transform moves, as a twist (6,) of its child frame.
 
     Returns:
-        The twist of unit length, the positions (N,) about their mean, whether it is a translation; None where the
+        The unit twist, the positions (N,) relative to their mean, whether it is a translation; None if the
         motion has no such axis.
     """
     moved = local(T[0], T)
@@ -262,7 +262,7 @@ def joint_axis(T: Array) -> tuple[Array, Array, bool] | None:
 
 
 def moved_sensor(sensor: Sensor) -> Cause:
-    """The pose of a sensor on its own, apart from others that may share its transform."""
+    """Cause of a displaced sensor, apart from others that may share its transform."""
 
     def columns(group: SeenGroup) -> Array | None:
         return group.twist(sensor.edge) if group.sensor.name == sensor.name else None
@@ -271,7 +271,7 @@ def moved_sensor(sensor: Sensor) -> Cause:
 
 
 def moved_pattern(pattern: Pattern) -> Cause:
-    """The pose of a fixed pattern."""
+    """Cause of a displaced fixed pattern."""
 
     def columns(group: SeenGroup) -> Array | None:
         return adjoint(group.T) if group.pattern.name == pattern.name else None
@@ -280,11 +280,11 @@ def moved_pattern(pattern: Pattern) -> Cause:
 
 
 def lag(sensor: Sensor, velocities: dict[tuple[str, str], Array]) -> Cause:
-    """A sensor whose labels are of an earlier moment than the rest; in steps between collections.
+    """Cause of a sensor whose labels have a time offset, in steps between collections.
 
     Args:
-        sensor: whose.
-        velocities: by sensor and pattern, the twists (V, 6) of the pose in the sensor's frame, a step.
+        sensor: the sensor.
+        velocities: by sensor and pattern, the twists (V, 6) of the pose in the sensor's frame, per step.
     """
 
     def columns(group: SeenGroup) -> Array | None:
@@ -295,9 +295,9 @@ def lag(sensor: Sensor, velocities: dict[tuple[str, str], Array]) -> Cause:
 
 
 def velocities(seen: SeenGroup) -> Array:
-    """(V, 6): how the pose moves from one collection to the next, as a twist in the sensor's frame.
+    """Return the motion (V, 6) of the pose from one collection to the next, as a twist in the sensor's frame.
 
-    Central differences; at the ends those to the one neighbour.
+    By central differences; at the ends by one-sided ones.
     """
     before = np.concatenate([seen.T[:1], seen.T[:-1]])
     after = np.concatenate([seen.T[1:], seen.T[-1:]])
@@ -309,7 +309,7 @@ def velocities(seen: SeenGroup) -> Array:
 
 
 def seen_groups(dataset: Dataset, groups: Sequence[ViewGroup], poses: Sequence[Array]) -> list[SeenGroup]:
-    """The views at the optimum.
+    """Return the views at the optimum.
 
     Args:
         dataset: its transforms are those of the optimum.

@@ -1,4 +1,4 @@
-"""Unknowns that a user wants to keep as they are."""
+"""Parameters that the user fixes."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -11,14 +11,14 @@ from calibration.estimation.blocks import Block, Pose
 
 
 def held_blocks(dataset: Dataset, blocks: Sequence[Block], hold: Sequence[str]) -> tuple[Block, ...]:
-    """The blocks, those that are named in ``hold`` held.
+    """Return the blocks, with those named in ``hold`` fixed.
 
     A name is that of a sensor, of a transform ("parent-child"), of a pattern, of a joint
     ("joint-elbow") or of one of its parameters ("joint-elbow-origin_yaw"); of the intrinsics of a camera
     ("intrinsics-left") or of one of them ("intrinsics-left-k3").
 
     Raises:
-        InputError: there is nothing of a name, or a pattern to hold has no pose in the dataset.
+        InputError: a name is unknown, or a fixed pattern has no pose in the dataset.
     """
     out = list(blocks)
     names = [_names(dataset, block) for block in blocks]
@@ -36,14 +36,14 @@ def held_blocks(dataset: Dataset, blocks: Sequence[Block], hold: Sequence[str]) 
 
 
 def _names(dataset: Dataset, block: Block) -> list[str]:
-    """What a block can be called."""
+    """Return the names of a block."""
     names = [block.name, "-".join(block.edge)] if block.edge else [block.name]
     names += [sensor.name for sensor in dataset.sensors.values() if sensor.edge == block.edge]
     return names + [f"{block.name}-{parameter}" for parameter in block.parameters.free]
 
 
 def _held(block: Block, name: str) -> Block:
-    """The block held; of a joint or a camera one parameter alone, if it is named."""
+    """Fix a block; or only the named parameter of a joint or a camera."""
     parameter = name.removeprefix(f"{block.name}-")
     if isinstance(block.parameters, Pose) or parameter not in block.parameters.free:
         return replace(block, held=True)
@@ -52,7 +52,7 @@ def _held(block: Block, name: str) -> Block:
 
 
 def _check(dataset: Dataset, block: Block) -> None:
-    """Refuse to hold a pattern that has no pose to be held at."""
+    """Refuse to fix a pattern without a pose."""
     if block.name in dataset.patterns and block.edge:
         poses = dataset.transforms.get(block.edge)
         for i, collection in enumerate(dataset.collections):

@@ -1,4 +1,4 @@
-"""The intrinsics of a camera as unknowns: any of them free, with or without a prior."""
+"""Free intrinsics of a camera: any subset, with or without a prior."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -12,39 +12,39 @@ from calibration.geometry.cameras import Camera
 from calibration.geometry.types import Array, BoolArray
 
 PIXELS = ("fx", "fy", "cx", "cy")
-"""The parameters that are measured in pixels."""
+"""Parameters in pixels."""
 
 
 @dataclass(frozen=True, eq=False)
 class CalibratedIntrinsics:
-    """Some intrinsics of a camera with their covariance: what a calibration says, or what one is given."""
+    """Estimates of intrinsics with their covariance: calibrated, or given."""
 
     model: str
     """ROS's name of the distortion model."""
     parameters: tuple[str, ...]
-    """Some of fx, fy, cx, cy and the coefficients, in this order."""
+    """Some of fx, fy, cx, cy and the distortion coefficients, in this order."""
     values: Array
     """(k,): px, and 1."""
     covariance: Array
-    """(k, k); NaN where the calibration has not converged."""
+    """(k, k); NaN if the calibration has not converged."""
 
     @property
     def units(self) -> tuple[Literal["px", "1"], ...]:
-        """What each parameter is measured in."""
+        """Unit of each parameter."""
         return tuple("px" if parameter in PIXELS else "1" for parameter in self.parameters)
 
     @property
     def sigmas(self) -> Array:
-        """(k,): the standard deviation of each parameter."""
+        """(k,): standard deviation of each parameter."""
         return np.asarray(np.sqrt(np.diagonal(self.covariance)))
 
 
 @dataclass(frozen=True, eq=False)
 class Prior:
-    """What is known of some parameters beforehand: a Gaussian."""
+    """Gaussian prior of some parameters."""
 
     at: tuple[int, ...]
-    """(u,): where these parameters stand among all of the camera, ascending."""
+    """(u,): indices of these parameters among all of the camera, ascending."""
     mean: Array
     """(u,)."""
     covariance: Array
@@ -52,7 +52,7 @@ class Prior:
 
     @cached_property
     def information(self) -> Array:
-        """(u, u): the inverse of the covariance; scaled first, as pixels and coefficients are of different size."""
+        """(u, u): inverse of the covariance, scaled first, as pixels and coefficients differ in magnitude."""
         s = np.sqrt(np.diagonal(self.covariance))
         inverse: Array = np.linalg.inv(self.covariance / s[:, None] / s) / s[:, None] / s
         return 0.5 * (inverse + inverse.T)
@@ -60,64 +60,64 @@ class Prior:
 
 @dataclass(frozen=True, eq=False)
 class FreeIntrinsics:
-    """A camera some of whose intrinsics are unknown."""
+    """Camera with some free intrinsics."""
 
     sensor: str
-    """Whose camera it is."""
+    """Name of the camera."""
     camera: Camera
     """With its nominal intrinsics."""
     free: tuple[str, ...]
-    """In the order of `Camera.parameters`."""
+    """Free parameters, in the order of `Camera.parameters`."""
     rays: Array
-    """(2, n): where its labels lie, as normalised coordinates."""
+    """(2, n): normalised coordinates of its labels."""
     prior: Prior | None = None
 
     @property
     def dimension(self) -> int:
-        """How many parameters are free."""
+        """Number of free parameters."""
         return len(self.free)
 
     @cached_property
     def at(self) -> list[int]:
-        """Where the free parameters stand among all."""
+        """Indices of the free parameters among all."""
         return [self.camera.parameters.index(parameter) for parameter in self.free]
 
     def motions(self, size: float) -> list[Motion]:
-        """What each free parameter does to the rays of the labels; the ``size`` of a pattern plays no part."""
+        """Return the effect of each free parameter on the labels' rays; ``size`` of the pattern is not used."""
         units, extents = self.unit, self.unit * self.reach
         parts = zip(self.free, units.tolist(), extents.tolist(), strict=True)
         return [Motion("ray", 1, *part) for part in parts]
 
     def with_free(self, parameters: Sequence[str]) -> "FreeIntrinsics":
-        """The same with these parameters free, in any order."""
+        """Return the camera with these parameters free, in any order."""
         return replace(self, free=tuple(each for each in self.camera.parameters if each in parameters))
 
     def without(self, parameter: str) -> "FreeIntrinsics":
-        """The same with one parameter fewer free."""
+        """Return the camera with one parameter fewer free."""
         return self.with_free([each for each in self.free if each != parameter])
 
     def moved(self, value: Array, step: Array) -> Array:
-        """All parameters (4 + n,) after a step (k,) of the free ones."""
+        """Return all parameters (4 + n,) after a step (k,) of the free ones."""
         out = value.copy()
         out[self.at] += step
         return out
 
     def possible(self, value: Array) -> bool:
-        """Whether there can be such a camera: focal lengths above zero, the image not folded over where labels lie."""
+        """Whether the values are valid: positive focal lengths, no folding of the image at the labels."""
         if not (np.isfinite(value).all() and value[0] > 0 and value[1] > 0):
             return False
         return bool(self._unfolded(self.camera.with_intrinsics(value))[self._sound].all())
 
     @cached_property
     def _probes(self) -> tuple[Array, Array]:
-        """Points (p,) all over the circle in which the labels lie, as normalised coordinates."""
+        """Points (p,) all over the circle that contains the labels, as normalised coordinates."""
         around = np.linspace(0, 2 * np.pi, 12, endpoint=False)
         r = np.hypot(*self.rays).max(initial=0.0) * np.linspace(0, 1, 9)[1:, None]
         return (r * np.cos(around)).ravel(), (r * np.sin(around)).ravel()
 
     @cached_property
     def _sound(self) -> BoolArray:
-        """Which probes (p,) the nominal camera does not fold over itself."""
+        """Mask (p,) of the probes at which the nominal camera does not fold."""
         return self._unfolded(self.camera)
 
     def _unfolded(self, camera: Camera) -> BoolArray:
@@ -127,7 +127,7 @@ class FreeIntrinsics:
         return unfolded
 
     def pull(self, value: Array) -> tuple[float, Array, Array]:
-        """The prior's cost at all parameters (4 + n,), and its gradient (k,) and Hessian (k, k) to the free ones."""
+        """Return the prior's cost at all parameters (4 + n,), its gradient (k,) and Hessian (k, k) by the free ones."""
         n = len(value)
         gradient, H = np.zeros(n), np.zeros((n, n))
         if self.prior is None:
@@ -140,15 +140,15 @@ class FreeIntrinsics:
 
     @cached_property
     def reach(self) -> Array:
-        """(k,): by how much a ray turns when a free parameter grows by 1, rad; root mean square over the labels."""
+        """Rotation (k,) of a ray per unit of each free parameter, rad; root mean square over the labels."""
         return root_mean_square(self._turns(*self.rays))
 
     @cached_property
     def unit(self) -> Array:
-        """(k,): of each free parameter what is taken for one when directions are compared.
+        """Unit (k,) of each free parameter, to compare directions.
 
-        What turns the labels' rays by 1 rad; or ten standard deviations of the prior if that is less, so that
-        what is known beforehand neither counts as open nor dwarfs all else.
+        The change that rotates the labels' rays by 1 rad; or ten standard deviations of the prior if that is less, so
+        that parameters with a prior neither count as undetermined nor dominate all others.
         """
         everything = np.full(len(self.camera.parameters), np.inf)
         if self.prior is not None:
@@ -158,16 +158,16 @@ class FreeIntrinsics:
 
     @cached_property
     def bends(self) -> Array:
-        """(k, 2, n): how the rays all over the image turn when a free parameter grows by 1, rad."""
+        """Rotation (k, 2, n) of the rays all over the image per unit of each free parameter, rad."""
         camera = self.camera
         u, v = np.meshgrid(np.linspace(0, camera.width - 1, 16), np.linspace(0, camera.height - 1, 12))
         x, y = camera.normalise(np.stack([u.ravel(), v.ravel()], -1)).T
         return self._turns(x[np.isfinite(x)], y[np.isfinite(x)])
 
     def _turns(self, x: Array, y: Array) -> Array:
-        """(k, 2, n): by how much rays, as normalised coordinates (n,), turn when a free parameter grows by 1.
+        """Rotation (k, 2, n) of rays, as normalised coordinates (n,), per unit of each free parameter.
 
-        In pixels over the focal length, which is hardly more than the angle, and for a fisheye lens the angle.
+        In pixels over the focal length, which is close to the angle, and for a fisheye lens equal to it.
         """
         camera = self.camera
         xd, yd = camera.distortion.distort(x, y)
@@ -183,6 +183,6 @@ class FreeIntrinsics:
 
 
 def root_mean_square(turns: Array) -> Array:
-    """(...): of vectors (..., 2, n)."""
+    """Root mean square (...) of vectors (..., 2, n)."""
     mean: Array = np.sqrt((turns * turns).sum(-2).mean(-1))
     return mean

@@ -1,4 +1,4 @@
-"""``intrinsics.json``: what a calibration says of intrinsics, with their covariance; the next one takes it as it is.
+"""Read and write ``intrinsics.json``: calibrated intrinsics with their covariance, as a prior of another calibration.
 
 ``{"cameras": {"left": {"model": "plumb_bob", "parameters": ["fx", ...], "values": [...], "covariance": [[...]]}}}``,
 pixels for fx, fy, cx and cy.
@@ -20,13 +20,13 @@ from calibration.geometry.types import Array
 FILE_NAME = "intrinsics.json"
 MAX_CAMERAS = 1000
 MAX_BYTES = 1 << 24
-"""More than the parameters of so many cameras take."""
+"""Limit of the file's size in bytes."""
 SYMMETRIC = 1e-6
-"""How far a correlation and its mirror image may differ: files are rounded."""
+"""Tolerance of the symmetry of correlations: files are rounded."""
 TINY = 1e-200
-"""A variance below it is none."""
+"""Lower limit of a variance."""
 DEFINITE = 1e-13
-"""The smallest eigenvalue of the correlations, below which rounding has made it."""
+"""Lower limit of the correlations' smallest eigenvalue, due to rounding."""
 
 
 def write_intrinsics(path: Path, intrinsics: Mapping[str, CalibratedIntrinsics]) -> None:
@@ -48,7 +48,7 @@ def write_intrinsics(path: Path, intrinsics: Mapping[str, CalibratedIntrinsics])
 
 
 def read_intrinsics(path: Path) -> dict[str, CalibratedIntrinsics]:
-    """Read what `write_intrinsics` writes, or someone else has.
+    """Read the file of `write_intrinsics`, or an equivalent one.
 
     Raises:
         InputError: the file cannot be read, or something in it is missing or wrong; names file and key.

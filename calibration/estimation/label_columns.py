@@ -1,10 +1,10 @@
-"""What moves the labels of a view: its pose, its camera's intrinsics, its LiDAR's errors, its pattern's shape.
+"""Derivatives of a view's labels: by its pose, its camera's intrinsics, its LiDAR's errors, its pattern's shape.
 
-The derivative of every residual to a displacement d of its point on the pattern, in the sensor's frame, is what the
-rows of the pose's translation hold: ``dr = r_t . d`` (`calibration.estimation.residuals`). So whatever displaces points
-is a column made from these rows and a field of displacements: a pattern that is bent by ``d = R (0, 0, f(x, y))``, a
-LiDAR that measures b too far by ``d = b u`` (the point is drawn back along its ray u, which is as if the pattern went
-on along it). Intrinsics of a camera have rows of their own.
+The derivative of every residual by a displacement d of its point on the pattern, in the sensor's frame, is given by the
+rows of the pose's translation: ``dr = r_t . d`` (`calibration.estimation.residuals`). So the column of anything that
+displaces points is the product of these rows and a field of displacements: ``d = R (0, 0, f(x, y))`` of a bent
+pattern, ``d = b u`` of a LiDAR whose ranges are b too long (the point is moved back along its ray u, which is
+equivalent to moving the pattern along it). Intrinsics of a camera have rows of their own.
 """
 
 from collections.abc import Sequence
@@ -21,36 +21,36 @@ from calibration.geometry.cameras import Camera
 from calibration.geometry.types import Array
 
 POSE = 6
-"""The first columns: the twist of the view's pose in the sensor's frame."""
+"""Number of the first columns: the twist of the view's pose in the sensor's frame."""
 SHAPE = ("size_x", "size_y", "bow_x", "bow_y", "twist", "border")
-"""Of a pattern: its relative length along x and along y; how far its middle stands out against its ends (m), bent
-about y or about x; how far opposite corners stand out (m); how much farther out its border lies (m)."""
+"""Columns of a pattern: its relative length along x and along y; the height of its centre above its ends (m), bent
+about y or about x; the height of opposite corners (m); the outward offset of its border (m)."""
 LENS = ("skew", "prism_x", "prism_y")
-"""Of a camera, what its model has no coefficients for: axes that are not perpendicular, a thin prism along x and y."""
+"""Columns of a camera that its model has no coefficients for: non-perpendicular axes, thin prism along x and y."""
 RANGING = ("bias", "scale", "elevation", "sweep_x", "sweep_y", "sweep_z")
-"""Of a LiDAR or a depth camera: how much too far it measures (m, and relative), by how much its beams point too high
-(rad), and how it moves during a sweep (m a turn, in its own frame)."""
+"""Columns of a LiDAR or a depth camera: range offset (m) and scale, elevation offset of its beams
+(rad), and motion during a sweep (m per revolution, in its own frame)."""
 
 
 @dataclass(frozen=True)
 class ColumnNames:
-    """The columns of the views of one sensor and one pattern."""
+    """Columns of the views of one sensor and one pattern."""
 
     camera: Camera | None
-    """Of a sensor with corner labels."""
+    """Camera of a sensor with corner labels."""
     poses: bool = False
-    """Whether the labels are poses: whatever errs in them is their noise."""
+    """Whether the labels are poses: all of their errors are noise."""
 
     @cached_property
     def names(self) -> tuple[str, ...]:
-        """Of the columns behind those of the pose."""
+        """Names of the columns after those of the pose."""
         if self.poses:
             return ()
         own = (*self.camera.parameters, *LENS) if self.camera else RANGING
         return (*own, *SHAPE)
 
     def selection(self, weights: dict[str, float]) -> Array:
-        """(6 + E, 1): the combination of columns with these weights."""
+        """Return the combination (6 + E, 1) of columns with these weights."""
         out = np.zeros((POSE + len(self.names), 1))
         for name, weight in weights.items():
             out[POSE + self.names.index(name)] = weight
@@ -60,14 +60,14 @@ class ColumnNames:
 def squeeze(
     terms: Sequence[Term], camera: Camera | None, pattern: Pattern, T: Array, weighting: Weighting
 ) -> tuple[Array, Array]:
-    """Products of all columns of views, M (V, 6 + E, 6 + E), and their products with the residuals, m (V, 6 + E).
+    """Return the products of all columns of views, M (V, 6 + E, 6 + E), and with the residuals, m (V, 6 + E).
 
     Args:
         terms: the labels of the views, with the intrinsics at the optimum.
-        camera: their camera, where they are corners.
-        pattern: what they see.
-        T: ``T_sensor_pattern`` (V, 4, 4), the pattern's frame in the middle of its corners.
-        weighting: what the residuals weigh.
+        camera: their camera, if they are corners.
+        pattern: the pattern.
+        T: ``T_sensor_pattern`` (V, 4, 4), the pattern's frame at the centre of its corners.
+        weighting: standard deviations and loss of the residuals.
     """
     products = [_products(_columns(term, camera, pattern, T, weighting)) for term in terms]
     M, m = (sum(part[1:], part[0]) for part in zip(*products, strict=True))
@@ -75,13 +75,13 @@ def squeeze(
 
 
 def _products(rows: Array) -> tuple[Array, Array]:
-    """M and m of weighted rows (V, 7 + E, n), the last of them the residuals."""
+    """Return M and m of weighted rows (V, 7 + E, n), the last of them the residuals."""
     G = rows @ rows.transpose(0, 2, 1)
     return G[:, :-1, :-1], G[:, :-1, -1]
 
 
 def _columns(term: Term, camera: Camera | None, pattern: Pattern, T: Array, weighting: Weighting) -> Array:
-    """All columns of the labels as rows (V, 6 + E + 1, d L), weighted; the last are the residuals."""
+    """Return all columns of the labels as rows (V, 6 + E + 1, d L), weighted; the last are the residuals."""
     scale, huber = weighting.scales[term.kind], weighting.huber
     if isinstance(term, PoseTerm):
         rows = term.rows(T, scale, huber)
@@ -101,7 +101,7 @@ def _columns(term: Term, camera: Camera | None, pattern: Pattern, T: Array, weig
 def _fill_lens(out: Array, intrinsics: Array, camera: Camera) -> None:
     """Fill the columns of `LENS` (V, 3, 2, L), from those of fx: w (x, 0), of fy: w (0, y) and of cx: w (1, 0).
 
-    ``u = fx (x + skew y + prism_x r^2)``, ``v = fy (y + prism_y r^2)`` with (x, y) as the lens draws them
+    ``u = fx (x + skew y + prism_x r^2)``, ``v = fy (y + prism_y r^2)`` with distorted (x, y)
     (J. Weng et al., "Camera calibration with distortion models and accuracy evaluation", 1992).
     """
     weight = intrinsics[:, 2, 0]
@@ -117,8 +117,8 @@ def _fill_lens(out: Array, intrinsics: Array, camera: Camera) -> None:
 def _fill_ranging(out: Array, term: Term, pull: Array, T: Array) -> None:
     """Fill the columns of `RANGING` (V, 6, 1, L).
 
-    They are made from where the rays should end, not from what was measured: with its noise in a column, that of the
-    scale would explain the noise itself.
+    They are computed at the expected ends of the rays, not at the measured ones: with noise in the column of the
+    scale, it would explain the noise itself.
     """
     ends = T[:, :3, :3] @ term.places(T) + T[:, :3, 3:]
     length = np.maximum(np.linalg.norm(ends, axis=1, keepdims=True), 1e-9)

@@ -1,4 +1,4 @@
-"""What is left of each label at the optimum, and where the sensor saw it: for checks of how errors are distributed."""
+"""Residual of each label at the optimum, with its position, for checks of their distribution."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -12,21 +12,21 @@ from calibration.geometry.types import Array, BoolArray
 
 @dataclass(frozen=True, eq=False)
 class LabelErrors:
-    """The labels of one kind, of one sensor and one pattern."""
+    """Residuals of one kind, of one sensor and one pattern."""
 
     sensor: str
     pattern: str
     kind: NoiseKind
     errors: Array
-    """(V, d, L): px, m or rad, small for those that the robust loss gives little weight; 0 where there is no label."""
+    """(V, d, L): px, m or rad, scaled down by the robust loss's weight; 0 without a label."""
     seen: BoolArray
     """(V, L)."""
     points: Array
-    """(V, 3, L): where the labels should be, in the sensor's frame, m."""
+    """(V, 3, L): expected positions of the labels, in the sensor's frame, m."""
 
 
 def label_errors(solution: Solution) -> Iterator[LabelErrors]:
-    """The errors of all labels.
+    """Yield the errors of all labels.
 
     Args:
         solution: at the optimum.
