@@ -38,7 +38,7 @@ class ViewResiduals:
     point's place among the limits."""
 
 
-@record(case="snake", unknown="ignore")
+@record(case="snake", unknown="ignore", slots=True)
 class RejectedLabel:
     """A label that the robust loss gave less than half its weight."""
 

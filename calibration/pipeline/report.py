@@ -8,6 +8,7 @@ from pathlib import Path
 from calibration.baseline.comparison import Change
 from calibration.baseline.update import BaselineUpdate
 from calibration.diagnosis.finding import Severity
+from calibration.files import write_atomically
 from calibration.pipeline.matrix.cell import (
     OUR_METHOD,
     REPROJECTION,
@@ -36,6 +37,7 @@ def write_results(results: Results, output: Path) -> None:
     Raises:
         InfrastructureError: a file cannot be written.
     """
+    write_cells(results, output)
     report(results, output, "calibration").write(output)
 
 
@@ -89,11 +91,7 @@ def report(results: Results, output: Path, title: str) -> Report:
             "worst-rms-px": numbers.worst_rms_px,
             "worst-translation-mm": numbers.worst_translation_mm,
         },
-        files={
-            CELLS_FILE: cells_table(results).csv(),
-            BADGE: verdict_badge("calibration", results.verdict),
-            **_own_files(results),
-        },
+        files={CELLS_FILE: cells_table(results).csv(), BADGE: verdict_badge("calibration", results.verdict)},
     )
 
 
@@ -109,13 +107,15 @@ def _without_table(results: Results) -> str:
     return f"{which}; a table between two sensors is another number: evaluate: rgb-to-rgb:SOURCE:TARGET"
 
 
-def _own_files(results: Results) -> dict[str, str]:
-    """Return the text of each cell's own results, by its path."""
-    found = {}
+def write_cells(results: Results, output: Path) -> None:
+    """Write each cell's own results into the output folder, one after the other: of many cells they are large.
+
+    Raises:
+        InfrastructureError: a file cannot be written.
+    """
     for cell in (*results.cells, *results.comparisons):
         if cell.details and (file := own_file(cell)):
-            found[file] = results_text(cell.verdict, Results((cell,)), cell.reasons)
-    return found
+            write_atomically(output / file, results_text(cell.verdict, Results((cell,)), cell.reasons))
 
 
 def _suites(results: Results) -> dict[str, list[Outcome]]:

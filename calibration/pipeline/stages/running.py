@@ -15,7 +15,7 @@ from calibration.image.specification import ImageSpecification
 from calibration.pipeline.configuration import Simulation
 from calibration.pipeline.matrix.matrix import Matrix, load
 from calibration.pipeline.page.whole import accepted_history, report_page
-from calibration.pipeline.report import report, write_results
+from calibration.pipeline.report import report, write_cells, write_results
 from calibration.pipeline.results import PAGE_FILE, Results, clear_results
 from calibration.report import Report, publish
 from calibration.workflow import Runner
@@ -110,6 +110,7 @@ def run_stages(run: Run, stages: Collection[str] = tuple(STAGES)) -> Results:
         for name, stage in STAGES.items():
             if stage.applies(run) and (name in stages or (name == "build" and run.wants_image)):
                 run = imported(stage.target)(run)
+        write_cells(run.results, run.output)
         found = report(run.results, run.output, run.title)
         files = {**found.files, PAGE_FILE: _page(found, run)}
     except BaseException:  # signals too: the results of earlier stages are kept for another run
