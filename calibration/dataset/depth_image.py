@@ -62,15 +62,29 @@ def read_depth_image(path: Path | str, camera: Camera) -> DepthImage:
     """
     data = read_bytes(path, _MAX_BYTES, "a depth image")
     try:
-        _check_header(data, camera)
-        _check_chunks(data)
-        return DepthImage(_decode(data, camera), camera)
+        return DepthImage(decode_png(data, camera), camera)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
 
 
-def _check_header(data: bytes, camera: Camera) -> None:
-    """Refuse an unsupported image by the first chunk of its PNG file (https://www.w3.org/TR/png-3/#11IHDR)."""
+def decode_png(data: bytes, camera: Camera | None = None) -> NDArray[np.uint16]:
+    """Decode a PNG file of one 16-bit channel to (H, W).
+
+    Args:
+        data: the content of the file.
+        camera: the intrinsics, whose size the image must have; None for any size.
+
+    Raises:
+        InputError: it is not such a file, or it is damaged.
+        InfrastructureError: OpenCV, which decodes it, is missing.
+    """
+    width, height = _checked_size(data, camera)
+    _check_chunks(data)
+    return _decode(data, (height, width))
+
+
+def _checked_size(data: bytes, camera: Camera | None) -> tuple[int, int]:
+    """Width and height in the first chunk of a PNG file (https://www.w3.org/TR/png-3/#11IHDR), if it is supported."""
     if len(data) < _HEADER_BYTES or not data.startswith(_SIGNATURE + _FIRST_CHUNK):
         raise InputError(f"found {shown(data[:4].decode('latin-1'))} at its begin, expected a PNG file")
     width, height = int.from_bytes(data[16:20], "big"), int.from_bytes(data[20:24], "big")
@@ -80,12 +94,13 @@ def _check_header(data: bytes, camera: Camera) -> None:
             colour, "unknown"
         )
         raise InputError(f"found a PNG file of {bits} bits, {kind}, expected 16 bits, grey")
-    if (width, height) != (camera.width, camera.height):
+    if camera is not None and (width, height) != (camera.width, camera.height):
         raise InputError(
             f"found an image of {width} x {height} pixels, expected {camera.width} x {camera.height} as in camera_info"
         )
-    if width * height > MAX_AREA:
+    if not 0 < width * height <= MAX_AREA:
         raise InputError(f"found an image of {width} x {height} pixels, expected {MAX_AREA} pixels at most")
+    return width, height
 
 
 def _check_chunks(data: bytes) -> None:
@@ -101,7 +116,7 @@ def _check_chunks(data: bytes) -> None:
     raise InputError(f"the PNG file is damaged from byte {at} on; is it truncated?")
 
 
-def _decode(data: bytes, camera: Camera) -> NDArray[np.uint16]:
+def _decode(data: bytes, shape: tuple[int, int]) -> NDArray[np.uint16]:
     try:
         import cv2
     except ImportError as error:
@@ -110,7 +125,7 @@ def _decode(data: bytes, camera: Camera) -> NDArray[np.uint16]:
         image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     except cv2.error:
         image = None
-    if image is None or image.dtype != np.uint16 or image.shape != (camera.height, camera.width):
+    if image is None or image.dtype != np.uint16 or image.shape != shape:
         raise InputError("the PNG file cannot be decoded; write it again")
     depth: NDArray[np.uint16] = np.asarray(image, np.uint16)
     return depth

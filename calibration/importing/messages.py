@@ -1,5 +1,6 @@
 """Conversion of ROS messages to arrays: images, intrinsics, poses."""
 
+import struct
 from pathlib import Path
 from typing import Any
 
@@ -7,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.dataset.depth_image import NO_RETURN, UNIT
+from calibration.dataset.depth_image import NO_RETURN, UNIT, decode_png
 from calibration.dataset.document import Node
 from calibration.dataset.edges import FAR, QUATERNION_TOLERANCE
 from calibration.dataset.model import Edge
@@ -46,6 +47,8 @@ _COLOURS = {
 DEPTHS = {"16UC1": ("u2", 1e-3), "mono16": ("u2", 1e-3), "32FC1": ("f4", 1.0)}
 """Encodings of depth images: number type, and unit in m."""
 _CHANNELS = {"bgra8": 4, "rgba8": 4, "8UC4": 4, "bgr8": 3, "rgb8": 3, "8UC3": 3, "bgr16": 3, "rgb16": 3}
+_DEPTH_HEADER = struct.Struct("<iff")
+"""Header of the transport compressedDepth: the kind of compression, and the two parameters of inverse depth."""
 _TWO_BYTES = frozenset({"mono16", "16UC1", "bgr16", "rgb16"})
 
 
@@ -88,7 +91,9 @@ def depth_of(message: Any, where: str) -> DepthImage:
     Raises:
         InputError: its encoding is not one of depth images, or its data are truncated.
     """
-    encoding, height, width = getattr(message, "encoding", "a CompressedImage"), *_size(message)
+    if not hasattr(message, "encoding"):
+        return _in_units(_compressed_metres(message, where))
+    encoding, height, width = message.encoding, int(message.height), int(message.width)
     if encoding not in DEPTHS:
         raise InputError(f"{where}: found the encoding '{encoding}', expected one of depth: {', '.join(DEPTHS)}")
     kind, metres = DEPTHS[encoding]
@@ -96,14 +101,49 @@ def depth_of(message: Any, where: str) -> DepthImage:
         raise InputError(f"{where}: found an image of {width} x {height} pixels")
     order = np.dtype(kind).newbyteorder(">" if message.is_bigendian else "<")
     rows = _rows(message, width * order.itemsize, where).view(order)
+    return _in_units(rows.astype(float) * metres)
+
+
+def _compressed_metres(message: Any, where: str) -> Array:
+    """Decompress a depth image of image_transport, (H, W) in m, 0 or NaN where nothing was measured.
+
+    The transport ``compressed`` holds a PNG file of 16UC1. ``compressedDepth`` holds a header of 12 bytes (an integer
+    and two floats a and b) and such a file; of 32FC1 it has ``a / depth + b``
+    (http://wiki.ros.org/compressed_depth_image_transport).
+
+    Raises:
+        InputError: it is compressed in another way, or its data are truncated.
+    """
+    data, (encoding, _, transport) = bytes(message.data), str(message.format).partition(";")
+    encoding, with_header = encoding.strip(), "compressedDepth" in transport
+    known = encoding in DEPTHS and (with_header or encoding != "32FC1")
+    if not known or "rvl" in transport.lower():
+        raise InputError(
+            f"{where}: found a depth image compressed as '{message.format}', expected '16UC1; compressedDepth png', "
+            f"'32FC1; compressedDepth png' or '16UC1; png compressed': set the publisher's format to png"
+        )
+    a = b = 0.0
+    if with_header:
+        if len(data) < _DEPTH_HEADER.size:
+            raise InputError(f"{where}: found {len(data)} bytes, expected a compressed depth image")
+        _, a, b = _DEPTH_HEADER.unpack_from(data)
+        data = data[_DEPTH_HEADER.size :]
+    try:
+        counts = decode_png(data).astype(float)
+    except InputError as error:
+        raise InputError(f"{where}: {error}") from None
+    if encoding != "32FC1":
+        return counts * DEPTHS[encoding][1]
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        return np.where(counts > 0, a / (counts - b), np.nan)
+
+
+def _in_units(metres: Array) -> DepthImage:
+    """Convert depths (H, W) in m to units of `UNIT`; `NO_RETURN` where nothing was measured."""
     with np.errstate(invalid="ignore", over="ignore"):
-        counts = np.rint(rows.astype(float) * (metres / UNIT))
+        counts = np.rint(metres / UNIT)
         measured = (counts > 0) & (counts < NO_RETURN)
     return np.where(measured, counts, NO_RETURN).astype(np.uint16)
-
-
-def _size(message: Any) -> tuple[int, int]:
-    return int(getattr(message, "height", 0)), int(getattr(message, "width", 0))
 
 
 def _rows(message: Any, row: int, where: str) -> NDArray[np.uint8]:

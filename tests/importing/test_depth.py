@@ -1,6 +1,7 @@
 """Depth images in a bag: the pixels on the pattern are found where a camera sees it."""
 
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import cv2
@@ -15,9 +16,10 @@ from calibration.errors import InputError
 from calibration.estimation.calibrate import Options, calibrate
 from calibration.geometry.transforms import distance, translation
 from calibration.importing.importing import import_data
+from calibration.importing.messages import depth_of
 from calibration.pipeline.collection.collecting import collect_dataset
 from calibration.pipeline.collection.request import CollectionRequest
-from tests.importing.bags import BEGIN, SECOND, BagFile, Kind
+from tests.importing.bags import BEGIN, SECOND, BagFile, Kind, compressed_depth
 from tests.importing.conftest import BOARD, CAMERAS, DATASETS
 from tests.importing.test_bags import describe, file_of
 
@@ -48,7 +50,13 @@ def true(recorded: Path) -> Dataset:
 
 
 def record(
-    recorded: Path, folder: Path, kind: Kind, encoding: str, topic: str = "/range/depth", width: int | None = None
+    recorded: Path,
+    folder: Path,
+    kind: Kind,
+    encoding: str,
+    topic: str = "/range/depth",
+    width: int | None = None,
+    transport: str = "",
 ) -> Path:
     """A bag of what was collected; the depth camera is described 3 cm beside where it is."""
     path, dataset = file_of(folder, kind), true(recorded)
@@ -72,7 +80,8 @@ def record(
                 else:
                     counts = read_depth_image(file, sensor.camera).depth
                     metres = np.where(counts == NO_RETURN, np.nan, counts * UNIT)
-                    bag.depth(f"{beside}/image_raw", stamp, metres, sensor.frame, encoding)
+                    raw = f"{beside}/image_raw"
+                    bag.depth(f"{raw}/{transport}" if transport else raw, stamp, metres, sensor.frame, encoding)
     return path
 
 
@@ -96,6 +105,60 @@ def test_they_calibrate_to_the_truth(recorded: Path, tmp_path: Path, kind: Kind,
     m, rad = (float(v) for v in distance(known.transform(*frames)[0], found.transform(*frames)[0]))
     assert m < 0.005
     assert np.degrees(rad) < 0.3
+
+
+@pytest.mark.parametrize(
+    ("encoding", "transport", "off"),
+    [
+        ("16UC1; compressedDepth png", "compressedDepth", 0.0006),
+        ("16UC1; compressedDepth", "compressedDepth", 0.0006),
+        ("32FC1; compressedDepth png", "compressedDepth", 0.0045),  # a step at 6.5 m
+        ("16UC1; png compressed", "compressed", 0.0006),
+    ],
+)
+def test_compressed_topics(recorded: Path, tmp_path: Path, encoding: str, transport: str, off: float) -> None:
+    path = record(recorded, tmp_path, "mcap", encoding, transport=transport)
+    topic = f"/range/depth/image_raw/{transport}"
+    ours = imported(path, {**SENSORS, "range": {"topic": topic}})
+    assert ours.sensors["range"].modality.name == "depth"
+    (tmp_path / "raw").mkdir()
+    raw = imported(record(recorded, tmp_path / "raw", "mcap", "32FC1"))
+    counted = 0
+    for one, other in zip(ours.collections, raw.collections, strict=True):
+        images = [
+            read_depth_image(dataset.path.parent / f"range_{collection.key}.png", dataset.sensors["range"].camera)
+            for dataset, collection in ((ours, one), (raw, other))
+        ]
+        seen = [image.depth != NO_RETURN for image in images]
+        assert (seen[0] == seen[1]).mean() > 0.999
+        both = seen[0] & seen[1]
+        counted += int(both.sum())
+        assert np.abs(images[0].depth[both].astype(float) - images[1].depth[both]).max() * UNIT <= off
+    assert counted > 100_000
+
+
+@pytest.mark.parametrize(
+    ("encoding", "data", "said"),
+    [
+        ("16UC1; compressedDepth rvl", b"", "compressed as '16UC1; compressedDepth rvl', expected '16UC1; compressed"),
+        ("jpeg", b"", "compressed as 'jpeg', expected"),
+        ("32FC1; png compressed", b"", "compressed as '32FC1; png compressed', expected"),
+        ("16UC1; compressedDepth png", b"123", "found 3 bytes, expected a compressed depth image"),
+        ("16UC1; compressedDepth png", b"\0" * 40, "expected a PNG file"),
+        ("16UC1; compressedDepth png", "cut", "is it truncated?"),
+        ("16UC1; png compressed", "colours", "found a PNG file of 8 bits, colour, expected 16 bits, grey"),
+    ],
+)
+def test_what_is_compressed_otherwise_is_said(encoding: str, data: bytes | str, said: str) -> None:
+    if data == "cut":
+        data = compressed_depth(np.ones((48, 64)), encoding).tobytes()[:-20]
+    elif data == "colours":
+        data = bytes(cv2.imencode(".png", np.zeros((48, 64, 3), np.uint8))[1])
+    message = SimpleNamespace(format=encoding, data=np.frombuffer(data, np.uint8))  # type: ignore[arg-type]
+    with pytest.raises(InputError) as error:
+        depth_of(message, "bag: /depth")
+    assert str(error.value).startswith("bag: /depth: ")
+    assert said in str(error.value)
 
 
 def test_a_topic_without_the_word_is_said_to_be_of_depth(recorded: Path, tmp_path: Path) -> None:
