@@ -1,4 +1,4 @@
-"""What is common to all HTTP; how requests are repeated and bounded is tested with registries and Codacy."""
+"""HTTP independent of the server; retries and limits are tested with registries and Codacy."""
 
 import pytest
 import requests

@@ -1,4 +1,4 @@
-"""The face of the package: a few names, and nothing imported for those who do not use them."""
+"""Public names of the package, imported only on use."""
 
 import ast
 import doctest

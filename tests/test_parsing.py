@@ -1,4 +1,4 @@
-"""YAML and JSON that others wrote: nothing is lost, and a short file stays cheap."""
+"""Untrusted YAML and JSON: no value is lost, and parsing small files stays cheap."""
 
 import json
 from pathlib import Path

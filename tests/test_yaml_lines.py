@@ -1,4 +1,4 @@
-"""Lines of keys in YAML files, for annotations."""
+"""Line numbers of keys in YAML files, for annotations."""
 
 from pathlib import Path
 

@@ -123,7 +123,7 @@ BackendName = Literal["embedded", "docker", "aws-batch"]
 class Sections:
     """Settings of backends, each in the section of calibration.yml that is named as the backend."""
 
-    aws_batch: BatchSettings | None = field("Where in AWS containers run that are to run there.", default=None)
+    aws_batch: BatchSettings | None = field("Settings of AWS Batch, for containers that run there.", default=None)
 
     def of(self, backend: str) -> Any:
         """Return the settings of a backend; None if the file has no section for it."""
@@ -170,7 +170,7 @@ class Place:
         kind = KINDS[self.backend]
         if kind.settings and self.settings is None:
             raise InputError(
-                f"backend: found {self.backend}, but nothing says where: expected a section {self.backend} in "
+                f"backend: found {self.backend}, but its settings are missing: expected a section {self.backend} in "
                 "calibration.yml, or a file with one"
             )
         backend: AbstractContextManager[JobBackend] = imported(kind.target)(self)

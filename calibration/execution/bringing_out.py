@@ -97,13 +97,15 @@ class BringingOut:
                 continue
             if before is not None or target.exists():
                 raise InputError(
-                    f"container '{container.name}': two artifacts of the job land at '{file.path}', with other content"
+                    f"container '{container.name}': two artifacts of the job have the same target '{file.path}', with "
+                    "different content"
                 )
             try:
                 target.parent.mkdir(parents=True, exist_ok=True)
             except (FileExistsError, NotADirectoryError):
                 raise InputError(
-                    f"container '{container.name}': the artifact '{file.path}' lies in what is a file of another one"
+                    f"container '{container.name}': the artifact '{file.path}' is inside of a path that is a file of "
+                    "another artifact"
                 ) from None
             (fresh / file.path).rename(target)
 
@@ -148,4 +150,4 @@ def _fresh(folder: Path) -> Iterator[Path]:
 
 def _missing(container: Container, artifact: Artifact, found: Extraction) -> str:
     there = f"; beside it are {', '.join(found.seen)}" if found.seen else ""
-    return shorten(f"container '{container.name}' left no file that is the artifact '{artifact.path}'{there}", 400)
+    return shorten(f"container '{container.name}' left no file for the artifact '{artifact.path}'{there}", 400)

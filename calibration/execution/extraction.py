@@ -106,7 +106,7 @@ def extract(
         elif entry.islnk():
             first = path_parts(entry.linkname)[1:]
             if first not in written:
-                raise _refused(entry, f"is a hard link to '{_shown(entry.linkname)}', which is not brought out")
+                raise _refused(entry, f"is a hard link to '{_shown(entry.linkname)}', which is not an artifact")
             entry.size = _target(folder, written[first]).stat().st_size
             _count(entry, budget)
             with _target(folder, written[first]).open("rb") as original:
@@ -195,7 +195,7 @@ def path_parts(name: str) -> tuple[str, ...]:
         raise RefusedError(f"artifact '{_shown(name)}' lies in more than {DEEPEST} folders")
     for part in parts:
         if not part.isprintable() or "\\" in part or len(part.encode("utf-8", "surrogateescape")) > _LONGEST_NAME:
-            raise RefusedError(f"artifact '{_shown(name)}' has a name that not every machine can have")
+            raise RefusedError(f"artifact '{_shown(name)}' has a name that some file systems do not allow")
     return parts
 
 
@@ -217,11 +217,11 @@ def _count(entry: tarfile.TarInfo, budget: Budget) -> None:
     if entry.size < 0 or entry.size > budget.size:
         raise _refused(
             entry,
-            f"has {describe_bytes(entry.size)}: more than the {describe_bytes(budget.most[0])} that the artifacts of a "
-            "job may have",
+            f"has {describe_bytes(entry.size)}: more than the {describe_bytes(budget.most[0])} allowed for the "
+            "artifacts of a job",
         )
     if budget.files < 1:
-        raise _refused(entry, f"is one more than the {budget.most[1]} files that a job may bring out")
+        raise _refused(entry, f"exceeds the limit of {budget.most[1]} artifacts of a job")
     budget.size -= entry.size
     budget.files -= 1
 
@@ -230,7 +230,7 @@ def _pass_over(entry: tarfile.TarInfo, source: str, budget: Budget) -> None:
     budget.passed_over -= max(0, entry.size) + _BLOCK
     if budget.passed_over < 0:
         raise _refused(
-            entry, f"and others beside the artifacts in {source} are too large to be read: name a folder with less"
+            entry, f"and others beside the artifacts in {source} are too large to be read: give a more specific path"
         )
 
 
@@ -264,7 +264,7 @@ def _new_file(path: Path, entry: tarfile.TarInfo) -> io.FileIO:
     try:
         return io.FileIO(path, "x")
     except (FileExistsError, IsADirectoryError):
-        raise _refused(entry, "would land where another file is") from None
+        raise _refused(entry, "has the same target as another file") from None
     except OSError as error:
         raise InfrastructureError(f"{path}: an artifact cannot be written: {error.strerror}") from error
 

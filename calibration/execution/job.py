@@ -34,7 +34,7 @@ A single container of a job has no peers: the Docker backend uses a network on w
 all containers, or, if it is the only one of a run, the engine's default network, as ``docker run``
 does."""
 
-NETWORK_HELP = "private: a network of its own. internal: without a way out. host: the machine's. none: no network."
+NETWORK_HELP = "private: a network of the job. internal: without internet. host: the machine's. none: no network."
 OUTPUT = "/calibration/output"
 """Volume of the job, writable and shared by its containers; removed with the job."""
 
@@ -66,7 +66,7 @@ class Mount:
     """A folder or file of this machine, mounted in a container; read-only by default."""
 
     source: Path = field("The folder or file.")
-    target: Absolute = field("Where it is in the container.")
+    target: Absolute = field("Path in the container.")
     writable: bool = field("Whether the container may write to it.", default=False)
 
 
@@ -84,11 +84,11 @@ def _mount(value: str | Mount, place: Place) -> Mount:
 class Limits:
     """Limits of a container; None for no limit."""
 
-    memory: Bytes | None = field("The most it may use, swap included: 2g, 512m.", default=None)
-    cpus: Annotated[float, above(0)] | None = field("The most it may use: 1.5 of the machine's cores.", default=None)
-    processes: Annotated[int, at_least(1)] | None = field("The most it may have at once.", default=4096)
+    memory: Bytes | None = field("Limit of memory, including swap: 2g, 512m.", default=None)
+    cpus: Annotated[float, above(0)] | None = field("Limit of cores: 1.5 of the machine's.", default=None)
+    processes: Annotated[int, at_least(1)] | None = field("Limit of concurrent processes.", default=4096)
     seconds: Seconds | None = field(
-        "It is stopped when it runs longer, and has failed: 90s, 10m.", default=None, key="timeout"
+        "Time limit, after which it is stopped and has failed: 90s, 10m.", default=None, key="timeout"
     )
 
 
@@ -97,10 +97,10 @@ class Readiness:
     """Readiness check of a container, on which others wait; all given conditions must be met."""
 
     port: Annotated[int, between(1, 65535)] | None = field("It accepts connections on this TCP port.", default=None)
-    log: Text | None = field("This regular expression is found in a line of its log.", default=None)
-    file: Annotated[str, matching("[/{].*", "an absolute path")] | None = field("This file is there.", default=None)
-    command: Command = field("This command, run in it, answers 0.", default=())
-    seconds: Seconds = field("The job has failed when it is not ready after so long.", default=60.0, key="timeout")
+    log: Text | None = field("This regular expression matches in a line of its log.", default=None)
+    file: Annotated[str, matching("[/{].*", "an absolute path")] | None = field("This file exists.", default=None)
+    command: Command = field("This command, run in the container, returns 0.", default=())
+    seconds: Seconds = field("Time limit, after which the job fails.", default=60.0, key="timeout")
 
 
 @record
@@ -110,13 +110,13 @@ class Relaxations:
     new_privileges: bool = field("Programs such as sudo may gain privileges.", default=False)
     capabilities: Annotated[
         tuple[Annotated[str, matching("[A-Z_]+", "the name of a capability such as NET_RAW")], ...], UNIQUE
-    ] = field("Linux capabilities that it keeps: NET_RAW.", default=())
+    ] = field("Linux capabilities of the container: NET_RAW.", default=())
     devices: Annotated[tuple[Annotated[str, matching("/dev/.*", "a device such as /dev/video0")], ...], UNIQUE] = field(
         "Devices of the machine: /dev/video0.", default=()
     )
     gpus: bool = field("All GPUs of the machine.", default=False)
-    docker_socket: bool = field("The engine's socket: whoever has it is root on the machine.", default=False)
-    privileged: bool = field("Everything that root on the machine may.", default=False)
+    docker_socket: bool = field("Mount the engine's socket: equivalent to root on the machine.", default=False)
+    privileged: bool = field("All privileges of root on the machine.", default=False)
 
 
 @record
@@ -128,7 +128,7 @@ class Artifact:
     its content. Targets are relative to the path's last folder without a wildcard: ``/out/a/*.csv`` to
     ``x.csv``, ``/out/a`` to ``a/x.csv``. Links within the folder are skipped, with a note; other links and
     special files are refused."""
-    required: bool = field("Whether the job has failed where nothing is found.", default=True)
+    required: bool = field("Whether the job fails if no file matches.", default=True)
 
 
 @record
@@ -143,12 +143,11 @@ class Container:
     image: str = field("The image, such as ghcr.io/team/robot:latest.", default="")
     """Empty in calibration.yml for the image that the pipeline builds."""
     command: Command = field(
-        "Arguments, run without a shell; a text is split as a shell would. The image's own command where there is "
-        "none.",
+        "Arguments, run without a shell; a string is split as in a shell. By default the command of the image.",
         default=(),
     )
     entrypoint: Annotated[tuple[str, ...], Converted(str | tuple[str, ...], _entrypoint)] | None = field(
-        "In the place of the image's; an empty list for none.", default=None
+        "Entrypoint instead of the image's; an empty list for none.", default=None
     )
     environment: Mapping[Annotated[str, matching("[^=]+", "a name without =")], Value] = field(
         "Variables and their values.", default_factory=dict, repr=False
@@ -158,33 +157,33 @@ class Container:
         frozenset[str],
         Converted(Annotated[tuple[Variable, ...], UNIQUE], lambda names, _: frozenset(names)),
     ] = field(
-        "Names of variables of this machine's environment that are passed on; their values are hidden in every log.",
+        "Names of environment variables of this machine to pass on; their values are masked in every log.",
         default=frozenset(),
     )
     """Their values are redacted in every log, file and message."""
-    working_directory: Absolute | None = field("Absolute, in the container.", default=None)
+    working_directory: Absolute | None = field("Absolute path in the container.", default=None)
     user: Annotated[str, Converted(str | int, lambda user, _: str(user))] | None = field(
-        "A name or a number of the image, or both with a group (1000:1000).", default=None
+        "User name or id in the image, optionally with a group (1000:1000).", default=None
     )
     mounts: tuple[Annotated[Mount, Converted(Annotated[str, _MOUNT] | Mount, _mount)], ...] = field(
-        "Folders and files of this machine, read-only unless told otherwise; paths are relative to this file.",
+        "Folders and files of this machine, read-only by default; paths are relative to this file.",
         default=(),
     )
     limits: Limits = field(flat=True, default_factory=Limits)
-    readiness: Readiness | None = field("When those after it may start.", default=None, key="ready")
+    readiness: Readiness | None = field("Readiness check, on which other containers wait.", default=None, key="ready")
     after: Annotated[tuple[Text, ...], UNIQUE] = field(
-        "Containers that have to be ready (or, where they do not say when, started) before this one starts.",
+        "Containers that must be ready (or started, without a readiness check) before this one starts.",
         default=(),
     )
-    essential: bool = field("Whether its end ends the job.", default=True)
+    essential: bool = field("Whether the job ends with this container.", default=True)
     """Other containers are stopped then, and their ends do not affect the verdict."""
     success: Annotated[
         tuple[int, ...],
         Converted(ExitCode | tuple[ExitCode, ...], lambda codes, _: codes if isinstance(codes, tuple) else (codes,)),
-    ] = field("The exit codes that are a success; an empty list where it must not end by itself.", default=(0,))
+    ] = field("Exit codes of success; an empty list if it must not end by itself.", default=(0,))
     artifacts: tuple[
         Annotated[Artifact, Converted(Text | Artifact, lambda v, _: Artifact(v) if isinstance(v, str) else v)], ...
-    ] = field("Files and folders to bring out; a required one that is missing fails the job.", default=())
+    ] = field("Files and folders to copy out of the container; a missing required one fails the job.", default=())
     relaxations: Relaxations = field(flat=True, default_factory=Relaxations)
 
 
@@ -222,6 +221,6 @@ def with_secrets(container: Container, where: str, environment: Mapping[str, str
         if not environment.get(name):
             raise InputError(f"{where}.secrets: the environment variable {name} is not set")
         if name in container.environment:
-            raise InputError(f"{where}: {name} stands in environment and in secrets: its value belongs in neither file")
+            raise InputError(f"{where}: {name} is in environment and in secrets: remove it from environment")
     secrets = {name: environment[name] for name in container.secrets}
     return replace(container, environment={**container.environment, **secrets})

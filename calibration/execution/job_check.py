@@ -141,7 +141,7 @@ def _in_texts(container: Container) -> Iterator[str]:
 
 def _in_limits(limits: Limits) -> Iterator[str]:
     if limits.memory is not None and limits.memory < _LEAST_MEMORY:
-        yield f"memory: {limits.memory} bytes are less than any engine takes (6m)"
+        yield f"memory: {limits.memory} bytes are below the minimum of all engines (6m)"
     if limits.cpus is not None and not _positive(limits.cpus):
         yield f"cpus: found {limits.cpus!r}, expected a number above 0"
     if limits.processes is not None and limits.processes < 1:
@@ -152,7 +152,7 @@ def _in_limits(limits: Limits) -> Iterator[str]:
 
 def _in_readiness(readiness: Readiness) -> Iterator[str]:
     if readiness.port is None and not readiness.log and not readiness.file and not readiness.command:
-        yield "ready: it says nothing to wait for: port, log, file or command"
+        yield "ready: no condition is given: expected port, log, file or command"
     if readiness.port is not None and not 1 <= readiness.port <= _MOST_PORT:
         yield f"ready: {readiness.port} is no port from 1 to {_MOST_PORT}"
     if readiness.file is not None and not _is_plain_absolute(readiness.file):
@@ -172,7 +172,7 @@ def _in_mounts(mounts: Iterable[Mount]) -> Iterator[str]:
         if not _is_plain_absolute(mount.target) or not target:
             yield f"mount '{mount.target}': expected an absolute path in the container, and not its root"
         if target in targets:
-            yield f"mount '{target}': another mount has the same place"
+            yield f"mount '{target}': another mount has the same target"
         targets.add(target)
         if f"{target}/".startswith(f"{OUTPUT}/") or f"{OUTPUT}/".startswith(f"{target}/"):
             yield f"mount '{target}': {OUTPUT} is the job's own volume, nothing may be mounted over or in it"
@@ -180,8 +180,8 @@ def _in_mounts(mounts: Iterable[Mount]) -> Iterator[str]:
             yield f"mount '{target}': there is no {mount.source} on this machine"
         elif _gives_the_engine_away(mount.source):
             yield (
-                f"mount '{target}': {mount.source} is, or holds, a socket: whoever has that of the engine is root "
-                "on the machine; if this is wanted, say docker-socket: true"
+                f"mount '{target}': {mount.source} is, or holds, a socket: access to the engine's is equivalent to "
+                "root on the machine; if this is intended, set docker-socket: true"
             )
 
 

@@ -11,7 +11,7 @@ from calibration.execution.outcome import End
 from calibration.execution.sizes import describe_bytes
 
 _SIGNALLED = 128
-_HINTS = {126: "its command may not be executed", 127: "its command was not found"}
+_HINTS = {126: "its command is not executable", 127: "its command was not found"}
 
 
 class Watched(Protocol):
@@ -128,9 +128,9 @@ class Judge:
         for container in essential:
             if container.end == End.NOT_STARTED and not self.reasons:
                 name = container.container.name
-                self.fail(f"container '{name}' was never started: another ended the job", ExitCode.FAIL)
+                self.fail(f"container '{name}' was not started: another container ended the job", ExitCode.FAIL)
         if not self.reasons and not any(c.end == End.EXITED for c in essential):
-            self.fail("nobody knows how the job ended", ExitCode.INFRASTRUCTURE)
+            self.fail("the end of the job is unknown", ExitCode.INFRASTRUCTURE)
         if self.reasons:  # further failures may explain the first
             others = [c for c in containers if not c.container.essential and c is not early]
             self.reasons += [self._clean(failure) for c in others if (failure := failure_of(c)) is not None]
@@ -192,12 +192,12 @@ def failure_of(watched: Watched) -> str | None:
     container = f"container '{watched.container.name}'"
     if watched.end == End.OUT_OF_MEMORY:
         limit = watched.container.limits.memory
-        known = "the machine had no more" if limit is None else f"its limit is {describe_bytes(limit)} (memory)"
+        known = "the machine had no free memory" if limit is None else f"its limit is {describe_bytes(limit)} (memory)"
         return f"{container} ran out of memory: {known}{_said(watched)}"
     if watched.end == End.SIGNALLED:
         return f"{container} was killed by {watched.signal}{_said(watched)}"
     if watched.end == End.LOST:
-        return f"{container} is gone without an exit code: it, or all of it, was killed{_said(watched)}"
+        return f"{container} ended without an exit code: it was killed{_said(watched)}"
     if watched.end == End.EXITED and watched.exit_code not in watched.container.success:
         hint = f" ({_HINTS[watched.exit_code]})" if watched.exit_code in _HINTS else ""
         if not watched.container.success:

@@ -46,7 +46,7 @@ def split_command(command: str | Sequence[str], where: str) -> tuple[str, ...]:
     arguments = _split(command, where) if isinstance(command, str) else tuple(command)
     for argument in arguments:
         if not isinstance(argument, str):
-            raise InputError(f"{where}: found {argument!r} among the arguments, expected texts: put it in quotes")
+            raise InputError(f"{where}: found {argument!r} among the arguments, expected strings: put it in quotes")
         if "\0" in argument:
             raise InputError(f"{where}: {argument!r} has a NUL character, which no argument can have")
     if not arguments:

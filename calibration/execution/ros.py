@@ -11,7 +11,7 @@ from calibration.records import Converted
 RosVersion = Literal["none", "1", "2"]
 Ros = Annotated[RosVersion, Converted(Literal["none", "1", "2", 1, 2], lambda version, _: str(version))]
 """Type of a record's field: the version, also as a number."""
-ROS_HELP = "1: a ROS master is started, and everybody told where it is. 2: a domain of its own."
+ROS_HELP = "1: a ROS master is started, with variables for all containers. 2: a separate domain."
 MASTER = "master"
 """Name of the container with the ROS master."""
 PORT = 11311

@@ -100,7 +100,7 @@ def workspace(
             try:
                 fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError:
-                raise InputError(f"{output}: another run into this folder goes on; wait for it, or stop it") from None
+                raise InputError(f"{output}: another run uses this folder; wait for it, or stop it") from None
             if not _is_of(folder, identity):
                 _clear(folder)
                 write_atomically(folder / _IDENTITY, json.dumps(identity))

@@ -1,4 +1,4 @@
-"""``accept``, and the runs after it: what has changed since is red, until it is accepted too."""
+"""``accept``, and later runs: changes fail until they are accepted too."""
 
 import json
 import shutil
@@ -22,7 +22,7 @@ KNOCKED = (0.003, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 @pytest.fixture
 def repository(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A repository with one robot, and no accepted calibration."""
+    """Return a repository with one robot, without an accepted calibration."""
     robot = tmp_path / "robot"
     robot.mkdir()
     shutil.copy(ROOT / "datasets" / "t2rgb" / "dataset.json", robot)
@@ -124,7 +124,7 @@ def test_the_page_shows_the_accepted_calibrations_by_commit(repository: Path) ->
 def test_the_accepted_calibrations_lie_beside_the_configuration(
     repository: Path, monkeypatch: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
-    """Wherever a run is started."""
+    """From any working directory."""
     monkeypatch.chdir(tmp_path_factory.mktemp("elsewhere"))
     config = ["--config", str(repository / "calibration.yml")]
     Path(FILE).write_text("another project's")

@@ -1,4 +1,4 @@
-"""The command without an engine: what it reads, refuses, renders and reports."""
+"""The command without an engine: reading, validation, rendering and report."""
 
 import json
 from pathlib import Path
@@ -36,7 +36,7 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 @pytest.fixture
 def asked(monkeypatch: pytest.MonkeyPatch) -> list[tuple[ImageSpecification, dict[str, Any]]]:
-    """What the image room was asked to build and to promote."""
+    """Record the requests to build and to promote an image."""
     calls: list[Any] = []
 
     def build(specification: ImageSpecification, _runner: Runner, **options: Any) -> BuiltImage:

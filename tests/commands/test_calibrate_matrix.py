@@ -1,4 +1,4 @@
-"""``calibrate-matrix`` as a user calls it."""
+"""Command ``calibrate-matrix``."""
 
 import json
 import os
@@ -62,7 +62,7 @@ def test_intrinsics_and_what_is_held(tmp_path: Path, capsys: pytest.CaptureFixtu
 
     again = ["--intrinsics", "all", "--intrinsics-covariance", str(known), "--output", str(tmp_path / "second")]
     assert main(["calibrate-matrix", "--dataset", T2RGB, *again]) == 0
-    # an input among the results that are to be replaced stays
+    # an input inside the results folder must survive their replacement
     same = ["--intrinsics-covariance", str(known), "--output", str(output)]
     assert main(["calibrate-matrix", "--dataset", T2RGB, *same]) == 2
     assert known.exists()
@@ -122,7 +122,7 @@ def test_a_login_without_the_image_that_it_is_for(
 ) -> None:
     monkeypatch.setenv("CALIBRATION_REGISTRY_PASSWORD", "planted words")
     arguments = ["calibrate-matrix", "--dataset", T2RGB, "--output", str(tmp_path)]
-    assert main(arguments) == 0  # the variable is there for another command
+    assert main(arguments) == 0  # the variable is for another command
     assert main([*arguments, "--registry-username", "me"]) == 2
     said = capsys.readouterr()
     assert "registry-username is given without the image that it is for" in said.err
@@ -174,7 +174,7 @@ def test_a_signal_stops_everything_that_was_started(number: signal.Signals, tmp_
         stderr=subprocess.PIPE,
         text=True,
         start_new_session=True,
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # a shell's background job ignores it
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # background jobs of a shell ignore SIGINT
     )
     try:
         deadline = time.monotonic() + 60

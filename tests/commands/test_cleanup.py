@@ -1,4 +1,4 @@
-"""`calibration cleanup` as it is called; what killed runs leave is in tests/integration/execution."""
+"""Command `calibration cleanup`; leftovers of killed runs are tested in tests/integration/execution."""
 
 from typing import TYPE_CHECKING
 
@@ -31,7 +31,7 @@ def test_what_another_version_has_made(engine: "DockerClient", capsys: pytest.Ca
     run = new_run()
     engine.api.create_volume(f"calibration-{run}", labels={RUN: run, JOB: "a\x1b[2Jb"})
     try:
-        assert main(["cleanup"]) == 0  # whose it is cannot be known
+        assert main(["cleanup"]) == 0  # its owner is unknown
         assert len(find_leftovers(engine.api, run)) == 1
         assert "left alone" in capsys.readouterr().out
         assert main(["cleanup", "--all", "--dry-run"]) == 0

@@ -296,7 +296,7 @@ def test_a_killed_run_leaves_no_half_dataset_and_goes_on(struck: signal.Signals,
     done = len(list((output / ".unfinished").glob("*.result.json")))
     assert done >= 3
     deadline = time.monotonic() + 60
-    while time.monotonic() < deadline:  # workers of a killed parent die too, and free the lock
+    while time.monotonic() < deadline:  # workers of a killed parent die too, and release the lock
         again = subprocess.run([*command, "--jobs", "2"], capture_output=True, text=True, check=False, env=environment)
         if "another collection into this folder is running" not in again.stderr:
             break

@@ -1,4 +1,4 @@
-"""``comment``: which pull request gets what, by the event; what a fork, a push and a laptop get instead."""
+"""``comment``: the right pull request for each event; forks, pushes and local runs without a comment."""
 
 import json
 from collections.abc import Iterator
@@ -19,7 +19,7 @@ FORK = {"full_name": "stranger/robot", "owner": {"login": "stranger"}}
 
 @pytest.fixture
 def service(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[GitHub]:
-    """GitHub's API, and the results of a run in the current folder."""
+    """Start the stand-in of GitHub's API, with results of a run in the working directory."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "output").mkdir()
     (tmp_path / "output" / BRIEF_FILE).write_text(FOUND.text)
@@ -43,7 +43,7 @@ def service(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[GitHub]
 
 @pytest.fixture
 def event(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
-    """Set what started the workflow."""
+    """Set the event that started the workflow."""
 
     def of(name: str, body: dict[str, Any]) -> None:
         path = tmp_path / "event.json"

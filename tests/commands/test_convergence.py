@@ -1,4 +1,4 @@
-"""``convergence`` as a user calls it."""
+"""Command ``convergence``."""
 
 import json
 import re

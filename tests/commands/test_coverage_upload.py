@@ -1,4 +1,4 @@
-"""``coverage-upload`` as a user runs it: a repository, tests, a Codacy, and every way in which it can go wrong."""
+"""Command ``coverage-upload`` with a repository, tests, and a stand-in of Codacy, including its errors."""
 
 import ctypes
 import hashlib
@@ -32,12 +32,12 @@ XML = """<coverage line-rate="1"><class filename="robot/naming.py"><lines>
 
 @pytest.fixture(autouse=True)
 def root(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Work in a repository, off GitHub, with a report of it outside."""
+    """Work in a repository, outside of GitHub, with a coverage report outside of it."""
     for name in [
         name for name in os.environ if name.startswith(("GITHUB_", "INPUT_", "RUNNER_", "CODACY_", "COVERAGE_"))
     ]:
         monkeypatch.delenv(name)
-    monkeypatch.setenv("PYTHONDONTWRITEBYTECODE", "1")  # so that what lies about afterwards is the command's
+    monkeypatch.setenv("PYTHONDONTWRITEBYTECODE", "1")  # so that remaining files are the command's
     command = LazyCommand("calibration.commands.coverage_upload:command", "")
     monkeypatch.setitem(COMMANDS, NAME, command)  # type: ignore[index]
     root = robot(tmp_path / "p")
@@ -48,7 +48,7 @@ def root(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 @pytest.fixture
 def server(monkeypatch: pytest.MonkeyPatch) -> Iterator[projects.Codacy]:
-    """A Codacy that the environment names, with a token for it."""
+    """Run a stand-in of Codacy that the environment names, with a token."""
     with projects.codacy() as service:
         monkeypatch.setenv("CODACY_API_BASE_URL", service.url)
         monkeypatch.setenv("CODACY_PROJECT_TOKEN", f"{TOKEN}\n")
@@ -57,7 +57,7 @@ def server(monkeypatch: pytest.MonkeyPatch) -> Iterator[projects.Codacy]:
 
 @pytest.fixture
 def on_github(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
-    """Sets the event that a GitHub runner tells of."""
+    """Set the event of a GitHub runner."""
 
     def tell(name: str, body: dict[str, Any], **variables: str) -> None:
         (tmp_path / "event.json").write_text(json.dumps(body))
@@ -75,7 +75,7 @@ def on_github(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
 
 
 def upload(*arguments: str, reports: str | None = "../c.xml") -> int:
-    """Upload the report beside the repository to Codacy, unless told; a token stays in the environment."""
+    """Upload a report, by default the one beside the repository; the token stays in the environment."""
     given = [] if reports is None else ["--reports", reports]
     given += [] if "--service" in arguments else ["--service", "codacy"]
     before = dict(os.environ)
@@ -126,7 +126,7 @@ def test_tests_are_run_and_their_coverage_uploaded(
     assert "1 passed" in Path("out/tests.log").read_text()
     assert TOKEN not in capsys.readouterr().out + Path("out/tests.log").read_text()
     assert git(Path(), "status", "--porcelain") == ""
-    # A job without tests uploads the same.
+    # A job without tests uploads the same report.
     assert upload("--source", "robot", reports="out/lcov.info") == 0
     assert server.asked[1].body == server.asked[0].body
 
@@ -149,7 +149,7 @@ def test_tests_that_fail_before_anything_is_measured(
     write(Path(), {"run": "#!/bin/sh\nexit 3\n"})
     Path("run").chmod(0o755)
     assert upload("--run", "./run", "--output", "out", reports=None) == 1
-    assert upload("--run", "./run", reports="none.xml") == 1  # nor need they write a report then
+    assert upload("--run", "./run", reports="none.xml") == 1  # nor is a report required then
     assert server.asked == []
     out = capsys.readouterr().out
     assert out.count("fail: the tests failed: exit code 3; not uploaded (nothing was measured)") == 2
@@ -180,7 +180,7 @@ def test_tests_that_measure_themselves(server: projects.Codacy, capsys: pytest.C
             "fail: lines that are run: found 66.6 % (4 of 6), expected at least 66.67 %",
         ),
         (["--goal", "70"], 0, "pass"),
-        (["--base", "HEAD", "--minimum-change", "100"], 0, "pass"),  # nothing is changed
+        (["--base", "HEAD", "--minimum-change", "100"], 0, "pass"),  # nothing has changed
         (
             ["--base", "HEAD~1", "--minimum-change", "50"],
             1,
@@ -252,7 +252,7 @@ def test_skipped_where_there_can_be_no_token(
     arguments: list[str],
     reason: str,
 ) -> None:
-    on_github(name, body, GITHUB_SHA="d" * 40, GITHUB_ACTOR=actor, CODACY_PROJECT_TOKEN="")  # what a missing secret is
+    on_github(name, body, GITHUB_SHA="d" * 40, GITHUB_ACTOR=actor, CODACY_PROJECT_TOKEN="")  # a missing secret is empty
     assert upload(*arguments) == 0
     assert f"::notice title=coverage-upload::not uploaded: {reason}" in capsys.readouterr().out
     assert "uploaded=skipped" in (tmp_path / "outputs").read_text()
@@ -262,7 +262,7 @@ def test_skipped_where_there_can_be_no_token(
 
 def test_no_token_where_there_should_be_one(on_github: Any, capsys: pytest.CaptureFixture[str]) -> None:
     assert upload("--run", "touch ran") == 2
-    assert not Path("ran").exists()  # said before the tests take their time
+    assert not Path("ran").exists()  # reported before the tests run
     assert "error: CODACY_PROJECT_TOKEN is not set, nor CODACY_API_TOKEN" in capsys.readouterr().err
     on_github("push", {}, GITHUB_SHA="d" * 40, GITHUB_ACTOR="someone")
     assert upload() == 2
@@ -282,7 +282,7 @@ def test_the_upload_fails(
     assert results["upload"]["state"] == "failed"
     assert TOKEN not in Path("out/results.json").read_text() + Path("out/summary.md").read_text()
     server.answer(400, '{"error": "x"}')
-    assert upload("--minimum", "100") == 1  # the verdict goes before
+    assert upload("--minimum", "100") == 1  # the verdict takes precedence
     server.answer(400, '{"error": "x"}')
     assert upload("--final", reports=None) == 3
 
@@ -340,7 +340,7 @@ os.utime("../c.xml")  # as if it wrote its report
 
 
 def without_ptrace() -> None:
-    """Give up what only root outside of a container has, and what no process can be shielded from."""
+    """Drop the capability of root outside of a container that no protection of a process resists."""
     ctypes.CDLL(None).prctl(24, 19, 0, 0, 0)  # PR_CAPBSET_DROP, CAP_SYS_PTRACE
 
 
@@ -350,7 +350,7 @@ def test_the_tests_cannot_steal_the_token(server: projects.Codacy, tmp_path: Pat
     token = f"planted-{secrets.token_hex(16)}"
     write(tmp_path, {"thief.py": THIEF})
     run = f"{sys.executable} {tmp_path / 'thief.py'} {hashlib.sha256(token.encode()).hexdigest()}"
-    if action:  # as the runner does it
+    if action:  # as the runner does
         step = f'exec bash "{Path(__file__).parents[2] / "actions/bootstrap.sh"}" {NAME}'
         command = ["bash", "--noprofile", "--norc", "-e", "-o", "pipefail", "-c", step]
         given = {"INPUT_PROJECT_TOKEN": token, "INPUT_RUN": run, "INPUT_REPORTS": "../c.xml"}
@@ -398,7 +398,7 @@ def test_a_dry_run_shows_what_would_go(capsys: pytest.CaptureFixture[str]) -> No
     assert len(Path("out/upload-1.json").read_bytes()) == 97
     assert json.loads(Path("out/results.json").read_text())["upload"]["state"] == "dry-run"
     assert upload("--service", "none", "--output", "out") == 0
-    assert not Path("out/upload-1.json").exists()  # of the earlier run
+    assert not Path("out/upload-1.json").exists()  # left by the earlier run
 
 
 @pytest.mark.parametrize("option", ["--project-token", "--api-token"])

@@ -1,4 +1,4 @@
-"""``export``: a calibrated dataset as files for a robot."""
+"""``export``: a calibrated dataset in file formats of robots."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""``history``: what a repository has accepted, when sensors moved, and which creep."""
+"""``history``: accepted calibrations of a repository, with sudden and gradual movements of sensors."""
 
 import json
 import re
@@ -36,7 +36,7 @@ def repository(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def accept(root: Path, accepted: Snapshot, count: int, place: Callable[[int], float], name: str = "robot") -> None:
-    """Commit calibrations whose right camera is at some place along its x, mm, with a little noise."""
+    """Commit calibrations with a position of the right camera along its x, mm, and a little noise."""
     rng = np.random.default_rng(3)
     for i in range(count):
         poses = []

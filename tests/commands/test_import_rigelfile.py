@@ -21,7 +21,7 @@ jobs:
 
 @pytest.fixture(autouse=True)
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Work in a folder with a Rigelfile, off GitHub."""
+    """Work in a folder with a Rigelfile, outside of GitHub."""
     for name in [name for name in os.environ if name.startswith(("GITHUB_", "INPUT_", "RUNNER_"))]:
         monkeypatch.delenv(name)
     monkeypatch.chdir(tmp_path)
@@ -103,7 +103,7 @@ def test_bad_input(folder: Path, capsys: pytest.CaptureFixture[str], text: str |
 
 
 def test_nothing_of_the_engine_is_needed(folder: Path) -> None:
-    """As with `pip install calibration-ci` and nothing else."""
+    """As after `pip install calibration-ci` without extras."""
     script = (
         "import sys; sys.modules['numpy'] = sys.modules['jsonschema'] = None\n"
         "from calibration.__main__ import main; sys.exit(main(['import-rigelfile']))"

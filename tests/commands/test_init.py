@@ -1,4 +1,4 @@
-"""``init``: the files that it writes are valid, and the dataset passes as they are."""
+"""``init``: its files are valid, and the dataset passes with them."""
 
 import json
 import shutil
@@ -112,11 +112,11 @@ def test_what_is_wrong_is_one_line(
 
 
 def test_a_camera_that_moves_while_it_records_is_red(repository: Path) -> None:
-    """From the middle of a later recording on it stands 5 mm elsewhere."""
+    """In the second half of a later recording it is 5 mm away."""
     bring(repository, "riwbot")
     assert main(["init", "--dataset", "data/riwbot"]) == 0
     dataset = read_dataset(repository / "data" / "riwbot")
-    edge = ("base_link", "base_link_inertia")  # the arm moves the other way
+    edge = ("base_link", "base_link_inertia")  # the arm moves in the opposite direction
     late = np.arange(len(dataset.collections)) >= len(dataset.collections) // 2
     there = dataset.transforms[edge]
     moved = np.where(late[:, None, None], there @ translation([0.005, 0.0, 0.0]), there)
@@ -128,7 +128,7 @@ def test_a_camera_that_moves_while_it_records_is_red(repository: Path) -> None:
 def test_from_photographs_of_a_real_arm_to_a_verdict(
     shared_data: Path, repository: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """With a guess of the lens red, and why; with a lens that is calibrated too green."""
+    """With a guessed lens it fails, with the reason; with a calibrated lens it passes."""
     data = shared_data / "real-arm"
     camera: dict[str, Any] = {"parent": "base_link", "intrinsics": str(data / "camera_intr.yaml")}
     description = {

@@ -22,7 +22,7 @@ Averages,0.7,0.45,0.45,2.0,0.03
 
 @pytest.fixture(autouse=True)
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Work in a folder with a table and a file of rules, off GitHub."""
+    """Work in a folder with a table and a file of rules, outside of GitHub."""
     for name in [name for name in os.environ if name.startswith(("GITHUB_", "INPUT_", "RUNNER_"))]:
         monkeypatch.delenv(name)
     monkeypatch.chdir(tmp_path)
@@ -32,7 +32,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def introspect(*arguments: str, column: str | None = RMS) -> int:
-    """Judge t.csv, the column RMS unless told."""
+    """Check t.csv, by default its column RMS."""
     return main(["introspect-csv", "--file", "t.csv", *(["--column", column] if column else []), *arguments])
 
 
@@ -174,9 +174,9 @@ def test_files_and_patterns(folder: Path) -> None:
     with pytest.raises(
         InputError, match=r"^/\*\*/x\.csv: this searches the whole machine: a folder was expected before"
     ):
-        matching(["/**/x.csv"])  # such as ${{ steps.calibrate.outputs.output }}/**/x.csv, where that is empty
+        matching(["/**/x.csv"])  # such as ${{ steps.calibrate.outputs.output }}/**/x.csv with an empty output
     with pytest.raises(InputError, match="no file matches"):
-        matching(["?"])  # there is the folder a
+        matching(["?"])  # matches only the folder a
 
 
 def test_every_file_is_judged(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -310,7 +310,7 @@ def test_declared_options_are_the_documented_ones() -> None:
 
 
 def test_judging_imports_nothing_heavy() -> None:
-    """This is what keeps the whole process under 0.2 s."""
+    """So that the process needs less than 0.2 s."""
     project = Path(__file__).resolve().parents[2]
     script = (
         "import sys; from calibration.__main__ import main;"

@@ -1,4 +1,4 @@
-"""``label``: images of a dataset are labelled, and only where they are to be."""
+"""``label``: labels images of a dataset that have no labels."""
 
 import json
 import shutil
@@ -15,7 +15,7 @@ from tests.pipeline.conftest import DATASETS
 
 
 def without_labels(folder: Path, keep: tuple[str, ...] = ()) -> dict[str, Any]:
-    """The first six collections of t2rgb, of which only some have their labels."""
+    """Write the first six collections of t2rgb, with the labels of some of them only."""
     source = DATASETS / "t2rgb"
     document = json.loads((source / "dataset.json").read_text())
     folder.mkdir()
@@ -34,7 +34,7 @@ def test_images_are_labelled(tmp_path: Path) -> None:
     arguments = ["--dataset", str(tmp_path / "in"), "--output", str(tmp_path / "out"), "--jobs", "1"]
     assert main(["label", *arguments]) == 0
     labelled = json.loads((tmp_path / "out" / "dataset.json").read_text())
-    assert labelled["collections"]["000"]["labels"] == document["collections"]["000"]["labels"]  # as they were
+    assert labelled["collections"]["000"]["labels"] == document["collections"]["000"]["labels"]  # unchanged
     dataset = read_dataset(tmp_path / "out")
     assert all(len(collection.labels) == 2 for collection in dataset.collections)
     sheet = cv2.imread(str(tmp_path / "out" / "contact_sheet.png"))

@@ -19,7 +19,7 @@ from calibration.errors import ExitCode, InfrastructureError, InputError, Undete
 
 @pytest.fixture(autouse=True)
 def _environment(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Keep what the tests' own runner says away from the command, and its settings from other tests."""
+    """Isolate the command from the tests' own runner, and tests from settings of each other."""
     for name in [name for name in os.environ if name.startswith(("GITHUB_", "INPUT_", "RUNNER_"))]:
         monkeypatch.delenv(name)
     for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
@@ -32,7 +32,7 @@ def explode(error: BaseException) -> None:
 
 @pytest.fixture
 def ends_with(monkeypatch: pytest.MonkeyPatch) -> list[object]:
-    """Put a command ``end`` into the list that returns, or raises, the first item of this list."""
+    """Add a command ``end`` to the list, which returns, or raises, the first item of this list."""
     ends: list[object] = []
 
     @click.command("end")
@@ -232,7 +232,7 @@ def test_characters_that_mislead_are_shown(
 
 
 def without_the_rights_of_root() -> None:
-    """Give up what lets root read everything: CAP_DAC_OVERRIDE, CAP_DAC_READ_SEARCH."""
+    """Drop the capabilities by which root reads everything: CAP_DAC_OVERRIDE, CAP_DAC_READ_SEARCH."""
     for capability in (1, 2):
         ctypes.CDLL(None).prctl(24, capability, 0, 0, 0)  # PR_CAPBSET_DROP
 
@@ -297,7 +297,7 @@ def test_what_is_no_bug_is_one_line(
 
 @pytest.mark.parametrize("megabytes", [60, 80, 100, 120, 1000])
 def test_too_little_memory_for_numpy_is_no_verdict(megabytes: int) -> None:
-    """OpenBLAS ends the process with 1 where it finds none when it is imported."""
+    """OpenBLAS ends the process with exit code 1 if its import finds no memory."""
     done = subprocess.run(
         [sys.executable, "-m", "calibration", "calibrate-matrix", "--dataset", "none"],
         preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_AS, (megabytes << 20, megabytes << 20)),
@@ -306,7 +306,7 @@ def test_too_little_memory_for_numpy_is_no_verdict(megabytes: int) -> None:
         text=True,
         check=False,
     )
-    # 120 MB are enough or not by the libraries in use; the code and the line belong together there too.
+    # Whether 120 MB are enough depends on the libraries; in both cases exit code and message must agree.
     assert done.returncode in {60: {3}, 80: {3}, 100: {3}, 120: {2, 3}, 1000: {2}}[megabytes]
     [said] = done.stderr.splitlines()
     assert said.startswith("error: there is not enough memory" if done.returncode == 3 else "error: none: ")

@@ -1,4 +1,4 @@
-"""Commands whose containers run on AWS Batch: what they are told, the name of the run, and what is resumed."""
+"""Commands with containers on AWS Batch: their messages, the name of the run, and resuming it."""
 
 import json
 import shutil
@@ -44,9 +44,9 @@ def somewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def calibrates(task: TaskJob, attempt: Attempt) -> Did:
-    """Leave a table; the noisier of two cells fails."""
+    """Leave a table; the noisier one of two cells fails."""
     noise = task.job.containers[0].command[-1]
-    assert len(task.inputs) == 2  # the dataset, and the same with the noisy start
+    assert len(task.inputs) == 2  # the dataset, and the dataset with the noisy start
     return Did({"table.csv": TABLE.replace(b"0.5", noise.encode())})
 
 
@@ -64,7 +64,7 @@ def test_the_matrix_in_the_cloud(batch_emulator: Aws, capsys: pytest.CaptureFixt
     name = Path("output", RUN_FILE).read_text().strip()
     assert f"run {name} on AWS Batch, queue {QUEUE}; with --run {name} --resume only what is missing is run" in out
 
-    assert main([*words, "--backend", "aws-batch", "--resume"]) == 0  # the name stands in the output folder
+    assert main([*words, "--backend", "aws-batch", "--resume"]) == 0  # the name is saved in the output folder
     assert main([*words, "--backend", "aws-batch", "--resume", "--run", name, "--output", "elsewhere"]) == 0
     assert len(tasks.ran) == 2
     assert main([*words, "--backend", "aws-batch", "--run", "other"]) == 0

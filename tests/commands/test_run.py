@@ -1,4 +1,4 @@
-"""``calibration run``: the repository's own pipeline, and what turns it red."""
+"""``calibration run``: the pipeline of a repository, and its failures."""
 
 import json
 import shutil
@@ -13,7 +13,7 @@ ROOT = Path(__file__).parents[2]
 
 @pytest.fixture
 def repository(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A repository with a calibration.yml of its own, and nothing else."""
+    """Return a repository with only a calibration.yml."""
     shutil.copy(ROOT / "calibration.yml", tmp_path)
     (tmp_path / "datasets").symlink_to(ROOT / "datasets")
     monkeypatch.chdir(tmp_path)

@@ -1,4 +1,4 @@
-"""``static-analysis`` as a user runs it: a repository, a change, a verdict."""
+"""Command ``static-analysis``: a repository, a change, a verdict."""
 
 import json
 import os
@@ -61,12 +61,12 @@ SARIF = {
         },
     },
 }
-"""What SARIF 2.1.0 asks of the parts that are written."""
+"""Schema of SARIF 2.1.0 for the parts that are written."""
 
 
 @pytest.fixture(autouse=True)
 def root(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Work in a repository with one commit, off GitHub."""
+    """Work in a repository with one commit, outside of GitHub."""
     for name in [name for name in os.environ if name.startswith(("GITHUB_", "INPUT_", "RUNNER_"))]:
         monkeypatch.delenv(name)
     root = tmp_path / "p"
@@ -78,7 +78,7 @@ def root(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def results(output: Path) -> Any:
-    """The results, held to their schema, beside SARIF that is held to its own."""
+    """Return the results, validated against their schema, and SARIF against its own."""
     jsonschema.validate(json.loads((output / "findings.sarif").read_text()), SARIF)
     document = json.loads((output / "results.json").read_text())
     jsonschema.validate(document, SCHEMA)
@@ -86,7 +86,7 @@ def results(output: Path) -> Any:
 
 
 def run(root: Path, *arguments: str) -> tuple[int, Any]:
-    """Run the command in the repository; its exit code and results."""
+    """Run the command in the repository; return exit code and results."""
     output = root.parent / "output"
     code = main([NAME, "--output", str(output), *arguments])
     return code, results(output) if code < 2 else None

@@ -1,4 +1,4 @@
-"""Engines that are not there, and what others say of it."""
+"""Connection to missing engines, and conversion of the errors of existing ones."""
 
 from pathlib import Path
 

@@ -7,7 +7,7 @@ from calibration.execution.job import Container, Job, Limits
 
 GIB = 1024**3
 LONG = 60.0
-"""Seconds; a test that waits so long has failed."""
+"""Seconds after which a waiting test fails."""
 
 
 def job(*limits: Limits) -> Job:
@@ -27,7 +27,7 @@ def test_what_a_job_takes(needing: Job, need: Need) -> None:
 
 
 class Asking:
-    """A thread that asks for one job."""
+    """A thread that waits for one job."""
 
     def __init__(self, admission: Admission) -> None:
         self.found: list[int | None] = []
@@ -35,14 +35,14 @@ class Asking:
         self._thread.start()
 
     def answer(self) -> int | None:
-        """What it is told; waits for it."""
+        """Wait for the job, and return it."""
         self._thread.join(LONG)
         [found] = self.found
         return found
 
     @property
     def waits(self) -> bool:
-        """Whether it is told nothing for now: looked at for a moment, as it can only be told too early by mistake."""
+        """Whether it still waits; only a short check, because a bug would admit the job too early."""
         self._thread.join(0.05)
         return not self.found
 
@@ -52,18 +52,18 @@ class Asking:
     [
         (Need(1, 0), 2, 8 * GIB, None, 2),
         (Need(0.5, 0), 2, 8 * GIB, None, 4),
-        (Need(1, 0), 2, 8 * GIB, 5, 5),  # asked for: the cores are the user's own business
+        (Need(1, 0), 2, 8 * GIB, 5, 5),  # the user decides about cores
         (Need(1, 3 * GIB), 8, 8 * GIB, None, 2),
-        (Need(1, 3 * GIB), 8, 8 * GIB, 5, 2),  # memory is nobody's to overrule
-        (Need(1, 3 * GIB), 8, 0, None, 6),  # an engine that does not say what it has
-        (Need(4, 9 * GIB), 2, 8 * GIB, None, 1),  # larger than the machine: alone
+        (Need(1, 3 * GIB), 8, 8 * GIB, 5, 2),  # memory is always respected
+        (Need(1, 3 * GIB), 8, 0, None, 6),  # an engine that does not report its resources
+        (Need(4, 9 * GIB), 2, 8 * GIB, None, 1),  # larger than the machine: runs alone
         (Need(1, 0), 2, 8 * GIB, 1, 1),
     ],
 )
 def test_as_many_at_once_as_fit(need: Need, cores: float, memory: int, workers: int | None, expected: int) -> None:
     admission = Admission([need] * 6, cores, memory, workers)
     assert [Asking(admission).answer() for _ in range(expected)] == list(range(expected))
-    for ended in range(6 - expected):  # one more starts for each that ends, and no earlier
+    for ended in range(6 - expected):  # one more starts for each that ends
         asking = Asking(admission)
         assert asking.waits
         admission.release(ended)

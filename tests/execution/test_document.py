@@ -89,7 +89,7 @@ def test_everything_is_forbidden_by_default() -> None:
         ({"mounts": ["data:/data:rw"]}, "here: mounts.0"),
         ({"mounts": [{"source": "a"}]}, "here: mounts.0"),
         ({"secrets": ["NOT_SET"]}, "here.secrets: the environment variable NOT_SET is not set"),
-        ({"secrets": ["TOKEN"], "environment": {"TOKEN": "x"}}, "TOKEN stands in environment and in secrets"),
+        ({"secrets": ["TOKEN"], "environment": {"TOKEN": "x"}}, "TOKEN is in environment and in secrets"),
         ({"capabilities": ["net_raw"]}, "here: capabilities.0"),
         ({"success": 256}, "here: success"),
         ({"artifacts": [3]}, "here: artifacts.0"),

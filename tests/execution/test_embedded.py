@@ -1,4 +1,4 @@
-"""Functions in processes: each is called once, errors and deaths said, nothing left."""
+"""Functions in processes: each is called once, errors and deaths are reported, no process is left."""
 
 import os
 import signal
@@ -26,7 +26,7 @@ def in_parallel(
 
 @pytest.mark.parametrize("workers", [1, 2, 5])
 def test_every_function_once_whatever_the_number_of_processes(workers: int) -> None:
-    offset = 10  # a closure reaches the workers
+    offset = 10  # workers inherit the closure
     found = dict(in_parallel(lambda item: item + offset, range(57), workers))
     assert found == {i: i + 10 for i in range(57)}
 

@@ -1,4 +1,4 @@
-"""Archives as nobody honest makes them: refused by name, and nothing written outside."""
+"""Malicious archives are refused with the name of the entry, and nothing is written outside of the folder."""
 
 import hashlib
 import io
@@ -23,7 +23,7 @@ ZEROS = b"\0" * MIB
 def entry(
     name: str, content: bytes = b"", kind: bytes = tarfile.REGTYPE, link: str = "", size: int | None = None
 ) -> bytes:
-    """Return an entry as it stands in an archive; the size may be a lie."""
+    """Return an entry as its bytes in an archive; the size may be wrong."""
     header = tarfile.TarInfo(name)
     header.type, header.linkname, header.size = kind, link, len(content) if size is None else size
     padding = b"\0" * (-len(content) % 512)
@@ -91,21 +91,21 @@ def test_a_file_by_its_name(tmp_path: Path) -> None:
         (entry("out/x", kind=tarfile.SYMTYPE, link="../../etc"), "is a link to '../../etc', which leaves the folder"),
         (entry("out/x", kind=tarfile.SYMTYPE, link="/outside"), "is a link to '/outside', which leaves the folder"),
         (entry("out/x", kind=tarfile.LNKTYPE, link="/etc/passwd"), "artifact '/etc/passwd' leaves its folder"),
-        (entry("out/x", kind=tarfile.LNKTYPE, link="out/.y"), "is a hard link to 'out/.y', which is not brought out"),
+        (entry("out/x", kind=tarfile.LNKTYPE, link="out/.y"), "is a hard link to 'out/.y', which is not an artifact"),
         (entry("out/x", kind=tarfile.CHRTYPE), "artifact 'out/x' is no file or folder, but a device or a pipe"),
         (entry("out/x", kind=tarfile.BLKTYPE), "is no file or folder"),
         (entry("out/x", kind=tarfile.FIFOTYPE), "is no file or folder"),
         (entry("out/x", size=10 * 1024**3), "artifact 'out/x' has 10 GiB: more than the 1 MiB that the artifacts"),
         (entry("out/" + "d/" * 70 + "x", b"x"), "lies in more than 64 folders"),
-        (entry("out/" + "n" * 256, b"x"), "has a name that not every machine can have"),
-        (entry("out/a\nb", b"x"), r"artifact 'out/a b' has a name that not every machine can have"),
+        (entry("out/" + "n" * 256, b"x"), "has a name that some file systems do not allow"),
+        (entry("out/a\nb", b"x"), r"artifact 'out/a b' has a name that some file systems do not allow"),
         (entry("out/a\x1b[2J", b"x"), r"artifact 'out/a\x1b[2J' has a name"),
-        (entry("out/a\udcff", b"x"), "has a name that not every machine can have"),
-        (entry("out/a\\b", b"x"), "has a name that not every machine can have"),
-        (entry("out/ok", b"y"), "artifact 'out/ok' would land where another file is"),
+        (entry("out/a\udcff", b"x"), "has a name that some file systems do not allow"),
+        (entry("out/a\\b", b"x"), "has a name that some file systems do not allow"),
+        (entry("out/ok", b"y"), "artifact 'out/ok' has the same target as another file"),
         (entry("out/ok", kind=tarfile.DIRTYPE), "artifact 'ok' is a folder and a file"),
         (entry("out/ok/x", b"y"), "artifact 'ok' is a folder and a file"),
-        (entry("out/d", kind=tarfile.DIRTYPE) + entry("out/d", b"y"), "would land where another file is"),
+        (entry("out/d", kind=tarfile.DIRTYPE) + entry("out/d", b"y"), "has the same target as another file"),
     ],
 )
 def test_hostile_entries_are_refused_by_name(tmp_path: Path, hostile: bytes, message: str) -> None:

@@ -17,7 +17,7 @@ from calibration.execution.globs import Glob
         ("/out/data/", "/out/data", "x", "data/x"),
         ("/out/*.csv", "/out", "a.csv", "a.csv"),
         ("/out/*.csv", "/out", "d/a.csv", None),
-        ("/out/*", "/out", "d/e/f", "d/e/f"),  # a folder stands for all that is in it
+        ("/out/*", "/out", "d/e/f", "d/e/f"),  # a folder includes all its content
         ("/out/*", "/out", ".hidden", None),
         ("/out/.h*", "/out", ".hidden", ".hidden"),
         ("/out/run-?/[ab].csv", "/out", "run-1/a.csv", "run-1/a.csv"),
@@ -43,7 +43,7 @@ NAMES = st.lists(st.sampled_from(["a", "b", "a.csv", ".a"]), min_size=1, max_siz
 
 
 PARTS = st.lists(st.sampled_from(["**", "?", "a*", "b", "*.csv", "[ab]", ".*"]), max_size=3).filter(
-    lambda parts: parts[-1:] != ["**"]  # ours stands for files there, theirs for folders
+    lambda parts: parts[-1:] != ["**"]  # a final ** matches files here, but only folders in glob
 )
 
 

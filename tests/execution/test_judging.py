@@ -1,4 +1,4 @@
-"""What the ends of containers mean for their job, whoever watches them."""
+"""Verdict of a job from the ends of its containers."""
 
 import time
 from collections.abc import Sequence
@@ -17,7 +17,7 @@ from calibration.workflow.text import one_line
 
 @dataclass
 class Fake:
-    """A container as a judge sees it; by default it has run and ended well."""
+    """A container in the form that the judging needs; by default it has exited with success."""
 
     container: Container
     end: End = End.EXITED
@@ -79,12 +79,12 @@ def test_a_code_that_is_a_success_is_no_signal() -> None:
         (Fake(of(), exit_code=127), "container 'a' ended with exit code 127 (its command was not found)"),
         (Fake(of(success=())), "container 'a' ended with exit code 0, before the job was done"),
         (Fake(of(), End.SIGNALLED, 139, "SIGSEGV"), "container 'a' was killed by SIGSEGV"),
-        (Fake(of(), End.OUT_OF_MEMORY, 137), "container 'a' ran out of memory: the machine had no more"),
+        (Fake(of(), End.OUT_OF_MEMORY, 137), "container 'a' ran out of memory: the machine had no free memory"),
         (
             Fake(of(limits=Limits(memory=2**20)), End.OUT_OF_MEMORY, 137),
             "container 'a' ran out of memory: its limit is 1 MiB (memory)",
         ),
-        (Fake(of(), End.LOST, None), "container 'a' is gone without an exit code: it, or all of it, was killed"),
+        (Fake(of(), End.LOST, None), "container 'a' ended without an exit code: it was killed"),
     ],
 )
 def test_what_is_said_of_it(fake: Fake, failure: str | None) -> None:
@@ -157,7 +157,7 @@ def test_a_pass_is_an_essential_container_that_ended_well_and_none_that_did_not(
     essential = [fake for fake in fakes if fake.container.essential]
     judge = Judge(Job("j", tuple(fake.container for fake in fakes)), one_line)
     if not any(fake.end not in (End.STOPPED, End.NOT_STARTED) for fake in essential):
-        return  # nothing has ended the job
+        return  # the job has not ended
     judge.judge(fakes)
     well = [fake.end == End.EXITED and fake.exit_code in fake.container.success for fake in essential]
     passed = any(well) and all(ok or fake.end == End.STOPPED for ok, fake in zip(well, essential, strict=True))

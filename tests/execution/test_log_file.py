@@ -27,7 +27,7 @@ def test_cut_and_said(tmp_path: Path) -> None:
         log.feed(b"789abc\n")
         log.feed(b"more\n")
     assert (tmp_path / "log").read_bytes() == b"0123456789\n(cut here: 9 more bytes were not kept)\n"
-    assert lines == ["0123456789abc", "more"]  # what is shown has a limit of its own
+    assert lines == ["0123456789abc", "more"]  # the display has a separate limit
     assert log.last_line == "more"
 
 

@@ -11,7 +11,7 @@ from calibration.execution.placeholders import fill, split_command
 def test_each_argument_by_itself() -> None:
     values = {"seed": "3", "output": "/a b/$(reboot); {seed}"}
     filled = fill(["run", "--seed={seed}", "{output}/x", "{{seed}}", "{{{seed}}}"], values, "command")
-    # a value with spaces, a command or a placeholder in it is a value
+    # spaces, commands and placeholders in a value have no effect
     assert filled == ("run", "--seed=3", "/a b/$(reboot); {seed}/x", "{seed}", "{3}")
 
 

@@ -40,7 +40,7 @@ def test_a_long_secret_whose_first_line_is_one_too() -> None:
 def test_what_is_no_secret_is_shown_at_once() -> None:
     redactor = Redactor([SECRET])
     assert redactor.feed(b"progress 10%") == b"progress 10%"
-    assert redactor.feed(b"an h") == b"an "  # it may begin
+    assert redactor.feed(b"an h") == b"an "  # may be its beginning
     assert redactor.feed(b"orse") == b"horse"
     assert Redactor([]).feed(b"x") == b"x"
     assert Redactor([" "]).close() == b""

@@ -27,7 +27,7 @@ def test_ros_1_has_a_master_that_everybody_waits_for() -> None:
     for container in (master, sim, robot):
         assert container.environment["ROS_MASTER_URI"] == "http://master:11311"
         assert container.environment["ROS_HOSTNAME"] == container.name
-    assert sim.environment["ROS_HOME"] == "/mine"  # the user's own values win
+    assert sim.environment["ROS_HOME"] == "/mine"  # the user's values take precedence
     assert with_ros(JOB, "1", "ros:noetic").containers[0].image == "ros:noetic"
 
 
@@ -66,7 +66,7 @@ def test_on_one_address_everybody_is_here() -> None:
     [
         ({"ROS_MASTER_URI": "http://b:1/x"}, {"ROS_MASTER_URI": "http://127.0.0.1:1/x"}),
         ({"ROS_MASTER_URI": "http://b"}, {"ROS_MASTER_URI": "http://127.0.0.1"}),
-        # what names nobody of the job stays as the user said it
+        # values that name no container of the job are kept
         ({"ROS_MASTER_URI": "http://bb:1"}, {"ROS_MASTER_URI": "http://bb:1"}),
         ({"ROS_MASTER_URI": "b"}, {"ROS_MASTER_URI": "b"}),
         ({"ROS_HOSTNAME": "10.0.0.7", "SERVER": "b"}, {"ROS_HOSTNAME": "10.0.0.7", "SERVER": "b"}),

@@ -1,4 +1,4 @@
-"""The loop over the containers of a job, with containers that do what a test says."""
+"""Loop over the containers of a job, with simulated containers."""
 
 import time
 from collections.abc import Iterator, Sequence
@@ -17,7 +17,7 @@ from calibration.execution.supervision import Supervised, Supervisor
 
 
 class Played(Supervised):
-    """Is ready at the ``ready_at``-th look, and ends at the ``ends_at``-th with a code."""
+    """Is ready at poll ``ready_at``, and ends at poll ``ends_at`` with a code."""
 
     def __init__(self, container: Container, ready_at: int = 0, ends_at: int = 99, code: int = 0) -> None:
         super().__init__(container)
@@ -34,7 +34,7 @@ class Played(Supervised):
 
 
 class Play(Supervisor[Played]):
-    """Notes what it is told to do."""
+    """Records its calls."""
 
     def __init__(self, job: Job, **roles: dict[str, int]) -> None:
         super().__init__(job, str)
@@ -106,7 +106,7 @@ def test_the_rest_is_stopped_when_one_cannot_be_started(tmp_path: Path) -> None:
 
 def test_an_artifact_that_is_not_there_fails_the_job_unless_there_is_a_better_reason(tmp_path: Path) -> None:
     leaves = container("a", artifacts=(Artifact("/calibration/output/result"),))
-    for code, reason in ((0, "left no file that is the artifact"), (1, "ended with exit code 1")):
+    for code, reason in ((0, "left no file for the artifact"), (1, "ended with exit code 1")):
         play = Play(Job("job", (leaves,)), a={"ends_at": 1, "code": code})
         play.supervise(tmp_path / str(code))
         [found] = play.judge.reasons

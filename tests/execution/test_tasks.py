@@ -1,4 +1,4 @@
-"""The loop over tasks: functions and jobs, in order, until one stops the others."""
+"""Loop over tasks: functions and jobs, in order, until a result stops the others."""
 
 from collections.abc import Generator, Sequence
 from contextlib import contextmanager
@@ -17,7 +17,7 @@ from calibration.execution.tasks import Task, run_tasks
 
 @dataclass
 class Engine:
-    """A backend that writes down what happens to it."""
+    """A backend that records its calls."""
 
     log: list[str] = field(default_factory=list)
     broken: bool = False
@@ -38,7 +38,7 @@ class Engine:
 
 @dataclass(frozen=True)
 class There(Place):
-    """A place with that backend."""
+    """An execution target with this backend."""
 
     engine: Engine = field(default_factory=Engine)
 
@@ -98,7 +98,7 @@ def test_a_result_that_stops_the_others(last: str) -> None:
     )
     assert list(found) == {"b": ["a", "b"], "d": ["a", "b", "d"]}[last]
     assert place.engine.log[-1] == "closed"
-    assert "ended" in place.engine.log or last == "b"  # what has not begun need not end
+    assert "ended" in place.engine.log or last == "b"  # jobs that were not started need not end
 
 
 @pytest.mark.parametrize("where", ["judge", "done", "stops"])

@@ -1,4 +1,4 @@
-"""Unfinished work: what is done stays, of the same work only, and for one process at a time."""
+"""Workspaces: results are kept, only for the same inputs, and for one process at a time."""
 
 import json
 import subprocess
@@ -66,9 +66,9 @@ def test_two_at_a_time(tmp_path: Path) -> None:
     )
     with opened(tmp_path, "a"):
         other = subprocess.run([sys.executable, "-c", code, tmp_path], capture_output=True, text=True, check=False)
-        with pytest.raises(InputError, match="another run into this folder goes on"), opened(tmp_path, "a"):
+        with pytest.raises(InputError, match="another run uses this folder"), opened(tmp_path, "a"):
             pass
-    assert "another run into this folder goes on; wait for it, or stop it" in other.stderr
+    assert "another run uses this folder; wait for it, or stop it" in other.stderr
     with opened(tmp_path, "a"):
         pass
 

@@ -1,4 +1,4 @@
-"""Files in commits: what they held, which commits changed them, and commits that a shallow checkout lacks."""
+"""Content of files in commits, commits that changed a file, and commits missing in a shallow checkout."""
 
 from pathlib import Path
 
@@ -13,7 +13,7 @@ FILE = "calibration-baseline.json"
 
 @pytest.fixture
 def checkout(tmp_path: Path) -> Path:
-    """A repository with three commits, two of which change the file."""
+    """Return a repository with three commits, two of which change the file."""
     root = tmp_path / "origin"
     root.mkdir()
     git(root, "init", "--quiet", "--initial-branch=main")

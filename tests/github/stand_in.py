@@ -1,4 +1,4 @@
-"""A stand-in of GitHub's REST API: comments on pull requests of one repository, and what may go wrong with it."""
+"""Stand-in of GitHub's REST API: comments on pull requests of one repository, and its errors."""
 
 import json
 import re
@@ -17,23 +17,23 @@ FORBIDDEN = (403, {"message": "Resource not accessible by integration"}, {})
 
 @dataclass
 class GitHub:
-    """The API, with what it keeps."""
+    """State of the API."""
 
     url: str
     repository: str = REPOSITORY
     comments: list[dict[str, Any]] = field(default_factory=list)
     pulls: list[dict[str, Any]] = field(default_factory=list)
     user: str | None = None
-    """Whose the token is; None for a workflow's."""
+    """User of the token; None for a workflow's token."""
     asked: list[tuple[str, str]] = field(default_factory=list)
     answers: list[tuple[int, object, dict[str, str]]] = field(default_factory=list)
-    """The next answers to what would change something; when there is none left, it is done."""
+    """Next answers to requests that change something; without any, they succeed."""
     before_answer: Callable[[str, str], None] | None = None
     lock: threading.RLock = field(default_factory=threading.RLock)
     _next: int = 100
 
     def add(self, body: str, login: str = "github-actions[bot]", kind: str = "Bot") -> dict[str, Any]:
-        """Add a comment, as anybody may."""
+        """Add a comment of any user."""
         with self.lock:
             self._next += 1
             comment = {"id": self._next, "body": body, "user": {"login": login, "type": kind}}
@@ -77,7 +77,7 @@ def _page(entries: list[dict[str, Any]], query: dict[str, list[str]]) -> list[di
 
 @contextmanager
 def github() -> Iterator[GitHub]:
-    """GitHub's API on this machine."""
+    """Run the stand-in on this machine."""
 
     class Handler(BaseHTTPRequestHandler):
         protocol_version = "HTTP/1.1"

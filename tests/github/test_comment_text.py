@@ -1,4 +1,4 @@
-"""What a comment shows: the verdict and its tables, and nothing of a stranger's that is active."""
+"""Text of a comment: verdict and tables, with untrusted text deactivated."""
 
 import re
 from pathlib import Path
@@ -30,7 +30,7 @@ HOSTILE = st.one_of(
 
 
 def rendered(markdown: str) -> str:
-    """As GitHub's Markdown, before it looks for mentions, references and addresses in the text."""
+    """Render as GitHub's Markdown, before it detects mentions, references and links in the text."""
     return MarkdownIt("commonmark", {"html": True}).enable(["table", "strikethrough"]).render(markdown)
 
 

@@ -1,4 +1,4 @@
-"""One comment, whatever re-runs, fails or happens at the same time."""
+"""A single comment, in spite of re-runs, failures and concurrent runs."""
 
 import threading
 from collections.abc import Iterator
@@ -79,7 +79,7 @@ def test_of_two_runs_at_once_one_comment_stays_with_the_text_of_the_later(servic
         with service.lock:
             looks["count"] += "/issues/7/comments?" in path
             first = "/issues/7/comments?" in path and looks["count"] <= 2
-        if first:  # so that neither sees what the other writes
+        if first:  # so that neither sees the other's comment
             both_looked.wait(timeout=60)
 
     service.before_answer = wait_for_the_other

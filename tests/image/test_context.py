@@ -211,7 +211,7 @@ def test_written_as_a_folder(folder: Path, tmp_path: Path) -> None:
 
 
 def context_with_parents(context: Context) -> Context:
-    """The same with the folders that its files lie in, which an exception may have left out."""
+    """Return the context with the parent folders of its files, which an exception may have excluded."""
     from calibration.image.context import Entry
 
     context.entries.setdefault("sub/deep", Entry(0o755))

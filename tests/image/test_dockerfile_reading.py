@@ -23,7 +23,7 @@ COPY --from=ghcr.io/team/x:1 /a /a
 RUN --mount=type=bind,from=tool:2,target=/t true
 """
     assert bases_of(text, {}) == Bases(("debian:12", "golang:1.22", "ghcr.io/team/x:1", "tool:2"))
-    assert bases_of(text, {"VERSION": "13", "GO": "9"}).images[:2] == ("debian:13", "golang:1.22")  # GO is no ARG
+    assert bases_of(text, {"VERSION": "13", "GO": "9"}).images[:2] == ("debian:13", "golang:1.22")  # no ARG GO
 
 
 def test_what_only_the_builder_knows() -> None:

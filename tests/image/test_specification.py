@@ -171,7 +171,7 @@ def test_repositories_by_ssh_need_an_agent(tmp_path: Path) -> None:
 
 def test_nothing_secret_in_a_repr() -> None:
     text = repr(parse(base="debian", secrets=[{"id": "a", "variable": "TOKEN"}]))
-    assert "TOKEN" in text  # the name of the variable, never its value
+    assert "TOKEN" in text  # the name of the variable, not its value
 
 
 VALID: dict[str, Any] = {

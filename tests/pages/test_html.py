@@ -1,4 +1,4 @@
-"""Markup: what others wrote is text, wherever it stands."""
+"""Escaping of untrusted text in markup."""
 
 from html.parser import HTMLParser
 
@@ -33,7 +33,7 @@ HOSTILE = st.one_of(
 
 
 class Elements(HTMLParser):
-    """The elements of a page with their attributes."""
+    """Collects the elements of a page with their attributes."""
 
     def __init__(self, text: str) -> None:
         super().__init__()
@@ -46,7 +46,7 @@ class Elements(HTMLParser):
 
 
 def whole(name: str) -> str:
-    """A page in which a name stands everywhere."""
+    """Return a page that contains a name in all places."""
     some = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.5]])
     parts = [
         table((name, name), ((name, name),)),

@@ -1,4 +1,4 @@
-"""A small HTTP server that answers as a test says, wrongly too, and keeps what it was asked."""
+"""Small HTTP server whose answers, including faulty ones, a test defines, and that records its requests."""
 
 import socket
 import ssl
@@ -28,9 +28,9 @@ class Reply:
     body: bytes = b""
     headers: Mapping[str, str] = field(default_factory=dict)
     reset: bool = False
-    """Break the connection off instead."""
+    """Reset the connection instead of an answer."""
     hang: bool = False
-    """Say nothing until the server ends."""
+    """Do not answer until the server ends."""
 
 
 @dataclass
@@ -44,7 +44,7 @@ class Server:
 
 @contextmanager
 def serve(answer: Callable[[Request], Reply], tls: ssl.SSLContext | None = None) -> Iterator[Server]:
-    """Serve until the block ends."""
+    """Serve requests during the block."""
     ended = threading.Event()
 
     class Handler(BaseHTTPRequestHandler):
@@ -74,7 +74,7 @@ def serve(answer: Callable[[Request], Reply], tls: ssl.SSLContext | None = None)
             if reply.hang:
                 ended.wait(30)
             if reply.hang or reply.reset:
-                linger = struct.pack("ii", 1, 0)  # closing sends a reset
+                linger = struct.pack("ii", 1, 0)  # closing the socket sends a reset
                 self.connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, linger)
                 self.close_connection = True
                 return

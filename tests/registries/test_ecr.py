@@ -21,7 +21,7 @@ SECRET = "pl4nted-secret-key"  # noqa: S105
 
 @pytest.fixture(autouse=True)
 def aws(monkeypatch: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPathFactory) -> None:
-    """Keys, and no files of the user's."""
+    """Set access keys, and ignore the user's files."""
     folder = tmp_path_factory.mktemp("aws")
     monkeypatch.setenv("HOME", str(folder))
     monkeypatch.setenv("DOCKER_CONFIG", str(folder))
@@ -34,7 +34,7 @@ def aws(monkeypatch: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPathFactor
 
 @pytest.fixture(scope="module")
 def moto() -> Iterator[str]:
-    """An emulator of AWS's calls, over HTTP."""
+    """Return the address of an emulator of AWS's API."""
     server = pytest.importorskip("moto.server", reason="needs moto[ecr,server]").ThreadedMotoServer(
         ip_address="127.0.0.1", port=0, verbose=False
     )
@@ -112,7 +112,7 @@ def repositories(url: str) -> list[str]:
 def test_a_password_from_the_emulator(emulator: str, runner: Runner, log: io.StringIO) -> None:
     found = registry_login(None, f"{NAME}:v1", runner)
     assert (found.registry, found.username) == (HOST, "AWS")
-    assert found.password == f"{ACCOUNT}-auth-token"  # moto's form
+    assert found.password == f"{ACCOUNT}-auth-token"  # as moto defines it
     assert found.password not in repr(found)
     masked = [line.removeprefix("::add-mask::") for line in log.getvalue().splitlines()]
     assert found.password in masked
@@ -217,7 +217,7 @@ def test_no_aws_at_all(runner: Runner, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_the_public_registry(runner: Runner, monkeypatch: pytest.MonkeyPatch) -> None:
-    """moto has no public ECR: this holds the form of the calls, not AWS's behaviour."""
+    """moto has no public ECR: this tests the form of the requests, not AWS's behaviour."""
     token = base64.b64encode(b"AWS:pu8lic").decode()
     missing = reply(400, "RepositoryNotFoundException")
     answers = [

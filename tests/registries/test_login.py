@@ -17,7 +17,7 @@ NAME = "ghcr.io/team/robot:v1"
 
 @pytest.fixture(autouse=True)
 def docker_config(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """The file of docker's logins; empty."""
+    """Return the path of docker's configuration, with no logins."""
     monkeypatch.setenv("DOCKER_CONFIG", str(tmp_path / "docker"))
     file = tmp_path / "docker" / "config.json"
     file.parent.mkdir()
@@ -152,7 +152,7 @@ def test_the_settings_win(runner: Runner, docker_config: Path) -> None:
 
 
 def test_the_login_of_docker_is_before_aws(runner: Runner, docker_config: Path) -> None:
-    """Somebody may have logged in there with other tools than ours."""
+    """Because the user may have logged in with other tools."""
     registry = "123456789012.dkr.ecr.eu-west-1.amazonaws.com"
     docker_config.write_text(json.dumps({"auths": login(registry)}))
     assert registry_login(None, f"{registry}/robot", runner, {}) == Credentials(registry, "robot", PASSWORD)

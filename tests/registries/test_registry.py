@@ -216,7 +216,7 @@ def test_a_question_that_cannot_be_answered(header: str) -> None:
 
 
 class TokenRegistry:
-    """Answers only to tokens, that it gives out under /token."""
+    """Requires tokens, which it issues at /token."""
 
     def __init__(self, realm: str = "", key: str = "token") -> None:
         self.realm, self.key = realm, key
@@ -243,7 +243,7 @@ def test_tokens(pauses: list[float]) -> None:
         assert client.find_manifest(name) == DIGEST
         assert client.find_manifest(name) == DIGEST
         client.put_manifest(name, Manifest(DIGEST, DOCKER, CONTENT))
-        registry.token = "t0ken-2"  # the first has expired  # noqa: S105
+        registry.token = "t0ken-2"  # the first has expired  # the first has expired  # noqa: S105
         assert client.find_manifest(name) == DIGEST
     read = "GET /token?account=x&service=a+b&scope=repository%3Arobot%3Apull"
     head, put = "HEAD /v2/robot/manifests/v1", "PUT /v2/robot/manifests/v1"
@@ -334,7 +334,7 @@ def tls_context(certificate: Path) -> ssl.SSLContext:
 
 
 def test_another_server_is_told_no_password(certificate: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """Neither that of the settings nor one of the user's .netrc."""
+    """Neither that of the settings nor that in the user's .netrc is sent."""
     (tmp_path / ".netrc").write_text("machine localhost login a password b\nmachine 127.0.0.1 login a password b\n")
     monkeypatch.setenv("HOME", str(tmp_path))
     monkeypatch.setenv("REQUESTS_CA_BUNDLE", str(certificate / "cert.pem"))
@@ -466,7 +466,7 @@ def test_tags_without_end(client: RegistryClient) -> None:
 
 @pytest.mark.parametrize("status", [400, 401, 403, 418, 500])
 def test_no_message_quotes_a_secret(status: int) -> None:
-    """A registry that says in its errors all that it was told."""
+    """A registry whose errors quote the whole request."""
     registry = TokenRegistry()
 
     def answer(request: Request) -> Reply:
@@ -504,7 +504,7 @@ def test_a_proxy_of_the_environment_is_not_asked_for_this_machine(
         with RegistryClient(
             Credentials("registry.test", insecure=True), timeouts=Timeouts(connect=2, silence=2)
         ) as other:
-            assert other.find_manifest("registry.test/robot") is None  # the proxy's own answer
+            assert other.find_manifest("registry.test/robot") is None  # the proxy answered
     assert proxy.paths() == ["HEAD http://registry.test/v2/robot/manifests/latest"]
 
 

@@ -101,7 +101,7 @@ def test_everything_that_people_read_is_bounded(tmp_path: Path) -> None:
     )
     publish(report, Runner(stderr=err, stdout=io.StringIO()), tmp_path)
     assert (tmp_path / "summary.md").read_text().count("of many") == 50 + 2 * 1000
-    assert (tmp_path / "junit.xml").read_text().count("of many") == 1000 + 1  # the first is the message too
+    assert (tmp_path / "junit.xml").read_text().count("of many") == 1000 + 1  # the first is also the message
     assert (tmp_path / "junit.xml").read_text().count("and 4000 more, see results.json") == 1
     assert err.getvalue().splitlines()[-1] == "and 4000 more"
     assert (tmp_path / "results.json").read_text().count("of many") == 2 * 5000

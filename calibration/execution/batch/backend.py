@@ -44,7 +44,7 @@ class BatchBackend:
             InputError: the name of the run is invalid, or missing with resume.
         """
         if resume and run is None:
-            raise InputError("resume: name the run that is to be resumed (run)")
+            raise InputError("resume: give the name of the run to resume (run)")
         self.run_name = run if run is not None else new_run()
         check_run_name(self.run_name)
         self.usage = Usage()

@@ -36,7 +36,7 @@ def check_task(job: Job, place: str) -> None:
 
 def _in_job(job: Job) -> Iterator[str]:
     if job.network in ("internal", "none"):
-        yield f"a task has to reach S3, so there is no network '{job.network}': say network: private"
+        yield f"a task has to reach S3, so there is no network '{job.network}': set network: private"
     yield from _in_mounts(job)
     listening: dict[int, str] = {}
     for container in job.containers:
@@ -63,13 +63,13 @@ def _in_mounts(job: Job) -> Iterator[str]:
         for mount in container.mounts:
             target, source = mount.target.rstrip("/"), str(mount.source.resolve())
             if not mount.source.is_dir():
-                yield f"only folders can be mounted, and {mount.source} (at {target}) is none: mount its folder"
+                yield f"only folders can be mounted, and {mount.source} (at {target}) is not a folder: mount its folder"
             if sources.setdefault(target, source) != source:
-                yield f"all containers have to mount the same folder at {target}: give one another place"
+                yield f"all containers have to mount the same folder at {target}: change one target"
         targets = sorted(f"{mount.target.rstrip('/')}/" for mount in container.mounts)
         for one, other in [*pairwise(targets), *_with_ours(targets)]:
             if one.startswith(other) or other.startswith(one):
-                yield f"no mount may lie in another: found {one.rstrip('/')} and {other.rstrip('/')}"
+                yield f"mounts must not be nested: found {one.rstrip('/')} and {other.rstrip('/')}"
 
 
 def _with_ours(targets: Sequence[str]) -> Iterator[tuple[str, str]]:
@@ -84,12 +84,12 @@ def _in_container(container: Container) -> Iterator[str]:
     if not _IMAGE.fullmatch(container.image):
         yield f"this is no name of an image: '{shorten(container.image)}': letters, digits, _ - : . / @, at most 255"
     if not container.command and not container.entrypoint:
-        yield "nobody can ask an image for its own command: say command"
+        yield "the image's default command is not known: set command"
     for artifact in container.artifacts:
         if not f"{Glob(artifact.path).source}/".startswith(f"{OUTPUT}/"):
-            yield f"only what lies in {OUTPUT} is brought out, so artifact '{artifact.path}' is not: write it there"
+            yield f"only files in {OUTPUT} are copied, so artifact '{artifact.path}' is not: write it there"
     if container.relaxations.docker_socket:
-        yield "there is no engine to give away: drop docker-socket"
+        yield "there is no Docker Engine: remove docker-socket"
 
 
 MOST_CONTAINERS = 10
@@ -130,7 +130,7 @@ def _check_job(job: Job, settings: BatchSettings) -> None:
         )
     if job.network == "host" and settings.platform == "fargate":
         raise InputError(
-            f"job '{job.name}': {_PLACE} a task on Fargate has a network of its own, not a host's: say network: "
+            f"job '{job.name}': {_PLACE} a task on Fargate has its own network, not a host's: set network: "
             "private, or platform: ec2"
         )
     for container in job.containers:
@@ -141,10 +141,10 @@ def _check_job(job: Job, settings: BatchSettings) -> None:
 def _in_relaxations(relaxed: Relaxations, settings: BatchSettings) -> Iterator[str]:
     wanted = {"devices": relaxed.devices, "gpus": relaxed.gpus, "privileged": relaxed.privileged}
     for name in (name for name, value in wanted.items() if value and settings.platform == "fargate"):
-        yield f"Fargate has no {name}: say platform: ec2, or drop it"
+        yield f"Fargate has no {name}: set platform: ec2, or remove it"
     missing = sorted(set(relaxed.capabilities) - _CAPABILITIES)
     if missing and not relaxed.privileged:
-        yield f"no capability can be added, and {missing[0]} is none that every container has: drop it"
+        yield f"no capability can be added, and {missing[0]} is not among the default ones: remove it"
 
 
 def _check_hosts(jobs: Sequence[Job]) -> None:
@@ -159,5 +159,5 @@ def _check_hosts(jobs: Sequence[Job]) -> None:
                 continue
             raise InputError(
                 f"job '{job.name}': {what}, and of {len(jobs)} jobs on platform ec2 several may share an instance's "
-                "network: say platform: fargate, or shared-hosts: false if each instance holds one job"
+                "network: set platform: fargate, or shared-hosts: false if each instance holds one job"
             )

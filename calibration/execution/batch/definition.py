@@ -232,7 +232,7 @@ def job_definition(shape: Shape, settings: BatchSettings) -> dict[str, Any]:
     request["tags"] = {**settings.tags, DIGEST_TAG: _digest(request, settings.tags)}
     if (size := len(json.dumps(request).encode())) > MOST_BYTES:
         raise InputError(
-            f"its job definition has {size} bytes, AWS Batch takes {MOST_BYTES}: it has {len(shape.volumes)} mounts "
+            f"its job definition has {size} bytes, AWS Batch accepts {MOST_BYTES}: it has {len(shape.volumes)} mounts "
             f"and {sum(len(container.secrets) for container in shape.containers)} secrets: join some of them"
         )
     return request

@@ -41,10 +41,10 @@ _Few = length(most=1000)
 class Input:
     """Initial content of a volume of a job."""
 
-    volume: Annotated[int, between(0, 1000)] = field("Its place among `mount_targets`.")
-    key: _Text = field("Of the tar in the bucket.")
-    sha256: Annotated[str, length(most=64)] = field("Of the tar.")
-    size: _Count = field("Of the tar, in bytes.")
+    volume: Annotated[int, between(0, 1000)] = field("Index in `mount_targets`.")
+    key: _Text = field("Key of the tar in the bucket.")
+    sha256: Annotated[str, length(most=64)] = field("Digest of the tar.")
+    size: _Count = field("Size of the tar, in bytes.")
     writable: bool = field("Whether a container writes to it.", default=False)
 
 
@@ -312,10 +312,10 @@ def _check_containers(outcome: TaskOutcome, job: Job, where: str) -> None:
         end, code = its[container.name].end, its[container.name].exit_code
         if end != End.EXITED or code not in container.success:
             raise InfrastructureError(
-                f"{where}: the job is said to have passed, but container '{container.name}' {end} with exit code {code}"
+                f"{where}: the job is reported as passed, but container '{container.name}' {end} with exit code {code}"
             )
     if not ended:
-        raise InfrastructureError(f"{where}: the job is said to have passed, but no essential container ended")
+        raise InfrastructureError(f"{where}: the job is reported as passed, but no essential container ended")
 
 
 def _check_artifacts(outcome: TaskOutcome, job: Job, where: str) -> None:

@@ -95,7 +95,7 @@ def _link_inside(root: Path, path: Path) -> str:
     name = os.fspath(path.readlink())
     to = os.path.normpath(path.parent / name)
     if PurePosixPath(name).is_absolute() or not Path(to).is_relative_to(root):
-        raise InputError(f"{path}: is a link to '{name}', which leads out of the folder: put a copy in its place")
+        raise InputError(f"{path}: is a link to '{name}', which points out of the folder: replace it by a copy")
     return name
 
 

@@ -97,13 +97,11 @@ def _check_kinds(environments: Sequence[Mapping[str, Any]], settings: BatchSetti
     if wrong := kinds - set(_TYPES[settings.platform]):
         other = "ec2" if settings.platform == "fargate" else "fargate"
         raise InputError(
-            f"{where}: its hosts are {', '.join(sorted(wrong))}, but platform is {settings.platform}: say {other}, or "
+            f"{where}: its hosts are {', '.join(sorted(wrong))}, but platform is {settings.platform}: set {other}, or "
             "name another queue"
         )
     if settings.spot and not kinds & set(_SPOT):
-        raise InputError(
-            f"{where}: spot is asked for, but its hosts are {', '.join(sorted(kinds))}: name another queue"
-        )
+        raise InputError(f"{where}: spot is required, but its hosts are {', '.join(sorted(kinds))}: name another queue")
 
 
 def _check_sizes(environments: Sequence[Mapping[str, Any]], needs: Sequence[Resources], where: str) -> None:
@@ -167,10 +165,10 @@ def likely_reasons(aws: Aws, settings: BatchSettings, waiting: Sequence[str]) ->
     try:
         jobs = records(aws, waiting)
         said = [_clean(job["statusReason"]) for job in jobs if job.get("statusReason")]
-        reasons += [f"AWS Batch says: {line}" for line in dict.fromkeys(said)]
+        reasons += [f"AWS Batch reports: {line}" for line in dict.fromkeys(said)]
         reasons += _of_the_queue(aws, settings)
     except CalibrationError as error:
-        reasons.append(f"it cannot be found out: {error}")
+        reasons.append(f"the cause is unknown: {error}")
     if settings.platform == "fargate":
         no_way_out = " (public-ip is false: then the subnet needs NAT or endpoints of ECR, S3 and Logs)"
         reasons.append(
@@ -181,7 +179,7 @@ def likely_reasons(aws: Aws, settings: BatchSettings, waiting: Sequence[str]) ->
         reasons.append("instance types too small for a job, an instance role that may not join, or no capacity")
     if settings.spot:
         reasons.append("no Spot capacity at the moment")
-    reasons.append("jobs of others in the queue, or the account's quota of vCPUs")
+    reasons.append("other jobs in the queue, or the account's quota of vCPUs")
     return reasons
 
 

@@ -29,7 +29,7 @@ _TIMEOUT = "Job attempt duration exceeded timeout"
 _CANNOT_PULL = "CannotPull"
 _NO_SUCH_IMAGE = ("not found", "manifest unknown", "does not exist", "repository does not exist", "invalid reference")
 _NO_RESOURCE = "ResourceInitializationError"
-_OURS = {PREPARE: "its inputs could not be brought in", WATCH: "its results could not be brought out"}
+_OURS = {PREPARE: "its inputs could not be downloaded", WATCH: "its results could not be uploaded"}
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ def why_no_outcome(job: Job, description: Description, given_up: str, last_lines
     containers = attempts[-1].containers if attempts else description.running
     said = description.status_reason or "it gives no reason"
     if description.terminated:
-        return Why(f"somebody has ended it: {said}")
+        return Why(f"it was terminated by another process: {said}")
     if (lost := sum(map(host_lost, attempts))) and host_lost(attempts[-1]):
         times = "once" if lost == 1 else f"{lost} times"
         return Why(f"its host was lost {times}, in {len(attempts)} attempts: {attempts[-1].status_reason}")
@@ -74,18 +74,18 @@ def why_no_outcome(job: Job, description: Description, given_up: str, last_lines
                 f"{which} cannot be pulled: {reason}", ExitCode.BAD_INPUT if missing else ExitCode.INFRASTRUCTURE
             )
         if reason.startswith(_NO_RESOURCE):
-            return Why(f"its task could not be set up: check roles, secrets and the way to the network: {reason}")
+            return Why(f"its task could not be set up: check roles, secrets and network: {reason}")
     if description.status_reason.startswith(_TIMEOUT):
-        return Why(f"AWS Batch has ended it before our own limit of {job.seconds or 0:g} s did: {said}")
+        return Why(f"AWS Batch has terminated it before our own limit of {job.seconds or 0:g} s did: {said}")
     for container in containers:
         if container.name in _OURS and container.exit_code:
             last = f": {last_lines[container.name]}" if last_lines.get(container.name) else ""
             how = container.reason or f"{container.name} ended with exit code {container.exit_code}"
             return Why(f"{_OURS[container.name]}: {how}{last}")
     if description.status == "SUCCEEDED":
-        return Why("AWS Batch says that it succeeded, but its task has left no outcome in S3")
+        return Why("AWS Batch reports success, but its task has left no outcome in S3")
     ends = [f"{c.name}: {c.reason or f'exit code {c.exit_code}'}" for c in containers if c.exit_code or c.reason]
-    return Why(f"AWS Batch says that it failed: {'; '.join([said, *ends])}")
+    return Why(f"AWS Batch reports a failure: {'; '.join([said, *ends])}")
 
 
 _OUT_OF_MEMORY = "OutOfMemory"
@@ -251,7 +251,7 @@ class Results:
             why = why_no_outcome(job, place.description, place.given_up, lines)
             found = _failed(asked, place.description, why.reason, why.exit_code)
         elif found is None:
-            found = _failed(asked, None, "its result is in S3 no more", ExitCode.INFRASTRUCTURE)
+            found = _failed(asked, None, "its result is missing in S3", ExitCode.INFRASTRUCTURE)
         elif attempt:
             found = with_ends(found, asked, _ends(place.description, attempt), lines)
         found = self._files(found, place, attempt, folder / ARTIFACTS)
@@ -319,7 +319,7 @@ class Results:
             return self._store.download(f"{folder}/{file.path}", path, file.size)
 
         if self._ask(download) != file.sha256:
-            raise _WrongFileError(f"artifact '{shorten(file.path)}' in S3 is not what the task says that it has left")
+            raise _WrongFileError(f"artifact '{shorten(file.path)}' in S3 differs from the outcome of the task")
 
     def _job_outcome(self, job: Job, found: TaskOutcome, folder: Path, lines: Mapping[str, str]) -> JobOutcome:
         secrets = secrets_of(job)

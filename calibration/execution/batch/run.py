@@ -138,7 +138,7 @@ class BatchRun:
             self._submitting.stop(ids)
         except CalibrationError as problem:
             self._ended = True
-            advice = f"what may go on in AWS Batch is ended by: calibration cleanup --cloud --run {self._name}"
+            advice = f"to end jobs that may still run in AWS Batch: calibration cleanup --cloud --run {self._name}"
             if isinstance(error, CalibrationError):
                 raise type(error)(f"{error}; {advice}") from None
             raise type(problem)(f"{problem}; {advice}") from error
@@ -251,7 +251,7 @@ class BatchRun:
         if not self._guard.is_stuck(look, done):
             return ""
         why = "; ".join(likely_reasons(self._aws, settings, self._following.oldest))
-        return f"no host for it within {settings.stuck:g} s in queue '{settings.queue}' (stuck); likely reasons: {why}"
+        return f"it got no host within {settings.stuck:g} s in queue '{settings.queue}' (stuck); likely reasons: {why}"
 
     def _bring(self, place: int, found: Place) -> None:
         self._bringing.give(partial(self._brought, place, found))

@@ -68,10 +68,10 @@ TagValue = Annotated[
 class Prices:
     """Prices per hour in your region, for the estimate; without them only hours are reported."""
 
-    vcpu_hour: Annotated[float, at_least(0)] = field("Of one CPU.")
-    gb_hour: Annotated[float, at_least(0)] = field("Of one GB of memory.")
+    vcpu_hour: Annotated[float, at_least(0)] = field("Price of one vCPU-hour.")
+    gb_hour: Annotated[float, at_least(0)] = field("Price of one GB-hour of memory.")
     currency: Annotated[str, matching("[A-Z]{3}", "three capital letters such as EUR")] = field(
-        "Of both.", default="USD"
+        "Currency of the prices.", default="USD"
     )
 
 
@@ -79,37 +79,32 @@ class Prices:
 class BatchSettings:
     """Settings of AWS Batch: queue, and the environment of a job's containers."""
 
-    region: Region = field("Of the queue: eu-west-1.")
-    queue: Queue = field(
-        "The name or ARN of a job queue; whether its hosts are Spot is its compute environment's doing."
-    )
+    region: Region = field("Region of the queue: eu-west-1.")
+    queue: Queue = field("Name or ARN of a job queue; its compute environment determines whether hosts are Spot.")
     bucket: Bucket = field("The S3 bucket for inputs and results.")
     tools_image: Image = field(
-        "An image with Python and calibration-ci[aws] (examples/aws-batch): it prepares a task and brings its results "
-        "out."
+        "Image with Python and calibration-ci[aws] (examples/aws-batch), which prepares a task and uploads its results."
     )
-    job_role: Role = field("The ARN of the containers' role: calibration aws-policy --for job prints what it needs.")
+    job_role: Role = field("ARN of the containers' role: calibration aws-policy --for job prints its permissions.")
     execution_role: Role | None = field(
         "The ARN of the role that pulls images, writes logs and reads secrets; Fargate needs one.", default=None
     )
-    prefix: Prefix = field("Of all keys in the bucket.", default="calibration")
+    prefix: Prefix = field("Prefix of all keys in the bucket.", default="calibration")
     platform: Platform = field(
-        "fargate: each task has a network and a machine of its own. ec2: instances of the compute environment, for "
+        "fargate: each task has its own network and machine. ec2: instances of the compute environment, for "
         "GPUs and devices; tasks share the instance's network.",
         default="fargate",
     )
-    architecture: Architecture = field("Of the images.", default="x86_64")
-    spot: bool = field("Whether the queue is expected to give Spot hosts; refused where it does not.", default=False)
+    architecture: Architecture = field("Architecture of the images.", default="x86_64")
+    spot: bool = field("Require that the queue's hosts are Spot.", default=False)
     attempts: Annotated[int, between(1, 10)] = field(
-        "How often a job is tried when its host was lost; a failure of the software is never tried again.", default=3
+        "Limit of attempts after losses of hosts; failures of the software are never retried.", default=3
     )
-    cpus: Annotated[float, above(0, 192)] = field("Of a container that says none.", default=1.0)
-    memory: Bytes = field("Of a container that says none, such as 2g.", default=2 * 1024**3)
-    disk: Annotated[int, between(21, 200)] | None = field(
-        "GiB for a task on Fargate; 20 where none is said.", default=None
-    )
+    cpus: Annotated[float, above(0, 192)] = field("Default vCPUs of a container.", default=1.0)
+    memory: Bytes = field("Default memory of a container, such as 2g.", default=2 * 1024**3)
+    disk: Annotated[int, between(21, 200)] | None = field("Disk of a task on Fargate, GiB (20).", default=None)
     public_ip: bool = field(
-        "Whether a task on Fargate has a public address, which a subnet without NAT needs to pull images.",
+        "Whether a task on Fargate has a public address, required to pull images in a subnet without NAT.",
         default=False,
     )
     shared_hosts: bool = field(
@@ -117,23 +112,23 @@ class BatchSettings:
         "refused.",
         default=True,
     )
-    deadline: Seconds | None = field("For all jobs of a run: 6h; no limit but the jobs' own where none.", default=None)
-    stuck: Seconds = field("A job that waits so long for a host (RUNNABLE) is given up, such as 30m.", default=1800.0)
+    deadline: Seconds | None = field("Time limit of a whole run: 6h; by default only those of the jobs.", default=None)
+    stuck: Seconds = field("Time without a host (RUNNABLE) after which jobs are given up, such as 30m.", default=1800.0)
     secrets: Mapping[Variable, SecretArn] = field(
-        "ARNs (Secrets Manager, Parameter Store) of the variables that are secret: their values never pass through us.",
+        "ARNs (Secrets Manager, Parameter Store) of secret variables, whose values only AWS reads.",
         default_factory=dict,
     )
     tags: Annotated[Mapping[TagKey, TagValue], length(most=30)] = field(
-        "On the job definitions and jobs.", default_factory=dict
+        "Tags of the job definitions and jobs.", default_factory=dict
     )
-    priority: Annotated[int, between(0, 9999)] | None = field("Among the jobs of the share.", default=None)
+    priority: Annotated[int, between(0, 9999)] | None = field("Priority among the jobs of the share.", default=None)
     share: Annotated[str, matching("[A-Za-z0-9]{1,255}", "letters and digits")] | None = field(
-        "The share identifier, where the queue has a scheduling policy.", default=None
+        "Share identifier, for a queue with a scheduling policy.", default=None
     )
     log_group: Annotated[str, matching("[A-Za-z0-9_/.#-]{1,512}", "the name of a log group")] = field(
-        "In CloudWatch.", default="/aws/batch/job"
+        "Log group in CloudWatch.", default="/aws/batch/job"
     )
-    prices: Prices | None = field("What an hour costs in your region, for the estimate.", default=None)
+    prices: Prices | None = field("Prices per hour in your region, for the estimate.", default=None)
 
     @property
     def where(self) -> str:
@@ -152,13 +147,13 @@ class BatchSettings:
             what = "fargate pulls images and writes logs" if fargate else "secrets are read"
             raise Misfit(f"it is missing: {what} with this role", "execution-role")
         if self.queue.startswith("arn:") and (found := self.queue.split(":")[3]) != self.region:
-            raise Misfit(f"it is in {found}, but region says {self.region}", "queue")
+            raise Misfit(f"it is in {found}, but region is {self.region}", "queue")
         accounts = {arn.split(":")[4] for arn in (self.job_role, self.execution_role) if arn is not None}
         if len(accounts) > 1:
             raise Misfit(f"it is of another account than job-role: {', '.join(sorted(accounts))}", "execution-role")
 
 
-_NOT_THERE = "platform {} has no such thing: drop it, or say {}"
+_NOT_THERE = "platform {} does not support it: remove it, or set {}"
 
 
 @record(unknown="ignore")

@@ -41,7 +41,7 @@ class Store:
             answer = self._s3.head_bucket(Bucket=self._bucket)
         region = answer.get("BucketRegion")
         if region and region != self._aws.region:
-            raise InputError(f"{self._where}: it is in {region}, the jobs in {self._aws.region}: take one of there")
+            raise InputError(f"{self._where}: it is in {region}, the jobs in {self._aws.region}: use one there")
 
     def put(self, key: str, data: bytes) -> None:
         """Write an object.

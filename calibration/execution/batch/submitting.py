@@ -155,7 +155,7 @@ def terminate(aws: Aws, ids: Sequence[str], reason: str) -> None:
         seen = describe(aws, left)
         left = [each for each in left if each in seen and not (seen[each].ended or seen[each].terminated)]
         if left and time.monotonic() > deadline:
-            raise InfrastructureError(f"{len(left)} jobs in AWS Batch do not end, such as {next(iter(left))}")
+            raise InfrastructureError(f"{len(left)} jobs in AWS Batch are not terminated, such as {next(iter(left))}")
         if left:
             time.sleep(_TAKING_NOTE)
 

@@ -46,8 +46,8 @@ def copy_in(api: APIClient, container: str, mounts: Iterable[Mount]) -> None:
     for mount in mounts:
         if mount.writable:
             raise InputError(
-                f"mount '{mount.target}': the Docker Engine does not see the files of this machine (it is another one, "
-                "or this is a container); only what is read-only can be copied to it"
+                f"mount '{mount.target}': the Docker Engine cannot access the files of this machine (it runs on "
+                "another one, or this is a container); only read-only mounts can be copied to it"
             )
     if not mounts:
         return

@@ -234,4 +234,4 @@ def lost_job(run: Run, job: Job, folder: Path, error: EngineLostError) -> JobOut
 
 
 def _with_advice(error: EngineLostError, run: Run) -> str:
-    return f"{error}; what it still has of this run is removed by: calibration cleanup --run {run.name}"
+    return f"{error}; to remove what is left of this run: calibration cleanup --run {run.name}"

@@ -84,7 +84,7 @@ class Networks:
             except docker.errors.APIError as error:
                 if "address pool" in str(error):
                     raise InfrastructureError(
-                        "the Docker Engine has no addresses for one more network: let fewer jobs run at once, "
+                        "the Docker Engine has no addresses for one more network: run fewer jobs at once, "
                         "or remove unused networks (docker network prune)"
                     ) from None
                 raise

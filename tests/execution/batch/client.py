@@ -1,4 +1,4 @@
-"""Jobs for the tests of the client, and tasks that do as ours do in the cloud, without containers."""
+"""Jobs for tests of the client, and tasks that behave as ours in the cloud, without containers."""
 
 import hashlib
 import io
@@ -42,37 +42,37 @@ def job(name: str = "one", *containers: Container, **settings: Any) -> Job:
 
 
 def jobs(count: int) -> list[Job]:
-    """Jobs of one shape, each with a command of its own."""
+    """Return jobs of one shape, each with its own command."""
     return [job(f"world/{i}", container(command=("collect", "--seed", str(i)))) for i in range(count)]
 
 
 @dataclass
 class Did:
-    """What a task leaves behind."""
+    """Result of a task."""
 
     files: Mapping[str, bytes] = field(default_factory=dict)
     reasons: tuple[str, ...] = ()
     exit_code: ExitCode = ExitCode.PASS
     ends: Mapping[str, tuple[End, int | None]] = field(default_factory=dict)
-    """Of containers that did not exit with 0."""
+    """Ends of containers that did not exit with 0."""
     log: Mapping[str, list[str]] = field(default_factory=dict)
     document: Callable[[dict[str, Any]], Any] | None = None
-    """Changes the outcome before it is written; one that gives nothing leaves none."""
+    """Changes the outcome before it is written; None as its result suppresses the outcome."""
     result: Ended | None = None
-    """What Batch is told; unless given, that all ended with 0."""
+    """End reported to Batch; by default all containers exited with 0."""
 
 
 Do = Callable[[TaskJob, Attempt], Did | None]
 
 
 class Tasks:
-    """Tasks that run as a function of the test says, on jobs that they find in S3 as ours do."""
+    """Tasks that run a function of the test on jobs from S3."""
 
     def __init__(self, aws: Aws, do: Do | None = None) -> None:
         self.aws = aws
         self.do: Do = do or (lambda task, attempt: Did({"dataset/name": task.job.name.encode()}))
         self.ran: list[tuple[str, int]] = []
-        """The name of each job that ran, and the attempt."""
+        """Name and attempt of each job that ran."""
         aws.batch.runner.function = self
 
     def __call__(self, attempt: Attempt) -> Ended | None:
@@ -122,7 +122,7 @@ def outcome_of(task: TaskJob, attempt: int, did: Did) -> TaskOutcome:
 def run_jobs(
     folder: Path, *given: Job, settings: BatchSettings = SETTINGS, **more: Any
 ) -> tuple[list[JobOutcome], BatchBackend]:
-    """Run jobs; what came of each, in their order."""
+    """Run jobs; return their outcomes in the order of the jobs."""
     with BatchBackend(settings, **more) as backend:
         outcomes = dict(backend.run(given, folder))
     assert sorted(outcomes) == list(range(len(given)))
@@ -130,20 +130,20 @@ def run_jobs(
 
 
 def running(aws: Aws) -> list[str]:
-    """Ids of all in the queue that has not ended."""
+    """Return the ids of unfinished jobs in the queue."""
     with aws.batch.jobs.lock:
         return [each.id for each in aws.batch.jobs.jobs.values() if not each.ended]
 
 
 def unpacked(data: bytes) -> dict[str, bytes]:
-    """The files in a tar."""
+    """Return the files in a tar."""
     with tarfile.open(fileobj=io.BytesIO(data)) as archive:
         members = [member for member in archive if member.isreg()]
         return {member.name: archive.extractfile(member).read() for member in members}  # type: ignore[union-attr]
 
 
 def wait_for(condition: Callable[[], bool], seconds: float = 60.0) -> None:
-    """Wait until something holds."""
+    """Wait until a condition is met."""
     deadline = time.monotonic() + seconds
     while not condition():
         assert time.monotonic() < deadline, "it does not come"

@@ -5,7 +5,7 @@ import pytest
 
 @pytest.fixture
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let the client look more often, and wait less; descriptions of AWS's services are read once."""
+    """Shorten the client's intervals of polls; read AWS's service descriptions only once."""
     import botocore.session
 
     from calibration.execution.batch import following, logs, session, submitting

@@ -1,4 +1,4 @@
-"""Settings and jobs that the tests share, and AWS's own judgement of a request."""
+"""Settings and jobs shared by tests, and validation of requests by AWS's own schema."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -34,7 +34,7 @@ def job(*containers: Container, name: str = "j", **changes: Any) -> Job:
 
 
 def simulation(folder: Path) -> Job:
-    """Two containers with all that a container may have on Fargate."""
+    """Return a job of two containers with everything that Fargate supports."""
     for name in ("data", "scratch"):
         (folder / name).mkdir(parents=True, exist_ok=True)
     return job(
@@ -59,14 +59,14 @@ def simulation(folder: Path) -> Job:
 
 
 def complaints(operation: str, request: dict[str, Any]) -> str:
-    """What botocore says against a request to AWS Batch."""
+    """Return botocore's validation errors of a request to AWS Batch."""
     shape = Session().get_service_model("batch").operation_model(operation).input_shape
     report: str = ParamValidator().validate(request, shape).generate_report()
     return report
 
 
 def unknown_keys(operation: str, request: dict[str, Any]) -> list[str]:
-    """Keys that AWS Batch does not know, anywhere in a request."""
+    """Return keys that AWS Batch does not know, at any depth of a request."""
 
     def walk(value: Any, shape: Any, where: str) -> list[str]:
         if shape.type_name == "structure":

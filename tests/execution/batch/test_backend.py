@@ -1,4 +1,4 @@
-"""Runs on the emulator, whose tasks end at once."""
+"""Runs on the emulator, whose tasks end immediately."""
 
 import hashlib
 import io
@@ -98,7 +98,7 @@ def test_inputs_go_once_and_the_definition_only_when_it_differs(batch_emulator: 
     calls = batch_emulator.batch.calls
     assert (calls["RegisterJobDefinition"], len(batch_emulator.services.keys(BUCKET, "calibration/inputs/"))) == (1, 1)
 
-    (folder / "motion.json").write_text("[]")  # another input is no other definition
+    (folder / "motion.json").write_text("[]")  # a changed input needs no other definition
     run_jobs(tmp_path / "out", *given)
     assert (calls["RegisterJobDefinition"], len(batch_emulator.services.keys(BUCKET, "calibration/inputs/"))) == (1, 2)
     larger = [replace(each, containers=(replace(each.containers[0], limits=Limits(cpus=2)),)) for each in given]
@@ -136,7 +136,7 @@ def test_what_a_task_says_of_a_failure_is_told_with_the_last_line_of_its_log(
         (
             Did(
                 ends={"robot": (End.LOST, None)},
-                reasons=("container 'robot' is gone without an exit code: it, or all of it, was killed",),
+                reasons=("container 'robot' ended without an exit code: it was killed",),
                 exit_code=ExitCode.FAIL,
             ),
             1,
@@ -216,7 +216,7 @@ def test_a_task_that_never_started(batch_emulator: Aws, tmp_path: Path) -> None:
     [outcome], _ = run_jobs(tmp_path, job())
     assert (outcome.exit_code, outcome.reasons) == (
         ExitCode.INFRASTRUCTURE,
-        (f"its task could not be set up: check roles, secrets and the way to the network: {reason}",),
+        (f"its task could not be set up: check roles, secrets and network: {reason}",),
     )
 
 
@@ -228,7 +228,7 @@ def test_inputs_that_could_not_be_brought_in_are_named_by_our_own_log(batch_emul
     [outcome], _ = run_jobs(tmp_path, job())
     assert outcome.exit_code == ExitCode.INFRASTRUCTURE
     assert outcome.reasons == (
-        f"its inputs could not be brought in: {PREPARE} ended with exit code 3: error: bucket is gone",
+        f"its inputs could not be downloaded: {PREPARE} ended with exit code 3: error: bucket is gone",
     )
 
 
@@ -238,7 +238,7 @@ Document = dict[str, Any]
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda document: None, "AWS Batch says that it succeeded, but its task has left no outcome in S3"),
+        (lambda document: None, "AWS Batch reports success, but its task has left no outcome in S3"),
         (lambda document: {**document, "job": "another"}, "job: found 'another', expected 'one'"),
         (lambda document: {**document, "exit_code": 0, "reasons": ["x"]}, "exit_code: found 0"),
         (
@@ -299,12 +299,12 @@ def test_resume_runs_only_what_is_missing_or_has_changed(batch_emulator: Aws, tm
     tasks.ran = []
     run_jobs(tmp_path, *changed, run="nightly.7", resume=True)
     assert tasks.ran == []
-    run_jobs(tmp_path, *changed, run="nightly.7")  # without resume, all are run anew
+    run_jobs(tmp_path, *changed, run="nightly.7")  # without resume, all jobs run again
     assert len(tasks.ran) == 6
 
 
 def test_resume_runs_again_what_failed_for_want_of_time_or_of_a_host(batch_emulator: Aws, tmp_path: Path) -> None:
-    """A verdict of the software stands; what is no verdict may be one the next time."""
+    """A verdict of the software is kept; other failures are run again."""
     tasks = Tasks(batch_emulator)
     good, codes = (
         tasks.do,
@@ -359,7 +359,7 @@ def test_a_run_that_is_resumed_judges_as_the_first_did(batch_emulator: Aws, tmp_
     assert [outcome.reasons for outcome in first] == [outcome.reasons for outcome in second]
     assert second[0].reasons == ("container 'robot' ran out of memory: its limit is 2 GiB (memory): eating",)
     assert backend.usage.seconds == 0  # nothing is billed twice
-    batch_emulator.batch.jobs.jobs.clear()  # after a week
+    batch_emulator.batch.jobs.jobs.clear()  # as after a week
     third, _ = run_jobs(tmp_path, *jobs(2), run="again", resume=True)
     assert [outcome.verdict for outcome in third] == ["pass"] * 2
 
@@ -389,7 +389,7 @@ def test_a_result_that_vanishes(batch_emulator: Aws, tmp_path: Path, monkeypatch
     batch_emulator.batch.jobs.jobs.clear()
     monkeypatch.setattr(Results, "_read", lambda *_: None)
     [outcome], _ = run_jobs(tmp_path, job(), run="again", resume=True)
-    assert (outcome.exit_code, outcome.reasons) == (ExitCode.INFRASTRUCTURE, ("its result is in S3 no more",))
+    assert (outcome.exit_code, outcome.reasons) == (ExitCode.INFRASTRUCTURE, ("its result is missing in S3",))
 
 
 def test_the_result_of_an_older_attempt_is_found(batch_emulator: Aws, tmp_path: Path) -> None:
@@ -407,7 +407,7 @@ def test_the_result_of_an_older_attempt_is_found(batch_emulator: Aws, tmp_path: 
 
 
 def test_aws_may_be_away_for_a_while(batch_emulator: Aws, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(Client._client, "__defaults__", (1, None))  # nothing is hidden by boto3's own tries
+    monkeypatch.setattr(Client._client, "__defaults__", (1, None))  # without boto3's own retries
     Tasks(batch_emulator)
     faults, services = batch_emulator.faults, batch_emulator.services.faults
     faults.drop("DescribeJobs", times=2)

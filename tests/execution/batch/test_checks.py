@@ -14,7 +14,7 @@ from tests.execution.batch.samples import EC2, SETTINGS, TOKEN_ARN, container, j
 
 
 def refused(*jobs: Job, settings: BatchSettings = SETTINGS) -> str:
-    check_jobs(jobs)  # all of them make sense elsewhere
+    check_jobs(jobs)  # all are valid on Docker
     with pytest.raises(InputError) as caught:
         check_for_batch(jobs, settings)
     return str(caught.value)
@@ -29,7 +29,7 @@ def test_what_runs_is_accepted(tmp_path: Path) -> None:
     check_for_batch([job(container(relaxations=relaxed), network="host")], EC2)
     check_for_batch([job(container(relaxations=Relaxations(capabilities=("NET_RAW",))))], SETTINGS)
     check_for_batch([job(*(container(f"c{i}") for i in range(8)))], SETTINGS)
-    # a mount in another container's is none in it
+    # a mount of another container is not nested
     check_for_batch(
         [job(container("a", mounts=(Mount(tmp_path, "/m"),)), container("b", mounts=(Mount(tmp_path, "/m/n"),)))],
         SETTINGS,
@@ -45,15 +45,15 @@ def test_what_runs_is_accepted(tmp_path: Path) -> None:
         ({"name": "robot.arm"}, "a container's name has letters, digits, _ and - only"),
         ({"image": "robot 1"}, "this is no name of an image: 'robot 1'"),
         ({"image": "r" * 256}, "this is no name of an image"),
-        ({"command": ()}, "nobody can ask an image for its own command: say command"),
-        ({"command": (), "entrypoint": ()}, "nobody can ask an image for its own command: say command"),
-        ({"artifacts": (Artifact("/out/*.csv"),)}, "only what lies in /calibration/output is brought out, so artifact"),
-        ({"artifacts": (Artifact("/calibration/output2/x"),)}, "only what lies in /calibration/output is brought out"),
-        ({"artifacts": (Artifact("/calibration/out*/x"),)}, "only what lies in /calibration/output is brought out"),
-        ({"relaxations": Relaxations(docker_socket=True)}, "there is no engine to give away: drop docker-socket"),
-        ({"relaxations": Relaxations(gpus=True)}, "Fargate has no gpus: say platform: ec2, or drop it"),
-        ({"relaxations": Relaxations(devices=("/dev/video0",))}, "Fargate has no devices: say platform: ec2"),
-        ({"relaxations": Relaxations(privileged=True)}, "Fargate has no privileged: say platform: ec2"),
+        ({"command": ()}, "the image's default command is not known: set command"),
+        ({"command": (), "entrypoint": ()}, "the image's default command is not known: set command"),
+        ({"artifacts": (Artifact("/out/*.csv"),)}, "only files in /calibration/output are copied, so artifact"),
+        ({"artifacts": (Artifact("/calibration/output2/x"),)}, "only files in /calibration/output are copied"),
+        ({"artifacts": (Artifact("/calibration/out*/x"),)}, "only files in /calibration/output are copied"),
+        ({"relaxations": Relaxations(docker_socket=True)}, "there is no Docker Engine: remove docker-socket"),
+        ({"relaxations": Relaxations(gpus=True)}, "Fargate has no gpus: set platform: ec2, or remove it"),
+        ({"relaxations": Relaxations(devices=("/dev/video0",))}, "Fargate has no devices: set platform: ec2"),
+        ({"relaxations": Relaxations(privileged=True)}, "Fargate has no privileged: set platform: ec2"),
         (
             {"relaxations": Relaxations(capabilities=("NET_RAW", "SYS_PTRACE"))},
             "no capability can be added, and SYS_PTRACE is none that every container has",
@@ -71,7 +71,7 @@ def test_a_container_that_cannot_run(changes: dict[str, Any], message: str) -> N
     ("wanted", "message"),
     [
         (job(*(container(f"c{i}") for i in range(9))), "found 9, expected at most 8"),
-        (job(network="none"), "a task has to reach S3, so there is no network 'none': say network: private"),
+        (job(network="none"), "a task has to reach S3, so there is no network 'none': set network: private"),
         (job(network="internal"), "so there is no network 'internal'"),
         (job(network="host"), "a task on Fargate has a network of its own, not a host's"),
         (
@@ -108,7 +108,7 @@ def test_different_ports_are_fine() -> None:
 def test_a_mount_in_another(tmp_path: Path, one: str, other: str | None) -> None:
     targets = ["/a-b", "/ab", one, *([] if other is None else [other])]
     wanted = job(container(mounts=tuple(Mount(tmp_path, target) for target in targets)))
-    assert "no mount may lie in another: found" in refused(wanted)
+    assert "mounts must not be nested: found" in refused(wanted)
 
 
 def test_a_file_cannot_be_mounted(tmp_path: Path) -> None:
@@ -125,8 +125,8 @@ def test_one_place_with_two_contents(tmp_path: Path) -> None:
         (tmp_path / name).mkdir()
     first = container("a", mounts=(Mount(tmp_path / "a", "/data"),))
     said = refused(job(first, container("b", mounts=(Mount(tmp_path / "b", "/data/"),))))
-    assert "all containers have to mount the same folder at /data: give one another place" in said
-    # the same folder by another way is the same
+    assert "all containers have to mount the same folder at /data: change one target" in said
+    # the same folder by another path
     check_for_batch([job(first, container("b", mounts=(Mount(tmp_path / "b/../a", "/data/"),)))], SETTINGS)
 
 
@@ -158,10 +158,10 @@ def test_what_would_meet_on_an_instance(wanted: Job, what: str) -> None:
     two = [wanted, replace(wanted, name="k")]
     said = refused(*two, settings=EC2)
     assert said == (
-        f"job 'j': {what}, and of 2 jobs on platform ec2 several may share an instance's network: say platform: "
+        f"job 'j': {what}, and of 2 jobs on platform ec2 several may share an instance's network: set platform: "
         "fargate, or shared-hosts: false if each instance holds one job"
     )
-    check_for_batch([wanted], EC2)  # one alone meets nobody
+    check_for_batch([wanted], EC2)  # a single job cannot conflict
     check_for_batch(two, replace(EC2, shared_hosts=False))
     check_for_batch(two, SETTINGS)
 

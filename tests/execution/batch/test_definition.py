@@ -105,7 +105,7 @@ def test_all_of_a_definition(tmp_path: Path) -> None:
                             ],
                         },
                         {
-                            # 2 CPUs and 1 make a task of 4, of which ours need half a one
+                            # 1 + 2 CPUs need a task of 4, of which our containers get half a CPU
                             **common("simulation", "2.5", "3073"),
                             "image": f"{REGISTRY}/simulation@sha256:{'0' * 64}",
                             "command": ["/bin/sh", "/calibration/job/simulation.sh"],
@@ -156,7 +156,7 @@ def test_what_only_instances_have() -> None:
     assert robot["privileged"] is True
     assert robot["linuxParameters"] == {"initProcessEnabled": True, "devices": [{"hostPath": "/dev/video0"}]}
     assert robot["resourceRequirements"] == [
-        {"type": "VCPU", "value": "1"},  # a whole one, and without a point: AWS takes no 1.0
+        {"type": "VCPU", "value": "1"},  # a whole one, without a decimal point: AWS refuses 1.0
         {"type": "MEMORY", "value": "2048"},
         {"type": "GPU", "value": "1"},
     ]
@@ -165,7 +165,7 @@ def test_what_only_instances_have() -> None:
 def test_the_platforms_differ() -> None:
     ec2, fargate = task(job(), replace(EC2, execution_role=None)), task(job())
     assert {"networkConfiguration", "runtimePlatform", "executionRoleArn"} == fargate.keys() - ec2.keys()
-    # only instances may wait longer for the inputs than three minutes
+    # only EC2 instances may wait for the inputs for more than three minutes
     assert named(job(), "calibration-prepare", EC2)["startTimeout"] == 3600
     assert "startTimeout" not in named(job(), "calibration-prepare")
 
@@ -209,7 +209,7 @@ def test_a_revision_only_where_something_differs(tmp_path: Path) -> None:
     }
     assert len(others) == 7
     assert first not in others
-    # these are said when a job is submitted
+    # these are set on submission
     assert first == tag(wanted, replace(WITH_SECRET, queue="other", deadline=3.0, stuck=1.0, share="a", priority=1))
 
 
@@ -233,7 +233,7 @@ def test_long_names_fit() -> None:
 
 def test_one_that_is_too_long(tmp_path: Path) -> None:
     mounts = tuple(Mount(tmp_path, f"/data/{'x' * 100}{i}") for i in range(200))
-    with pytest.raises(InputError, match=rf"AWS Batch takes {MOST_BYTES}: it has 200 mounts and 0 secrets"):
+    with pytest.raises(InputError, match=rf"AWS Batch accepts {MOST_BYTES}: it has 200 mounts and 0 secrets"):
         definition(job(container(mounts=mounts)))
 
 
@@ -256,7 +256,7 @@ def test_only_a_lost_host_is_tried_again(ended: dict[str, str], action: str) -> 
         for rule in rules
         if all(key in ended and fnmatch.fnmatchcase(ended[key], rule[key]) for key in rule if key != "action")
     )
-    assert next(matching, "RETRY") == action  # what matches no rule is tried again
+    assert next(matching, "RETRY") == action  # a failure that matches no rule is retried
 
 
 def test_containers_keep_their_order() -> None:

@@ -1,4 +1,4 @@
-"""What the task has seen, and what Batch knows better."""
+"""Ends of containers as seen by the task, corrected by Batch's information."""
 
 import pytest
 
@@ -11,7 +11,7 @@ from calibration.execution.job import Job, Limits
 from calibration.execution.outcome import ContainerOutcome, End
 from tests.execution.batch.client import container
 
-GONE = "container 'robot' is gone without an exit code: it, or all of it, was killed"
+GONE = "container 'robot' ended without an exit code: it was killed"
 OUT = "OutOfMemoryError: Container killed due to memory usage"
 JOB = Job("one", (container(limits=Limits(memory=2**30)), container("sim", essential=False)))
 NO_LIMIT = Job("one", (container(),))
@@ -90,7 +90,7 @@ def test_what_happened_to_others_may_be_why() -> None:
     merged = with_ends(found, JOB, [batch("sim", 137, OUT)], {})
     assert merged.reasons == (
         "container 'robot' ended with exit code 4",
-        "container 'sim' ran out of memory: the machine had no more",
+        "container 'sim' ran out of memory: the machine had no free memory",
     )
 
 
@@ -123,7 +123,7 @@ def described(
         (described(), "too late", {}, "too late", 3),
         (described(attempt(reason="x"), reason="too late"), "too late", {}, "too late", 3),
         (described(attempt(reason=LOST)), "too late", {}, f"its host was lost once, in 1 attempts: {LOST}", 3),
-        (described(terminated=True), "", {}, "somebody has ended it: it ended", 3),
+        (described(terminated=True), "", {}, "it was terminated by another process: it ended", 3),
         (
             described(attempt(reason=LOST), attempt(reason=LOST)),
             "",
@@ -131,26 +131,26 @@ def described(
             f"its host was lost 2 times, in 2 attempts: {LOST}",
             3,
         ),
-        (described(attempt(), reason=""), "", {}, "AWS Batch says that it failed: it gives no reason", 3),
+        (described(attempt(), reason=""), "", {}, "AWS Batch reports a failure: it gives no reason", 3),
         (
             described(attempt(batch(code=1), batch(WATCH, 137, OUT))),
             "",
             {},
-            f"its results could not be brought out: {OUT}",
+            f"its results could not be uploaded: {OUT}",
             3,
         ),
         (
             described(attempt(batch(PREPARE, 3))),
             "",
             {PREPARE: "no bucket"},
-            f"its inputs could not be brought in: {PREPARE} ended with exit code 3: no bucket",
+            f"its inputs could not be downloaded: {PREPARE} ended with exit code 3: no bucket",
             3,
         ),
         (
             described(attempt(batch(code=1), batch("sim", None, "odd"))),
             "",
             {},
-            "AWS Batch says that it failed: it ended; robot: exit code 1; sim: odd",
+            "AWS Batch reports a failure: it ended; robot: exit code 1; sim: odd",
             3,
         ),
         (
@@ -171,21 +171,21 @@ def described(
             described(reason=UNSET_UP),
             "",
             {},
-            f"its task could not be set up: check roles, secrets and the way to the network: {UNSET_UP}",
+            f"its task could not be set up: check roles, secrets and network: {UNSET_UP}",
             3,
         ),
         (
             described(attempt(), reason="Job attempt duration exceeded timeout"),
             "",
             {},
-            "AWS Batch has ended it before our own limit of 3600 s did: Job attempt duration exceeded timeout",
+            "AWS Batch has terminated it before our own limit of 3600 s did: Job attempt duration exceeded timeout",
             3,
         ),
         (
             described(attempt(), status="SUCCEEDED"),
             "",
             {},
-            "AWS Batch says that it succeeded, but its task has left no outcome in S3",
+            "AWS Batch reports success, but its task has left no outcome in S3",
             3,
         ),
     ],

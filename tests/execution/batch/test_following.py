@@ -1,4 +1,4 @@
-"""The ends of jobs are told once each, in few calls."""
+"""Every end of a job is reported once, with few requests."""
 
 import random
 import threading
@@ -16,7 +16,7 @@ from tests.properties import at_most
 
 
 class Batch:
-    """Answers as DescribeJobs does, of arrays whose children a test ends."""
+    """Answers DescribeJobs for arrays whose children a test ends."""
 
     def __init__(self) -> None:
         self.states: dict[str, list[str]] = {}
@@ -24,7 +24,7 @@ class Batch:
         self.calls = 0
         self.unknown: set[str] = set()
         self.late: set[str] = set()
-        """Children that are told as they were."""
+        """Children that are reported with an outdated state."""
 
     def add(self, identifier: str, count: int) -> Submitted:
         self.states[identifier] = ["RUNNABLE"] * count

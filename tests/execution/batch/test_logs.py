@@ -1,4 +1,4 @@
-"""Logs of containers in CloudWatch: while they run, and after."""
+"""Logs of containers in CloudWatch, during their run and afterwards."""
 
 import io
 import time
@@ -53,7 +53,7 @@ def test_a_log_is_cut(aws: Aws, batch_emulator: FakeAws, tmp_path: Path, monkeyp
     monkeypatch.setattr(logs, "MOST_BYTES", 100)
     write(batch_emulator, "s", *["x" * 50] * 10)
     write_log(aws, GROUP, "s", tmp_path / "log", ())
-    assert batch_emulator.services.calls["GetLogEvents"] == 1  # the rest is not asked for
+    assert batch_emulator.services.calls["GetLogEvents"] == 1  # the rest is not requested
 
 
 def test_no_such_log(aws: Aws, batch_emulator: FakeAws, tmp_path: Path) -> None:

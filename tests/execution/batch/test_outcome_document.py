@@ -1,4 +1,4 @@
-"""Outcomes that no watch has written are refused by name."""
+"""Invalid outcomes are refused, with the name of the file."""
 
 import json
 from contextlib import suppress
@@ -95,8 +95,8 @@ def artifact(**changes: Any) -> list[dict[str, Any]]:
         ({"artifacts": artifact(path="../x")}, "artifact '../x' leaves its folder"),
         ({"artifacts": artifact(path="/x")}, "artifact '/x' leaves its folder"),
         ({"artifacts": artifact(path="d//b")}, "path: found 'd//b', expected a plain path"),
-        ({"artifacts": artifact(path="a\0b")}, "has a name that not every machine can have"),
-        ({"artifacts": artifact(path="\ud800")}, "has a name that not every machine can have"),
+        ({"artifacts": artifact(path="a\0b")}, "has a name that some file systems do not allow"),
+        ({"artifacts": artifact(path="\ud800")}, "has a name that some file systems do not allow"),
         ({"artifacts": artifact(path="d/a.csv")}, "'d/a.csv' stands there twice"),
         ({"artifacts": artifact(path="d")}, "'d' is a folder and a file"),
         ({"artifacts": artifact(container="x")}, "artifacts: there is no container 'x'"),
@@ -114,7 +114,7 @@ def test_what_contradicts_the_job_or_itself(changes: dict[str, Any], message: st
 
 
 def test_lines_command_nothing() -> None:
-    """Neither a terminal nor the runner."""
+    """Neither in a terminal nor on the runner."""
     document = json.loads(outcome_document(FAILED))
     found = read({**document, "reasons": ["a\n::error::b\x1b[31m"]})
     assert found.reasons == ("a ::error::b\\x1b[31m",)

@@ -1,4 +1,4 @@
-"""Mounts as tars."""
+"""Packing of mounts as tar files."""
 
 import io
 import os
@@ -60,7 +60,9 @@ def test_a_link_that_leads_out_is_refused(tmp_path: Path, target: str) -> None:
     (tmp_path / "in" / "a").mkdir(parents=True)
     (tmp_path / "outside").write_text("secret")
     (tmp_path / "in" / "link").symlink_to(target)
-    with pytest.raises(InputError, match=r"link: is a link to '.*', which leads out of the folder: put a copy"):
+    with pytest.raises(
+        InputError, match=r"link: is a link to '.*', which points out of the folder: replace it by a copy"
+    ):
         packed(tmp_path / "in")
 
 
@@ -69,7 +71,7 @@ def test_what_is_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Non
     with pytest.raises(InputError, match="pipe: is no file or folder"):
         packed(tmp_path)
     (tmp_path / "pipe").unlink()
-    monkeypatch.chdir(tmp_path)  # sockets have short names
+    monkeypatch.chdir(tmp_path)  # paths of sockets must be short
     with socket.socket(socket.AF_UNIX) as listener:
         listener.bind("sock")
         with pytest.raises(InputError, match="sock: is no file or folder"):

@@ -23,7 +23,7 @@ PARAMETER = f"arn:aws:ssm:eu-west-1:{ACCOUNT}:parameter/team/token"
 
 
 def allowed(holder: Holder, action: str, resource: str, settings: BatchSettings = SETTINGS) -> bool:
-    """Whether a policy allows an action, its conditions left aside."""
+    """Return whether a policy allows an action, ignoring its conditions."""
     return any(
         action in statement["Action"]
         and any(fnmatch.fnmatchcase(resource, each) for each in as_list(statement["Resource"]))
@@ -73,7 +73,7 @@ def test_what_the_caller_may_not() -> None:
         ("batch:SubmitJob", batch("job-definition/other:1")),
         ("batch:DeregisterJobDefinition", batch("job-definition/other:1")),
         ("iam:PassRole", f"arn:aws:iam::{ACCOUNT}:role/admin"),
-        ("s3:PutObject", s3(LOCATION.result_key(7, 1, "outcome.json"))),  # results are the tasks'
+        ("s3:PutObject", s3(LOCATION.result_key(7, 1, "outcome.json"))),  # only tasks write results
         ("s3:GetObject", s3("other/file")),
         ("s3:GetObject", s3(LOCATION.input_key("a" * 64))),
         ("s3:PutObject", "arn:aws:s3:::other/calibration/inputs/x"),
@@ -135,19 +135,19 @@ def test_other_partitions_and_queues_by_arn() -> None:
         SETTINGS,
         queue=f"arn:aws-cn:batch:cn-north-1:{ACCOUNT}:job-queue/q",
         region="cn-north-1",
-        platform="ec2",  # Fargate needs an execution role
+        platform="ec2",  # Fargate requires an execution role
         job_role=f"arn:aws-cn:iam::{ACCOUNT}:role/j",
         execution_role=None,
     )
     text = json.dumps([policy(holder, china) for holder in HOLDERS])
     assert "arn:aws:" not in text
     assert allowed("caller", "batch:SubmitJob", china.queue, china)
-    assert "null" not in text.lower().replace('"null"', "")  # no role that there is not
+    assert "null" not in text.lower().replace('"null"', "")  # no role that is None
 
 
 @pytest.mark.parametrize("holder", HOLDERS)
 def test_every_action_is_one(holder: Holder) -> None:
-    """An action is an operation of its service, but for a few names that IAM has for itself."""
+    """An action is an operation of its service, except for a few names that exist only in IAM."""
     own = {"s3:ListBucket", "iam:PassRole", "batch:TagResource"}
     for statement in policy(holder, SETTINGS)["Statement"]:
         for action in set(statement["Action"]) - own:
@@ -160,14 +160,14 @@ SERVICES = {
     for service in ("batch", "s3", "logs", "ecr")
     for operation in Session().get_service_model(service).operation_names
 }
-"""What the clients' methods do."""
+"""Actions of the clients' methods."""
 FOLDER = Path(policy_module.__file__).parent
 IN_IAM = {"s3:HeadBucket": "s3:ListBucket", "s3:ListObjectsV2": "s3:ListBucket", "s3:HeadObject": "s3:GetObject"}
-"""Where an action has another name than the operation."""
+"""Operations whose action has another name."""
 
 
 def called(*code: ast.AST) -> set[str]:
-    """The actions that a policy has to allow for what some code calls."""
+    """Return the actions that code needs for its calls."""
     actions = set()
     for tree in code:
         for node in ast.walk(tree):
@@ -176,7 +176,7 @@ def called(*code: ast.AST) -> set[str]:
             name = node.func.attr
             if name == "get_paginator" and isinstance(node.args[0], ast.Constant):
                 name = str(node.args[0].value)
-            if name == "upload_fileobj":  # in parts, where it is large
+            if name == "upload_fileobj":  # in parts if it is large
                 actions |= {"s3:PutObject", "s3:AbortMultipartUpload"}
             elif name in SERVICES:
                 actions.add(IN_IAM.get(SERVICES[name], SERVICES[name]))
@@ -188,7 +188,7 @@ def parsed(path: Path) -> ast.Module:
 
 
 def of_the_store(code: ast.AST) -> set[str]:
-    """The methods that some code calls, or hands on, of a store; inside of the class, of itself."""
+    """Return the methods of a store that code calls or passes on; inside of the class, of itself."""
     return {
         node.attr
         for node in ast.walk(code)
@@ -202,7 +202,7 @@ def actions_of(holder: Holder) -> set[str]:
 
 def test_the_caller_may_do_what_the_code_does_and_no_more() -> None:
     modules = [parsed(path) for path in FOLDER.rglob("*.py") if "inside" not in path.parts]
-    # tags and roles are part of other requests
+    # tags and roles are parts of other requests
     assert actions_of("caller") == called(*modules) | {"batch:TagResource", "iam:PassRole"}
 
 
@@ -227,7 +227,7 @@ def test_iam_takes_them(monkeypatch: pytest.MonkeyPatch) -> None:
     iam.create_role(RoleName="calibration-job", AssumeRolePolicyDocument=json.dumps(trust()))
     for holder in HOLDERS:
         document = json.dumps(policy(holder, settings))
-        assert len(document) < 6144  # the most of a managed policy
+        assert len(document) < 6144  # size limit of a managed policy
         iam.create_policy(PolicyName=holder, PolicyDocument=document)
         sids = [statement["Sid"] for statement in policy(holder, settings)["Statement"]]
         assert all(sid.isalnum() for sid in sids)

@@ -1,4 +1,4 @@
-"""Queues, definitions, images: what is asked of AWS before jobs are sent, and what is found in a queue later."""
+"""Queues, definitions and images: checks before submission, and search in a queue."""
 
 import os
 import subprocess
@@ -46,7 +46,7 @@ def aws(batch_emulator: FakeAws) -> Iterator[Aws]:
         ({"environment_status": "INVALID"}, {}, "is ENABLED and INVALID"),
         ({"kind": "EC2"}, {}, "its hosts are EC2, but platform is fargate: say ec2, or name another queue"),
         ({}, {"platform": "ec2"}, "its hosts are FARGATE, but platform is ec2: say fargate"),
-        ({}, {"spot": True}, "spot is asked for, but its hosts are FARGATE"),
+        ({}, {"spot": True}, "spot is required, but its hosts are FARGATE"),
         ({"max_cpus": 2}, {}, r"a job needs 4 vCPUs, but its compute environments have at most 2 \(maxvCpus\)"),
         ({"kind": "FARGATE_SPOT"}, {"spot": True}, ""),
         ({"kind": "SPOT"}, {"spot": True, "platform": "ec2"}, ""),
@@ -72,7 +72,7 @@ def test_no_such_queue(aws: Aws) -> None:
 
 
 def answering(aws: Aws, monkeypatch: pytest.MonkeyPatch, queue: dict[str, Any], *environments: dict[str, Any]) -> None:
-    """Let AWS answer what the emulator has none of."""
+    """Let AWS describe a queue that the emulator does not support."""
     fine = {"state": "ENABLED", "status": "VALID"}
     order = [{"computeEnvironment": "e"} for _ in environments]
     told = [{"computeEnvironmentName": "e", **fine, **each} for each in environments]
@@ -115,7 +115,7 @@ def test_likely_reasons_name_what_is_wrong_with_the_queue(aws: Aws, monkeypatch:
 
 def test_reasons_that_cannot_be_found_out(aws: Aws, batch_emulator: FakeAws) -> None:
     batch_emulator.faults.deny("DescribeJobQueues")
-    assert likely_reasons(aws, SETTINGS, ["x"])[0].startswith("it cannot be found out: queue 'robots': AWS: batch:")
+    assert likely_reasons(aws, SETTINGS, ["x"])[0].startswith("the cause is unknown: queue 'robots': AWS: batch:")
 
 
 def definition(memory: int) -> dict[str, Any]:
@@ -147,7 +147,7 @@ def test_a_definition_has_a_new_revision_only_where_it_differs(
     assert main(["cleanup", "--cloud", "--definitions", "--region", REGION]) == 0
     assert capsys.readouterr().out == "nothing deregistered\n"
     assert ensure(aws, definition(3072)) == arns[-1]
-    assert ensure(aws, definition(1024)).endswith(":4")  # its old revision is no longer active
+    assert ensure(aws, definition(1024)).endswith(":4")  # its old revision is not active
 
 
 def test_definitions_on_many_pages(aws: Aws, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -200,7 +200,7 @@ def test_jobs_that_make_no_sense_are_refused_before_anything_is_sent(batch_emula
     assert batch_emulator.batch.calls == {}
     with pytest.raises(InputError, match="run 'a/b': expected letters"):
         BatchBackend(SETTINGS, "a/b")
-    with pytest.raises(InputError, match="resume: name the run"):
+    with pytest.raises(InputError, match="resume: give the name of the run"):
         BatchBackend(SETTINGS, resume=True)
 
 
@@ -265,9 +265,9 @@ def test_cleanup_ends_what_killed_runs_have_left(
         assert main(["cleanup", "--cloud", "--run", "night.1", *where]) == 0
         assert capsys.readouterr().out == "nothing in AWS Batch ended\n"
         monkeypatch.chdir(tmp_path)
-        assert main(["cleanup", "--cloud", "--run", "night"]) == 0  # one that still goes on
+        assert main(["cleanup", "--cloud", "--run", "night"]) == 0  # a running one
         assert main(["cleanup", "--cloud", "--all", *where]) == 0
-        wait_for(lambda: running(batch_emulator) == [foreign])  # not ours, whatever its name
+        wait_for(lambda: running(batch_emulator) == [foreign])  # a foreign job with a similar name
     finally:
         killed.kill()
         killed.wait()
@@ -298,14 +298,14 @@ def test_jobs_that_do_not_end(aws: Aws, batch_emulator: FakeAws, monkeypatch: py
     arn = batch.register_job_definition(**definition(1024))["jobDefinitionArn"]
     ids = [batch.submit_job(jobName="a", jobQueue=QUEUE, jobDefinition=arn)["jobId"] for _ in range(6)]
     monkeypatch.setattr(aws.batch, "terminate_job", lambda **_: {})
-    with pytest.raises(InfrastructureError, match="6 jobs in AWS Batch do not end, such as "):
+    with pytest.raises(InfrastructureError, match="6 jobs in AWS Batch are not terminated, such as "):
         terminate(aws, ids, "test")
     monkeypatch.undo()
     batch_emulator.faults.deny("TerminateJob", times=4)
     with pytest.raises(InputError, match="batch:TerminateJob: AccessDeniedException"):
         terminate(aws, ids, "test")
-    assert batch_emulator.batch.calls["TerminateJob"] == 4  # after so many it is hopeless
-    assert find_in_queue(aws, QUEUE) == []  # of no run
+    assert batch_emulator.batch.calls["TerminateJob"] == 4  # then it gives up
+    assert find_in_queue(aws, QUEUE) == []  # without a run
     for identifier in ids:
         batch.terminate_job(jobId=identifier, reason="test")
     batch.close()

@@ -1,4 +1,4 @@
-"""Many jobs: memory that does not grow with what comes back, and a bounded number of calls for each job."""
+"""Many jobs: constant memory during downloads, and a bounded number of requests per job."""
 
 import json
 import os
@@ -43,9 +43,9 @@ def test_many_jobs(batch_emulator: Aws, tmp_path: Path) -> None:
     early, late = told["memory"]
     assert late - early < 8 * 1024**2
     calls = told["calls"]
-    assert calls["s3:GetObject"] == JOBS  # of those without artifacts: the outcome
+    assert calls["s3:GetObject"] == JOBS  # the outcome only, without artifacts
     assert calls["s3:PutObject"] == JOBS // 100 + 1
     assert calls["batch:SubmitJob"] == 1
-    looks = 3 * told["took"]  # a second apart at least
+    looks = 3 * told["took"]  # at least a second apart
     assert sum(calls.values()) - calls["s3:GetObject"] - calls["s3:PutObject"] < 0.1 * JOBS + looks
-    assert told["seconds"] >= 60 * JOBS  # Fargate bills a minute at least
+    assert told["seconds"] >= 60 * JOBS  # Fargate bills at least one minute

@@ -1,4 +1,4 @@
-"""What goes wrong between us and AWS is one line; who we are is found out as on GitHub."""
+"""Errors of AWS are one line; credentials are found as on GitHub."""
 
 import json
 import threading
@@ -101,7 +101,7 @@ def test_settings_that_make_no_sense(batch_emulator: FakeAws, monkeypatch: pytes
 
 
 class TokenService(BaseHTTPRequestHandler):
-    """What GitHub gives a job that may ask for tokens."""
+    """Stand-in of GitHub's service for OIDC tokens."""
 
     asked = 0
     answer = b'{"value": "eyJ.planted.jwt"}'
@@ -145,7 +145,7 @@ ROLE = "arn:aws:iam::123456789012:role/robots/ci"
 def test_on_github_the_role_comes_first(
     batch_emulator: FakeAws, tokens: type[TokenService], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    assert "assumed-role" not in caller(Aws(REGION))  # nobody names a role
+    assert "assumed-role" not in caller(Aws(REGION))  # without a role
     assert tokens.asked == 0
     monkeypatch.setenv("AWS_ROLE_ARN", ROLE)
     assert ":assumed-role/ci/calibration-ci" in caller(Aws(REGION))
@@ -212,7 +212,7 @@ def test_a_bucket_that_redirects(region: str, there: str) -> None:
 
 def test_a_bucket_elsewhere(batch_emulator: FakeAws) -> None:
     aws = Aws("eu-central-1")
-    with pytest.raises(InputError, match=r"it is in eu-west-1, the jobs in eu-central-1: take one of there"):
+    with pytest.raises(InputError, match=r"it is in eu-west-1, the jobs in eu-central-1: use one in this region"):
         Store(aws, BUCKET).check()
     aws.close()
 

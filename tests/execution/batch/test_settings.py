@@ -86,7 +86,7 @@ def test_every_key() -> None:
     )
     ec2 = read(BatchSettings, {**NEEDED, "platform": "ec2", "shared-hosts": False}, WHERE)
     assert (ec2.platform, ec2.shared_hosts) == ("ec2", False)
-    # no field without a key, and no key without a field
+    # fields and keys correspond one to one
     keys = {*entry, "shared-hosts"}
     assert {field.name.replace("_", "-") for field in fields(BatchSettings)} == keys
     assert flat_fields(BatchSettings).keys() == keys
@@ -124,10 +124,10 @@ def test_every_key() -> None:
         ({"queue": "robots\n"}, "aws-batch: queue: found 'robots\\n', expected the name"),
         ({"priority": 1}, "priority orders the jobs of a share: say share too"),
         ({"prices": {"vcpu-hour": 1}}, "prices: missing key 'gb-hour'"),
-        ({"platform": "ec2", "disk": 30}, "disk: platform ec2 has no such thing: drop it, or say fargate"),
-        ({"platform": "ec2", "public_ip": True}, "public-ip: platform ec2 has no such thing"),
-        ({"shared_hosts": False}, "shared-hosts: platform fargate has no such thing: drop it, or say ec2"),
-        ({"queue": f"arn:aws:batch:us-east-1:{ACCOUNT}:job-queue/q"}, "queue: it is in us-east-1, but region says eu-"),
+        ({"platform": "ec2", "disk": 30}, "disk: platform ec2 does not support it: remove it, or set fargate"),
+        ({"platform": "ec2", "public_ip": True}, "public-ip: platform ec2 does not support it"),
+        ({"shared_hosts": False}, "shared-hosts: platform fargate does not support it: remove it, or set ec2"),
+        ({"queue": f"arn:aws:batch:us-east-1:{ACCOUNT}:job-queue/q"}, "queue: it is in us-east-1, but region is eu-"),
         (
             {"execution_role": "arn:aws:iam::210987654321:role/x"},
             "it is of another account than job-role: 123456789012",

@@ -19,7 +19,7 @@ def test_what_the_definition_has_to_say(tmp_path: Path) -> None:
             ContainerShape(
                 name="simulation",
                 image=f"{REGISTRY}/simulation@sha256:{'0' * 64}",
-                resources=Resources(2, 3 * 1024 + 1),  # a byte more than 3 GiB
+                resources=Resources(2, 3 * 1024 + 1),  # one byte more than 3 GiB
                 mounts=(MountShape(0, "/data", False),),
             ),
             ContainerShape(
@@ -40,7 +40,7 @@ def test_what_a_job_reads_from_s3_changes_no_shape() -> None:
         job(container(command=("calibrate", "--seed", "2"), environment={"A": "1"}, working_directory="/w"), name="k"),
         job(container(readiness=Readiness(port=1), limits=Limits(seconds=3), artifacts=(Artifact("/o"),)), seconds=1),
         job(container(entrypoint=("/run",), success=(3,))),
-        # what is said is what would have been taken
+        # explicit default values
         job(container(limits=Limits(cpus=SETTINGS.cpus, memory=SETTINGS.memory))),
     ]
     group, *others = group_by_shape([job(), *changes], SETTINGS)
@@ -62,7 +62,7 @@ def test_what_makes_another_shape() -> None:
     groups = group_by_shape([*jobs, *reversed(jobs)], SETTINGS)
     assert [group.jobs for group in groups] == [(i, 15 - i) for i in range(8)]
     assert len({group.name for group in groups}) == 8
-    # the same jobs, found again in another run and by another process, have the same groups
+    # the same jobs in another run and process have the same groups
     assert [group.name for group in groups] == [group.name for group in group_by_shape(jobs, SETTINGS)]
     assert groups[0].name == "c07b5b521ae6"
     assert group_by_shape([job()], replace(SETTINGS, cpus=4))[0].name != groups[0].name

@@ -1,4 +1,4 @@
-"""However a run ends, nothing of it goes on in the cloud; and where that cannot be seen to, it is said."""
+"""However a run ends, its jobs are terminated; if that is uncertain, it is reported."""
 
 import io
 import os
@@ -27,7 +27,7 @@ pytestmark = pytest.mark.usefixtures("quick")
 
 
 def hang(task: TaskJob, attempt: Attempt) -> Did | None:
-    """Until somebody ends it; the first of the jobs ends at once."""
+    """Run until terminated; the first job ends at once."""
     if task.job.name != "world/0":
         attempt.stop.wait(240)
         return None
@@ -35,7 +35,7 @@ def hang(task: TaskJob, attempt: Attempt) -> Did | None:
 
 
 class Clock:
-    """The client's clock, which can hurry: no test depends on how soon an attempt runs and its results are here."""
+    """Controllable clock of the client: no test depends on the duration of attempts and downloads."""
 
     SPEED = 1000
 
@@ -48,17 +48,17 @@ class Clock:
         return now + self._ahead + (0.0 if self._hurries_since is None else self.SPEED * (now - self._hurries_since))
 
     def hurry(self) -> None:
-        """From now on."""
+        """Run fast from now on."""
         if self._hurries_since is None:
             self._hurries_since = time.monotonic()
 
     def hurry_after(self, outcome: tuple[int, JobOutcome]) -> tuple[int, JobOutcome]:
-        """From this outcome on."""
+        """Run fast after this outcome."""
         self.hurry()
         return outcome
 
     def rest(self) -> None:
-        """Go on as other clocks do."""
+        """Run normally again."""
         now = self.monotonic()
         self._hurries_since = None
         self._ahead = now - time.monotonic()
@@ -80,7 +80,7 @@ def test_closing_the_iterator_ends_all(batch_emulator: Aws, tmp_path: Path) -> N
         assert running(batch_emulator)
         outcomes.close()
         batch_emulator.batch.wait()
-        assert next(backend.run(jobs(1), tmp_path))[1].verdict == "pass"  # and it can be used again
+        assert next(backend.run(jobs(1), tmp_path))[1].verdict == "pass"  # it remains usable
 
 
 def test_an_error_of_who_reads_ends_all(batch_emulator: Aws, tmp_path: Path) -> None:
@@ -159,7 +159,7 @@ def test_a_lost_answer_submits_nothing_twice(batch_emulator: Aws, tmp_path: Path
 
 def test_what_has_been_submitted_twice_after_all_is_ended(batch_emulator: Aws, tmp_path: Path) -> None:
     Tasks(batch_emulator, hang)
-    # the list of jobs is behind: that it was submitted is seen too late
+    # the list of jobs lags behind, so the submission is found too late
     batch_emulator.faults.drop("SubmitJob", answered=True)
     batch = batch_emulator.batch
     listed = batch._calls.find("ListJobs")
@@ -229,7 +229,7 @@ def test_jobs_that_get_no_host_are_given_up_with_likely_reasons(
     for index in (1, 2):
         [reason] = outcomes[index].reasons
         assert reason.startswith(
-            "no host for it within 400 s in queue 'robots' (stuck); likely reasons: AWS Batch says: "
+            "it got no host within 400 s in queue 'robots' (stuck); likely reasons: AWS Batch reports: "
         )
         assert said in reason
         assert "subnet needs NAT" in reason
@@ -237,7 +237,7 @@ def test_jobs_that_get_no_host_are_given_up_with_likely_reasons(
 
 
 def test_what_waits_behind_others_is_not_stuck(batch_emulator: Aws, tmp_path: Path, clock: Clock) -> None:
-    four = threading.Barrier(4)  # hosts
+    four = threading.Barrier(4)  # number of hosts
 
     def slowly(task: TaskJob, attempt: Attempt) -> Did:
         if int(task.job.name.removeprefix("world/")) < 4:
@@ -269,7 +269,7 @@ def test_what_somebody_else_ends_is_named(batch_emulator: Aws, tmp_path: Path) -
     thread.join()
     assert caught == []
     assert outcomes[1].exit_code == 3
-    assert outcomes[1].reasons == ("somebody has ended it: too expensive",)
+    assert outcomes[1].reasons == ("it was terminated by another process: too expensive",)
 
 
 def test_a_single_job_that_is_stuck(batch_emulator: Aws, tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Objects of a bucket."""
+"""Access to objects of a bucket."""
 
 import hashlib
 import io
@@ -44,12 +44,12 @@ def test_what_is_there_is_not_sent_again(store: Store, batch_emulator: FakeAws) 
     for _ in range(2):
         store.upload("inputs/x.tar", io.BytesIO(b"tar"), 3)
         assert calls["s3:PUT"] == 1
-    store.upload("inputs/x.ta", io.BytesIO(b"tar"), 3)  # the beginning of another key
+    store.upload("inputs/x.ta", io.BytesIO(b"tar"), 3)  # prefix of another key
     assert calls["s3:PUT"] == 2
 
 
 def test_large_objects(store: Store, tmp_path: Path) -> None:
-    content = bytes(range(256)) * 40_000  # in several parts
+    content = bytes(range(256)) * 40_000  # uploaded in several parts
     store.upload("inputs/large", io.BytesIO(content), len(content))
     assert store.download("inputs/large", tmp_path / "large", len(content)) == hashlib.sha256(content).hexdigest()
 

@@ -57,7 +57,7 @@ def test_share_priority_and_tags() -> None:
     settings = replace(SETTINGS, share="nightly", priority=7, tags={"team": "robots", "ci.calibration.run": "forged"})
     found = request(Chunk(0, 2), settings)
     assert (found["shareIdentifier"], found["schedulingPriorityOverride"]) == ("nightly", 7)
-    assert found["tags"] == {"team": "robots", "ci.calibration.run": "ab12"}  # ours stand above the user's
+    assert found["tags"] == {"team": "robots", "ci.calibration.run": "ab12"}  # ours take precedence over the user's
 
 
 def test_any_name_of_a_run() -> None:

@@ -13,7 +13,7 @@ def asked(*resources: tuple[float, int]) -> list[Resources]:
 
 
 def is_fargate_size(resources: Resources) -> bool:
-    """As the API's reference lists them, memory by memory."""
+    """Sizes as listed in the API reference."""
     memory, cpus = resources.memory, resources.cpus
     gib, rest = divmod(memory, GIB)
     if memory == 512:
@@ -44,7 +44,7 @@ def test_one_container_of_one_cpu_is_a_task_of_one_cpu() -> None:
 
 def test_memory_that_nobody_asked_for_is_ours() -> None:
     size = task_size(asked((2, 100), (0.1, 100)), "fargate")
-    assert size.total == Resources(4, 8 * GIB)  # 2.25 CPUs are no task, nor are 4 with less
+    assert size.total == Resources(4, 8 * GIB)  # tasks have neither 2.25 CPUs, nor 4 with less memory
     assert [each.memory for each in size.containers] == [100, 100]
     assert [each.cpus for each in size.containers] == [3.25, 0.25]
     assert size.watch.memory == 8 * GIB - 200 - TOOLS_MEMORY
@@ -76,7 +76,7 @@ def test_larger_than_any_task(resources: tuple[float, int]) -> None:
 def test_the_sums_are_the_total_and_every_limit_is_kept(resources: list[tuple[float, int]], platform: str) -> None:
     size = task_size(asked(*resources), platform)  # type: ignore[arg-type]
     everything = [*size.containers, size.prepare, size.watch]
-    assert sum(each.cpus for each in everything) == size.total.cpus  # quarters: exact
+    assert sum(each.cpus for each in everything) == size.total.cpus  # exact, because they are quarters
     assert sum(each.memory for each in everything) == size.total.memory
     assert [each.memory for each in size.containers] == [memory for _, memory in resources]
     assert min(each.memory for each in everything[-2:]) >= TOOLS_MEMORY

@@ -51,5 +51,5 @@ def test_a_machine_without_proc(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(labels.Path, "readlink", nothing)
     owner = Owner.this_process()
     assert (owner.process, owner.boot, owner.started) == (str(os.getpid()), "", "")
-    assert Owner.from_labels(owner.labels) is None  # so nobody takes him for dead
+    assert Owner.from_labels(owner.labels) is None  # so it is never taken for dead
     assert not owner.is_dead

@@ -1,4 +1,4 @@
-"""An engine that answers wrongly: one line for the user, whatever it says."""
+"""Faulty answers of an engine become one line for the user."""
 
 import json
 
@@ -24,7 +24,7 @@ def log() -> BuildLog:
 
 
 def build(*replies: Reply) -> str:
-    """Build with an engine that gives these answers; the last of them again and again."""
+    """Build with an engine that gives these answers, and repeats the last one."""
     context = Context()
     context.add_bytes("Dockerfile", b"FROM x")
     left = list(replies)

@@ -1,6 +1,6 @@
-"""Builds for several platforms, with a program in the place of docker's buildx that notes how it is called.
+"""Builds for several platforms, with a program that replaces docker's buildx and records its arguments.
 
-There is no buildx on a machine without Docker's own packages; what is sent to it is checked, not what it does.
+buildx is missing without Docker's own packages; the test checks the arguments, not the build.
 """
 
 import io

@@ -14,7 +14,7 @@ from calibration.image.specification import parse_image_specification
 
 INSTRUCTION = re.compile(
     r"^(FROM|SHELL|USER|ENV|RUN|COPY|WORKDIR|LABEL|ENTRYPOINT|CMD) \S", re.MULTILINE
-)  # all that we write
+)  # all instructions that the renderer writes
 DIGEST = f"sha256:{'a' * 64}"
 
 
@@ -24,7 +24,7 @@ def rendered(folder: Path = Path("nowhere"), digest: str | None = None, **entry:
 
 
 def instructions(dockerfile: str) -> list[str]:
-    """The instructions, each on one line, as a builder reads them."""
+    """Return the instructions, each on one line, as a builder reads them."""
     text = "\n".join(line for line in dockerfile.split("\n") if not line.startswith("#"))
     return [line for line in text.replace("\\\n", "").split("\n") if line]
 
@@ -128,7 +128,7 @@ def test_colcon_without_rosdep_and_as_root() -> None:
     assert re.findall("^USER .*", found.dockerfile, re.MULTILINE) == ["USER root"]
     assert found.entrypoint is not None
     assert "source /workspace/install/setup.bash" in found.entrypoint
-    assert found.dockerfile.endswith('CMD ["/bin/bash"]\n')  # an ENTRYPOINT takes the base's own away
+    assert found.dockerfile.endswith('CMD ["/bin/bash"]\n')  # an ENTRYPOINT resets the CMD of the base
 
 
 def test_repositories_are_cloned_in_a_stage_of_their_own(tmp_path: Path) -> None:
@@ -235,7 +235,7 @@ def test_no_text_of_the_user_becomes_an_instruction(
 
     assert words(found.dockerfile) == words(harmless.dockerfile)
     assert all(INSTRUCTION.match(instruction) for instruction in instructions(found.dockerfile))
-    assert rendered(**entry) == found  # the same bytes again
+    assert rendered(**entry) == found  # reproducible byte for byte
 
 
 @given(st.permutations(["a", "b", "c", "d"]))

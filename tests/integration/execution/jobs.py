@@ -1,4 +1,4 @@
-"""Jobs for the tests, and what they leave on the engine."""
+"""Jobs for tests, and their leftovers on the engine."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def shell(text: str, name: str = "a", image: str = PYTHON_IMAGE, **settings: Any) -> Container:
-    """Return a container that runs a line of shell, as the image's user, who is not root."""
+    """Return a container that runs a line of shell as the image's user, who is not root."""
     return Container(name, image, ("sh", "-c", text), **settings)
 
 
@@ -23,7 +23,7 @@ def python(text: str, name: str = "a", **settings: Any) -> Container:
 
 
 def run_jobs(folder: Path, *jobs: Job, workers: int | None = None, **settings: Any) -> list[JobOutcome]:
-    """Run jobs; return what came of them, in their order. Nothing of them is on the engine then."""
+    """Run jobs; return their outcomes in order, and check that nothing is left on the engine."""
     with DockerBackend(**settings) as backend:
         outcomes = dict(backend.run(jobs, folder, workers))
         name = backend.run_name
@@ -41,5 +41,5 @@ def run_job(folder: Path, *containers: Container, name: str = "job", **settings:
 
 
 def left(engine: "DockerClient", run: str) -> list[str]:
-    """Return what a run has on the engine."""
+    """Return the objects of a run on the engine."""
     return [f"{each.kind} {each.name}" for each in find_leftovers(engine.api, run)]

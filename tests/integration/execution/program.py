@@ -1,7 +1,7 @@
 """A program that runs jobs, for tests that stop or kill it.
 
-``python -m tests.integration.execution.program KIND RUN FOLDER [ARGUMENT]`` exits as `calibration`
-does; each outcome is a line: ``job exit_code reason``.
+``python -m tests.integration.execution.program KIND RUN FOLDER [ARGUMENT]`` has the exit codes of `calibration`
+and prints a line for each outcome: ``job exit_code reason``.
 """
 
 import sys
@@ -40,14 +40,14 @@ def jobs(kind: str, argument: str) -> list[Job]:
         return [Job("j", (shell(text, artifacts=(Artifact(f"{OUTPUT}/*"),)),))]
     if kind == "short":
         return [Job(f"j{i}", (shell("echo up"), shell("sleep 600", "b", essential=False))) for i in range(20)]
-    if kind == "bare":  # an engine of the test's own, with an image that has nothing but sleep
+    if kind == "bare":  # a separate engine, with an image that contains only sleep
         backend._LOOKING, backend._PATIENCE = 1, 2
         return [Job(f"j{i}", (Container("a", argument, ("/bin/sleep", "600")),), network="none") for i in range(2)]
     raise AssertionError(kind)
 
 
 def start_what_is_gone(run: ContainerRun, api: "APIClient", *arguments: Any) -> None:
-    """Start a container that somebody has removed since it was created; waits until somebody has."""
+    """Start a container that was removed after its creation; waits for the removal."""
     while api.containers(all=True, filters={"id": run.id}):
         time.sleep(0.05)
     plain_start(run, api, *arguments)

@@ -20,7 +20,7 @@ def test_brought_out_by_users_who_are_not_root(tmp_path: Path) -> None:
             artifacts=ALL,
             after=("sim",),
         ),
-        # another user of the same volume, who runs before
+        # an earlier container with another user on the same volume
         shell(
             f"id -u; echo from sim > {OUTPUT}/sim.txt; sleep 60",
             "sim",
@@ -58,12 +58,10 @@ def test_a_required_artifact_that_is_missing(tmp_path: Path) -> None:
         tmp_path, shell(f"echo 1 > {OUTPUT}/b.txt", artifacts=(Artifact(f"{OUTPUT}/*.csv"), *ALL)), name="missing"
     )
     assert outcome.exit_code == ExitCode.FAIL
-    assert outcome.reasons == (
-        f"container 'a' left no file that is the artifact '{OUTPUT}/*.csv'; beside it are b.txt",
-    )
-    assert [file.path for file in outcome.artifacts] == ["b.txt"]  # what there is may tell why
+    assert outcome.reasons == (f"container 'a' left no file for the artifact '{OUTPUT}/*.csv'; beside it are b.txt",)
+    assert [file.path for file in outcome.artifacts] == ["b.txt"]  # existing files may explain the failure
     empty = run_job(tmp_path, shell(f"mkdir {OUTPUT}/d", artifacts=(Artifact(f"{OUTPUT}/d"),)), name="empty")
-    assert empty.reasons == (f"container 'a' left no file that is the artifact '{OUTPUT}/d'",)
+    assert empty.reasons == (f"container 'a' left no file for the artifact '{OUTPUT}/d'",)
 
 
 @pytest.mark.parametrize(
@@ -79,8 +77,8 @@ def test_a_required_artifact_that_is_missing(tmp_path: Path) -> None:
             "truncate -s 10G zeros",
             "artifact 'output/zeros' has 10 GiB: more than the 2 GiB that the artifacts",
         ),
-        ('touch "$(printf "bad\\377")"', "has a name that not every machine can have"),
-        ('touch "$(printf "a\\nb")"', "artifact 'output/a b' has a name that not every machine can have"),
+        ('touch "$(printf "bad\\377")"', "has a name that some file systems do not allow"),
+        ('touch "$(printf "a\\nb")"', "artifact 'output/a b' has a name that some file systems do not allow"),
         ("d=.; for i in $(seq 70); do d=$d/d; done; mkdir -p $d; touch $d/x", "lies in more than 64 folders"),
     ],
 )
@@ -90,16 +88,16 @@ def test_what_is_hostile_is_refused_by_name(tmp_path: Path, leave: str, message:
     assert len(outcome.reasons) == 1
     assert message in outcome.reasons[0]
     assert outcome.artifacts == ()
-    # complete or not at all, and nothing elsewhere
+    # complete or missing, and nothing elsewhere
     assert sorted(path.name for path in outcome.folder.iterdir()) == ["logs", "manifest.json"]
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
-    assert outcome.seconds < 60  # 10 GB are not read
+    assert outcome.seconds < 60  # without reading 10 GB
 
 
 def test_limits_are_the_jobs(tmp_path: Path) -> None:
     wide = shell(f"cd {OUTPUT}; touch $(seq 20)", artifacts=ALL)
     outcome = run_job(tmp_path, wide, artifact_files=10)
-    assert "is one more than the 10 files that a job may bring out" in outcome.reasons[0]
+    assert "exceeds the limit of 10 artifacts of a job" in outcome.reasons[0]
 
 
 def test_two_artifacts_at_one_place(tmp_path: Path) -> None:
@@ -108,12 +106,12 @@ def test_two_artifacts_at_one_place(tmp_path: Path) -> None:
         (
             "other",
             f"echo 2 > {OUTPUT}/d/a",
-            ("container 'a': two artifacts of the job land at 'a', with other content",),
+            ("container 'a': two artifacts of the job have the same target 'a', with different content",),
         ),
         (
             "inside",
             f"mkdir {OUTPUT}/d/a; echo > {OUTPUT}/d/a/b",
-            ("container 'a': the artifact 'a/b' lies in what is a file of another one",),
+            ("container 'a': the artifact 'a/b' is inside of a path that is a file of another artifact",),
         ),
     ):
         outcome = run_job(

@@ -1,4 +1,4 @@
-"""How containers and jobs end: each way has its exit code, and one line that names it."""
+"""Ends of containers and jobs: each has its exit code and a message that names it."""
 
 import json
 from pathlib import Path
@@ -77,7 +77,7 @@ EAT = "bytearray(300 * 2**20)"
             End.EXITED,
             126,
             1,
-            "container 'a' ended with exit code 126 (its command may not be executed)",
+            "container 'a' ended with exit code 126 (its command is not executable)",
         ),
         (
             shell("true", user="nosuch"),
@@ -188,7 +188,7 @@ def test_an_essential_container_that_never_ran_is_no_success(tmp_path: Path) -> 
         shell("true", "second", after=("sim",)),
     )
     assert outcome.exit_code == ExitCode.FAIL
-    assert outcome.reasons == ("container 'second' was never started: another ended the job",)
+    assert outcome.reasons == ("container 'second' was not started: another container ended the job",)
 
 
 @pytest.mark.parametrize(
@@ -266,7 +266,7 @@ def test_an_image_that_vanishes_after_it_was_found(tmp_path: Path, monkeypatch: 
 
 
 def test_what_cannot_be_removed_is_said(tmp_path: Path, engine: "DockerClient") -> None:
-    """Somebody else uses a volume of the run."""
+    """Another container uses a volume of the run."""
     run, volume = new_run(), f"calibration-test-{new_run()}"
     host = engine.api.create_host_config(binds={volume: {"bind": "/v", "mode": "rw"}})
     backend = DockerBackend(run=run)
@@ -276,7 +276,7 @@ def test_what_cannot_be_removed_is_said(tmp_path: Path, engine: "DockerClient") 
     with pytest.raises(InfrastructureError, match=f"cannot be removed: volume {volume}: .*in use"):
         backend.__exit__(None, None, None)
     engine.api.remove_container(user)
-    with pytest.raises(ZeroDivisionError), DockerBackend(run=run):  # what went wrong first is what is said
+    with pytest.raises(ZeroDivisionError), DockerBackend(run=run):  # the first error is reported
         raise ZeroDivisionError
     assert left(engine, run) == []
 
@@ -288,7 +288,7 @@ def test_an_engine_without_addresses(engine: "DockerClient", monkeypatch: pytest
         raise APIError(said, explanation=said)
 
     monkeypatch.setattr(engine.api, "create_network", full)
-    with pytest.raises(InfrastructureError, match="no addresses for one more network: let fewer jobs run at once"):
+    with pytest.raises(InfrastructureError, match="no addresses for one more network: run fewer jobs at once"):
         Networks("r", {}).take(engine.api, internal=False)
 
 

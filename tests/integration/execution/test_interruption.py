@@ -1,4 +1,4 @@
-"""Stopped in every phase, nothing is left; killed, `calibration cleanup` finds what is."""
+"""Nothing is left after an interruption in any phase; leftovers of a killed run are found by `calibration cleanup`."""
 
 import os
 import signal
@@ -31,7 +31,7 @@ PROJECT = Path(__file__).resolve().parents[3]
 def program(
     folder: Path, engine: "DockerClient", kind: str, argument: str = ""
 ) -> Iterator[tuple[str, subprocess.Popen[str]]]:
-    """Start the program that runs jobs; yields the name of its run, and the process."""
+    """Start the program that runs jobs; yield the name of its run, and the process."""
     run = new_run()
     command = [sys.executable, "-m", "tests.integration.execution.program", kind, run, str(folder), argument]
     with subprocess.Popen(
@@ -71,7 +71,7 @@ def test_stopped_while_it_goes_on(
         assert process.returncode == (143 if number == signal.SIGTERM else 130), out + err
         assert left(engine, run) == []
         assert err == ""
-    # GitHub kills after 7.5 s: nobody is asked to end, and waited for
+    # GitHub kills after 7.5 s, so containers are killed without SIGTERM
     asked = {"event": ["kill"], "label": [f"{RUN}={run}"]}
     events = engine.api.events(f"{begin:.6f}", f"{time.time():.6f}", filters=asked, decode=True)
     sent = {event["Actor"]["Attributes"]["signal"] for event in events}
@@ -80,7 +80,7 @@ def test_stopped_while_it_goes_on(
 
 @pytest.mark.parametrize("delay", [0.9, 1.3, 1.7, 2.1])
 def test_stopped_at_any_moment(tmp_path: Path, engine: "DockerClient", delay: float) -> None:
-    """Creating, starting, stopping, bringing out, removing: one after the other, job after job."""
+    """During creation, start, stop, copying and removal: one after the other, for each job."""
     with program(tmp_path, engine, "short") as (run, process):
         assert process.stdout is not None
         wait_until(lambda: has(engine, run, "running") or process.poll() is not None, "the first runs")
@@ -141,7 +141,7 @@ def test_a_name_that_is_taken_is_replaced_by_another(
             [(_, outcome)] = backend.run([Job("job", (shell("true"),))], tmp_path)
         assert outcome.reasons == ()
         assert next(names, "none left") == "none left"
-        assert engine.api.inspect_container(other)["State"]["Status"] == "created"  # it is somebody else's
+        assert engine.api.inspect_container(other)["State"]["Status"] == "created"  # of another run
     finally:
         engine.api.remove_container(other, force=True)
 

@@ -1,4 +1,4 @@
-"""What a container may, and what it may only when it is named."""
+"""Privileges of containers, by default and by relaxations."""
 
 import tempfile
 from dataclasses import replace
@@ -127,7 +127,7 @@ def test_an_engine_that_does_not_see_our_files_gets_copies(tmp_path: Path, monke
     assert printed(tmp_path / "out", shell(text, mounts=mounts)) == "content\ncontent\nruns\nrefused\n"
     outcome = run_job(tmp_path / "out", shell("true", mounts=(Mount(data, "/data", writable=True),)))
     assert outcome.exit_code == 2
-    assert outcome.reasons[0].startswith("mount '/data': the Docker Engine does not see the files of this machine")
+    assert outcome.reasons[0].startswith("mount '/data': the Docker Engine cannot access the files of this machine")
 
 
 def test_a_file_that_cannot_be_copied(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -183,7 +183,7 @@ def test_jobs_of_a_run_reach_each_other_by_no_means(tmp_path: Path) -> None:
     addresses = [(outcome.folder / "artifacts" / "address").read_text() for outcome in outcomes]
     assert addresses[0] != addresses[1]
     assert logs == ["reached [] heard False\n"] * 2
-    # the same in one job: so the question was asked rightly
+    # in one job it works, so the test itself is valid
     listen = LISTEN.replace("PATIENCE", "60")
     outcome = run_job(tmp_path, python(listen, "a"), python(listen, "b", after=("a",)))
     both = "".join((outcome.folder / "logs" / f"{name}.log").read_text() for name in ("a", "b"))
@@ -220,7 +220,7 @@ def test_networks_as_the_engine_makes_them(engine: "DockerClient", internal: boo
         assert networks.shared(engine.api, internal) == shared
         networks.give_back(shared)
         networks.give_back(own)
-        assert networks.take(engine.api, internal) == own  # used again; the shared one is nobody's
+        assert networks.take(engine.api, internal) == own  # reused; the shared one is never taken
         other = networks.take(engine.api, internal)
         assert len({own.name, shared.name, other.name}) == 3
         found = {name: engine.api.inspect_network(name) for name in (own.name, shared.name)}

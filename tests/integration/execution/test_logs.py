@@ -41,13 +41,13 @@ def test_in_a_group_per_container_on_github(tmp_path: Path) -> None:
     opened = 0
     for command in commands:
         opened += command.startswith("::group") - command.startswith("::endgroup")
-        assert opened in (0, 1)  # the runner knows no groups in groups
+        assert opened in (0, 1)  # the runner does not support nested groups
     assert "##[" not in log
     assert "\x1b" not in log
 
 
 class Screen(io.StringIO):
-    """Lets a container go on when its line has been shown."""
+    """Lets a container continue when its line has been shown."""
 
     def __init__(self, folder: Path, seen: Callable[[], None] = lambda: None) -> None:
         super().__init__()
@@ -63,7 +63,7 @@ class Screen(io.StringIO):
 
     @property
     def container(self) -> Container:
-        """One that waits for it."""
+        """Return the container, which waits for the display."""
         text = "echo begun; while ! test -e /go/now; do sleep 0.05; done"
         return shell(text, mounts=(Mount(self._folder, "/go"),), limits=Limits(seconds=60))
 
@@ -85,7 +85,7 @@ def test_much_output_is_kept_whole(tmp_path: Path) -> None:
 
 def test_output_that_is_closed_early_is_no_end(tmp_path: Path) -> None:
     outcome = run_job(tmp_path, shell("echo x; exec >&- 2>&-; sleep 0.7; exit 4"))
-    assert outcome.reasons == ("container 'a' ended with exit code 4: x",)  # which it has only when it has ended
+    assert outcome.reasons == ("container 'a' ended with exit code 4: x",)  # available only after its end
 
 
 SECRET = "pl4nted-s3cret\nwith a second line"  # noqa: S105

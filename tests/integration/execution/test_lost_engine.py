@@ -1,4 +1,4 @@
-"""An engine that dies, or falls silent, in mid-run: one line, exit code 3."""
+"""An engine that dies, or stops answering, during a run: one message, exit code 3."""
 
 import signal
 import subprocess
@@ -41,7 +41,7 @@ def running(engine: OwnEngine, run: str) -> int:
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
 def test_lost_in_mid_run(own_engine: OwnEngine, tmp_path: Path, number: signal.Signals) -> None:
-    """Killed, its connections break; stopped, it holds them and says nothing."""
+    """Killed, its connections break; stopped, it keeps them without answering."""
     run = new_run()
     with start(tmp_path, run) as process:
         try:
@@ -60,7 +60,7 @@ def test_lost_in_mid_run(own_engine: OwnEngine, tmp_path: Path, number: signal.S
 
 
 def test_nothing_is_left_when_it_is_back(own_engine: OwnEngine, tmp_path: Path) -> None:
-    """What a lost engine still had is what `calibration cleanup` finds: its labels are on it."""
+    """`calibration cleanup` finds the leftovers of a lost engine by their labels."""
     run = new_run()
     with start(tmp_path, run) as process:
         wait_until(lambda: running(own_engine, run) == 2, "both jobs run")

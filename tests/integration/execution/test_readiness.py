@@ -41,7 +41,7 @@ def test_who_comes_after_finds_it_ready(tmp_path: Path, ready: dict[str, Any], n
 def test_a_port_out_of_reach_is_looked_up_in_the_container(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, network: Any
 ) -> None:
-    if network == "private":  # as with Docker Desktop, whose containers have no address here
+    if network == "private":  # as with Docker Desktop, whose containers are unreachable from here
 
         def unreachable(*_: object) -> None:
             raise TimeoutError

@@ -1,4 +1,4 @@
-"""Builds on the real engine: specifications made in a test, and images that are gone after it."""
+"""Builds on the real engine: specifications of a test, and images that are removed after it."""
 
 import io
 import uuid
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 @dataclass
 class Builds:
-    """A folder for the files of one test, and a name for its images."""
+    """Folder for the files of a test, and name for its images."""
 
     engine: "DockerClient"
     folder: Path
@@ -34,12 +34,12 @@ class Builds:
         return file
 
     def build(self, options: dict[str, Any] | None = None, **entry: Any) -> BuiltImage:
-        """Build what the entry says (its keys with ``_`` for ``-``)."""
+        """Build an entry of a specification (its keys with ``_`` for ``-``)."""
         document = {key.replace("_", "-"): value for key, value in {"name": self.name, **entry}.items()}
         return build_image(parse_image_specification(document, self.folder, "test"), self.runner, **(options or {}))
 
     def run(self, image: str, *command: str, **options: Any) -> str:
-        """What a container of an image prints."""
+        """Run a container of an image, and return its output."""
         return str(self.engine.containers.run(image, list(command) or None, remove=True, **options).decode()).strip()
 
     @property
@@ -49,16 +49,16 @@ class Builds:
 
     def forget(self) -> None:
         """Remove all images of this test from the engine."""
-        for kind, sign in (("RepoTags", ":"), ("RepoDigests", "@")):  # the last tag takes its digest with it
+        for kind, sign in (("RepoTags", ":"), ("RepoDigests", "@")):  # removing the last tag removes the digest
             for name in self._names(kind, sign):
                 self.engine.images.remove(name, force=True)
 
     def tags(self) -> list[str]:
-        """The names that the engine has of images of this test."""
+        """Return the names of this test's images on the engine."""
         return self._names("RepoTags", ":")
 
     def _names(self, kind: str, sign: str) -> list[str]:
-        # Not images.list(): it asks for each image, and those of other tests may be gone by then.
+        # Not images.list(): it inspects each image, and those of other tests may be removed meanwhile.
         names = [name for image in self.engine.api.images() for name in image[kind] or ()]
         return [name for name in names if name.rpartition(sign)[0].endswith(self.name.rpartition("/")[2])]
 

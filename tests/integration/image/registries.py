@@ -1,4 +1,4 @@
-"""What the tests of registries share: a small image, and a registry that goes wrong in front of a real one."""
+"""Shared parts of tests of registries: a small image, and a faulty proxy of a real registry."""
 
 import io
 import tarfile
@@ -14,13 +14,13 @@ if TYPE_CHECKING:
 
 
 def fresh_name(address: str) -> str:
-    """A repository that no other test has."""
+    """Return the name of an unused repository."""
     return f"{address}/calibration-test/{uuid.uuid4().hex[:12]}"
 
 
 @contextmanager
 def small_image(engine: "DockerClient", name: str, *tags: str) -> Iterator[str]:
-    """An image of one layer of a few bytes that no other has; gives its id."""
+    """Create a unique image with one small layer; yield its id."""
     archive = io.BytesIO()
     with tarfile.open(fileobj=archive, mode="w") as tar:
         content = uuid.uuid4().bytes
@@ -40,7 +40,7 @@ def small_image(engine: "DockerClient", name: str, *tags: str) -> Iterator[str]:
 
 @contextmanager
 def faulty(address: str, fault: Callable[[Request], Reply | None]) -> Iterator[Server]:
-    """A registry in front of the one at an address; what ``fault`` answers is its own."""
+    """Run a proxy of a registry; answers of ``fault`` replace the registry's."""
     import requests
 
     def answer(request: Request) -> Reply:

@@ -1,4 +1,4 @@
-"""Images built for real, by both of the engine's builders."""
+"""Real builds of images, by both of the engine's builders."""
 
 import hashlib
 import json
@@ -29,7 +29,7 @@ FAKE_ROS = {
     "usr/local/bin/apt-get": "#!/bin/sh\n",
     "etc/ros/rosdep/sources.list.d/20-default.list": "",
 }
-"""What a workspace needs of ROS, as programs that note how they are called."""
+"""Programs of ROS that a workspace needs, which record their arguments."""
 
 
 def buildkit_or_skip() -> None:
@@ -48,7 +48,7 @@ def builder(request: pytest.FixtureRequest) -> str:
 
 @pytest.fixture
 def fake_ros(builds: Builds) -> str:
-    """A base with `FAKE_ROS`."""
+    """Build a base with `FAKE_ROS`."""
     for path, content in FAKE_ROS.items():
         builds.write(f"fake/{path}", content, 0o755)
     builds.write("fake.Dockerfile", f"FROM {BASE}\nCOPY fake /\n")
@@ -204,7 +204,7 @@ def test_a_dockerfile_that_is_wrong(builds: Builds, builder: str, text: str) -> 
 
 
 def test_a_base_that_is_not_there(builds: Builds, registry: Registry) -> None:
-    with pytest.raises(InputError, match=f"base image {registry.address}/no/such:1: neither this machine nor"):
+    with pytest.raises(InputError, match=f"base image {registry.address}/no/such:1: found neither on this machine nor"):
         builds.build(base=f"{registry.address}/no/such:1")
     with pytest.raises(InfrastructureError):
         builds.build(base="127.0.0.1:1/no/such:1")
@@ -258,7 +258,7 @@ def test_what_the_key_cannot_see_is_said(builds: Builds) -> None:
 
 
 def test_nobody_is_asked_for_a_name_that_anybody_may_have(builds: Builds) -> None:
-    """On Docker Hub; a name without a host is one of this machine unless it is pushed."""
+    """Names without a host may belong to a stranger on Docker Hub, so it is not asked unless the image is pushed."""
     image = builds.build(name=f"team/{builds.name}", base=BASE, commands=["true"])
     assert image.built
     assert "registry" not in builds.log
@@ -285,7 +285,7 @@ def test_secrets_reach_the_step_and_nothing_else(builds: Builds, monkeypatch: py
         base=BASE,
         secrets=[{"id": "one", "variable": "PLANTED"}, {"id": "two", "file": "secret"}],
         commands=[
-            # BuildKit takes another value of a secret for no change, so the step has a text of its own.
+            # BuildKit ignores changed values of secrets in its cache, so the text of the step differs.
             f": {builds.name}; sha256sum /run/secrets/one /run/secrets/two > /sums; cat /run/secrets/*",
             "touch /run/secrets/one && ls -l /run/secrets >&2 || true",
         ],
@@ -300,7 +300,7 @@ def test_secrets_reach_the_step_and_nothing_else(builds: Builds, monkeypatch: py
     for secret in (planted, filed):
         assert secret.encode() not in archive
         assert secret not in attributes + history + log + repr(image)
-    assert "***" in log  # it was there to be hidden
+    assert "***" in log  # it was in the output, and redacted
 
 
 def test_secrets_need_buildkit(builds: Builds, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -338,7 +338,7 @@ def test_no_agent_for_ssh(builds: Builds, monkeypatch: pytest.MonkeyPatch) -> No
 
 
 def test_several_platforms_with_a_buildx(builds: Builds, registry: Registry, monkeypatch: pytest.MonkeyPatch) -> None:
-    """With a program in the place of buildx, which this engine has not: it says what BuildKit would have pushed."""
+    """With a program that replaces buildx, which this engine lacks, and prints what BuildKit would have pushed."""
     builds.write("bin/docker", SEVERAL, 0o755)
     monkeypatch.setenv("PATH", f"{builds.folder}/bin:{os.environ['PATH']}")
     for name, value in {"CALLS": str(builds.folder), "DOCKER_CONFIG": str(builds.folder / "none")}.items():

@@ -1,4 +1,4 @@
-"""Images that are built, pushed, found again by their key, and promoted."""
+"""Images that are built, pushed, found by their key, and promoted."""
 
 import uuid
 from typing import Any
@@ -22,7 +22,7 @@ def in_registry(reference: str) -> str | None:
 
 @pytest.fixture
 def pushed(builds: Builds, registry: Registry) -> dict[str, Any]:
-    """The entry of an image for the registry."""
+    """Return the specification of an image for the registry."""
     builds.name = f"{registry.address}/{builds.name}"
     return {"name": builds.name, "base": BASE, "commands": ["echo x > /x"], "push": True, "tags": ["edge"]}
 
@@ -91,7 +91,7 @@ def test_another_base_under_the_same_name_is_another_key(builds: Builds, registr
     first = builds.build(name=name, base=str(reference))
     assert builds.run(first.reference, "cat", "/base") == "one"
     assert not builds.build({"pull": True}, name=name, base=str(reference)).built
-    builds.forget()  # a runner that has nothing: the registry says what the base is
+    builds.forget()  # as on a new runner: the base is resolved in the registry
     assert builds.build(name=name, base=str(reference)).key == first.key
 
     publish("two")

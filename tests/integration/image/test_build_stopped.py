@@ -1,4 +1,4 @@
-"""Builds that are stopped, or whose engine is gone: one line, the right exit code, and nothing left."""
+"""Builds that are stopped, or whose engine is lost: one message, the right exit code, and nothing left."""
 
 import os
 import signal
@@ -28,7 +28,7 @@ sys.exit(_execute(command, "build-image", sys.argv[1:]))
 
 @contextmanager
 def building(builds: Builds, builder: str, marker: str, **variables: str) -> Iterator["subprocess.Popen[str]"]:
-    """The command, in a build whose last step sleeps; it runs."""
+    """Run the command with a build whose last step sleeps."""
     builds.write("image.yml", f"name: {builds.name}\nbase: {BASE}\ncommands: ['sleep 600; echo {marker}']")
     arguments = ["--spec", "image.yml", "--builder", builder]
     with subprocess.Popen(
@@ -47,7 +47,7 @@ def building(builds: Builds, builder: str, marker: str, **variables: str) -> Ite
 
 
 def sleeping(marker: str) -> bool:
-    """Whether a process of the step runs, in whatever container."""
+    """Return whether a process of the step runs, in any container."""
     for path in Path("/proc").glob("[0-9]*/cmdline"):
         try:
             command = path.read_bytes()
@@ -76,7 +76,7 @@ def test_a_signal_stops_the_build(builds: Builds, builder: str, number: signal.S
 
     wait_until(lambda: not containers(), "no container is left")
     assert builds.tags() == []
-    assert [path.name for path in builds.folder.iterdir()] == ["image.yml"]  # TMPDIR: no secret, no archive
+    assert [path.name for path in builds.folder.iterdir()] == ["image.yml"]  # no secret or archive is left in TMPDIR
 
 
 def test_an_engine_that_is_killed(builds: Builds) -> None:

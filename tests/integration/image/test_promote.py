@@ -125,7 +125,7 @@ def test_a_tag_that_somebody_else_moves_meanwhile(
 def test_a_login_of_aws_at_a_registry_that_stands_in_for_it(
     engine: "DockerClient", registry: Registry, runner: Runner, monkeypatch: pytest.MonkeyPatch, log: io.StringIO
 ) -> None:
-    """The emulator gives the password; the registry here wants none, so only the way there is tested."""
+    """The emulator provides the password; the registry needs none, so only the request is tested."""
     moto = pytest.importorskip("moto.server", reason="needs moto[ecr,server]")
     server = moto.ThreadedMotoServer(ip_address="127.0.0.1", port=0, verbose=False)
     server.start()

@@ -56,7 +56,7 @@ def test_an_image_that_the_engine_does_not_have(engine: "DockerClient", registry
 
 
 def uploads(status: int, code: str, message: str) -> Callable[[Request], Reply | None]:
-    """A registry that refuses to take layers."""
+    """Return a fault of a registry that refuses layers."""
     body = json.dumps({"errors": [{"code": code, "message": message}]}).encode()
     refusal = Reply(status, body, {"Content-Type": "application/json"})
     return lambda request: refusal if request.path.endswith("/blobs/uploads/") else None

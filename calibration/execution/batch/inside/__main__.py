@@ -70,7 +70,7 @@ def send_files(store: Store, files: Iterable[BroughtOut], folder: Path, place: s
     keys = {file.path: f"{place}/{file.path}" for file in files}
     for path, key in keys.items():
         if len(key.encode()) > _LONGEST_KEY:
-            raise RefusedError(f"artifact '{shorten(path)}' has a longer name than S3 takes")
+            raise RefusedError(f"artifact '{shorten(path)}' has a longer name than S3 allows")
     for _ in in_threads(
         _WORKERS, (partial(patiently, partial(send, key, folder / path)) for path, key in keys.items())
     ):

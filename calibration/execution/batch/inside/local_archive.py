@@ -30,7 +30,7 @@ def opener_of(folder: Path) -> Opener:
     def opened(path: str) -> Iterator[Archive]:
         parts = _inside(path)
         if parts is None:
-            raise RefusedError(f"artifact '{path}' is not below {OUTPUT}: nothing else of a container is reached")
+            raise RefusedError(f"artifact '{path}' is not below {OUTPUT}: other folders are not accessible")
         with ExitStack() as folders:
             try:
                 above = folders.enter_context(_descriptor(os.open(folder, _FOLDER)))

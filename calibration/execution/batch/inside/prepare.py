@@ -50,7 +50,7 @@ def _bring(item: Input, store: Store, volume: Path) -> None:
         file = Path(folder, "input.tar")
         found = store.download(item.key, file, item.size)
         if found != item.sha256:
-            raise InfrastructureError(f"{where}: it is not there, or not what was sent: run the job again")
+            raise InfrastructureError(f"{where}: it is missing or changed: run the job again")
         try:
             with tarfile.open(file, "r:") as archive:
                 # Python's own filter differs between versions

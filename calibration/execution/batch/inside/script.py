@@ -196,7 +196,7 @@ def script_of(container: Container, job: Job, folder: str = JOB_FOLDER) -> str:
     command = (*(container.entrypoint or ()), *container.command)
     if not command:
         raise InputError(
-            f"container '{container.name}': on AWS Batch a container needs a command; its image's is not known"
+            f"container '{container.name}': on AWS Batch a container needs a command; that of its image is not known"
         )
     state = f"{folder}/{STATE}/{container.name}"
     sign = {name: shlex.quote(f"{state}/{name}") for name in (BEAT, PID, READY_FILE, READY_COMMAND, LOG, PIPE, ENDED)}

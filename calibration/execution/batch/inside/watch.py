@@ -287,9 +287,7 @@ class Watch(Supervisor[WatchedContainer]):
         while missing := [c.container.name for c in self.containers if not c.has_arrived]:
             now = time.monotonic()
             if now >= deadline:
-                self._never_came(
-                    f"within {self._patience.arrival:g} s nothing was heard of {_named(missing)}: its image"
-                )
+                self._never_came(f"within {self._patience.arrival:g} s {_named(missing)} did not start: its image")
                 return False
             if now >= next_question:
                 next_question = now + _ASKING
@@ -302,7 +300,7 @@ class Watch(Supervisor[WatchedContainer]):
         return True
 
     def _never_came(self, what: str) -> None:
-        why = "cannot be pulled or has no /bin/sh, or its entrypoint does not run what it is given"
+        why = "cannot be pulled or has no /bin/sh, or its entrypoint does not execute its arguments"
         self.judge.fail(f"{what} {why}", ExitCode.BAD_INPUT)
 
     def _start(self, container: WatchedContainer) -> None:

@@ -1,4 +1,4 @@
-"""The volume read as it was left there; what leads out of it is never followed."""
+"""Reading of an untrusted volume, without following links out of it."""
 
 import os
 import socket
@@ -62,7 +62,7 @@ def test_found_by_any_way_inside(output: Path, tmp_path: Path, path: str, found:
 
 def test_the_content_is_the_same(output: Path, tmp_path: Path) -> None:
     (output / os.fsdecode(b"a\xff")).write_text("no text")
-    with pytest.raises(RefusedError, match="has a name that not every machine can have"):
+    with pytest.raises(RefusedError, match="has a name that some file systems do not allow"):
         taken(output, f"{OUTPUT}/*", tmp_path / "to")
     result = taken(output, f"{OUTPUT}/run-7/*", tmp_path / "to2")
     assert (tmp_path / "to2" / "deep" / "b").read_bytes() == b"x" * 3_000_000
@@ -103,7 +103,7 @@ def test_what_is_no_file(output: Path, tmp_path: Path) -> None:
 
 
 def test_a_link_that_is_put_in_the_place_of_a_folder(output: Path, tmp_path: Path) -> None:
-    """While it is read: it is not followed."""
+    """During reading; it must not be followed."""
     glob = Glob(f"{OUTPUT}/*")
     with opener_of(output)(glob.source) as archive:
         first = next(archive.chunks)  # the folder itself

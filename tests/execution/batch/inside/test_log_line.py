@@ -26,7 +26,7 @@ def append(log: Path, data: bytes) -> None:
 
 def test_a_line_that_comes_in_pieces(log: Path) -> None:
     looked = line(log, "^up and .*ng$")
-    assert not looked.look()  # there is no log yet
+    assert not looked.look()  # the log does not exist yet
     for piece in (b"not up and running\nup a", b"nd runn", b"ing"):
         append(log, piece)
         assert not looked.look()

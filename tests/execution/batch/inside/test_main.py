@@ -1,4 +1,4 @@
-"""Our two containers, with S3: what they bring, what they send, and what they say where they cannot."""
+"""Our two containers, with S3: downloads, uploads, and errors."""
 
 import hashlib
 import io
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from tests.aws.fixtures import Aws
 
 _LARGE = 8 * 1024**2
-"""Bytes; S3 gets what is larger in parts."""
+"""Bytes; larger files are uploaded to S3 in parts."""
 LOCATION = Location(BUCKET, "team/robots", "run-1", "0a")
 JOB = Job("set/103", (Container("a", "", ("sh", "-c", "exit 3")),))
 
@@ -61,7 +61,7 @@ def variables(**changes: str) -> dict[str, str]:
 
 
 def put_job(aws: "Aws", job: Job = JOB, inputs: tuple[Input, ...] = ()) -> None:
-    """Job 103 is the fourth of the second file."""
+    """Upload a job as 103, the fourth in the second file."""
     entries = [job_entry(replace(JOB, name=f"x{number}"), ()) for number in range(3)]
     aws.services.put(BUCKET, LOCATION.jobs_key(103), jobs_document([*entries, job_entry(job, inputs)]))
 
@@ -124,9 +124,9 @@ def test_what_is_writable_is_so_for_every_user(aws: "Aws", places: Places) -> No
 @pytest.mark.parametrize(
     ("data", "changes", "message"),
     [
-        (packed(("a", b"1", 0o644)), {"sha256": "0" * 64}, "it is not there, or not what was sent: run the job again"),
-        (packed(("a", b"1", 0o644)), {"size": 5}, "it is not there, or not what was sent: run the job again"),
-        (packed(("a", b"1", 0o644)), {"key": "other"}, "it is not there, or not what was sent: run the job again"),
+        (packed(("a", b"1", 0o644)), {"sha256": "0" * 64}, "it is missing or changed: run the job again"),
+        (packed(("a", b"1", 0o644)), {"size": 5}, "it is missing or changed: run the job again"),
+        (packed(("a", b"1", 0o644)), {"key": "other"}, "it is missing or changed: run the job again"),
         (b"no tar", {}, "cannot be unpacked: "),
         (packed(("../a", b"1", 0o644)), {}, "cannot be unpacked: artifact '../a' leaves its folder"),
         (packed(("a", b"", 0o644), kind=tarfile.CHRTYPE), {}, "cannot be unpacked: 'a' is no file, folder or link"),
@@ -144,7 +144,7 @@ def test_an_input_that_is_not_what_was_sent(
     assert said.startswith("error: volume 0: s3 object ")
     assert message in said
     assert said.count("\n") == 1
-    found = outcome(aws)  # the client learns of it
+    found = outcome(aws)  # the client reads it
     assert found.exit_code == ExitCode.INFRASTRUCTURE
     assert f"error: {found.reasons[0]}\n" == said
     assert [c.end for c in found.containers] == [End.NOT_STARTED]
@@ -190,13 +190,13 @@ def test_without_an_array_it_is_the_first_of_the_group() -> None:
 
 
 def in_a_process(job: Job, places: Places) -> "subprocess.Popen[bytes]":
-    """Run the script of a job's one container, as prepared here."""
+    """Run the script of a job's only container, as prepared here."""
     script = script_of(job.containers[0], job, str(places.job))
     return subprocess.Popen(["sh", "-c", script.replace(OUTPUT, str(places.output))], start_new_session=True)
 
 
 def watched(aws: "Aws", places: Places, job: Job, **changes: str) -> int:
-    """Prepare and watch a job of one container."""
+    """Prepare and supervise a job of one container; return the exit code."""
     put_job(aws, job)
     assert main(["prepare"], variables(), places) == 0
     process = in_a_process(job, places)
@@ -257,7 +257,7 @@ def test_an_outcome_that_cannot_be_sent(aws: "Aws", places: Places, capsys: pyte
 def test_a_longer_name_than_s3_takes(aws: "Aws") -> None:
     path = "/".join(["d" * 200] * 6)
     task = Task(variables())
-    with pytest.raises(RefusedError, match="has a longer name than S3 takes"):
+    with pytest.raises(RefusedError, match="has a longer name than S3 allows"):
         send_files(task.store, [BroughtOut(path, "a", 1, "")], Path("/nonexistent"), "p/files")
 
 

@@ -14,7 +14,7 @@ from calibration.execution.job import Container, Job
 
 
 class Metadata(HTTPServer):
-    """What ECS answers, and what it was asked."""
+    """Stand-in of ECS's metadata, which records its requests."""
 
     answer = b"{}"
     asked: str = ""
@@ -74,7 +74,7 @@ def test_where_nobody_can_be_asked() -> None:
 def test_one_that_ended_before_it_could_be_started(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, code: int | None, how: str
 ) -> None:
-    """Nobody waits for it until the time is over."""
+    """The time-out of the job must not pass before."""
     monkeypatch.setattr(watching, "_ASKING", 0.1)
     job = Job("j", (Container("a", ""), Container("b", "")))
     signs = Signs(tmp_path)
@@ -86,7 +86,7 @@ def test_one_that_ended_before_it_could_be_started(
     assert found.reasons == (
         (
             f"container 'b' ended at once{how}: its image cannot be pulled or has no /bin/sh, or its "
-            "entrypoint does not run what it is given"
+            "entrypoint does not execute its arguments"
         ),
     )
     assert found.exit_code == ExitCode.BAD_INPUT

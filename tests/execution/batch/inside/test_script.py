@@ -1,4 +1,4 @@
-"""The script with the shells of this machine; those of images are in the integration tests."""
+"""The script in the shells of this machine; those of images are tested in the integration tests."""
 
 import os
 import shutil
@@ -28,7 +28,7 @@ SHELLS = [
 
 @contextmanager
 def running(folder: Path, shell: list[str], container: Container) -> Iterator[tuple[Signs, "subprocess.Popen[str]"]]:
-    """Run the script of a container alone in its job; its command may start at once."""
+    """Run the script of a job's only container; its command may start at once."""
     job = Job("j", (container,))
     signs = Signs(folder / "it's a folder")
     signs.make(job)
@@ -66,7 +66,7 @@ def test_told_to_stop_the_command_hears_it(tmp_path: Path, shell: list[str], rea
     with running(tmp_path, shell, trapping) as (signs, process):
         assert process.stdout is not None
         assert process.stdout.readline() == "up\n"
-        process.send_signal(signal.SIGTERM)  # as Batch does: the command is not to hear it from there
+        process.send_signal(signal.SIGTERM)  # as Batch does: the command must not receive it
         before = signs.beat("a")
         wait_until(lambda: signs.beat("a") != before, "it beats on")
         signs.stop()
@@ -138,7 +138,7 @@ TEXT = st.text(st.characters(exclude_characters="\0", exclude_categories=["Cs"])
     st.dictionaries(st.from_regex(r"[A-Z_]{3,8}", fullmatch=True), TEXT, max_size=2),
 )
 def test_nothing_is_left_to_a_shell(arguments: list[str], environment: dict[str, str]) -> None:
-    """Run what the script runs, as it stands there."""
+    """Execute the script's command line."""
     environment = {f"H_{name}": value for name, value in environment.items()}
     names = [f"${{{name}}}" for name in environment]
     show = 'for each; do printf "%s\\0" "$each"; done' + "".join(f'; printf "%s\\0" "{name}"' for name in names)

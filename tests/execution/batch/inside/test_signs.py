@@ -1,4 +1,4 @@
-"""What containers say, and what a hostile one may put into its place."""
+"""Signals of containers, including hostile files in their place."""
 
 import os
 from pathlib import Path
@@ -72,7 +72,7 @@ def test_nothing_but_a_file_is_read(signs: Signs, tmp_path: Path) -> None:
     assert signs.ended("a") is None
     place.unlink()
     os.mkfifo(place)
-    assert signs.ended("a") is None  # and nobody waits for who writes
+    assert signs.ended("a") is None  # without waiting for a writer
     place.unlink()
     place.mkdir()
     assert signs.ended("a") is None

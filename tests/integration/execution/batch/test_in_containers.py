@@ -1,4 +1,4 @@
-"""The client, the task and the emulator together: tasks are real containers, and end as on Docker."""
+"""Client, task and emulator together: tasks are real containers, and end as on Docker."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -20,7 +20,7 @@ def shell(text: str, name: str = "robot", **settings: object) -> Container:
 
 
 def given(folder: Path) -> list[Job]:
-    """Jobs of each kind of end, the first of them with all that a job may have."""
+    """Return jobs with every kind of end, the first one with everything that a job may have."""
     mounted = (Mount(folder, "/calibration/in"),)
     found = (Artifact(f"{OUTPUT}/dataset"),)
     simulation = shell(
@@ -51,7 +51,7 @@ def in_order(outcomes: dict[int, JobOutcome]) -> list[JobOutcome]:
 
 
 def told(outcomes: Sequence[JobOutcome]) -> list[tuple[object, ...]]:
-    """What must be the same wherever jobs run."""
+    """Return the parts of outcomes that must be equal for all backends."""
     return [
         (
             outcome.job,

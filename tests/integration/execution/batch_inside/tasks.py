@@ -1,4 +1,4 @@
-"""Tasks as AWS Batch runs them, without AWS: containers on the engine, volumes that they share, who watches here."""
+"""Tasks of AWS Batch without AWS: containers on the engine with shared volumes, supervised from here."""
 
 import uuid
 from collections.abc import Iterator, Mapping
@@ -21,25 +21,25 @@ if TYPE_CHECKING:
     from docker.models.containers import Container as Running
 
 NONE = "none"
-"""The image of a container that cannot be started."""
+"""Image of a container that cannot be started."""
 PATIENCE = Patience(arrival=60, silence=60, settling=60)
 
 
 @dataclass(frozen=True)
 class Ran:
-    """What came of a task."""
+    """Result of a task."""
 
     outcome: TaskOutcome
     artifacts: Path
     codes: Mapping[str, int]
-    """Exit codes of the containers, as the engine has them."""
+    """Exit codes of the containers on the engine."""
     logs: Mapping[str, str]
 
 
 def run_task(folder: Path, *containers: Container, patience: Patience = PATIENCE, **settings: Any) -> Ran:
-    """Run a job of some containers; nothing of it is on the engine then.
+    """Run a job of some containers, and remove them.
 
-    ``network_mode`` is the engine's; all else is of the job.
+    ``network_mode`` is passed to the engine; other settings are of the job.
     """
     network = settings.pop("network_mode", "none")
     job = Job(settings.pop("name", "job"), containers, **settings)
@@ -57,7 +57,7 @@ def run_task(folder: Path, *containers: Container, patience: Patience = PATIENCE
 
 @contextmanager
 def started(job: Job, signs: Path, output: Path, network: str = "none") -> Iterator[dict[str, "Running"]]:
-    """Start the containers of a job as Batch does: at once, each with its script."""
+    """Start the containers of a job as Batch does: all at once, each with its script."""
     client = docker.from_env(timeout=60)
     running: dict[str, Running] = {}
     try:

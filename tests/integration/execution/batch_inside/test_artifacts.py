@@ -46,7 +46,7 @@ def test_brought_out_of_containers_of_any_user(tmp_path: Path) -> None:
 def test_a_required_artifact_that_is_missing(tmp_path: Path) -> None:
     ran = run_task(tmp_path, shell(f"echo 1 > {OUTPUT}/b.txt", artifacts=(Artifact(f"{OUTPUT}/*.csv"), *ALL)))
     assert ran.outcome.reasons == (
-        f"container 'a' left no file that is the artifact '{OUTPUT}/*.csv'; beside it are b.txt",
+        f"container 'a' left no file for the artifact '{OUTPUT}/*.csv'; beside it are b.txt",
     )
     assert [file.path for file in ran.outcome.artifacts] == ["b.txt"]
 
@@ -58,8 +58,8 @@ def test_a_required_artifact_that_is_missing(tmp_path: Path) -> None:
         ("mkfifo x", "artifact 'output/x' is no file or folder, but a device or a pipe"),
         ("mknod x c 1 5", "artifact 'output/x' is no file or folder, but a device or a pipe"),
         ("truncate -s 10G x", "artifact 'output/x' has 10 GiB: more than the 2 GiB that the artifacts"),
-        ("touch $(seq 120)", "is one more than the 100 files that a job may bring out"),
-        ('touch "$(printf "bad\\377")"', "has a name that not every machine can have"),
+        ("touch $(seq 120)", "exceeds the limit of 100 artifacts of a job"),
+        ('touch "$(printf "bad\\377")"', "has a name that some file systems do not allow"),
         ("d=.; for i in $(seq 70); do d=$d/d; done; mkdir -p $d; touch $d/x", "lies in more than 64 folders"),
     ],
 )

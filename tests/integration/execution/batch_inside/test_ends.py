@@ -1,4 +1,4 @@
-"""How containers and jobs end in a task: in the same words as with Docker."""
+"""Ends of containers and jobs in a task have the same messages as on Docker."""
 
 import threading
 from pathlib import Path
@@ -52,7 +52,7 @@ EAT = "bytearray(300 * 2**20)"
             Container("a", PYTHON_IMAGE, ("/etc/passwd",)),
             End.EXITED,
             126,
-            "container 'a' ended with exit code 126 (its command may not be executed)",
+            "container 'a' ended with exit code 126 (its command is not executable)",
         ),
     ],
 )
@@ -66,7 +66,7 @@ def test_each_end_is_told_apart(tmp_path: Path, container: Container, end: End, 
 
 
 def test_a_job_ends_with_its_essential_container(tmp_path: Path) -> None:
-    """Two that fail, two that have to be stopped, one that never got its turn."""
+    """Two fail, two are stopped, one was never started."""
     stubborn = "import signal, time; signal.signal(15, signal.SIG_IGN); print('up', flush=True); time.sleep(600)"
     ran = run_task(
         tmp_path,
@@ -131,7 +131,7 @@ def test_limits_in_time(
     ran = run_task(tmp_path, container, **settings)
     assert ran.outcome.reasons == (reason,)
     assert (ran.outcome.exit_code, ran.outcome.containers[0].end) == (exit_code, end)
-    assert ran.codes == {"a": 143}  # it was asked, and has ended
+    assert ran.codes == {"a": 143}  # it has ended on request
 
 
 def test_one_that_is_killed_as_a_whole(tmp_path: Path) -> None:
@@ -148,19 +148,19 @@ def test_one_that_is_killed_as_a_whole(tmp_path: Path) -> None:
         thread.join(60)
         outcome = watch.outcome(1)
         assert running["b"].wait(timeout=60)["StatusCode"] == 143
-    assert outcome.reasons == ("container 'a' is gone without an exit code: it, or all of it, was killed",)
+    assert outcome.reasons == ("container 'a' ended without an exit code: it was killed",)
     assert outcome.exit_code == ExitCode.FAIL
     assert [c.end for c in outcome.containers] == [End.LOST, End.STOPPED]
 
 
 def test_one_that_never_comes(tmp_path: Path) -> None:
-    """Such as one whose image has an entrypoint of its own."""
+    """For example because its image has its own entrypoint."""
     ran = run_task(tmp_path, shell("echo ran"), shell("true", "b", image=NONE), patience=Patience(1))
     assert ran.outcome.exit_code == ExitCode.BAD_INPUT
     [reason] = ran.outcome.reasons
     assert reason == (
-        "within 1 s nothing was heard of container 'b': its image cannot be pulled or has no /bin/sh, or its "
-        "entrypoint does not run what it is given"
+        "within 1 s container 'b' did not start: its image cannot be pulled or has no /bin/sh, or its "
+        "entrypoint does not execute its arguments"
     )
     assert [c.end for c in ran.outcome.containers] == [End.NOT_STARTED] * 2
     assert (ran.codes, ran.logs) == ({"a": 0}, {"a": ""})
@@ -180,7 +180,7 @@ def test_an_end_before_it_is_ready(tmp_path: Path, text: str, reason: str) -> No
 
 
 def test_what_a_command_gets(tmp_path: Path) -> None:
-    """Arguments, variables, folder and signals as they were given, whatever a shell would make of them."""
+    """Arguments, variables, folder and signals arrive unchanged, without interpretation by a shell."""
     show = (
         "import os, signal, sys; print(sys.argv[1:], [os.environ.get(n) for n in ('A', 'B-c', 'PATH')], os.getcwd(), "
         "signal.getsignal(signal.SIGINT) is signal.default_int_handler, os.getuid())"

@@ -42,7 +42,7 @@ def test_who_comes_after_finds_it_ready(tmp_path: Path, ready: dict[str, Any]) -
 
 
 def test_output_that_is_looked_at_stays_complete(tmp_path: Path) -> None:
-    """Both streams, in their order, beyond the pipe's size; and a child that keeps the pipe open stops nobody."""
+    """Both streams, in order, larger than the pipe's buffer; a child that keeps the pipe open does not block."""
     text = "sleep 60 & seq 20000; echo up >&2; seq 3; exit 3"
     ran = run_task(tmp_path, shell(text, readiness=Readiness(log="^up$")))
     numbers = [str(number) for number in range(1, 20001)]
