@@ -18,7 +18,7 @@ from calibration.estimation.linear_start import pattern_poses
 from calibration.estimation.normal_equations import Weighting
 from calibration.estimation.starting_noise import StartingNoise, with_starting_noise
 from calibration.evaluation.specification import Evaluation, parse_evaluation
-from calibration.execution.outcome import BroughtOut, JobOutcome
+from calibration.execution.outcome import ArtifactFile, JobOutcome
 from calibration.geometry.transforms import translation
 from calibration.pipeline.matrix.cell import Cell, CellResult, LoadedSystem
 from calibration.pipeline.matrix.software import Software
@@ -59,7 +59,7 @@ def verdict(system: LoadedSystem, calibrated: Dataset | None, table: str) -> Cel
         output, files = Path(temporary), Path(temporary, "cell", "artifacts")
         files.mkdir(parents=True)
         (files / "table.csv").write_text(table)
-        outcome = JobOutcome("cell", output / "cell", artifacts=(BroughtOut("table.csv", "calibration", 1, ""),))
+        outcome = JobOutcome("cell", output / "cell", artifacts=(ArtifactFile("table.csv", "calibration", 1, ""),))
         result = software_result(cell, system, Software(), outcome, output)
         if calibrated is None:
             return result

@@ -10,10 +10,10 @@ from typing import Annotated, Any
 import click
 
 from calibration.commands.parameters import EVERYWHERE, password_variable, registry_password_option
-from calibration.commands.place import place
 from calibration.commands.record_options import chosen, given, record_options
+from calibration.commands.target import execution_target
 from calibration.errors import ExitCode, InputError
-from calibration.execution.backends import AWS_BATCH, CONTAINERS, DOCKER, Place, check_backend
+from calibration.execution.backends import AWS_BATCH, CONTAINERS, DOCKER, ExecutionTarget, check_backend
 from calibration.introspection.rulesfile import read_rules
 from calibration.pipeline.configuration import Configuration, read_configuration
 from calibration.pipeline.matrix.matrix import Matrix
@@ -107,7 +107,7 @@ def calibrate_matrix(settings: MatrixSettings, runner: Runner) -> ExitCode:
     """
     configuration = configuration_of(settings)
     matrix = matrix_of(settings, configuration)
-    place = place_of(settings, configuration, matrix, runner)
+    target = target_of(settings, configuration, matrix, runner)
     pull(settings, runner)
     baseline = configuration.baseline if settings.dataset is None else None
     run = Run(
@@ -119,12 +119,14 @@ def calibrate_matrix(settings: MatrixSettings, runner: Runner) -> ExitCode:
         settings.jobs,
         settings.fail_fast,
         baseline=baseline,
-        place=place,
+        target=target,
     )
     return run_stages(run, ("calibrate", "introspect", "export")).exit_code
 
 
-def place_of(settings: MatrixSettings, configuration: Configuration, matrix: Matrix, runner: Runner) -> Place:
+def target_of(
+    settings: MatrixSettings, configuration: Configuration, matrix: Matrix, runner: Runner
+) -> ExecutionTarget:
     """Return the execution target of the team's software.
 
     Raises:
@@ -139,7 +141,7 @@ def place_of(settings: MatrixSettings, configuration: Configuration, matrix: Mat
         raise InputError(f"{'run' if settings.run is not None else 'resume'}: is for the backend {AWS_BATCH}")
     if in_cloud and settings.registry_username is not None:
         raise InputError(f"registry-username: {AWS_BATCH} pulls with its execution role; push the image to ECR")
-    return place(
+    return execution_target(
         backend if in_cloud else DOCKER,
         settings.aws_batch,
         settings.output,

@@ -6,7 +6,7 @@ from typing import Any
 import click
 
 from calibration.commands.parameters import boolean_option, path, text
-from calibration.commands.place import DEFAULT_FILE
+from calibration.commands.target import DEFAULT_FILE
 from calibration.errors import ExitCode, InputError
 from calibration.execution.backends import AWS_BATCH, DOCKER, KINDS, Leftovers, imported
 from calibration.workflow import Runner, stop_commands
@@ -59,16 +59,16 @@ def clean_up(leftovers: Leftovers[Any], run: str | None, everything: bool, dry_r
         InputError: the search is refused.
         InfrastructureError: the backend does not answer, or something cannot be removed.
     """
-    with leftovers as place:
-        found = place.find(run)
+    with leftovers as backend:
+        found = backend.find(run)
         dead = [each for each in found if each.owner is not None and each.owner.is_dead]
         chosen = found if everything or run is not None else dead
         if not dry_run:
-            place.remove(chosen)
+            backend.remove(chosen)
     with stop_commands(runner):  # names are untrusted
         if chosen:
             runner.log(aligned(leftovers.header, [each.row for each in chosen]))
-    runner.log(leftovers.told(chosen, dry_run))
+    runner.log(leftovers.summary(chosen, dry_run))
     if others := len(found) - len(chosen):
         runner.log(f"{others} left alone: their run goes on, or may go on elsewhere (--all removes them too)")
     return ExitCode.PASS

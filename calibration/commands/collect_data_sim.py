@@ -15,10 +15,10 @@ from calibration.commands.collection_settings import (
     collection_request,
     scenario_image,
 )
-from calibration.commands.place import place
 from calibration.commands.record_options import chosen, record_options
+from calibration.commands.target import execution_target
 from calibration.errors import ExitCode, InputError
-from calibration.execution.backends import CONTAINERS, DOCKER, EMBEDDED, KINDS, Place, check_backend
+from calibration.execution.backends import CONTAINERS, DOCKER, EMBEDDED, KINDS, ExecutionTarget, check_backend
 from calibration.files import write_atomically
 from calibration.pipeline.collection import report, scenario_report
 from calibration.pipeline.collection.collecting import collect_dataset, collect_scenarios
@@ -132,12 +132,12 @@ def _one_scenario(
     def done(count: int, total: int, record: Record) -> None:
         advance(count, total, pose_line(record), important=not record.kept)
 
-    place, embedded = _place(settings, backend, runner), backend == EMBEDDED
+    target, embedded = _target(settings, backend, runner), backend == EMBEDDED
     with (
         stop_commands(runner) if embedded else nullcontext(),  # names in files are untrusted
         progress(runner, TITLE, bar=embedded, kept="poses") as advance,
     ):
-        results = collect_dataset(request, settings.output, settings.overwrite, settings.jobs, place, begin, done)
+        results = collect_dataset(request, settings.output, settings.overwrite, settings.jobs, target, begin, done)
     found = report.report(results, settings.output)
     if settings.scenario is None:  # a scenario of many must have the same files wherever it is collected
         sheet = settings.output / report.CONTACT_SHEET if results.contact_sheet else None
@@ -173,21 +173,21 @@ def _many_scenarios(
     def done(count: int, total: int, result: ScenarioResult) -> None:
         advance(count, total, scenario_line(result), important=not result.converged)
 
-    place = _place(settings, backend, runner)
+    target = _target(settings, backend, runner)
     if backend == DOCKER and count > MOST_SHOWN:
-        place = replace(place, show=None)
+        target = replace(target, show=None)
     folder = ScenarioFolder(settings.output, settings.resume, settings.overwrite)
     with (
         stop_commands(runner) if embedded else nullcontext(),
         progress(runner, TITLE, bar=embedded, kept="scenarios" if embedded else "") as advance,
     ):
-        results = collect_scenarios(request, folder, settings.jobs, place, begin, done)
+        results = collect_scenarios(request, folder, settings.jobs, target, begin, done)
     found = scenario_report.report(results, settings.output)
     publish(found, runner, settings.output)
     return found.exit_code
 
 
-def _place(settings: CollectionSettings, backend: str, runner: Runner) -> Place:
+def _target(settings: CollectionSettings, backend: str, runner: Runner) -> ExecutionTarget:
     """Return the execution target of containers.
 
     Raises:
@@ -195,6 +195,6 @@ def _place(settings: CollectionSettings, backend: str, runner: Runner) -> Place:
         InfrastructureError: the name of the run cannot be saved.
     """
     if backend == EMBEDDED:
-        return Place()
-    found = place(backend, settings.aws_batch, settings.output, settings.run, settings.resume, runner)
+        return ExecutionTarget()
+    found = execution_target(backend, settings.aws_batch, settings.output, settings.run, settings.resume, runner)
     return replace(found, show=LogDisplay(runner))

@@ -13,8 +13,8 @@ from calibration.commands.calibrate_matrix import (
     MatrixSettings,
     configuration_of,
     matrix_of,
-    place_of,
     pull,
+    target_of,
 )
 from calibration.commands.calibrate_matrix import command as calibrate_matrix
 from calibration.commands.parameters import (
@@ -157,7 +157,7 @@ def convergence(settings: ConvergenceSettings, runner: Runner) -> ExitCode:
     configuration = configuration_of(asked)
     matrix = matrix_of(asked, configuration)
     matrices = sweep_matrices(matrix, cast("tuple[Start, ...]", settings.start))
-    place = place_of(asked, configuration, matrix, runner)
+    target = target_of(asked, configuration, matrix, runner)
     pull(asked, runner)
     remove_results(asked.output, ALL_FILES)
     software = bool(matrix.software)
@@ -174,7 +174,7 @@ def convergence(settings: ConvergenceSettings, runner: Runner) -> ExitCode:
                 important=cell.error == ExitCode.INFRASTRUCTURE,
             )
 
-        cells = run_sweep(matrices, asked.output, asked.jobs, done, replace(place, show=LogDisplay(runner)))
+        cells = run_sweep(matrices, asked.output, asked.jobs, done, replace(target, show=LogDisplay(runner)))
     minimums = Minimums(settings.minimum_translation_noise, settings.minimum_rotation_noise)
     source = (
         f"--dataset {shlex.quote(str(asked.dataset))}" if asked.dataset else f"--config {asked.config or DEFAULT_FILE}"

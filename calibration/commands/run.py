@@ -59,7 +59,7 @@ def run(settings: RunSettings, runner: Runner) -> ExitCode:
         simulations=configuration.simulations,
         image=_image(configuration.image, settings.push),
         baseline=configuration.baseline,
-        place=configuration.place,
+        target=configuration.target,
     )
     results = run_stages(asked, settings.only or STAGES)
     image = results.image

@@ -5,7 +5,7 @@
   containers);
 - ``job``, ``outcome``: a job of containers, and its result; ``document``, ``placeholders``, ``ros``,
   ``job_check``: parsing and validation of a job's description;
-- ``supervision``, ``judging``: a job's containers from the first start to the verdict; ``bringing_out``,
+- ``supervision``, ``judging``: a job's containers from the first start to the verdict; ``copying_out``,
   ``extraction``, ``globs``: copying their artifacts; ``log_file``, ``redaction``: their logs;
 - ``admission``: starting jobs within the resources of the machine.
 """

@@ -56,7 +56,7 @@ class Leftovers(AbstractContextManager[Any], Protocol[Left]):
     def remove(self, chosen: Sequence[Left]) -> None:
         """Remove leftovers; those already gone are no error."""
 
-    def told(self, chosen: Sequence[Left], dry_run: bool) -> str:
+    def summary(self, chosen: Sequence[Left], dry_run: bool) -> str:
         """Return one line about what has been removed, or would be."""
 
 
@@ -89,7 +89,7 @@ class BackendKind:
     """Registration of a backend for jobs; its modules are imported when it is opened."""
 
     target: str
-    """``module:callable``, which creates the backend, a context manager, for a `Place`."""
+    """``module:callable``, which creates the backend, a context manager, for a `ExecutionTarget`."""
     leftovers: str
     """``module:callable``, which creates its `Leftovers`."""
     settings: Any = None
@@ -142,7 +142,7 @@ def check_backend(name: str, known: tuple[str, ...] = BACKENDS) -> None:
 
 
 @dataclass(frozen=True)
-class Place:
+class ExecutionTarget:
     """Backend, settings and run to execute jobs of containers."""
 
     backend: str = DOCKER

@@ -45,7 +45,7 @@ class ContainerOutcome:
 
 
 @dataclass(frozen=True)
-class BroughtOut:
+class ArtifactFile:
     """A file copied out of a container."""
 
     path: str
@@ -64,7 +64,7 @@ class JobOutcome:
     folder: Path
     """Contains ``artifacts/``, ``logs/<container>.log`` and ``manifest.json``."""
     containers: tuple[ContainerOutcome, ...] = ()
-    artifacts: tuple[BroughtOut, ...] = ()
+    artifacts: tuple[ArtifactFile, ...] = ()
     left_out: tuple[str, ...] = ()
     """Notes on artifacts that were not copied, a line each: links to other artifacts."""
     reasons: tuple[str, ...] = ()

@@ -7,13 +7,13 @@ from pathlib import Path
 from typing import Generic, TypeVar
 
 from calibration.errors import ExitCode
-from calibration.execution.bringing_out import BringingOut, Opener, complete_or_not_at_all
+from calibration.execution.copying_out import ArtifactCopier, Opener, complete_or_not_at_all
 from calibration.execution.extraction import Budget
 from calibration.execution.job import Container, Job
 from calibration.execution.judging import Judge, is_running
-from calibration.execution.outcome import BroughtOut, ContainerOutcome, End
+from calibration.execution.outcome import ArtifactFile, ContainerOutcome, End
 
-_LOOKING = 0.2
+_POLL_SECONDS = 0.2
 """Interval of readiness polls, seconds."""
 
 
@@ -34,7 +34,7 @@ class Supervised(ABC):
         self.signal: str | None = None
 
     @abstractmethod
-    def look(self) -> None:
+    def poll(self) -> None:
         """Update ``ready``, and ``ended`` unless it is updated elsewhere.
 
         Raises:
@@ -76,7 +76,7 @@ class Supervisor(ABC, Generic[C]):
         self.containers: list[C] = []
         """In the order of their start."""
         self.judge = Judge(job, clean)
-        self.artifacts: list[BroughtOut] = []
+        self.artifacts: list[ArtifactFile] = []
         self.left_out: list[str] = []
 
     def supervise(self, folder: Path) -> None:
@@ -129,21 +129,21 @@ class Supervisor(ABC, Generic[C]):
         while True:
             self._go_on()
             self._start_those_that_may(waiting)
-            has_news = self._look()
+            has_news = self._poll()
             if self.judge.is_over(self.containers, waiting):
                 return
             if not has_news:
                 limits = self.judge.seconds_left(self.containers)
                 if any(is_running(c) and not c.ready for c in self.containers):
-                    limits.append(_LOOKING)
+                    limits.append(_POLL_SECONDS)
                 self._wait(max(0.0, min(limits)) if limits else None)
 
-    def _look(self) -> bool:
+    def _poll(self) -> bool:
         """Poll running containers; return True at once if one has become ready, to start those that wait for it."""
         for container in self.containers:
             was_ready = container.ready
             if is_running(container):
-                container.look()
+                container.poll()
             if container.ready and not was_ready:
                 return True
         return False
@@ -160,10 +160,10 @@ class Supervisor(ABC, Generic[C]):
 
     def _copy_out(self, folder: Path) -> None:
         with complete_or_not_at_all(folder) as place:
-            found = BringingOut(place, Budget(self.job.artifact_bytes, self.job.artifact_files), self._go_on)
+            found = ArtifactCopier(place, Budget(self.job.artifact_bytes, self.job.artifact_files), self._go_on)
             for container in self.containers:
                 if container.started is not None:
-                    found.bring_out(container.container, self._opener(container))
+                    found.copy(container.container, self._opener(container))
         self.artifacts, self.left_out = found.files, found.left_out
         if not self.judge.reasons:  # otherwise the failure explains missing artifacts
             for line in found.missing:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Generic, Self, TypeVar
 
-from calibration.execution.backends import Backend, Place
+from calibration.execution.backends import Backend, ExecutionTarget
 from calibration.execution.embedded import Embedded
 from calibration.execution.job import Job
 from calibration.execution.outcome import JobOutcome
@@ -55,7 +55,7 @@ def run_tasks(
     tasks: Sequence[Task[Result]],
     folder: Path = Path(),
     workers: int | None = None,
-    place: Place | None = None,
+    target: ExecutionTarget | None = None,
     find: Callable[[str], Result | None] = lambda _: None,
     done: Callable[[int, int, Result], None] = lambda *_: None,
     stops: Callable[[str, Result], bool] = lambda *_: False,
@@ -68,7 +68,7 @@ def run_tasks(
         tasks: tasks to run.
         folder: folder that contains the jobs' folders.
         workers: number of concurrent processes, or jobs; None for the capacity of the machine.
-        place: execution target of jobs; by default this machine's engine.
+        target: execution target of jobs; by default this machine's engine.
         find: returns the finished result of a task of an earlier run, by name.
         done: called after each task with the number of finished tasks, the total, and the result; starts with
             the results of earlier runs.
@@ -91,7 +91,7 @@ def run_tasks(
     with ExitStack() as stack:
         backends: list[tuple[Backend[Any, Any], list[Task[Result]]]] = [(Embedded(), functions)]
         if jobs:  # connect before long work, because there may be no engine
-            backends.append((stack.enter_context((place or Place()).open()), jobs))
+            backends.append((stack.enter_context((target or ExecutionTarget()).open()), jobs))
         running = [
             (stack.enter_context(closing(backend.run([task.work for task in some], folder, workers))), some)
             for backend, some in backends

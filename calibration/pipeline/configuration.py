@@ -9,8 +9,7 @@ from calibration.baseline.settings import FILE, BaselineSettings
 from calibration.diagnosis.limits import Limit, Limits
 from calibration.errors import InputError
 from calibration.estimation.options import Options
-from calibration.execution.backends import CONTAINERS, KINDS, BackendName, ContainerBackend, Sections
-from calibration.execution.backends import Place as Backend
+from calibration.execution.backends import CONTAINERS, KINDS, BackendName, ContainerBackend, ExecutionTarget, Sections
 from calibration.image.specification import ImageDocument, ImageSpecification, parse_image_specification
 from calibration.pipeline.collection.applications import Applications, checked_applications
 from calibration.pipeline.collection.request import CollectionChecks, CollectionRequest, ContainerRequest
@@ -158,9 +157,9 @@ class Configuration:
     )
 
     @property
-    def place(self) -> Backend:
+    def target(self) -> ExecutionTarget:
         """Execution target of the team's software."""
-        return Backend(self.backend, self.sections)
+        return ExecutionTarget(self.backend, self.sections)
 
     def only(self, names: tuple[str, ...]) -> tuple[System, ...]:
         """Return the systems of these names, or all if there are none.

@@ -1,7 +1,7 @@
 import pytest
 
 from calibration.errors import InputError
-from calibration.execution.backends import CONTAINERS, Place, check_backend
+from calibration.execution.backends import CONTAINERS, ExecutionTarget, check_backend
 from calibration.execution.docker.backend import DockerBackend
 
 
@@ -9,7 +9,7 @@ def test_by_name() -> None:
     check_backend("embedded")
     check_backend("docker")
     check_backend("aws-batch", CONTAINERS)
-    backend = Place(run="r").open()
+    backend = ExecutionTarget(run="r").open()
     assert isinstance(backend, DockerBackend)
     assert backend.run_name == "r"
 
@@ -24,8 +24,8 @@ def test_unknown() -> None:
 
 
 def test_a_cloud_that_nobody_has_described() -> None:
-    with pytest.raises(InputError, match=r"nothing says where: expected a section aws-batch in calibration\.yml"):
-        Place("aws-batch").open()
+    with pytest.raises(InputError, match=r"its settings are missing: expected a section aws-batch in calibration\.yml"):
+        ExecutionTarget("aws-batch").open()
 
 
 @pytest.mark.parametrize("name", ["", "a b", "-x", "x" * 62, "a/b"])

@@ -95,7 +95,10 @@ def test_a_file_by_its_name(tmp_path: Path) -> None:
         (entry("out/x", kind=tarfile.CHRTYPE), "artifact 'out/x' is no file or folder, but a device or a pipe"),
         (entry("out/x", kind=tarfile.BLKTYPE), "is no file or folder"),
         (entry("out/x", kind=tarfile.FIFOTYPE), "is no file or folder"),
-        (entry("out/x", size=10 * 1024**3), "artifact 'out/x' has 10 GiB: more than the 1 MiB that the artifacts"),
+        (
+            entry("out/x", size=10 * 1024**3),
+            "artifact 'out/x' has 10 GiB: more than the 1 MiB allowed for the artifacts",
+        ),
         (entry("out/" + "d/" * 70 + "x", b"x"), "lies in more than 64 folders"),
         (entry("out/" + "n" * 256, b"x"), "has a name that some file systems do not allow"),
         (entry("out/a\nb", b"x"), r"artifact 'out/a b' has a name that some file systems do not allow"),
@@ -155,7 +158,7 @@ def test_the_sum_counts(tmp_path: Path) -> None:
     with pytest.raises(RefusedError, match=r"'out/1' has 585\.9 KiB: more than the 1 MiB"):
         extracted(tmp_path / "size", archive(*files))
     many = [entry(f"out/{i}") for i in range(101)]
-    with pytest.raises(RefusedError, match="'out/100' is one more than the 100 files"):
+    with pytest.raises(RefusedError, match="'out/100' exceeds the limit of 100 artifacts"):
         extracted(tmp_path / "count", archive(*many))
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from calibration.errors import ExitCode, InfrastructureError
-from calibration.execution.bringing_out import Archive, NothingThereError, Opener
+from calibration.execution.copying_out import Archive, NothingThereError, Opener
 from calibration.execution.job import Artifact, Container, Job, Readiness
 from calibration.execution.judging import how_it_ended
 from calibration.execution.outcome import End
@@ -21,12 +21,12 @@ class Played(Supervised):
 
     def __init__(self, container: Container, ready_at: int = 0, ends_at: int = 99, code: int = 0) -> None:
         super().__init__(container)
-        self.ready_at, self.ends_at, self.code, self.looks = ready_at, ends_at, code, 0
+        self.ready_at, self.ends_at, self.code, self.polls = ready_at, ends_at, code, 0
 
-    def look(self) -> None:
-        self.looks += 1
-        self.ready = self.ready or self.looks >= self.ready_at
-        if self.looks >= self.ends_at:
+    def poll(self) -> None:
+        self.polls += 1
+        self.ready = self.ready or self.polls >= self.ready_at
+        if self.polls >= self.ends_at:
             self.ended = time.monotonic()
 
     def not_ready_for(self) -> str:
@@ -81,7 +81,7 @@ def test_a_container_starts_when_those_before_it_are_ready_and_the_rest_is_stopp
     play = Play(Job("job", (SERVER, CLIENT)), server={"ready_at": 3}, client={"ends_at": 2})
     play.supervise(tmp_path / "artifacts")
     assert play.told == ["start server", "start client", "stop server"]
-    assert play.containers[0].looks >= 3
+    assert play.containers[0].polls >= 3
     assert [each.outcome().end for each in play.containers] == [End.STOPPED, End.EXITED]
     assert (play.judge.reasons, play.judge.exit_code) == ([], ExitCode.PASS)
     assert (tmp_path / "artifacts").is_dir()

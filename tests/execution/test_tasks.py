@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from calibration.errors import InfrastructureError, InputError
-from calibration.execution.backends import Place
+from calibration.execution.backends import ExecutionTarget
 from calibration.execution.job import Container, Job
 from calibration.execution.outcome import JobOutcome
 from calibration.execution.tasks import Task, run_tasks
@@ -37,7 +37,7 @@ class Engine:
 
 
 @dataclass(frozen=True)
-class There(Place):
+class There(ExecutionTarget):
     """An execution target with this backend."""
 
     engine: Engine = field(default_factory=Engine)
@@ -58,9 +58,9 @@ def job(name: str) -> Task[str]:
 
 
 def test_functions_first_then_jobs_and_the_results_in_the_order_of_the_tasks(tmp_path: Path) -> None:
-    place, told = There(), list[tuple[int, int, str]]()
+    target, told = There(), list[tuple[int, int, str]]()
     found = run_tasks(
-        [job("a"), call("b"), job("c"), call("d")], tmp_path, 1, place, done=lambda *step: told.append(step)
+        [job("a"), call("b"), job("c"), call("d")], tmp_path, 1, target, done=lambda *step: told.append(step)
     )
     assert list(found.items()) == [
         ("a", f"ran {tmp_path}/a"),
@@ -69,36 +69,36 @@ def test_functions_first_then_jobs_and_the_results_in_the_order_of_the_tasks(tmp
         ("d", "called d"),
     ]
     assert told == [(n + 1, 4, found[name]) for n, name in enumerate("bdca")]
-    assert place.engine.log == ["opened", f"checked 2, {tmp_path}, 1", "ended", "closed"]
+    assert target.engine.log == ["opened", f"checked 2, {tmp_path}, 1", "ended", "closed"]
 
 
 def test_without_jobs_no_engine_is_looked_for() -> None:
-    place = There()
-    assert run_tasks([call("a")], place=place) == {"a": "called a"}
-    assert place.engine.log == []
+    target = There()
+    assert run_tasks([call("a")], target=target) == {"a": "called a"}
+    assert target.engine.log == []
     assert run_tasks(list[Task[str]]()) == {}
 
 
 def test_what_is_found_is_not_run_and_told_first() -> None:
-    place, told = There(), list[str]()
+    target, told = There(), list[str]()
     kept = {"b": "kept b", "c": "kept c"}
     found = run_tasks(
-        [call("a"), call("b"), job("c")], place=place, find=kept.get, done=lambda *step: told.append(step[2])
+        [call("a"), call("b"), job("c")], target=target, find=kept.get, done=lambda *step: told.append(step[2])
     )
     assert list(found) == ["a", "b", "c"]
     assert told == ["kept b", "kept c", "called a"]
-    assert place.engine.log == []
+    assert target.engine.log == []
 
 
 @pytest.mark.parametrize("last", ["b", "d"])
 def test_a_result_that_stops_the_others(last: str) -> None:
-    place = There()
+    target = There()
     found = run_tasks(
-        [call("a"), call("b"), job("c"), job("d")], workers=1, place=place, stops=lambda name, _: name == last
+        [call("a"), call("b"), job("c"), job("d")], workers=1, target=target, stops=lambda name, _: name == last
     )
     assert list(found) == {"b": ["a", "b"], "d": ["a", "b", "d"]}[last]
-    assert place.engine.log[-1] == "closed"
-    assert "ended" in place.engine.log or last == "b"  # jobs that were not started need not end
+    assert target.engine.log[-1] == "closed"
+    assert "ended" in target.engine.log or last == "b"  # jobs that were not started need not end
 
 
 @pytest.mark.parametrize("where", ["judge", "done", "stops"])
@@ -106,21 +106,21 @@ def test_an_error_anywhere_ends_everything(where: str) -> None:
     def refuse(*_: object) -> Any:
         raise InfrastructureError("planted")
 
-    place, tasks = There(), [job("a").then(refuse) if where == "judge" else job("a"), job("b")]
+    target, tasks = There(), [job("a").then(refuse) if where == "judge" else job("a"), job("b")]
     callbacks = {where: refuse} if where != "judge" else {}
     with pytest.raises(InfrastructureError, match="planted"):
-        run_tasks(tasks, place=place, **callbacks)
-    assert "ended" in place.engine.log
+        run_tasks(tasks, target=target, **callbacks)
+    assert "ended" in target.engine.log
 
 
 def test_jobs_that_make_no_sense_are_refused_before_any_function_is_called() -> None:
     called = []
     tasks = [Task.call("a", lambda: called.append("a")), Task.containers("b", Job("b", ()), lambda _: None)]
     with pytest.raises(InputError, match="no such image"):
-        run_tasks(tasks, place=There(engine=Engine(broken=True)))
+        run_tasks(tasks, target=There(engine=Engine(broken=True)))
     assert called == []
 
 
 @pytest.mark.parametrize("task", [call("a"), job("a")])
 def test_more_can_be_done_with_a_result(task: Task[str]) -> None:
-    assert run_tasks([task.then(str.split)], Path("x"), place=There())["a"][0] in ("called", "ran")
+    assert run_tasks([task.then(str.split)], Path("x"), target=There())["a"][0] in ("called", "ran")

@@ -37,15 +37,15 @@ def test_each_has_its_place(tmp_path: Path, more: str, default: str) -> None:
         "here": "docker",
         "there": "aws-batch",
     }
-    place = configuration.place
-    assert (place.backend, place.run, place.resume) == (default, None, False)
-    assert place.sections.aws_batch is not None
-    assert place.sections.aws_batch.queue == "robots"
+    target = configuration.target
+    assert (target.backend, target.run, target.resume) == (default, None, False)
+    assert target.sections.aws_batch is not None
+    assert target.sections.aws_batch.queue == "robots"
 
 
 def test_nothing_said_is_this_machine(tmp_path: Path) -> None:
-    place = read(tmp_path, "systems: {a: {dataset: d}}").place
-    assert (place.backend, place.settings) == ("docker", None)
+    target = read(tmp_path, "systems: {a: {dataset: d}}").target
+    assert (target.backend, target.settings) == ("docker", None)
 
 
 @pytest.mark.parametrize(

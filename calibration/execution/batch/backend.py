@@ -7,7 +7,7 @@ from types import TracebackType
 from typing import Self
 
 from calibration.errors import InputError
-from calibration.execution.backends import Place
+from calibration.execution.backends import ExecutionTarget
 from calibration.execution.batch.checks import check_for_batch
 from calibration.execution.batch.costs import Usage, total_size
 from calibration.execution.batch.definition import group_by_shape, shape_of
@@ -135,13 +135,13 @@ class BatchBackend:
             terminate(self.aws, [each.id for each in found], "the run is resumed")
 
 
-def open_batch(place: Place) -> BatchBackend:
+def open_batch(target: ExecutionTarget) -> BatchBackend:
     """Create the backend of an execution target.
 
     Raises:
         InputError: the name of the run is missing or invalid.
     """
-    return BatchBackend(place.settings, place.run, place.show, place.resume)
+    return BatchBackend(target.settings, target.run, target.show, target.resume)
 
 
 def _with_images(job: Job, images: dict[str, str]) -> Job:

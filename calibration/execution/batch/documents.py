@@ -16,7 +16,7 @@ from calibration.errors import ExitCode, InfrastructureError
 from calibration.execution.extraction import RefusedError, path_parts
 from calibration.execution.job import Artifact, Container, Job, Limits, Readiness
 from calibration.execution.job_check import NAME
-from calibration.execution.outcome import BroughtOut, ContainerOutcome, End
+from calibration.execution.outcome import ArtifactFile, ContainerOutcome, End
 from calibration.records import Constraint, Place, between, document_of, field, length, matching, read, record
 from calibration.workflow.text import one_line, shorten
 
@@ -231,7 +231,7 @@ class TaskOutcome:
     seconds: float = 0.0
     containers: tuple[ContainerOutcome, ...] = ()
     """Without logs and images, which the task does not know."""
-    artifacts: tuple[BroughtOut, ...] = ()
+    artifacts: tuple[ArtifactFile, ...] = ()
     left_out: tuple[str, ...] = ()
 
 
@@ -287,7 +287,7 @@ def read_outcome(data: bytes, job: Job, attempt: int, where: str) -> TaskOutcome
         containers=tuple(
             ContainerOutcome(c.name, End(c.end), c.exit_code, c.signal, c.seconds) for c in entry.containers
         ),
-        artifacts=tuple(BroughtOut(**vars(file)) for file in entry.artifacts),
+        artifacts=tuple(ArtifactFile(**vars(file)) for file in entry.artifacts),
         left_out=tuple(map(one_line, entry.left_out)),
     )
     if (outcome.exit_code == ExitCode.PASS) != (not outcome.reasons):

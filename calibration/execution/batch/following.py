@@ -95,7 +95,7 @@ class JobEnd:
 
 
 @dataclass(frozen=True)
-class Look:
+class Poll:
     """Result of one poll."""
 
     ended: tuple[JobEnd, ...]
@@ -146,7 +146,7 @@ class Following:
         ids = (array.id_of(child) for array in self._open.values() for child in array.open)
         return tuple(islice(ids, AT_ONCE))
 
-    def look(self, most: int = 4 * AT_ONCE) -> Look:
+    def poll(self, most: int = 4 * AT_ONCE) -> Poll:
         """Poll Batch; report the end of each job once.
 
         Args:
@@ -175,7 +175,7 @@ class Following:
                 del self._open[array.of.id]
                 self._told.add(array.of.id)
         arrays = self._open.values()
-        return Look(
+        return Poll(
             ended=tuple(ended),
             running=tuple(running),
             queued_count=sum(min(array.queued, len(array.open)) for array in arrays),

@@ -14,7 +14,7 @@ from typing import IO, Any
 from calibration.errors import InfrastructureError, InputError
 from calibration.execution.batch.documents import Input, job_entry, jobs_document, mount_targets
 from calibration.execution.batch.following import batches
-from calibration.execution.batch.session import patiently
+from calibration.execution.batch.session import with_retries
 from calibration.execution.batch.store import Store
 from calibration.execution.batch.wire import JOBS_PER_FILE, Location
 from calibration.execution.batch.workers import in_threads
@@ -152,7 +152,7 @@ class Inputs:
                 file.seek(0)
                 self._store.upload(self._location.input_key(packed.sha256), file, packed.size)
 
-            patiently(send)
+            with_retries(send)
         return source, packed
 
 
@@ -170,7 +170,7 @@ def upload_jobs(
         for number, some in enumerate(batches(jobs, JOBS_PER_FILE)):
             data = jobs_document([entry(job) for job in some])
             key = location.jobs_key(number * JOBS_PER_FILE)
-            yield partial(patiently, partial(store.put, key, data))
+            yield partial(with_retries, partial(store.put, key, data))
 
     for _ in in_threads(workers, pieces(), ahead=2 * workers):
         pass

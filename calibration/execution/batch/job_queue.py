@@ -9,7 +9,7 @@ import botocore.exceptions
 from calibration.aws_errors import aws_errors, error_code
 from calibration.errors import CalibrationError, InputError
 from calibration.execution.batch.definition import Resources
-from calibration.execution.batch.following import Look, records
+from calibration.execution.batch.following import Poll, records
 from calibration.execution.batch.session import Aws
 from calibration.execution.batch.settings import BatchSettings
 from calibration.registries.reference import ecr_host, parse_reference
@@ -140,15 +140,15 @@ class Guard:
         self.seconds = seconds
         self._since: float | None = None
 
-    def is_stuck(self, look: Look, done: int) -> bool:
+    def is_stuck(self, poll: Poll, done: int) -> bool:
         """Update from a poll, and return whether the run is stuck.
 
         Args:
-            look: result of the poll.
+            poll: result of the poll.
             done: number of downloaded results since the last poll.
         """
         now = time.monotonic()
-        if self._since is None or look.running_count or look.ended or done or not look.queued_count:
+        if self._since is None or poll.running_count or poll.ended or done or not poll.queued_count:
             self._since = now
         return now - self._since >= self.seconds
 

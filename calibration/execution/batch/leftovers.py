@@ -36,7 +36,7 @@ class QueuedJobs(_InAws[CloudLeftover]):
         """Terminate them."""
         terminate(self._aws, [each.id for each in chosen], "calibration cleanup")
 
-    def told(self, chosen: Sequence[CloudLeftover], dry_run: bool) -> str:
+    def summary(self, chosen: Sequence[CloudLeftover], dry_run: bool) -> str:
         """Return the number of terminated jobs, as a sentence."""
         many = "s" * (len(chosen) != 1)
         count = f"{len(chosen)} job{many} or array{many}" if chosen else "nothing"
@@ -69,7 +69,7 @@ class OldRevisions(_InAws[OldRevision]):
         """Deregister them."""
         deregister(self._aws, [each.arn for each in chosen])
 
-    def told(self, chosen: Sequence[OldRevision], dry_run: bool) -> str:
+    def summary(self, chosen: Sequence[OldRevision], dry_run: bool) -> str:
         """Return the number of deregistered revisions, as a sentence."""
         count = f"{len(chosen)} old revision{'s' * (len(chosen) != 1)}" if chosen else "nothing"
         return f"{count} {'would be deregistered' if dry_run else 'deregistered'}"

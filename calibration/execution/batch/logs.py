@@ -20,7 +20,7 @@ from calibration.execution.log_file import MOST_BYTES, LogFile
 from calibration.workflow.masks import redact
 from calibration.workflow.streams import LogDisplay, LogStream
 
-_LOOKING = 2.0
+_POLL_SECONDS = 2.0
 """Interval of polls of shown logs, seconds: CloudWatch allows about ten requests a second."""
 _TRIES, _COMING = 3, 1.0
 """Attempts to read a missing log, and seconds between them: logs appear a little later than their containers."""
@@ -99,7 +99,7 @@ class LiveLogs:
             shown = [log for log in self._logs.values() if log.job == job.name]
         for log in shown:
             with suppress(CalibrationError):
-                self._look(log)
+                self._poll(log)
             self._close(log)
 
     def close(self) -> None:
@@ -118,21 +118,21 @@ class LiveLogs:
             log.to.close()
 
     def _run(self) -> None:
-        while not self._stopping.wait(_LOOKING):
+        while not self._stopping.wait(_POLL_SECONDS):
             with self._lock:
                 shown = list(self._logs.values())
             for log in shown:
                 if self._stopping.is_set():
                     return
                 try:
-                    self._look(log)
+                    self._poll(log)
                 except AwsLostError:
                     break
                 except CalibrationError as error:
                     log.to.line(f"(the log cannot be read: {error})")
                     self._close(log)
 
-    def _look(self, log: _Shown) -> None:
+    def _poll(self, log: _Shown) -> None:
         """Show new lines of a log."""
         with log.lock:
             if log.closed:

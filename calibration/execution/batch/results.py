@@ -11,15 +11,15 @@ from calibration.errors import CalibrationError, ExitCode, InfrastructureError
 from calibration.execution.batch.documents import TaskOutcome, most_bytes, read_outcome
 from calibration.execution.batch.following import Attempt, ContainerEnd, Description
 from calibration.execution.batch.logs import is_ours, secrets_of, streams, write_log
-from calibration.execution.batch.session import Aws, patiently
+from calibration.execution.batch.session import Aws, with_retries
 from calibration.execution.batch.settings import BatchSettings
 from calibration.execution.batch.store import Store
 from calibration.execution.batch.wire import FILES_FOLDER, OUTCOME_FILE, PREPARE, WATCH, Location
-from calibration.execution.bringing_out import complete_or_not_at_all
+from calibration.execution.copying_out import complete_or_not_at_all
 from calibration.execution.job import Container, Job
 from calibration.execution.job_folder import ARTIFACTS, LOGS, make_job_folder, write_manifest
 from calibration.execution.judging import failure_of, how_it_ended
-from calibration.execution.outcome import BroughtOut, ContainerOutcome, End, JobOutcome
+from calibration.execution.outcome import ArtifactFile, ContainerOutcome, End, JobOutcome
 from calibration.files import write_atomically
 from calibration.workflow.masks import redact
 from calibration.workflow.text import one_line, shorten
@@ -132,10 +132,10 @@ def with_ends(
         after = _known_better(before, container, known.get(before.name))
         containers.append(after)
         old, new = _failure(before, container), _failure(after, container)
-        place = next((i for i, reason in enumerate(reasons) if old is not None and reason.startswith(old)), None)
-        if new is not None and place is not None:
-            rest = reasons[place].removeprefix(old or "")  # such as why it was not ready
-            reasons[place] = f"{new}{rest}" if rest else _failure(after, container, last_lines) or new
+        position = next((i for i, reason in enumerate(reasons) if old is not None and reason.startswith(old)), None)
+        if new is not None and position is not None:
+            rest = reasons[position].removeprefix(old or "")  # such as why it was not ready
+            reasons[position] = f"{new}{rest}" if rest else _failure(after, container, last_lines) or new
         elif new is not None and after.end != before.end and (container.essential or reasons):
             reasons.append(_failure(after, container, last_lines) or new)
     failed = ExitCode.FAIL if reasons else ExitCode.PASS
@@ -180,7 +180,7 @@ T = TypeVar("T")
 
 
 @dataclass(frozen=True)
-class Place:
+class ResultLocation:
     """Location of a job's result, and Batch's description of its end."""
 
     location: Location
@@ -197,7 +197,7 @@ class _WrongFileError(InfrastructureError):
     """A file in S3 differs from the outcome."""
 
 
-class Results:
+class Downloader:
     """Downloads results into folders. Thread-safe."""
 
     def __init__(
@@ -226,7 +226,7 @@ class Results:
         self._all_logs = all_logs
         self._go_on = go_on
 
-    def bring(self, job: Job, place: Place) -> JobOutcome:
+    def download(self, job: Job, result: ResultLocation) -> JobOutcome:
         """Download the result of an ended job.
 
         Raises:
@@ -238,44 +238,44 @@ class Results:
         make_job_folder(folder)
         asked = _with_memory(job, self._settings.memory)
         try:
-            found = self._outcome(asked, place)
+            found = self._outcome(asked, result)
         except AwsLostError:
             raise
         except InfrastructureError as error:  # not an outcome of this job
-            found = _failed(asked, place.description, str(error), ExitCode.INFRASTRUCTURE)
+            found = _failed(asked, result.description, str(error), ExitCode.INFRASTRUCTURE)
         attempt = 0 if found is None else found.attempt
         lines: dict[str, str] = {}
         if self._all_logs or found is None or found.exit_code != ExitCode.PASS:
-            lines = self._logs(job, place.description, attempt, folder / LOGS, ours=attempt == 0)
-        if found is None and place.description is not None:
-            why = why_no_outcome(job, place.description, place.given_up, lines)
-            found = _failed(asked, place.description, why.reason, why.exit_code)
+            lines = self._logs(job, result.description, attempt, folder / LOGS, ours=attempt == 0)
+        if found is None and result.description is not None:
+            why = why_no_outcome(job, result.description, result.given_up, lines)
+            found = _failed(asked, result.description, why.reason, why.exit_code)
         elif found is None:
             found = _failed(asked, None, "its result is missing in S3", ExitCode.INFRASTRUCTURE)
         elif attempt:
-            found = with_ends(found, asked, _ends(place.description, attempt), lines)
-        found = self._files(found, place, attempt, folder / ARTIFACTS)
+            found = with_ends(found, asked, _ends(result.description, attempt), lines)
+        found = self._files(found, result, attempt, folder / ARTIFACTS)
         outcome = self._job_outcome(job, found, folder, lines)
-        write_manifest(outcome, place.location.run)
+        write_manifest(outcome, result.location.run)
         return outcome
 
-    def _outcome(self, job: Job, place: Place) -> TaskOutcome | None:
+    def _outcome(self, job: Job, result: ResultLocation) -> TaskOutcome | None:
         """Return the latest complete outcome; None if there is none.
 
         Raises:
             InfrastructureError: it is not an outcome of this job.
         """
-        expected = place.attempt or (len(place.description.attempts) if place.description else 0)
-        found = self._read(job, place, expected) if expected else None
+        expected = result.attempt or (len(result.description.attempts) if result.description else 0)
+        found = self._read(job, result, expected) if expected else None
         if found is None:
-            there = self._ask(lambda: list(self._store.folders(place.location.attempts_key(place.index))))
+            there = self._ask(lambda: list(self._store.folders(result.location.attempts_key(result.index))))
             for attempt in sorted({int(name) for name in there if name.isdecimal()} - {0, expected}, reverse=True):
-                if (found := self._read(job, place, attempt)) is not None:
+                if (found := self._read(job, result, attempt)) is not None:
                     break
         return found
 
-    def _read(self, job: Job, place: Place, attempt: int) -> TaskOutcome | None:
-        key = place.location.result_key(place.index, attempt, OUTCOME_FILE)
+    def _read(self, job: Job, result: ResultLocation, attempt: int) -> TaskOutcome | None:
+        key = result.location.result_key(result.index, attempt, OUTCOME_FILE)
         data = self._ask(lambda: self._store.get(key, most_bytes(job)))
         return None if data is None else read_outcome(data, job, attempt, key)
 
@@ -299,18 +299,18 @@ class Results:
                     lines[name] = ""
         return lines
 
-    def _files(self, found: TaskOutcome, place: Place, attempt: int, folder: Path) -> TaskOutcome:
+    def _files(self, found: TaskOutcome, result: ResultLocation, attempt: int, folder: Path) -> TaskOutcome:
         """Download the files of an outcome: all of them, or none."""
         try:
             with complete_or_not_at_all(folder) as fresh:
                 for file in found.artifacts:
-                    self._file(file, place.location.result_key(place.index, attempt, FILES_FOLDER), fresh)
+                    self._file(file, result.location.result_key(result.index, attempt, FILES_FOLDER), fresh)
         except _WrongFileError as error:
             code = found.exit_code or ExitCode.INFRASTRUCTURE
             return replace(found, artifacts=(), exit_code=code, reasons=(*found.reasons, str(error)))
         return found
 
-    def _file(self, file: BroughtOut, folder: str, fresh: Path) -> None:
+    def _file(self, file: ArtifactFile, folder: str, fresh: Path) -> None:
         path = fresh / file.path
         path.parent.mkdir(parents=True, exist_ok=True)
 
@@ -343,7 +343,7 @@ class Results:
         )
 
     def _ask(self, ask: Callable[[], T]) -> T:
-        return patiently(ask, self._go_on)
+        return with_retries(ask, self._go_on)
 
 
 def _ends(description: Description | None, attempt: int) -> Iterable[ContainerEnd]:

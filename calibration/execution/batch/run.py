@@ -18,12 +18,12 @@ from calibration.execution.batch.earlier import (
     mark_of,
     submitted_document,
 )
-from calibration.execution.batch.following import AT_ONCE, Following, JobEnd, Look, batches, describe
+from calibration.execution.batch.following import AT_ONCE, Following, JobEnd, Poll, batches, describe
 from calibration.execution.batch.inputs import Inputs, upload_jobs
 from calibration.execution.batch.job_queue import Guard, likely_reasons
 from calibration.execution.batch.logs import LiveLogs
-from calibration.execution.batch.results import Place, Results, host_lost
-from calibration.execution.batch.session import Aws, Patience, patiently
+from calibration.execution.batch.results import Downloader, ResultLocation, host_lost
+from calibration.execution.batch.session import Aws, Backoff, with_retries
 from calibration.execution.batch.settings import BatchSettings
 from calibration.execution.batch.store import Store
 from calibration.execution.batch.submission import attempt_seconds, chunks, run_tags, submission
@@ -76,7 +76,7 @@ class BatchRun:
         """Index in `jobs` for each index of each group in S3."""
         self._submitting = Submitting(aws, settings.queue)
         self._following = Following(aws)
-        self._bringing: Workers[Answer] = Workers(_WORKERS)
+        self._downloads: Workers[Answer] = Workers(_WORKERS)
         self._live = LiveLogs(aws, settings.log_group, show) if show is not None and len(jobs) <= FEW else None
         self._guard = Guard(settings.stuck)
         self._given_up = ""
@@ -88,7 +88,7 @@ class BatchRun:
         self._stopping = False
         self._ended = False
         """Whether all jobs have ended, or cannot be terminated."""
-        self._results = Results(
+        self._downloader = Downloader(
             aws=aws,
             settings=settings,
             store=store,
@@ -111,7 +111,9 @@ class BatchRun:
             described = describe(self._aws, [result.id for _, result in some if result.id is not None])
             for place, result in some:
                 found = described.get(result.id or "")
-                self._bring(place, Place(self._location(result.group), result.index, found, result.attempt))
+                self._start_download(
+                    place, ResultLocation(self._location(result.group), result.index, found, result.attempt)
+                )
             yield from self._answers(None)
         self._say_estimate(missing)
         self._submit(inputs, missing)
@@ -130,7 +132,7 @@ class BatchRun:
         if self._ended:
             return
         self._stopping = True
-        self._bringing.stop()
+        self._downloads.stop()
         if self._live is not None:
             self._live.close()
         ids = [each.id for each in self._submitting.submitted if self._following.may_run(each.id)]
@@ -143,7 +145,7 @@ class BatchRun:
                 raise type(error)(f"{error}; {advice}") from None
             raise type(problem)(f"{problem}; {advice}") from error
         self._ended = True
-        self._bringing.join(_ENDING)
+        self._downloads.join(_ENDING)
 
     # --- before the run
 
@@ -165,7 +167,7 @@ class BatchRun:
 
         def judged(place: int) -> tuple[int, bool]:
             ask = partial(has_verdict, self._store, location, found[place], self._jobs[place])
-            return place, patiently(ask)
+            return place, with_retries(ask)
 
         final = dict(in_threads(_WORKERS, (partial(judged, place) for place in found)))
         missing = {
@@ -192,79 +194,79 @@ class BatchRun:
                 request = submission(chunk, location, definition, self._settings, seconds=seconds, tags=tags)
                 submitted.append(self._submitting.submit(request, group, chunk.first))
                 self._following.add(submitted[-1])
-            patiently(partial(self._store.put, location.submitted_key, submitted_document(submitted)))
+            with_retries(partial(self._store.put, location.submitted_key, submitted_document(submitted)))
 
     # --- during the run
 
     def _follow(self) -> Iterator[Answer]:
-        patience = Patience()
-        next_look = 0.0
+        backoff = Backoff()
+        next_poll = 0.0
         self._began = time.monotonic()
-        while self._following.ids or self._bringing.waiting:
+        while self._following.ids or self._downloads.waiting:
             done = 0
-            for answer in self._answers(max(0.0, next_look - time.monotonic()) if self._following.ids else None):
+            for answer in self._answers(max(0.0, next_poll - time.monotonic()) if self._following.ids else None):
                 done += 1
                 yield answer
-            if not self._following.ids or time.monotonic() < next_look:
+            if not self._following.ids or time.monotonic() < next_poll:
                 continue
-            room = _AHEAD - self._bringing.waiting
+            room = _AHEAD - self._downloads.waiting
             if room <= 0:  # Batch keeps descriptions of ended jobs
                 yield from self._answers(None)
                 continue
             try:
-                look = self._following.look(room)
-                self._take(look)
-                self._watch_time(look, done)
+                poll = self._following.poll(room)
+                self._take(poll)
+                self._watch_time(poll, done)
             except AwsLostError as error:
-                next_look = time.monotonic() + patience.failed(error)
+                next_poll = time.monotonic() + backoff.failed(error)
                 continue
-            patience.answered()
-            next_look = time.monotonic() + (0.0 if look.more else self._following.delay)
+            backoff.answered()
+            next_poll = time.monotonic() + (0.0 if poll.more else self._following.delay)
 
-    def _take(self, look: Look) -> None:
+    def _take(self, poll: Poll) -> None:
         """Download the results of ended jobs; show the logs of running ones."""
         if self._live is not None:
-            for end in look.running:
+            for end in poll.running:
                 self._live.running(self._job_of(end), end.description)
-        for end in look.ended:
+        for end in poll.ended:
             self._count(end)
-            place = Place(self._location(end.group), end.index, end.description, given_up=self._given_up)
-            self._bring(self._places[end.group][end.index], place)
-        self._say_state(look)
+            place = ResultLocation(self._location(end.group), end.index, end.description, given_up=self._given_up)
+            self._start_download(self._places[end.group][end.index], place)
+        self._say_state(poll)
 
-    def _watch_time(self, look: Look, done: int) -> None:
+    def _watch_time(self, poll: Poll, done: int) -> None:
         """Terminate the remaining jobs if the run takes too long, or gets no hosts."""
         if not self._following.ids or self._told_to_end:
             return
-        if not self._given_up and (reason := self._too_late(look, done)):
+        if not self._given_up and (reason := self._too_late(poll, done)):
             self._given_up = reason
             self._say(f"{sum(1 for _ in self._following.left)} jobs are given up: {reason}")
         if self._given_up:
             terminate(self._aws, self._following.ids, self._given_up[:1000])
             self._told_to_end = True
 
-    def _too_late(self, look: Look, done: int) -> str:
+    def _too_late(self, poll: Poll, done: int) -> str:
         """Return the reason to terminate the remaining jobs; empty if there is none."""
         settings = self._settings
         if settings.deadline is not None and time.monotonic() - self._began >= settings.deadline:
             return f"the run took longer than its {settings.deadline:g} s (deadline)"
-        if not self._guard.is_stuck(look, done):
+        if not self._guard.is_stuck(poll, done):
             return ""
         why = "; ".join(likely_reasons(self._aws, settings, self._following.oldest))
         return f"it got no host within {settings.stuck:g} s in queue '{settings.queue}' (stuck); likely reasons: {why}"
 
-    def _bring(self, place: int, found: Place) -> None:
-        self._bringing.give(partial(self._brought, place, found))
+    def _start_download(self, place: int, found: ResultLocation) -> None:
+        self._downloads.give(partial(self._downloaded, place, found))
 
-    def _brought(self, place: int, found: Place) -> Answer:
+    def _downloaded(self, place: int, found: ResultLocation) -> Answer:
         """Download a result; called in a separate thread."""
         job = self._jobs[place]
         if self._live is not None:
             self._live.ended(job, found.description)
-        return place, self._results.bring(job, found)
+        return place, self._downloader.download(job, found)
 
     def _answers(self, seconds: float | None) -> Iterator[Answer]:
-        for place, outcome in self._bringing.take(seconds):
+        for place, outcome in self._downloads.take(seconds):
             self._counts["done" if outcome.verdict == "pass" else "failed"] += 1
             with self._show.paused() if self._show is not None else nullcontext():
                 yield place, outcome
@@ -295,9 +297,9 @@ class BatchRun:
             cost = estimate(jobs, self._settings).text(self._settings)
             self._say(f"run {self._name}: {len(jobs)} jobs go to queue '{self._settings.queue}': {cost}")
 
-    def _say_state(self, look: Look) -> None:
+    def _say_state(self, poll: Poll) -> None:
         done, failed = self._counts["done"], self._counts["failed"]
-        line = f"{look.queued_count} queued, {look.running_count} running, {done} done, {failed} failed"
+        line = f"{poll.queued_count} queued, {poll.running_count} running, {done} done, {failed} failed"
         if line != self._said[1] and time.monotonic() - self._said[0] >= _SAYING:
             self._said = (time.monotonic(), line)
             self._say(f"run {self._name}: {line}")

@@ -27,15 +27,15 @@ from calibration.http import Http
 
 Result = TypeVar("Result")
 
-PATIENCE = 300.0
+LONGEST_OUTAGE = 300.0
 """Seconds for which AWS may be unreachable, beyond boto3's own retries."""
 _FIRST, _LONGEST = 1.0, 30.0
 
 
-class Patience:
+class Backoff:
     """Retry delays of a service, and their time-out."""
 
-    def __init__(self, seconds: float = PATIENCE) -> None:
+    def __init__(self, seconds: float = LONGEST_OUTAGE) -> None:
         self._seconds = seconds
         self._since: float | None = None
         self._delay = _FIRST
@@ -61,7 +61,7 @@ class Patience:
         return delay * random.uniform(0.75, 1.25)  # noqa: S311 (jitter, to spread simultaneous clients)
 
 
-def patiently(ask: Callable[[], Result], go_on: Callable[[], bool] = lambda: True) -> Result:
+def with_retries(ask: Callable[[], Result], go_on: Callable[[], bool] = lambda: True) -> Result:
     """Repeat a call until it succeeds.
 
     Args:
@@ -71,12 +71,12 @@ def patiently(ask: Callable[[], Result], go_on: Callable[[], bool] = lambda: Tru
     Raises:
         AwsLostError: the time-out has passed.
     """
-    patience = Patience()
+    backoff = Backoff()
     while True:
         try:
             return ask()
         except AwsLostError as error:
-            delay = patience.failed(error)
+            delay = backoff.failed(error)
             if not go_on():
                 raise
             time.sleep(delay)

@@ -10,7 +10,7 @@ from calibration.aws_errors import AwsLostError, aws_errors
 from calibration.errors import CalibrationError, InfrastructureError
 from calibration.execution.batch.definition import DIGEST_TAG
 from calibration.execution.batch.following import AT_ONCE, Submitted, batches, describe, records
-from calibration.execution.batch.session import Aws, Patience
+from calibration.execution.batch.session import Aws, Backoff
 from calibration.execution.batch.submission import owner_of
 from calibration.execution.docker.labels import RUN, Owner
 
@@ -187,7 +187,7 @@ def _leftover(record: dict[str, Any]) -> CloudLeftover:
 STOPPED = "the run was stopped"
 """Reason of the termination, reported to Batch."""
 _TRIES = 3
-_LOOKING = 1.0
+_POLL_SECONDS = 1.0
 
 
 class Submitting:
@@ -210,7 +210,7 @@ class Submitting:
             AwsLostError: AWS does not answer, or throttles for too long.
         """
         self._unclear = name = str(request["jobName"])
-        patience = Patience()
+        backoff = Backoff()
         answers_lost = False
         while True:
             try:
@@ -219,7 +219,7 @@ class Submitting:
                 break
             except AwsLostError as error:
                 answers_lost = True
-                time.sleep(patience.failed(error))
+                time.sleep(backoff.failed(error))
         count = int(request.get("arrayProperties", {}).get("size", 1))
         self.submitted.append(Submitted(identifier, group, first, count))
         self._unclear = ""
@@ -240,7 +240,7 @@ class Submitting:
             if found := find_by_name(self._aws, self._queue, self._unclear):
                 terminate(self._aws, found, reason)
                 break
-            time.sleep(_LOOKING)  # new jobs appear in the list with a delay
+            time.sleep(_POLL_SECONDS)  # new jobs appear in the list with a delay
         self._unclear = ""
 
     def _send(self, request: Mapping[str, Any]) -> str:

@@ -14,7 +14,7 @@ from typing import Self
 from calibration.docker.engine import EngineLostError, engine_errors, find_engine, lost
 from calibration.errors import CalibrationError, InfrastructureError, InputError
 from calibration.execution.admission import Admission, Need
-from calibration.execution.backends import Place
+from calibration.execution.backends import ExecutionTarget
 from calibration.execution.docker.images import find_images
 from calibration.execution.docker.job_run import Interrupted, JobRun, Run, lost_job
 from calibration.execution.docker.labels import RUN, Owner, new_run
@@ -27,7 +27,7 @@ from calibration.workflow.streams import LogDisplay
 
 _RUN_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,60}")
 _MOST_THREADS = 64
-_LOOKING = 5
+_POLL_SECONDS = 5
 """Interval of checks whether the engine still answers, seconds."""
 _PATIENCE = 15.0
 """Seconds without an answer of the engine after which jobs are given up."""
@@ -182,7 +182,7 @@ class DockerBackend:
         silent_since: float | None = None
         while True:
             try:
-                return answers.get(timeout=_LOOKING)
+                return answers.get(timeout=_POLL_SECONDS)
             except Empty:
                 pass
             try:
@@ -201,7 +201,7 @@ class DockerBackend:
         Raises:
             EngineLostError: it does not answer.
         """
-        client = self._engine.client(_LOOKING)
+        client = self._engine.client(_POLL_SECONDS)
         try:
             with engine_errors():
                 client.ping()
@@ -245,13 +245,13 @@ class DockerBackend:
         remove(self._client.api, [each for each in leftovers if not containers_only or each.kind == "container"])
 
 
-def open_docker(place: Place) -> DockerBackend:
+def open_docker(target: ExecutionTarget) -> DockerBackend:
     """Create the backend of an execution target.
 
     Raises:
         InputError: the name of the run is invalid in names of containers.
     """
-    return DockerBackend(place.run, place.show)
+    return DockerBackend(target.run, target.show)
 
 
 def _work(run: Run, jobs: Sequence[Job], folder: Path, admission: Admission, answers: "SimpleQueue[_Answer]") -> None:

@@ -88,7 +88,7 @@ class ContainerRun(Supervised):
         )
         self._follower.start()
 
-    def look(self) -> None:
+    def poll(self) -> None:
         """Update the readiness; a container that ends meanwhile is not ready.
 
         Raises:

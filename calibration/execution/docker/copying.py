@@ -18,7 +18,7 @@ from docker import APIClient
 
 from calibration.docker.engine import engine_errors
 from calibration.errors import InputError
-from calibration.execution.bringing_out import Archive, NothingThereError, Opener
+from calibration.execution.copying_out import Archive, NothingThereError, Opener
 from calibration.execution.job import OUTPUT, Mount
 
 _CHUNK = 1024**2

@@ -10,7 +10,7 @@ from queue import Empty, SimpleQueue
 
 from calibration.docker.engine import Engine, EngineLostError, engine_errors
 from calibration.errors import CalibrationError, InfrastructureError
-from calibration.execution.bringing_out import Opener
+from calibration.execution.copying_out import Opener
 from calibration.execution.docker.container_run import GRACE, ContainerRun
 from calibration.execution.docker.copying import copy_in, open_output, opener_of
 from calibration.execution.docker.labels import CONTAINER, JOB, new_run

@@ -140,7 +140,7 @@ class EngineLeftovers:
         """Remove leftovers, including running containers."""
         remove(self._client.api, chosen)
 
-    def told(self, chosen: Sequence[Leftover], dry_run: bool) -> str:
+    def summary(self, chosen: Sequence[Leftover], dry_run: bool) -> str:
         """Return the number of removed objects of each kind, as a sentence."""
         kinds = [leftover.kind for leftover in chosen]
         counts = [f"{kinds.count(kind)} {kind}{'s' * (kinds.count(kind) != 1)}" for kind in dict.fromkeys(kinds)]

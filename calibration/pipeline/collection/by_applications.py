@@ -17,7 +17,7 @@ from calibration.dataset.model import CornerLabels, Dataset, label_count
 from calibration.dataset.reading import read_dataset
 from calibration.dataset.writing import write_document
 from calibration.errors import CalibrationError, ExitCode, InfrastructureError, InputError
-from calibration.execution.backends import Place
+from calibration.execution.backends import ExecutionTarget
 from calibration.execution.job import Job
 from calibration.execution.job_folder import ARTIFACTS, LOGS
 from calibration.execution.outcome import JobOutcome
@@ -77,7 +77,7 @@ class Plan:
 
 
 def collect_by_applications(
-    request: ContainerRequest, output: Path, place: Place | None = None, overwrite: bool = False
+    request: ContainerRequest, output: Path, target: ExecutionTarget | None = None, overwrite: bool = False
 ) -> CollectionResults:
     """Collect a dataset, like `calibration.pipeline.collection.collecting.collect_dataset`.
 
@@ -94,7 +94,7 @@ def collect_by_applications(
 
         inputs = write_inputs(Path(work, "in"), plan)
         job = plan.job(JOB, request.scenario, inputs)
-        return run_tasks([Task.containers(JOB, job, judge)], Path(work), place=place)[JOB]
+        return run_tasks([Task.containers(JOB, job, judge)], Path(work), target=target)[JOB]
 
 
 def read_plan(request: ContainerRequest) -> Plan:

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from pathlib import Path
 
-from calibration.execution.backends import Place
+from calibration.execution.backends import ExecutionTarget
 from calibration.pipeline.collection.by_applications import ApplicationScenarios, collect_by_applications
 from calibration.pipeline.collection.by_simulation import Begin, PoseDone, SimulatedScenarios, collect_by_simulation
 from calibration.pipeline.collection.request import CollectionRequest, ContainerRequest, ScenarioRequest
@@ -21,7 +21,7 @@ def collect_dataset(
     output: Path,
     overwrite: bool = False,
     jobs: int | None = None,
-    place: Place | None = None,
+    target: ExecutionTarget | None = None,
     begin: Begin = lambda *_: None,
     done: PoseDone = lambda *_: None,
 ) -> CollectionResults:
@@ -36,7 +36,7 @@ def collect_dataset(
         output: the folder; files other than a dataset are kept.
         overwrite: whether an existing dataset is replaced.
         jobs: number of processes of our own simulation; None for one per core.
-        place: where the team's applications run; this machine's engine unless given.
+        target: execution target of the containers; by default this machine's engine.
         begin: called after everything was read and checked, only by our own simulation.
         done: called after each pose, only by our own simulation.
 
@@ -47,7 +47,7 @@ def collect_dataset(
     """
     refuse_existing(output, overwrite)
     if isinstance(request, ContainerRequest):
-        return collect_by_applications(request, output, place, overwrite)
+        return collect_by_applications(request, output, target, overwrite)
     return collect_by_simulation(request, output, overwrite, jobs, begin, done)
 
 
@@ -55,7 +55,7 @@ def collect_scenarios(
     request: ScenarioRequest,
     folder: ScenarioFolder,
     jobs: int | None = None,
-    place: Place | None = None,
+    target: ExecutionTarget | None = None,
     begin: ScenariosBegin = lambda *_: None,
     done: ScenarioDone = lambda *_: None,
 ) -> ScenarioResults:
@@ -69,7 +69,7 @@ def collect_scenarios(
         request: description of the scenarios.
         folder: folder for the datasets and logs.
         jobs: number of parallel processes or containers; None for as many as the machine can run.
-        place: where containers run; this machine's engine unless given.
+        target: execution target of the containers; by default this machine's engine.
         begin: see `ScenariosBegin`.
         done: see `ScenarioDone`.
 
@@ -85,7 +85,7 @@ def collect_scenarios(
     if isinstance(scenarios, SimulatedScenarios) and scenarios.image is None:
         found = scenarios.run(folder.output, jobs, done)
     else:
-        found = run_in_containers(scenarios, folder, jobs, place, done)
+        found = run_in_containers(scenarios, folder, jobs, target, done)
     errors = {each.result.id: each.error for each in found if each.error is not None}
     statistics = Statistics([each.result for each in found], lost=tuple(errors))
     return ScenarioResults(scenarios.system, request, statistics, errors)

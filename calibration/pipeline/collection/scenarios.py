@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from calibration.errors import ExitCode, InfrastructureError, InputError
-from calibration.execution.backends import Place
+from calibration.execution.backends import ExecutionTarget
 from calibration.execution.job import Job
 from calibration.execution.job_folder import LOGS
 from calibration.execution.outcome import JobOutcome
@@ -132,7 +132,7 @@ class ScenarioFolder:
 
 
 def run_in_containers(
-    scenarios: Scenarios, folder: ScenarioFolder, jobs: int | None, place: Place | None, done: ScenarioDone
+    scenarios: Scenarios, folder: ScenarioFolder, jobs: int | None, target: ExecutionTarget | None, done: ScenarioDone
 ) -> list[Judged]:
     """Run scenarios as jobs of containers; their datasets and logs are stored in the folder.
 
@@ -149,7 +149,7 @@ def run_in_containers(
             [folder.task(scenarios, number, inputs, work) for number in range(len(scenarios.pending))],
             work / "jobs",
             jobs,
-            place,
+            target,
             find=lambda name: folder.find(pending[name], scenarios.stillness),
             done=lambda count, total, judged: done(count, total, judged.result),
         )

@@ -21,7 +21,7 @@ from calibration import __version__
 from calibration.diagnosis.limits import Limits
 from calibration.errors import InputError
 from calibration.estimation.options import Start
-from calibration.execution.backends import Place
+from calibration.execution.backends import ExecutionTarget
 from calibration.execution.tasks import run_tasks
 from calibration.execution.workspace import identity, workspace
 from calibration.pipeline.matrix.cell import OUR_METHOD, CellResult
@@ -68,7 +68,7 @@ def run_sweep(
     output: Path,
     jobs: int | None = None,
     done: Done = lambda *_: None,
-    place: Place | None = None,
+    target: ExecutionTarget | None = None,
 ) -> list[CellResult]:
     """Run and judge every cell. Files of our engine for the rules are removed as soon as they are judged.
 
@@ -79,7 +79,7 @@ def run_sweep(
         output: the output folder; its `CELLS` keeps the logs and files of the team's software.
         jobs: number of parallel processes or containers; None for as many as the machine can run.
         done: called after each cell; first for those already finished.
-        place: where containers run; this machine's engine unless given.
+        target: execution target of the containers; by default this machine's engine.
 
     Returns:
         The judged cells.
@@ -99,7 +99,7 @@ def run_sweep(
             judge = partial(_judged, systems=matrix.systems, ours=folder, theirs=output / CELLS)
             named = (replace(task, name=f"{start}/{task.name}") for task in (*found.references, *found.cells))
             tasks += [work.keeping(task.then(judge)) for task in named]
-        results = run_tasks(tasks, output / CELLS, jobs, place, work.find, done)
+        results = run_tasks(tasks, output / CELLS, jobs, target, work.find, done)
     return _of_the_same_optimum(list(results.values()), matrices[0].systems)
 
 

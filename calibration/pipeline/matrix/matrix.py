@@ -18,7 +18,7 @@ from calibration.dataset.truth import choose_truth
 from calibration.errors import InputError
 from calibration.estimation.starting_noise import StartingNoise
 from calibration.evaluation.specification import parse_evaluation
-from calibration.execution.backends import Place
+from calibration.execution.backends import ExecutionTarget
 from calibration.execution.tasks import Task, run_tasks
 from calibration.pipeline.matrix.cell import (
     OUR_METHOD,
@@ -95,7 +95,7 @@ def run_matrix(
     jobs: int | None = None,
     fail_fast: bool = False,
     done: Done = lambda *_: None,
-    place: Place | None = None,
+    target: ExecutionTarget | None = None,
 ) -> MatrixResults:
     """Run all cells and comparisons, each in its own folder below ``output``.
 
@@ -107,7 +107,7 @@ def run_matrix(
         jobs: number of parallel processes or containers; None for as many as the machine can run.
         fail_fast: whether the first cell that fails stops the others.
         done: called after each task.
-        place: where containers run; this machine's engine unless given.
+        target: execution target of the containers; by default this machine's engine.
 
     Raises:
         InputError: a dataset, an evaluation, a truth or an image is wrong; raised before any calibration.
@@ -119,7 +119,7 @@ def run_matrix(
             [*tasks.comparisons, *tasks.cells, *tasks.references],  # slow ones first
             output,
             jobs,
-            place,
+            target,
             done=done,
             stops=lambda name, result: fail_fast and name in cells and result.verdict == "fail",
         )

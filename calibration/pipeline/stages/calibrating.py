@@ -27,7 +27,7 @@ def calibrate_stage(run: Run) -> Run:
         def done(count: int, total: int, cell: CellResult) -> None:
             advance(count, total, _line(cell), important=cell.verdict == "fail")
 
-        found = run_matrix(matrix, run.output, run.jobs, run.fail_fast, done, run.place)
+        found = run_matrix(matrix, run.output, run.jobs, run.fail_fast, done, run.target)
     results = replace(run.results, cells=found.cells, comparisons=found.comparisons, baseline=update)
     return replace(run, results=results)
 

@@ -25,14 +25,14 @@ def collect_stage(run: Run) -> Run:
 
 def _collected(simulation: Simulation, run: Run) -> Collected:
     name, folder, begin = simulation.name, f"{COLLECTED}/{simulation.name}", time.perf_counter()
-    place = replace(run.place, backend=simulation.backend or EMBEDDED)
+    target = replace(run.target, backend=simulation.backend or EMBEDDED)
     try:
         with progress(run.runner, f"collect {name}", bar=simulation.backend == EMBEDDED) as advance:
 
             def done(count: int, total: int, record: Record) -> None:
                 advance(count, total, f"{name}: {pose_line(record)}", important=not record.kept)
 
-            found = collect_dataset(simulation.request, run.output / folder, True, run.jobs, place, done=done)
+            found = collect_dataset(simulation.request, run.output / folder, True, run.jobs, target, done=done)
     except CalibrationError as error:
         return Collected(name, reasons=(str(error),), error=error.exit_code)
     proof = found.proof

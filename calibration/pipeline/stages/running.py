@@ -10,7 +10,7 @@ from pathlib import Path
 
 from calibration.baseline.settings import BaselineSettings
 from calibration.errors import InputError
-from calibration.execution.backends import Place, imported
+from calibration.execution.backends import ExecutionTarget, imported
 from calibration.image.specification import ImageSpecification
 from calibration.pipeline.configuration import Simulation
 from calibration.pipeline.matrix.matrix import Matrix, load
@@ -51,7 +51,7 @@ class Run:
     """Image of the stage build."""
     baseline: BaselineSettings | None = None
     """Baseline and allowed changes; None for no comparison."""
-    place: Place = field(default_factory=Place)
+    target: ExecutionTarget = field(default_factory=ExecutionTarget)
     """Execution target of the containers, and settings of the others."""
     results: Results = field(default_factory=Results)
 
@@ -166,8 +166,8 @@ def _placed(run: Run) -> Run:
         system if system.collected is None else replace(system, dataset=run.output / COLLECTED / system.collected)
         for system in run.matrix.systems
     ]
-    place = replace(run.place, show=LogDisplay(run.runner))
-    return replace(run, matrix=replace(run.matrix, systems=tuple(systems)), place=place)
+    target = replace(run.target, show=LogDisplay(run.runner))
+    return replace(run, matrix=replace(run.matrix, systems=tuple(systems)), target=target)
 
 
 def _inputs(matrix: Matrix) -> list[Path]:

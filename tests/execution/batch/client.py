@@ -16,7 +16,7 @@ from calibration.execution.batch.documents import TaskJob, TaskOutcome, outcome_
 from calibration.execution.batch.settings import BatchSettings
 from calibration.execution.batch.wire import FIRST, JOBS_PER_FILE, LOCATION, OUTCOME_FILE, PREPARE, Location
 from calibration.execution.job import OUTPUT, Artifact, Container, Job
-from calibration.execution.outcome import BroughtOut, ContainerOutcome, End, JobOutcome
+from calibration.execution.outcome import ArtifactFile, ContainerOutcome, End, JobOutcome
 from tests.aws.emulator.attempt import Attempt, Ended
 from tests.aws.emulator.instant import ended
 from tests.aws.fixtures import BUCKET, QUEUE, REGION, Aws
@@ -113,7 +113,7 @@ def outcome_of(task: TaskJob, attempt: int, did: Did) -> TaskOutcome:
             for each in task.job.containers
         ),
         artifacts=tuple(
-            BroughtOut(path, first, len(content), hashlib.sha256(content).hexdigest())
+            ArtifactFile(path, first, len(content), hashlib.sha256(content).hexdigest())
             for path, content in did.files.items()
         ),
     )

@@ -12,9 +12,9 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setattr(following, "_SHORTEST", 0.05)
     monkeypatch.setattr(submitting, "_TAKING_NOTE", 0.05)
-    monkeypatch.setattr(logs, "_LOOKING", 0.05)
+    monkeypatch.setattr(logs, "_POLL_SECONDS", 0.05)
     monkeypatch.setattr(logs, "_COMING", 0.0)
-    monkeypatch.setattr(submitting, "_LOOKING", 0.05)
+    monkeypatch.setattr(submitting, "_POLL_SECONDS", 0.05)
     monkeypatch.setattr(session, "_FIRST", 0.05)
     monkeypatch.setattr(botocore.session, "create_loader", _loader)
 

@@ -18,9 +18,9 @@ from calibration.execution.batch import following
 from calibration.execution.batch import run as run_module
 from calibration.execution.batch.backend import BatchBackend
 from calibration.execution.batch.documents import TaskJob
-from calibration.execution.batch.results import Results
+from calibration.execution.batch.results import Downloader
 from calibration.execution.batch.session import Aws as Client
-from calibration.execution.batch.session import Patience
+from calibration.execution.batch.session import Backoff
 from calibration.execution.batch.submitting import terminate
 from calibration.execution.batch.wire import PREPARE
 from calibration.execution.job import Limits, Mount
@@ -247,15 +247,15 @@ Document = dict[str, Any]
         ),
         (
             lambda document: {**document, "artifacts": [{**document["artifacts"][0], "size": 3}]},
-            "is not what the task says",
+            "differs from the outcome of the task",
         ),
         (
             lambda document: {**document, "artifacts": [{**document["artifacts"][0], "sha256": "0" * 64}]},
-            "is not what the task says",
+            "differs from the outcome of the task",
         ),
         (
             lambda document: {**document, "artifacts": [{**document["artifacts"][0], "path": "dataset/other"}]},
-            "is not what the task says",
+            "differs from the outcome of the task",
         ),
     ],
     ids=["none", "another job's", "contradiction", "outside", "size", "content", "missing"],
@@ -387,7 +387,7 @@ def test_a_result_that_vanishes(batch_emulator: Aws, tmp_path: Path, monkeypatch
     Tasks(batch_emulator)
     run_jobs(tmp_path, job(), run="again")
     batch_emulator.batch.jobs.jobs.clear()
-    monkeypatch.setattr(Results, "_read", lambda *_: None)
+    monkeypatch.setattr(Downloader, "_read", lambda *_: None)
     [outcome], _ = run_jobs(tmp_path, job(), run="again", resume=True)
     assert (outcome.exit_code, outcome.reasons) == (ExitCode.INFRASTRUCTURE, ("its result is missing in S3",))
 
@@ -423,7 +423,7 @@ def test_aws_may_be_away_for_a_while(batch_emulator: Aws, tmp_path: Path, monkey
 
 def test_aws_that_stays_away(batch_emulator: Aws, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Client._client, "__defaults__", (1, None))
-    monkeypatch.setattr(Patience.__init__, "__defaults__", (0.2,))
+    monkeypatch.setattr(Backoff.__init__, "__defaults__", (0.2,))
     Tasks(batch_emulator)
     batch_emulator.services.faults.refuse("s3:GET", 503, "SlowDown", "slower", times=999)
     with pytest.raises(AwsLostError, match="bucket 'robots-results': AWS: s3:GetObject: SlowDown: too many requests"):

@@ -56,7 +56,7 @@ def test_what_runs_is_accepted(tmp_path: Path) -> None:
         ({"relaxations": Relaxations(privileged=True)}, "Fargate has no privileged: set platform: ec2"),
         (
             {"relaxations": Relaxations(capabilities=("NET_RAW", "SYS_PTRACE"))},
-            "no capability can be added, and SYS_PTRACE is none that every container has",
+            "no capability can be added, and SYS_PTRACE is not among the default ones",
         ),
     ],
 )
@@ -73,7 +73,7 @@ def test_a_container_that_cannot_run(changes: dict[str, Any], message: str) -> N
         (job(*(container(f"c{i}") for i in range(9))), "found 9, expected at most 8"),
         (job(network="none"), "a task has to reach S3, so there is no network 'none': set network: private"),
         (job(network="internal"), "so there is no network 'internal'"),
-        (job(network="host"), "a task on Fargate has a network of its own, not a host's"),
+        (job(network="host"), "a task on Fargate has its own network, not a host's"),
         (
             job(container("a", readiness=Readiness(port=80)), container("b", readiness=Readiness(port=80))),
             "so 'a' and 'b' cannot both listen on port 80: give one another port",
@@ -116,7 +116,8 @@ def test_a_file_cannot_be_mounted(tmp_path: Path) -> None:
     file.touch()
     said = refused(job(container(mounts=(Mount(file, "/motion.json"),))))
     assert said == (
-        f"job 'j': on AWS Batch only folders can be mounted, and {file} (at /motion.json) is none: mount its folder"
+        f"job 'j': on AWS Batch only folders can be mounted, and {file} (at /motion.json) is not a "
+        "folder: mount its folder"
     )
 
 

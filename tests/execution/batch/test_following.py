@@ -75,9 +75,9 @@ def test_each_end_is_told_once_whatever_the_order(counts: list[int], seed: int, 
         for _ in range(min(len(waiting), chance.randrange(0, 200))):
             job, child = waiting.pop()
             batch.states[job][child] = chance.choice(["SUCCEEDED", "FAILED"])
-        look = found.look(most)
-        told += [(end.group, end.index) for end in look.ended]
-        assert look.queued_count + look.running_count + len(told) <= total
+        poll = found.poll(most)
+        told += [(end.group, end.index) for end in poll.ended]
+        assert poll.queued_count + poll.running_count + len(told) <= total
         if not found.ids:
             break
     assert sorted(told) == sorted(
@@ -93,49 +93,49 @@ def test_calls_are_bounded_whatever_the_order(in_order: bool) -> None:
     order = list(range(count))
     if not in_order:
         random.Random(1).shuffle(order)
-    looks = 0
+    polls = 0
     for some in batches(order, 50):
         for child in some:
             batch.states["job0"][child] = "SUCCEEDED"
-        found.look(1000)
-        looks += 1
+        found.poll(1000)
+        polls += 1
     while found.ids:
-        found.look(1000)
-        looks += 1
-    assert batch.calls <= (3 * looks + 2 * count / AT_ONCE if in_order else count)
+        found.poll(1000)
+        polls += 1
+    assert batch.calls <= (3 * polls + 2 * count / AT_ONCE if in_order else count)
 
 
 def test_jobs_that_run_are_told_where_they_are_few() -> None:
     found, batch = setup(3, 1)
-    look = found.look()
-    assert (look.queued_count, look.running_count, look.running, look.ended) == (4, 0, (), ())
+    poll = found.poll()
+    assert (poll.queued_count, poll.running_count, poll.running, poll.ended) == (4, 0, (), ())
     assert batch.calls == 1
     assert found.oldest == ("job0:0", "job0:1", "job0:2", "job1")
     batch.states["job0"][1] = batch.states["job1"][0] = "RUNNING"
-    look = found.look()
-    assert {(end.group, end.index) for end in look.running} == {("group-job0", 11), ("group-job1", 10)}
-    assert (look.queued_count, look.running_count) == (2, 2)
+    poll = found.poll()
+    assert {(end.group, end.index) for end in poll.running} == {("group-job0", 11), ("group-job1", 10)}
+    assert (poll.queued_count, poll.running_count) == (2, 2)
 
 
 def test_what_batch_does_not_know_yet_is_waited_for() -> None:
     found, batch = setup(2, 1)
     batch.unknown = {"job0", "job1"}
-    assert found.look().ended == ()
+    assert found.poll().ended == ()
     batch.unknown = set()
     batch.states = {"job0": ["SUCCEEDED", "FAILED"], "job1": ["SUCCEEDED"]}
-    assert len(found.look().ended) == 3
+    assert len(found.poll().ended) == 3
 
 
 def test_what_batch_does_not_know_any_more_is_lost_after_a_while(monkeypatch: pytest.MonkeyPatch) -> None:
     found, batch = setup(3, 1)
     batch.states["job0"] = ["SUCCEEDED", "SUCCEEDED", "SUCCEEDED"]
     batch.unknown, batch.late = {"job0:1", "job1"}, {"job0:2"}
-    assert [end.index for end in found.look().ended] == [10]
+    assert [end.index for end in found.poll().ended] == [10]
     now = following.time.monotonic()
     monkeypatch.setattr(following.time, "monotonic", lambda: now + following._SETTLING - 1)
-    assert found.look().ended == ()
+    assert found.poll().ended == ()
     monkeypatch.setattr(following.time, "monotonic", lambda: now + following._SETTLING + 1)
-    ended = found.look().ended
+    ended = found.poll().ended
     assert [(end.group, end.index) for end in ended] == [("group-job0", 11), ("group-job0", 12), ("group-job1", 10)]
     assert {end.description.status_reason for end in ended} == {"AWS Batch does not know what became of it"}
     assert found.ids == ()
@@ -149,9 +149,9 @@ def test_what_waits_for_room_is_not_lost(monkeypatch: pytest.MonkeyPatch) -> Non
     told = 0
     for minute in range(20):
         monkeypatch.setattr(following.time, "monotonic", lambda minute=minute: now + 70 * minute)
-        look = found.look(0 if minute % 2 else 50)
-        assert all(end.description.status == "SUCCEEDED" for end in look.ended)
-        told += len(look.ended)
+        poll = found.poll(0 if minute % 2 else 50)
+        assert all(end.description.status == "SUCCEEDED" for end in poll.ended)
+        told += len(poll.ended)
     assert told == 500
 
 
@@ -201,14 +201,14 @@ def test_patience(monkeypatch: pytest.MonkeyPatch) -> None:
             raise answer
         return answer
 
-    assert session.patiently(ask) == 7
+    assert session.with_retries(ask) == 7
     answers[:] = [AwsLostError("away")]
     with pytest.raises(AwsLostError, match="away"):
-        session.patiently(ask, lambda: False)
-    waited = session.Patience(0.0)
+        session.with_retries(ask, lambda: False)
+    waited = session.Backoff(0.0)
     with pytest.raises(AwsLostError, match="gone"):
         waited.failed(AwsLostError("gone"))
-    waited = session.Patience(100.0)
+    waited = session.Backoff(100.0)
     first = waited.failed(AwsLostError("away"))
     waited.answered()
     assert first == waited.failed(AwsLostError("away")) == 0.0

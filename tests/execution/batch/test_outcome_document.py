@@ -17,7 +17,7 @@ from calibration.execution.batch.documents import (
     read_outcome,
 )
 from calibration.execution.job import Container, Job
-from calibration.execution.outcome import BroughtOut, ContainerOutcome, End
+from calibration.execution.outcome import ArtifactFile, ContainerOutcome, End
 
 JOB = Job(
     "j/1",
@@ -25,7 +25,7 @@ JOB = Job(
     artifact_bytes=100,
     artifact_files=3,
 )
-FILE = BroughtOut("d/a.csv", "robot", 60, "0" * 64)
+FILE = ArtifactFile("d/a.csv", "robot", 60, "0" * 64)
 PASSED = TaskOutcome(
     "j/1",
     2,
@@ -91,7 +91,7 @@ def artifact(**changes: Any) -> list[dict[str, Any]]:
         ({"containers": containers(signal="rm -rf")}, "signal: found 'rm -rf'"),
         ({"containers": containers(exit_code=1)}, "container 'robot' exited with exit code 1"),
         ({"containers": containers(end="lost")}, "container 'robot' lost with"),
-        ({"containers": containers(end="stopped")}, "said to have passed, but no essential container ended"),
+        ({"containers": containers(end="stopped")}, "reported as passed, but no essential container ended"),
         ({"artifacts": artifact(path="../x")}, "artifact '../x' leaves its folder"),
         ({"artifacts": artifact(path="/x")}, "artifact '/x' leaves its folder"),
         ({"artifacts": artifact(path="d//b")}, "path: found 'd//b', expected a plain path"),

@@ -212,7 +212,7 @@ def test_a_bucket_that_redirects(region: str, there: str) -> None:
 
 def test_a_bucket_elsewhere(batch_emulator: FakeAws) -> None:
     aws = Aws("eu-central-1")
-    with pytest.raises(InputError, match=r"it is in eu-west-1, the jobs in eu-central-1: use one in this region"):
+    with pytest.raises(InputError, match=r"it is in eu-west-1, the jobs in eu-central-1: use one there"):
         Store(aws, BUCKET).check()
     aws.close()
 

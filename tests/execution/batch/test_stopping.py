@@ -138,8 +138,8 @@ def test_what_is_submitted_while_the_answer_is_lost_is_ended_too(
 ) -> None:
     from calibration.execution.batch import session
 
-    monkeypatch.setattr(session, "PATIENCE", 0.0)
-    monkeypatch.setattr(session.Patience.__init__, "__defaults__", (0.0,))
+    monkeypatch.setattr(session, "LONGEST_OUTAGE", 0.0)
+    monkeypatch.setattr(session.Backoff.__init__, "__defaults__", (0.0,))
     Tasks(batch_emulator, hang)
     batch_emulator.faults.drop("SubmitJob", answered=True)
     with BatchBackend(SETTINGS) as backend, pytest.raises(InfrastructureError, match="Connection was closed"):
@@ -186,8 +186,8 @@ def test_credentials_that_expire_are_one_line_that_says_what_may_go_on(batch_emu
         with pytest.raises(InputError) as caught:
             list(outcomes)
     assert str(caught.value) == (
-        "jobs: AWS: batch:DescribeJobs: ExpiredTokenException: the credentials are expired: get new ones; what may "
-        "go on in AWS Batch is ended by: calibration cleanup --cloud --run night"
+        "jobs: AWS: batch:DescribeJobs: ExpiredTokenException: the credentials are expired: get new ones; to end "
+        "jobs that may still run in AWS Batch: calibration cleanup --cloud --run night"
     )
 
 

@@ -55,7 +55,7 @@ def test_lost_in_mid_run(own_engine: OwnEngine, tmp_path: Path, number: signal.S
     assert sorted(line.split()[:2] for line in lines) == [["j0", "3"], ["j1", "3"]]
     for line in lines:
         assert f"the Docker Engine at {own_engine.address} does not answer any more" in line
-        assert line.endswith(f"is removed by: calibration cleanup --run {run}")
+        assert line.endswith(f"of this run: calibration cleanup --run {run}")
     assert err == ""
 
 

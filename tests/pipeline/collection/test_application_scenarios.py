@@ -25,7 +25,7 @@ from calibration.pipeline.collection.results import ScenarioResults
 from calibration.pipeline.collection.scenario_report import replay, report
 from calibration.pipeline.collection.scenarios import ScenarioFolder
 from calibration.simulation.scenarios.scenario import ScenarioResult
-from tests.pipeline.places import at
+from tests.pipeline.targets import at
 
 T2RGB = Path(__file__).parents[3] / "datasets" / "t2rgb"
 ENTRY = {
@@ -103,7 +103,7 @@ def run(
         if told is not None:
             told.append(result.id)
 
-    found = collect_scenarios(request, ScenarioFolder(output, resume), place=at(backend), done=done)
+    found = collect_scenarios(request, ScenarioFolder(output, resume), target=at(backend), done=done)
     report(found, output).write(output)
     return found
 

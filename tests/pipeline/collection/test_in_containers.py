@@ -22,7 +22,7 @@ from calibration.pipeline.collection.applications import (
 from calibration.pipeline.collection.collecting import collect_dataset
 from calibration.pipeline.collection.request import CollectionChecks, CollectionRequest, ContainerRequest
 from calibration.pipeline.collection.results import CollectionResults
-from tests.pipeline.places import at
+from tests.pipeline.targets import at
 
 DATASETS = Path(__file__).parents[3] / "datasets"
 ENTRY = {
@@ -87,7 +87,7 @@ def test_the_number_of_the_collection_is_told(collected: Path, tmp_path: Path) -
 
     backend = LeavesBehind(leave)
     asked = ContainerRequest("fresh", applications_from(entry, Path(), "x"), DATASETS / "t2rgb", seed=3, scenario=7)
-    assert collect_dataset(asked, tmp_path / "out", place=at(backend)).verdict == "pass"
+    assert collect_dataset(asked, tmp_path / "out", target=at(backend)).verdict == "pass"
     assert backend.jobs[0].containers[-1].artifacts[0] == Artifact(f"{OUTPUT}/set-3-7")
 
 
@@ -140,7 +140,7 @@ def test_what_is_wrong_is_said_before_anything_runs(changes: dict[str, Any], mes
 def test_the_dataset_is_checked_and_calibrated(collected: Path, tmp_path: Path) -> None:
     report = [{"pose": n, "saved": n != 3, "answer": "" if n != 3 else "no board\nseen"} for n in range(1, 6)]
     backend = LeavesBehind(copying(collected, report))
-    results = collect_dataset(request(), tmp_path / "out", place=at(backend))
+    results = collect_dataset(request(), tmp_path / "out", target=at(backend))
     assert results.verdict == "pass"
     assert results.proof is not None
     assert results.proof.translation_mm is not None
@@ -161,18 +161,18 @@ def test_the_dataset_is_checked_and_calibrated(collected: Path, tmp_path: Path) 
 
 
 def test_collections_are_named_as_the_dataset_names_them(collected: Path, tmp_path: Path) -> None:
-    results = collect_dataset(request(), tmp_path / "out", place=at(LeavesBehind(copying(collected))))
+    results = collect_dataset(request(), tmp_path / "out", target=at(LeavesBehind(copying(collected))))
     assert [record.key for record in results.records] == ["000", "001", "002", "003"]
     assert "000,1,yes" in (tmp_path / "out" / "poses.csv").read_text()
 
 
 def test_a_collection_again_replaces_all_of_the_earlier_one(collected: Path, tmp_path: Path) -> None:
     output = tmp_path / "out"
-    collect_dataset(request(), output, place=at(LeavesBehind(copying(collected))))
+    collect_dataset(request(), output, target=at(LeavesBehind(copying(collected))))
     (output / "logs" / "old.log").write_text("old")
     with pytest.raises(InputError, match="exists already"):
-        collect_dataset(request(), output, place=at(LeavesBehind(copying(collected))))
-    collect_dataset(request(), output, place=at(LeavesBehind(copying(collected))), overwrite=True)
+        collect_dataset(request(), output, target=at(LeavesBehind(copying(collected))))
+    collect_dataset(request(), output, target=at(LeavesBehind(copying(collected))), overwrite=True)
     assert [path.name for path in (output / "logs").iterdir()] == ["robot.log"]
 
 
@@ -186,7 +186,7 @@ def test_a_collection_again_replaces_all_of_the_earlier_one(collected: Path, tmp
 )
 def test_applications_that_fail_say_why(tmp_path: Path, code: ExitCode, error: ExitCode | None) -> None:
     outcome = {"exit_code": code, "reasons": ("robot: exited with code 3",)}
-    results = collect_dataset(request(), tmp_path / "out", place=at(LeavesBehind(lambda _: None, outcome)))
+    results = collect_dataset(request(), tmp_path / "out", target=at(LeavesBehind(lambda _: None, outcome)))
     assert results.exit_code == code
     assert results.error == error
     assert results.reasons == ["robot: exited with code 3"]
@@ -196,7 +196,7 @@ def test_applications_that_fail_say_why(tmp_path: Path, code: ExitCode, error: E
 
 
 def reasons_of(dataset: Path, tmp_path: Path, **changes: Any) -> CollectionResults:
-    return collect_dataset(request(**changes), tmp_path / "out", place=at(LeavesBehind(copying(dataset))))
+    return collect_dataset(request(**changes), tmp_path / "out", target=at(LeavesBehind(copying(dataset))))
 
 
 def changed(collected: Path, tmp_path: Path, change: Callable[[dict[str, Any]], None]) -> Path:
@@ -252,7 +252,7 @@ def test_without_a_system_nothing_is_known_of_it(collected: Path, tmp_path: Path
     entry = {**ENTRY, "ros": "none"}
     del entry["player"]
     asked = ContainerRequest("theirs", applications_from(entry, Path(), "x"), truth="dataset")
-    results = collect_dataset(asked, tmp_path / "out", place=at(LeavesBehind(copying(collected))))
+    results = collect_dataset(asked, tmp_path / "out", target=at(LeavesBehind(copying(collected))))
     assert results.verdict == "pass"
     assert not results.contact_sheet
     assert results.motion == "the motion of the applications"
@@ -264,14 +264,14 @@ def test_a_report_that_is_none_is_refused(collected: Path, tmp_path: Path, repor
         shutil.copytree(collected, artifacts / "dataset")
         (artifacts / Path(REPORT).name).write_text(report)
 
-    results = collect_dataset(request(), tmp_path / "out", place=at(LeavesBehind(leave)))
+    results = collect_dataset(request(), tmp_path / "out", target=at(LeavesBehind(leave)))
     assert results.reasons == [".player.json: this is no report of the player"]
 
 
 def test_our_player_needs_a_motion_of_a_pattern(tmp_path: Path) -> None:
     asked = ContainerRequest("fresh", applications_from(ENTRY, Path(), "x"))
     with pytest.raises(InputError, match="our player needs a motion"):
-        collect_dataset(asked, tmp_path / "out", place=at(LeavesBehind(lambda _: None)))
+        collect_dataset(asked, tmp_path / "out", target=at(LeavesBehind(lambda _: None)))
     with pytest.raises(InputError, match="a motion is only generated for a system"):
         collect_dataset(ContainerRequest("fresh", asked.applications, motion="generate:3"), tmp_path)
     with pytest.raises(InputError, match="moves joints"):

@@ -25,7 +25,7 @@ from calibration.pipeline.collection.scenario_file import FILE, ScenarioFile
 from calibration.pipeline.collection.scenario_report import report
 from calibration.pipeline.collection.scenarios import ScenarioDone, ScenarioFolder
 from calibration.records.schema import schema_of
-from tests.pipeline.places import at
+from tests.pipeline.targets import at
 from tests.small import first_poses
 
 SET = """

@@ -23,7 +23,7 @@ from calibration.estimation.normal_equations import Weighting
 from calibration.estimation.starting_noise import StartingNoise, with_starting_noise
 from calibration.evaluation.specification import parse_evaluation
 from calibration.execution.job import OUTPUT, Artifact
-from calibration.execution.outcome import BroughtOut, JobOutcome
+from calibration.execution.outcome import ArtifactFile, JobOutcome
 from calibration.geometry.transforms import translation
 from calibration.pipeline.matrix.cell import Cell, CellResult, LoadedSystem
 from calibration.pipeline.matrix.matrix import load
@@ -121,7 +121,7 @@ def result_of(tmp_path: Path) -> Callable[..., CellResult]:
                 shutil.copy(content, path)
             else:
                 path.write_text(content)
-        artifacts = tuple(BroughtOut(name, "calibration", 1, "") for name in files)
+        artifacts = tuple(ArtifactFile(name, "calibration", 1, "") for name in files)
         outcome = JobOutcome(CELL.folder, folder, artifacts=artifacts, seconds=1.0)
         return software_result(CELL, system, asked or software(calibrated="none"), outcome, tmp_path)
 
@@ -191,7 +191,7 @@ def test_software_is_read_without_the_data_beside_its_dataset(tmp_path: Path) ->
     folder = tmp_path / "cell"
     (folder / "artifacts").mkdir(parents=True)
     shutil.copy(path, folder / "artifacts")
-    outcome = JobOutcome("cell", folder, artifacts=(BroughtOut("dataset.json", "c", 1, ""),), seconds=1.0)
+    outcome = JobOutcome("cell", folder, artifacts=(ArtifactFile("dataset.json", "c", 1, ""),), seconds=1.0)
     result = software_result(Cell("rlbot", CELL.noise), system, software(), outcome, tmp_path)
     [reason] = result.reasons
     assert "'lidar_right' by " in reason
@@ -205,7 +205,7 @@ def test_what_is_wrong_with_the_data_is_red_whoever_calibrates_them(tmp_path: Pa
     elsewhere = given.transforms[edge] @ translation(np.array([0.4, 0, 0]))
     system = LoadedSystem("t2rgb", given.with_transforms({edge: elsewhere}), None, None)
     path = write_dataset(system.optimum.calibration.dataset, tmp_path / "cell" / "artifacts" / "d.json", images=False)
-    outcome = JobOutcome("cell", tmp_path / "cell", artifacts=(BroughtOut(path.name, "c", 1, ""),), seconds=1.0)
+    outcome = JobOutcome("cell", tmp_path / "cell", artifacts=(ArtifactFile(path.name, "c", 1, ""),), seconds=1.0)
     result = software_result(CELL, system, software(), outcome, tmp_path)
     assert {found.severity for found in result.findings if found.kind == "against-optimum"} == {"note"}
     assert result.verdict == "fail"
@@ -333,7 +333,7 @@ def test_data_that_nobody_can_calibrate_verify_nothing(tmp_path: Path) -> None:
     system = LoadedSystem("t2rgb", two, None, None)
     folder = tmp_path / "cell"
     path = write_dataset(two, folder / "artifacts" / "d.json", images=False)
-    outcome = JobOutcome("cell", folder, artifacts=(BroughtOut(path.name, "c", 1, ""),), seconds=1.0)
+    outcome = JobOutcome("cell", folder, artifacts=(ArtifactFile(path.name, "c", 1, ""),), seconds=1.0)
     [reason] = software_result(CELL, system, software(), outcome, tmp_path).reasons
     assert reason.startswith("not verified: our engine finds no optimum on the same labels: ")
 

@@ -18,7 +18,7 @@ from calibration.execution.batch.documents import MOST_BYTES, TaskJob, TaskOutco
 from calibration.execution.batch.inside.prepare import prepare
 from calibration.execution.batch.inside.script import Signs
 from calibration.execution.batch.inside.watch import Watch, ended_neighbours
-from calibration.execution.batch.session import Aws, patiently
+from calibration.execution.batch.session import Aws, with_retries
 from calibration.execution.batch.store import Store
 from calibration.execution.batch.wire import (
     ATTEMPT,
@@ -36,7 +36,7 @@ from calibration.execution.batch.wire import (
 from calibration.execution.batch.workers import in_threads
 from calibration.execution.extraction import RefusedError
 from calibration.execution.job import OUTPUT
-from calibration.execution.outcome import BroughtOut, ContainerOutcome, End
+from calibration.execution.outcome import ArtifactFile, ContainerOutcome, End
 from calibration.workflow.signals import terminate_cleanly
 from calibration.workflow.text import shorten
 
@@ -45,7 +45,7 @@ _LONGEST_KEY = 1024
 """S3's limit, in bytes."""
 
 
-def send_files(store: Store, files: Iterable[BroughtOut], folder: Path, place: str) -> None:
+def send_files(store: Store, files: Iterable[ArtifactFile], folder: Path, place: str) -> None:
     """Upload the artifacts of a job.
 
     Args:
@@ -72,7 +72,7 @@ def send_files(store: Store, files: Iterable[BroughtOut], folder: Path, place: s
         if len(key.encode()) > _LONGEST_KEY:
             raise RefusedError(f"artifact '{shorten(path)}' has a longer name than S3 allows")
     for _ in in_threads(
-        _WORKERS, (partial(patiently, partial(send, key, folder / path)) for path, key in keys.items())
+        _WORKERS, (partial(with_retries, partial(send, key, folder / path)) for path, key in keys.items())
     ):
         pass
 
@@ -116,7 +116,7 @@ class Task:
             InputError: access is denied.
             AwsLostError: AWS does not answer.
         """
-        patiently(partial(self.store.put, self.key(OUTCOME_FILE), outcome_document(outcome)))
+        with_retries(partial(self.store.put, self.key(OUTCOME_FILE), outcome_document(outcome)))
 
     def job(self) -> TaskJob:
         """Download the job.
@@ -127,7 +127,7 @@ class Task:
             AwsLostError: AWS does not answer.
         """
         key = self.location.jobs_key(self.index)
-        data = patiently(lambda: self.store.get(key, MOST_BYTES))
+        data = with_retries(lambda: self.store.get(key, MOST_BYTES))
         if data is None:
             raise InfrastructureError(f"s3://{self.location.bucket}/{key}: there is no such object")
         return read_job(data, self.index % JOBS_PER_FILE, key)

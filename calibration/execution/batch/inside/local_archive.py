@@ -9,7 +9,7 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 from calibration.errors import InfrastructureError
-from calibration.execution.bringing_out import Archive, NothingThereError, Opener
+from calibration.execution.copying_out import Archive, NothingThereError, Opener
 from calibration.execution.extraction import RefusedError
 from calibration.execution.job import OUTPUT
 from calibration.workflow.text import one_line, shorten

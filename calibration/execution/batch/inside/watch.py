@@ -15,7 +15,7 @@ from calibration.execution.batch.documents import TaskOutcome
 from calibration.execution.batch.inside.local_archive import opener_of
 from calibration.execution.batch.inside.script import GRACE, LOG, READY_COMMAND, READY_FILE, Signs
 from calibration.execution.batch.wire import ARRIVAL_SECONDS
-from calibration.execution.bringing_out import Opener
+from calibration.execution.copying_out import Opener
 from calibration.execution.job import Container, Job
 from calibration.execution.job_check import start_order
 from calibration.execution.judging import how_it_ended, is_running, unmet
@@ -67,17 +67,17 @@ class LogLine:
         self._position = 0
         self._rest = b""
 
-    def look(self) -> bool:
+    def poll(self) -> bool:
         """Read new lines; return whether a line has matched."""
         descriptor = self._signs.open(self._name, LOG)
         if descriptor is not None:
             try:
-                self._look(descriptor)
+                self._poll(descriptor)
             finally:
                 os.close(descriptor)
         return self.found
 
-    def _look(self, descriptor: int) -> None:
+    def _poll(self, descriptor: int) -> None:
         if self.found:
             self._position = os.fstat(descriptor).st_size
         else:
@@ -141,12 +141,12 @@ class WatchedContainer(Supervised):
         self._beat = (None, self.started)
         self.ready = self.container.readiness is None
 
-    def look(self) -> None:
+    def poll(self) -> None:
         """Update whether it is ready, and whether it has ended."""
         if self.started is None or self.ended is not None:
             return
         if not self.ready or self._line is not None:
-            self._look_whether_ready()
+            self._update_readiness()
         ended = self._signs.ended(self.name)
         if ended is not None:
             self.exit_code, self._out_of_memory = ended
@@ -172,14 +172,14 @@ class WatchedContainer(Supervised):
         else:
             self.end, self.signal = how_it_ended(self.container, self.exit_code, self._out_of_memory, ours)
 
-    def _look_whether_ready(self) -> None:
+    def _update_readiness(self) -> None:
         checks: dict[str, Callable[[], bool]] = {
             "port": self._port_answers,
             "file": lambda: self._signs.has(self.name, READY_FILE),
             "command": lambda: self._signs.has(self.name, READY_COMMAND),
         }
         self._unmet = {name for name in self._unmet if not checks[name]()}
-        has_line = self._line is None or self._line.look()
+        has_line = self._line is None or self._line.poll()
         self.ready = not self._unmet and has_line
 
     def _port_answers(self) -> bool:
@@ -201,7 +201,7 @@ class WatchedContainer(Supervised):
         return now - self._beat[1] > self._silence
 
 
-_LOOKING = 0.2
+_POLL_SECONDS = 0.2
 """Interval of polls of the containers, seconds."""
 _ASKING = 5.0
 """Interval of requests to ECS about containers that have not arrived, seconds."""
@@ -210,7 +210,7 @@ _SETTLING = GRACE + 15
 
 
 @dataclass(frozen=True)
-class Patience:
+class Timeouts:
     """Time-outs for containers, seconds."""
 
     arrival: float = ARRIVAL_SECONDS
@@ -226,7 +226,7 @@ class Watch(Supervisor[WatchedContainer]):
         job: Job,
         signs: Signs,
         output: Path,
-        patience: Patience = Patience(),
+        timeouts: Timeouts = Timeouts(),
         neighbours: Callable[[], Mapping[str, int | None]] = dict,
     ) -> None:
         """Create the supervisor.
@@ -235,15 +235,15 @@ class Watch(Supervisor[WatchedContainer]):
             job: the job.
             signs: folder of signals of its containers.
             output: mount point of the job's volume.
-            patience: time-outs.
+            timeouts: time-outs of its containers.
             neighbours: returns the containers that have ended, and their exit codes.
         """
         super().__init__(job, one_line)
         self._signs = signs
         self._output = output
-        self._patience = patience
+        self._timeouts = timeouts
         self._neighbours = neighbours
-        self.containers = [WatchedContainer(each, signs, patience.silence) for each in start_order(job)]
+        self.containers = [WatchedContainer(each, signs, timeouts.silence) for each in start_order(job)]
         self._settled = 0.0
         """End of the time for containers to end after the request."""
 
@@ -282,12 +282,12 @@ class Watch(Supervisor[WatchedContainer]):
 
     def _all_arrive(self) -> bool:
         """Wait until all scripts run, so that pulling images does not count for the job's time limit."""
-        deadline = time.monotonic() + self._patience.arrival
+        deadline = time.monotonic() + self._timeouts.arrival
         next_question = time.monotonic() + _ASKING
         while missing := [c.container.name for c in self.containers if not c.has_arrived]:
             now = time.monotonic()
             if now >= deadline:
-                self._never_came(f"within {self._patience.arrival:g} s {_named(missing)} did not start: its image")
+                self._never_came(f"within {self._timeouts.arrival:g} s {_named(missing)} did not start: its image")
                 return False
             if now >= next_question:
                 next_question = now + _ASKING
@@ -296,7 +296,7 @@ class Watch(Supervisor[WatchedContainer]):
                     code = "" if ended[gone[0]] is None else f" with exit code {ended[gone[0]]}"
                     self._never_came(f"container '{gone[0]}' ended at once{code}: its image")
                     return False
-            time.sleep(_LOOKING)
+            time.sleep(_POLL_SECONDS)
         return True
 
     def _never_came(self, what: str) -> None:
@@ -308,17 +308,17 @@ class Watch(Supervisor[WatchedContainer]):
 
     def _wait(self, seconds: float | None) -> None:
         """Wait until the next poll, because there are no notifications."""
-        time.sleep(_LOOKING if seconds is None else min(seconds, _LOOKING))
+        time.sleep(_POLL_SECONDS if seconds is None else min(seconds, _POLL_SECONDS))
 
     def _stop(self, running: Sequence[WatchedContainer]) -> None:
         self._signs.stop()
-        self._settled = time.monotonic() + self._patience.settling
+        self._settled = time.monotonic() + self._timeouts.settling
 
     def _read_end(self, container: WatchedContainer, ours: End | None) -> None:
         """Wait for the end of a container; if it does not end, it is killed with the task."""
         while is_running(container) and time.monotonic() < self._settled:
-            container.look()
-            time.sleep(_LOOKING / 4)
+            container.poll()
+            time.sleep(_POLL_SECONDS / 4)
         container.read_end(ours)
 
     def _opener(self, container: WatchedContainer) -> Opener:

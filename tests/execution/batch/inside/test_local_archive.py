@@ -9,7 +9,7 @@ import pytest
 
 from calibration.errors import InfrastructureError
 from calibration.execution.batch.inside.local_archive import opener_of
-from calibration.execution.bringing_out import NothingThereError
+from calibration.execution.copying_out import NothingThereError
 from calibration.execution.extraction import Budget, Extraction, RefusedError, extract
 from calibration.execution.globs import Glob
 from calibration.execution.job import OUTPUT

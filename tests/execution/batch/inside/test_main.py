@@ -23,7 +23,7 @@ from calibration.execution.batch.inside.script import Signs, script_of
 from calibration.execution.batch.wire import Location
 from calibration.execution.extraction import RefusedError
 from calibration.execution.job import OUTPUT, Artifact, Container, Job
-from calibration.execution.outcome import BroughtOut, End
+from calibration.execution.outcome import ArtifactFile, End
 from tests.aws.fixtures import BUCKET
 from tests.engine import wait_until
 
@@ -258,12 +258,12 @@ def test_a_longer_name_than_s3_takes(aws: "Aws") -> None:
     path = "/".join(["d" * 200] * 6)
     task = Task(variables())
     with pytest.raises(RefusedError, match="has a longer name than S3 allows"):
-        send_files(task.store, [BroughtOut(path, "a", 1, "")], Path("/nonexistent"), "p/files")
+        send_files(task.store, [ArtifactFile(path, "a", 1, "")], Path("/nonexistent"), "p/files")
 
 
 def test_a_file_that_is_not_there_any_more(aws: "Aws", tmp_path: Path) -> None:
     with pytest.raises(InfrastructureError, match="cannot be read: No such file"):
-        send_files(Task(variables()).store, [BroughtOut("gone", "a", 1, "")], tmp_path, "p/files")
+        send_files(Task(variables()).store, [ArtifactFile("gone", "a", 1, "")], tmp_path, "p/files")
 
 
 def test_stopped_it_asks_the_containers_to_end_and_leaves_no_outcome(

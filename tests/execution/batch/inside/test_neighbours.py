@@ -9,7 +9,7 @@ import pytest
 from calibration.errors import ExitCode
 from calibration.execution.batch.inside import watch as watching
 from calibration.execution.batch.inside.script import BEAT, Signs
-from calibration.execution.batch.inside.watch import ADDRESS, Patience, Watch, ended_neighbours
+from calibration.execution.batch.inside.watch import ADDRESS, Timeouts, Watch, ended_neighbours
 from calibration.execution.job import Container, Job
 
 
@@ -80,7 +80,7 @@ def test_one_that_ended_before_it_could_be_started(
     signs = Signs(tmp_path)
     signs.make(job)
     (tmp_path / "state" / "a" / BEAT).touch()
-    watch = Watch(job, signs, tmp_path, Patience(60), lambda: {"a": 0, "b": code})
+    watch = Watch(job, signs, tmp_path, Timeouts(60), lambda: {"a": 0, "b": code})
     watch.run(tmp_path / "artifacts")
     found = watch.outcome(1)
     assert found.reasons == (

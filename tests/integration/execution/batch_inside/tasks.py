@@ -12,7 +12,7 @@ import docker
 from calibration.execution.batch.documents import TaskJob, TaskOutcome
 from calibration.execution.batch.inside.prepare import prepare
 from calibration.execution.batch.inside.script import Signs
-from calibration.execution.batch.inside.watch import Patience, Watch
+from calibration.execution.batch.inside.watch import Timeouts, Watch
 from calibration.execution.batch.wire import JOB_FOLDER
 from calibration.execution.job import OUTPUT, Container, Job
 from tests.engine import PYTHON_IMAGE, wait_until
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 NONE = "none"
 """Image of a container that cannot be started."""
-PATIENCE = Patience(arrival=60, silence=60, settling=60)
+TIMEOUTS = Timeouts(arrival=60, silence=60, settling=60)
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class Ran:
     logs: Mapping[str, str]
 
 
-def run_task(folder: Path, *containers: Container, patience: Patience = PATIENCE, **settings: Any) -> Ran:
+def run_task(folder: Path, *containers: Container, timeouts: Timeouts = TIMEOUTS, **settings: Any) -> Ran:
     """Run a job of some containers, and remove them.
 
     ``network_mode`` is passed to the engine; other settings are of the job.
@@ -48,7 +48,7 @@ def run_task(folder: Path, *containers: Container, patience: Patience = PATIENCE
     prepare(TaskJob(job), None, signs, folder / "mounts", output)  # type: ignore[arg-type]
     with started(job, signs.folder, output, network) as running:
         wait_until(lambda: all(signs.beat(name) is not None for name in running), "all are there")
-        watch = Watch(job, signs, output, patience)
+        watch = Watch(job, signs, output, timeouts)
         watch.run(folder / "artifacts")
         codes = {name: each.wait(timeout=60)["StatusCode"] for name, each in running.items()}
         logs = {name: each.logs().decode() for name, each in running.items()}

@@ -1,13 +1,13 @@
-"""Places whose backend is a test's."""
+"""Execution targets with a backend of the test."""
 
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 
-from calibration.execution.backends import JobBackend, Place
+from calibration.execution.backends import ExecutionTarget, JobBackend
 
 
 @dataclass(frozen=True)
-class _At(Place):
+class _At(ExecutionTarget):
     there: JobBackend | None = None
 
     def open(self) -> AbstractContextManager[JobBackend]:
@@ -15,6 +15,6 @@ class _At(Place):
         return nullcontext(self.there)
 
 
-def at(backend: JobBackend) -> Place:
-    """The place whose jobs this backend runs."""
+def at(backend: JobBackend) -> ExecutionTarget:
+    """Return an execution target with this backend."""
     return _At(there=backend)

@@ -11,7 +11,7 @@ from calibration.errors import InfrastructureError, InputError
 from calibration.execution.extraction import Budget, Extraction, RefusedError, extract
 from calibration.execution.globs import Glob
 from calibration.execution.job import Artifact, Container
-from calibration.execution.outcome import BroughtOut
+from calibration.execution.outcome import ArtifactFile
 from calibration.workflow.text import shorten
 
 
@@ -32,12 +32,12 @@ Opener = Callable[[str], AbstractContextManager[Archive]]
 """Opens an absolute path in a container; raises `NothingThereError` or InfrastructureError."""
 
 
-class BringingOut:
+class ArtifactCopier:
     """Copies artifacts of one container after the other."""
 
     def __init__(self, folder: Path, budget: Budget, go_on: Callable[[], None]) -> None:
         """Use an existing empty folder; ``go_on`` is called regularly, and may raise to abort."""
-        self.files: list[BroughtOut] = []
+        self.files: list[ArtifactFile] = []
         self.left_out: list[str] = []
         self.missing: list[str] = []
         """A message for each missing required artifact."""
@@ -45,7 +45,7 @@ class BringingOut:
         self._budget = budget
         self._go_on = go_on
 
-    def bring_out(self, container: Container, opener: Opener) -> None:
+    def copy(self, container: Container, opener: Opener) -> None:
         """Copy the artifacts of a container.
 
         Raises:
@@ -112,7 +112,7 @@ class BringingOut:
     def _add(self, container: Container, found: Extraction) -> None:
         known = {file.path for file in self.files}
         self.files += [
-            BroughtOut(file.path, container.name, file.size, file.sha256)
+            ArtifactFile(file.path, container.name, file.size, file.sha256)
             for file in found.files
             if file.path not in known
         ]

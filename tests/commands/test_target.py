@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from calibration.__main__ import main
-from calibration.commands.place import RUN_FILE, name_of_run, place
+from calibration.commands.target import RUN_FILE, execution_target, name_of_run
 from calibration.errors import InputError
 from calibration.execution.batch.documents import TaskJob
 from calibration.workflow import Runner
@@ -128,15 +128,15 @@ def test_bad_input_is_one_line(words: tuple[str, ...], message: str, capsys: pyt
 def test_a_section_that_has_been_read_counts_unless_a_file_is_given(tmp_path: Path) -> None:
     Path("cloud.yml").write_text(SECTION)
     runner = Runner.from_environment({})
-    given = place("aws-batch", Path("cloud.yml"), tmp_path, "r", False, runner).sections
+    given = execution_target("aws-batch", Path("cloud.yml"), tmp_path, "r", False, runner).sections
     assert given.aws_batch is not None
     assert given.aws_batch.queue == QUEUE
-    assert place("aws-batch", None, tmp_path, "r", False, runner, given).sections is given
+    assert execution_target("aws-batch", None, tmp_path, "r", False, runner, given).sections is given
     Path("cloud.yml").write_text(SECTION.replace("${TEST_QUEUE}", "another"))
-    changed = place("aws-batch", Path("cloud.yml"), tmp_path, "r", True, runner, given)
+    changed = execution_target("aws-batch", Path("cloud.yml"), tmp_path, "r", True, runner, given)
     assert changed.settings is not None
     assert (changed.settings.queue, changed.run, changed.resume) == ("another", "r", True)
-    on_docker = place("docker", Path("no.yml"), tmp_path, "r", True, runner)
+    on_docker = execution_target("docker", Path("no.yml"), tmp_path, "r", True, runner)
     assert (on_docker.backend, on_docker.settings, on_docker.run) == ("docker", None, "r")
 
 
@@ -144,7 +144,7 @@ def test_a_section_that_has_been_read_counts_unless_a_file_is_given(tmp_path: Pa
 def test_a_file_without_the_section(text: str, tmp_path: Path) -> None:
     Path("cloud.yml").write_text(text)
     with pytest.raises(InputError, match=r"cloud\.yml: .*region"):
-        place("aws-batch", Path("cloud.yml"), tmp_path, "r", False, Runner.from_environment({}))
+        execution_target("aws-batch", Path("cloud.yml"), tmp_path, "r", False, Runner.from_environment({}))
     assert not (tmp_path / RUN_FILE).exists()
 
 

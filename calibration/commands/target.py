@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from calibration.errors import InputError
-from calibration.execution.backends import KINDS, Place, Sections, read_sections
+from calibration.execution.backends import KINDS, ExecutionTarget, Sections, read_sections
 from calibration.files import read_bytes, write_atomically
 from calibration.workflow import Runner
 
@@ -14,7 +14,7 @@ RUN_FILE = "run.txt"
 _MOST_BYTES = 1000
 
 
-def place(
+def execution_target(
     backend: str,
     file: Path | None,
     output: Path,
@@ -22,7 +22,7 @@ def place(
     resume: bool,
     runner: Runner,
     sections: Sections | None = None,
-) -> Place:
+) -> ExecutionTarget:
     """Return the execution target of containers.
 
     Args:
@@ -39,12 +39,12 @@ def place(
         InfrastructureError: the name of the run cannot be saved.
     """
     if not KINDS[backend].settings:
-        return Place(backend, run=run)
+        return ExecutionTarget(backend, run=run)
     if file is not None or sections is None or sections.of(backend) is None:
         sections = read_sections(backend, file or DEFAULT_FILE)
     name = name_of_run(output, run, resume)
     runner.log(f"run {name} on {sections.of(backend).where}; with --run {name} --resume only what is missing is run")
-    return Place(backend, sections, name, resume)
+    return ExecutionTarget(backend, sections, name, resume)
 
 
 def name_of_run(output: Path, given: str | None, resume: bool) -> str:
