@@ -20,7 +20,7 @@ rooms = $(patsubst tests/%/__init__.py,%,$(wildcard tests/*/__init__.py tests/*/
 engine_tests = $(addprefix tests/,geometry dataset estimation evaluation comparison labelling simulation/rendering)
 opencv_tests = $(addprefix tests/,dataset/test_depth_image.py dataset/test_reading.py comparison labelling simulation/rendering)
 
-.PHONY: help run check lint test test-only fuzz faults bench lock test-versions actions pictures clean
+.PHONY: help run check lint test test-only fuzz faults bench lock test-versions actions pictures aws-example clean
 
 help: ## this list
 	@sed -nE 's/^([a-z-]+):.*## (.*)/\1\t\2/p' Makefile | expand -t 16
@@ -115,6 +115,16 @@ pictures: ## draw docs/run.svg and docs/report.png, the pictures of the README, 
 	@$(setup) dev.txt .
 	$(python) -m benchmarks.run_picture
 	$(python) -m benchmarks.report_picture
+
+aws-example: ## scenarios on an emulated AWS Batch, in real containers, without an account (IMAGE=one with calibration-ci in it)
+	@$(setup) dev.txt .
+	@if [ -z '$(IMAGE)' ]; then \
+	  rm -f examples/aws-batch/*.whl; '$(uv)' build --wheel --quiet --out-dir examples/aws-batch .; \
+	  docker build --quiet --tag calibration-tools:example --build-arg EXTRAS=aws,calibrate,opencv \
+	    --build-arg SOURCE=file:///context/$$(cd examples/aws-batch; ls *.whl) examples/aws-batch; \
+	  rm -f examples/aws-batch/*.whl; \
+	fi
+	$(python) -m tests.aws.example --image '$(or $(IMAGE),calibration-tools:example)'
 
 clean: ## remove what running and testing leave behind (not .venv)
 	rm -rf output build dist .coverage .coverage.* coverage.xml .pytest_cache .mypy_cache .ruff_cache .hypothesis

@@ -138,17 +138,21 @@ def batch_emulator(aws_services: "Services", aws_variables: Callable[[Aws], None
         yield aws
 
 
+def bridge_address(engine: "DockerClient") -> str:
+    """Return the address of this machine on the engine's bridge, which containers reach."""
+    bridge = engine.networks.get("bridge").attrs["IPAM"]["Config"][0]
+    # The first start of an engine does not tell the gateway: there it is the first address.
+    return str(bridge.get("Gateway") or next(ip_network(bridge["Subnet"]).hosts()))
+
+
 @pytest.fixture(scope="session")
 def reachable_services(engine: "DockerClient") -> "Iterator[Services]":
     """The same on an address that containers reach too: that of the engine's bridge."""
     pytest.importorskip("moto.server", reason="needs moto[ecr,server]")
     from .services import Services
 
-    bridge = engine.networks.get("bridge").attrs["IPAM"]["Config"][0]
-    # The first start of an engine does not tell the gateway: there it is the first address.
-    gateway = bridge.get("Gateway") or str(next(ip_network(bridge["Subnet"]).hosts()))
     try:
-        services = Services(gateway)
+        services = Services(bridge_address(engine))
     except OSError as error:
         pytest.skip(f"needs an engine whose bridge is this machine's: {error}")
     yield services
