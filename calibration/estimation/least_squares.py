@@ -1,4 +1,4 @@
-"""Levenberg-Marquardt over poses, and what else is unknown."""
+"""Levenberg-Marquardt minimisation over poses, joints and intrinsics."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -12,40 +12,40 @@ from calibration.estimation.residuals import robust
 from calibration.geometry.types import Array, BoolArray
 
 STALLED = 20
-"""Steps without a noticeable decrease after which a minimisation has stalled."""
+"""Number of steps without a noticeable decrease after which a minimisation has stalled."""
 
 
 @dataclass(frozen=True)
 class Termination:
-    """When to stop."""
+    """Termination criteria."""
 
     decrease: float = 1e-6
-    """The decrease of the cost that a step still promises, in squared standard deviations. With the default
+    """Predicted decrease of the cost by the next step, in squared standard deviations. With the default
     the last step moves no parameter by more than 1e-3 of its own standard deviation."""
     relative_decrease: float = 1e-14
-    """The same relative to the cost: below it rounding decides."""
+    """The same relative to the cost: below it rounding errors dominate."""
     stall: float = 0.01
-    """So small a decrease over `STALLED` steps ends it too: a far pattern that faces its camera hardly says
-    how it is tilted, and could crawl on for thousands of steps that change nothing else."""
+    """Decrease over `STALLED` steps below which it ends too: a distant pattern that faces its camera hardly determines
+    its own tilt, which could take thousands of steps that change nothing else."""
     iterations: int = 500
 
 
 @dataclass(frozen=True, eq=False)
 class Optimum:
-    """Where the minimisation ended."""
+    """Result of a minimisation."""
 
     values: Values
     equations: NormalEquations
-    """The normal equations, undamped, as they were before the last step, which is too small to matter for them."""
+    """Normal equations, undamped, before the last step, which is too small to change them."""
     weighting: Weighting
     """For which it is the optimum."""
     iterations: int
     reached: bool
-    """Whether it is a minimum; False when the iterations ran out or nothing finite was found."""
+    """Whether it is a minimum; False if the iterations ran out or the cost was not finite."""
 
     @property
     def cost(self) -> float:
-        """The sum of squared residuals, in standard deviations (Huber's loss where it is robust)."""
+        """Sum of squared residuals, in standard deviations (Huber's loss if it is robust)."""
         return self.equations.total
 
 
@@ -82,7 +82,7 @@ def minimise(
     until: Termination | None = None,
     reweigh: Reweigh | None = None,
 ) -> Optimum:
-    """Minimise the cost from some start, by Levenberg-Marquardt.
+    """Minimise the cost from initial values, by Levenberg-Marquardt.
 
     The damping follows the gain ratio (H. B. Nielsen, "Damping parameter in Marquardt's method", 1999).
     Each trial is linearised at once: nearly all are accepted, and then nothing is computed twice.
@@ -122,7 +122,7 @@ def minimise(
             if wanted is not now.weighting:
                 now = evaluated(problem.moved(now.values, shared, local), wanted)
                 continue
-            if damping > 1:  # a short step promises little anywhere: ask for a longer one
+            if damping > 1:  # with a large damping every step predicts little: check a longer one
                 return ended(iteration + 1, abs(now.equations.step(1.0)[-1]) <= until.stall)
             return ended(iteration + 1, reached=True, values=problem.moved(now.values, shared, local))
         if predicted > 0:  # else rounding has made the system singular or indefinite
@@ -145,13 +145,13 @@ def minimise(
 
 
 SETTLING = Termination(decrease=0.01, iterations=20)
-"""Near enough to its own minimum to compare a collection's cost with that of another one."""
+"""Enough to compare a collection's costs at two minima."""
 
 
 def settle(
     problem: Problem, values: Values, weighting: Weighting, which: BoolArray, until: Termination = SETTLING
 ) -> tuple[Values, Array]:
-    """Minimise over the local blocks of some collections (N,), each on its own, the shared ones held.
+    """Minimise over the local blocks of some collections (N,), each by itself, with the shared ones fixed.
 
     Returns:
         The values, and the cost (N,) of each collection.
@@ -176,7 +176,7 @@ def settle(
 
 
 def choose(problem: Problem, first: BoolArray, a: Values, b: Values) -> Values:
-    """The local blocks of ``a`` where ``first`` (N,) says so, else those of ``b``; shared ones of ``a``."""
+    """Merge local blocks: of ``a`` where ``first`` (N,) is set, else of ``b``; shared ones of ``a``."""
     out = list(a)
     for block in problem.local:
         out[block] = np.where(first[:, None, None], a[block], b[block])

@@ -1,13 +1,13 @@
-"""The calibration near its optimum as a linear model of everything, calibrated or held.
+"""Linear model of a calibration at its optimum, of calibrated and fixed parameters.
 
-The normal equations are widened by columns of what is held (`calibration.estimation.held`), and the parameters that
-each collection has its own of are eliminated collection by collection, as in `calibration.estimation.normal_equations`.
-What is left is, of each cluster of collections, one small matrix and vector::
+The normal equations are extended by columns of fixed parameters (`calibration.estimation.held`), and the local
+parameters of each collection are eliminated by the Schur complement, as in `calibration.estimation.normal_equations`.
+The result is one small matrix and vector for each cluster k of collections c::
 
     G_k = sum_c (Z_c^T Z_c - Z_c^T Y_c (Y_c^T Y_c)^-1 Y_c^T Z_c)        g_k likewise of Z_c^T r
 
-with the columns Z of the S calibrated parameters that all collections share and of the causes, Y of the local ones.
-Every question about what is held is a question to these: no label is looked at again.
+with the columns Z of the S calibrated shared parameters and of the causes, Y of the local ones.
+All questions on fixed parameters are answered from these, without another pass over the labels.
 """
 
 from collections.abc import Callable, Sequence
@@ -38,49 +38,49 @@ from calibration.estimation.views import Term
 from calibration.geometry.types import Array, IntArray
 
 MOST_CLUSTERS = 100
-"""Clusters of collections; more tell nothing new about how far collections disagree."""
+"""Limit of the number of clusters; more give no better estimate of the collections' disagreement."""
 VIEWS_AT_A_TIME = 128
 
 
 @dataclass(frozen=True, eq=False)
 class LinearModel:
-    """Information and gradient of the shared parameters and of causes, cluster by cluster."""
+    """Information and gradient of the shared parameters and of causes, by cluster."""
 
     shared: int
-    """S: so many columns come first."""
+    """S: number of the first columns."""
     causes: tuple[Cause, ...]
     places: tuple[slice, ...]
-    """Where the columns of each cause stand."""
+    """Columns of each cause."""
     typical: tuple[tuple[float, ...], ...]
-    """Of each cause what its parameters are usually known with, where nothing else is assumed."""
+    """By cause, typical standard deviations of its parameters, if no others are assumed."""
     G: Array
     """(K, C, C), in standard deviations."""
     g: Array
     """(K, C)."""
     prior: Array
-    """(S, S): information that is known beforehand."""
+    """(S, S): information of the priors."""
     clusters: IntArray
-    """(N,): the cluster of each collection."""
+    """(N,): cluster of each collection."""
     alone: Array
-    """(C,): the information on each column if all else were known: what is left of it beside others is to be compared
-    with this, as rounding leaves some of nothing."""
+    """(C,): information on each column if all others were known, the reference for rounding errors in what is left of
+    it beside the others."""
 
     @cached_property
     def total(self) -> Array:
-        """(C, C): the sum over the clusters, and the prior."""
+        """(C, C): sum over the clusters, and the prior."""
         total: Array = self.G.sum(0)
         total[: self.shared, : self.shared] += self.prior
         return total
 
     @cached_property
     def gradient(self) -> Array:
-        """(C,): that of the causes; of the shared parameters it is zero at the optimum, but for rounding."""
+        """(C,): gradient of the causes; that of the shared parameters is zero at the optimum, up to rounding."""
         gradient: Array = self.g.sum(0)
         gradient[: self.shared] = 0.0
         return gradient
 
     def columns_of(self, cause: Cause) -> slice:
-        """Where the columns of a cause stand."""
+        """Return the columns of a cause."""
         return next(at for each, at in zip(self.causes, self.places, strict=True) if each is cause)
 
 
@@ -99,8 +99,8 @@ def linear_model(
         values: the optimum.
         weighting: its weights.
         dataset: the collections that count, with the transforms of the optimum.
-        assume: how well what is held is known.
-        clusters: (N,), which collections are not independent of each other, numbers from 0 on; each its own if None.
+        assume: assumed standard deviations of fixed parameters.
+        clusters: (N,), cluster of each collection, from 0; equal for dependent ones. Each is its own if None.
     """
     groups = seen_groups(dataset, problem.groups, [problem.poses(group, values) for group in problem.groups])
     found = _causes(problem, dataset, groups, assume)
@@ -144,7 +144,7 @@ def linear_model(
 
 
 def _causes(problem: Problem, dataset: Dataset, groups: Sequence[SeenGroup], assume: Assumptions) -> list[Cause]:
-    """What is held; and of each sensor and fixed pattern its place, and its lag, which are no error of what is held."""
+    """Return the causes of fixed parameters; and of each sensor and fixed pattern a displacement and a time offset."""
     intrinsics = [(block.intrinsics, block.held) for block in problem.blocks if block.intrinsics]
     free = {each.sensor: each.free for each, held in intrinsics if not held}
     known = [each.sensor for each, held in intrinsics if held and each.prior]
@@ -160,7 +160,7 @@ def _causes(problem: Problem, dataset: Dataset, groups: Sequence[SeenGroup], ass
 
 
 def _at_most(clusters: IntArray, most: int) -> IntArray:
-    """Clusters, neighbours put together until there are no more than ``most``."""
+    """Merge neighbouring clusters until there are at most ``most``."""
     _, clusters = np.unique(clusters, return_inverse=True)
     count = int(clusters.max()) + 1
     return clusters * most // count if count > most else clusters
@@ -281,7 +281,7 @@ def _by_cluster(clusters: IntArray) -> tuple[IntArray, Callable[[Array], Array]]
 
 
 def _eliminate(sums: _Sums, clusters: IntArray) -> None:
-    """Take the local parameters out of the sums of each cluster."""
+    """Eliminate the local parameters from the sums of each cluster."""
     H_local, mixed = sums.H_local, sums.mixed
     index = np.arange(H_local.shape[-1])
     diagonal = H_local[:, index, index]
@@ -301,7 +301,7 @@ def _eliminate(sums: _Sums, clusters: IntArray) -> None:
 
 
 def _priors(problem: Problem, values: Values) -> Array:
-    """(S, S): what is known beforehand of the shared parameters."""
+    """Information (S, S) of the priors on the shared parameters."""
     S, _ = problem.sizes
     prior = np.zeros((S, S))
     for block, at in problem.shared_parameters.items():

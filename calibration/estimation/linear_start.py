@@ -1,14 +1,19 @@
-"""A start for the least squares that needs no guess.
+"""Linear initial guess for the least squares, from the labels alone.
 
-Every camera view gives the pose of its pattern by itself (`planar_pose`), every view of a LiDAR or a
-depth camera the plane it lies on, every view of a 2D LiDAR a line in that plane. Seen through a chain
-``T_sensor_pattern = ... X ... Y ...`` these are equations for the unknown transforms, linear ones: a chain
-with one unknown gives it directly, once for each view, to be averaged; one with two, such as a camera's
-mount and a pattern on an arm, is a robot-world problem. Two sensors that see the same unknown moving pattern are as
-good as one that sees the other: from ``T1 = U1 P`` and ``T2 = U2 P`` follows ``T2 = U2 inverse(U1) T1``.
+Every camera view determines the pose of its pattern (`planar_pose`), every view of a LiDAR or a
+depth camera the pattern's plane, every view of a 2D LiDAR a scan line in that plane. With the chain
+``T_sensor_pattern = ... X ... Y ...`` these are linear equations for the unknown transforms:
 
-So the unknowns are found one after the other, like a spanning tree: always the one that most views
-speak for. Where the equations leave something open, the given guess is taken and it is said. Joints
+- one unknown: ``X = A^-1 T_sensor_pattern B^-1`` in each view, averaged (`planar_pose.mean_pose`);
+- two unknowns, such as a camera's mount and a pattern on an arm: a robot-world problem ``A_i = X B_i Y``
+  (`robot_world`, by M. Shah, 2013);
+- planes or scan lines, with the pattern's pose known: `plane_alignment`, `scan_alignment`.
+
+Two sensors with a common view of an unknown moving pattern P are equivalent to one that sees the other: from
+``T1 = U1 P`` and ``T2 = U2 P`` follows ``T2 = U2 inverse(U1) T1``.
+
+So the unknowns are solved one after the other, like a spanning tree: always the one with most views.
+Directions that the equations do not determine are taken from the given guess, which is reported. Joints
 and intrinsics start from their nominal parameters: they are small corrections, and no equation is linear in them.
 """
 
@@ -32,20 +37,20 @@ from calibration.geometry.transforms import inverse
 from calibration.geometry.types import Array, BoolArray, IntArray
 
 SINGLE_AXIS = 0.002
-"""Rotations of a robot that tilt every direction by less than this (rad) about all but one axis are too poor."""
+"""rad: rotations of a robot that tilt every direction by less than this, about all but one axis, are insufficient."""
 
 
 @dataclass(frozen=True, eq=False)
 class LinearStart:
-    """Where to start, and what had to be taken from the guess."""
+    """Initial values, and the blocks taken from the guess."""
 
     values: Values
     guessed: tuple[str, ...]
-    """The blocks that no equation gave."""
+    """Blocks without an equation."""
 
 
 def linear_start(setup: Setup, guess: Values) -> LinearStart:
-    """Start values for all blocks.
+    """Compute initial values for all blocks.
 
     Args:
         setup: the problem.
@@ -53,7 +58,7 @@ def linear_start(setup: Setup, guess: Values) -> LinearStart:
             equation gives.
 
     Raises:
-        UndeterminedError: a robot's motion is too poor to tell a sensor's mount from the pattern's.
+        UndeterminedError: a robot's motion is too small to separate a sensor's mount from the pattern's.
     """
     blocks = setup.problem.blocks
     unknown = {i for i, block in enumerate(blocks) if not block.held and isinstance(block.parameters, Pose)}
@@ -64,7 +69,7 @@ def linear_start(setup: Setup, guess: Values) -> LinearStart:
 
 
 def pattern_poses(setup: Setup, values: Values) -> Values:
-    """The values with the patterns' poses put where the cameras see them, all other blocks being right.
+    """Set the patterns' poses to those in the cameras' views, with all other blocks fixed.
 
     Raises:
         InputError: no camera sees a fixed pattern.
@@ -76,10 +81,10 @@ def pattern_poses(setup: Setup, values: Values) -> Values:
 
 
 def local_poses(setup: Setup, values: Values) -> Values:
-    """The values with what each collection has its own of put where the cameras see it, all else being right.
+    """Set the transforms per collection to those in the cameras' views, with all others fixed.
 
     Raises:
-        InputError: no camera view tells one of them.
+        InputError: no camera view determines one of them.
     """
     search = _Search(setup, values, set(setup.problem.local))
     while search.find():
@@ -88,13 +93,13 @@ def local_poses(setup: Setup, values: Values) -> Values:
 
 
 def free_patterns(setup: Setup) -> set[int]:
-    """The blocks of the patterns that are not held."""
+    """Return the blocks of the patterns that are not fixed by the user."""
     patterns = {setup.block(setup.pattern_edge(pattern)) for pattern in setup.dataset.patterns}
     return {i for i in patterns if not setup.problem.blocks[i].held}
 
 
 def place_gauge_patterns(setup: Setup, values: Values) -> Values:
-    """The values with the patterns that are held as the origin where the cameras see them, all else being right."""
+    """Set the patterns that fix the gauge to the poses in the cameras' views, with all other blocks fixed."""
     held = {setup.block(setup.pattern_edge(pattern)) for pattern in setup.gauge_patterns}
     if not held:
         return values
@@ -105,7 +110,7 @@ def place_gauge_patterns(setup: Setup, values: Values) -> Values:
 
 @dataclass(frozen=True, eq=False)
 class _Sight:
-    """V views ``T_sensor_pattern = chain``: of a group, or of one through another that sees the same moving pattern."""
+    """V views ``T_sensor_pattern = chain``: of a group, or combined from two groups of the same moving pattern."""
 
     sensor: str
     pattern: str
@@ -113,14 +118,14 @@ class _Sight:
     collections: IntArray
     """(V,)."""
     counts: IntArray
-    """(V,): labels."""
+    """(V,): numbers of labels."""
     seen: Array | None
-    """``T_sensor_pattern`` (V, 4, 4) of a camera, or measured; NaN where a view gives none."""
+    """``T_sensor_pattern`` (V, 4, 4) of a camera, or measured; NaN if a view determines none."""
     points: RangeTerm | None
-    """On the pattern's plane, of a LiDAR or a depth camera."""
+    """Points on the pattern's plane, of a LiDAR or a depth camera."""
 
     def through(self, other: "_Sight", seen: Array) -> "_Sight":
-        """This in common collections without the pattern, whose pose (V, 4, 4) the other one has seen."""
+        """Combine with another sensor's views (V, 4, 4) of the same pattern in common collections; its pose cancels."""
         _, own, at = np.intersect1d(self.collections, other.collections, return_indices=True)
         to_pattern, from_pattern = (sight.chain.part(-1, len(sight.chain.links) - 1) for sight in (self, other))
         return replace(
@@ -143,24 +148,24 @@ def _sight(group: ViewGroup) -> _Sight:
 
 
 class _Search:
-    """The unknowns that are left, and the views that speak for them."""
+    """Remaining unknowns, and the views that determine them."""
 
     def __init__(self, setup: Setup, values: Values, unknown: set[int]) -> None:
-        """Begin with all blocks known but some, and with what the cameras see."""
+        """Start with all blocks known but some, and with the poses in the cameras' views."""
         self.setup, self.problem = setup, setup.problem
         self.guessed: list[str] = []
         self._start = values
         self._transforms = [np.array(T) for T in self.problem.transforms(values)]
         N = self.problem.collections
         self._known = [np.full(N, i not in unknown) for i in range(len(values))]
-        """By block: in which collections it is known, (N,)."""
+        """By block: mask (N,) of the collections in which it is known."""
         self._sights = [_sight(group) for group in self.problem.groups]
 
     def find(self) -> bool:
-        """Find one more unknown by linear algebra; False when nothing follows any more.
+        """Solve for one more unknown by linear algebra; False if there is none.
 
         Raises:
-            UndeterminedError: all that is left is a robot whose motion is too poor.
+            UndeterminedError: all that is left is a robot with insufficient motion.
         """
         if self._moving() or self._averaged():
             return True
@@ -173,7 +178,7 @@ class _Search:
         return False
 
     def take_guess(self) -> bool:
-        """Nothing follows: take the guess of one more block, an additional transform first."""
+        """Take one more block from the guess, an additional transform first."""
         patterns = self.setup.dataset.patterns
         blocks = self.problem.blocks
         moving = [b for b in self.problem.local if blocks[b].name not in patterns and self._missing(b).any()]
@@ -187,10 +192,10 @@ class _Search:
         return True
 
     def found(self) -> Values:
-        """The values of all blocks.
+        """Return the values of all blocks.
 
         Raises:
-            InputError: a pattern's pose is not known in a collection that counts, or never.
+            InputError: a pattern's pose is unknown in a used collection, or in all.
         """
         for i, block in enumerate(self.problem.blocks):
             missing = self._missing(i)
@@ -204,14 +209,14 @@ class _Search:
         return tuple(T if isinstance(block.parameters, Pose) else start for block, T, start in each)
 
     def _missing(self, block: int) -> BoolArray:
-        """The collections (N,) whose views depend on a block that is not known there."""
+        """Return a mask (N,) of the collections whose views depend on a block that is unknown there."""
         missing: BoolArray = self.problem.collections_with(block) & ~self._known[block]
         return missing
 
     def _moving(self) -> bool:
-        """The moving patterns, and whatever each collection has its own of, that a camera sees through a known chain.
+        """Solve for the moving patterns and transforms per collection that a camera sees through a known chain.
 
-        The fullest view decides.
+        Of several views the one with most labels is used.
         """
         found = False
         for local in self.problem.local:
@@ -230,7 +235,7 @@ class _Search:
         return found
 
     def _averaged(self) -> bool:
-        """The shared block that most camera views give directly."""
+        """Solve for the shared block that most camera views determine directly."""
         votes: dict[int, list[Array]] = {}
         for sight in self._sights:
             unknown = self._unknown_shared(sight)
@@ -245,7 +250,7 @@ class _Search:
         return True
 
     def _over_moving_patterns(self) -> Iterator[_Sight]:
-        """Of two sights of the same moving pattern, whose pose is not known, the one through the other."""
+        """Yield views that combine two sensors' views of the same moving pattern with an unknown pose."""
         cameras = []
         for sight in self._sights:
             last, unknown = len(sight.chain.links) - 1, self._unknown(sight)
@@ -260,7 +265,7 @@ class _Search:
             yield from (sight.through(camera, seen) for sight in same)
 
     def _robot_world(self, sights: list[_Sight]) -> str | None:
-        """Two unknowns X and Y at once, from ``T = U X B Y V``; None where they are found, else why not."""
+        """Solve for two unknowns X and Y from ``T = U X B Y V``; None on success, else the reason of the failure."""
         problems = []
         for sight in sights:
             unknown = self._unknown_shared(sight)
@@ -282,9 +287,9 @@ class _Search:
         return why_not
 
     def _planes(self, sights: list[_Sight]) -> bool:
-        """What stands before a LiDAR or a depth camera, from the planes it sees and the pattern's poses, known by now.
+        """Solve for a block in the chain of a LiDAR or a depth camera, from its planes and the patterns' known poses.
 
-        All views that speak for the same block count together.
+        All views that determine the same block are used together.
         """
         together: dict[tuple[int, bool, bool], list[tuple[RangeTerm, Array, Array]]] = {}
         for sight in sights:
@@ -299,7 +304,7 @@ class _Search:
         return any(self._aligned(*key, views) for key, views in together.items())
 
     def _aligned(self, block: int, inverted: bool, cuts: bool, views: list[tuple[RangeTerm, Array, Array]]) -> bool:
-        """Whether views ``T_sensor_pattern = before X after``, X a block or its inverse, have given the block."""
+        """Whether views ``T_sensor_pattern = before X after``, X a block or its inverse, have determined the block."""
         terms = [term for term, _, _ in views]
         before, after = (np.concatenate(parts) for parts in list(zip(*views, strict=True))[1:])
         if cuts:
@@ -317,7 +322,7 @@ class _Search:
         return X is not None
 
     def _too_poor(self, first: Link, second: Link, solution: RobotWorld, views: int) -> str:
-        """Why a motion cannot tell the two unknowns apart; empty when it can."""
+        """Return the reason why a motion cannot separate the two unknowns; empty if it can."""
         blocks = [self.problem.blocks[link.block] for link in (first, second)]
         what = f"{self.setup.dataset.path}: '{blocks[0].name}' and '{blocks[1].name}' cannot be told apart"
         axes = solution.spectrum.axes(SINGLE_AXIS)
@@ -343,17 +348,17 @@ class _Search:
         self._known[block][:] = True
 
     def _unknown(self, sight: _Sight) -> list[int]:
-        """The positions in a chain of links that are known in none of its collections."""
+        """Return the positions in a chain of the links that are unknown in all of its collections."""
         return [k for k, link in enumerate(sight.chain.links) if not self._known[link.block][sight.collections].any()]
 
     def _unknown_shared(self, sight: _Sight) -> list[int]:
-        """The same where all of them are of different blocks that the collections share; else none."""
+        """Return the same if all of them are of different shared blocks; else none."""
         unknown = self._unknown(sight)
         blocks = {sight.chain.links[k].block for k in unknown}
         return unknown if len(blocks) == len(unknown) and not blocks & set(self.problem.local) else []
 
     def _usable(self, sight: _Sight, unknown: list[int]) -> BoolArray:
-        """The views (V,) in which all links but some are known."""
+        """Return a mask (V,) of the views in which all other links are known."""
         usable = np.ones(len(sight.collections), bool)
         for k, link in enumerate(sight.chain.links):
             if k not in unknown:
@@ -361,17 +366,17 @@ class _Search:
         return usable
 
     def _between(self, sight: _Sight, start: int, end: int | None) -> Array:
-        """The product (V, 4, 4) of what stands between two links of a chain; -1 is its begin, None its end."""
+        """Return the product (V, 4, 4) between two links of a chain; -1 is its begin, None its end."""
         part = sight.chain.part(start, len(sight.chain.links) if end is None else end)
         return part.poses(self._transforms, sight.collections)
 
     def _around(self, sight: _Sight, k: int) -> tuple[Array, Array, BoolArray]:
-        """A chain around one link: ``T = before * link * after`` (V, 4, 4 each), and where both are known (V,)."""
+        """Split a chain at one link: ``T = before * link * after`` (V, 4, 4 each), with a mask (V,) of known ones."""
         before, after = self._between(sight, -1, k), self._between(sight, k, None)
         return before, after, self._usable(sight, [k]) & np.isfinite(after[:, 0, 0]) & np.isfinite(before[:, 0, 0])
 
     def _solved_for(self, sight: _Sight, seen: Array, k: int) -> tuple[Array, BoolArray]:
-        """What each view says the block of a link is, and whether it says anything."""
+        """Solve each view for the block of a link; return the values, and a mask of the valid ones."""
         before, after, usable = self._around(sight, k)
         X = inverse(before) @ seen @ inverse(after)
         return inverse(X) if sight.chain.links[k].inverted else X, usable & np.isfinite(seen[:, 0, 0])

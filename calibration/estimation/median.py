@@ -1,4 +1,4 @@
-"""The median."""
+"""Median without NaN handling."""
 
 import numpy as np
 
@@ -6,9 +6,9 @@ from calibration.geometry.types import Array
 
 
 def median(values: Array) -> float:
-    """The median of an array of any shape, without NaN; NaN for an empty one.
+    """Return the median of an array of any shape, without NaN; NaN for an empty one.
 
-    As `numpy.median`, which imports `numpy.ma`, a fifth of what starting the engine takes.
+    Like `numpy.median`, which imports `numpy.ma`, a fifth of the engine's start-up time.
     """
     flat = np.ravel(values)
     if not flat.size:

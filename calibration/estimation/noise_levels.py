@@ -1,4 +1,4 @@
-"""How noisy the labels are: the standard deviation of each kind of residual, from the residuals."""
+"""Noise of the labels: the standard deviation of each kind of residual, estimated from the residuals."""
 
 from collections.abc import Mapping, Sequence
 from typing import get_args
@@ -15,9 +15,9 @@ from calibration.records import field, result
 
 KINDS: tuple[NoiseKind, ...] = get_args(NoiseKind)
 FLOORS: dict[NoiseKind, float] = {kind: 1e-6 if kind == "pixel" else 1e-8 for kind in KINDS}
-"""Nothing is labelled better than this (px, m or rad); keeps exact data from weighing infinitely much."""
+"""Lower limits of the standard deviations (px, m or rad); they limit the weight of exact data."""
 INLIERS = 3.0
-"""Labels within so many standard deviations make the estimate."""
+"""Standard deviations within which labels are used for the estimate."""
 # For a squared Gaussian residual of 1, 2 or 3 dimensions: its median, and its mean below INLIERS^2
 # (d P(chi2_{d+2} < c) / P(chi2_d < c), with c = 9), both in squared standard deviations.
 _MEDIAN = {1: 0.4549364, 2: 1.3862944, 3: 2.3659739}
@@ -26,7 +26,7 @@ _TRUNCATED_MEAN = {1: 0.9733369, 2: 1.8988755, 3: 2.7534587}
 
 @result
 class NoiseLevels:
-    """Standard deviations of labels; null where the dataset has none of that kind, or (given) to estimate it."""
+    """Standard deviations of labels; null if the dataset has none of that kind, or (as an option) to estimate it."""
 
     pixel: float | None = field("Of each image coordinate of a corner.", key="pixel_px", unit="px", default=None)
     range: float | None = field("Of the range of a 3D LiDAR or a depth camera.", key="range_m", unit="m", default=None)
@@ -59,24 +59,24 @@ class NoiseLevels:
     )
 
     def given(self) -> dict[NoiseKind, float]:
-        """Those that are set."""
+        """The levels that are set."""
         return {kind: level for kind in KINDS if (level := getattr(self, kind)) is not None}
 
 
 def estimate_scales(
     problem: Problem, values: Values, parameters: Mapping[NoiseKind, float], robust: bool
 ) -> dict[NoiseKind, float]:
-    """The standard deviation of each kind of label.
+    """Estimate the standard deviation of each kind of label.
 
     Plain: root of the squared residuals over their degrees of freedom. Robust: the median first, then the
     residuals within three of its standard deviations, corrected for the cut.
 
     Args:
         problem: the problem.
-        values: where the residuals are taken.
-        parameters: by kind, how many parameters its residuals have determined: their degrees of freedom
-            are so many fewer.
-        robust: whether outliers are to be kept out.
+        values: values of all blocks.
+        parameters: by kind, the number of parameters that its residuals have determined: their degrees of freedom
+            are reduced by it.
+        robust: whether outliers are rejected.
     """
     squares: Squares = {}
     for group in problem.groups:
@@ -105,7 +105,7 @@ def _finite(parts: Sequence[Array]) -> Array:
 
 
 def _scale(squared: Array, dimension: int, parameters: float, robust: bool) -> float:
-    """The standard deviation per axis, from squared residuals (n,) of 1 to 3 dimensions."""
+    """Estimate the standard deviation per axis, from squared residuals (n,) of 1 to 3 dimensions."""
     if not len(squared):
         return 0.0
     freedom = max(1.0, len(squared) * dimension - parameters) / (len(squared) * dimension)

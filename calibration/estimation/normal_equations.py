@@ -37,26 +37,26 @@ from calibration.estimation.views import Term
 from calibration.geometry.types import Array
 
 ONE_THREAD = 1 << 18
-"""Multiplications in a product of matrices up to which BLAS starts no threads, which wait for each other on a busy
+"""Multiplications in a matrix product up to which BLAS starts no threads, which wait for each other on a busy
 machine."""
 
 
 @dataclass(frozen=True)
 class Weighting:
-    """What residuals weigh."""
+    """Weights of the residuals."""
 
     scales: Mapping[NoiseKind, float]
-    """The standard deviation of each kind, px, m or rad."""
+    """Standard deviation of each kind, px, m or rad."""
     huber: float | None
-    """The threshold in standard deviations of the robust loss; None for plain least squares."""
+    """Threshold of Huber's loss in standard deviations; None for plain least squares."""
 
 
 @dataclass(frozen=True, eq=False)
 class NormalEquations:
-    """``H step = -g``: S parameters of shared blocks, P of local ones in each of N collections; see above."""
+    """Normal equations ``H step = -g``: S parameters of shared blocks, P of local ones per collection; see above."""
 
     cost: Array
-    """(N,): the cost of each collection; the sum of squared residuals in standard deviations."""
+    """(N,): cost of each collection; sum of squared residuals in standard deviations."""
     H_shared: Array
     """(S, S)."""
     H_mixed: Array
@@ -68,17 +68,18 @@ class NormalEquations:
     g_local: Array
     """(N, P)."""
     prior: float = 0.0
-    """The cost of what is known beforehand."""
+    """Cost of the priors."""
 
     @property
     def total(self) -> float:
-        """The whole cost."""
+        """Total cost."""
         return float(self.cost.sum()) + self.prior
 
     def step(self, damping: float) -> tuple[Array, Array, float]:
-        """The damped step: shared (S,), local (N, P), and the decrease of the cost that it predicts.
+        """Solve for the damped step by the Schur complement: shared (S,), local (N, P), and the predicted decrease.
 
-        Levenberg's damping, scaled by the diagonal (Marquardt). A singular system gives NaN.
+        With Levenberg's damping, scaled by the diagonal (Marquardt), H + damping diag(H) replaces H. The decrease
+        predicted by the quadratic model is ``-g^T step + damping step^T diag(H) step``. A singular system gives NaN.
         """
         N, P = self.g_local.shape
         diagonal = np.diagonal(self.H_local, axis1=1, axis2=2)
@@ -97,13 +98,13 @@ class NormalEquations:
         return shared, np.asarray(local, float), float(predicted)
 
     def local_step(self, damping: Array) -> Array:
-        """The step of the local blocks alone, (N, P), each collection with its own damping (N,)."""
+        """Solve for the step of the local blocks alone, (N, P), each collection with its own damping (N,)."""
         H = _damped(self.H_local, damping[:, None])
         return -np.asarray(np.linalg.solve(H, self.g_local[..., None])[..., 0], float)
 
     @cached_property
     def schur(self) -> Array:
-        """(S, S): the information of the data on the shared blocks, the local ones being free."""
+        """Schur complement (S, S): information of the data on the shared blocks, with the local ones eliminated."""
         solved = np.linalg.solve(self.H_local, np.swapaxes(self.H_mixed, 1, 2))
         schur: Array = self.H_shared - self._mixed @ solved.reshape(self._mixed.T.shape)
         return 0.5 * (schur + schur.T)
@@ -146,14 +147,14 @@ def assemble(problem: Problem, values: Values, weighting: Weighting, squares: Sq
 
 
 def _possible(problem: Problem, batch: Batch, values: Values) -> bool:
-    """Whether there can be a camera with such intrinsics."""
+    """Whether the camera's intrinsics are valid."""
     if batch.intrinsics is None or (intrinsics := problem.blocks[batch.intrinsics].intrinsics) is None:
         return True
     return intrinsics.possible(values[batch.intrinsics])
 
 
 def _with_priors(equations: NormalEquations, problem: Problem, values: Values) -> NormalEquations:
-    """The equations with what is known of intrinsics beforehand."""
+    """Add the priors of intrinsics to the equations."""
     cost = 0.0
     for block, at in problem.shared_parameters.items():
         intrinsics = problem.blocks[block].intrinsics
@@ -168,7 +169,7 @@ def _with_priors(equations: NormalEquations, problem: Problem, values: Values) -
 def linearise(
     terms: Sequence[Term], T: Array, weighting: Weighting, squares: Squares | None = None
 ) -> tuple[Array, Array, Array]:
-    """Cost (V,), Hessian (V, 6 + m, 6 + m) and gradient (V, 6 + m) of views at their poses, all terms together."""
+    """Return cost (V,), Hessian (V, 6 + m, 6 + m) and gradient (V, 6 + m) of views, summed over all terms."""
     each = []
     for term in terms:
         own = None if squares is None else np.empty((len(T), term.length))
@@ -184,7 +185,7 @@ def linearise(
 def _add(
     equations: NormalEquations, batch: Batch, A: Array, cost: Array, M: Array, m: Array, intrinsics: slice
 ) -> None:
-    """Add a batch of views to the equations; free intrinsics stand at ``intrinsics``."""
+    """Add a batch of views to the equations; its free intrinsics are at ``intrinsics``."""
     MA = M[:, :, :6] @ A  # (V, 6 + m, C)
     for part in batch.parts:
         v, collections = part.views, part.collections
@@ -210,7 +211,7 @@ def _add(
 
 
 def _sum_of_products(A: Array, MA: Array) -> Array:
-    """The sum over views of ``A^T MA`` (v, 6, k), as few products of tall matrices."""
+    """Sum ``A^T MA`` (v, 6, k) over views, by few products of tall matrices."""
     left, right = A.reshape(6 * len(A), -1), MA.reshape(6 * len(A), -1)
     rows = max(1, ONE_THREAD // max(1, left.shape[1] * right.shape[1]))
     total: Array = left[:rows].T @ right[:rows]
@@ -220,7 +221,7 @@ def _sum_of_products(A: Array, MA: Array) -> Array:
 
 
 def _damped(H: Array, damping: float | Array) -> Array:
-    """H with its diagonal multiplied by 1 + damping."""
+    """Return H with its diagonal multiplied by 1 + damping."""
     out = H.copy()
     index = np.arange(H.shape[-1])
     out[..., index, index] *= 1 + damping
@@ -228,7 +229,7 @@ def _damped(H: Array, damping: float | Array) -> Array:
 
 
 def _fill_unobserved(H_local: Array) -> None:
-    """Give local blocks that no view of their collection depends on a unit Hessian: their step is zero."""
+    """Set a unit Hessian for local blocks that no view of their collection depends on, so that their step is zero."""
     index = np.arange(H_local.shape[-1])
     diagonal = H_local[:, index, index]
     H_local[:, index, index] = np.where(diagonal == 0.0, 1.0, diagonal)

@@ -1,4 +1,4 @@
-"""What the data say about the unknowns: their covariance, and the directions that they leave open."""
+"""Observability of the unknowns: their covariance, and the directions that the data do not determine."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -15,39 +15,39 @@ from calibration.estimation.problem import Problem
 from calibration.geometry.types import Array
 
 SINGULAR = 1e-12
-"""Information in one direction relative to the best one, below which rounding has made it."""
+"""Information in one direction relative to the largest, below which it is rounding error."""
 HOPELESS = 0.25
-"""A direction with a greater standard deviation than this (in sizes of the pattern, and in rad) is not determined."""
+"""Standard deviation (in sizes of the pattern, and in rad) above which a direction is not determined."""
 MOVING = 0.3
-"""Blocks, and parameters of joints, that move by more than this times what moves most are named too,"""
+"""Blocks and parameters of joints that move by more than this fraction of the largest motion are named too,"""
 INVOLVED = 0.02
-"""and by more than this where the direction is not determined: a joint turns little where a pattern far away moves."""
+"""and by more than this in a direction that is not determined: a joint rotates little if a distant pattern moves."""
 DENOMINATOR = ("k4", "k5", "k6")
 """The coefficients of a rational lens below the line."""
 WEAK = 0.005
-"""A direction with a greater standard deviation (m or rad) is reported as weak."""
+"""Standard deviation (m or rad) above which a direction is reported as weak."""
 
 
 @dataclass(frozen=True, eq=False)
 class WeakDirection:
-    """A common motion of the shared blocks that the data hardly determine."""
+    """Common motion of the shared blocks that the data hardly determine."""
 
     block: int
-    """The block that moves most."""
+    """Block with the largest motion."""
     kind: str
     """"translation", "rotation", or "ray" of a camera's intrinsics."""
     axis: Array
-    """(3,): the unit axis, in the block's child frame."""
+    """(3,): unit axis, in the block's child frame."""
     sigma: float
-    """The standard deviation of that motion, m or rad; infinite where nothing determines it. Of intrinsics by how much
-    they turn rays: those of the labels where it is not determined, where it is weak all over the image."""
+    """Standard deviation of that motion, m or rad; infinite if nothing determines it. Of intrinsics the rotation of
+    rays: those of the labels if it is not determined, those all over the image if it is weak."""
     others: tuple[int, ...]
-    """Blocks that move along, those that move most first."""
+    """Other blocks that move, largest motion first."""
     parameters: Mapping[int, tuple[str, ...]] = field(default_factory=dict)
-    """Of each joint or camera among the blocks, the parameters that change; the one that changes most first."""
+    """Of each joint or camera among the blocks, the parameters that change; largest change first."""
 
     def describe(self, names: list[str]) -> str:
-        """One phrase that names transform and axis, or joint or intrinsics and parameters."""
+        """Describe transform and axis, or joint or intrinsics and parameters, in one phrase."""
         unit = {"translation": "mm", "rotation": "mrad", "ray": "mrad of a ray"}[self.kind]
         size = f"{1e3 * self.sigma:.3g} {unit}" if np.isfinite(self.sigma) else "without bound"
         along = f" together with {_listed([self._name(other, names) for other in self.others])}" if self.others else ""
@@ -58,7 +58,7 @@ class WeakDirection:
         return f"'{names[self.block]}' {what} ({x:g}, {y:g}, {z:g}) of its frame{along}: {size}"
 
     def to_hold(self, names: list[str]) -> str:
-        """The name by which the parameter of a joint or a camera that changes least is held; empty without one."""
+        """Return the name of the joint's or camera's parameter that changes least, to be fixed; empty without one."""
         return next((f"{names[block]}-{each[-1]}" for block, each in self.parameters.items() if each), "")
 
     def coefficients_to_hold(self) -> tuple[str, ...]:
@@ -82,11 +82,11 @@ class WeakDirection:
 def open_directions(
     problem: Problem, equations: NormalEquations, size: float
 ) -> tuple[list[WeakDirection], list[WeakDirection]]:
-    """The directions that are not determined, and those that are weak.
+    """Find the directions that are not determined, and those that are weak.
 
-    The information on the shared blocks (the Schur complement) is taken apart into its principal
-    directions, translations measured in sizes of the pattern and intrinsics by how they turn the labels' rays, so
-    that they compare with radians.
+    They are eigenvectors of the information on the shared blocks (the Schur complement), with
+    translations in sizes of the pattern and intrinsics by the rotation of the labels' rays, so
+    that they are comparable to radians.
 
     Args:
         problem: the problem.
@@ -111,9 +111,9 @@ def open_directions(
 
 
 def _weak_intrinsics(problem: Problem, equations: NormalEquations) -> list[WeakDirection]:
-    """The cameras whose intrinsics leave rays open somewhere in the image, with the parameters that do most of it.
+    """Find the cameras whose intrinsics do not determine rays somewhere in the image, with the main parameters.
 
-    At the labels parameters make up for each other; where the image has no labels they do not.
+    At the labels, parameters may be degenerate with each other; where the image has no labels they are not.
     """
     weak = []
     covariance = covariances(problem, equations)
@@ -129,7 +129,7 @@ def _weak_intrinsics(problem: Problem, equations: NormalEquations) -> list[WeakD
 
 
 def _named(parts: list[tuple[int, Motion]], direction: Array, sigma: float, moving_from: float) -> WeakDirection:
-    """Name one direction (S,), in units of the motions of blocks, by the block and the axis that move most.
+    """Name one direction (S,), in units of the motions of blocks, by the block and the axis with the largest motion.
 
     Others are named from ``moving_from`` times that motion.
     """
@@ -153,22 +153,22 @@ def _named(parts: list[tuple[int, Motion]], direction: Array, sigma: float, movi
 
 
 def _listed(names: list[str]) -> str:
-    """The first three names, and how many more there are."""
+    """Format the first three names, and the number of others."""
     more = [f"{len(names) - 3} more"] if len(names) > 3 else []
     return " and ".join([*names[:3], *more])
 
 
 def covariances(problem: Problem, equations: NormalEquations, more: Array | None = None) -> dict[int, Array]:
-    """The covariance of each shared block.
+    """Return the covariance of each shared block.
 
     (6, 6) of its twist (translation, rotation), m and rad, or (k, k) of the free parameters of a joint or a
-    camera. The inverse of the Schur complement; held blocks have none. By Cramer and Rao no unbiased
+    camera. The inverse of the Schur complement; fixed blocks have none. By Cramer and Rao no unbiased
     estimate can be better than this.
 
     Args:
         problem: the problem.
         equations: the normal equations at the optimum, in standard deviations.
-        more: (S, S), what something else adds (see `considered_covariance`).
+        more: (S, S), another covariance to add (see `considered_covariance`).
     """
     inverse = np.linalg.inv(equations.schur)
     inverse = inverse if more is None else inverse + more
@@ -181,7 +181,7 @@ def covariances(problem: Problem, equations: NormalEquations, more: Array | None
 def determined_parameters(
     problem: Problem, values: Values, equations: NormalEquations, weighting: Weighting
 ) -> Mapping[NoiseKind, float]:
-    """How many of the parameters the labels of each kind have determined; they sum to all parameters.
+    """Return the number of parameters that the labels of each kind have determined; they sum to all parameters.
 
     A kind's share is ``trace(M C)`` over its views, with M the information of its labels on the view's
     pose and C that pose's covariance (W. Foerstner's redundancy numbers, 1979).
@@ -208,7 +208,7 @@ def determined_parameters(
 
 
 def _known_beforehand(problem: Problem, values: Values, equations: NormalEquations) -> float:
-    """How many of the shared parameters the priors have determined: the trace of their share of the information."""
+    """Return the number of shared parameters determined by the priors: the trace of their share of the information."""
     if not problem.has_priors:
         return 0.0
     covariance = np.linalg.inv(equations.schur)
@@ -221,10 +221,10 @@ def _known_beforehand(problem: Problem, values: Values, equations: NormalEquatio
 
 
 def considered_covariance(problem: Problem, values: Values, weighting: Weighting) -> Array | None:
-    """(S, S): what uncertain intrinsics that are not calibrated add to the covariance of the shared parameters.
+    """Return the covariance (S, S) of the shared parameters due to uncertain fixed intrinsics.
 
     None without any. Consider analysis (S. F. Schmidt, "Applications of state-space methods to navigation problems",
-    1966): the intrinsics stay as they are, but their errors, of covariance Sigma, move the optimum by
+    1966): the intrinsics are fixed, but their errors, of covariance Sigma, move the optimum by
     ``K = -H_xx^-1 H_xc`` times these errors, so the result's covariance grows by ``K Sigma K^T``. H is that of all
     shared parameters x and of the considered ones c, the local ones eliminated.
 
@@ -252,7 +252,7 @@ def considered_covariance(problem: Problem, values: Values, weighting: Weighting
 
 
 def _opened(block: Block) -> Block:
-    """The block with all parameters free that have a prior."""
+    """Return the block with all parameters free that have a prior."""
     intrinsics = block.intrinsics
     if intrinsics is None or intrinsics.prior is None:
         return block
@@ -262,7 +262,7 @@ def _opened(block: Block) -> Block:
 
 
 def _among(intrinsics: FreeIntrinsics, prior: Prior) -> Array:
-    """The prior's covariance among the free parameters (k, k); zero for those that it says nothing of."""
+    """Return the prior's covariance among the free parameters (k, k); zero for those without a prior."""
     n = len(intrinsics.camera.parameters)
     everything = np.zeros((n, n))
     everything[np.ix_(prior.at, prior.at)] = prior.covariance

@@ -1,4 +1,4 @@
-"""From a start to the optimum: weights that fit the residuals, patterns that are not flipped."""
+"""Optimisation from an initial guess: noise levels that match the residuals, correction of flipped patterns."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
@@ -20,10 +20,10 @@ from calibration.geometry.transforms import inverse
 from calibration.geometry.types import Array, BoolArray
 
 HUBER = 2.5
-"""Threshold of the robust loss in standard deviations: 4 % of good corners lie beyond, which costs about
-1 % of accuracy, and what lies far beyond pulls no harder than they do."""
+"""Threshold of Huber's loss in standard deviations: 4 % of good corners exceed it, which costs about
+1 % of accuracy, and the influence of outliers is limited to that at the threshold."""
 SETTLED = 1e-8
-"""Relative change of the standard deviations at which the weights are settled."""
+"""Relative change of the standard deviations below which the weights have converged."""
 NEARLY_SETTLED = 1e-3
 """The same at which it is worth asking how many parameters each kind of label determines."""
 ROUNDS = 30
@@ -34,12 +34,12 @@ FEW = 100
 
 @dataclass(frozen=True, eq=False)
 class WeightedOptimum:
-    """The optimum, and the weights for which it is one."""
+    """Optimum, with its weights."""
 
     optimum: Optimum
     weighting: Weighting
     parameters: Mapping[NoiseKind, float]
-    """How many parameters each kind of label has determined."""
+    """Number of parameters that each kind of label has determined."""
 
 
 def optimise(problem: Problem, values: Values, levels: NoiseLevels, robust: bool) -> WeightedOptimum:
@@ -118,26 +118,26 @@ def _plain(problem: Problem, values: Values, scales: dict[NoiseKind, float], est
 
 
 def _rescaled(equations: NormalEquations, factor: float) -> NormalEquations:
-    """The equations of residuals that are ``factor`` times as large, without a pass over the labels."""
+    """Return the equations of residuals multiplied by ``factor``, without a pass over the labels."""
     numbers = (getattr(equations, each.name) for each in fields(equations))
     return NormalEquations(*(each * (factor * factor) for each in numbers))
 
 
 SUSPICIOUS = 1.5
-"""Collections whose cost per residual is greater than this times the median are tried with the pattern flipped."""
+"""Collections whose cost per residual exceeds this multiple of the median are tried with the pattern flipped."""
 AMBIGUOUS = 4.0
-"""So are collections whose labels, seen by whichever camera, would miss by less than this on average (squared, in
-standard deviations) if the pattern were mirrored for that camera: few and far ones."""
+"""So are collections whose labels, for every camera, would have residuals below this on average (squared, in
+standard deviations) if the pattern were mirrored for that camera: few and distant ones."""
 BETTER = 0.1
-"""A flipped pose lowers its collection's cost by so much (and by 1 %): less is rounding, as with exact labels."""
+"""Minimum decrease of its collection's cost by a flipped pose (and 1 %): less is rounding error."""
 
 
 def unflipped(problem: Problem, values: Values, weighting: Weighting, cost: Array) -> tuple[Values, BoolArray]:
-    """Moving patterns, or bases, that sit in the mirrored pose put right, the shared blocks held.
+    """Correct moving patterns, or bases, that are in the mirrored pose, with the shared blocks fixed.
 
-    A planar pattern has nearly the same image in two poses; a solver that starts on the wrong side
-    stays there, and the other collections bend to it. So collections that fit badly, or where both poses
-    could be meant, are solved again from the mirror image of their pattern in each camera, made by what
+    A planar pattern has nearly the same image in two poses; a solver that starts near the wrong one
+    stays there, and distorts the other collections. So collections that fit badly, or in which both poses
+    are possible, are solved again from the mirrored pose of their pattern in each camera, by the block that
     moves in its chain.
 
     Args:
@@ -147,7 +147,7 @@ def unflipped(problem: Problem, values: Values, weighting: Weighting, cost: Arra
         cost: (N,), the cost of each collection there.
 
     Returns:
-        The values with the better poses, and which collections (N,) had been flipped.
+        The values with the better poses, and a mask (N,) of the collections that had been flipped.
     """
     expected = np.zeros(problem.collections)
     for group in problem.groups:
@@ -173,7 +173,7 @@ def unflipped(problem: Problem, values: Values, weighting: Weighting, cost: Arra
 
 
 def _ambiguous(problem: Problem, values: Values, weighting: Weighting) -> BoolArray:
-    """The collections (N,) in which every camera sees nearly the same when the pattern is mirrored for it."""
+    """Return a mask (N,) of collections where every camera sees nearly the same if the pattern is mirrored for it."""
     worst = np.zeros(problem.collections)
     seen = np.zeros(problem.collections, bool)
     for group in problem.groups:
@@ -189,7 +189,7 @@ def _ambiguous(problem: Problem, values: Values, weighting: Weighting) -> BoolAr
 
 
 def _mirrored(problem: Problem, group: ViewGroup, values: Values) -> Values | None:
-    """The values with what moves in a group's chain put such that the pattern is mirrored in each of its views."""
+    """Set the moving block in a group's chain such that the pattern is mirrored in each of its views."""
     moving = [k for k, link in enumerate(group.chain.links) if link.block in problem.local]
     if len(moving) != 1:
         return None

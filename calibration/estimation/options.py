@@ -18,15 +18,15 @@ def _assumed(found: Literal["exact"] | Assumptions, _: Place) -> Assumptions:
 
 
 OF_INTRINSICS = ("focal_length", "aspect", "principal_point", "distortion")
-"""What is assumed of intrinsics that are held."""
+"""Assumptions on fixed intrinsics."""
 Start = Literal["linear", "given"]
-"""The engine's own linear start, or the noisy guess."""
+"""Linear initial guess of the engine, or the noisy given one."""
 Loss = Literal["huber", "linear"]
 Description = Literal["trusted", "rough"]
-"""How much the dataset's own transforms say about where the sensors are."""
+"""Reliability of the dataset's own transforms."""
 Names = Annotated[tuple[Annotated[str, length(1, 400)], ...], length(most=1000), UNIQUE]
 KnownIntrinsics = Path | Mapping[str, CalibratedIntrinsics]
-"""A file, or what it says, by camera."""
+"""A file, or its content, by camera."""
 
 
 @record
@@ -52,7 +52,7 @@ class Options:
         option="Robust, or plain least squares (huber).",
     )
     noise_levels: NoiseLevels = dataclasses.field(default_factory=NoiseLevels)
-    """Standard deviations of the labels; those not given are estimated."""
+    """Standard deviations of the labels; others are estimated."""
     pose_noise: PoseNoise | None = field(
         "How exactly poses of patterns were measured, where it is known; else the residuals tell.",
         default=None,
@@ -90,10 +90,10 @@ class Options:
     )
 
     def __post_init__(self) -> None:
-        """Refuse to assume what is calibrated, or known otherwise.
+        """Refuse assumptions on calibrated or known parameters.
 
         Raises:
-            Misfit: all intrinsics are calibrated, but ``assume`` says how well they are known.
+            Misfit: all intrinsics are calibrated, but ``assume`` has their standard deviations.
         """
         free = set(self.intrinsics) == {"all"} and not any(name.startswith("intrinsics-") for name in self.hold)
         given = [name for name in OF_INTRINSICS if getattr(self.assume, name) != getattr(Assumptions(), name)]
@@ -104,17 +104,17 @@ class Options:
             )
 
     def known_noise(self) -> NoiseLevels:
-        """Standard deviations of the labels that are not to be estimated."""
+        """Standard deviations of the labels that are not estimated."""
         if self.pose_noise is None:
             return self.noise_levels
         mm, deg = self.pose_noise.mm, self.pose_noise.deg
         return dataclasses.replace(self.noise_levels, pose_translation=1e-3 * mm, pose_rotation=math.radians(deg))
 
     def known_intrinsics(self) -> Mapping[str, CalibratedIntrinsics]:
-        """How well intrinsics are known beforehand, by camera.
+        """Prior intrinsics with covariance, by camera.
 
         Raises:
-            InputError: the file cannot be read, or is none.
+            InputError: the file cannot be read, or is invalid.
         """
         known = self.intrinsics_covariance
         return read_intrinsics(known) if isinstance(known, Path) else known or {}

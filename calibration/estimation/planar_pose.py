@@ -1,7 +1,7 @@
-"""Where a planar pattern stands in front of a camera, from one view; all views at once.
+"""Pose of a planar pattern in a camera's frame, from one view by a linear method; all views at once.
 
 Rays are undistorted normalised image coordinates in structure-of-arrays form, (V, 2, K): V views, x
-and y, K corners (`calibration.geometry.cameras.Camera.normalise` gives them). What stands where a
+and y, K corners (`calibration.geometry.cameras.Camera.normalise` gives them). The values of
 view has not seen a corner does not matter, NaN included. A view whose seen corners cannot give a
 pose gets NaN.
 """
@@ -18,7 +18,7 @@ _FLAT = 1e-7  # ratio of the eigenvalues of a 2x2 moment matrix below which it c
 
 
 def planar_poses(rays: Array, corners: Array, seen: BoolArray | None = None) -> Array:
-    """The poses ``T_camera_pattern`` by the linear homography of each view.
+    """Estimate the poses ``T_camera_pattern`` by the linear homography of each view.
 
     A homography maps the pattern's (1, q1, q2) to the image by ``x h3 = h1``, ``y h3 = h2``. It is
     scaled such that the centre of the seen corners has depth 1, so it lies in front of the camera:
@@ -78,7 +78,7 @@ def _planar_poses(rays: Array, corners: Array, seen: BoolArray | None) -> Array:
         h12 = np.einsum("vi,vijk->vjk", h3, fits) + middle[..., None] * h3[:, None]
         H = np.concatenate([h12, h3[:, None]], 1)  # columns for 1, q1, q2
 
-        B = H[..., 1:] @ (W / size)  # columns for metres
+        B = H[..., 1:] @ (W / size)  # columns in metres
         S = B.swapaxes(-1, -2) @ B
         root = _inverse_sqrt(S)
         R = np.empty((len(rays), 3, 3))
@@ -112,7 +112,7 @@ def _in_two_directions(to_basis: Array, monomials: Array, weights: Array) -> Boo
 
 
 def _inverse_sqrt(S: Array) -> Array:
-    """``S^(-1/2)`` of symmetric positive definite 2x2 matrices, in closed form."""
+    """Compute ``S^(-1/2)`` of symmetric positive definite 2x2 matrices, in closed form."""
     a, b, c = S[..., 0, 0], S[..., 0, 1], S[..., 1, 1]
     s = np.sqrt(np.maximum(a * c - b * b, 0.0))
     t = np.sqrt(a + c + 2 * s)
@@ -132,14 +132,14 @@ def _solve2(S: Array, r: Array) -> Array:
 
 
 def _regular(S: Array) -> BoolArray:
-    """Which symmetric 2x2 matrices are finite and not nearly singular."""
+    """Return a mask of the symmetric 2x2 matrices that are finite and not nearly singular."""
     a, b, c = S[..., 0, 0], S[..., 0, 1], S[..., 1, 1]
     regular: BoolArray = a * c - b * b > _FLAT * (a + c) ** 2
     return regular
 
 
 def mirrored_poses(T: Array, centre: Array) -> Array:
-    """The other pose in which each planar pattern looks nearly the same.
+    """Return the mirrored pose in which each planar pattern looks nearly the same.
 
     Far away, a plane and its reflection in the image plane through its centre have one image: the
     normal turns half a revolution about the line of sight to the centre. Least squares from there
@@ -148,7 +148,7 @@ def mirrored_poses(T: Array, centre: Array) -> Array:
 
     Args:
         T: (V, 4, 4), ``T_camera_pattern``.
-        centre: (3,), a point of the pattern that keeps its place, in the pattern's frame.
+        centre: (3,), the fixed point of the mirroring, in the pattern's frame.
     """
     p = apply(T, centre[None])[:, 0]
     v = p / np.linalg.norm(p, axis=-1, keepdims=True)
@@ -158,7 +158,7 @@ def mirrored_poses(T: Array, centre: Array) -> Array:
 
 
 def mean_pose(T: Array, weights: ArrayLike | None = None) -> Array:
-    """A mean of poses (n, 4, 4) that outliers hardly move.
+    """Return a robust mean of poses (n, 4, 4).
 
     The rotation minimises the sum of chordal distances (not squared; iteratively reweighted from
     the least-squares mean: R. Hartley et al., "L1 rotation averaging using the Weiszfeld algorithm",
@@ -181,10 +181,10 @@ def mean_pose(T: Array, weights: ArrayLike | None = None) -> Array:
 
 
 def _median(values: Array, weights: Array) -> Array:
-    """The weighted median of each column of (n, d); midway between two values where they tie."""
+    """Weighted median of each column of (n, d); the mean of two values if they tie."""
     order = values.argsort(0, kind="stable")
     ranked, share = np.take_along_axis(values, order, 0), weights[order].cumsum(0) / weights.sum()
     low = (share > 0.5 - 1e-12).argmax(0)
-    high = (share > 0.5 + 1e-12).argmax(0)  # another one where `low` holds exactly one half
+    high = (share > 0.5 + 1e-12).argmax(0)  # another one where `low` has exactly one half
     median: Array = 0.5 * (np.take_along_axis(ranked, low[None], 0) + np.take_along_axis(ranked, high[None], 0))[0]
     return median

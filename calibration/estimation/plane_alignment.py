@@ -1,4 +1,9 @@
-"""Transforms from planes: a LiDAR or a depth camera sees planes whose place in the world is known."""
+"""Extrinsics from planes at known poses, for LiDARs and depth cameras.
+
+Each view of the pattern gives a plane ``n . x = d`` in the sensor's frame. Rotation and translation are
+solved separately, the rotation from the normals and the translation from the distances (R. Unnikrishnan and M. Hebert,
+"Fast extrinsic calibration of a laser rangefinder to a camera", 2005).
+"""
 
 import numpy as np
 
@@ -9,11 +14,11 @@ from calibration.geometry.types import Array, BoolArray
 
 
 def fit_planes(points: Array, present: BoolArray) -> tuple[Array, Array]:
-    """Least-squares planes of views of points.
+    """Fit least-squares planes to views of points.
 
     Args:
         points: (V, 3, L), in the sensor's frame, m.
-        present: (V, L), which of them exist.
+        present: (V, L), mask of valid ones.
 
     Returns:
         Unit normals (V, 3), pointing away from the sensor, and distances (V,) from its origin, m.
@@ -29,19 +34,23 @@ def fit_planes(points: Array, present: BoolArray) -> tuple[Array, Array]:
 
 
 def align_planes(normals: Array, offsets: Array, before: Array, after: Array, guess: Array) -> Array:
-    """The transform X for which the pattern's planes, seen through ``before @ X @ after``, are the measured ones.
+    """Solve for the transform X that maps the pattern's planes, through ``before @ X @ after``, to the measured ones.
 
-    The rotation aligns the normals (orthogonal Procrustes), the translation the distances (linear
-    least squares); both are reweighted a few times, so that single views with a flipped pattern do
-    not count. A LiDAR mostly sees the same side of the pattern as the cameras do; if the guess says
-    otherwise and fits better, it is followed. Translations that the planes leave open are the guess's.
+    With the pattern's normal m and centre p in X's child frame, and a measured plane (n, d) in its parent frame::
+
+        R m = n               orthogonal Procrustes for R
+        n . (R p + t) = d     linear least squares for t
+
+    Both are iteratively reweighted, so that single views with a flipped pattern have no effect. A LiDAR mostly sees the
+    same side of the pattern as the cameras; if the guess implies the other side and fits better, that is used.
+    Directions of t that the planes do not determine are taken from the guess.
 
     Args:
         normals: (V, 3), measured, in the sensor's frame, pointing away from it.
         offsets: (V,), measured distances, m.
         before: (V, 4, 4), sensor to X's parent.
         after: (V, 4, 4), X's child to the pattern.
-        guess: (4, 4), of X.
+        guess: (4, 4), initial guess of X.
     """
     back = inverse(before)
     n = np.einsum("vij,vj->vi", back[:, :3, :3], normals)  # the planes in X's parent frame
@@ -53,7 +62,7 @@ def align_planes(normals: Array, offsets: Array, before: Array, after: Array, gu
 
 
 def _aligned(n: Array, d: Array, m: Array, p: Array, guess: Array) -> tuple[Array, float]:
-    """X with ``R m = n`` and ``n . (R p + t) = d``, and the median misfit of the planes (m)."""
+    """Solve for X with ``R m = n`` and ``n . (R p + t) = d``; return it with the median misfit of the planes (m)."""
     weight = np.ones(len(n))
     for _ in range(5):
         R = rotations.nearest(np.einsum("v,vi,vj->ij", weight, n, m))

@@ -1,4 +1,4 @@
-"""What is unknown, and all views that depend on it: blocks, and groups of views over N collections."""
+"""Least-squares problem: blocks of unknowns, and groups of views over N collections."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -18,28 +18,28 @@ class Problem:
     """Blocks and groups of views over N collections."""
 
     blocks: tuple[Block, ...]
-    """Those of transforms first, then those of intrinsics."""
+    """Blocks of transforms first, then those of intrinsics."""
     groups: tuple[ViewGroup, ...]
     collections: int
 
     @cached_property
     def shared(self) -> list[int]:
-        """The free blocks that all collections share."""
+        """Free blocks that all collections share."""
         return [i for i, b in enumerate(self.blocks) if not b.held and not b.per_collection]
 
     @cached_property
     def local(self) -> list[int]:
-        """The free blocks that each collection has its own of."""
+        """Free blocks with a value per collection."""
         return [i for i, b in enumerate(self.blocks) if not b.held and b.per_collection]
 
     @cached_property
     def shared_parameters(self) -> dict[int, slice]:
-        """Where the parameters of each shared block stand among those of all shared blocks."""
+        """Parameters of each shared block among those of all shared blocks."""
         return self._placed(self.shared)
 
     @cached_property
     def local_parameters(self) -> dict[int, slice]:
-        """Where the parameters of each local block stand among those of all local blocks of a collection."""
+        """Parameters of each local block among those of all local blocks of a collection."""
         return self._placed(self.local)
 
     def _placed(self, blocks: list[int]) -> dict[int, slice]:
@@ -48,32 +48,32 @@ class Problem:
 
     @cached_property
     def sizes(self) -> tuple[int, int]:
-        """S and P: how many parameters all collections share, and how many each has its own of."""
+        """S and P: numbers of shared parameters, and of local parameters per collection."""
         dimensions = [[self.blocks[i].dimension for i in blocks] for blocks in (self.shared, self.local)]
         return sum(dimensions[0]), sum(dimensions[1])
 
     def units(self, size: float) -> Array:
-        """(S,): what counts as one of each shared parameter: for lengths ``size`` (m), for angles 1 rad."""
+        """Unit (S,) of each shared parameter: ``size`` (m) for lengths, 1 rad for angles."""
         motions = (motion for i in self.shared for motion in self.blocks[i].parameters.motions(size))
         return np.concatenate([np.full(motion.length, motion.unit) for motion in motions])
 
     @cached_property
     def batches(self) -> tuple[Batch, ...]:
-        """All views, in the parts in which they are evaluated."""
+        """All views, in the batches of their evaluation."""
         return batches(self.blocks, self.groups, self.collections, self.shared_parameters, self.local_parameters)
 
     @property
     def residuals(self) -> int:
-        """How many residuals all labels make."""
+        """Number of residuals of all labels."""
         return sum(int(term.counts.sum()) * term.dimension for group in self.groups for term in group.terms)
 
     def seen_in(self, which: BoolArray) -> "Problem":
-        """The problem with only the views of some of its collections (N,)."""
+        """Return the problem with only the views of some of its collections (N,)."""
         groups = (group.take(np.flatnonzero(which[group.collections])) for group in self.groups)
         return replace(self, groups=tuple(group for group in groups if len(group.collections)))
 
     def collections_with(self, block: int) -> BoolArray:
-        """(N,): the collections that have a view which depends on the transform of a block."""
+        """Return a mask (N,) of the collections with a view that depends on the transform of a block."""
         seen = np.zeros(self.collections, bool)
         for group in self.groups:
             if any(link.block == block for link in group.chain.links):
@@ -82,11 +82,11 @@ class Problem:
 
     @property
     def has_priors(self) -> bool:
-        """Whether anything is known beforehand of what is free."""
+        """Whether any free parameter has a prior."""
         return any(b.intrinsics is not None and b.intrinsics.prior is not None and not b.held for b in self.blocks)
 
     def terms(self, views: ViewGroup | Batch, values: Values) -> tuple[Term, ...]:
-        """The terms of a group or a batch with the intrinsics that its camera has at some values."""
+        """Return the terms of a group or a batch with its camera's intrinsics at given values."""
         block = views.intrinsics
         if block is None or self.blocks[block].held or (intrinsics := self.blocks[block].intrinsics) is None:
             return views.terms
@@ -94,19 +94,19 @@ class Problem:
         return tuple(term.seen_with(camera, intrinsics.at) for term in views.terms)
 
     def intrinsics_at(self, batch: Batch) -> slice:
-        """Where the free intrinsics that a batch depends on stand among the shared parameters; empty without any."""
+        """Return the free intrinsics of a batch among the shared parameters; empty without any."""
         return slice(0, 0) if batch.intrinsics is None else self.shared_parameters[batch.intrinsics]
 
     def poses(self, group: ViewGroup, values: Values) -> Array:
-        """``T_sensor_pattern`` (V, 4, 4) of all views of a group."""
+        """Return ``T_sensor_pattern`` (V, 4, 4) of all views of a group."""
         return group.chain.poses(self.transforms(values), group.collections)
 
     def transforms(self, values: Sequence[Array]) -> list[Array]:
-        """The transform of each block, (4, 4) or (N, 4, 4), those of joints among them."""
+        """Return the transform of each block, (4, 4) or (N, 4, 4), including those of joints."""
         return [block.pose(value) for block, value in zip(self.blocks, values, strict=True)]
 
     def moved(self, values: Values, shared: Array, local: Array) -> Values:
-        """The values after a step of all S shared parameters (S,) and the P local ones of each collection (N, P)."""
+        """Return the values after a step of the shared parameters (S,) and the local ones of each collection (N, P)."""
         out = list(values)
         steps = [(i, values[i][None], shared[None, at]) for i, at in self.shared_parameters.items()]
         steps += [(i, values[i], local[:, at]) for i, at in self.local_parameters.items()]
@@ -114,7 +114,7 @@ class Problem:
         for i, value, step in steps:
             if not isinstance(self.blocks[i].parameters, Pose):
                 out[i] = self.blocks[i].parameters.moved(value[0], step[0])
-        if poses:  # all at once: few numbers each
+        if poses:  # all at once: they are small arrays
             moved = retract(np.concatenate([T for _, T, _ in poses]), np.concatenate([step for _, _, step in poses]))
             start = 0
             for i, T, _ in poses:

@@ -1,4 +1,4 @@
-"""Collections that repeat another one: the same poses of robot and pattern, within the noise of the labels."""
+"""Detection of repeated collections: the same poses of robot and pattern, within the noise of the labels."""
 
 from collections.abc import Sequence
 
@@ -9,19 +9,19 @@ from calibration.geometry.transforms import apply, distance
 from calibration.geometry.types import Array, BoolArray, IntArray
 
 NEAR = 2.0
-"""A pattern that appears nearer than this to where it was (in standard deviations of the labels) has not moved,"""
+"""Distance, in standard deviations of the labels, within which a pattern has not moved,"""
 NEAR_PIXELS, NEAR_METRES = 0.3, 0.005
-"""nor has one that appears nearer than this to a camera, or to another sensor."""
+"""and distance in a camera's view (px), and for other sensors (m)."""
 STILL = 1e-3
-"""A transform that differs by less (m, rad) is of a robot that has not moved."""
+"""m, rad: tolerance of a transform of a robot that has not moved."""
 
 
 def repeated_collections(dataset: Dataset, pixel: float | None) -> IntArray:
-    """The cluster (N,) of each collection: the index of the first one that it repeats, or its own.
+    """Return the cluster (N,) of each collection: the index of the first one that it repeats, or its own.
 
-    A collection repeats an earlier one where every sensor that saw a pattern in both has it in the same place, and the
-    transforms between the sensors and fixed patterns are the same. Its labels tell their noise and little else, so in
-    the number of independent collections a cluster counts once.
+    A collection repeats an earlier one if every sensor that saw a pattern in both has it at the same pose, and the
+    transforms between the sensors and fixed patterns are the same. Its labels have new noise but hardly any new
+    information, so a cluster counts as one independent collection.
 
     Args:
         dataset: calibrated, so that patterns have their poses.
@@ -73,7 +73,7 @@ def _candidates(view: Array) -> tuple[IntArray, IntArray]:
 
 
 def _views(dataset: Dataset, pixels: float) -> list[Array]:
-    """Where each sensor has the corners of each pattern's border (N, 8 or 12), in what counts as near; NaN unseen."""
+    """Return the border's corners of each pattern in each sensor (N, 8 or 12), in tolerances; NaN if unseen."""
     found = []
     for name, pattern in dataset.patterns.items():
         corners = np.column_stack([pattern.outline, np.zeros(len(pattern.outline))])
@@ -84,7 +84,7 @@ def _views(dataset: Dataset, pixels: float) -> list[Array]:
             T = dataset.with_collections(np.flatnonzero(at).tolist()).transform(sensor.frame, pattern.link)
             points = apply(T, corners)
             if sensor.camera and sensor.modality.has_corners:
-                z = np.maximum(points[..., 2:], 1e-3)  # the border may lie behind what the corners are before
+                z = np.maximum(points[..., 2:], 1e-3)  # the border may be behind the camera
                 focal = np.array([sensor.camera.fx, sensor.camera.fy])
                 near = focal * points[..., :2] / z / max(pixels, NEAR_PIXELS)
             else:
@@ -96,7 +96,7 @@ def _views(dataset: Dataset, pixels: float) -> list[Array]:
 
 
 def _seen(dataset: Dataset, pattern: str, sensor: str) -> BoolArray:
-    """The collections (N,) in which a sensor saw a pattern that has a pose there."""
+    """Return a mask (N,) of the collections in which a sensor saw a pattern that has a pose there."""
     board = dataset.patterns[pattern]
     seen = np.zeros(len(dataset.collections), bool)
     seen[[i for i, _ in dataset.detections(pattern, sensor)]] = True
@@ -105,7 +105,7 @@ def _seen(dataset: Dataset, pattern: str, sensor: str) -> BoolArray:
 
 
 def _moving(dataset: Dataset) -> list[Array]:
-    """The transforms (N, 4, 4) between sensors and fixed patterns that are not the same in all collections."""
+    """Return the transforms (N, 4, 4) between sensors and fixed patterns that differ between collections."""
     edges = {
         (step.parent, step.child)
         for pattern in dataset.patterns.values()

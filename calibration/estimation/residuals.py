@@ -1,10 +1,10 @@
-"""The labels of a view against its pose: squeezed to a 6x6 matrix and a 6-vector.
+"""Residuals of a view's labels, with their Jacobians reduced to a 6x6 matrix and a 6-vector.
 
 Every label of a view depends on one rigid pose ``T_sensor_pattern``. So its residuals are
-differentiated with respect to a twist of that pose in the *sensor's* frame, once, and only the
+differentiated by a twist of that pose in the *sensor's* frame, once, and only the
 Hessian ``J^T J`` (6x6), the gradient ``J^T r`` (6) and the cost leave this module, whatever the
-chain behind the pose. Intrinsics of a camera that are unknown too are further columns of the same rows.
-Points are handled as structure of arrays, and views in chunks whose temporaries stay in the processor's cache.
+chain behind the pose. Free intrinsics of a camera are further columns of the same rows.
+Points are stored as structure of arrays, and processed in chunks of views that fit into the processor's cache.
 """
 
 import math
@@ -24,7 +24,7 @@ from calibration.geometry.distortion import LAST_STEP
 from calibration.geometry.types import Array, BoolArray, IntArray
 
 CHUNK = 6400
-"""Labels at a time: the rows of 128 views of 50 corners stay in a second-level cache."""
+"""Labels per chunk: the rows of 128 views of 50 corners fit into a second-level cache."""
 
 ROUGH_STEP = 1e-3
 """Where `calibration.geometry.distortion.Distortion.undistort` may stop for a start: the rays err by 1e-6."""
@@ -32,13 +32,13 @@ Linearised = tuple[Array, Array, Array]
 
 
 class _Scratch(threading.local):
-    """Memory for the rows of one chunk, kept by each thread: to be given fresh pages costs more than to fill them."""
+    """Memory for the rows of one chunk, reused by each thread: allocating fresh pages costs more than filling them."""
 
     def __init__(self) -> None:
         self._numbers = np.empty(0)
 
     def rows(self, *shape: int) -> Array:
-        """An array of any content, until the next one is asked for."""
+        """Return an array with arbitrary content, valid until the next call."""
         size = math.prod(shape)
         if len(self._numbers) < size:
             self._numbers = np.empty(size)
@@ -50,25 +50,25 @@ _SCRATCH = _Scratch()
 
 @dataclass(frozen=True, eq=False)
 class CornerTerm:
-    """Corners of a pattern in the images of a camera: reprojection errors in pixels."""
+    """Corners of a pattern in a camera's images: reprojection errors in pixels."""
 
     camera: Camera
-    """Of `side_by_side`, its numbers are arrays (V, 1), one for each view."""
+    """After `side_by_side`, its numbers are arrays (V, 1), one for each view."""
     corners: Array
-    """(K, 3): about the pattern's centre; (V, K, 3) where views are of several patterns."""
+    """(K, 3): relative to the pattern's centre; (V, K, 3) if views are of several patterns."""
     pixels: Array
-    """(V, 2, K): structure of arrays; anything where a corner is not seen."""
+    """(V, 2, K): structure of arrays; arbitrary where a corner is not seen."""
     seen: BoolArray | None
-    """(V, K); None when every view sees every corner."""
+    """(V, K); None if every view sees every corner."""
 
     free: tuple[int, ...] = ()
-    """The intrinsics that are unknown, by their places in `Camera.intrinsics`."""
+    """Free intrinsics, by their indices in `Camera.intrinsics`."""
     kind: NoiseKind = "pixel"
     dimension: int = 2
 
     @cached_property
     def counts(self) -> IntArray:
-        """(V,): corners seen in each view."""
+        """(V,): number of corners seen in each view."""
         V, _, K = self.pixels.shape
         return np.full(V, K) if self.seen is None else np.asarray(np.count_nonzero(self.seen, axis=-1))
 
@@ -79,7 +79,7 @@ class CornerTerm:
 
     @property
     def rays(self) -> Array:
-        """(V, 2, K): the labels as undistorted normalised coordinates."""
+        """(V, 2, K): labels as undistorted normalised coordinates."""
         return self._rays(slice(None), LAST_STEP)
 
     def _rays(self, views: slice, step: float) -> Array:
@@ -101,7 +101,7 @@ class CornerTerm:
         return T
 
     def take(self, views: IntArray | slice) -> "CornerTerm":
-        """Only some of the views."""
+        """Return the term of only some of the views."""
         return replace(self, pixels=self.pixels[views], seen=None if self.seen is None else self.seen[views])
 
     def seen_with(self, camera: Camera, free: Sequence[int]) -> "CornerTerm":
@@ -132,7 +132,7 @@ class CornerTerm:
         return np.broadcast_to(np.swapaxes(self.corners, -1, -2), (len(T), 3, self.pixels.shape[-1]))
 
     def magnitudes(self, T: Array) -> Array:
-        """(V, K): distance from each label to the projected corner (px); NaN where not seen or behind."""
+        """(V, K): distance from each label to the projected corner (px); NaN if not seen or behind."""
         out = np.empty((len(T), self.pixels.shape[-1]))
         for part in chunks(len(T), self.pixels.shape[-1]):
             seen = None if self.seen is None else self.seen[part]
@@ -144,7 +144,7 @@ class CornerTerm:
         return out if self.seen is None else np.where(self.seen, out, np.nan)
 
     def _normalised(self, T: Array, seen: BoolArray | None) -> tuple[Array, Array, Array, BoolArray]:
-        """Normalised coordinates x, y and inverse depth (v, K), and which lie in front of the camera."""
+        """Return normalised coordinates x, y and inverse depth (v, K), and a mask of points in front of the camera."""
         P = T[:, :3, :3] @ np.swapaxes(self.corners, -1, -2) + T[:, :3, 3:]
         z = P[:, 2]
         front = z > 1e-6
@@ -197,7 +197,7 @@ class CornerTerm:
         return cost
 
     def _intrinsics_rows(self, rows: Array, x: Array, y: Array, xd: Array, yd: Array, scale: float) -> None:
-        """Fill (v, m, 2, K) rows: the derivative of both image axes to each of the free intrinsics."""
+        """Fill (v, m, 2, K) rows: the derivative of both image axes by each of the free intrinsics."""
         fx, fy = self.camera.fx / scale, self.camera.fy / scale
         coefficients = self.camera.distortion.derivatives(x, y) if max(self.free) > 3 else []
         for k, parameter in enumerate(self.free):
@@ -215,7 +215,7 @@ class CornerTerm:
 
 
 def side_by_side(terms: Sequence[CornerTerm]) -> CornerTerm:
-    """Few views of several cameras and patterns as one term, to be linearised in one pass.
+    """Concatenate few views of several cameras and patterns to one term, to be linearised in one pass.
 
     Args:
         terms: of cameras with the same model of distortion; about `CHUNK` labels together.
@@ -239,7 +239,7 @@ def side_by_side(terms: Sequence[CornerTerm]) -> CornerTerm:
 
 
 def _camera_of_views(terms: Sequence[CornerTerm], counts: Sequence[int]) -> Camera:
-    """Several cameras as one whose numbers are arrays (V, 1)."""
+    """Return several cameras as one with arrays (V, 1) as its numbers."""
     numbers = np.repeat([term.camera.intrinsics for term in terms], counts, axis=0).T[..., None]
     model = type(terms[0].camera.distortion)
     fx, fy, cx, cy = numbers[:4]
@@ -247,7 +247,7 @@ def _camera_of_views(terms: Sequence[CornerTerm], counts: Sequence[int]) -> Came
 
 
 def _corners_of_views(terms: Sequence[CornerTerm], counts: Sequence[int], K: int) -> Array:
-    """(K, 3) where all patterns are alike, else (V, K, 3), filled up with zeros."""
+    """Return (K, 3) if all patterns are equal, else (V, K, 3), padded with zeros."""
     if all(np.array_equal(term.corners, terms[0].corners) for term in terms):
         return terms[0].corners
     filled = [np.pad(term.corners, ((0, K - len(term.corners)), (0, 0))) for term in terms]
@@ -264,9 +264,9 @@ def _corner_rows(
     inverse_z: Array,
     weight: Array | None,
 ) -> None:
-    """Fill the first six of (v, 7 + m, K) rows: the derivative of one image axis to the twist; the last: the residual.
+    """Fill (v, 7 + m, K) rows: the first six by the derivative of an image axis by the twist, the last by the residual.
 
-    (jx, jy) is its derivative to the normalised coordinates. For a point p moved by dt + dw x p:
+    (jx, jy) is its derivative by the normalised coordinates. For a point p moved by dt + dw x p:
     d/dp = (jx, jy, -(jx x + jy y)) / z, and d/dw = p x d/dp, in which z cancels.
     """
     if weight is not None:
@@ -286,9 +286,9 @@ class _Rays:
     """Rays to points on a pattern, one residual each."""
 
     rays: Array
-    """(V, 3, L): unit directions in the sensor's frame; anything where there is no point."""
+    """(V, 3, L): unit directions in the sensor's frame; arbitrary without a point."""
     ranges: Array
-    """(V, L): measured there, m."""
+    """(V, L): measured ranges, m."""
     present: BoolArray
     """(V, L)."""
 
@@ -296,7 +296,7 @@ class _Rays:
 
     @cached_property
     def counts(self) -> IntArray:
-        """(V,): points in each view."""
+        """(V,): number of points in each view."""
         return np.asarray(np.count_nonzero(self.present, axis=-1))
 
     @property
@@ -312,24 +312,24 @@ class _Rays:
 
     @property
     def points(self) -> Array:
-        """(V, 3, L): in the sensor's frame, m; anything where there is no point."""
+        """(V, 3, L): in the sensor's frame, m; arbitrary without a point."""
         return self.rays * self.ranges[:, None]
 
     def take(self, views: IntArray | slice) -> Self:
-        """Only some of the views."""
+        """Return the term of only some of the views."""
         return replace(self, rays=self.rays[views], ranges=self.ranges[views], present=self.present[views])
 
     def seen_with(self, camera: Camera, free: Sequence[int]) -> Self:
-        """See `calibration.estimation.views.Term`; what a depth camera measures is taken as points."""
+        """See `calibration.estimation.views.Term`; a depth camera's data are points, independent of intrinsics."""
         return self
 
 
 @dataclass(frozen=True, eq=False)
 class RangeTerm(_Rays):
-    """Points of a LiDAR or a depth camera on a pattern's plane: measured range minus that at which the ray meets it.
+    """Points of a LiDAR or a depth camera on a pattern's plane: measured range minus that of the ray's intersection.
 
-    The difference is taken along the ray, where these sensors err, so that one standard deviation holds at
-    every angle of incidence; for a ray that hardly meets the plane it is bounded (see `_Meeting`).
+    The difference is along the ray, the direction of these sensors' noise, so that one standard deviation holds at
+    every angle of incidence; for a grazing ray it is bounded (see `_Meeting`).
     """
 
     kind: NoiseKind = "range"
@@ -368,19 +368,19 @@ class RangeTerm(_Rays):
 
 @dataclass(frozen=True, eq=False)
 class BorderTerm(_Rays):
-    """Rays that graze a pattern's border: how far off the nearest border line they meet the pattern's plane.
+    """Rays to a pattern's border: distance of their intersections with the plane from the nearest border line.
 
-    Where the ray meets the plane follows from its direction alone, so the range noise stays out. The
-    rays point to where the border is *expected*: half a step of a LiDAR's scan, or half a pixel of a
+    The intersection depends on the ray's direction alone, so the range noise has no effect. The
+    rays point to the *expected* position of the border: half a step of a LiDAR's scan, or half a pixel of a
     depth camera, beyond the last point on the pattern (see `calibration.estimation.scan` and
-    `calibration.estimation.depth_border`). What is uncertain is the step, an angle: so the in-plane
-    distance is divided by the range, and one standard deviation holds for near and far.
+    `calibration.estimation.depth_border`). The uncertainty is within the step, an angle: so the in-plane
+    distance is divided by the range, and one standard deviation holds at every range.
     """
 
     normals: Array
     """(4, 2): outward unit normals of the border's lines, in the pattern's plane."""
     offsets: Array
-    """(4,): the lines are ``normal . (x, y) = offset``, about the pattern's centre, m."""
+    """(4,): the lines are ``normal . (x, y) = offset``, relative to the pattern's centre, m."""
     kind: NoiseKind = "border"
 
     def linearise(self, T: Array, scale: float, huber: float | None, squares: Array | None = None) -> Linearised:
@@ -413,7 +413,7 @@ class BorderTerm(_Rays):
         return _spread(rows, np.empty((len(T), 7 + spare, rows.shape[-1])))[:, :, None]
 
     def places(self, T: Array) -> Array:
-        """See `calibration.estimation.views.Term`; those on the nearest border line."""
+        """See `calibration.estimation.views.Term`; on the nearest border line."""
         hits = _Meeting(T, self.rays, self.ranges).hits
         signed, side = self._distances(T, hits)
         local = _in_pattern(T, hits)
@@ -423,7 +423,7 @@ class BorderTerm(_Rays):
     def _weighted_rows(
         self, T: Array, scale: float, huber: float | None, squares: Array | None = None
     ) -> tuple[Array, Array]:
-        """Cost (V,) and rows (V, 7, L), as `linearise` derives them."""
+        """Return cost (V,) and rows (V, 7, L), as derived in `linearise`."""
         meeting = _Meeting(T, self.rays, self.ranges)
         signed, side = self._distances(T, meeting.hits)
         m = np.einsum("vij,vlj->vil", T[:, :3, :2], self.normals[side])
@@ -441,12 +441,12 @@ class BorderTerm(_Rays):
         return _weighted(J, self.present, huber), J
 
     def magnitudes(self, T: Array) -> Array:
-        """(V, L): distance to the nearest border line over the range, rad; NaN where there is no ray."""
+        """(V, L): distance to the nearest border line over the range, rad; NaN without a ray."""
         signed, _ = self._distances(T, _Meeting(T, self.rays, self.ranges).hits)
         return np.where(self.present, np.abs(signed) / self.ranges, np.nan)
 
     def _distances(self, T: Array, points: Array) -> tuple[Array, IntArray]:
-        """Signed distance (V, L) of points (V, 3, L) to the nearest border line, positive outside; which."""
+        """Return the signed distance (V, L) of points (V, 3, L) to the nearest border line, positive outside; which."""
         local = np.swapaxes(T[:, :3, :2], 1, 2) @ (points - T[:, :3, 3:])
         signed = np.einsum("si,vil->vls", self.normals, local) - self.offsets
         side = np.abs(signed).argmin(-1)
@@ -455,9 +455,9 @@ class BorderTerm(_Rays):
 
 @dataclass(frozen=True, eq=False)
 class PoseTerm:
-    """Measured poses of a pattern: how far it is from there, or how far it is turned, along the sensor's axes.
+    """Measured poses of a pattern: difference of position, or of orientation, along the sensor's axes.
 
-    The two are terms of their own, since they err by different amounts.
+    The two are separate terms, since they have different noise.
     """
 
     measured: Array
@@ -476,7 +476,7 @@ class PoseTerm:
         return 1
 
     def take(self, views: IntArray | slice) -> Self:
-        """Only some of the views."""
+        """Return the term of only some of the views."""
         return replace(self, measured=self.measured[views])
 
     def seen_with(self, camera: Camera, free: Sequence[int]) -> Self:
@@ -499,7 +499,7 @@ class PoseTerm:
         return np.zeros((len(T), 3, 1))
 
     def magnitudes(self, T: Array) -> Array:
-        """(V, 1): the distance in m, or the angle in rad."""
+        """(V, 1): distance in m, or angle in rad."""
         norms: Array = np.linalg.norm(self._residuals(T), axis=-1, keepdims=True)
         return norms
 
@@ -529,44 +529,44 @@ class PoseTerm:
 
 
 GRAZING = 0.05
-"""Cosine of incidence below which a ray no longer says where it meets a plane (3 degrees)."""
+"""Cosine of incidence below which the intersection of a ray and a plane is unreliable (3 degrees)."""
 
 
 class _Meeting:
-    """Where rays meet the patterns' planes.
+    """Intersections of rays with the patterns' planes.
 
     Exactly, a ray at the height h over the plane, at its measured range, has ``h / cosine`` left to go.
-    That is unbounded for a ray along the plane, as a start far from the truth may have it; so 1 / cosine
-    is replaced by ``cosine / (cosine^2 + GRAZING^2)``, and where only its size matters by the root of
-    ``1 / (cosine^2 + GRAZING^2)``: the same for all other rays, and smooth and finite for every pose.
+    That is unbounded for a ray along the plane, as with a bad initial guess; so 1 / cosine
+    is replaced by ``cosine / (cosine^2 + GRAZING^2)``, and where only its magnitude matters by the root of
+    ``1 / (cosine^2 + GRAZING^2)``: nearly equal for all other rays, and smooth and finite for every pose.
     """
 
     def __init__(self, T: Array, rays: Array, ranges: Array) -> None:
         self.rays = rays
         self.ranges = ranges
         self.n = T[:, :3, 2, None]
-        """(v, 3, 1): the plane's normal in the sensor's frame."""
+        """(v, 3, 1): normal of the plane in the sensor's frame."""
         self.cosine = (T[:, None, :3, 2] @ rays)[:, 0]
         """(v, L)."""
         self.height = ranges * self.cosine - (T[:, :3, 2] * T[:, :3, 3]).sum(-1)[:, None]
-        """(v, L): of the measured point over the plane, m; of the cosine's sign where it lies behind."""
+        """(v, L): height of the measured point over the plane, m; with the cosine's sign for points behind it."""
         self.slope = 1.0 / np.sqrt(self.cosine * self.cosine + GRAZING**2)
-        """(v, L): hardly less than 1 / |cosine|."""
+        """(v, L): slightly less than 1 / |cosine|."""
 
     @cached_property
     def hits(self) -> Array:
-        """(v, 3, L): where the rays meet the plane."""
+        """(v, 3, L): intersections of the rays with the plane."""
         hits: Array = (self.ranges - self.height * self.cosine * self.slope**2)[:, None] * self.rays
         return hits
 
     @cached_property
     def d_cosine(self) -> Array:
-        """(v, 3, L): the derivative of the cosine to a rotation of the plane, ``n x ray``."""
+        """(v, 3, L): derivative of the cosine by a rotation of the plane, ``n x ray``."""
         return _cross(self.n, self.rays)
 
 
 def robust(squared: Array, huber: float | None) -> tuple[Array, Array | None]:
-    """Cost (v,) of squared, normalised residuals (v, L), and the square root of their weights.
+    """Return the cost (v,) of squared, normalised residuals (v, L), and the square root of their weights.
 
     Huber's loss: squared up to the threshold k, ``2 k e - k^2`` beyond it; its weight there is k / e.
     """
@@ -582,19 +582,19 @@ def robust(squared: Array, huber: float | None) -> tuple[Array, Array | None]:
 
 
 def _cross(a: Array, b: Array) -> Array:
-    """The cross product of vectors (v, 3, L)."""
+    """Cross product of vectors (v, 3, L)."""
     (a0, a1, a2), (b0, b1, b2) = np.moveaxis(a, 1, 0), np.moveaxis(b, 1, 0)
     return np.stack([a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0], 1)
 
 
 def _in_pattern(T: Array, points: Array) -> Array:
-    """Points (V, 3, L) of the sensor's frame in the pattern's, about its centre."""
+    """Transform points (V, 3, L) from the sensor's frame to the pattern's, at its centre."""
     local: Array = np.swapaxes(T[:, :3, :3], 1, 2) @ (points - T[:, :3, 3:])
     return local
 
 
 def _range_rows(meeting: _Meeting, present: BoolArray, scale: float, huber: float | None) -> tuple[Array, Array]:
-    """Cost (v,) and weighted rows (v, 7, L) of ranges; the rows stay until the next call.
+    """Return cost (v,) and weighted rows (v, 7, L) of ranges; the rows are valid until the next call.
 
     The plane's height under a point p changes by ``-n . (dt + dw x p)``, the cosine by ``(n x ray) . dw``.
     """
@@ -631,7 +631,7 @@ def _range_products(meeting: _Meeting, present: BoolArray, scale: float, huber: 
 
 
 def _weighted(rows: Array, present: BoolArray, huber: float | None) -> Array:
-    """Cost (v,) of rows (v, 7, L), six of the Jacobian and the residual, which are multiplied by their weights."""
+    """Multiply rows (v, 7, L), six of the Jacobian and the residual, by their weights, and return the cost (v,)."""
     rows[:, 6] = np.where(present, rows[:, 6], 0.0)
     cost, weight = robust(rows[:, 6] ** 2, huber)
     rows *= (present if weight is None else present * weight)[:, None]
@@ -645,13 +645,13 @@ def _spread(rows: Array, out: Array) -> Array:
 
 
 def _squeezed(rows: Array) -> tuple[Array, Array]:
-    """Hessian (v, p, p) and gradient (v, p) of weighted rows (v, p + 1, n): the Jacobian's, and the residual."""
+    """Return Hessian (v, p, p) and gradient (v, p) of weighted rows (v, p + 1, n): the Jacobian's, and the residual."""
     G = rows @ rows.transpose(0, 2, 1)
     return G[:, :-1, :-1], G[:, :-1, -1]
 
 
 def chunks(views: int, labels: int) -> Iterator[slice]:
-    """Parts of the views with about `CHUNK` labels each, at least one view."""
+    """Yield parts of the views with about `CHUNK` labels each, at least one view."""
     step = max(1, CHUNK // max(1, labels))
     for start in range(0, views, step):
         yield slice(start, min(start + step, views))

@@ -1,4 +1,4 @@
-"""What a calibration says: transforms, how sure they are, what is left of the residuals."""
+"""Result of a calibration: transforms, covariances, residuals."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -26,21 +26,21 @@ from calibration.records import record
 
 @dataclass(frozen=True, eq=False)
 class ViewResiduals:
-    """What is left between labels and model, for one sensor and one pattern."""
+    """Residuals of one sensor and one pattern."""
 
     sensor: str
     pattern: str
     kind: NoiseKind
     collections: tuple[str, ...]
-    """(V,): the keys of the collections."""
+    """(V,): keys of the collections."""
     magnitudes: Array
-    """(V, L): px, m or rad; NaN where there is no label. Corners stand at their ids, borders at their limit
-    point's place among the limits."""
+    """(V, L): px, m or rad; NaN without a label. Corners are at the index of their id, border points at that of their
+    limit point."""
 
 
 @record(case="snake", unknown="ignore", slots=True)
 class RejectedLabel:
-    """A label that the robust loss gave less than half its weight."""
+    """Label that the robust loss gave less than half its weight."""
 
     collection: str = records.field("The key of its collection.")
     sensor: str = records.field("The sensor that saw it.")
@@ -52,7 +52,7 @@ class RejectedLabel:
 
 @record(case="snake", unknown="ignore")
 class DroppedView:
-    """A view that contradicts the others and was left out."""
+    """View that contradicts the others and was rejected."""
 
     sensor: str = records.field("The sensor.")
     pattern: str = records.field("The pattern that it saw.")
@@ -65,119 +65,119 @@ class DroppedView:
 
 @dataclass(frozen=True, eq=False)
 class CalibratedJoint:
-    """A joint of which parameters were calibrated."""
+    """Joint with calibrated parameters."""
 
     name: str
     parameters: tuple[JointParameter, ...]
-    """Those that were free."""
+    """Free parameters."""
     values: Array
-    """(k,): m or rad, as `units` says."""
+    """(k,): in m or rad, see `units`."""
     units: tuple[Literal["m", "rad"], ...]
     covariance: Array
-    """(k, k), in all; NaN where the calibration has not converged."""
+    """(k, k): total covariance; NaN if the calibration has not converged."""
     label_covariance: Array
-    """(k, k): of the noise of the labels alone; NaN likewise."""
+    """(k, k): from the noise of the labels alone; NaN likewise."""
 
     @property
     def sigmas(self) -> Array:
-        """(k,): the standard deviation of each parameter in all, m or rad."""
+        """(k,): total standard deviation of each parameter, m or rad."""
         return np.asarray(np.sqrt(np.diagonal(self.covariance)))
 
     @property
     def label_sigmas(self) -> Array:
-        """(k,): that by the noise of the labels alone."""
+        """(k,): standard deviation by the noise of the labels alone."""
         return np.asarray(np.sqrt(np.diagonal(self.label_covariance)))
 
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """The problem that was solved, and where its optimum lies: for checks that linearise it again."""
+    """Solved problem and its optimum, for checks that linearise it again."""
 
     setup: Setup
     values: Values
     weighting: Weighting
     dataset: Dataset
-    """The collections that count, with the transforms of the optimum."""
+    """The used collections, with the transforms of the optimum."""
     assume: Assumptions
 
     @cached_property
     def model(self) -> LinearModel:
-        """What near the optimum depends on what, calibrated or held."""
+        """Linear model at the optimum, of calibrated and fixed parameters."""
         return linear_model(self.setup.problem, self.values, self.weighting, self.dataset, self.assume, self.clusters)
 
     @cached_property
     def clusters(self) -> IntArray:
-        """(N,): of each collection the first one that it repeats, or itself."""
+        """(N,): index of the first collection that each one repeats, or its own."""
         return repeated_collections(self.dataset, self.weighting.scales.get("pixel"))
 
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """The result."""
+    """Result of a calibration."""
 
     dataset: Dataset
-    """The dataset with the calibrated transforms, the patterns' among them, and the calibrated intrinsics."""
+    """Dataset with the calibrated transforms, including the patterns', and the calibrated intrinsics."""
     solution: Solution
     transforms: Mapping[Edge, Array]
-    """The calibrated ``T_parent_child`` (4, 4) of sensors, additional transforms and fixed patterns."""
+    """Calibrated ``T_parent_child`` (4, 4) of sensors, additional transforms and fixed patterns."""
     covariances: Mapping[Edge, Array]
-    """(6, 6) of each transform that was free, in all: of a twist (translation, rotation) in its child frame, m and rad.
+    """Total covariance (6, 6) of each free transform: of a twist (translation, rotation) in its child frame, m and rad.
 
-    What it contains, `calibration.estimation.error_bars` says; those of joints and intrinsics are of the same kind."""
+    Its terms are described in `calibration.estimation.error_bars`, also for those of joints and intrinsics."""
     label_covariances: Mapping[Edge, Array]
-    """The same of the noise of the labels alone."""
+    """The same from the noise of the labels alone."""
     error_bars: ErrorBars | None
-    """None where it has not converged."""
+    """None if it has not converged."""
     converged: bool
-    """Whether this is the optimum: reached, finite, no pattern left flipped."""
+    """Whether this is the optimum: reached, finite, no pattern flipped."""
     reason: str
-    """Why it has not converged; empty when it has."""
+    """Reason why it has not converged; empty if it has."""
     cost: float
-    """The sum of squared residuals in standard deviations, with Huber's loss where it is robust."""
+    """Sum of squared residuals in standard deviations, with Huber's loss if it is robust."""
     degrees_of_freedom: int
     iterations: int
     noise_levels: NoiseLevels
-    """The standard deviations of the labels, given or estimated."""
+    """Standard deviations of the labels, given or estimated."""
     residuals: tuple[ViewResiduals, ...]
     rejected: tuple[RejectedLabel, ...]
     weak_directions: tuple[str, ...]
-    """What the data hardly determine, named by transform and axis."""
+    """Directions that the data hardly determine, named by transform and axis."""
     warnings: tuple[str, ...]
-    """What the labels contradict."""
+    """Contradictions between the labels and the model."""
     notes: tuple[str, ...]
-    """What was left out, where it started from a guess, and what was held because nothing determines it."""
+    """Rejected data, initial values taken from the guess, and transforms fixed because nothing determines them."""
     gauge: str | None
-    """The sensor that was held because the data determine only relative poses; None where nothing had to be."""
+    """Sensor that was fixed because the data determine only relative poses; None if none was."""
     joints: Mapping[str, CalibratedJoint] = field(default_factory=dict)
-    """The joints of which parameters were free, by name."""
+    """Joints with free parameters, by name."""
     intrinsics: Mapping[str, CalibratedIntrinsics] = field(default_factory=dict)
-    """Of the cameras of which intrinsics were free, by name."""
+    """Cameras with free intrinsics, by name."""
     dropped_views: tuple[DroppedView, ...] = ()
-    """Views that contradicted the majority of the others; the result is that of the others."""
+    """Rejected views that contradict the majority of the others, which alone determine the result."""
     not_determined: str = ""
-    """Why only the poses of the sensors relative to each other are calibrated, not where they are on the robot; empty
-    where all is."""
+    """Reason why only the relative poses of the sensors are calibrated, not their poses on the robot; empty
+    otherwise."""
 
     @cached_property
     def rms_px(self) -> float:
-        """The root mean square of the corners' reprojection errors, px; NaN without a camera."""
+        """Root mean square of the corners' reprojection errors, px; NaN without a camera."""
         errors = [r.magnitudes[np.isfinite(r.magnitudes)] for r in self.residuals if r.kind == "pixel"]
         return float(np.sqrt(np.mean(np.concatenate(errors) ** 2))) if errors else float("nan")
 
     def sigma_mm(self, edge: Edge) -> float:
-        """The standard deviation of a transform's translation, in all: the norm of the three axes, mm; 0 when held."""
+        """Total standard deviation of a transform's translation: the norm of the three axes, mm; 0 if it is fixed."""
         return 1e3 * self._sigma(self.covariances, edge, slice(0, 3))
 
     def sigma_mrad(self, edge: Edge) -> float:
-        """The standard deviation of a transform's rotation, in all: the norm of the three axes, mrad; 0 when held."""
+        """Total standard deviation of a transform's rotation: the norm of the three axes, mrad; 0 if it is fixed."""
         return 1e3 * self._sigma(self.covariances, edge, slice(3, 6))
 
     def label_sigma_mm(self, edge: Edge) -> float:
-        """`sigma_mm` of the noise of the labels alone."""
+        """Like `sigma_mm`, from the noise of the labels alone."""
         return 1e3 * self._sigma(self.label_covariances, edge, slice(0, 3))
 
     def label_sigma_mrad(self, edge: Edge) -> float:
-        """`sigma_mrad` of the noise of the labels alone."""
+        """Like `sigma_mrad`, from the noise of the labels alone."""
         return 1e3 * self._sigma(self.label_covariances, edge, slice(3, 6))
 
     def _sigma(self, covariances: Mapping[Edge, Array], edge: Edge, part: slice) -> float:

@@ -1,9 +1,8 @@
-"""Two unknown transforms around a moving one, by linear algebra: ``A_i = X @ B_i @ Y``.
+"""Robot-world and hand-eye problem, solved by linear algebra: ``A_i = X @ B_i @ Y`` for X and Y.
 
 With an arm that carries a pattern in front of a camera, ``A_i = T_camera_pattern`` is measured,
 ``B_i = T_base_flange`` is known from the joints, ``X = T_camera_base`` and ``Y = T_flange_pattern``
-are wanted. The literature calls it the robot-world and hand-eye problem and writes ``A Z' = X B``
-with ``Z' = inverse(Y)``.
+are unknown. The literature writes ``A Z' = X B`` with ``Z' = inverse(Y)``.
 """
 
 from dataclasses import dataclass
@@ -17,31 +16,31 @@ from calibration.geometry.transforms import distance, inverse, transform
 from calibration.geometry.types import Array, ArrayLike
 
 REWEIGHTED = 10
-"""Times that a robot-world problem is solved again with less weight on views that do not fit,"""
+"""Number of times that a robot-world problem is solved again with less weight on views that do not fit,"""
 FITTING = 0.03
-"""as long as they miss by more than this on average (rad, and translations relative to the distance)."""
+"""as long as their mean misfit exceeds this (rad, and translations relative to the distance)."""
 
 
 @dataclass(frozen=True, eq=False)
 class Spectrum:
-    """What the motion and the measurements say about a robot-world problem."""
+    """Observability of a robot-world problem, from the motion and the measurements."""
 
     rotation: Array
     """(9,): singular values of the mean Kronecker product, descending. With exact measurements the first is 1,
-    and as many are 1 as there are independent rotations X that explain them; noise lowers the first."""
+    and as many are 1 as there are independent solutions X of the rotation; noise lowers the first."""
     dispersion: Array
     """(3,): by how much the rotations of B tilt a fixed direction (rad), for the least tilted direction first.
     All 0: no rotation. One 0: rotations about one axis only. None 0: the motion determines X and Y."""
     axis: Array
-    """(3,): the least tilted direction, a unit vector in B's child frame: the axis, where there is only one."""
+    """(3,): the least tilted direction, a unit vector in B's child frame: the rotation axis, if there is only one."""
 
     def axes(self, threshold: float = 1e-3) -> int:
-        """About how many axes the motion turns: 0, 1 or (enough) 2; a tilt below `threshold` rad counts as none."""
+        """Approximate number of rotation axes: 0, 1 or (enough) 2; a tilt below `threshold` rad counts as none."""
         return max(0, int((self.dispersion > threshold).sum()) - 1)
 
 
 class RobotWorld(NamedTuple):
-    """A solution of ``A_i = X @ B_i @ Y``."""
+    """Solution of ``A_i = X @ B_i @ Y``."""
 
     X: Array
     """(4, 4)."""
@@ -51,14 +50,14 @@ class RobotWorld(NamedTuple):
 
 
 def solve_robot_world(A: Array, B: Array, weights: ArrayLike | None = None) -> RobotWorld:
-    """X and Y by the Kronecker product: rotations first, then translations.
+    """Solve for X and Y by the Kronecker product: rotations first, then translations.
 
     ``R_X`` and ``R_Y^T`` are the nearest rotations to the leading pair of singular vectors of the sum
     of ``R_A kron R_B``; the translations follow from one linear least squares in the frame of A's
     parent (M. Shah, "Solving the robot-world/hand-eye calibration problem using the Kronecker
     product", 2013).
 
-    A motion that cannot determine them still gives finite numbers: look at `Spectrum`. At least three
+    A motion that does not determine them still gives finite numbers: check `Spectrum`. At least three
     poses with rotations about two axes are needed.
 
     Args:
@@ -71,7 +70,7 @@ def solve_robot_world(A: Array, B: Array, weights: ArrayLike | None = None) -> R
     """
     w = _weights(A, weights)
     RA, RB = A[:, :3, :3], B[:, :3, :3]
-    # R_A = R_X R_B R_Y: sum w <R_A R_Y^T, R_X R_B> = vec(R_X)^T K vec(R_Y^T) is to be largest
+    # R_A = R_X R_B R_Y: maximise sum w <R_A R_Y^T, R_X R_B> = vec(R_X)^T K vec(R_Y^T)
     K = np.einsum("n,nij,nkl->ikjl", w, RA, RB).reshape(9, 9)
     U, singular, Vt = np.linalg.svd(K)
     X, Yt = U[:, 0].reshape(3, 3), Vt[0].reshape(3, 3)
@@ -83,7 +82,7 @@ def solve_robot_world(A: Array, B: Array, weights: ArrayLike | None = None) -> R
 
 
 def solve_robot_world_robustly(A: Array, B: Array) -> RobotWorld:
-    """`solve_robot_world`, reweighted a few times so that single wrong or flipped views do not count."""
+    """Solve like `solve_robot_world`, reweighted a few times so that single wrong or flipped views have no effect."""
     solution = first = solve_robot_world(A, B)
     size = median(np.linalg.norm(A[:, :3, 3], axis=-1))
     for _ in range(REWEIGHTED):
@@ -96,7 +95,7 @@ def solve_robot_world_robustly(A: Array, B: Array) -> RobotWorld:
 
 
 def solve_li(A: Array, B: Array, weights: ArrayLike | None = None) -> RobotWorld:
-    """X and Y by one linear system for rotations and translations together.
+    """Solve for X and Y by one linear system for rotations and translations together.
 
     The 24 unknowns are R_X, inverse(Y)'s rotation, and the translations of both; the two rotations
     are made orthogonal at the end (A. Li, L. Wang and D. Wu, "Simultaneous robot-world and hand-eye
@@ -125,7 +124,7 @@ def solve_li(A: Array, B: Array, weights: ArrayLike | None = None) -> RobotWorld
 
 
 def _weights(A: Array, weights: ArrayLike | None) -> Array:
-    """Weights (n,) that sum to 1."""
+    """Return weights (n,) that sum to 1."""
     if not len(A):
         raise ValueError("a robot-world problem without poses")
     w = np.ones(len(A)) if weights is None else np.asarray(weights, float)
@@ -134,7 +133,7 @@ def _weights(A: Array, weights: ArrayLike | None) -> Array:
 
 
 def _translations(A: Array, B: Array, w: Array, R_X: Array, R: Array) -> tuple[Array, Array]:
-    """Least squares for t_X and t_Y in ``t_A = R_X t_B + t_X + R t_Y``, R (n, 3, 3)."""
+    """Solve for t_X and t_Y in ``t_A = R_X t_B + t_X + R t_Y`` by least squares, R (n, 3, 3)."""
     system = np.concatenate([np.broadcast_to(np.eye(3), R.shape), R], -1)
     right = A[:, :3, 3] - B[:, :3, 3] @ R_X.T
     root = np.sqrt(w)[:, None]
@@ -143,10 +142,10 @@ def _translations(A: Array, B: Array, w: Array, R_X: Array, R: Array) -> tuple[A
 
 
 def _spectrum(singular: Array, RB: Array, w: Array) -> Spectrum:
-    """From the singular values of the Kronecker product and the rotations of B.
+    """Compute the spectrum from the singular values of the Kronecker product and the rotations of B.
 
-    A direction a of B's child frame is spread by the motion to R_B a, whose mean has the length
-    cos(dispersion); so the singular values of the mean rotation tell all three.
+    The motion spreads a direction a of B's child frame to R_B a, whose mean has the length
+    cos(dispersion); so the singular values of the mean rotation determine all three.
     """
     _, lengths, Vt = np.linalg.svd(np.einsum("n,nij->ij", w, RB))
     sines = np.sqrt(np.clip((1 - lengths) * (1 + lengths), 0.0, None))

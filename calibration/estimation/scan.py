@@ -1,4 +1,4 @@
-"""Rings of a LiDAR's scan: where between two rays the border of a pattern lies."""
+"""Border of a pattern in a LiDAR's rings: its position between two rays."""
 
 import numpy as np
 
@@ -6,24 +6,23 @@ from calibration.estimation.median import median
 from calibration.geometry.types import Array, BoolArray, IntArray
 
 RING_GAP = 5e-4
-"""Points whose polar angles (rad) differ by more lie on different rings."""
+"""rad: points whose polar angles differ by more are on different rings."""
 
 
 def border_rays(points: Array, limits: IntArray) -> Array:
-    """Points on the rays that meet the border, one for each limit point, as well as the scan can tell.
+    """Return points on the rays to the border, one for each limit point, as accurately as the scan allows.
 
-    A limit point is the last one of its ring *on* the pattern: the border runs somewhere between it
-    and the next ray, on average half a step of the scan farther out. So each limit point is turned by
-    half its ring's step in azimuth, away from the ring's other points; the range is kept. Without it
+    A limit point is the last one of its ring *on* the pattern: the border is somewhere between it
+    and the next ray, on average half a step of the scan farther out. So each limit point is rotated by
+    half its ring's step in azimuth, away from the ring's other points; the range is unchanged. Without this
     a pattern would look smaller by one step of the scan, 6 mm at 2 m for a step of 0.2 degrees.
 
     Args:
         points: (N, 3), the points on the pattern in the sensor's frame, m.
-        limits: (L,), which of them lie on the border.
+        limits: (L,), indices of those on the border.
 
     Returns:
-        (L, 3); NaN for limit points alone on their ring, because they do not tell which side of the
-        pattern they are on.
+        (L, 3); NaN for limit points alone on their ring, because the side of the pattern is unknown.
     """
     turns = np.full(len(points), np.nan)
     azimuth = _azimuth(points)
@@ -39,7 +38,7 @@ def border_rays(points: Array, limits: IntArray) -> Array:
 
 
 def _azimuth(points: Array) -> Array:
-    """Azimuths (N,) about the direction of their mean, so that a pattern across the seam is in one piece."""
+    """Return azimuths (N,) relative to the direction of their mean, contiguous for a pattern across +-180 degrees."""
     middle = points.mean(axis=0)
     absolute = np.arctan2(points[:, 1], points[:, 0]) - np.arctan2(middle[1], middle[0])
     wrapped: Array = np.mod(absolute + np.pi, 2 * np.pi) - np.pi
@@ -47,7 +46,7 @@ def _azimuth(points: Array) -> Array:
 
 
 def _rings(points: Array) -> list[IntArray]:
-    """The indices of the points of each ring: equal polar angle."""
+    """Return the indices of the points of each ring: equal polar angle."""
     polar = np.arctan2(np.hypot(points[:, 0], points[:, 1]), points[:, 2])
     order = np.argsort(polar, kind="stable")
     gap: BoolArray = np.diff(polar[order]) > RING_GAP

@@ -1,6 +1,6 @@
-"""Transforms from cuts: a 2D LiDAR sees, of each plane whose place is known, the points of one line.
+"""2D LiDAR extrinsics from line scans of planes at known poses.
 
-One view is no plane, so nothing can be fitted to it by itself; all points of all views make one problem.
+One view determines no plane, so the points of all views are solved together.
 """
 
 import numpy as np
@@ -11,36 +11,36 @@ from calibration.geometry.transforms import apply, inverse, transform
 from calibration.geometry.types import Array
 
 FLAT = 1e-6
-"""Points whose spread across a plane is less than this times that along it lie in the plane."""
+"""Points are coplanar if their spread across a plane is less than this times that along it."""
 SINGULAR = 1e-7
-"""A singular value of the equations relative to the greatest one, below which rounding has made it."""
+"""Singular value of the equations relative to the largest, below which it is rounding error."""
 UNIT = (0.5, 2.0)
-"""Between these the columns of what shall be a rotation have their lengths; else the equations told nothing."""
+"""Limits of the lengths of the rotation's estimated columns; outside, the equations do not determine it."""
 OBLIQUE = 0.7
-"""Their cosines are below this."""
+"""Limit of the cosines between these columns."""
 ALIKE = 0.01
-"""Where a motion of the points changes their distances to the planes by less than this times what another does, the
-planes are known too badly to tell it: they hardly differ in their tilt (rad)."""
+"""If a motion of the points changes their distances to the planes by less than this times another one, the
+planes do not determine it: their tilts hardly differ (rad)."""
 REWEIGHTED = 15
-"""Times that the equations are solved, with less weight on what does not fit."""
+"""Number of times that the equations are solved, with less weight on outliers."""
 
 
 def align_scans(points: Array, normals: Array, offsets: Array) -> Array | None:
-    """The transform that puts points on known planes: ``normal . (R point + t) = offset``.
+    """Solve for the transform that puts points on known planes: ``normal . (R point + t) = offset``.
 
     Linear in t and in R's columns. Points of a LiDAR that is fixed in their frame all lie in one plane,
     ``o + x e1 + y e2``: then the unknowns are nine, ``R e1``, ``R e2`` and ``R o + t`` (the equations of Q. Zhang and
     R. Pless, "Extrinsic calibration of a camera and laser range finder", IROS 2004), else twelve. Two equations come
     from the line of each view, so nine unknowns need 5 planes of different tilts; 3 would do for the pose, with up to
     8 solutions (F. Vasconcelos et al., "A minimal solution for the extrinsic calibration of a camera and a
-    laser-rangefinder", PAMI 2012), which are not told apart here.
+    laser-rangefinder", PAMI 2012), which are not distinguished here.
 
-    There is no mirror image to choose: a sensor upside down sees its ``e2`` with the other sign, so it has another
-    linear solution; and of the two third columns that fit all points alike, ``R e1 x R e2`` and its negative, only
-    the first makes a rotation. Nor does the side of a plane matter.
+    There is no mirror ambiguity: a sensor upside down sees its ``e2`` with the other sign, so it has another
+    linear solution; and of the two third columns that fit all points equally, ``R e1 x R e2`` and its negative, only
+    the first makes a rotation. The side of a plane does not matter either.
 
     The nearest rotation is refined by Gauss-Newton on the distances to the planes. All is reweighted to the sum of
-    absolute distances: a fifth of the points off their planes, or of the views with a wrong plane, do little harm.
+    absolute distances: up to a fifth of outliers, or of views with a wrong plane, have little effect.
 
     Args:
         points: (n, 3), m.
@@ -48,7 +48,7 @@ def align_scans(points: Array, normals: Array, offsets: Array) -> Array | None:
         offsets: (n,), their distances from the origin, m.
 
     Returns:
-        (4, 4); None where the planes are too few or too much alike.
+        (4, 4); None if the planes are too few or too similar.
     """
     if len(points) < 9:
         return None
@@ -65,7 +65,7 @@ def align_scans(points: Array, normals: Array, offsets: Array) -> Array | None:
 
 
 def scan_equations(points: Array, before: Array, after: Array) -> tuple[Array, Array, Array]:
-    """What `align_scans` wants, for the inverse of an X in ``T_sensor_pattern = before @ X @ after``.
+    """Return the arguments of `align_scans` for the inverse of an X in ``T_sensor_pattern = before @ X @ after``.
 
     Args:
         points: (n, 3), in the sensor's frame.
@@ -81,7 +81,7 @@ def scan_equations(points: Array, before: Array, after: Array) -> tuple[Array, A
 
 
 def _linear(points: Array, normals: Array, offsets: Array, columns: int) -> Array | None:
-    """The transform without the refinement, from points about their middle whose last axes may be zero."""
+    """Solve without the refinement, from points relative to their mean, whose last axes may be zero."""
     scale = float(np.sqrt((points**2).sum(-1).mean()))
     factors = [points[:, k, None] / scale * normals for k in range(columns)]
     A = np.concatenate([*factors, normals], -1)  # (n, 9 or 12)
@@ -104,7 +104,7 @@ def _linear(points: Array, normals: Array, offsets: Array, columns: int) -> Arra
 
 
 def _refined(T: Array, points: Array, normals: Array, offsets: Array) -> Array | None:
-    """Gauss-Newton on the distances of the points to their planes, reweighted to their absolute values."""
+    """Refine by Gauss-Newton on the distances of the points to their planes, reweighted to their absolute values."""
     J = _jacobian(T, points, normals)
     J[:, 3:] /= np.sqrt((points**2).sum(-1).mean())
     singular = np.linalg.svd(J, compute_uv=False)
@@ -119,13 +119,13 @@ def _refined(T: Array, points: Array, normals: Array, offsets: Array) -> Array |
 
 
 def _jacobian(T: Array, points: Array, normals: Array) -> Array:
-    """(n, 6): how a twist of the points' frame changes their distances to the planes."""
+    """Jacobian (n, 6) of the points' distances to their planes by a twist of the points' frame."""
     back = normals @ T[:3, :3]
     return np.concatenate([back, np.cross(points, back)], -1)
 
 
 def _weight(miss: Array) -> Array:
-    """Weights (n,) that make squared distances count as their absolute values, down to half their median."""
+    """Return weights (n,) that make squared distances count as their absolute values, down to half their median."""
     size = np.abs(miss)
     weight: Array = 1.0 / np.maximum(size, 0.5 * median(size) + 1e-9)
     return weight

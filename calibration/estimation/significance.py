@@ -1,23 +1,23 @@
-"""How unlikely a statistic is, as a standard score: so that chi-squared and F compare, without a table of either."""
+"""Significance of a statistic as a standard score, comparable between chi-squared and F, without tables of either."""
 
 from statistics import NormalDist
 
 from calibration.geometry.types import Array
 
 FAMILY_WISE = 1e-3
-"""The probability that a run of a faultless robot has any significant suspect."""
+"""Probability of any significant suspect in a run of a faultless robot."""
 
 
 def threshold(tests: int) -> float:
-    """The standard score from which one of so many tests is significant, family-wise (Bonferroni)."""
+    """Return the standard score at which one of this many tests is significant, family-wise (Bonferroni)."""
     return NormalDist().inv_cdf(1 - FAMILY_WISE / max(1, tests))
 
 
 def score_of_f(F: float | Array, k: float | Array, freedom: float) -> Array:
-    """The standard score of F with k and ``freedom`` degrees of freedom.
+    """Convert F with k and ``freedom`` degrees of freedom to a standard score.
 
     E. Paulson, "An approximate normalization of the analysis of variance distribution", 1942: the cube root of F is
-    nearly normal. Good to a few per cent in the tails from four degrees of freedom on.
+    nearly normal. Accurate to a few per cent in the tails from four degrees of freedom on.
     """
     a, b = 2 / (9 * k), 2 / (9 * freedom)
     root = F ** (1 / 3)

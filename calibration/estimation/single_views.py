@@ -1,4 +1,4 @@
-"""The pose that each view of a camera gives by itself.
+"""Pose of the pattern from each camera view by itself.
 
 Poses are ``T_camera_centre``: the pattern's frame moved to the centre of its corners, as in
 `calibration.estimation.problem`.
@@ -22,15 +22,15 @@ from calibration.geometry.cameras import Camera
 from calibration.geometry.types import Array, BoolArray
 
 THOROUGHLY = Termination(decrease=1e-12, iterations=100)
-"""To the last digits: what is written must not depend on where a solver stops."""
+"""To machine precision: written results must not depend on where a solver stops."""
 
 
 POOR_FIT = 1.5
-"""A view whose linear pose leaves more than this (px, root mean square) may hold outliers."""
+"""RMS (px) of a view after its linear pose, above which it may have outliers."""
 
 
 def corner_term(camera: Camera, pattern: Pattern, views: Sequence[CornerLabels]) -> CornerTerm:
-    """The labels of a camera's views of a pattern."""
+    """Return the term of a camera's views of a pattern."""
     K = len(pattern.corners)
     pixels, seen = np.zeros((len(views), 2, K)), np.zeros((len(views), K), bool)
     if views:
@@ -44,13 +44,13 @@ def corner_term(camera: Camera, pattern: Pattern, views: Sequence[CornerLabels])
 def refined_poses(
     term: CornerTerm, T: Array, huber: float | None = None, until: Termination = THOROUGHLY
 ) -> tuple[Array, Array]:
-    """Least squares in pixels on each view alone, which never makes a view worse.
+    """Refine the pose of each view by least squares in pixels, which never makes a view worse.
 
     Args:
         term: the labels.
-        T: (V, 4, 4), where to start; NaN stays NaN.
+        T: (V, 4, 4), initial guesses; NaN stays NaN.
         huber: threshold in pixels of the robust loss; None for plain least squares.
-        until: when to stop.
+        until: termination criteria.
 
     Returns:
         The poses (V, 4, 4), and the root mean square error (V,) of each view in pixels, of the robust
@@ -70,9 +70,9 @@ def refined_poses(
 
 
 def fitted_poses(term: CornerTerm) -> tuple[Array, Array]:
-    """The best pose of each view: least squares from the linear pose and from its mirror image.
+    """Return the best pose of each view: least squares from the linear pose and from its mirror image.
 
-    Returns as `refined_poses`, of each view the better of two minima.
+    Returns as `refined_poses`, for each view the better of two minima.
     """
     T, rms = refined_poses(term, term.linear_poses)
     mirrored, mirrored_rms = refined_poses(term, mirrored_poses(T, np.zeros(3)))
@@ -81,7 +81,7 @@ def fitted_poses(term: CornerTerm) -> tuple[Array, Array]:
 
 
 def robust_poses(term: CornerTerm) -> Array:
-    """``T_camera_centre`` (V, 4, 4) of each view by itself; NaN where its corners give none.
+    """Estimate ``T_camera_centre`` (V, 4, 4) of each view by itself; NaN if its corners do not determine it.
 
     Views that the linear solution fits badly, because of outliers or few corners, are refined with
     a robust loss.

@@ -1,10 +1,10 @@
-"""The matrix's noisy starting guesses, as ATOM makes them.
+"""Noisy initial guesses of the matrix, as in ATOM.
 
 Every additional transform and then every sensor's transform (in the dataset's order; not the
-anchored sensor's, not the patterns') is moved by a translation of fixed length, in a direction
-drawn uniformly from the cube and normalised, and turned by plus or minus a fixed angle about each of
-its three fixed Euler axes. Additional transforms that each collection has its own of are moved in each by
-a draw of its own.
+anchored sensor's, not the patterns') is displaced by a translation of fixed length, in a direction
+drawn uniformly from the cube and normalised, and rotated by plus or minus a fixed angle about each of
+its three fixed Euler axes. Additional transforms that are free per collection get a draw
+of their own in each.
 """
 
 from dataclasses import dataclass
@@ -22,17 +22,17 @@ from calibration.geometry.types import Array
 
 @dataclass(frozen=True)
 class StartingNoise:
-    """How far a starting guess is off."""
+    """Noise of an initial guess."""
 
     translation: float = 0.0
-    """The length of the displacement of each transform, m."""
+    """Length of the displacement of each transform, m."""
     rotation: float = 0.0
-    """The size of the error of each of its Euler angles, rad."""
+    """Magnitude of the error of each of its Euler angles, rad."""
     seed: int = 1
 
 
 def perturb(setup: Setup, values: Values, noise: StartingNoise) -> Values:
-    """The values with noise on the transforms to calibrate; the same draws for every size of noise.
+    """Add noise to the transforms to calibrate; the same random numbers for every magnitude of the noise.
 
     What is held stays where the robot's description puts it: what a user holds, and the sensor that is held as the
     origin because nothing else fixes it, as if it were anchored.
@@ -46,7 +46,7 @@ def perturb(setup: Setup, values: Values, noise: StartingNoise) -> Values:
 
 
 def with_starting_noise(dataset: Dataset, noise: StartingNoise) -> Dataset:
-    """The dataset with the guess that `calibrate` starts from as its transforms, for software that reads it from there.
+    """Return the dataset with the initial guess of `calibrate` as its transforms, for other software.
 
     Raises:
         InputError: the labels cannot be used.
@@ -63,7 +63,7 @@ def with_starting_noise(dataset: Dataset, noise: StartingNoise) -> Dataset:
 
 
 def _noisy_transforms(dataset: Dataset, noise: StartingNoise) -> dict[Edge, Array]:
-    """``T_parent_child`` with noise for every edge that gets some: (4, 4), or (N, 4, 4) of one that moves."""
+    """Return ``T_parent_child`` with noise for every edge that gets some: (4, 4), or (N, 4, 4) if it moves."""
     if noise.translation == noise.rotation == 0.0:
         return {}
     rng = np.random.default_rng(noise.seed)

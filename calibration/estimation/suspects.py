@@ -1,21 +1,22 @@
-"""Suspects: what is held, and does not fit the labels. Score (Lagrange multiplier) tests at the optimum.
+"""Suspects: fixed parameters that do not fit the labels. Score (Lagrange multiplier) tests at the optimum.
 
 For a cause with columns B beside the calibrated ones A (`calibration.estimation.linear_model`), one Newton step from
-the optimum gives what it would be if it were free too, and what that takes off the cost::
+the optimum gives the value d that it would have if it were free, and the decrease of the cost::
 
     I = B^T B - B^T A (A^T A)^-1 A^T B,  d = -I^-1 B^T r,  gain = d^T I d
 
 while the calibrated ones move by ``-(A^T A)^-1 A^T B d``
 
-(C. R. Rao, "Large sample tests of statistical hypotheses", 1948). A cause is significant when each of three tests says
-so, family-wise over all causes:
+(C. R. Rao, "Large sample tests of statistical hypotheses", 1948). A cause is significant if each of three tests is,
+family-wise over all causes:
 
-- the gain against how far collections disagree otherwise, an F test: an arm's repeatability is no cause;
+- the gain against the remaining disagreement of collections, an F test: an arm's repeatability is not a cause;
 - d against its covariance with collections as clusters (Hotelling's T^2);
-- d against that and what it is assumed to be known with: what is as good as it is known is no suspect.
+- d against that and its assumed standard deviation: a deviation within what is assumed is not a suspect.
 
-The best explanation is taken in, and the rest is tested again beside it. Of nearly equal ones the simplest is taken, of
-ways of one cause that the data cannot tell apart the one that moves the result most, and the others are named with it.
+The best explanation is set free, and the others are tested again with it (forward selection). Of nearly equal ones the
+simplest is taken, of several that are degenerate with each other the one that moves the result most, and the others
+are named with it.
 """
 
 from collections.abc import Iterator
@@ -29,91 +30,91 @@ from calibration.estimation.significance import score_of_f, threshold
 from calibration.geometry.types import Array, IntArray
 
 FEWEST_CLUSTERS = 6
-"""With fewer independent collections nothing can be told from how they disagree."""
+"""Minimum of independent collections to estimate their disagreement."""
 MOST = 4
-"""Causes that are taken in."""
+"""Limit of the number of causes that are set free."""
 EQUAL = 0.85
-"""Explanations of at least this part of the best one's gain could be meant as well."""
+"""Explanations with at least this fraction of the best one's gain are reported as alternatives."""
 TOLD = 1e-7
-"""Information on a cause beside all else, relative to that on it alone, below which the data cannot tell it."""
+"""Information on a cause beside all others, relative to that on it alone, below which it is not determined."""
 SIDE = 4
-"""So many clusters before and after a change of place, at least; fewer views are tested against all others
+"""Minimum of clusters before and after a displacement; fewer views are tested against all others
 (`calibration.estimation.wrong_views`)."""
 EXACTLY = 1e6
 """Degrees of freedom of a covariance that is not estimated."""
 CONTRADICTION = 3.0
-"""Clusters that disagree by more than this times what is assumed contradict each other."""
+"""Clusters contradict each other if they disagree by more than this times what is assumed."""
 STRETCHES = {"stretch", "stretch along x", "stretch along y"}
-"""Kinds that differ by the size of the whole, which the data may not tell."""
+"""Kinds that differ by the overall scale, which the data may not determine."""
 HALF_PIXEL = (0.35, 0.65)
-"""Off by so much, the principal point is of the other convention of pixels' centres."""
+"""Deviation of the principal point that indicates the other convention of pixel centres."""
 
 
 @dataclass(frozen=True, eq=False)
 class Suspect:
-    """A cause that does not fit, and what it would be."""
+    """Cause that does not fit, with its estimate."""
 
     cause: Cause
     since: int | None
-    """The cluster from which on its place is another one."""
+    """First cluster with another pose; None for a cause that concerns all."""
     value: Array
-    """(k,): what it is off by."""
+    """(k,): estimated deviation."""
     sigma: Array
     """(k,)."""
     score: float
-    """How significant that is, as a standard score; above `threshold`."""
+    """Significance as a standard score; above `threshold`."""
     gain: float
-    """What it takes off the cost."""
+    """Decrease of the cost."""
     moves: Array
-    """(S,): what the calibrated parameters would change by if it were free."""
+    """(S,): changes of the calibrated parameters if it were free."""
     rivals: tuple[Cause, ...] = ()
-    """Others that would explain nearly as much."""
+    """Other causes that explain nearly as much."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Candidates:
-    """Causes of the same size, tested at once: of n, with k parameters each."""
+    """Causes of the same size, tested together: n causes with k parameters each."""
 
     causes: list[Cause]
     since: list[int | None]
     columns: IntArray
-    """(n, k): where their columns stand."""
+    """(n, k): their columns."""
     masks: Array
-    """(n, K): which clusters they concern."""
+    """(n, K): mask of the clusters that they concern."""
 
 
 @dataclass(frozen=True)
 class Disagreement:
-    """How far collections, or sensors in them, disagree beyond the noise inside their views."""
+    """Disagreement of collections, or of sensors in them, beyond the noise inside their views."""
 
     ratio: float
-    """F: about 1 where there is only that noise."""
+    """F: about 1 if there is only that noise."""
     expected: float
-    """What it may be, by what is assumed of an arm and of all else that is held."""
+    """Its expected value, by the assumed errors of an arm and of all other fixed parameters."""
     excess: float
-    """The part of the labels' residuals that is explained neither way, in standard deviations of the noise."""
+    """Unexplained part of the labels' residuals, in standard deviations of the noise."""
     worst: tuple[int, str]
-    """The cluster and the sensor that disagree most."""
+    """Cluster and sensor that disagree most."""
 
     @property
     def contradicts(self) -> bool:
-        """Whether clusters disagree by far more than the noise and what is assumed explain."""
+        """Whether clusters disagree by far more than the noise and the assumed errors explain."""
         return self.ratio > CONTRADICTION * self.expected
 
 
 @dataclass(frozen=True, eq=False)
 class Explanation:
-    """What does not fit, the best explanation first, and what they leave unexplained."""
+    """Suspects, best explanation first, and the remaining disagreement."""
 
     suspects: tuple[Suspect, ...]
     disagreement: Disagreement
 
 
 def explain(model: LinearModel) -> Explanation | None:
-    """Search for what does not fit; None with too few collections to tell.
+    """Search for suspects; None with too few collections.
 
     Args:
-        model: at the optimum.
+        model: linear model at the optimum.
     """
     if len(model.G) < FEWEST_CLUSTERS:
         return None
@@ -141,31 +142,31 @@ def explain(model: LinearModel) -> Explanation | None:
 
 
 def _are_stretches(cause: Cause, other: Cause) -> bool:
-    """Whether two causes are ways in which one print may be stretched."""
+    """Whether two causes are stretches of the same print."""
     return cause.subject == other.subject and {cause.kind, other.kind} <= STRETCHES
 
 
 def _displaced(suspect: Suspect) -> float:
-    """How far a suspect moves the result: of ways that explain as much, the worst one counts."""
+    """Displacement of the result by a suspect: of equally good alternatives the worst one."""
     return float(np.abs(suspect.moves).max())
 
 
 def explains_all(model: LinearModel) -> bool:
-    """Whether something held that does not fit leaves no contradiction between clusters once it is taken in."""
+    """Whether a suspect, once it is free, leaves no contradiction between clusters."""
     explanation = explain(model)
     return explanation is not None and bool(explanation.suspects) and not explanation.disagreement.contradicts
 
 
 def disagreement(model: LinearModel) -> Disagreement:
-    """How far clusters disagree, nothing taken in; that can be told of fewer than a search needs."""
+    """Compute the disagreement of clusters without suspects; it needs fewer clusters than a search."""
     return _disagreement(model, _State.at_optimum(model))
 
 
 def _disagreement(model: LinearModel, state: "_State") -> Disagreement:
-    """What is left between the clusters after the causes that have been taken in.
+    """Compute the disagreement of clusters that remains after the causes that have been set free.
 
-    What is assumed of everything held would make each cluster's own optimum scatter by ``P_k G_kh s^2 G_kh^T`` in the
-    metric of its own information, with ``P_k = G_k^+``.
+    The assumed errors of fixed parameters would make each cluster's own optimum scatter by ``P_k G_kh s^2 G_kh^T`` in
+    the metric of its own information, with ``P_k = G_k^+``.
     """
     S = state.shared
     whitening = _whitening(state.G[:, :S, :S], state.alone[:S])
@@ -175,7 +176,7 @@ def _disagreement(model: LinearModel, state: "_State") -> Disagreement:
     places = [(cause, at) for cause, at in zip(model.causes, model.places, strict=True) if cause.kind == PLACE]
     each = [
         (state.residual[:, None, at] @ _whitening(state.G[:, at, at], state.alone[at]))[:, 0] for _, at in places
-    ]  # (K, k) of each place
+    ]  # (K, k) of each displacement
     sizes = np.array([(own**2).sum(-1) for own in each])
     sensor, cluster = np.unravel_index(int(sizes.argmax()), sizes.shape)
     allowed = freedom + expected
@@ -188,13 +189,13 @@ def _disagreement(model: LinearModel, state: "_State") -> Disagreement:
 
 
 def _plausible(suspect: Suspect) -> bool:
-    """Whether a convention of pixels' centres, where it is that, is off by about half a pixel."""
+    """Whether a suspected convention of pixel centres is off by about half a pixel."""
     low, high = HALF_PIXEL
     return suspect.cause.kind != "pixel convention" or bool(low < abs(suspect.value[0]) < high)
 
 
 def _candidates(model: LinearModel) -> Iterator[_Candidates]:
-    """All causes by their size; places from each collection on."""
+    """Yield all causes by size; displacements from each collection on."""
     K = len(model.G)
     entries: dict[int, list[tuple[Cause, int | None, slice]]] = {}
     for cause, at in zip(model.causes, model.places, strict=True):
@@ -208,26 +209,26 @@ def _candidates(model: LinearModel) -> Iterator[_Candidates]:
 
 @dataclass(frozen=True, eq=False)
 class _State:
-    """The linear model with the causes that are taken in among the free parameters."""
+    """Linear model with the causes that have been set free among the free parameters."""
 
     G: Array
     """(K, C, C)."""
     free: IntArray
-    """(F,): the columns that are free."""
+    """(F,): columns that are free."""
     inverse: Array
-    """(F, F): of their information."""
+    """(F, F): inverse of their information."""
     residual: Array
-    """(K, C): the gradient of each cluster where the free ones are at their optimum."""
+    """(K, C): gradient of each cluster with the free ones at their optimum."""
     disagreement: float
-    """How far clusters disagree with each other: by how much their costs would fall if each had its own parameters."""
+    """Decrease of the clusters' costs if each had its own parameters."""
     freedom: float
-    """Degrees of freedom of that."""
+    """Its degrees of freedom."""
     shared: int
-    """How many of the free ones are calibrated."""
+    """Number of calibrated parameters among the free ones."""
     held: IntArray
-    """(H,): the columns of what is held and adds to the covariance, but for what has been taken in."""
+    """(H,): columns of fixed parameters that add to the covariance, without those that have been set free."""
     sigmas: Array
-    """(H,): what they are assumed to be known with."""
+    """(H,): their assumed standard deviations."""
     alone: Array
     """(C,): see `LinearModel`."""
 
@@ -235,7 +236,7 @@ class _State:
     def at_optimum(cls, model: LinearModel) -> "_State":
         G, g = model.G.copy(), model.g.copy()
         G[0, : model.shared, : model.shared] += model.prior
-        g[0, : model.shared] -= g[:, : model.shared].sum(0)  # rounding, or what a prior pulls
+        g[0, : model.shared] -= g[:, : model.shared].sum(0)  # rounding error, or the gradient of a prior
         counting = [(cause, at) for cause, at in zip(model.causes, model.places, strict=True) if cause.counts]
         held = np.concatenate([np.arange(0), *(np.arange(at.start, at.stop) for _, at in counting)])
         sigmas = np.concatenate([np.zeros(0), *(np.array(cause.assumed) for cause, _ in counting)])
@@ -255,7 +256,7 @@ class _State:
         return cls(G, free, inverse, residual, disagreement, rank - len(free), shared, held, sigmas, alone)
 
     def with_cause(self, at: slice, since: int | None) -> "_State":
-        """The same with one more cause free."""
+        """Return the state with one more cause free."""
         own = np.arange(at.start, at.stop)
         mask = (np.arange(len(self.G)) >= (since or 0)).astype(float)[:, None, None]
         C = self.G.shape[-1]
@@ -273,11 +274,11 @@ class _State:
 
 
 def _inverse(information: Array, alone: Array) -> Array:
-    """(n, n): of an information (n, n); zero in directions without any, as a cause that is taken in may have.
+    """Pseudo-inverse (n, n) of an information (n, n); zero in directions without any, as a free cause may have.
 
     Args:
-        information: it.
-        alone: (n,), what counts as full information on each column.
+        information: the information.
+        alone: (n,), the reference of full information on each column.
     """
     scale = 1 / np.sqrt(np.maximum(alone, 1e-300))
     inverse: Array = scale[:, None] * np.linalg.pinv(scale[:, None] * information * scale, 1e-13, True) * scale
@@ -285,11 +286,11 @@ def _inverse(information: Array, alone: Array) -> Array:
 
 
 def _whitening(G: Array, alone: Array) -> Array:
-    """Matrices w (K, n, n) with ``w w^T = G^+``; columns of zeros for directions without information.
+    """Return matrices w (K, n, n) with ``w w^T = G^+``; columns of zeros for directions without information.
 
     Args:
         G: (K, n, n).
-        alone: (n,), what counts as full information on each column.
+        alone: (n,), the reference of full information on each column.
     """
     scale = 1 / np.sqrt(np.maximum(alone, 1e-300))
     values, vectors = np.linalg.eigh(scale[:, None] * G * scale)
@@ -301,41 +302,41 @@ def _whitening(G: Array, alone: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class _Step:
-    """One Newton step that frees a cause."""
+    """Newton step that frees a cause."""
 
     own: IntArray
     """(k,): its columns."""
     mask: Array
     """(K,): 1 for the clusters that it concerns."""
     information: Array
-    """(k, k): on it, the free parameters being at their optimum: I."""
+    """(k, k): its information I, with the free parameters at their optimum."""
     W: Array
-    """(F, k): what the free parameters change by, with the sign turned, when it grows by 1."""
+    """(F, k): negative change of the free parameters per unit of it."""
     basis: Array
-    """(k, r): ``I^+ = basis basis^T``, of the r directions that the data tell."""
+    """(k, r): ``I^+ = basis basis^T``, of the r directions that the data determine."""
     white: Array
-    """(r,): the step in units of that; standard normal if there is nothing but the noise of the labels."""
+    """(r,): the whitened step; standard normal if there is only the noise of the labels."""
 
     @property
     def value(self) -> Array:
-        """(k,): what it would be."""
+        """(k,): estimated deviation."""
         value: Array = self.basis @ self.white
         return value
 
     @property
     def gain(self) -> float:
-        """What it takes off the cost."""
+        """Decrease of the cost."""
         return float(self.white @ self.white)
 
     @property
     def moves(self) -> Array:
-        """(F,): what the free parameters change by."""
+        """(F,): changes of the free parameters."""
         moves: Array = -self.W @ self.value
         return moves
 
 
 def _tested(state: _State, candidates: _Candidates, limit: float) -> Iterator[Suspect]:
-    """Those candidates whose significance is above a limit."""
+    """Yield the candidates whose significance exceeds a limit."""
     for cause, since, step in zip(candidates.causes, candidates.since, _steps(state, candidates), strict=True):
         r = step.basis.shape[1]
         rest = state.freedom - r
@@ -352,7 +353,7 @@ def _tested(state: _State, candidates: _Candidates, limit: float) -> Iterator[Su
 
 
 def _steps(state: _State, candidates: _Candidates) -> Iterator[_Step]:
-    """The step of each candidate; sums over clusters are made for all of them at once."""
+    """Yield the step of each candidate; sums over clusters are computed for all of them at once."""
     if not candidates.causes:
         return
     masks, free = candidates.masks.astype(float), state.free
@@ -374,13 +375,13 @@ def _steps(state: _State, candidates: _Candidates) -> Iterator[_Step]:
 
 
 def _score(state: _State, cause: Cause, step: _Step, noise: float, score: float) -> tuple[float, Array]:
-    """The least of a cause's three standard scores, and the covariance (r, r) of its step.
+    """Return the smallest of a cause's three standard scores, and the covariance (r, r) of its step.
 
     Args:
         state: the model.
-        cause: it.
+        cause: the cause.
         step: its step.
-        noise: how far clusters disagree otherwise.
+        noise: remaining disagreement of the clusters.
         score: of the first test.
     """
     K, r = len(state.G), step.basis.shape[1]
@@ -393,7 +394,7 @@ def _score(state: _State, cause: Cause, step: _Step, noise: float, score: float)
     covariance = _larger(noise * np.eye(r), clustered)
     total = state.G[:, :, state.held].sum(0)
     masked = np.einsum("k,kih->ih", step.mask, state.G[:, own][:, :, state.held])
-    held = (masked - step.W.T @ total[free]) * state.sigmas  # what held errors of one standard deviation do
+    held = (masked - step.W.T @ total[free]) * state.sigmas  # by one standard deviation
     if any(cause.assumed) and not cause.counts:
         held = np.concatenate([held, step.information * np.array(cause.assumed)], -1)
     known = step.basis.T @ held
@@ -402,14 +403,14 @@ def _score(state: _State, cause: Cause, step: _Step, noise: float, score: float)
 
 
 def _mahalanobis(x: Array, C: Array) -> float:
-    """``x^T C^-1 x``; of a direction without variance nothing."""
+    """``x^T C^-1 x``; 0 in directions without variance."""
     w, U = np.linalg.eigh(C)
     kept = w > 1e-12 * max(w[-1], 1e-300)
     return float(((U.T @ x)[kept] ** 2 / w[kept]).sum())
 
 
 def _larger(A: Array, B: Array) -> Array:
-    """A covariance that is nowhere smaller than either of two, the first a multiple of the identity."""
+    """Return a covariance that is nowhere smaller than either of two, the first a multiple of the identity."""
     w, U = np.linalg.eigh(B)
     larger: Array = (U * np.maximum(w, A[0, 0])) @ U.T
     return larger

@@ -1,4 +1,4 @@
-"""Which intrinsics a user wants calibrated, and what is known of them beforehand."""
+"""Blocks of intrinsics that are calibrated, or known with a covariance."""
 
 from collections.abc import Mapping, Sequence
 
@@ -12,26 +12,27 @@ from calibration.geometry.cameras import Camera
 from calibration.geometry.types import Array
 
 ALL = "all"
-"""Stands for every camera."""
+"""Name for all cameras."""
 CONTRADICTION = 6
-"""A prior farther from the result than expected, by more than this in standard deviations, is contradicted."""
+"""A prior is contradicted if its distance from the result exceeds the expected one by this, in standard deviations."""
 
 
 def intrinsics_blocks(
     dataset: Dataset, wanted: Sequence[str], known: Mapping[str, CalibratedIntrinsics]
 ) -> tuple[Block, ...]:
-    """A block for each camera whose intrinsics are wanted, or of which a covariance is given.
+    """Return a block for each camera with intrinsics to calibrate, or with a given covariance.
 
-    The latter, where it is not wanted, is held: its intrinsics stay, and their covariance counts
-    (`calibration.estimation.observability`). That of one that is wanted is a prior.
+    With a covariance alone the intrinsics are fixed, and their covariance is considered
+    (`calibration.estimation.observability`). With both, the covariance is a prior.
 
     Args:
         dataset: the dataset.
         wanted: names of rgb sensors, or "all".
-        known: by sensor; where not all sensors of a robot are in a dataset there may be others.
+        known: by sensor; it may have sensors that are not in the dataset.
 
     Raises:
-        InputError: a sensor is unknown or no rgb camera; what is known is of none of the cameras, or of another lens.
+        InputError: a sensor is unknown or not an rgb camera; none of the known cameras exists, or one has another
+            distortion model.
     """
     cameras = {name: each for name, each in dataset.sensors.items() if each.modality.has_corners and each.camera}
     for name in wanted:
@@ -58,7 +59,7 @@ def intrinsics_blocks(
 
 
 def contradicted_priors(blocks: Sequence[Block], values: Values) -> list[str]:
-    """A warning for each camera of which the labels say something else than what was known beforehand.
+    """Return a warning for each camera whose labels contradict the prior.
 
     The squared Mahalanobis distance of the result from a prior of u parameters is at most that of chi-squared with
     u degrees of freedom, whose mean is u and whose variance is 2 u.
@@ -99,7 +100,7 @@ def _prior(dataset: Dataset, name: str, camera: Camera, known: CalibratedIntrins
 
 
 def _rays(dataset: Dataset, name: str, camera: Camera) -> Array:
-    """The labels of a camera as normalised coordinates (2, n), those that have any."""
+    """Return the labels of a camera as normalised coordinates (2, n), without those that have none."""
     labels = [c.labels[key] for c in dataset.collections for key in c.labels if key[1] == name]
     pixels = [each.pixels for each in labels if isinstance(each, CornerLabels)]
     rays = camera.normalise(np.concatenate(pixels))

@@ -1,4 +1,4 @@
-"""Which labels count: those that say where the pattern is."""
+"""Selection of the labels that determine the pattern's pose."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -11,16 +11,16 @@ from calibration.errors import InputError, UndeterminedError
 from calibration.estimation.planar_pose import planar_poses
 
 MINIMUM_CORNERS = 4
-"""Fewer corners do not determine a pattern's pose, and would add flipped ones."""
+"""Minimum of corners: fewer do not determine a pattern's pose, and would add flipped ones."""
 
 
 def usable_labels(dataset: Dataset) -> tuple[Dataset, tuple[str, ...]]:
-    """The dataset without labels that determine nothing, and without collections and patterns that have none left.
+    """Remove labels that determine nothing, and collections and patterns that have none left.
 
     Views of a LiDAR or a depth camera need a camera that saw the pattern: at the same moment, or ever when it is fixed.
 
     Returns:
-        The dataset, and what was left out, and why.
+        The dataset, and descriptions of the removed labels with the reasons.
 
     Raises:
         InputError: a sensor has no labels left.
@@ -69,12 +69,12 @@ def usable_labels(dataset: Dataset) -> tuple[Dataset, tuple[str, ...]]:
 
 
 def _seen_by_cameras(labels: Mapping[tuple[str, str], Labels]) -> set[str]:
-    """The patterns of which there are corners, or poses: what a camera has seen, or a software in its place."""
+    """Return the patterns with corners or measured poses."""
     return {pattern for (pattern, _), label in labels.items() if isinstance(label, CornerLabels | PoseLabels)}
 
 
 def _too_few(label: Labels, modality: Modality) -> str:
-    """Why labels are too few to tell what a view of a sensor can tell, or nothing."""
+    """Return the reason why labels are too few for a view of a sensor; empty if they are enough."""
     if isinstance(label, CornerLabels):
         count, minimum, what = len(label.ids), MINIMUM_CORNERS, "corners"
     elif isinstance(label, PointLabels):
@@ -85,7 +85,7 @@ def _too_few(label: Labels, modality: Modality) -> str:
 
 
 def _on_lines(dataset: Dataset) -> dict[tuple[int, str, str], str]:
-    """Views (collection, pattern, sensor) whose corners leave the pose open: all but at most one on a line."""
+    """Return the views (collection, pattern, sensor) with an ambiguous pose: all corners but at most one on a line."""
     found: dict[tuple[int, str, str], str] = {}
     for name, pattern in dataset.patterns.items():
         K = len(pattern.corners)

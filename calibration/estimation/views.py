@@ -1,13 +1,13 @@
-"""How the unknowns make up the pose of every view.
+"""Views and their chains: the pose of every view as a product of constants and unknowns.
 
-A *view* is one sensor seeing one pattern in one collection. All that its labels depend on is the
-pose ``T_sensor_pattern``, a product of constants and of unknown transforms, the *blocks*. Where the intrinsics
-of a camera are unknown too, they are a block that stands in no chain: its views depend on the pose and on
+A *view* is one sensor that sees one pattern in one collection. Its labels only depend on the
+pose ``T_sensor_pattern``, a product of constants and of unknown transforms, the *blocks*. Free intrinsics
+of a camera are a block that is in no chain: its views depend on the pose and on
 them. Views of the same sensor and pattern share the same chain of blocks and form a *group*; all arrays of a
 group have its views as their first axis.
 
 The pattern frame of this module is the pattern's, moved to the centre of its corners: a twist about
-the centre turns the pattern without moving it, which keeps rotation and translation apart.
+the centre rotates the pattern without moving it, which decouples rotation and translation.
 """
 
 from collections.abc import Sequence
@@ -24,12 +24,12 @@ from calibration.geometry.types import Array, IntArray
 
 @dataclass(frozen=True, eq=False)
 class Link:
-    """A block in a chain, and the constant that follows it."""
+    """Block in a chain, and the constant that follows it."""
 
     block: int
     inverted: bool
     after: Array | None = None
-    """(4, 4), or (V, 4, 4) when it differs between collections; None for the identity."""
+    """(4, 4), or (V, 4, 4) if it differs between collections; None for the identity."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +40,7 @@ class Chain:
     links: tuple[Link, ...]
 
     def poses(self, transforms: Sequence[Array], collections: IntArray) -> Array:
-        """``T_sensor_pattern`` (V, 4, 4), from the transform of each block, (4, 4) or (N, 4, 4)."""
+        """Return ``T_sensor_pattern`` (V, 4, 4), from the transform of each block, (4, 4) or (N, 4, 4)."""
         T = self.before
         for link in self.links:
             X = transforms[link.block]
@@ -49,53 +49,53 @@ class Chain:
         return per_view(T, len(collections))
 
     def part(self, start: int, end: int) -> "Chain":
-        """What stands between two links: after the one at ``start``, or -1, and before that at ``end``."""
+        """Return the chain between two links: after the one at ``start``, or -1, and before that at ``end``."""
         return Chain(self.before if start < 0 else self.links[start].after, self.links[start + 1 : end])
 
     def then(self, other: "Chain") -> "Chain":
-        """The product with another chain on the right."""
+        """Return the product with another chain on the right."""
         if not self.links:
             return Chain(times(self.before, other.before), other.links)
         last = replace(self.links[-1], after=times(self.links[-1].after, other.before))
         return Chain(self.before, (*self.links[:-1], last, *other.links))
 
     def inverse(self) -> "Chain":
-        """The inverse, whose links stand the other way round."""
+        """Return the inverse, with the links in reverse order."""
         constants = [self.before, *(link.after for link in self.links)]
         last, *others = [None if constant is None else inverse(constant) for constant in reversed(constants)]
         back = zip(reversed(self.links), others, strict=True)
         return Chain(last, tuple(Link(link.block, not link.inverted, after) for link, after in back))
 
     def take(self, views: IntArray | slice) -> "Chain":
-        """That of only some of the views."""
+        """Return the chain of only some of the views."""
         links = tuple(replace(link, after=_at(link.after, views)) for link in self.links)
         return Chain(_at(self.before, views), links)
 
 
 class Term(Protocol):
-    """The labels of a group's views, of one kind; see `calibration.estimation.residuals`."""
+    """Labels of a group's views, of one kind; see `calibration.estimation.residuals`."""
 
     @property
     def kind(self) -> NoiseKind:
-        """What its residuals are measured in."""
+        """Kind of its residuals."""
 
     @property
     def dimension(self) -> int:
-        """Residuals per label: 2 for a corner (its axes go together), 1 for a distance, 3 for a half of a pose."""
+        """Residuals per label: 2 for a corner (axes weighted together), 1 for a distance, 3 for a half of a pose."""
 
     @property
     def counts(self) -> IntArray:
-        """(V,): the labels of each view."""
+        """(V,): number of labels of each view."""
 
     @property
     def length(self) -> int:
         """L: places for labels in each view."""
 
     def take(self, views: IntArray | slice) -> "Term":
-        """Only some of the views."""
+        """Return the term of only some of the views."""
 
     def seen_with(self, camera: Camera, free: Sequence[int]) -> "Term":
-        """The same labels of a camera with other intrinsics, m of which (by their places among all) are free."""
+        """Return the same labels of a camera with other intrinsics, m of which (by their indices) are free."""
 
     def linearise(
         self, T: Array, scale: float, huber: float | None, squares: Array | None = None
@@ -119,34 +119,34 @@ class Term(Protocol):
         """
 
     def places(self, T: Array) -> Array:
-        """Where the labels lie on the pattern (V, 3, L), m, in its frame at poses (V, 4, 4)."""
+        """Return the positions of the labels on the pattern (V, 3, L), m, in its frame at poses (V, 4, 4)."""
 
     def magnitudes(self, T: Array) -> Array:
-        """(V, L): the norm of each label's residual in px, m or rad; NaN where there is no label."""
+        """Norm (V, L) of each label's residual in px, m or rad; NaN without a label."""
 
 
 @dataclass(frozen=True, eq=False)
 class ViewGroup:
-    """The views of one sensor and one pattern."""
+    """Views of one sensor and one pattern."""
 
     sensor: str
     pattern: str
     collections: IntArray
-    """(V,): the collection of each view, ascending, each once."""
+    """(V,): collection of each view, ascending, each once."""
     chain: Chain
     terms: tuple[Term, ...]
     """With the nominal intrinsics of a camera; see `calibration.estimation.problem.Problem.terms`."""
     intrinsics: int | None = None
-    """The block of the camera's intrinsics, where it has one."""
+    """Block of the camera's intrinsics, if it has one."""
 
     def take(self, views: IntArray | slice) -> "ViewGroup":
-        """Only some of the views."""
+        """Return the group with only some of the views."""
         terms = tuple(term.take(views) for term in self.terms)
         return replace(self, collections=self.collections[views], chain=self.chain.take(views), terms=terms)
 
 
 def times(A: Array | None, B: Array | None) -> Array | None:
-    """The product of transforms, of which None is the identity."""
+    """Return the product of transforms, in which None is the identity."""
     if A is None or B is None:
         return A if B is None else B
     product: Array = A @ B
@@ -154,7 +154,7 @@ def times(A: Array | None, B: Array | None) -> Array | None:
 
 
 def per_view(T: Array | None, views: int) -> Array:
-    """A transform, or one for each view, as (V, 4, 4)."""
+    """Broadcast a transform, or one for each view, to (V, 4, 4)."""
     if T is not None and T.shape == (views, 4, 4):
         return np.ascontiguousarray(T)  # the usual case, at a fraction of the cost
     return np.ascontiguousarray(np.broadcast_to(np.eye(4) if T is None else T, (views, 4, 4)))

@@ -1,12 +1,12 @@
-"""Views that are wrong as a whole: labels and pose of different moments.
+"""Rejection of views that are wrong as a whole: labels and pose of different moments.
 
-Such a view has a perfect pose of its own, so no robust loss on its labels sees it. What shows it is the majority of
-the other views: two sensors that see the same moving pattern, or an arm and a camera, have one relative pose, whatever
-the collection. Each such pair is tested by itself: the relative pose that fits a bare majority of its collections best
+Such a view is consistent in itself, so the robust loss on its labels does not reveal it. It contradicts the majority of
+the other views: two sensors that see the same moving pattern, or an arm and a camera, have one relative pose in all
+collections. Each such pair is tested by itself: the relative pose that fits a bare majority of its collections best
 (least trimmed squares, from poses that a few views drawn at random give, improved by refitting to the better half:
 P. J. Rousseeuw and K. Van Driessen, "Computing LTS regression for large data sets", 2006; the random draws as in M. A.
-Fischler and R. C. Bolles, "Random sample consensus", 1981), then that of all collections which agree with them. Up to
-45 % of the collections may be wrong. A view contradicts when it misses by far more than the agreeing ones do.
+Fischler and R. C. Bolles, "Random sample consensus", 1981), then that of all collections that agree with them. Up to
+45 % of the collections may be wrong. A view is rejected if its residuals are far larger than the others'.
 """
 
 import math
@@ -38,40 +38,40 @@ from calibration.geometry.transforms import distance
 from calibration.geometry.types import Array, BoolArray, IntArray
 
 NOTICEABLE: dict[NoiseKind, float] = {"pixel": 1.0, "range": 0.01, "lidar2d_range": 0.01, "pose_translation": 0.01}
-"""A view whose labels miss by less than this in the median (px or m) contradicts nothing."""
+"""A view whose labels have a smaller median residual (px or m) is never rejected,"""
 ABOVE_NOISE = 4.0
-"""Nor does one that misses by less than so many times the noise inside the views."""
+"""nor is one with a smaller multiple of the noise inside the views."""
 SPREADS = 12.0
-"""A view is wrong that misses by so many robust standard deviations of the agreeing ones more than their median,"""
+"""A view is wrong if it exceeds the agreeing ones' median by this number of their robust standard deviations,"""
 MEDIANS = 8.0
-"""and by so many times their median beyond the noise inside the views: an arm's own errors are no wrong views."""
+"""and by this multiple of their median beyond the noise inside the views: an arm's own errors are not wrong views."""
 FIRST = 3.0
-"""but of the first, bare majority, the best half of what may be right, by so many times its largest."""
+"""For the first, bare majority: multiple of the largest residual of its best half."""
 WRONG = 0.45
-"""The share of wrong collections that is found for sure."""
+"""Share of wrong collections that is found reliably."""
 MISSED = 1e-3
-"""How likely all draws hold a wrong collection, at that share."""
+"""Probability that all draws contain a wrong collection, at that share."""
 MOST = 200
-"""Of more collections than this the majority is looked for in so many of them."""
+"""Number of collections in which the majority is searched; of more, a subset."""
 CLEAR = 2.0
-"""Where the majority misses by no more than this, in multiples of the noise, nothing better is looked for."""
+"""Residual of the majority, in multiples of the noise, below which the search ends."""
 AGREEING = 10.0
-"""Where it misses by more than this, in multiples of what is noticeable, there is none."""
+"""Residual of the majority, in multiples of what is noticeable, above which there is no majority."""
 ROUNDS = 8
-"""Refits to the better half."""
+"""Limit of the refits to the better half."""
 POINTS = 32
-"""Of a LiDAR's view, about so many are looked at."""
+"""Approximate number of points of a LiDAR's view that are used."""
 IMPROVING = Termination(decrease=0.1, iterations=15)
 SURPLUS = 2.6
-"""What a bare majority of the collections says has to be so many times what is unknown."""
+"""Required number of equations of a bare majority, as a multiple of the unknowns."""
 
 
 def wrong_views(setup: Setup, start: Values) -> tuple[DroppedView, ...]:
-    """The views that contradict the majority of the others, in the order of the collections.
+    """Find the views that contradict the majority of the others, in the order of the collections.
 
     Args:
         setup: the problem.
-        start: of its least squares. Where a few steps from there fit all views well, nothing more is asked.
+        start: its initial values. If a few steps from there fit all views well, no view is tested.
     """
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         values = _nearer(setup.problem, start)
@@ -86,7 +86,7 @@ def wrong_views(setup: Setup, start: Values) -> tuple[DroppedView, ...]:
 
 
 def without(dataset: Dataset, dropped: Sequence[DroppedView]) -> Dataset:
-    """The dataset without the labels of some views."""
+    """Return the dataset without the labels of some views."""
     if not dropped:
         return dataset
     views = {(view.collection, view.pattern, view.sensor) for view in dropped}
@@ -101,7 +101,7 @@ def without(dataset: Dataset, dropped: Sequence[DroppedView]) -> Dataset:
 
 
 def _nearer(problem: Problem, start: Values) -> Values | None:
-    """Values nearer to the optimum than the start is; None where all views fit well at one of them."""
+    """Return values closer to the optimum than the initial ones; None if all views fit well."""
     first = tuple(replace(group, terms=group.terms[:1]) for group in problem.groups)
     kinds = {group.terms[0].kind for group in first}
     nearby = replace(problem, groups=first)
@@ -132,7 +132,7 @@ def _none_noticeable(problem: Problem, values: Values) -> bool:
 
 
 def _all_fit(problem: Problem, values: Values, noise: Sequence[float]) -> bool:
-    """Whether no view misses by more than can be overlooked."""
+    """Whether no view has a noticeable residual."""
     return all(
         (_medians(problem, group, values) <= max(NOTICEABLE[group.terms[0].kind], ABOVE_NOISE * of_group)).all()
         for group, of_group in zip(problem.groups, noise, strict=True)
@@ -140,7 +140,7 @@ def _all_fit(problem: Problem, values: Values, noise: Sequence[float]) -> bool:
 
 
 def _noise(group: ViewGroup) -> float:
-    """The median over the views of how far labels lie from what their own view says, px or m."""
+    """Return the median over the views of the labels' residuals from their own view's fit, px or m."""
     term = group.terms[0]
     if isinstance(term, CornerTerm):
         return median(np.nan_to_num(_middle(term.magnitudes(term.linear_poses), term.counts), posinf=0.0))
@@ -152,13 +152,13 @@ def _noise(group: ViewGroup) -> float:
 
 
 def _medians(problem: Problem, group: ViewGroup, values: Values) -> Array:
-    """(V,): the median distance of each view's labels, px or m."""
+    """Return the median residual (V,) of each view's labels, px or m."""
     term, *_ = problem.terms(group, values)
     return _middle(term.magnitudes(problem.poses(group, values)), term.counts)
 
 
 def _middle(magnitudes: Array, counts: IntArray) -> Array:
-    """The median (V,) of magnitudes (V, L), of which those that should be there and are NaN count as infinite."""
+    """Return the median (V,) of magnitudes (V, L), in which NaN of existing labels counts as infinite."""
     ranked = np.sort(magnitudes, axis=-1)  # NaN last
     middle = ranked[np.arange(len(ranked)), (counts - 1) // 2]
     return np.where(np.isnan(middle), np.inf, middle)
@@ -169,22 +169,22 @@ def _middle(magnitudes: Array, counts: IntArray) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class _Verdict:
-    """What a test has found."""
+    """Result of a test."""
 
     groups: tuple[int, ...]
-    """Of the whole problem."""
+    """Groups of the whole problem."""
     setup: Setup
-    """Of these groups alone."""
+    """Setup of these groups alone."""
     values: Values
-    """At which most collections agree."""
+    """Values on which most collections agree."""
     tested: BoolArray
-    """(N,): the collections that all of the groups saw."""
+    """(N,): collections that all of the groups saw."""
     wrong: BoolArray
-    """(N,): those that contradict the others."""
+    """(N,): collections that contradict the others."""
 
 
 def _together(setup: Setup) -> Iterator[tuple[int, ...]]:
-    """The groups that can contradict each other: pairs that each collection's own pose joins, others by themselves."""
+    """Yield the groups to test together: pairs with a common pose per collection, others by themselves."""
     local = set(setup.problem.local)
     own = [{link.block for link in group.chain.links} & local for group in setup.problem.groups]
     yield from ((i,) for i, blocks in enumerate(own) if not blocks)
@@ -192,7 +192,7 @@ def _together(setup: Setup) -> Iterator[tuple[int, ...]]:
 
 
 def _tested(setup: Setup, which: tuple[int, ...], values: Values) -> _Verdict | None:
-    """The collections in which some groups contradict what most of them say; None where that cannot be told."""
+    """Test some groups for collections that contradict the majority; None if that is not possible."""
     part = _part(setup, which)
     if part is None or not part.problem.shared:
         return None
@@ -213,7 +213,7 @@ def _tested(setup: Setup, which: tuple[int, ...], values: Values) -> _Verdict | 
 
 
 def _part(setup: Setup, which: tuple[int, ...]) -> Setup | None:
-    """The setup with some groups only, in the collections that all of them saw; None where nothing joins them."""
+    """Return the setup with some groups only, in the collections that all of them saw; None if not connected."""
     problem = setup.problem
     groups = [replace(problem.groups[i], terms=(_thinned(problem.groups[i].terms[0]),)) for i in which]
     seen = [np.isin(np.arange(problem.collections), group.collections) for group in groups]
@@ -234,7 +234,7 @@ def _part(setup: Setup, which: tuple[int, ...]) -> Setup | None:
 
 
 def _thinned(term: Term) -> Term:
-    """The term with no more points of each view than tell its plane."""
+    """Return the term with only as many points of each view as its plane needs."""
     if not isinstance(term, RangeTerm):
         return term
     step = max(1, int(term.counts.min()) // POINTS)
@@ -243,10 +243,10 @@ def _thinned(term: Term) -> Term:
 
 
 class _Consensus:
-    """The search for the shared transforms on which most collections agree."""
+    """Search for the shared transforms on which most collections agree."""
 
     def __init__(self, setup: Setup, values: Values, collections: IntArray, equations: int) -> None:
-        """Of some collections, each of which tells so many numbers."""
+        """Create the search over collections, each with this number of equations."""
         self._tested = np.isin(np.arange(setup.problem.collections), collections)
         self.problem = setup.problem.seen_in(self._tested)
         self.setup = replace(setup, problem=self.problem)
@@ -259,7 +259,7 @@ class _Consensus:
             self._noise[kind] = max(self._noise[kind], _noise(group))
 
     def majority(self, draw: int) -> Values | None:
-        """The values on which a bare majority agrees best; None where no collections give any."""
+        """Return the values on which a bare majority agrees best; None if no collections determine any."""
         best: tuple[float, Values] | None = None
         least = np.inf
         for subset in self._draws(draw):
@@ -275,7 +275,7 @@ class _Consensus:
         return None if best is None else best[1]
 
     def _draws(self, size: int) -> Iterator[IntArray]:
-        """Collections drawn at random, always the same."""
+        """Yield random subsets of collections, from a fixed seed."""
         rng = np.random.default_rng(0)
         if size == 1:
             yield from rng.permutation(self._collections)[: math.ceil(math.log(MISSED) / math.log(WRONG)), None]
@@ -289,7 +289,7 @@ class _Consensus:
         return mask
 
     def _from(self, subset: IntArray) -> Values | None:
-        """What a few collections say of all, or None."""
+        """Return the values determined by a few collections, or None."""
         few = replace(self.setup, problem=self.problem.seen_in(self._mask(subset)))
         try:
             start = linear_start(few, self._values)
@@ -301,25 +301,25 @@ class _Consensus:
         return local_poses(self.setup, values) if self.problem.local else values
 
     def _misses(self, values: Values) -> Array:
-        """(G, N): how far each group's labels miss in the median, px or m; 0 where it has no view."""
+        """Return the median residual (G, N) of each group's labels, px or m; 0 without a view."""
         out = np.zeros((len(self.problem.groups), self.problem.collections))
         for miss, group in zip(out, self.problem.groups, strict=True):
             miss[group.collections] = _medians(self.problem, group, values)
         return out
 
     def _in_noise(self, values: Values) -> Array:
-        """(N,): the largest in multiples of the noise."""
+        """Return the largest residual (N,) in multiples of the noise."""
         noise = np.array([self._noise[group.terms[0].kind] for group in self.problem.groups])
         return np.asarray((self._misses(values) / noise[:, None]).max(0))
 
     def _best(self, values: Values) -> tuple[float, IntArray]:
-        """How badly the best majority fits, in multiples of the noise, and which it is."""
+        """Return the residual of the best majority, in multiples of the noise, and its collections."""
         miss = self._in_noise(values)[self._collections]
         order = miss.argsort(kind="stable")[: self._majority]
         return float(miss[order].mean()), self._collections[order]
 
     def _refitted(self, values: Values, which: BoolArray, thoroughly: bool = False) -> Values:
-        """The optimum of some collections (N,), the others' own poses made to fit."""
+        """Return the optimum of some collections (N,), with the local poses of the others adapted."""
         weighting = self._weighting(values, which)
         part = self.problem.seen_in(which)
         fitted = minimise(part, values, weighting, IMPROVING).values
@@ -349,7 +349,7 @@ class _Consensus:
         return score, values
 
     def agreed(self, values: Values) -> tuple[Values, BoolArray] | None:
-        """From the best majority to all collections that agree with it; None where it does not agree itself."""
+        """Extend the best majority to all collections that agree with it; None if it does not agree itself."""
         values = self._placed(values)
         tested, first = self._tested, self._mask(self._best(values)[1])
         agreeing = first
@@ -370,7 +370,7 @@ class _Consensus:
         return median(agreeing) > AGREEING * NOTICEABLE[group.terms[0].kind]
 
     def _limit(self, group: ViewGroup, agreeing: Array, widest: float) -> float:
-        """Beyond which a view of a group is wrong, from how far the agreeing ones miss; they were fitted to."""
+        """Return the residual above which a view of a group is wrong, by those of the agreeing ones."""
         told = self._parameters / (self._equations * len(agreeing))
         optimism = math.sqrt((1 + told) / max(1 - told, 0.1))
         middle = median(agreeing)
@@ -384,7 +384,7 @@ class _Consensus:
 
 
 def _culprits(verdicts: Sequence[_Verdict], collection: int) -> set[int]:
-    """The groups whose view of a collection is wrong: those that contradict most others; all where that is a tie.
+    """Return the groups whose view of a collection is wrong: those that contradict most others; all in case of a tie.
 
     A group that agrees with another one is right.
     """
@@ -409,9 +409,9 @@ def _dropped(setup: Setup, verdicts: Sequence[_Verdict], group: int, collection:
 
 
 def _apart(verdict: _Verdict, collection: int) -> tuple[float, float]:
-    """How far (m, rad) a pattern is from where the agreeing collections, and the pair's camera, have it.
+    """Return the distance (m, rad) of a pattern's pose from that of the agreeing collections and the pair's camera.
 
-    Of a LiDAR, or where corners give no pose: how far the pattern's plane is.
+    Of a LiDAR, or if corners determine no pose: the distance of the pattern's plane.
     """
     problem = verdict.setup.problem
     one = problem.seen_in(np.arange(problem.collections) == collection)
